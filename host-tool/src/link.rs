@@ -1,0 +1,39 @@
+//! A byte link to one machine, with its own clock: serial port, TCP, memory pipe or virtual bench.
+//!
+//! The clock comes from the link, so that the same client runs against a port in real time and
+//! against the virtual bench in virtual time.
+
+/// Why a link could not carry bytes.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// The other end is gone: cable pulled, socket closed, emulator ended.
+    #[error("the link to {place} was lost: {why}")]
+    Lost {
+        /// What the link leads to, as the user named it.
+        place: String,
+        /// The operating system's or the bench's reason.
+        why: String,
+    },
+}
+
+/// A byte link to one machine.
+pub trait Link: Send {
+    /// What the link leads to, for messages: `/dev/ttyACM0`, `tcp:127.0.0.1:7001`, `virtual rig`.
+    fn place(&self) -> String;
+
+    /// Microseconds on the link's own clock; never steps back.
+    fn now_us(&self) -> u64;
+
+    /// Queues `bytes` for transmission. Returns at once; takes no link time by itself.
+    ///
+    /// # Errors
+    /// [`LinkError::Lost`] when the other end is gone.
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
+
+    /// Waits until bytes arrive or the link's clock reaches `deadline_us`; returns how many bytes were
+    /// put into `buffer`, 0 at the deadline.
+    ///
+    /// # Errors
+    /// [`LinkError::Lost`] when the other end is gone.
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError>;
+}
