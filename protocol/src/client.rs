@@ -1,0 +1,264 @@
+//! The host's end: one request at a time, repeated until answered, telemetry and events with their gaps.
+//!
+//! Sans-IO and without a clock: `now_us` is an argument. The owner moves the bytes.
+
+use crate::{
+    VERSION,
+    error::{Refusal, WireError},
+    frame::{Deframer, Encoded, Header, Kind, encode},
+    system::{Event, Hello, Identity, Urgent},
+    table::{Reply, Request, Response, SCHEMA_KEY, Telemetry},
+};
+
+/// How long to wait for an answer before the request is sent again. A full frame takes 19 ms at 115200 baud.
+pub const RETRY_AFTER_US: u64 = 100_000;
+/// How often a request is sent before its outcome is reported as unknown.
+pub const ATTEMPTS: u8 = 8;
+
+/// What the device sent.
+#[derive(Clone, Debug, PartialEq)]
+// One output exists at a time, on the stack.
+#[allow(clippy::large_enum_variant)]
+pub enum Output {
+    /// The pending request was carried out or begun.
+    Accepted(Response),
+    /// The pending request was refused; nothing moved.
+    Refused(Refusal),
+    /// The pending request could not be used; nothing moved. After [`WireError::NoSession`] the session is
+    /// closed: the device was reset or another host took over.
+    Rejected(WireError),
+    /// The urgent stop was carried out.
+    UrgentDone(Urgent),
+    /// Telemetry.
+    Telemetry {
+        /// How many telemetry frames were lost just before this one.
+        missed: u16,
+        /// The sample.
+        sample: Telemetry,
+    },
+    /// An event, as it happened. Indices tell whether any are missing; they can be fetched again.
+    Event(Event),
+}
+
+/// What [`Client::poll`] wants.
+#[derive(Clone, Debug, PartialEq)]
+// One exists at a time, on the stack.
+#[allow(clippy::large_enum_variant)]
+pub enum Poll {
+    /// Send these bytes, then poll again.
+    Transmit(Encoded),
+    /// Nothing to do before this time (`u64::MAX`: until something is asked for).
+    WaitUntil(u64),
+    /// The pending request was not answered: whether it was carried out is unknown.
+    TimedOut,
+}
+
+/// A request is already pending, or (other than Hello) there is no session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NotNow;
+
+#[derive(Debug)]
+struct Pending {
+    header: Header,
+    frame: Encoded,
+    sent: u8,
+    next_us: u64,
+}
+
+impl Pending {
+    fn new(header: Header, frame: Encoded) -> Self {
+        Self {
+            header,
+            frame,
+            sent: 0,
+            next_us: 0,
+        }
+    }
+
+    fn poll(&mut self, now_us: u64) -> Poll {
+        if now_us < self.next_us {
+            return Poll::WaitUntil(self.next_us);
+        }
+        if self.sent == ATTEMPTS {
+            return Poll::TimedOut;
+        }
+        self.sent += 1;
+        self.next_us = now_us.saturating_add(RETRY_AFTER_US);
+        Poll::Transmit(self.frame.clone())
+    }
+}
+
+/// The host's session.
+#[derive(Debug)]
+pub struct Client {
+    deframer: Deframer,
+    session: u8,
+    next_seq: u16,
+    pending: Option<Pending>,
+    urgent: Option<Pending>,
+    next_telemetry: Option<u16>,
+}
+
+impl Default for Client {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Client {
+    /// A client without a session.
+    pub const fn new() -> Self {
+        Self {
+            deframer: Deframer::new(),
+            session: 0,
+            next_seq: 0,
+            pending: None,
+            urgent: None,
+            next_telemetry: None,
+        }
+    }
+
+    /// Asks the device for its identity and a session. `nonce` should be new for every connection.
+    ///
+    /// # Errors
+    /// [`NotNow`] while a request is pending.
+    pub fn hello(&mut self, nonce: u32) -> Result<(), NotNow> {
+        self.session = 0;
+        self.next_telemetry = None;
+        self.put(&Request::Hello(Hello {
+            protocol: VERSION,
+            schema_key: SCHEMA_KEY,
+            nonce,
+        }))
+    }
+
+    /// Asks for something in the open session.
+    ///
+    /// # Errors
+    /// [`NotNow`] while a request is pending or without a session.
+    pub fn request(&mut self, request: &Request) -> Result<(), NotNow> {
+        if self.session == 0 {
+            return Err(NotNow);
+        }
+        self.put(request)
+    }
+
+    fn put(&mut self, request: &Request) -> Result<(), NotNow> {
+        if self.pending.is_some() {
+            return Err(NotNow);
+        }
+        let header = Header {
+            kind: Kind::Request,
+            session: self.session,
+            seq: self.take_seq(),
+        };
+        // The messages of this crate all fit; see the test `every_message_fits`.
+        let frame = encode(header, request).map_err(|_| NotNow)?;
+        self.pending = Some(Pending::new(header, frame));
+        Ok(())
+    }
+
+    /// Stops the machine. Goes ahead of any pending request; needs no session. Asking again, or asking for
+    /// more ([`Urgent::EStop`] after [`Urgent::Stop`]), replaces what was asked before.
+    pub fn urgent(&mut self, urgent: Urgent) {
+        let header = Header {
+            kind: Kind::Urgent,
+            session: self.session,
+            seq: self.take_seq(),
+        };
+        self.urgent = encode(header, &urgent)
+            .ok()
+            .map(|frame| Pending::new(header, frame));
+    }
+
+    fn take_seq(&mut self) -> u16 {
+        let seq = self.next_seq;
+        self.next_seq = seq.wrapping_add(1);
+        seq
+    }
+
+    /// What to send or how long to wait.
+    pub fn poll(&mut self, now_us: u64) -> Poll {
+        let urgent = match &mut self.urgent {
+            Some(urgent) => urgent.poll(now_us),
+            None => Poll::WaitUntil(u64::MAX),
+        };
+        let Poll::WaitUntil(urgent_us) = urgent else {
+            if urgent == Poll::TimedOut {
+                self.urgent = None;
+            }
+            return urgent;
+        };
+        let pending = match &mut self.pending {
+            // The pending request waits while a stop is on its way: nothing delays a stop.
+            Some(pending) if self.urgent.is_none() => pending.poll(now_us),
+            _ => Poll::WaitUntil(u64::MAX),
+        };
+        match pending {
+            Poll::WaitUntil(pending_us) => Poll::WaitUntil(urgent_us.min(pending_us)),
+            Poll::TimedOut => {
+                self.pending = None;
+                Poll::TimedOut
+            }
+            Poll::Transmit(frame) => Poll::Transmit(frame),
+        }
+    }
+
+    /// Takes one received byte.
+    pub fn receive(&mut self, byte: u8) -> Option<Output> {
+        let frame = self.deframer.push(byte)?;
+        match frame.header.kind {
+            Kind::Telemetry if self.session != 0 => {
+                let sample = frame.decode()?;
+                let seq = frame.header.seq;
+                let missed = self
+                    .next_telemetry
+                    .map_or(0, |expected| seq.wrapping_sub(expected));
+                self.next_telemetry = Some(seq.wrapping_add(1));
+                Some(Output::Telemetry { missed, sample })
+            }
+            Kind::Event if self.session != 0 => frame.decode().map(Output::Event),
+            Kind::Reply => {
+                let (header, reply) = (frame.header, frame.decode::<Reply>()?);
+                self.reply(header, reply)
+            }
+            Kind::Telemetry | Kind::Event | Kind::Request | Kind::Urgent => None,
+        }
+    }
+
+    fn reply(&mut self, header: Header, reply: Reply) -> Option<Output> {
+        if let Reply::Urgent(urgent) = reply {
+            self.urgent
+                .take_if(|pending| pending.header.seq == header.seq)?;
+            return Some(Output::UrgentDone(urgent));
+        }
+        self.pending
+            .take_if(|pending| pending.header.seq == header.seq)?;
+        Some(match reply {
+            Reply::Accepted(response) => {
+                if let Response::Hello(Identity { session, .. }) = response {
+                    self.session = session;
+                }
+                Output::Accepted(response)
+            }
+            Reply::Refused(refusal) => Output::Refused(refusal),
+            Reply::Wire(error) => {
+                if error == WireError::NoSession {
+                    self.session = 0;
+                }
+                Output::Rejected(error)
+            }
+            Reply::Urgent(urgent) => Output::UrgentDone(urgent),
+        })
+    }
+
+    /// A session is open.
+    pub fn is_open(&self) -> bool {
+        self.session != 0
+    }
+
+    /// Blocks of bytes that were not good frames.
+    pub fn rejected_frames(&self) -> u32 {
+        self.deframer.rejected()
+    }
+}

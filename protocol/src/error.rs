@@ -1,0 +1,291 @@
+//! Why a request was not carried out: domain refusals and wire errors. The text says what to do.
+
+use crate::{
+    capsule::{CapsuleFault, CapsuleState},
+    rig::{HomingPhase, RigFault, RigState},
+};
+use core::fmt;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// The request was understood and refused. Nothing moved, nothing changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Refusal {
+    /// Another machine serves this request.
+    WrongDevice,
+    /// Host and device were built from different protocols.
+    Incompatible,
+    /// A fault is latched on the rig.
+    RigFaulted(RigFault),
+    /// A fault is latched on the capsule.
+    CapsuleFaulted(CapsuleFault),
+    /// The cause of the fault is still present.
+    CauseStillPresent,
+    /// There is nothing to acknowledge.
+    NothingToAcknowledge,
+    /// The last start was caused by a watchdog or panic that has not been acknowledged.
+    AcknowledgeFirst,
+    /// The position is unknown.
+    NotHomed,
+    /// The thread's position is unknown.
+    NotReferenced,
+    /// Not possible in this state of the rig.
+    RigBusy(RigState),
+    /// Not possible in this state of the capsule.
+    CapsuleBusy(CapsuleState),
+    /// The value is outside its range.
+    OutOfRange {
+        /// Which.
+        field: Field,
+        /// Requested.
+        requested: u64,
+        /// Smallest allowed.
+        min: u64,
+        /// Largest allowed.
+        max: u64,
+    },
+    /// The duration is too short for the stroke at this acceleration.
+    TooFast {
+        /// Requested duration of the run.
+        requested_us: u64,
+        /// Shortest possible with the requested acceleration.
+        min_us: u64,
+        /// Smallest acceleration that would do it in the requested time.
+        min_accel_um_s2: u64,
+    },
+    /// The plan needs a speed that the axis must not reach.
+    SpeedLimit {
+        /// Needed.
+        needed_um_s: u64,
+        /// Allowed.
+        max_um_s: u64,
+    },
+    /// The plan needs steps faster than the driver accepts.
+    StepRateLimit {
+        /// Needed.
+        needed_hz: u64,
+        /// Allowed.
+        max_hz: u64,
+    },
+    /// The numbers are too large for the exact arithmetic: the strokes are too slow or ramps too long.
+    TooSlow,
+    /// The carriage is not at home; home first.
+    NotAtHome {
+        /// Where it is.
+        position_um: i32,
+    },
+    /// The battery is too low to finish an actuation.
+    BatteryLow {
+        /// Measured.
+        battery_mv: u16,
+        /// Needed.
+        min_mv: u16,
+    },
+    /// The carriage already is, or the thread already is, where the request would take it.
+    AlreadyThere,
+}
+
+/// Which value was out of range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Field {
+    /// Cycles of a run.
+    Cycles,
+    /// Stroke in um.
+    StrokeUm,
+    /// Duration in us.
+    TotalUs,
+    /// Acceleration in um/s2.
+    AccelUmS2,
+    /// Forward speed in um/s.
+    ForwardUmS,
+    /// Return speed in um/s.
+    ReturnUmS,
+    /// Dwell at the far end in us.
+    FarDwellUs,
+    /// Dwell at home in us.
+    HomeDwellUs,
+    /// Start delay in us.
+    StartDelayUs,
+    /// Telemetry period in ms.
+    PeriodMs,
+}
+
+/// A frame with a good CRC whose content could not be used. Nothing moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum WireError {
+    /// No session with this number: say Hello (the device may have been reset).
+    NoSession,
+    /// The body is not a request of this protocol.
+    Malformed,
+    /// This sequence number was already used for another request.
+    SequenceReused,
+    /// The sequence number is older than what the cache remembers.
+    Stale,
+}
+
+impl fmt::Display for Field {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Field::Cycles => "cycles",
+            Field::StrokeUm => "stroke (um)",
+            Field::TotalUs => "duration (us)",
+            Field::AccelUmS2 => "acceleration (um/s2)",
+            Field::ForwardUmS => "forward speed (um/s)",
+            Field::ReturnUmS => "return speed (um/s)",
+            Field::FarDwellUs => "dwell at the far end (us)",
+            Field::HomeDwellUs => "dwell at home (us)",
+            Field::StartDelayUs => "start delay (us)",
+            Field::PeriodMs => "telemetry period (ms)",
+        })
+    }
+}
+
+impl fmt::Display for RigFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            RigFault::EStopLoop => f.write_str(
+                "the E-stop / end-of-travel loop opened: release the button (or mend the loop), acknowledge, home",
+            ),
+            RigFault::EStopFrame => f.write_str("emergency stop by command: acknowledge, then home"),
+            RigFault::FarLimit => f.write_str(
+                "the far limit opened: check the stroke setting and the switch's wire, acknowledge, home",
+            ),
+            RigFault::FlagNotFound(phase) => write!(
+                f,
+                "homing ({}): the home flag did not change within the allowed travel: check that the carriage moves and the flag's switch works",
+                match phase {
+                    HomingPhase::Clear => "leaving the flag",
+                    HomingPhase::Seek => "first pass",
+                    HomingPhase::PullOff => "pulling off",
+                    HomingPhase::Locate => "second pass",
+                    HomingPhase::ToZero => "to zero",
+                }
+            ),
+            RigFault::FlagStuck => f.write_str(
+                "homing: the home flag stays open over the whole pull-off: check the switch for dirt and its wire for a break",
+            ),
+            RigFault::BothSwitchesOpen => f.write_str(
+                "home flag and far limit are both open: plug in the switch cable",
+            ),
+            RigFault::LostSteps { residual_steps } => write!(
+                f,
+                "the home flag was met {residual_steps} steps from where it should be: steps were lost; check load, current and speed, acknowledge, home"
+            ),
+            RigFault::ReadBack { commanded, counted } => write!(
+                f,
+                "the pin carried {counted} steps where {commanded} were commanded: check the read-back jumper D2-A0, acknowledge, home"
+            ),
+            RigFault::Underrun => f.write_str(
+                "the step generator ran out of prepared steps and stopped the pulses: acknowledge, home, and report this",
+            ),
+            RigFault::WindowGuard => f.write_str(
+                "the step generator refused a step outside the stroke: acknowledge, home, and report this",
+            ),
+            RigFault::Watchdog => f.write_str("a task hung and the watchdog reset the device: acknowledge, then home"),
+            RigFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then home"),
+        }
+    }
+}
+
+impl fmt::Display for CapsuleFault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            CapsuleFault::Jam { thread_um } => write!(
+                f,
+                "the fold met an obstacle at {}.{:03} mm of thread: free the origami, acknowledge, unfold or reference",
+                thread_um / 1000,
+                (thread_um % 1000).unsigned_abs()
+            ),
+            CapsuleFault::ThreadBroken => f.write_str(
+                "the thread was wound past the end window without load: check the thread, acknowledge, reference",
+            ),
+            CapsuleFault::EncoderLost => f.write_str(
+                "the motor was driven and the encoder did not count: check the encoder's wires, acknowledge, reference",
+            ),
+            CapsuleFault::OverCurrent { current_ma } => {
+                write!(f, "motor current {current_ma} mA: check for a short circuit, acknowledge, reference")
+            }
+            CapsuleFault::LowBattery { battery_mv } => {
+                write!(f, "battery at {battery_mv} mV: charge or change it, then acknowledge")
+            }
+            CapsuleFault::Timeout => f.write_str("the actuation did not end in time: acknowledge, reference"),
+            CapsuleFault::DriverFault => f.write_str("the motor driver reports a fault: check motor and supply, acknowledge, reference"),
+            CapsuleFault::EStopFrame => f.write_str("emergency stop by command: acknowledge, then reference"),
+            CapsuleFault::Watchdog => f.write_str("a task hung and the watchdog reset the device: acknowledge, then reference"),
+            CapsuleFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then reference"),
+        }
+    }
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Refusal::WrongDevice => f.write_str("this device does not serve this request: check which port is which"),
+            Refusal::Incompatible => f.write_str("host tool and firmware were built from different protocols: flash the matching firmware"),
+            Refusal::RigFaulted(fault) => write!(f, "a fault is latched: {fault}"),
+            Refusal::CapsuleFaulted(fault) => write!(f, "a fault is latched: {fault}"),
+            Refusal::CauseStillPresent => f.write_str("the cause of the fault is still present: remove it, then acknowledge"),
+            Refusal::NothingToAcknowledge => f.write_str("no fault is latched"),
+            Refusal::AcknowledgeFirst => f.write_str("the device restarted after a failure: read its last words, then acknowledge"),
+            Refusal::NotHomed => f.write_str("the position is unknown: home first"),
+            Refusal::NotReferenced => f.write_str("the thread position is unknown: reference first"),
+            Refusal::RigBusy(state) => write!(f, "not possible while the rig is {}", match state {
+                RigState::Unhomed => "not homed",
+                RigState::Homing => "homing",
+                RigState::Ready => "at rest",
+                RigState::Running => "running",
+                RigState::Held => "held",
+                RigState::Stopping => "stopping",
+                RigState::Faulted => "faulted",
+            }),
+            Refusal::CapsuleBusy(state) => write!(f, "not possible while the capsule is {}", match state {
+                CapsuleState::Unreferenced => "not referenced",
+                CapsuleState::Referencing => "referencing",
+                CapsuleState::Unfolded => "unfolded",
+                CapsuleState::Folding => "folding",
+                CapsuleState::Folded => "folded",
+                CapsuleState::Unfolding => "unfolding",
+                CapsuleState::Stopped => "stopped between its ends",
+                CapsuleState::Faulted => "faulted",
+            }),
+            Refusal::OutOfRange { field, requested, min, max } => {
+                write!(f, "{field} is {requested}, allowed is {min} to {max}")
+            }
+            Refusal::TooFast { requested_us, min_us, min_accel_um_s2 } => write!(
+                f,
+                "{requested_us} us is too short: at this acceleration the run takes at least {min_us} us; to do it in the requested time needs at least {min_accel_um_s2} um/s2"
+            ),
+            Refusal::SpeedLimit { needed_um_s, max_um_s } => {
+                write!(f, "needs {needed_um_s} um/s, the axis allows {max_um_s} um/s: give it more time or a higher acceleration")
+            }
+            Refusal::StepRateLimit { needed_hz, max_hz } => {
+                write!(f, "needs {needed_hz} steps/s, the driver accepts {max_hz} steps/s: use fewer microsteps or more time")
+            }
+            Refusal::TooSlow => f.write_str("the strokes are too slow for the exact step arithmetic: give less time or a higher acceleration"),
+            Refusal::NotAtHome { position_um } => {
+                write!(f, "the carriage stands at {position_um} um, a run starts at 0: home first")
+            }
+            Refusal::BatteryLow { battery_mv, min_mv } => {
+                write!(f, "the battery is at {battery_mv} mV, {min_mv} mV are needed: charge it")
+            }
+            Refusal::AlreadyThere => f.write_str("already there: nothing to do"),
+        }
+    }
+}
+
+impl fmt::Display for WireError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            WireError::NoSession => "the device knows no such session (it may have been reset): connect again",
+            WireError::Malformed => "the device could not read the request: the protocols differ; flash the matching firmware",
+            WireError::SequenceReused => "a sequence number was used twice: another program may be using the same port",
+            WireError::Stale => "the request was overtaken by newer ones",
+        })
+    }
+}
+
+impl core::error::Error for Refusal {}
+impl core::error::Error for WireError {}

@@ -1,0 +1,193 @@
+//! The frame: encoding, decoding and the deframer that finds frames in a stream.
+
+use serde::{Serialize, de::DeserializeOwned};
+
+/// Largest body in bytes; see the test `every_message_fits`.
+pub const MAX_BODY: usize = 208;
+/// Kind, session and sequence.
+const HEAD: usize = 4;
+const CRC: usize = 4;
+/// Largest frame before COBS.
+const MAX_RAW: usize = HEAD + MAX_BODY + CRC;
+/// Largest COBS block: one byte of overhead per 254.
+const MAX_COBS: usize = MAX_RAW + MAX_RAW / 254 + 1;
+/// Largest frame on the wire, with both delimiters.
+pub const MAX_FRAME: usize = MAX_COBS + 2;
+
+const CRC32C: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
+
+/// An encoded frame, ready for the wire.
+pub type Encoded = heapless::Vec<u8, MAX_FRAME>;
+
+/// What a frame carries; see the table in the crate documentation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[repr(u8)]
+pub enum Kind {
+    /// Host to device: [`crate::table::Request`].
+    Request = 1,
+    /// Device to host: [`crate::table::Reply`].
+    Reply = 2,
+    /// Host to device: [`crate::system::Urgent`].
+    Urgent = 3,
+    /// Device to host: [`crate::table::Telemetry`].
+    Telemetry = 4,
+    /// Device to host: [`crate::system::Event`].
+    Event = 5,
+}
+
+impl Kind {
+    const fn from_u8(byte: u8) -> Option<Self> {
+        Some(match byte {
+            1 => Kind::Request,
+            2 => Kind::Reply,
+            3 => Kind::Urgent,
+            4 => Kind::Telemetry,
+            5 => Kind::Event,
+            _ => return None,
+        })
+    }
+}
+
+/// Everything of a frame but its body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Header {
+    /// What the body is.
+    pub kind: Kind,
+    /// Session, 0 outside of any.
+    pub session: u8,
+    /// Sequence number.
+    pub seq: u16,
+}
+
+/// A received frame with a good CRC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Frame<'a> {
+    /// Everything but the body.
+    pub header: Header,
+    body: &'a [u8],
+}
+
+impl Frame<'_> {
+    /// The body's bytes.
+    pub fn body(&self) -> &[u8] {
+        self.body
+    }
+
+    /// Decodes the body; `None` if it is not exactly one `T`.
+    pub fn decode<T: DeserializeOwned>(&self) -> Option<T> {
+        match postcard::take_from_bytes(self.body) {
+            Ok((value, [])) => Some(value),
+            _ => None,
+        }
+    }
+}
+
+/// The body is longer than [`MAX_BODY`]. Cannot happen for the messages of this crate (test `every_message_fits`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct TooLong;
+
+/// Encodes one frame.
+///
+/// # Errors
+/// [`TooLong`] if the body exceeds [`MAX_BODY`].
+pub fn encode<T: Serialize>(header: Header, body: &T) -> Result<Encoded, TooLong> {
+    let mut raw = [0u8; MAX_RAW];
+    let [low, high] = header.seq.to_le_bytes();
+    raw[..HEAD].copy_from_slice(&[header.kind as u8, header.session, low, high]);
+    let body_len = postcard::to_slice(body, &mut raw[HEAD..HEAD + MAX_BODY])
+        .map_err(|_| TooLong)?
+        .len();
+    let end = HEAD + body_len;
+    let crc = CRC32C.checksum(&raw[..end]);
+    raw[end..end + CRC].copy_from_slice(&crc.to_le_bytes());
+
+    let mut frame = Encoded::new();
+    frame.resize_default(MAX_FRAME).map_err(|_| TooLong)?;
+    let coded = cobs::try_encode(&raw[..end + CRC], &mut frame[1..]).map_err(|_| TooLong)?;
+    frame.truncate(coded + 2);
+    frame[coded + 1] = 0;
+    Ok(frame)
+}
+
+/// Finds frames in a stream of bytes. Whatever came before, the first undamaged frame is found.
+#[derive(Debug)]
+pub struct Deframer {
+    block: heapless::Vec<u8, MAX_COBS>,
+    /// The present block is longer than any frame: skip it to its end.
+    overrun: bool,
+    decoded: [u8; MAX_COBS],
+    rejected: u32,
+}
+
+impl Default for Deframer {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Deframer {
+    /// A deframer that has seen nothing.
+    pub const fn new() -> Self {
+        Self {
+            block: heapless::Vec::new(),
+            overrun: false,
+            decoded: [0; MAX_COBS],
+            rejected: 0,
+        }
+    }
+
+    /// How many blocks were thrown away because they were too long, badly coded or had a wrong CRC.
+    pub fn rejected(&self) -> u32 {
+        self.rejected
+    }
+
+    /// Takes one byte; returns a frame when this byte completes one.
+    pub fn push(&mut self, byte: u8) -> Option<Frame<'_>> {
+        if byte != 0 {
+            self.overrun |= self.block.push(byte).is_err();
+            return None;
+        }
+        let complete = !self.overrun && !self.block.is_empty();
+        if self.overrun {
+            self.rejected = self.rejected.saturating_add(1);
+        }
+        self.overrun = false;
+        if !complete {
+            self.block.clear();
+            return None;
+        }
+        let report = cobs::decode(&self.block, &mut self.decoded);
+        self.block.clear();
+        let header = match report {
+            Ok(report) => {
+                let len = report.frame_size();
+                check(&self.decoded[..len]).map(|header| (header, len))
+            }
+            Err(_) => None,
+        };
+        match header {
+            Some((header, len)) => Some(Frame {
+                header,
+                body: &self.decoded[HEAD..len - CRC],
+            }),
+            None => {
+                self.rejected = self.rejected.saturating_add(1);
+                None
+            }
+        }
+    }
+}
+
+fn check(raw: &[u8]) -> Option<Header> {
+    let (content, crc) = raw.split_last_chunk::<CRC>()?;
+    let [kind, session, low, high] = *content.first_chunk::<HEAD>()?;
+    (CRC32C.checksum(content) == u32::from_le_bytes(*crc)).then_some(())?;
+    Some(Header {
+        kind: Kind::from_u8(kind)?,
+        session,
+        seq: u16::from_le_bytes([low, high]),
+    })
+}

@@ -1,0 +1,234 @@
+//! The device's end: which frame may be executed, which is answered from the cache, which is refused.
+//!
+//! Sans-IO and without a clock: frames in, decisions out. The owner executes and sends, and remembers the answer
+//! before it hands in the next frame: a request that is repeated while it is still being executed would
+//! otherwise look stale.
+
+use crate::{
+    VERSION,
+    error::{Refusal, WireError},
+    frame::{Encoded, Frame, Kind},
+    system::{Hello, Urgent},
+    table::{Request, SCHEMA_KEY},
+};
+
+/// How many answers are kept for repeated requests.
+pub const CACHED_REPLIES: usize = 4;
+
+/// What to do with a received frame.
+#[derive(Clone, Debug, PartialEq)]
+// One decision exists at a time, on the stack.
+#[allow(clippy::large_enum_variant)]
+pub enum Decision {
+    /// Answer with the identity and this session number; nothing to remember.
+    Greet {
+        /// Session to put into the identity and the reply's header.
+        session: u8,
+        /// Sequence of the reply.
+        seq: u16,
+    },
+    /// Execute, answer, and [`Session::remember`] the encoded answer.
+    Execute {
+        /// The request.
+        request: Request,
+        /// Ticket for [`Session::remember`].
+        ticket: Ticket,
+    },
+    /// Carry out at once and answer with [`crate::table::Reply::Urgent`].
+    Urgent {
+        /// What.
+        urgent: Urgent,
+        /// Session of the reply, as received.
+        session: u8,
+        /// Sequence of the reply.
+        seq: u16,
+    },
+    /// Send these bytes again; execute nothing.
+    Resend(Encoded),
+    /// Answer with the refusal; execute nothing.
+    Refuse {
+        /// Why.
+        refusal: Refusal,
+        /// Ticket with the reply's session and sequence.
+        ticket: Ticket,
+    },
+    /// Answer with the wire error; execute nothing.
+    Reject {
+        /// Why.
+        error: WireError,
+        /// Session of the reply, as received.
+        session: u8,
+        /// Sequence of the reply.
+        seq: u16,
+    },
+    /// Not addressed to a device (an echo of our own frames): say nothing.
+    Ignore,
+}
+
+/// Identifies the request that an answer belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ticket {
+    /// Session of the request.
+    pub session: u8,
+    /// Sequence of the request.
+    pub seq: u16,
+    body_hash: u64,
+}
+
+#[derive(Debug)]
+struct Cached {
+    ticket: Ticket,
+    reply: Encoded,
+}
+
+/// The device's session.
+#[derive(Debug)]
+pub struct Session {
+    number: u8,
+    /// A host has said Hello since the start.
+    open: bool,
+    nonce: u32,
+    matched: bool,
+    newest_seq: Option<u16>,
+    cache: heapless::Deque<Cached, CACHED_REPLIES>,
+}
+
+impl Session {
+    /// No session yet. `first` seeds the numbering so that a restarted device does not issue the same number
+    /// again; the boot id serves.
+    pub const fn new(first: u32) -> Self {
+        Self {
+            number: (first % 255) as u8 + 1,
+            open: false,
+            nonce: 0,
+            matched: false,
+            newest_seq: None,
+            cache: heapless::Deque::new(),
+        }
+    }
+
+    /// Decides about one frame.
+    pub fn receive(&mut self, frame: &Frame<'_>) -> Decision {
+        let (session, seq) = (frame.header.session, frame.header.seq);
+        match frame.header.kind {
+            Kind::Urgent => match frame.decode::<Urgent>() {
+                Some(urgent) => Decision::Urgent {
+                    urgent,
+                    session,
+                    seq,
+                },
+                None => Decision::Reject {
+                    error: WireError::Malformed,
+                    session,
+                    seq,
+                },
+            },
+            Kind::Request => match frame.decode::<Request>() {
+                // A Hello of any age is served: its encoding never changes.
+                Some(Request::Hello(hello)) => self.greet(&hello, seq),
+                request => self.request(request, frame),
+            },
+            Kind::Reply | Kind::Telemetry | Kind::Event => Decision::Ignore,
+        }
+    }
+
+    fn greet(&mut self, hello: &Hello, seq: u16) -> Decision {
+        let again = self.open && hello.nonce == self.nonce;
+        if !again {
+            self.number = if self.number == u8::MAX {
+                1
+            } else {
+                self.number + 1
+            };
+            self.nonce = hello.nonce;
+            self.newest_seq = None;
+            self.cache.clear();
+        }
+        self.matched = hello.protocol.major == VERSION.major && hello.schema_key == SCHEMA_KEY;
+        self.open = true;
+        Decision::Greet {
+            session: self.number,
+            seq,
+        }
+    }
+
+    fn request(&mut self, request: Option<Request>, frame: &Frame<'_>) -> Decision {
+        let (session, seq) = (frame.header.session, frame.header.seq);
+        if !self.open || session != self.number {
+            return Decision::Reject {
+                error: WireError::NoSession,
+                session,
+                seq,
+            };
+        }
+        let ticket = Ticket {
+            session,
+            seq,
+            body_hash: fnv1a(frame.body()),
+        };
+        if let Some(cached) = self.cache.iter().find(|cached| cached.ticket.seq == seq) {
+            return if cached.ticket == ticket {
+                Decision::Resend(cached.reply.clone())
+            } else {
+                Decision::Reject {
+                    error: WireError::SequenceReused,
+                    session,
+                    seq,
+                }
+            };
+        }
+        if self.newest_seq.is_some_and(|newest| !is_newer(seq, newest)) {
+            return Decision::Reject {
+                error: WireError::Stale,
+                session,
+                seq,
+            };
+        }
+        let Some(request) = request else {
+            return Decision::Reject {
+                error: WireError::Malformed,
+                session,
+                seq,
+            };
+        };
+        self.newest_seq = Some(seq);
+        if request.row().needs_match && !self.matched {
+            return Decision::Refuse {
+                refusal: Refusal::Incompatible,
+                ticket,
+            };
+        }
+        Decision::Execute { request, ticket }
+    }
+
+    /// Keeps the encoded answer to a request, for the case that it is repeated.
+    pub fn remember(&mut self, ticket: Ticket, reply: &Encoded) {
+        if ticket.session != self.number {
+            return; // answered after a newer Hello: that session's cache must not hold it
+        }
+        if self.cache.is_full() {
+            self.cache.pop_front();
+        }
+        // Cannot fail: there is room for one more.
+        let _ = self.cache.push_back(Cached {
+            ticket,
+            reply: reply.clone(),
+        });
+    }
+
+    /// The present session's number, for unsolicited frames; 0 before the first [`Hello`].
+    pub fn number(&self) -> u8 {
+        if self.open { self.number } else { 0 }
+    }
+}
+
+/// Serial-number arithmetic (RFC 1982): `a` comes after `b`.
+fn is_newer(a: u16, b: u16) -> bool {
+    matches!(a.wrapping_sub(b), 1..0x8000)
+}
+
+fn fnv1a(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3)
+    })
+}

@@ -1,0 +1,195 @@
+//! Messages that both machines share: identity, status plumbing, events, urgent stops.
+
+use crate::{capsule, rig};
+use heapless::Vec;
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// Version of the protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Version {
+    /// Raised when an existing message changes.
+    pub major: u8,
+    /// Raised when a row is appended.
+    pub minor: u8,
+}
+
+/// Opens a session. The encoding of this message never changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Hello {
+    /// Version of the host.
+    pub protocol: Version,
+    /// [`crate::table::SCHEMA_KEY`] of the host.
+    pub schema_key: u64,
+    /// Chosen by the host; a repeated nonce gets the same session again.
+    pub nonce: u32,
+}
+
+/// Which machine it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum DeviceKind {
+    /// The roller rig.
+    Rig,
+    /// The capsule.
+    Capsule,
+}
+
+/// Why the device last started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ResetCause {
+    /// Supply switched on, or brown-out.
+    PowerOn,
+    /// Reset pin or debugger.
+    Pin,
+    /// The firmware reset itself after a panic or a processor fault.
+    Panic,
+    /// The watchdog: a task did not check in.
+    Watchdog,
+    /// Reset on request or of unknown software origin.
+    Software,
+}
+
+/// How the image was built.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BuildProfile {
+    /// With debug assertions.
+    Debug,
+    /// The profile that is flashed.
+    Firmware,
+}
+
+/// Source revision of an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Revision {
+    /// First 32 bits of the commit hash; 0 = built outside a repository.
+    pub commit: u32,
+    /// Built from a tree with uncommitted changes.
+    pub dirty: bool,
+}
+
+/// Answer to [`Hello`]. The encoding of this message never changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Identity {
+    /// Which machine.
+    pub device: DeviceKind,
+    /// Version of the device.
+    pub protocol: Version,
+    /// [`crate::table::SCHEMA_KEY`] of the device.
+    pub schema_key: u64,
+    /// Unique number of the microcontroller, 96 bits (RM0383 section 24.1).
+    pub uid: [u8; 12],
+    /// Source revision.
+    pub revision: Revision,
+    /// Build profile.
+    pub profile: BuildProfile,
+    /// Counts starts; another value than before means that the device was reset.
+    pub boot_id: u32,
+    /// Why it last started.
+    pub reset_cause: ResetCause,
+    /// Session number for all further requests, 1..=255.
+    pub session: u8,
+}
+
+/// Asks for the text of the last panic or processor fault that was kept over the reset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GetLastWords;
+
+/// Text of the last panic or processor fault; empty when there was none.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct LastWords {
+    /// UTF-8 text, cut at 120 bytes.
+    pub text: heapless::String<120>,
+}
+
+/// Sets the interval of telemetry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SetTelemetry {
+    /// 5..=1000 ms (200..1 Hz), or 0 for none.
+    pub period_ms: u16,
+}
+
+/// Shows the host's presence without asking for anything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct KeepAlive;
+
+/// Clears a latched fault whose cause is gone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Acknowledge;
+
+/// Answer of requests that return nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Done;
+
+/// Fetches events again by index.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GetEvents {
+    /// Index of the first event wanted.
+    pub from: u32,
+}
+
+/// How many events fit into one [`Events`].
+pub const EVENTS_PER_REPLY: usize = 3;
+
+/// A piece of the device's ring of events.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Events {
+    /// Oldest index that the ring still holds.
+    pub oldest: u32,
+    /// Index that the next event will get.
+    pub next: u32,
+    /// Events from the wanted index (or `oldest`, if that is later) on.
+    pub events: Vec<Event, EVENTS_PER_REPLY>,
+}
+
+/// Something that happened, kept in a ring and sent when it happens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Event {
+    /// Counts from 0 at each start of the device.
+    pub index: u32,
+    /// Device time.
+    pub time_us: u64,
+    /// What happened.
+    pub what: What,
+}
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum What {
+    /// The device started.
+    Booted(ResetCause),
+    /// A latched fault was acknowledged.
+    Acknowledged,
+    /// The link was silent for longer than the time-out while the machine moved.
+    LinkLost,
+    /// Of the rig.
+    Rig(rig::RigEvent),
+    /// Of the capsule.
+    Capsule(capsule::CapsuleEvent),
+}
+
+/// Valid at any time, in any session, in any state. The encoding of this message never changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Urgent {
+    /// Category-1 stop: decelerate, keep the position (rig); motor off, worm holds (capsule).
+    Stop,
+    /// Emergency stop by frame: pulses or motor current end at once; latched as a fault.
+    EStop,
+}
