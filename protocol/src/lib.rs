@@ -41,6 +41,7 @@
 pub mod capsule;
 pub mod client;
 pub mod error;
+pub mod events;
 pub mod frame;
 pub mod rig;
 pub mod session;

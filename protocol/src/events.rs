@@ -1,0 +1,76 @@
+//! The device's ring of events: numbered, timed, fetched again by index.
+
+use crate::system::{EVENTS_PER_REPLY, Event, Events, What};
+
+/// How many events the ring holds.
+pub const RING: usize = 32;
+
+/// The ring. Index 0 is the first event since the device's start.
+#[derive(Debug, Default)]
+pub struct EventRing {
+    ring: heapless::Deque<Event, RING>,
+    next: u32,
+}
+
+impl EventRing {
+    /// An empty ring.
+    pub const fn new() -> Self {
+        Self {
+            ring: heapless::Deque::new(),
+            next: 0,
+        }
+    }
+
+    /// Numbers and keeps an event, the oldest one giving way; returns it for sending.
+    pub fn record(&mut self, time_us: u64, what: What) -> Event {
+        let event = Event {
+            index: self.next,
+            time_us,
+            what,
+        };
+        self.next = self.next.saturating_add(1);
+        if self.ring.is_full() {
+            self.ring.pop_front();
+        }
+        // Cannot fail: there is room for one more.
+        let _ = self.ring.push_back(event);
+        event
+    }
+
+    /// Up to [`EVENTS_PER_REPLY`] events from index `from` on, or from the oldest kept one if that is later.
+    pub fn since(&self, from: u32) -> Events {
+        let oldest = self.ring.front().map_or(self.next, |event| event.index);
+        let events = self
+            .ring
+            .iter()
+            .filter(|event| event.index >= from)
+            .take(EVENTS_PER_REPLY)
+            .copied()
+            .collect();
+        Events {
+            oldest,
+            next: self.next,
+            events,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::system::ResetCause;
+
+    #[test]
+    fn old_events_give_way_and_the_answer_says_so() {
+        let mut ring = EventRing::new();
+        for time_us in 0..RING as u64 + 5 {
+            ring.record(time_us, What::Booted(ResetCause::Pin));
+        }
+        let events = ring.since(0);
+        assert_eq!((events.oldest, events.next), (5, RING as u32 + 5));
+        let indices: heapless::Vec<u32, 8> =
+            events.events.iter().map(|event| event.index).collect();
+        assert_eq!(indices, [5, 6, 7]);
+        assert!(ring.since(RING as u32 + 5).events.is_empty());
+    }
+}
