@@ -1,1 +1,27 @@
-//! Placeholder.
+//! The paper's mathematics: the origami's kinematics, its body in a travelling wave, the roller rig, the pressurised
+//! tube and the folded body.
+//!
+//! Core-only: no allocation, no clock, no randomness; only `+ - * /` and square roots in the steps, so that a run gives
+//! the same bits every time. Lengths are millimetres, forces of the wave are indentations of the wall in millimetres,
+//! pressures are pascals.
+//!
+//! # Axes and signs
+//! The intestine lies along x. Its marked left end is x = 0, the right end of the roller's travel x = 130 mm. The body
+//! lies with its tail at the left and its head to the right. The **antegrade** wave runs from right to left; a
+//! **positive displacement is headward**, to the right, against that wave: the paper's retrograde motion. The carriage
+//! has the rig's own coordinate: 0 = home = right end, positive to the left, so the roller is at `x = stroke - carriage`.
+//!
+//! # Where a number comes from
+//! Every parameter has a row in a `PARAMETERS` table with its [`parameter::Label`] and its source. `docs/science.md`
+//! says what that means for the results.
+#![no_std]
+#![forbid(unsafe_code)]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod body;
+pub mod kinematics;
+pub mod parameter;
+pub mod range;
+pub mod roller;

@@ -1,0 +1,268 @@
+//! The unfolded body as a chain of crescents with Coulomb friction, moved by a wall that comes and goes.
+//!
+//! Quasi-static and massless: there is no time in it, only the order of the wall's shapes. For each new shape
+//! 1. each crescent feels `a_i = coupling * wall(x_i)` at the place where it was before,
+//! 2. the links take their lengths psi(a_i) from Eq. (4), which shifts each crescent by `delta_i` against the tail,
+//! 3. the whole body then moves by the one `S` with the least friction work
+//!    `sum mu w_i [ (S + delta_i)^+ + r (-(S + delta_i))^+ ]`, `w_i = preload + mean a_i`,
+//!    where + is headward, the wings' easy direction: a weighted quantile of `-delta_i`.
+//!
+//! The friction coefficient mu multiplies every weight alike and therefore cannot change S. That independence belongs to
+//! this class of models; it is no evidence for the paper's finding.
+
+use crate::kinematics::{Design, MAX_CRESCENTS};
+use crate::range::{Ends, OutOfRange, check};
+
+const LINKS: usize = MAX_CRESCENTS as usize;
+
+/// What the body is made of. Defaults and sources: `PARAMETERS` of [`crate::roller`] and [`crate::tube`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Params {
+    /// Its geometry.
+    pub design: Design<f64>,
+    /// chi: part of the wall's indentation that a crescent feels, `0..=1`.
+    pub coupling: f64,
+    /// mu: friction coefficient in the easy direction, `> 0`. Common to all crescents, so it cancels.
+    pub friction: f64,
+    /// r: friction in the hard direction over that in the easy one, `>= 1`.
+    pub friction_ratio: f64,
+    /// delta0, mm: the hold of a crescent that the wave does not touch, `>= 0`.
+    pub preload_mm: f64,
+    /// Where the rearmost wing's tip lies at the start, mm from the intestine's left mark.
+    pub tail_mm: f64,
+}
+
+/// The body and where it is.
+#[derive(Clone, Debug)]
+pub struct Chain {
+    params: Params,
+    start_mm: f64,
+    core_tail_mm: f64,
+    indentation_mm: [f64; LINKS],
+    link_mm: [f64; LINKS],
+    /// From the core's tail end to the middle of each link.
+    middle_mm: [f64; LINKS],
+}
+
+impl Chain {
+    /// A relaxed body with its rearmost tip at `params.tail_mm`.
+    ///
+    /// # Errors
+    /// The first parameter outside its range.
+    pub fn new(params: Params) -> Result<Self, OutOfRange> {
+        check(
+            "coupling chi",
+            "",
+            params.coupling,
+            (0.0, 1.0),
+            Ends::Closed,
+            "a crescent cannot feel more than the wall's indentation",
+        )?;
+        check(
+            "friction coefficient",
+            "",
+            params.friction,
+            (0.0, 10.0),
+            Ends::OpenBelow,
+            "without friction nothing holds the body",
+        )?;
+        check(
+            "friction ratio r",
+            "",
+            params.friction_ratio,
+            (1.0, 1e6),
+            Ends::Closed,
+            "it is hard over easy",
+        )?;
+        check(
+            "preload",
+            "mm",
+            params.preload_mm,
+            (0.0, 100.0),
+            Ends::Closed,
+            "it is an indentation",
+        )?;
+        check(
+            "start of the tail",
+            "mm",
+            params.tail_mm,
+            (-1000.0, 1000.0),
+            Ends::Closed,
+            "the intestine is a tenth of that",
+        )?;
+        let start_mm = params.tail_mm + params.design.wing_reach_mm(0.0)?;
+        let mut chain = Self {
+            params,
+            start_mm,
+            core_tail_mm: start_mm,
+            indentation_mm: [0.0; LINKS],
+            link_mm: [params.design.spacing_mm(); LINKS],
+            middle_mm: [0.0; LINKS],
+        };
+        chain.middle_mm = chain.middles(&chain.link_mm);
+        Ok(chain)
+    }
+
+    /// Number of crescents.
+    fn m(&self) -> usize {
+        self.params.design.crescents().into()
+    }
+
+    /// Middle of each link, from the core's tail end.
+    fn middles(&self, link_mm: &[f64; LINKS]) -> [f64; LINKS] {
+        let mut middles = [0.0; LINKS];
+        let mut sum = 0.0;
+        for (middle, link) in middles.iter_mut().zip(link_mm).take(self.m()) {
+            *middle = sum + link / 2.0;
+            sum += link;
+        }
+        middles
+    }
+
+    /// Takes the next shape of the wall: its inward indentation in mm at a place x in mm.
+    ///
+    /// # Errors
+    /// A shape that is negative, NaN or would push a crescent past its core; the body then stays as it was.
+    pub fn step(&mut self, wall_mm: impl Fn(f64) -> f64) -> Result<(), OutOfRange> {
+        let m = self.m();
+        let mut indentation_mm = [0.0; LINKS];
+        let mut link_mm = self.link_mm;
+        let mut changed = false;
+        for i in 0..m {
+            let a = self.params.coupling * wall_mm(self.core_tail_mm + self.middle_mm[i]);
+            indentation_mm[i] = a;
+            if a != self.indentation_mm[i] {
+                link_mm[i] = self.params.design.squeezed_spacing_mm(a)?;
+                changed = true;
+            }
+        }
+        if !changed {
+            return Ok(()); // every delta is 0, and so is S
+        }
+        let middle_mm = self.middles(&link_mm);
+        let mut shift = [(0.0, 0.0); LINKS];
+        for i in 0..m {
+            let hold = self.params.preload_mm + (self.indentation_mm[i] + indentation_mm[i]) / 2.0;
+            shift[i] = (
+                middle_mm[i] - self.middle_mm[i],
+                self.params.friction * hold,
+            );
+        }
+        self.core_tail_mm += least_work_shift(&mut shift[..m], self.params.friction_ratio);
+        self.indentation_mm = indentation_mm;
+        self.link_mm = link_mm;
+        self.middle_mm = middle_mm;
+        Ok(())
+    }
+
+    /// How far the tail has moved since the start, mm; + is headward (retrograde).
+    pub fn displacement_mm(&self) -> f64 {
+        self.core_tail_mm - self.start_mm
+    }
+
+    /// Place of the core's tail end, mm.
+    pub fn core_tail_mm(&self) -> f64 {
+        self.core_tail_mm
+    }
+
+    /// Place of the core's head end, mm.
+    pub fn head_mm(&self) -> f64 {
+        self.core_tail_mm + self.link_mm[..self.m()].iter().sum::<f64>()
+    }
+
+    /// What each crescent feels, tail first, mm.
+    pub fn indentations_mm(&self) -> &[f64] {
+        &self.indentation_mm[..self.m()]
+    }
+
+    /// Present length of each link, tail first, mm.
+    pub fn links_mm(&self) -> &[f64] {
+        &self.link_mm[..self.m()]
+    }
+}
+
+/// The S that minimises `sum w [ (S+delta)^+ + r (-(S+delta))^+ ]` over pairs `(delta, w)`.
+///
+/// The sum is convex and bends only at `S = -delta`. Below the largest delta its slope is `-r sum(w)`; passing each
+/// bend adds `(1+r) w`; the minimum is where the slope stops being negative. Sorts the pairs by falling delta.
+fn least_work_shift(pairs: &mut [(f64, f64)], ratio: f64) -> f64 {
+    // Insertion sort: few pairs, nearly sorted from the geometry, stable.
+    for i in 1..pairs.len() {
+        let mut j = i;
+        while j > 0 && pairs[j].0 > pairs[j - 1].0 {
+            pairs.swap(j, j - 1);
+            j -= 1;
+        }
+    }
+    let mut slope = -ratio * pairs.iter().map(|(_, w)| w).sum::<f64>();
+    let mut shift = 0.0;
+    for (delta, w) in pairs {
+        shift = -*delta;
+        slope += (1.0 + ratio) * *w;
+        if slope >= 0.0 {
+            break;
+        }
+    }
+    shift
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    fn work(pairs: &[(f64, f64)], ratio: f64, shift: f64) -> f64 {
+        pairs
+            .iter()
+            .map(|(delta, w)| {
+                let slip = shift + delta;
+                w * if slip > 0.0 { slip } else { -ratio * slip }
+            })
+            .sum()
+    }
+
+    proptest! {
+        /// No bend of the work, and no point near the answer, costs less.
+        #[test]
+        fn the_shift_has_the_least_work(
+            pairs in prop::collection::vec((-2.0..2.0f64, 0.001..5.0f64), 1..20),
+            ratio in 1.0..30.0f64,
+        ) {
+            let mut sorted = pairs.clone();
+            let shift = least_work_shift(&mut sorted, ratio);
+            let least = work(&pairs, ratio, shift);
+            let others: Vec<f64> = pairs.iter().map(|(d, _)| -d).chain([shift - 1e-3, shift + 1e-3]).collect();
+            for other in others {
+                prop_assert!(work(&pairs, ratio, other) >= least * (1.0 - 1e-12));
+            }
+        }
+
+        /// A body that is squeezed evenly and released is back at its length, wherever it went.
+        #[test]
+        fn a_released_body_is_relaxed(a in 0.01..9.0f64) {
+            let params = crate::roller::Params::PAPER.body;
+            let mut chain = Chain::new(params).unwrap();
+            let length = chain.head_mm() - chain.core_tail_mm();
+            chain.step(|_| a).unwrap();
+            prop_assert!(chain.head_mm() - chain.core_tail_mm() < length);
+            chain.step(|_| 0.0).unwrap();
+            prop_assert!((chain.head_mm() - chain.core_tail_mm() - length).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_wall_past_the_core_is_refused_and_changes_nothing() {
+        let mut chain = Chain::new(Params {
+            coupling: 1.0,
+            ..crate::roller::Params::PAPER.body
+        })
+        .unwrap();
+        chain.step(|x| if x < 20.0 { 3.0 } else { 0.0 }).unwrap();
+        let before = (chain.displacement_mm(), chain.head_mm());
+        for bad in [f64::NAN, -0.1, 9.77, f64::INFINITY] {
+            assert!(chain.step(|_| bad).is_err());
+            assert_eq!(before, (chain.displacement_mm(), chain.head_mm()));
+        }
+    }
+}

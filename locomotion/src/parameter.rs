@@ -1,0 +1,59 @@
+//! What each number of a model is and where it comes from, as data for documents and reports.
+
+use core::fmt;
+
+/// How far a number can be trusted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Label {
+    /// Stated in the paper's text.
+    Paper,
+    /// Follows from the paper by calculation.
+    Derived,
+    /// Fitted to a sentence of the paper. A result that repeats that sentence is no evidence.
+    Calibrated,
+    /// Chosen without a source.
+    Assumed,
+}
+
+impl fmt::Display for Label {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Paper => "paper",
+            Self::Derived => "derived",
+            Self::Calibrated => "cal",
+            Self::Assumed => "assumed",
+        })
+    }
+}
+
+/// One row of a model's `PARAMETERS` table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Parameter {
+    /// Name of the field, with the path from the model's parameter struct.
+    pub name: &'static str,
+    /// Default value in `unit`.
+    pub value: f64,
+    /// Unit; empty for a pure number.
+    pub unit: &'static str,
+    /// How far the number can be trusted.
+    pub label: Label,
+    /// Section or sentence of the paper, or the reason for the choice.
+    pub source: &'static str,
+}
+
+/// A row, in one line.
+pub(crate) const fn row(
+    name: &'static str,
+    value: f64,
+    unit: &'static str,
+    label: Label,
+    source: &'static str,
+) -> Parameter {
+    Parameter {
+        name,
+        value,
+        unit,
+        label,
+        source,
+    }
+}

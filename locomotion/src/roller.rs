@@ -1,0 +1,318 @@
+//! The paper's rig (section III): a pair of rollers drawn along a silicone intestine, and the unfolded body in it.
+//!
+//! The model has no clock. It takes the roller's places from any sequence of carriage positions: it is stepped whenever
+//! the carriage reaches another multiple of `step_mm`, however finely or coarsely the positions are fed. A stop in
+//! mid-stroke leaves the roller's wave on the body, and a reversal goes on from there.
+
+use crate::body::{self, Chain};
+use crate::kinematics::Design;
+use crate::parameter::{Label, Parameter, row};
+use crate::range::{Ends, OutOfRange, check};
+
+/// The rig, the intestine and the body on it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Params {
+    /// The unfolded body.
+    pub body: body::Params,
+    /// Travel of the carriage, mm.
+    pub stroke_mm: f64,
+    /// Radius of the rollers, mm.
+    pub radius_mm: f64,
+    /// Distance between two evaluations of the model along the carriage's way, mm.
+    pub step_mm: f64,
+    /// Back-and-forth cycles of a run.
+    pub cycles: u32,
+}
+
+impl Params {
+    /// The paper's experiment; `PARAMETERS` says where each value comes from.
+    pub const PAPER: Self = Self {
+        body: body::Params {
+            design: Design::paper_ratios(),
+            coupling: 0.15,
+            friction: 0.15,
+            friction_ratio: 20.0,
+            preload_mm: 0.005,
+            tail_mm: 0.0,
+        },
+        stroke_mm: 130.0,
+        radius_mm: 20.0,
+        step_mm: 0.5,
+        cycles: 5,
+    };
+}
+
+/// Each parameter of [`Params::PAPER`], its label and its source.
+pub const PARAMETERS: [Parameter; 14] = {
+    use Label::{Assumed, Calibrated, Derived, Paper};
+    let p = Params::PAPER;
+    let d = p.body.design;
+    [
+        row(
+            "body.design.width_mm",
+            d.width_mm(),
+            "mm",
+            Paper,
+            "III: the structure is as wide as the intestine",
+        ),
+        row(
+            "body.design.core_mm",
+            d.core_mm(),
+            "mm",
+            Derived,
+            "II.A: c is 1/5 of the width",
+        ),
+        row(
+            "body.design.tan_alpha",
+            d.tan_alpha(),
+            "",
+            Derived,
+            "2/9: II.A prints 12.53 deg, its arctangent",
+        ),
+        row(
+            "body.design.tan_beta",
+            d.tan_beta(),
+            "",
+            Derived,
+            "2/3: II.A prints 33.69 deg, its arctangent",
+        ),
+        row(
+            "body.design.crescents",
+            d.crescents() as f64,
+            "",
+            Paper,
+            "II.A: m = 9",
+        ),
+        row(
+            "body.coupling",
+            p.body.coupling,
+            "",
+            Calibrated,
+            "III.A: displacement rises approximately linearly",
+        ),
+        row(
+            "body.friction",
+            p.body.friction,
+            "",
+            Assumed,
+            "the rig's friction is not given; it cancels",
+        ),
+        row(
+            "body.friction_ratio",
+            p.body.friction_ratio,
+            "",
+            Calibrated,
+            "III: retrograde waves hardly move it",
+        ),
+        row(
+            "body.preload_mm",
+            p.body.preload_mm,
+            "mm",
+            Calibrated,
+            "III: structure and intestine are equally wide",
+        ),
+        row(
+            "body.tail_mm",
+            p.body.tail_mm,
+            "mm",
+            Paper,
+            "III: tail at the marked left end",
+        ),
+        row(
+            "stroke_mm",
+            p.stroke_mm,
+            "mm",
+            Paper,
+            "III: wave displacement restricted to 130 mm",
+        ),
+        row(
+            "radius_mm",
+            p.radius_mm,
+            "mm",
+            Paper,
+            "III: rollers of 40 mm diameter",
+        ),
+        row(
+            "step_mm",
+            p.step_mm,
+            "mm",
+            Assumed,
+            "resolution of the model",
+        ),
+        row(
+            "cycles",
+            p.cycles as f64,
+            "",
+            Paper,
+            "III: back and forth 5 times",
+        ),
+    ]
+};
+
+/// How far past either end of the stroke the carriage may be fed, mm: enough for the wave to leave the body.
+const OVERTRAVEL_MM: f64 = 100.0;
+
+/// A carriage this close to a multiple of the step has reached it, mm: for positions that were counted in steps of a
+/// screw and divided.
+const REACHED_MM: f64 = 1e-6;
+
+/// Inward indentation of the wall at a distance from the roller's axis: the roller's circle, `peak` deep.
+pub fn wall_mm(peak_mm: f64, radius_mm: f64, distance_mm: f64) -> f64 {
+    let square = radius_mm * radius_mm - distance_mm * distance_mm;
+    if square <= 0.0 {
+        return 0.0;
+    }
+    let depth = peak_mm - radius_mm + libm::sqrt(square);
+    if depth > 0.0 { depth } else { 0.0 }
+}
+
+/// The rig with the unfolded body in it and the carriage at home.
+#[derive(Clone, Debug)]
+pub struct Bench {
+    params: Params,
+    indentation_mm: f64,
+    chain: Chain,
+    /// The carriage's place at the last evaluation, in multiples of `step_mm`.
+    at: i32,
+}
+
+impl Bench {
+    /// The body at the left end, the rollers at home, indenting by `indentation_mm` (the paper's a_n).
+    ///
+    /// # Errors
+    /// The first parameter outside its range; an indentation outside `0..=h`.
+    pub fn new(params: Params, indentation_mm: f64) -> Result<Self, OutOfRange> {
+        check(
+            "stroke",
+            "mm",
+            params.stroke_mm,
+            (0.0, 1000.0),
+            Ends::OpenBelow,
+            "the carriage has to travel",
+        )?;
+        check(
+            "roller radius",
+            "mm",
+            params.radius_mm,
+            (params.body.design.half_gap_mm(), 1000.0),
+            Ends::Closed,
+            "the wave is an arc of the roller, no deeper than its radius",
+        )?;
+        check(
+            "roller step",
+            "mm",
+            params.step_mm,
+            (0.001, 10.0),
+            Ends::Closed,
+            "finer costs time for nothing, coarser jumps over crescents",
+        )?;
+        check(
+            "indentation a",
+            "mm",
+            indentation_mm,
+            (0.0, params.body.design.half_gap_mm()),
+            Ends::Closed,
+            "the wall moves inward, and at a = h it reaches the core",
+        )?;
+        let mut bench = Self {
+            params,
+            indentation_mm,
+            chain: Chain::new(params.body)?,
+            at: 0,
+        };
+        bench.evaluate(0)?;
+        Ok(bench)
+    }
+
+    /// Moves the carriage to `carriage_mm`: 0 = home = right end, positive to the left.
+    ///
+    /// Between two calls the carriage is taken to have moved straight. The result does not depend on how many calls
+    /// a stroke is divided into.
+    ///
+    /// # Errors
+    /// A place that is NaN or more than 100 mm outside the stroke.
+    pub fn carriage_to(&mut self, carriage_mm: f64) -> Result<(), OutOfRange> {
+        check(
+            "carriage position",
+            "mm",
+            carriage_mm,
+            (-OVERTRAVEL_MM, self.params.stroke_mm + OVERTRAVEL_MM),
+            Ends::Closed,
+            "the rig's rail ends there",
+        )?;
+        while carriage_mm >= f64::from(self.at + 1) * self.params.step_mm - REACHED_MM {
+            self.evaluate(self.at + 1)?;
+        }
+        while carriage_mm <= f64::from(self.at - 1) * self.params.step_mm + REACHED_MM {
+            self.evaluate(self.at - 1)?;
+        }
+        Ok(())
+    }
+
+    fn evaluate(&mut self, at: i32) -> Result<(), OutOfRange> {
+        let roller_mm = self.params.stroke_mm - f64::from(at) * self.params.step_mm;
+        let (peak, radius) = (self.indentation_mm, self.params.radius_mm);
+        self.chain.step(|x| wall_mm(peak, radius, x - roller_mm))?;
+        self.at = at;
+        Ok(())
+    }
+
+    /// One whole cycle: to the far end and home.
+    ///
+    /// # Errors
+    /// None for a bench that could be made.
+    pub fn cycle(&mut self) -> Result<(), OutOfRange> {
+        self.carriage_to(self.params.stroke_mm)?;
+        self.carriage_to(0.0)
+    }
+
+    /// How far the tail has moved since the start, mm; + is headward (retrograde).
+    pub fn displacement_mm(&self) -> f64 {
+        self.chain.displacement_mm()
+    }
+
+    /// The body, for drawing.
+    pub fn body(&self) -> &Chain {
+        &self.chain
+    }
+}
+
+/// The paper's run: all cycles; displacement of the tail in mm, + headward.
+///
+/// # Errors
+/// As [`Bench::new`].
+pub fn run(params: Params, indentation_mm: f64) -> Result<f64, OutOfRange> {
+    let mut bench = Bench::new(params, indentation_mm)?;
+    for _ in 0..params.cycles {
+        bench.cycle()?;
+    }
+    Ok(bench.displacement_mm())
+}
+
+/// What one roller pass in each direction does to a body that it meets relaxed and leaves relaxed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IsolatedPass {
+    /// Displacement by the pass from head to tail, mm, + headward.
+    pub antegrade_mm: f64,
+    /// Displacement by the pass from tail to head, mm, + headward. Of the size of the model's ripple.
+    pub returning_mm: f64,
+}
+
+/// Two isolated passes over fresh bodies, from clear of one end to clear of the other.
+///
+/// # Errors
+/// As [`Bench::new`].
+pub fn isolated_pass(params: Params, indentation_mm: f64) -> Result<IsolatedPass, OutOfRange> {
+    let clear_mm = params.stroke_mm + 2.0 * params.radius_mm;
+    let mut antegrade = Bench::new(params, indentation_mm)?;
+    antegrade.carriage_to(clear_mm)?;
+    // The same way back over a fresh body: the wave is brought behind it at no depth.
+    let mut returning = Bench::new(params, 0.0)?;
+    returning.carriage_to(clear_mm)?;
+    returning.indentation_mm = indentation_mm;
+    returning.carriage_to(0.0)?;
+    Ok(IsolatedPass {
+        antegrade_mm: antegrade.displacement_mm(),
+        returning_mm: returning.displacement_mm(),
+    })
+}
