@@ -3,7 +3,7 @@
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Largest body in bytes; see the test `every_message_fits`.
-pub const MAX_BODY: usize = 208;
+pub const MAX_BODY: usize = 160;
 /// Kind, session and sequence.
 const HEAD: usize = 4;
 const CRC: usize = 4;

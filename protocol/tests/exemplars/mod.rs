@@ -1,0 +1,299 @@
+//! One exemplar of every message, with every field away from its default.
+
+use heapless::Vec;
+use protocol::{capsule::*, error::*, rig::*, system::*, table::*};
+
+pub fn requests() -> std::vec::Vec<Request> {
+    let run = |timing| Run {
+        cycles: 5,
+        stroke_um: 130_000,
+        timing,
+        far_dwell_us: 250_000,
+        home_dwell_us: 125_000,
+        start_delay_us: 1_000_000,
+        link_loss: LinkLossPolicy::Finish,
+    };
+    vec![
+        Request::Hello(Hello {
+            protocol: Version { major: 1, minor: 2 },
+            schema_key: 0x0123_4567_89ab_cdef,
+            nonce: 77,
+        }),
+        Request::KeepAlive(KeepAlive),
+        Request::GetLastWords(GetLastWords),
+        Request::SetTelemetry(SetTelemetry { period_ms: 10 }),
+        Request::GetEvents(GetEvents { from: 300 }),
+        Request::Acknowledge(Acknowledge),
+        Request::GetRigStatus(GetRigStatus),
+        Request::Home(Home),
+        Request::Run(run(RunTiming::Total {
+            total_us: 40_000_000,
+            accel_um_s2: 100_000,
+        })),
+        Request::Run(run(RunTiming::Speeds {
+            forward_um_s: 10_000,
+            return_um_s: 30_000,
+            accel_um_s2: 100_000,
+        })),
+        Request::GetRunRecord(GetRunRecord),
+        Request::GetCapsuleStatus(GetCapsuleStatus),
+        Request::Reference(Reference),
+        Request::Fold(Fold),
+        Request::Unfold(Unfold),
+        Request::GetActuationRecord(GetActuationRecord),
+    ]
+}
+
+const INPUTS: RigInputs = RigInputs {
+    home_flag: true,
+    far_limit: false,
+    estop_loop: true,
+};
+
+pub fn events() -> std::vec::Vec<Event> {
+    let event = |what| Event {
+        index: 301,
+        time_us: 12_345_678,
+        what,
+    };
+    vec![
+        event(What::Booted(ResetCause::Watchdog)),
+        event(What::Acknowledged),
+        event(What::LinkLost),
+        event(What::Rig(RigEvent::Homed {
+            repeat_steps: -1,
+            shift_steps: 2,
+        })),
+        event(What::Rig(RigEvent::RunStarted { run: 3 })),
+        event(What::Rig(RigEvent::StrokeDone {
+            stroke: 9,
+            residual_steps: -2,
+        })),
+        event(What::Rig(RigEvent::RunEnded {
+            run: 3,
+            outcome: RunOutcome::Complete,
+        })),
+        event(What::Rig(RigEvent::Stopped {
+            position_steps: 52_000,
+        })),
+        event(What::Rig(RigEvent::Faulted(RigFault::LostSteps {
+            residual_steps: 64,
+        }))),
+        event(What::Capsule(CapsuleEvent::Started {
+            actuation: 4,
+            kind: ActuationKind::Unfold,
+        })),
+        event(What::Capsule(CapsuleEvent::Ended {
+            actuation: 4,
+            outcome: ActuationOutcome::Stopped,
+        })),
+        event(What::Capsule(CapsuleEvent::Faulted(CapsuleFault::Jam {
+            thread_um: 12_000,
+        }))),
+    ]
+}
+
+pub fn responses() -> std::vec::Vec<Response> {
+    let Request::Run(requested) = requests()[9] else {
+        unreachable!()
+    };
+    let stroke = Stroke {
+        steps: u32::MAX,
+        duration_ticks: u64::MAX,
+        ramp_ticks: u64::MAX,
+        peak_um_s: u32::MAX,
+        accel_um_s2: u32::MAX,
+    };
+    vec![
+        Response::Hello(Identity {
+            device: DeviceKind::Capsule,
+            protocol: Version { major: 1, minor: 2 },
+            schema_key: 0x0123_4567_89ab_cdef,
+            uid: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12],
+            revision: Revision {
+                commit: 0xdead_beef,
+                dirty: true,
+            },
+            profile: BuildProfile::Firmware,
+            boot_id: 17,
+            reset_cause: ResetCause::Pin,
+            session: 18,
+        }),
+        Response::KeepAlive(Done),
+        Response::GetLastWords(LastWords {
+            text: "x".repeat(120).as_str().try_into().unwrap(),
+        }),
+        Response::SetTelemetry(SetTelemetry { period_ms: 10 }),
+        Response::GetEvents(Events {
+            oldest: 290,
+            next: 303,
+            events: Vec::from_slice(&events()[3..6]).unwrap(),
+        }),
+        Response::Acknowledge(Done),
+        Response::GetRigStatus(RigStatus {
+            time_us: 12_345_678,
+            state: RigState::Faulted,
+            fault: Some(RigFault::ReadBack {
+                commanded: -104_000,
+                counted: 7,
+            }),
+            homed: true,
+            position_steps: 104_000,
+            position_um: 130_000,
+            stroke_um: 130_000,
+            steps_per_rev: 3_200,
+            lead_um: 4_000,
+            inputs: INPUTS,
+            run: 3,
+            stroke: 9,
+            strokes: 10,
+            elapsed_us: 39_999_999,
+            needs_acknowledge: true,
+        }),
+        Response::Home(HomeAccepted {
+            seek_um_s: 20_000,
+            locate_um_s: 2_000,
+            max_travel_um: 140_000,
+        }),
+        Response::Run(RunAccepted {
+            run: u32::MAX,
+            requested: Run {
+                timing: RunTiming::Total {
+                    total_us: u64::MAX,
+                    accel_um_s2: u32::MAX,
+                },
+                ..requested
+            },
+            forward: stroke,
+            back: stroke,
+            total_ticks: u64::MAX,
+            edges: u64::MAX,
+            plan_hash: u64::MAX,
+        }),
+        Response::GetRunRecord(RunRecord {
+            run: 3,
+            outcome: RunOutcome::Faulted(RigFault::FlagNotFound(HomingPhase::Locate)),
+            strokes: 10,
+            commanded_edges: 1_040_000,
+            counted_edges: 1_039_999,
+            ticks: 4_000_000_000,
+            plan_hash: u64::MAX,
+            min_steps: -1,
+            max_steps: 104_000,
+            worst_residual_steps: -3,
+            min_queue: 101,
+            glitches: 5,
+        }),
+        Response::GetCapsuleStatus(CapsuleStatus {
+            time_us: 12_345_678,
+            state: CapsuleState::Faulted,
+            fault: Some(CapsuleFault::OverCurrent { current_ma: 900 }),
+            referenced: true,
+            thread_um: 21_000,
+            current_ma: 160,
+            battery_mv: 3_700,
+            actuation: 4,
+            needs_acknowledge: true,
+        }),
+        Response::Reference(ActuationAccepted {
+            actuation: 2,
+            timeout_ms: 20_000,
+        }),
+        Response::Fold(ActuationAccepted {
+            actuation: 3,
+            timeout_ms: 5_000,
+        }),
+        Response::Unfold(ActuationAccepted {
+            actuation: 4,
+            timeout_ms: 5_000,
+        }),
+        Response::GetActuationRecord(ActuationRecord {
+            actuation: 3,
+            kind: ActuationKind::Fold,
+            outcome: ActuationOutcome::Complete,
+            duration_ms: 1_550,
+            thread_um: 21_200,
+            end_current_ma: 160,
+            peak_current_ma: 300,
+            engaged_um: 1_000,
+            energy_mj: 180,
+            min_battery_mv: 3_600,
+        }),
+    ]
+}
+
+pub fn replies() -> std::vec::Vec<Reply> {
+    let refusals = [
+        Refusal::WrongDevice,
+        Refusal::Incompatible,
+        Refusal::RigFaulted(RigFault::EStopLoop),
+        Refusal::CapsuleFaulted(CapsuleFault::LowBattery { battery_mv: 2_600 }),
+        Refusal::CauseStillPresent,
+        Refusal::NothingToAcknowledge,
+        Refusal::AcknowledgeFirst,
+        Refusal::NotHomed,
+        Refusal::NotReferenced,
+        Refusal::RigBusy(RigState::Stopping),
+        Refusal::CapsuleBusy(CapsuleState::Unfolding),
+        Refusal::OutOfRange {
+            field: Field::StrokeUm,
+            requested: 131_000,
+            min: 1,
+            max: 130_000,
+        },
+        Refusal::TooFast {
+            requested_us: 10_000_000,
+            min_us: 25_000_000,
+            min_accel_um_s2: 520_000,
+        },
+        Refusal::SpeedLimit {
+            needed_um_s: 65_000,
+            max_um_s: 49_000,
+        },
+        Refusal::StepRateLimit {
+            needed_hz: 833_000,
+            max_hz: 250_000,
+        },
+        Refusal::TooSlow,
+        Refusal::NotAtHome { position_um: -5 },
+        Refusal::BatteryLow {
+            battery_mv: 2_900,
+            min_mv: 3_000,
+        },
+        Refusal::AlreadyThere,
+    ];
+    let wire = [
+        WireError::NoSession,
+        WireError::Malformed,
+        WireError::SequenceReused,
+        WireError::Stale,
+    ];
+    (responses().into_iter().map(Reply::Accepted))
+        .chain(refusals.map(Reply::Refused))
+        .chain(wire.map(Reply::Wire))
+        .chain([Urgent::Stop, Urgent::EStop].map(Reply::Urgent))
+        .collect()
+}
+
+pub fn telemetry() -> std::vec::Vec<Telemetry> {
+    vec![
+        Telemetry::Rig(RigTelemetry {
+            time_us: 12_345_678,
+            state: RigState::Running,
+            position_steps: 52_000,
+            commanded_steps: 52_120,
+            speed_um_s: -35_680,
+            stroke: 9,
+            residual_steps: -1,
+            inputs: INPUTS,
+        }),
+        Telemetry::Capsule(CapsuleTelemetry {
+            time_us: 12_345_678,
+            state: CapsuleState::Folding,
+            thread_um: 18_000,
+            current_ma: 87,
+            battery_mv: 3_700,
+            drive_mv: -1_500,
+        }),
+    ]
+}
