@@ -1,0 +1,445 @@
+//! Screw, motor and stroke: what a micrometre is in steps, and where the carriage may be.
+//!
+//! Position 0 is home, the right end; positions grow to the left, up to the stroke.
+
+use core::fmt;
+
+use crate::units::{Micrometres, Nanometres, Steps, TICK_HZ};
+
+/// The longest stroke that can be configured: the paper's, 130 mm.
+pub const MAX_STROKE: Micrometres = Micrometres(130_000);
+
+/// One linear axis: lead screw, stepper, driver's microsteps and the configured stroke.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Axis {
+    lead_um: u32,
+    full_steps_per_rev: u16,
+    microsteps: u16,
+    stroke_um: u32,
+    ratio: Ratio,
+}
+
+/// Steps per micrometre as a reduced fraction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Ratio {
+    steps: u32,
+    um: u32,
+}
+
+impl Axis {
+    /// The rig as drawn: SFU1204 screw (4 mm), 200 full steps, 1/16, 130 mm: 800 steps per mm.
+    pub const REFERENCE: Self = match Self::new(4_000, 200, 16, 130_000) {
+        Ok(axis) => axis,
+        Err(_) => panic!("the reference axis is valid"),
+    };
+
+    /// An axis with a lead of 500..=50,000 um per turn, 200 or 400 full steps per turn,
+    /// a power of two of microsteps in 1..=256, and a stroke of 1..=130,000 um.
+    ///
+    /// # Errors
+    /// The first of these that does not hold, or a stroke which is shorter than one step.
+    pub const fn new(
+        lead_um: u32,
+        full_steps_per_rev: u16,
+        microsteps: u16,
+        stroke_um: u32,
+    ) -> Result<Self, AxisError> {
+        if lead_um < 500 || lead_um > 50_000 {
+            return Err(AxisError::Lead { lead_um });
+        }
+        if full_steps_per_rev != 200 && full_steps_per_rev != 400 {
+            return Err(AxisError::FullSteps { full_steps_per_rev });
+        }
+        if !microsteps.is_power_of_two() || microsteps > 256 {
+            return Err(AxisError::Microsteps { microsteps });
+        }
+        if stroke_um == 0 || stroke_um > MAX_STROKE.0 {
+            return Err(AxisError::Stroke { stroke_um });
+        }
+        let steps_per_rev = full_steps_per_rev as u32 * microsteps as u32;
+        let divisor = gcd(steps_per_rev, lead_um);
+        let axis = Self {
+            lead_um,
+            full_steps_per_rev,
+            microsteps,
+            stroke_um,
+            ratio: Ratio {
+                steps: steps_per_rev / divisor,
+                um: lead_um / divisor,
+            },
+        };
+        if axis.stroke_steps().0 == 0 {
+            return Err(AxisError::StrokeBelowOneStep { stroke_um });
+        }
+        Ok(axis)
+    }
+
+    /// Travel per turn of the screw.
+    #[must_use]
+    pub const fn lead(&self) -> Micrometres {
+        Micrometres(self.lead_um)
+    }
+
+    /// Full steps of the motor per turn.
+    #[must_use]
+    pub const fn full_steps_per_rev(&self) -> u16 {
+        self.full_steps_per_rev
+    }
+
+    /// Microsteps per full step.
+    #[must_use]
+    pub const fn microsteps(&self) -> u16 {
+        self.microsteps
+    }
+
+    /// The configured stroke.
+    #[must_use]
+    pub const fn stroke(&self) -> Micrometres {
+        Micrometres(self.stroke_um)
+    }
+
+    /// Microsteps per turn of the screw.
+    #[must_use]
+    pub const fn steps_per_rev(&self) -> u32 {
+        self.full_steps_per_rev as u32 * self.microsteps as u32
+    }
+
+    /// The last step inside the configured stroke.
+    #[must_use]
+    pub const fn stroke_steps(&self) -> Steps {
+        match self.steps_within(Micrometres(self.stroke_um)) {
+            Some(steps) => steps,
+            // 130,000 um at 102,400 steps per 500 um are 26.6 M steps.
+            None => Steps(u32::MAX),
+        }
+    }
+
+    /// The most whole steps that do not exceed `length`: rounded toward the inside.
+    /// [`Axis::length_of`] tells what was achieved. None above `u32::MAX` steps.
+    #[must_use]
+    pub const fn steps_within(&self, length: Micrometres) -> Option<Steps> {
+        let steps = length.0 as u64 * self.ratio.steps as u64 / self.ratio.um as u64;
+        if steps > u32::MAX as u64 {
+            return None;
+        }
+        Some(Steps(steps as u32))
+    }
+
+    /// The length of a number of steps, to the nearest nanometre.
+    #[must_use]
+    pub const fn length_of(&self, steps: Steps) -> Nanometres {
+        // 2^32 * 50,000 * 1,000 is below 2^58.
+        let numerator = steps.0 as u64 * self.ratio.um as u64 * 1_000;
+        Nanometres((numerator + self.ratio.steps as u64 / 2) / self.ratio.steps as u64)
+    }
+
+    /// Home, the right end.
+    #[must_use]
+    pub const fn home(&self) -> Position {
+        Position { steps: 0 }
+    }
+
+    /// The far end of the configured stroke.
+    #[must_use]
+    pub const fn far(&self) -> Position {
+        Position {
+            steps: self.stroke_steps().0,
+        }
+    }
+
+    /// The position a number of steps from home.
+    ///
+    /// # Errors
+    /// Beyond the configured stroke.
+    pub const fn position(&self, from_home: Steps) -> Result<Position, OutsideStroke> {
+        let last = self.stroke_steps();
+        if from_home.0 > last.0 {
+            return Err(OutsideStroke {
+                wanted: from_home.0 as i64,
+                last: last.0,
+            });
+        }
+        Ok(Position { steps: from_home.0 })
+    }
+
+    /// The last whole step at or before a distance from home; [`Axis::length_of`] of
+    /// [`Position::steps`] is what was achieved.
+    ///
+    /// # Errors
+    /// Beyond the configured stroke, even by less than a step.
+    pub const fn position_um(&self, from_home: Micrometres) -> Result<Position, OutsideStroke> {
+        let last = self.stroke_steps().0;
+        match self.steps_within(from_home) {
+            Some(steps) if from_home.0 <= self.stroke_um => Ok(Position { steps: steps.0 }),
+            Some(steps) => Err(OutsideStroke {
+                wanted: steps.0 as i64,
+                last,
+            }),
+            None => Err(OutsideStroke {
+                wanted: i64::MAX,
+                last,
+            }),
+        }
+    }
+
+    /// The position `distance` further in `direction`.
+    ///
+    /// # Errors
+    /// Beyond either end of the configured stroke.
+    pub const fn offset(
+        &self,
+        from: Position,
+        direction: Direction,
+        distance: Steps,
+    ) -> Result<Position, OutsideStroke> {
+        let wanted = match direction {
+            Direction::Away => from.steps as i64 + distance.0 as i64,
+            Direction::Home => from.steps as i64 - distance.0 as i64,
+        };
+        let last = self.stroke_steps().0;
+        if wanted < 0 || wanted > last as i64 {
+            return Err(OutsideStroke { wanted, last });
+        }
+        Ok(Position {
+            steps: wanted as u32,
+        })
+    }
+
+    /// A speed on this axis, um/s.
+    ///
+    /// # Errors
+    /// Zero.
+    pub const fn speed(&self, um_s: u32) -> Result<Speed, AxisError> {
+        if um_s == 0 {
+            return Err(AxisError::NoSpeed);
+        }
+        Ok(Speed {
+            um_s,
+            ratio: self.ratio,
+        })
+    }
+
+    /// An acceleration on this axis, um/s^2.
+    ///
+    /// # Errors
+    /// Zero.
+    pub const fn acceleration(&self, um_s2: u32) -> Result<Acceleration, AxisError> {
+        if um_s2 == 0 {
+            return Err(AxisError::NoAcceleration);
+        }
+        Ok(Acceleration {
+            um_s2,
+            ratio: self.ratio,
+        })
+    }
+
+    /// Micrometres in `steps / per`, times `scale`, to the nearest integer, half upward;
+    /// `u32::MAX` stands for everything that does not fit.
+    pub(crate) fn scaled_um(&self, steps: u32, scale: u128, per: u128) -> u32 {
+        let numerator = u128::from(steps) * u128::from(self.ratio.um) * scale;
+        let denominator = per * u128::from(self.ratio.steps);
+        u32::try_from((numerator + denominator / 2) / denominator).unwrap_or(u32::MAX)
+    }
+}
+
+/// A whole step inside the configured stroke. Only an [`Axis`] makes one, so that there is none
+/// outside; it belongs to the axis that made it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Position {
+    steps: u32,
+}
+
+impl Position {
+    /// Distance from home.
+    #[must_use]
+    pub const fn steps(self) -> Steps {
+        Steps(self.steps)
+    }
+
+    /// Which way and how far `to` is from here; none if it is here.
+    #[must_use]
+    pub fn way_to(self, to: Self) -> Option<(Direction, Steps)> {
+        let distance = Steps(self.steps.abs_diff(to.steps));
+        match self.steps.cmp(&to.steps) {
+            core::cmp::Ordering::Less => Some((Direction::Away, distance)),
+            core::cmp::Ordering::Greater => Some((Direction::Home, distance)),
+            core::cmp::Ordering::Equal => None,
+        }
+    }
+}
+
+/// Sense of travel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Direction {
+    /// Away from home: to the left, positions grow. The forward stroke.
+    Away,
+    /// Toward home: to the right, positions shrink. The return stroke.
+    Home,
+}
+
+/// A speed above zero on an axis, exact.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Speed {
+    um_s: u32,
+    ratio: Ratio,
+}
+
+impl Speed {
+    /// um/s.
+    #[must_use]
+    pub const fn um_s(self) -> u32 {
+        self.um_s
+    }
+
+    /// The fewest whole ticks in which `steps` may pass: ceil(steps / speed).
+    pub(crate) fn least_span(self, steps: Steps) -> u128 {
+        (u128::from(steps.0) * u128::from(TICK_HZ) * u128::from(self.ratio.um))
+            .div_ceil(u128::from(self.um_s) * u128::from(self.ratio.steps))
+    }
+}
+
+/// An acceleration above zero on an axis, exact.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Acceleration {
+    um_s2: u32,
+    ratio: Ratio,
+}
+
+impl Acceleration {
+    /// um/s^2.
+    #[must_use]
+    pub const fn um_s2(self) -> u32 {
+        self.um_s2
+    }
+
+    /// `steps / acceleration` in ticks^2, rounded up.
+    pub(crate) fn least_square(self, steps: Steps) -> u128 {
+        self.square_of_unit(steps)
+            .div_ceil(u128::from(self.um_s2) * u128::from(self.ratio.steps))
+    }
+
+    /// The least acceleration, um/s^2, for which `least_square(steps)` is at most `square`.
+    pub(crate) fn least_for(self, steps: Steps, square: u128) -> u64 {
+        let um_s2 = self
+            .square_of_unit(steps)
+            .div_ceil(square.max(1) * u128::from(self.ratio.steps));
+        u64::try_from(um_s2).unwrap_or(u64::MAX)
+    }
+
+    /// Steps in which a speed of one step per `interval` ticks comes to rest, rounded up:
+    /// v^2 / 2a.
+    pub(crate) fn steps_to_rest(self, interval: u32) -> u128 {
+        let speed_of_unit = u128::from(TICK_HZ) * u128::from(TICK_HZ) * u128::from(self.ratio.um);
+        let square = u128::from(interval) * u128::from(interval);
+        speed_of_unit
+            .div_ceil(2 * square.max(1) * u128::from(self.um_s2) * u128::from(self.ratio.steps))
+    }
+
+    fn square_of_unit(self, steps: Steps) -> u128 {
+        // At most 2^32 * 2^54 * 2^16.
+        u128::from(steps.0) * u128::from(TICK_HZ) * u128::from(TICK_HZ) * u128::from(self.ratio.um)
+    }
+}
+
+/// Why an axis, a speed or an acceleration was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum AxisError {
+    /// Lead outside 500..=50,000 um.
+    Lead {
+        /// What was asked for.
+        lead_um: u32,
+    },
+    /// Neither 200 nor 400 full steps per turn.
+    FullSteps {
+        /// What was asked for.
+        full_steps_per_rev: u16,
+    },
+    /// Not a power of two in 1..=256.
+    Microsteps {
+        /// What was asked for.
+        microsteps: u16,
+    },
+    /// Stroke outside 1..=130,000 um.
+    Stroke {
+        /// What was asked for.
+        stroke_um: u32,
+    },
+    /// The stroke holds not even one step.
+    StrokeBelowOneStep {
+        /// What was asked for.
+        stroke_um: u32,
+    },
+    /// A speed of zero.
+    NoSpeed,
+    /// An acceleration of zero.
+    NoAcceleration,
+}
+
+impl fmt::Display for AxisError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Lead { lead_um } => write!(
+                f,
+                "a lead of {lead_um} um is outside 500..=50000 um: enter the screw's travel per turn"
+            ),
+            Self::FullSteps { full_steps_per_rev } => write!(
+                f,
+                "{full_steps_per_rev} full steps per turn: use 200 (1.8 degrees) or 400 (0.9 degrees)"
+            ),
+            Self::Microsteps { microsteps } => write!(
+                f,
+                "{microsteps} microsteps: use 1, 2, 4, 8, 16, 32, 64, 128 or 256, as set on the driver"
+            ),
+            Self::Stroke { stroke_um } => write!(
+                f,
+                "a stroke of {stroke_um} um is outside 1..=130000 um: enter the travel between the end stops"
+            ),
+            Self::StrokeBelowOneStep { stroke_um } => write!(
+                f,
+                "a stroke of {stroke_um} um is shorter than one step: use a longer stroke or more microsteps"
+            ),
+            Self::NoSpeed => write!(f, "the speed is zero: use at least 1 um/s"),
+            Self::NoAcceleration => {
+                write!(f, "the acceleration is zero: use at least 1 um/s^2")
+            }
+        }
+    }
+}
+
+impl core::error::Error for AxisError {}
+
+/// A position outside the configured stroke was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct OutsideStroke {
+    /// Steps from home that were asked for; negative is beyond home.
+    pub wanted: i64,
+    /// The last step of the configured stroke.
+    pub last: u32,
+}
+
+impl fmt::Display for OutsideStroke {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "step {} is outside the stroke: go no further than 0..={}",
+            self.wanted, self.last
+        )
+    }
+}
+
+impl core::error::Error for OutsideStroke {}
+
+const fn gcd(mut a: u32, mut b: u32) -> u32 {
+    while b != 0 {
+        (a, b) = (b, a % b);
+    }
+    a
+}

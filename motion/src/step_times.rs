@@ -1,0 +1,379 @@
+//! The tick of every step of a stroke, nearest to the exact profile, without drift.
+//!
+//! The ramps follow t_k = sqrt(k N / n) by an exact remainder: for the nearest tick t,
+//! (t - 1/2)^2 <= k N / n < (t + 1/2)^2, which in integers is
+//!
+//! ```text
+//! 0 <= s < 2 n t    with    s = k N - n (t^2 - t) - ceil(n / 4)
+//! ```
+//!
+//! Each step adds N, predicts the interval from the last one (D - 2 D / (4 k - 3), a predictor
+//! only) and corrects the tick by one while s is out of range. So no error is ever carried on.
+//! The deceleration is the same sequence run downward, counted back from the end. The cruise is
+//! Bresenham's line with denominator 2 n. Where steps are far apart, or the predictor is still
+//! poor, there is time for a square root.
+
+use crate::axis::Acceleration;
+use crate::trapezoid::StrokeProfile;
+use crate::units::{Steps, Ticks};
+
+/// Up to this step of a ramp, counted from rest, the square root is taken.
+const WARM_UP: u32 = 32;
+
+/// From this interval on, 655 us, the square root is taken.
+const UNHURRIED: u32 = 1 << 16;
+
+/// A stop takes less than this, 21.5 s, whatever deceleration is asked for.
+const LONGEST_STOP: u64 = 1 << 31;
+
+/// Iterator over the tick of each step, 1..=n, counted from the start of the stroke.
+///
+/// It can be stopped at any step with [`StepTimes::stop`] and then yields the steps of the
+/// braking ramp. It never yields more steps than its profile has.
+#[derive(Clone, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct StepTimes {
+    phase: Phase,
+    /// Steps emitted so far.
+    emitted: u32,
+    /// The phase ends when so many steps are emitted.
+    phase_end: u32,
+    /// The interval that ended with the last step.
+    interval: u32,
+    /// The tick of the last step.
+    tick: u64,
+    ramp: Ramp,
+    cruise: Cruise,
+    /// Number of the last step: the profile's, or where the stop comes to rest.
+    last: u32,
+    /// The tick of the last step, from which the deceleration is counted back.
+    end: u64,
+    profile: StrokeProfile,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+enum Phase {
+    Accelerate,
+    Cruise,
+    Decelerate,
+}
+
+/// How a stop will go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Stop {
+    /// Steps still to come.
+    pub steps: Steps,
+    /// The tick of the last of them, counted from the start of the stroke.
+    pub rest: Ticks,
+}
+
+impl StepTimes {
+    /// The steps of a profile from its start.
+    #[must_use]
+    pub fn new(profile: StrokeProfile) -> Self {
+        Self {
+            phase: Phase::Accelerate,
+            emitted: 0,
+            phase_end: profile.ramp_steps().0,
+            interval: 0,
+            tick: 0,
+            ramp: Ramp::new(profile.steps().0, profile.square()),
+            cruise: Cruise::default(),
+            last: profile.steps().0,
+            end: profile.duration().0,
+            profile,
+        }
+    }
+
+    /// Steps emitted so far: the number of the last step.
+    #[must_use]
+    pub const fn emitted(&self) -> Steps {
+        Steps(self.emitted)
+    }
+
+    /// Steps still to come until rest, braking included.
+    #[must_use]
+    pub const fn remaining(&self) -> Steps {
+        Steps(self.last - self.emitted)
+    }
+
+    /// Steps of the profile that will not be emitted: 0, unless it was stopped. To go on, make a
+    /// stroke of them with [`StrokeProfile::resumed`].
+    #[must_use]
+    pub fn left_out(&self) -> Steps {
+        Steps(self.profile.steps().0 - self.last)
+    }
+
+    /// The tick of the last step, 0 before the first.
+    #[must_use]
+    pub const fn tick(&self) -> Ticks {
+        Ticks(self.tick)
+    }
+
+    /// The ticks between the last step and its predecessor (or the start); 0 before the first.
+    #[must_use]
+    pub const fn interval(&self) -> Ticks {
+        Ticks(self.interval as u64)
+    }
+
+    /// The tick of the final step.
+    #[must_use]
+    pub const fn rest(&self) -> Ticks {
+        Ticks(self.end)
+    }
+
+    /// The profile these steps belong to.
+    #[must_use]
+    pub const fn profile(&self) -> &StrokeProfile {
+        &self.profile
+    }
+
+    /// Brakes from the speed of the last step to rest on a whole step, with at most the given
+    /// deceleration; from then on the iterator yields the steps of the braking ramp.
+    ///
+    /// From an interval d the ramp takes m = ceil(v^2 / 2a) steps and 2 m d ticks, so that its
+    /// first interval is not shorter than d. Where the stroke's own deceleration comes to rest as
+    /// soon, it is finished as planned. Two things make a stop harder than asked for, and
+    /// the answer shows both: it never goes beyond the stroke, and it never takes 21.5 s or more.
+    /// Before the first step there is nothing to brake and no step follows.
+    pub fn stop(&mut self, deceleration: Acceleration) -> Stop {
+        let remaining = self.last - self.emitted;
+        if self.interval == 0 {
+            self.brake(0);
+        } else if remaining > 0 {
+            let wanted = deceleration.steps_to_rest(self.interval);
+            let longest = (LONGEST_STOP - 1) / (2 * u64::from(self.interval));
+            let steps = wanted
+                .min(u128::from(remaining))
+                .min(u128::from(longest))
+                .max(1) as u32;
+            let soon_at_rest = self.phase == Phase::Decelerate && remaining <= steps;
+            if !soon_at_rest {
+                self.brake(steps);
+            }
+        }
+        Stop {
+            steps: self.remaining(),
+            rest: self.rest(),
+        }
+    }
+
+    /// A ramp down of `steps` from the last interval: u_j = 2 d sqrt(j steps).
+    fn brake(&mut self, steps: u32) {
+        let interval = u64::from(self.interval);
+        let ticks = 2 * u64::from(steps) * interval;
+        self.phase = Phase::Decelerate;
+        self.last = self.emitted + steps;
+        self.phase_end = self.last;
+        self.end = self.tick + ticks;
+        self.ramp = Ramp::new(1, 2 * interval * ticks);
+        self.ramp.seed(steps);
+    }
+
+    /// The next phase that has steps; none at rest.
+    #[inline(never)]
+    fn turn(&mut self) -> Option<()> {
+        while self.emitted == self.phase_end {
+            match self.phase {
+                Phase::Accelerate => {
+                    self.phase = Phase::Cruise;
+                    self.cruise = Cruise::new(&self.profile, self.emitted);
+                    // Step n - ramp_steps is the first of the deceleration: both ramps have
+                    // the same number of steps, and the last step ends exactly at T.
+                    let down = self.last - self.profile.ramp_steps().0;
+                    self.phase_end = (down - 1).max(self.emitted);
+                }
+                Phase::Cruise => {
+                    self.phase = Phase::Decelerate;
+                    self.phase_end = self.last;
+                    self.ramp.seed(self.last - self.emitted);
+                }
+                Phase::Decelerate => return None,
+            }
+        }
+        Some(())
+    }
+}
+
+impl Iterator for StepTimes {
+    type Item = u64;
+
+    #[inline]
+    fn next(&mut self) -> Option<u64> {
+        if self.emitted == self.phase_end {
+            self.turn()?;
+        }
+        let tick = match self.phase {
+            Phase::Accelerate => u64::from(self.ramp.up()),
+            Phase::Cruise => self.cruise.advance(),
+            Phase::Decelerate => self.end - u64::from(self.ramp.down()),
+        };
+        self.emitted += 1;
+        // Below 2^32: no interval of a profile or a stop is as long.
+        self.interval = (tick - self.tick) as u32;
+        self.tick = tick;
+        Some(tick)
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        let remaining = self.remaining().0 as usize;
+        (remaining, Some(remaining))
+    }
+}
+
+impl ExactSizeIterator for StepTimes {}
+impl core::iter::FusedIterator for StepTimes {}
+
+/// t_k = sqrt(k N / n), nearest tick, one step up or down at a time.
+///
+/// Bounds, from [`StrokeProfile::from_parts`]: N < 2^62, 2 n t < 2^60, t < 2^31, n <= 2^25; so
+/// N + 2 n t and the products below fit `i64`.
+#[derive(Clone, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Ramp {
+    steps: u32,
+    k: u32,
+    tick: u32,
+    interval: u32,
+    square: i64,
+    /// The remainder s of the module's text.
+    rest: i64,
+}
+
+impl Ramp {
+    fn new(steps: u32, square: u64) -> Self {
+        Self {
+            steps,
+            k: 0,
+            tick: 0,
+            interval: UNHURRIED,
+            square: square as i64,
+            rest: -i64::from(steps.div_ceil(4)),
+        }
+    }
+
+    /// To step `k` by a square root; the next step takes one, too.
+    #[inline(never)]
+    fn seed(&mut self, k: u32) {
+        let (n, square) = (u64::from(self.steps), self.square as u64);
+        let (whole, part) = (square / n, u64::from(k) * (square % n));
+        let (x, fraction) = (u64::from(k) * whole + part / n, part % n);
+        // x <= t^2 < 2^62.
+        let tick = (4 * x + 4 * fraction / n).isqrt().div_ceil(2);
+        self.rest = n as i64 * (x as i64 - (tick * tick) as i64 + tick as i64) + fraction as i64
+            - i64::from(self.steps.div_ceil(4));
+        self.k = k;
+        self.tick = tick as u32;
+        self.interval = UNHURRIED;
+    }
+
+    #[inline]
+    fn up(&mut self) -> u32 {
+        let before = self.tick;
+        let k = self.k + 1;
+        if k <= WARM_UP || self.interval >= UNHURRIED {
+            self.seed(k);
+        } else {
+            let interval = self.interval - 2 * self.interval / (4 * k - 3);
+            let passed = product(interval, 2 * before + interval - 1);
+            self.settle(k, before + interval, self.square - self.times_steps(passed));
+        }
+        self.interval = self.tick - before;
+        self.tick
+    }
+
+    #[inline]
+    fn down(&mut self) -> u32 {
+        let before = self.tick;
+        let k = self.k - 1;
+        if k <= WARM_UP || self.interval >= UNHURRIED {
+            self.seed(k);
+        } else {
+            let interval = self.interval + 2 * self.interval / (4 * k + 3);
+            let passed = product(interval, 2 * before - interval - 1);
+            self.settle(k, before - interval, self.times_steps(passed) - self.square);
+        }
+        self.interval = before - self.tick;
+        self.tick
+    }
+
+    /// Corrects the predicted tick until it is the nearest one.
+    #[inline]
+    fn settle(&mut self, k: u32, mut tick: u32, change: i64) {
+        let double = 2 * self.steps;
+        let mut rest = self.rest + change;
+        while rest < 0 {
+            tick -= 1;
+            rest += product(double, tick) as i64;
+        }
+        loop {
+            let range = product(double, tick) as i64;
+            if rest < range {
+                break;
+            }
+            rest -= range;
+            tick += 1;
+        }
+        self.k = k;
+        self.tick = tick;
+        self.rest = rest;
+    }
+
+    /// `steps * passed`, which is within a few 2 n t of N. Wrapping only names what the bounds
+    /// exclude: a checked 64-bit product would cost more than the rest of the step.
+    #[inline]
+    fn times_steps(&self, passed: u64) -> i64 {
+        u64::from(self.steps).wrapping_mul(passed) as i64
+    }
+}
+
+#[inline]
+fn product(a: u32, b: u32) -> u64 {
+    u64::from(a) * u64::from(b)
+}
+
+/// 2 n t_k = n r + 2 k (T - r), nearest tick: a line in integers.
+#[derive(Clone, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+struct Cruise {
+    tick: u64,
+    /// Whole ticks per step.
+    interval: u32,
+    /// What is left per step, in 1 / (2 n) tick.
+    slope: u32,
+    /// What is left over so far, below 2 n.
+    carry: u32,
+    /// 2 n.
+    double: u32,
+}
+
+impl Cruise {
+    /// The line at step `k`, which is not emitted again.
+    fn new(profile: &StrokeProfile, k: u32) -> Self {
+        let n = u64::from(profile.steps().0);
+        let span = profile.span().0;
+        let line = n * profile.ramp().0 + 2 * u64::from(k) * span + n;
+        Self {
+            tick: line / (2 * n),
+            // Above MAX_INTERVAL only where no step is in cruise.
+            interval: u32::try_from(span / n).unwrap_or(u32::MAX),
+            slope: (2 * (span % n)) as u32,
+            carry: (line % (2 * n)) as u32,
+            double: 2 * profile.steps().0,
+        }
+    }
+
+    #[inline]
+    fn advance(&mut self) -> u64 {
+        self.carry += self.slope;
+        let mut interval = self.interval;
+        if self.carry >= self.double {
+            self.carry -= self.double;
+            interval += 1;
+        }
+        self.tick += u64::from(interval);
+        self.tick
+    }
+}

@@ -1,0 +1,324 @@
+//! A move from rest to rest: a symmetric trapezoid of speed over time, defined by three integers.
+//!
+//! With `n` steps, duration `T` and ramp `r` in ticks, 0 < r <= T/2, the acceleration is
+//! n / (r (T - r)), the peak speed n / (T - r), and step k happens at
+//!
+//! ```text
+//! acceleration  t = sqrt(k C)             C = 2 r (T - r) / n, while t <= r
+//! cruise        t = r/2 + k (T - r) / n
+//! deceleration  t = T - sqrt((n - k) C)
+//! ```
+//!
+//! The three integers are the whole truth: what was asked for in um/s is only a way to find them.
+
+use core::fmt;
+
+use crate::axis::{Acceleration, Axis, Speed};
+use crate::units::{Steps, TICK_HZ, Ticks};
+
+/// The most steps of one stroke. The finest axis has 26.6 M in 130 mm.
+pub const MAX_STEPS: Steps = Steps(1 << 25);
+
+/// No two steps of a profile are closer than this: 1 us, one million steps per second.
+pub const MIN_INTERVAL: Ticks = Ticks(100);
+
+/// No step of a profile waits longer than this for its predecessor: 10.7 s.
+pub const MAX_INTERVAL: Ticks = Ticks((1 << 30) - 1);
+
+/// A move of `steps` from rest to rest in `duration`, with ramps of `ramp` at both ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct StrokeProfile {
+    steps: u32,
+    duration_ticks: u64,
+    ramp_ticks: u64,
+}
+
+impl StrokeProfile {
+    /// The profile of these three integers.
+    ///
+    /// # Errors
+    /// No steps or more than [`MAX_STEPS`]; a ramp outside 1..=duration/2; faster than
+    /// [`MIN_INTERVAL`]; slower than [`MAX_INTERVAL`] or than 64 bits can carry exactly:
+    /// 2 r (T - r) must stay below 2^62 and 2 n T below 2^60.
+    pub fn from_parts(steps: Steps, duration: Ticks, ramp: Ticks) -> Result<Self, StrokeError> {
+        let (n, t, r) = (steps.0, duration.0, ramp.0);
+        if n == 0 {
+            return Err(StrokeError::NoSteps);
+        }
+        if n > MAX_STEPS.0 {
+            return Err(StrokeError::TooManySteps { steps: n });
+        }
+        if r == 0 || r > t / 2 {
+            return Err(StrokeError::Ramp { duration, ramp });
+        }
+        let span = t - r;
+        if span / u64::from(n) < MIN_INTERVAL.0 {
+            return Err(StrokeError::TooFast {
+                interval: Ticks(span / u64::from(n)),
+            });
+        }
+        let bound = |product: Option<u64>, bits: u32| product.is_some_and(|p| p >> bits == 0);
+        let square = r.checked_mul(span).and_then(|p| p.checked_mul(2));
+        let area = t.checked_mul(2 * u64::from(n));
+        let profile = Self {
+            steps: n,
+            duration_ticks: t,
+            ramp_ticks: r,
+        };
+        if !bound(square, 62) || !bound(area, 60) || profile.first_interval().0 > MAX_INTERVAL.0 {
+            return Err(StrokeError::TooSlow { duration });
+        }
+        Ok(profile)
+    }
+
+    /// The gentlest profile of exactly this duration: the shortest ramp whose acceleration is at
+    /// most the one requested, hence the lowest peak speed.
+    ///
+    /// # Errors
+    /// [`StrokeError::Infeasible`], with both ways out, if even the triangle accelerates harder;
+    /// or as [`StrokeProfile::from_parts`].
+    pub fn from_duration(
+        steps: Steps,
+        duration: Ticks,
+        acceleration: Acceleration,
+    ) -> Result<Self, StrokeError> {
+        if steps.0 == 0 {
+            return Err(StrokeError::NoSteps);
+        }
+        let square = acceleration.least_square(steps);
+        let product = |r: u64| u128::from(r) * u128::from(duration.0 - r);
+        let half = duration.0 / 2;
+        if product(half) < square {
+            return Err(StrokeError::Infeasible {
+                minimal_duration: shortest(square),
+                minimal_accel_um_s2: acceleration.least_for(steps, product(half)),
+            });
+        }
+        let ramp = least(1, half, |r| product(r) >= square);
+        Self::from_parts(steps, duration, Ticks(ramp))
+    }
+
+    /// The shortest profile which neither exceeds this speed nor this acceleration. A move too
+    /// short for the speed becomes a triangle: ask [`StrokeProfile::peak_um_s`] what it reaches.
+    ///
+    /// # Errors
+    /// As [`StrokeProfile::from_parts`].
+    pub fn from_speed(
+        steps: Steps,
+        speed: Speed,
+        acceleration: Acceleration,
+    ) -> Result<Self, StrokeError> {
+        if steps.0 == 0 {
+            return Err(StrokeError::NoSteps);
+        }
+        Self::shortest_within(
+            steps,
+            speed.least_span(steps),
+            acceleration.least_square(steps),
+        )
+    }
+
+    /// The rest of a stroke that was stopped on a whole step: `left` steps with this profile's
+    /// peak speed and acceleration, neither exceeded.
+    ///
+    /// # Errors
+    /// As [`StrokeProfile::from_parts`].
+    pub fn resumed(&self, left: Steps) -> Result<Self, StrokeError> {
+        if left.0 == 0 {
+            return Err(StrokeError::NoSteps);
+        }
+        let (left_steps, n) = (u128::from(left.0), u128::from(self.steps));
+        let span = u128::from(self.duration_ticks - self.ramp_ticks);
+        let square = span * u128::from(self.ramp_ticks);
+        Self::shortest_within(
+            left,
+            (left_steps * span).div_ceil(n),
+            (left_steps * square).div_ceil(n),
+        )
+    }
+
+    /// Peak speed steps/span at most, acceleration steps/square at most.
+    fn shortest_within(steps: Steps, span: u128, square: u128) -> Result<Self, StrokeError> {
+        let ramp = square.div_ceil(span);
+        if ramp >= span {
+            let duration = shortest(square);
+            return Self::from_parts(steps, duration, Ticks(duration.0 / 2));
+        }
+        let ticks = |value: u128| Ticks(u64::try_from(value).unwrap_or(u64::MAX));
+        Self::from_parts(steps, ticks(ramp + span), ticks(ramp))
+    }
+
+    /// Number of steps.
+    #[must_use]
+    pub const fn steps(&self) -> Steps {
+        Steps(self.steps)
+    }
+
+    /// Time from rest to rest: the tick of the last step.
+    #[must_use]
+    pub const fn duration(&self) -> Ticks {
+        Ticks(self.duration_ticks)
+    }
+
+    /// Duration of each of the two ramps.
+    #[must_use]
+    pub const fn ramp(&self) -> Ticks {
+        Ticks(self.ramp_ticks)
+    }
+
+    /// The ticks in which all steps would pass at peak speed: duration - ramp.
+    #[must_use]
+    pub const fn span(&self) -> Ticks {
+        Ticks(self.duration_ticks - self.ramp_ticks)
+    }
+
+    /// 2 r (T - r), that is n C.
+    pub(crate) const fn square(&self) -> u64 {
+        2 * self.ramp_ticks * (self.duration_ticks - self.ramp_ticks)
+    }
+
+    /// Steps within each of the two ramps; the rest is cruise.
+    #[must_use]
+    pub const fn ramp_steps(&self) -> Steps {
+        let span = self.duration_ticks - self.ramp_ticks;
+        Steps((self.steps as u64 * self.ramp_ticks / (2 * span)) as u32)
+    }
+
+    /// Ticks from rest to the first step, and from the last but one to the last.
+    #[must_use]
+    pub fn first_interval(&self) -> Ticks {
+        let n = u64::from(self.steps);
+        let span = self.span().0;
+        if self.steps == 1 {
+            self.duration()
+        } else if self.ramp_steps().0 == 0 {
+            Ticks((n * self.ramp_ticks + 2 * span + n) / (2 * n))
+        } else {
+            let four = 4 * u128::from(self.ramp_ticks) * 2 * u128::from(span) / u128::from(n);
+            // With a step inside the ramp, t_1 <= r < 2^31 for every profile that is accepted.
+            Ticks(u64::try_from(four).unwrap_or(u64::MAX).isqrt().div_ceil(2))
+        }
+    }
+
+    /// A lower bound of every interval between two steps, reached in cruise.
+    #[must_use]
+    pub const fn min_interval(&self) -> Ticks {
+        Ticks(self.span().0 / self.steps as u64)
+    }
+
+    /// Peak speed achieved, um/s, to the nearest integer.
+    #[must_use]
+    pub fn peak_um_s(&self, axis: &Axis) -> u32 {
+        axis.scaled_um(self.steps, u128::from(TICK_HZ), u128::from(self.span().0))
+    }
+
+    /// Acceleration achieved, um/s^2, to the nearest integer.
+    #[must_use]
+    pub fn accel_um_s2(&self, axis: &Axis) -> u32 {
+        axis.scaled_um(
+            self.steps,
+            u128::from(TICK_HZ) * u128::from(TICK_HZ),
+            u128::from(self.span().0) * u128::from(self.ramp_ticks),
+        )
+    }
+
+    /// Whether the peak speed is at most this, exactly.
+    #[must_use]
+    pub fn within(&self, speed: Speed) -> bool {
+        u128::from(self.span().0) >= speed.least_span(self.steps())
+    }
+}
+
+/// The shortest duration whose triangle has r (T - r) >= square: ceil(sqrt(4 square)), for
+/// floor(T/2) ceil(T/2) = floor(T^2 / 4).
+fn shortest(square: u128) -> Ticks {
+    Ticks(least(1, 1 << 60, |t| {
+        u128::from(t) * u128::from(t) >= 4 * square
+    }))
+}
+
+/// The least value in `low..=high` for which a monotone condition holds; `high` if none.
+fn least(mut low: u64, mut high: u64, holds: impl Fn(u64) -> bool) -> u64 {
+    while low < high {
+        let middle = low + (high - low) / 2;
+        if holds(middle) {
+            high = middle;
+        } else {
+            low = middle + 1;
+        }
+    }
+    low
+}
+
+/// Why a stroke was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum StrokeError {
+    /// A stroke of no steps.
+    NoSteps,
+    /// More than [`MAX_STEPS`].
+    TooManySteps {
+        /// What was asked for.
+        steps: u32,
+    },
+    /// Not 0 < ramp <= duration / 2.
+    Ramp {
+        /// Duration asked for.
+        duration: Ticks,
+        /// Ramp asked for.
+        ramp: Ticks,
+    },
+    /// Steps would be closer than [`MIN_INTERVAL`].
+    TooFast {
+        /// The interval at peak speed.
+        interval: Ticks,
+    },
+    /// Beyond what the step times can carry exactly.
+    TooSlow {
+        /// Duration of the stroke.
+        duration: Ticks,
+    },
+    /// Too little time at this acceleration. Either number is the exact boundary.
+    Infeasible {
+        /// The shortest duration at this acceleration.
+        minimal_duration: Ticks,
+        /// The least whole acceleration for this duration, um/s^2.
+        minimal_accel_um_s2: u64,
+    },
+}
+
+impl fmt::Display for StrokeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::NoSteps => write!(f, "the move is shorter than one step: make it longer"),
+            Self::TooManySteps { steps } => write!(
+                f,
+                "{steps} steps in one stroke are more than {}: use fewer microsteps",
+                MAX_STEPS.0
+            ),
+            Self::Ramp { duration, ramp } => write!(
+                f,
+                "a ramp of {ramp} does not fit a stroke of {duration}: use more than zero and at most half"
+            ),
+            Self::TooFast { interval } => write!(
+                f,
+                "steps would be {} ticks apart, less than {}: go slower or use fewer microsteps",
+                interval.0, MIN_INTERVAL.0
+            ),
+            Self::TooSlow { duration } => write!(
+                f,
+                "a stroke of {duration} is too slow for exact step times: use more speed, more acceleration or finer microsteps"
+            ),
+            Self::Infeasible {
+                minimal_duration,
+                minimal_accel_um_s2,
+            } => write!(
+                f,
+                "too little time: allow at least {minimal_duration} for the stroke, or accelerate with at least {minimal_accel_um_s2} um/s^2"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for StrokeError {}
