@@ -1,0 +1,578 @@
+//! A whole experiment: cycles of forward stroke, far dwell, return stroke and home dwell, on one
+//! uninterrupted timeline. It is solved exactly before it starts, or refused with the number that
+//! makes it infeasible; nothing is clamped.
+
+use core::fmt;
+
+use crate::axis::{Axis, AxisError, Direction};
+use crate::trapezoid::{StrokeError, StrokeProfile};
+use crate::units::{Micrometres, Steps, TICK_HZ, TICKS_PER_US, Ticks};
+
+/// The most cycles of one run.
+pub const MAX_CYCLES: u16 = 10_000;
+
+/// What the machine may do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Limits {
+    /// Highest speed of the carriage, um/s, at least 1.
+    pub max_speed_um_s: u32,
+    /// Highest acceleration, um/s^2.
+    pub max_accel_um_s2: u32,
+    /// Shortest time between two steps that driver and generator take, ticks.
+    pub min_interval_ticks: u32,
+    /// Shortest time between the last step of a stroke and the first of the next, ticks:
+    /// the direction changes in between.
+    pub min_turnaround_ticks: u32,
+}
+
+/// A run as the operator asks for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct RunRequest {
+    /// Pairs of strokes, 1..=[`MAX_CYCLES`].
+    pub cycles: u16,
+    /// Length of each stroke from home, at most the axis' own.
+    pub stroke_um: u32,
+    /// How fast.
+    pub timing: Timing,
+    /// Rest at the far end, each cycle.
+    pub far_dwell_us: u32,
+    /// Rest at home between two cycles; there is none after the last.
+    pub home_dwell_us: u32,
+    /// Rest before the first stroke.
+    pub start_delay_us: u32,
+}
+
+/// How fast a run goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Timing {
+    /// All strokes alike, and the whole run, delay and dwells included, lasts exactly this.
+    Total {
+        /// Duration of the run.
+        total_us: u64,
+        /// Highest acceleration, um/s^2.
+        accel_um_s2: u32,
+    },
+    /// Each way as fast as its speed and the acceleration allow.
+    Speeds {
+        /// Away from home, um/s.
+        forward_um_s: u32,
+        /// Toward home, um/s.
+        return_um_s: u32,
+        /// Acceleration of both, um/s^2.
+        accel_um_s2: u32,
+    },
+}
+
+/// A run, solved. All times are ticks from the instant of the start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct RunPlan {
+    cycles: u16,
+    forward: StrokeProfile,
+    return_: StrokeProfile,
+    far_dwell_ticks: u64,
+    home_dwell_ticks: u64,
+    start_delay_ticks: u64,
+    last_far_extra_ticks: u64,
+    total_ticks: u64,
+}
+
+impl RunPlan {
+    /// Solves a request on an axis within limits.
+    ///
+    /// # Errors
+    /// The first thing that makes the run infeasible.
+    pub fn solve(axis: &Axis, limits: &Limits, request: &RunRequest) -> Result<Self, RunError> {
+        let cycles = request.cycles;
+        if cycles == 0 || cycles > MAX_CYCLES {
+            return Err(RunError::Cycles { cycles });
+        }
+        let stroke = Micrometres(request.stroke_um);
+        if stroke.0 == 0 || stroke > axis.stroke() {
+            return Err(RunError::Stroke {
+                stroke,
+                longest: axis.stroke(),
+            });
+        }
+        let steps = match axis.steps_within(stroke) {
+            Some(steps) if steps.0 > 0 => steps,
+            _ => return Err(RunError::StrokeBelowOneStep { stroke }),
+        };
+
+        let ticks = |us: u32| u64::from(us) * TICKS_PER_US;
+        let (far, home) = (ticks(request.far_dwell_us), ticks(request.home_dwell_us));
+        let delay = ticks(request.start_delay_us);
+        let count = u64::from(cycles);
+        // Below 2^39 + 2^14 * 2^40.
+        let rests = delay + count * far + (count - 1) * home;
+
+        let (forward, return_, extra) = match request.timing {
+            Timing::Total {
+                total_us,
+                accel_um_s2,
+            } => {
+                let strokes = Strokes {
+                    axis,
+                    limits,
+                    steps,
+                    count: 2 * count,
+                    rests,
+                };
+                let (profile, extra) = strokes.in_total(total_us, accel_um_s2)?;
+                (profile, profile, extra)
+            }
+            Timing::Speeds {
+                forward_um_s,
+                return_um_s,
+                accel_um_s2,
+            } => {
+                within_acceleration(limits, accel_um_s2)?;
+                let stroke = |um_s: u32| {
+                    if um_s > limits.max_speed_um_s {
+                        return Err(RunError::SpeedAboveLimit {
+                            speed_um_s: um_s,
+                            max_um_s: limits.max_speed_um_s,
+                        });
+                    }
+                    let profile = StrokeProfile::from_speed(
+                        steps,
+                        axis.speed(um_s)?,
+                        axis.acceleration(accel_um_s2)?,
+                    )?;
+                    within_step_rate(axis, limits, &profile)?;
+                    Ok(profile)
+                };
+                (stroke(forward_um_s)?, stroke(return_um_s)?, 0)
+            }
+        };
+
+        let turnaround = |dwell: u64, next: &StrokeProfile, at: Direction| {
+            let ticks = dwell + next.first_interval().0;
+            let least = u64::from(limits.min_turnaround_ticks);
+            if ticks < least {
+                return Err(RunError::Turnaround {
+                    before: at,
+                    dwell: Ticks(dwell),
+                    minimal_dwell: Ticks(dwell + least - ticks),
+                });
+            }
+            Ok(())
+        };
+        turnaround(far, &return_, Direction::Home)?;
+        if cycles > 1 {
+            turnaround(home, &forward, Direction::Away)?;
+        }
+
+        Ok(Self {
+            cycles,
+            forward,
+            return_,
+            far_dwell_ticks: far,
+            home_dwell_ticks: home,
+            start_delay_ticks: delay,
+            last_far_extra_ticks: extra,
+            // Each stroke is below 2^60 / (2 n), so that 20,000 of a single step could be too long.
+            total_ticks: forward
+                .duration()
+                .0
+                .checked_add(return_.duration().0)
+                .and_then(|both| both.checked_mul(count))
+                .and_then(|strokes| strokes.checked_add(rests + extra))
+                .ok_or(RunError::TooLong)?,
+        })
+    }
+
+    /// Pairs of strokes.
+    #[must_use]
+    pub const fn cycles(&self) -> u16 {
+        self.cycles
+    }
+
+    /// The stroke away from home.
+    #[must_use]
+    pub const fn forward(&self) -> &StrokeProfile {
+        &self.forward
+    }
+
+    /// The stroke toward home.
+    #[must_use]
+    pub const fn return_(&self) -> &StrokeProfile {
+        &self.return_
+    }
+
+    /// Rest at the far end.
+    #[must_use]
+    pub const fn far_dwell(&self) -> Ticks {
+        Ticks(self.far_dwell_ticks)
+    }
+
+    /// Rest at home between two cycles.
+    #[must_use]
+    pub const fn home_dwell(&self) -> Ticks {
+        Ticks(self.home_dwell_ticks)
+    }
+
+    /// Rest before the first stroke.
+    #[must_use]
+    pub const fn start_delay(&self) -> Ticks {
+        Ticks(self.start_delay_ticks)
+    }
+
+    /// What the last far dwell is longer than the others, less than a tick per stroke: it makes
+    /// the total exact.
+    #[must_use]
+    pub const fn last_far_extra(&self) -> Ticks {
+        Ticks(self.last_far_extra_ticks)
+    }
+
+    /// From the start to the last step.
+    #[must_use]
+    pub const fn total(&self) -> Ticks {
+        Ticks(self.total_ticks)
+    }
+
+    /// Steps of the whole run, both ways.
+    #[must_use]
+    pub const fn edges(&self) -> u64 {
+        2 * self.cycles as u64 * self.forward.steps().0 as u64
+    }
+
+    /// Strokes of the whole run: two per cycle.
+    #[must_use]
+    pub const fn strokes(&self) -> u32 {
+        2 * self.cycles as u32
+    }
+
+    /// Which way stroke `index` goes, from 0; none beyond the run.
+    #[must_use]
+    pub const fn direction(&self, index: u32) -> Option<Direction> {
+        if index >= self.strokes() {
+            return None;
+        }
+        Some(if index.is_multiple_of(2) {
+            Direction::Away
+        } else {
+            Direction::Home
+        })
+    }
+
+    /// The profile of stroke `index`, from 0; none beyond the run.
+    #[must_use]
+    pub fn stroke(&self, index: u32) -> Option<&StrokeProfile> {
+        self.direction(index).map(|direction| match direction {
+            Direction::Away => &self.forward,
+            Direction::Home => &self.return_,
+        })
+    }
+
+    /// When stroke `index` starts, from 0; none beyond the run. Its steps are at this plus their
+    /// [`crate::step_times::StepTimes`].
+    #[must_use]
+    pub fn stroke_start(&self, index: u32) -> Option<Ticks> {
+        let direction = self.direction(index)?;
+        let cycle = u64::from(index / 2);
+        let (forward, return_) = (self.forward.duration().0, self.return_.duration().0);
+        let period = forward + self.far_dwell_ticks + return_ + self.home_dwell_ticks;
+        let start = self.start_delay_ticks + cycle * period;
+        Some(Ticks(match direction {
+            Direction::Away => start,
+            Direction::Home if index + 1 == self.strokes() => {
+                start + forward + self.far_dwell_ticks + self.last_far_extra_ticks
+            }
+            Direction::Home => start + forward + self.far_dwell_ticks,
+        }))
+    }
+
+    /// FNV-1a, 64 bits, over the integers that define the run, each as eight bytes, low byte
+    /// first: cycles; steps, duration and ramp forward; the same for the return; far dwell,
+    /// home dwell, start delay, last far extra. Equal hashes mean equal edges.
+    #[must_use]
+    pub fn hash(&self) -> u64 {
+        let stroke = |p: &StrokeProfile| [u64::from(p.steps().0), p.duration().0, p.ramp().0];
+        [u64::from(self.cycles)]
+            .into_iter()
+            .chain(stroke(&self.forward))
+            .chain(stroke(&self.return_))
+            .chain([
+                self.far_dwell_ticks,
+                self.home_dwell_ticks,
+                self.start_delay_ticks,
+                self.last_far_extra_ticks,
+            ])
+            .flat_map(u64::to_le_bytes)
+            .fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+                (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+            })
+    }
+}
+
+/// The strokes of a run that has to last exactly a given time.
+struct Strokes<'a> {
+    axis: &'a Axis,
+    limits: &'a Limits,
+    steps: Steps,
+    count: u64,
+    rests: u64,
+}
+
+impl Strokes<'_> {
+    /// The profile of all strokes, and the ticks left over by the division.
+    fn in_total(&self, total_us: u64, accel_um_s2: u32) -> Result<(StrokeProfile, u64), RunError> {
+        within_acceleration(self.limits, accel_um_s2)?;
+        let acceleration = self.axis.acceleration(accel_um_s2)?;
+        let total = Ticks::from_us(total_us).ok_or(RunError::TooLong)?;
+        let moving = total.0.saturating_sub(self.rests);
+        let duration = Ticks(moving / self.count);
+        let profile =
+            StrokeProfile::from_duration(self.steps, duration, acceleration).map_err(|error| {
+                match error {
+                    StrokeError::Infeasible {
+                        minimal_duration,
+                        minimal_accel_um_s2,
+                    } => match self.total_us(minimal_duration) {
+                        Some(minimal_total_us) => RunError::TotalTooShort {
+                            minimal_total_us,
+                            // With no time left for the strokes, no acceleration helps.
+                            minimal_accel_um_s2: (duration.0 > 1).then_some(minimal_accel_um_s2),
+                        },
+                        None => RunError::TooLong,
+                    },
+                    other => RunError::Profile(other),
+                }
+            })?;
+        let fastest = self.axis.speed(self.limits.max_speed_um_s)?;
+        if !profile.within(fastest) {
+            return Err(RunError::PeakAboveLimit {
+                peak_um_s: profile.peak_um_s(self.axis),
+                max_um_s: self.limits.max_speed_um_s,
+                minimal_total_us: StrokeProfile::from_speed(self.steps, fastest, acceleration)
+                    .ok()
+                    .and_then(|shortest| self.total_us(shortest.duration())),
+            });
+        }
+        within_step_rate(self.axis, self.limits, &profile)?;
+        Ok((profile, moving % self.count))
+    }
+
+    /// The whole run with strokes of this duration, in whole microseconds that suffice.
+    fn total_us(&self, stroke: Ticks) -> Option<u64> {
+        let moving = stroke.0.checked_mul(self.count)?;
+        Some(Ticks(moving.checked_add(self.rests)?).to_us_ceil())
+    }
+}
+
+fn within_acceleration(limits: &Limits, accel_um_s2: u32) -> Result<(), RunError> {
+    if accel_um_s2 > limits.max_accel_um_s2 {
+        return Err(RunError::AccelerationAboveLimit {
+            accel_um_s2,
+            max_um_s2: limits.max_accel_um_s2,
+        });
+    }
+    Ok(())
+}
+
+fn within_step_rate(axis: &Axis, limits: &Limits, profile: &StrokeProfile) -> Result<(), RunError> {
+    let least = limits.min_interval_ticks;
+    if profile.min_interval().0 < u64::from(least) {
+        // A speed which is certainly slow enough: rounded down.
+        let steps_per_s = TICK_HZ / u64::from(least);
+        let max_um_s = steps_per_s * u64::from(axis.lead().0) / u64::from(axis.steps_per_rev());
+        return Err(RunError::StepRate {
+            interval: profile.min_interval(),
+            min_interval: Ticks(u64::from(least)),
+            max_um_s,
+        });
+    }
+    Ok(())
+}
+
+/// Why a run was refused, with what would make it possible.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum RunError {
+    /// Cycles outside 1..=[`MAX_CYCLES`].
+    Cycles {
+        /// What was asked for.
+        cycles: u16,
+    },
+    /// A stroke of zero, or beyond the axis.
+    Stroke {
+        /// What was asked for.
+        stroke: Micrometres,
+        /// The configured stroke.
+        longest: Micrometres,
+    },
+    /// The stroke holds not even one step.
+    StrokeBelowOneStep {
+        /// What was asked for.
+        stroke: Micrometres,
+    },
+    /// Acceleration above the machine's limit.
+    AccelerationAboveLimit {
+        /// What was asked for.
+        accel_um_s2: u32,
+        /// The limit.
+        max_um_s2: u32,
+    },
+    /// A requested speed above the machine's limit.
+    SpeedAboveLimit {
+        /// What was asked for.
+        speed_um_s: u32,
+        /// The limit.
+        max_um_s: u32,
+    },
+    /// The total is too short for this acceleration. Either number is the exact boundary.
+    TotalTooShort {
+        /// The shortest total at this acceleration.
+        minimal_total_us: u64,
+        /// The least acceleration for this total, um/s^2; none if delay and dwells use it up.
+        minimal_accel_um_s2: Option<u64>,
+    },
+    /// The total asks for a peak speed above the machine's limit.
+    PeakAboveLimit {
+        /// The peak that would be needed.
+        peak_um_s: u32,
+        /// The limit.
+        max_um_s: u32,
+        /// The shortest total at this acceleration within the limit, if there is one.
+        minimal_total_us: Option<u64>,
+    },
+    /// Steps would follow each other faster than driver and generator take.
+    StepRate {
+        /// The interval at peak speed.
+        interval: Ticks,
+        /// The limit.
+        min_interval: Ticks,
+        /// A peak speed that is slow enough.
+        max_um_s: u64,
+    },
+    /// Too little time for the driver between two strokes.
+    Turnaround {
+        /// The direction that follows: [`Direction::Home`] is the turn at the far end.
+        before: Direction,
+        /// The dwell asked for.
+        dwell: Ticks,
+        /// The dwell that suffices for these strokes.
+        minimal_dwell: Ticks,
+    },
+    /// The run is longer than 64 bits of ticks.
+    TooLong,
+    /// A speed or an acceleration of zero.
+    Rate(AxisError),
+    /// The stroke itself is beyond exact arithmetic.
+    Profile(StrokeError),
+}
+
+impl From<AxisError> for RunError {
+    fn from(error: AxisError) -> Self {
+        Self::Rate(error)
+    }
+}
+
+impl From<StrokeError> for RunError {
+    fn from(error: StrokeError) -> Self {
+        Self::Profile(error)
+    }
+}
+
+impl fmt::Display for RunError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Cycles { cycles } => {
+                write!(f, "{cycles} cycles: use 1..={MAX_CYCLES}")
+            }
+            Self::Stroke { stroke, longest } => write!(
+                f,
+                "a stroke of {stroke} does not fit: use more than zero and at most {longest}"
+            ),
+            Self::StrokeBelowOneStep { stroke } => write!(
+                f,
+                "a stroke of {stroke} is shorter than one step: use a longer one"
+            ),
+            Self::AccelerationAboveLimit {
+                accel_um_s2,
+                max_um_s2,
+            } => write!(
+                f,
+                "an acceleration of {accel_um_s2} um/s^2 is above the limit: use at most {max_um_s2}"
+            ),
+            Self::SpeedAboveLimit {
+                speed_um_s,
+                max_um_s,
+            } => write!(
+                f,
+                "a speed of {speed_um_s} um/s is above the limit: use at most {max_um_s}"
+            ),
+            Self::TotalTooShort {
+                minimal_total_us,
+                minimal_accel_um_s2,
+            } => {
+                write!(
+                    f,
+                    "too little time: allow at least {} in total",
+                    Seconds(minimal_total_us)
+                )?;
+                match minimal_accel_um_s2 {
+                    Some(um_s2) => write!(f, ", or accelerate with at least {um_s2} um/s^2"),
+                    None => write!(f, ", for delay and dwells leave none for the strokes"),
+                }
+            }
+            Self::PeakAboveLimit {
+                peak_um_s,
+                max_um_s,
+                minimal_total_us,
+            } => {
+                write!(
+                    f,
+                    "this needs {peak_um_s} um/s at its peak and the limit is {max_um_s}: "
+                )?;
+                match minimal_total_us {
+                    Some(us) => write!(
+                        f,
+                        "allow at least {} in total, or accelerate harder",
+                        Seconds(us)
+                    ),
+                    None => write!(f, "allow more time, or accelerate harder"),
+                }
+            }
+            Self::StepRate {
+                interval,
+                min_interval,
+                max_um_s,
+            } => write!(
+                f,
+                "steps would be {} ticks apart and the least is {}: stay below {max_um_s} um/s or use fewer microsteps",
+                interval.0, min_interval.0
+            ),
+            Self::Turnaround {
+                before,
+                dwell,
+                minimal_dwell,
+            } => write!(
+                f,
+                "a dwell of {dwell} at {} is too short to turn: use at least {minimal_dwell}",
+                match before {
+                    Direction::Home => "the far end",
+                    Direction::Away => "home",
+                }
+            ),
+            Self::TooLong => write!(f, "the run is too long: use fewer cycles or less time"),
+            Self::Rate(error) => error.fmt(f),
+            Self::Profile(error) => error.fmt(f),
+        }
+    }
+}
+
+impl core::error::Error for RunError {}
+
+/// Microseconds as seconds with six decimals.
+struct Seconds(u64);
+
+impl fmt::Display for Seconds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{:06} s", self.0 / 1_000_000, self.0 % 1_000_000)
+    }
+}
