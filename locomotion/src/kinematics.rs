@@ -97,6 +97,16 @@ impl Design<f64> {
         Self::paper_with(2.0 / 9.0, 2.0 / 3.0)
     }
 
+    /// The design of the paper's simulation: 24.00 mm wide (section II.B), otherwise as [`Design::paper_ratios`].
+    pub const fn paper_tube() -> Self {
+        Self {
+            width_mm: 24.00,
+            core_mm: 4.80,
+            half_gap_mm: (24.00 - 4.80) / 2.0,
+            ..Self::paper_ratios()
+        }
+    }
+
     const fn paper_with(tan_alpha: f64, tan_beta: f64) -> Self {
         Self {
             width_mm: 24.40,

@@ -14,6 +14,7 @@
 //! # Where a number comes from
 //! Every parameter has a row in a `PARAMETERS` table with its [`parameter::Label`] and its source. `docs/science.md`
 //! says what that means for the results.
+#![doc = include_str!("../README.md")]
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -21,7 +22,10 @@
 extern crate std;
 
 pub mod body;
+pub mod comparison;
+pub mod folded;
 pub mod kinematics;
 pub mod parameter;
 pub mod range;
 pub mod roller;
+pub mod tube;

@@ -1,0 +1,696 @@
+//! Each sentence of the paper's sections II and III that has a number or a trend, beside what the models give.
+//!
+//! The rows are data for reports; [`Table`] prints them as the Markdown table of `docs/science.md`.
+
+use core::fmt;
+
+use crate::kinematics::{Design, indentation_from_calipers_mm};
+use crate::range::OutOfRange;
+use crate::{folded, roller, tube};
+
+/// What the agreement of a row is worth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Worth {
+    /// The paper's number goes into the model; the value shows that it does.
+    Input,
+    /// A parameter was fitted to this sentence: agreement is no evidence.
+    Fitted,
+    /// Holds for every model of this class: agreement is no evidence.
+    Built,
+    /// Follows from the equations or the models and could have come out differently.
+    Result,
+    /// The models have no counterpart.
+    Outside,
+}
+
+impl fmt::Display for Worth {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Input => "input",
+            Self::Fitted => "fitted",
+            Self::Built => "built in",
+            Self::Result => "result",
+            Self::Outside => "outside",
+        })
+    }
+}
+
+/// One sentence of the paper and what becomes of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row {
+    /// Section of the paper.
+    pub section: &'static str,
+    /// The sentence, paraphrased.
+    pub sentence: &'static str,
+    /// What is compared.
+    pub quantity: &'static str,
+    /// The paper's value or trend, in its own rounding.
+    pub paper: &'static str,
+    /// The model's value, if it has one.
+    pub model: Option<f64>,
+    /// Unit of both values; empty for a pure number.
+    pub unit: &'static str,
+    /// What the agreement is worth.
+    pub worth: Worth,
+    /// What has to be said about it.
+    pub remark: &'static str,
+}
+
+impl fmt::Display for Row {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            section,
+            sentence,
+            quantity,
+            paper,
+            unit,
+            worth,
+            remark,
+            ..
+        } = self;
+        write!(f, "| {section} | {sentence} | {quantity} | {paper} | ")?;
+        match self.model {
+            // Adding zero turns -0 into 0.
+            Some(value) => write!(f, "{}", Rounded(value + 0.0))?,
+            None => write!(f, "-")?,
+        }
+        write!(f, " | {unit} | {worth} | {remark} |")
+    }
+}
+
+/// Whole numbers as such, others with three decimals.
+struct Rounded(f64);
+
+impl fmt::Display for Rounded {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let nearest = libm::round(self.0);
+        if libm::fabs(self.0 - nearest) < 1e-9 {
+            write!(f, "{nearest:.0}")
+        } else {
+            write!(f, "{:.3}", self.0)
+        }
+    }
+}
+
+/// All rows, printed as a Markdown table.
+#[derive(Clone, Copy, Debug)]
+pub struct Table<'a>(pub &'a [Row]);
+
+impl fmt::Display for Table<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "| section | the paper says | quantity | paper | model | unit | worth | remark |"
+        )?;
+        writeln!(f, "|---|---|---|---|---|---|---|---|")?;
+        self.0.iter().try_for_each(|row| writeln!(f, "{row}"))
+    }
+}
+
+/// Number of rows.
+pub const ROWS: usize = 45;
+
+/// The friction coefficients of section II.B: 0.08, 0.085 ... 0.20.
+pub fn frictions() -> impl ExactSizeIterator<Item = f64> + Clone {
+    (0..25u8).map(|i| f64::from(80 + 5 * u16::from(i)) / 1000.0)
+}
+
+/// The pressures of section II.B, Pa: 3000, 3400 ... 7000.
+pub fn pressures_pa() -> impl ExactSizeIterator<Item = f64> + Clone {
+    (0..11u8).map(|i| f64::from(3000 + 400 * u16::from(i)))
+}
+
+/// The indentations of the roller series, mm. The text gives only the largest, a_5; the others are assumed.
+pub const INDENTATIONS_MM: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.05];
+
+/// What the model runs gave, before they are put into sentences.
+struct Runs {
+    /// Displacement at each pressure, friction 0.15.
+    pressure_mm: [f64; 11],
+    /// Least and greatest displacement over the frictions at 7000 Pa.
+    friction_mm: (f64, f64),
+    /// Displacement at each indentation.
+    roller_mm: [f64; 5],
+    /// Greatest difference at any indentation between the lowest and the highest friction.
+    lubrication_mm: f64,
+}
+
+impl Runs {
+    fn new() -> Result<Self, OutOfRange> {
+        let mut pressure_mm = [0.0; 11];
+        for (mm, pressure) in pressure_mm.iter_mut().zip(pressures_pa()) {
+            *mm = tube::run(tube::Params::PAPER, pressure)?;
+        }
+        let mut friction_mm = (f64::INFINITY, f64::NEG_INFINITY);
+        for friction in frictions() {
+            let mut params = tube::Params::PAPER;
+            params.body.friction = friction;
+            let mm = tube::run(params, 7000.0)?;
+            friction_mm = (friction_mm.0.min(mm), friction_mm.1.max(mm));
+        }
+        let (mut wet, mut dry) = (roller::Params::PAPER, roller::Params::PAPER);
+        wet.body.friction = 0.08;
+        dry.body.friction = 0.20;
+        let mut roller_mm = [0.0; 5];
+        let mut lubrication_mm = 0.0f64;
+        for (mm, indentation) in roller_mm.iter_mut().zip(INDENTATIONS_MM) {
+            *mm = roller::run(wet, indentation)?;
+            let difference = roller::run(dry, indentation)? - *mm;
+            lubrication_mm = lubrication_mm.max(libm::fabs(difference));
+        }
+        Ok(Self {
+            pressure_mm,
+            friction_mm,
+            roller_mm,
+            lubrication_mm,
+        })
+    }
+
+    /// Steps of a series that rise, or bends of it that turn upward.
+    fn rising(series: &[f64]) -> f64 {
+        series.windows(2).filter(|w| w[1] > w[0]).count() as f64
+    }
+
+    fn convex(series: &[f64]) -> f64 {
+        series
+            .windows(3)
+            .filter(|w| w[2] - w[1] > w[1] - w[0])
+            .count() as f64
+    }
+
+    /// R^2 of the straight line through the roller series.
+    fn linearity(&self) -> f64 {
+        let n = INDENTATIONS_MM.len() as f64;
+        let mean_x = INDENTATIONS_MM.iter().sum::<f64>() / n;
+        let mean_y = self.roller_mm.iter().sum::<f64>() / n;
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for (x, y) in INDENTATIONS_MM.iter().zip(self.roller_mm) {
+            let (dx, dy) = (x - mean_x, y - mean_y);
+            xx += dx * dx;
+            xy += dx * dy;
+            yy += dy * dy;
+        }
+        xy * xy / (xx * yy)
+    }
+
+    /// Mean slope of the pressure series between two of its members, mm/kPa.
+    fn slope_per_kpa(&self, from: usize, to: usize) -> f64 {
+        (self.pressure_mm[to] - self.pressure_mm[from]) / ((to - from) as f64 * 0.4)
+    }
+}
+
+/// Every quantitative sentence of sections II and III, in the paper's order.
+///
+/// # Errors
+/// None for the parameters in this crate.
+pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
+    use Worth::{Built, Fitted, Input, Outside, Result as Outcome};
+    let runs = Runs::new()?;
+    let design = Design::paper_printed();
+    let rig = roller::Params::PAPER;
+    let pipe = tube::Params::PAPER;
+    let block = folded::Params::PAPER;
+    let deepest_mm = INDENTATIONS_MM[4];
+    let pass = roller::isolated_pass(
+        roller::Params {
+            step_mm: 0.1,
+            ..rig
+        },
+        deepest_mm,
+    )?;
+    let mut pushed = folded::Bench::new(block, deepest_mm)?;
+    pushed.carriage_to(block.stroke_mm)?;
+    let antegrade_mm = pushed.displacement_mm();
+    pushed.carriage_to(0.0)?;
+    let returning_mm = pushed.displacement_mm() - antegrade_mm;
+    let ring_pa = ring_buckling_pa(&pipe);
+    let row = |section, sentence, quantity, paper, model, unit, worth, remark| Row {
+        section,
+        sentence,
+        quantity,
+        paper,
+        model,
+        unit,
+        worth,
+        remark,
+    };
+    Ok([
+        row(
+            "II.A",
+            "alpha should be around 13 deg",
+            "d d0/d alpha at a = 3 mm",
+            "0 at the optimum",
+            Some(design.slope_by_alpha_mm(3.0)?),
+            "mm/rad",
+            Outcome,
+            "negative for every indentation: no optimum, the material sets the lower bound",
+        ),
+        row(
+            "II.A",
+            "beta should be around 34 deg",
+            "d d0/d beta at a = 3 mm",
+            "0 at the optimum",
+            Some(design.slope_by_beta_mm(3.0)?),
+            "mm/rad",
+            Outcome,
+            "positive for every indentation: the kinematics set no upper bound",
+        ),
+        row(
+            "II.A",
+            "W is roughly the intestine's diameter",
+            "W / D",
+            "about 1",
+            Some(design.width_mm() / block.intestine_mm),
+            "",
+            Input,
+            "",
+        ),
+        row(
+            "II.A",
+            "c should be 1/5 of M",
+            "c",
+            "1/5",
+            Some(design.core_mm()),
+            "mm",
+            Input,
+            "M is W",
+        ),
+        row(
+            "II.A",
+            "the number m should be about 9",
+            "m",
+            "9",
+            Some(design.crescents().into()),
+            "",
+            Input,
+            "n in the words, m in Eq. (7)",
+        ),
+        row(
+            "II.A",
+            "alpha = 12.53 deg works best",
+            "alpha of tan = 2/9",
+            "12.53",
+            Some(libm::atan(2.0 / 9.0).to_degrees()),
+            "deg",
+            Outcome,
+            "the printed angle is this ratio's",
+        ),
+        row(
+            "II.A",
+            "beta = 33.69 deg works best",
+            "beta of tan = 2/3",
+            "33.69",
+            Some(libm::atan(2.0 / 3.0).to_degrees()),
+            "deg",
+            Outcome,
+            "the printed angle is this ratio's",
+        ),
+        row(
+            "II.A",
+            "the tail moves forward by d = m d0",
+            "d at a = 5.05 mm",
+            "-",
+            Some(design.shortening_mm(deepest_mm)?),
+            "mm",
+            Outcome,
+            "this is the core's shortening",
+        ),
+        row(
+            "II.A",
+            "the tail moves forward by d = m d0",
+            "overall shortening at a = 5.05 mm",
+            "-",
+            Some(design.length_mm(0.0)? - design.length_mm(deepest_mm)?),
+            "mm",
+            Outcome,
+            "less than d: the last wing lies back",
+        ),
+        row(
+            "II.B",
+            "tube diameter 24.00 mm",
+            "W in the tube",
+            "24.00",
+            Some(pipe.body.design.width_mm()),
+            "mm",
+            Input,
+            "read as the inner diameter",
+        ),
+        row(
+            "II.B",
+            "tube length 84.00 mm",
+            "length",
+            "84.00",
+            Some(f64::from(pipe.segments) * pipe.segment_mm),
+            "mm",
+            Input,
+            "10 segments of 8.4 mm",
+        ),
+        row(
+            "II.B",
+            "thickness 2.40 mm, Young's modulus 1 MPa",
+            "elastic indentation per kPa",
+            "-",
+            Some(pipe.compliance_mm_per_pa() * 1000.0),
+            "mm/kPa",
+            Input,
+            "thin ring, nu = 0.49 assumed",
+        ),
+        row(
+            "II.B",
+            "density 1 g/mm^3, origami 1.4 g/mm^3",
+            "density",
+            "1; 1.4",
+            None,
+            "g/mm^3",
+            Outside,
+            "1000 times too large as printed; the models have no mass",
+        ),
+        row(
+            "II.B",
+            "viscosity 5.35 MPa s",
+            "viscosity",
+            "5.35",
+            None,
+            "MPa s",
+            Outside,
+            "the wall follows its pressure at once",
+        ),
+        row(
+            "II.B",
+            "crescents 2.00 mm wide and 0.80 mm thick",
+            "section",
+            "2.00 x 0.80",
+            None,
+            "mm",
+            Outside,
+            "rigid sides",
+        ),
+        row(
+            "II.B",
+            "shear modulus 0.6 MPa, bulk modulus 2.0 GPa",
+            "moduli",
+            "0.6; 2000",
+            None,
+            "MPa",
+            Outside,
+            "rigid sides",
+        ),
+        row(
+            "II.B",
+            "10 segments of 8.4 mm, at 1 s intervals",
+            "speed of the wave",
+            "-",
+            Some(pipe.segment_mm / pipe.delay_s),
+            "mm/s",
+            Outcome,
+            "the paper's source for the intestine: up to 10 mm/s",
+        ),
+        row(
+            "II.B",
+            "3 s of pressure: up in 1.5 s, down in 1.5 s",
+            "pulse",
+            "3",
+            Some(pipe.pulse_s),
+            "s",
+            Input,
+            "repeated every 10 s: assumed",
+        ),
+        row(
+            "II.B",
+            "4000 Pa internal pressure",
+            "4000 Pa + buckling pressure of the ring",
+            "-",
+            Some(4000.0 + ring_pa),
+            "Pa",
+            Outcome,
+            "near the 6000 Pa where the displacement becomes faster; not used in the model",
+        ),
+        row(
+            "II.B",
+            "friction coefficients 0.08 to 0.20, by 0.005",
+            "number of runs",
+            "25",
+            Some(frictions().len() as f64),
+            "",
+            Input,
+            "",
+        ),
+        row(
+            "II.B",
+            "pressures 3000 to 7000 Pa, by 400",
+            "number of runs",
+            "11",
+            Some(pressures_pa().len() as f64),
+            "",
+            Input,
+            "",
+        ),
+        row(
+            "II.B",
+            "from 3000 Pa the intestine indents slightly",
+            "wall at 3000 Pa",
+            "slightly",
+            Some(pipe.wall_mm(3000.0)),
+            "mm",
+            Fitted,
+            "",
+        ),
+        row(
+            "II.B",
+            "above 7000 Pa it is severely shrunk",
+            "wall at 7000 Pa",
+            "severely",
+            Some(pipe.wall_mm(7000.0)),
+            "mm",
+            Fitted,
+            "of 9.6 mm to the core; p_c = 7100 Pa",
+        ),
+        row(
+            "II.C",
+            "about 14 mm in 20 s at each friction",
+            "least over 0.08 to 0.20, 7000 Pa",
+            "about 14",
+            Some(runs.friction_mm.0),
+            "mm",
+            Fitted,
+            "the displacement is fitted",
+        ),
+        row(
+            "II.C",
+            "no obvious correlation with friction",
+            "greatest minus least, 7000 Pa",
+            "none",
+            Some(runs.friction_mm.1 - runs.friction_mm.0),
+            "mm",
+            Built,
+            "a common friction cancels",
+        ),
+        row(
+            "II.C",
+            "from about 1 mm",
+            "displacement at 3000 Pa",
+            "about 1",
+            Some(runs.pressure_mm[0]),
+            "mm",
+            Fitted,
+            "",
+        ),
+        row(
+            "II.C",
+            "to about 15 mm",
+            "displacement at 7000 Pa",
+            "about 15",
+            Some(runs.pressure_mm[10]),
+            "mm",
+            Fitted,
+            "depends on the start phase and the time step",
+        ),
+        row(
+            "II.C",
+            "significant positive curvature",
+            "upward bends of 9",
+            "all",
+            Some(Runs::convex(&runs.pressure_mm)),
+            "",
+            Fitted,
+            "ripple of nine tips on a convex trend",
+        ),
+        row(
+            "II.C",
+            "the greater the pressure, the faster",
+            "rising steps of 10",
+            "all",
+            Some(Runs::rising(&runs.pressure_mm)),
+            "",
+            Outcome,
+            "",
+        ),
+        row(
+            "II.D",
+            "printing accuracy 0.15 mm, shore hardness 95 A",
+            "fabrication",
+            "0.15",
+            None,
+            "mm",
+            Outside,
+            "exact and rigid in the models",
+        ),
+        row(
+            "III",
+            "wave displacement restricted to 130 mm",
+            "stroke",
+            "130",
+            Some(rig.stroke_mm),
+            "mm",
+            Input,
+            "",
+        ),
+        row(
+            "III",
+            "rollers of 40 mm diameter",
+            "diameter",
+            "40",
+            Some(2.0 * rig.radius_mm),
+            "mm",
+            Input,
+            "the wave is their arc; the silicone's own bending is left out",
+        ),
+        row(
+            "III",
+            "width D = 24.40 mm, mean of 5 places",
+            "D",
+            "24.40",
+            Some(block.intestine_mm),
+            "mm",
+            Input,
+            "",
+        ),
+        row(
+            "III",
+            "a_n = (D - i_n)/2, i_n from 5 places",
+            "a for i = 14.30 mm",
+            "5.05",
+            Some(indentation_from_calipers_mm(24.40, 14.30)?),
+            "mm",
+            Outcome,
+            "i_5 follows from a_5; a_1 to a_4 are not in the text",
+        ),
+        row(
+            "III",
+            "back and forth 5 times in 40 s",
+            "mean speed of the carriage",
+            "-",
+            Some(f64::from(rig.cycles) * 2.0 * rig.stroke_mm / 40.0),
+            "mm/s",
+            Outcome,
+            "three times the intestine's wave; the models have no speed",
+        ),
+        row(
+            "III",
+            "retrograde waves hardly cause displacement",
+            "isolated return pass at 5.05 mm",
+            "hardly",
+            Some(pass.returning_mm),
+            "mm",
+            Fitted,
+            "roller step 0.1 mm; an antegrade pass gives the next row",
+        ),
+        row(
+            "III",
+            "the antegrade wave moves the structure",
+            "isolated antegrade pass at 5.05 mm",
+            "-",
+            Some(pass.antegrade_mm),
+            "mm",
+            Outcome,
+            "no number in the text",
+        ),
+        row(
+            "III",
+            "10 experiments under each condition",
+            "spread",
+            "10",
+            None,
+            "",
+            Outside,
+            "the models have no scatter; a campaign repeats real trials",
+        ),
+        row(
+            "III.A",
+            "increases approximately linearly with the indentation",
+            "R^2 of a line, 5 indentations",
+            "about 1",
+            Some(runs.linearity()),
+            "",
+            Fitted,
+            "chi is fitted to this",
+        ),
+        row(
+            "III.A",
+            "increases with the indentation",
+            "displacement in 40 s at 5.05 mm",
+            "-",
+            Some(runs.roller_mm[4]),
+            "mm",
+            Outcome,
+            "a prediction: the text gives no millimetres",
+        ),
+        row(
+            "III.A",
+            "lubricated and unlubricated differ little",
+            "greatest difference, friction 0.08 and 0.20",
+            "not very different",
+            Some(runs.lubrication_mm),
+            "mm",
+            Built,
+            "a common friction cancels",
+        ),
+        row(
+            "III.A",
+            "faster from about 6000 Pa",
+            "mean slope 3000 to 5800 Pa",
+            "-",
+            Some(runs.slope_per_kpa(0, 7)),
+            "mm/kPa",
+            Fitted,
+            "p_c is fitted",
+        ),
+        row(
+            "III.A",
+            "faster from about 6000 Pa",
+            "mean slope 5800 to 7000 Pa",
+            "more",
+            Some(runs.slope_per_kpa(7, 10)),
+            "mm/kPa",
+            Fitted,
+            "p_c is fitted",
+        ),
+        row(
+            "III.A",
+            "folded, it moves in the opposite direction at 5.05 mm",
+            "displacement in 40 s",
+            "opposite",
+            Some(antegrade_mm),
+            "mm",
+            Outcome,
+            "21 mm of thread, laid down at mid-stroke (assumed); below 14.3 mm of width it would not be touched",
+        ),
+        row(
+            "III.A",
+            "the wave from left to right hardly moves it",
+            "displacement by the return stroke",
+            "hardly",
+            Some(returning_mm),
+            "mm",
+            Built,
+            "a pushed block lies ahead of the roller",
+        ),
+    ])
+}
+
+/// Buckling pressure of a free elastic ring under outer pressure, Pa: `E t^3 / (4 (1-nu^2) R^3)`, R to the middle of
+/// the wall.
+fn ring_buckling_pa(params: &tube::Params) -> f64 {
+    let ratio = params.thickness_mm / (params.radius_mm + params.thickness_mm / 2.0);
+    params.modulus_pa * ratio * ratio * ratio / (4.0 * (1.0 - params.poisson * params.poisson))
+}

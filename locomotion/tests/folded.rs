@@ -1,0 +1,125 @@
+//! The folded body: untouched, ridden over or pushed.
+
+use locomotion::folded::{Bench, Contact, PARAMETERS, Params, run};
+use locomotion::kinematics::Design;
+use proptest::prelude::*;
+
+#[test]
+fn the_default_is_the_body_folded_by_21_mm_of_thread() {
+    let folded = Params::PAPER
+        .folded_by(&Design::paper_ratios(), 21.0)
+        .unwrap();
+    assert_eq!(
+        format!("{:.3}", folded.width_mm),
+        format!("{:.3}", Params::PAPER.width_mm)
+    );
+    assert_eq!(
+        format!("{:.3}", folded.length_mm),
+        format!("{:.3}", Params::PAPER.length_mm)
+    );
+    assert!(
+        PARAMETERS
+            .iter()
+            .all(|p| !p.source.is_empty() && p.value.is_finite())
+    );
+}
+
+/// 14.3 mm is what the paper's deepest wave, 5.05 mm, leaves open.
+#[test]
+fn a_narrow_body_is_not_touched() {
+    for width_mm in [4.88, 13.0, 14.29] {
+        let params = Params {
+            width_mm,
+            ..Params::PAPER
+        };
+        assert_eq!(
+            Bench::new(params, 5.05).unwrap().contact(),
+            Contact::Untouched
+        );
+        assert_eq!(run(params, 5.05).unwrap(), 0.0);
+    }
+}
+
+#[test]
+fn a_flat_contact_is_ridden_over() {
+    // slope 0.15 at e = R (1 - 1/sqrt(1 + 0.15^2)) = 0.2213 mm, so between 14.3 and 14.7427 mm of width
+    let at = |width_mm| Params {
+        width_mm,
+        ..Params::PAPER
+    };
+    assert!(matches!(
+        Bench::new(at(14.742), 5.05).unwrap().contact(),
+        Contact::Overridden { .. }
+    ));
+    assert_eq!(run(at(14.742), 5.05).unwrap(), 0.0);
+    assert!(matches!(
+        Bench::new(at(14.744), 5.05).unwrap().contact(),
+        Contact::Pushed { .. }
+    ));
+}
+
+#[test]
+fn a_pushed_body_goes_with_the_antegrade_wave_only() {
+    let mut bench = Bench::new(Params::PAPER, 5.05).unwrap();
+    let Contact::Pushed { ahead_mm, .. } = bench.contact() else {
+        panic!("{:?}", bench.contact());
+    };
+    bench.carriage_to(20.0).unwrap();
+    assert_eq!(bench.displacement_mm(), 0.0, "not reached yet");
+    bench.carriage_to(130.0).unwrap();
+    let far = -(ahead_mm + Params::PAPER.length_mm + Params::PAPER.tail_mm);
+    assert!((bench.displacement_mm() - far).abs() < 1e-12);
+    let pushed = bench.displacement_mm();
+    for carriage in [0.0, 130.0, 64.0, 130.0] {
+        bench.carriage_to(carriage).unwrap();
+        assert_eq!(
+            bench.displacement_mm(),
+            pushed,
+            "neither the return nor a later cycle moves it"
+        );
+    }
+    assert_eq!(run(Params::PAPER, 5.05).unwrap(), pushed);
+}
+
+#[test]
+fn refusals() {
+    for bad in [-0.1, 12.3, f64::NAN] {
+        assert!(Bench::new(Params::PAPER, bad).is_err());
+    }
+    let under_the_roller = Params {
+        tail_mm: 120.0,
+        ..Params::PAPER
+    };
+    assert!(Bench::new(under_the_roller, 5.05).is_err());
+    assert!(
+        Bench::new(Params::PAPER, 5.05)
+            .unwrap()
+            .carriage_to(f64::NAN)
+            .is_err()
+    );
+    assert!(
+        Params::PAPER
+            .folded_by(&Design::paper_ratios(), 23.46)
+            .is_err()
+    );
+}
+
+proptest! {
+    /// Never headward, never past the wave's foot, and only the leftmost place of the carriage counts.
+    #[test]
+    fn only_the_farthest_place_counts(
+        turns in prop::collection::vec(0.0..130.0f64, 1..20),
+        width_mm in 5.0..24.4f64,
+        a in 0.0..9.7f64,
+    ) {
+        let params = Params { width_mm, tail_mm: 40.0, ..Params::PAPER };
+        let mut bench = Bench::new(params, a).unwrap();
+        for turn in &turns {
+            bench.carriage_to(*turn).unwrap();
+        }
+        let mut direct = Bench::new(params, a).unwrap();
+        direct.carriage_to(turns.iter().copied().fold(0.0, f64::max)).unwrap();
+        prop_assert_eq!(bench.displacement_mm().to_bits(), direct.displacement_mm().to_bits());
+        prop_assert!(bench.displacement_mm() <= 0.0);
+    }
+}
