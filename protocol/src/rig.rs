@@ -34,9 +34,9 @@ pub enum LinkLossPolicy {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RunTiming {
-    /// Total duration from the first stroke's start to the last step; speeds follow.
+    /// Total duration from the start to the last step; speeds follow.
     Total {
-        /// Duration of all strokes and dwells, without the start delay.
+        /// Start delay, dwells and strokes together.
         total_us: u64,
         /// Acceleration of every ramp.
         accel_um_s2: u32,
@@ -101,7 +101,7 @@ pub struct RunAccepted {
     pub forward: Stroke,
     /// Strokes towards home.
     pub back: Stroke,
-    /// From the first stroke's start to the last step, in ticks of 10 ns; without the start delay.
+    /// From the start, with the start delay, to the last step, in ticks of 10 ns.
     pub total_ticks: u64,
     /// Steps of the whole run.
     pub edges: u64,
@@ -146,7 +146,7 @@ pub struct RunRecord {
     pub commanded_edges: u64,
     /// Steps that the read-back counter saw at the pin.
     pub counted_edges: u64,
-    /// Duration by the step timer, ticks of 10 ns, from the first stroke's start to the last step.
+    /// Duration by the step timer, ticks of 10 ns, from the start, with the start delay, to the last step.
     pub ticks: u64,
     /// Fingerprint of the plan.
     pub plan_hash: u64,
@@ -283,7 +283,7 @@ pub struct RigStatus {
     pub stroke: u32,
     /// Strokes of the run.
     pub strokes: u32,
-    /// Time since the run's first stroke began.
+    /// Time since the run was accepted.
     pub elapsed_us: u64,
     /// Motion is refused until [`crate::system::Acknowledge`] after a watchdog reset or a panic.
     pub needs_acknowledge: bool,

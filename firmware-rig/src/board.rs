@@ -1,0 +1,245 @@
+//! Pins, clocks, timers and interrupts of the rig; the only file that names them.
+//!
+//! | signal | pin | peripheral |
+//! |---|---|---|
+//! | STEP | PA10 | TIM1_CH3, AF1 |
+//! | stroke sync | PA8 | TIM1_CH1, AF1 |
+//! | E-stop loop, normally closed to ground | PA6 | TIM1_BKIN, AF1 |
+//! | step read-back | PA0 | TIM2_ETR, AF1 |
+//! | DIR (high = away from home) | PB4 | |
+//! | EN (low = driver on) | PA9 | |
+//! | home flag, normally closed to ground | PC7 | EXTI7 |
+//! | far limit, normally closed to ground | PB6 | EXTI6 |
+//! | status LED | PA5 | |
+//! | serial | PA2, PA3 | USART2, DMA1 streams 6 and 5 |
+//!
+//! Step timer: TIM1 with DMA2 stream 5 channel 6 (RM0383 table 28). Time driver: TIM5. All inputs have pull-ups:
+//! an open contact and a cut wire read the same, high.
+
+#![allow(unsafe_code)]
+
+use embassy_stm32::{
+    Config, bind_interrupts, dma,
+    gpio::{Level, Output, Speed},
+    interrupt::{self, InterruptExt, Priority},
+    mode::Async,
+    pac, peripherals, rcc,
+    time::Hertz,
+    usart::{self, Uart},
+    wdg::IndependentWatchdog,
+};
+use protocol::rig::RigInputs;
+
+bind_interrupts!(struct Interrupts {
+    USART2 => usart::InterruptHandler<peripherals::USART2>;
+    DMA1_STREAM5 => dma::InterruptHandler<peripherals::DMA1_CH5>;
+    DMA1_STREAM6 => dma::InterruptHandler<peripherals::DMA1_CH6>;
+});
+
+/// Serial speed.
+pub const BAUD: u32 = 115_200;
+
+/// AF1 carries TIM1 and TIM2 on every pin used here (DS9716 table 9).
+const AF_TIMER: u8 = 1;
+
+/// What the tasks own.
+pub struct Board {
+    /// Link.
+    pub uart: Uart<'static, Async>,
+    /// Status LED.
+    pub led: Output<'static>,
+    /// 500 ms.
+    pub watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
+}
+
+/// Clocks, pins and interrupts. The driver stays off and no output is armed.
+pub fn init() -> Board {
+    let p = embassy_stm32::init(clocks());
+    mend_time_driver();
+    outputs_off();
+    configure_pins();
+    configure_priorities();
+
+    let mut config = usart::Config::default();
+    config.baudrate = BAUD;
+    let uart = Uart::new(
+        p.USART2, p.PA3, p.PA2, p.DMA1_CH6, p.DMA1_CH5, Interrupts, config,
+    );
+    let Ok(uart) = uart else {
+        defmt::panic!("USART2: the clock does not divide to the baud rate")
+    };
+    let led = Output::new(p.PA5, Level::Low, Speed::Low);
+    let watchdog = IndependentWatchdog::new(p.IWDG, 500_000);
+    Board {
+        uart,
+        led,
+        watchdog,
+    }
+}
+
+/// 8 MHz from the ST-LINK (or a crystal) through the PLL to 100 MHz; both timer clocks are 100 MHz.
+fn clocks() -> Config {
+    use rcc::{
+        AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllSource,
+        Sysclk,
+    };
+    let mut config = Config::default();
+    config.rcc.hse = Some(Hse {
+        freq: Hertz(8_000_000),
+        mode: HseMode::Bypass,
+    });
+    config.rcc.pll_src = PllSource::HSE;
+    // 8 MHz / 4 * 100 / 2 = 100 MHz; VCO 200 MHz (RM0383 section 6.3.2: 100..432 MHz).
+    config.rcc.pll = Some(Pll {
+        prediv: PllPreDiv::DIV4,
+        mul: PllMul::MUL100,
+        divp: Some(PllPDiv::DIV2),
+        divq: None,
+        divr: None,
+    });
+    config.rcc.sys = Sysclk::PLL1_P;
+    config.rcc.ahb_pre = AHBPrescaler::DIV1;
+    config.rcc.apb1_pre = APBPrescaler::DIV2; // 50 MHz; timers run at twice that
+    config.rcc.apb2_pre = APBPrescaler::DIV1; // 100 MHz
+    config
+}
+
+/// The time driver counts a compare flag that was raised at initialisation as an extra half period, which would
+/// make the clock step back later. Clear it before anything reads the time.
+fn mend_time_driver() {
+    cortex_m::interrupt::free(|_| {
+        pac::TIM5.sr().write_value(pac::timer::regs::SrGp16(0));
+        cortex_m::peripheral::NVIC::unpend(pac::Interrupt::TIM5);
+    });
+}
+
+fn configure_pins() {
+    use pac::gpio::vals::{Moder, Ospeedr, Pupdr};
+    pac::RCC.ahb1enr().modify(|w| {
+        w.set_gpioaen(true);
+        w.set_gpioben(true);
+        w.set_gpiocen(true);
+    });
+    // Outputs first get their level, then their mode: EN high = driver off.
+    pac::GPIOA.bsrr().write(|w| w.set_bs(9, true));
+    pac::GPIOA.moder().modify(|w| w.set_moder(9, Moder::OUTPUT));
+    pac::GPIOB.moder().modify(|w| w.set_moder(4, Moder::OUTPUT));
+    for (port, pin) in [(pac::GPIOC, 7), (pac::GPIOB, 6)] {
+        port.pupdr().modify(|w| w.set_pupdr(pin, Pupdr::PULL_UP));
+        port.moder().modify(|w| w.set_moder(pin, Moder::INPUT));
+    }
+    pac::GPIOA.pupdr().modify(|w| {
+        w.set_pupdr(6, Pupdr::PULL_UP);
+        w.set_pupdr(0, Pupdr::PULL_DOWN);
+        // STEP and sync rest low while the timer does not drive them.
+        w.set_pupdr(10, Pupdr::PULL_DOWN);
+        w.set_pupdr(8, Pupdr::PULL_DOWN);
+    });
+    for pin in [0, 6, 8, 10] {
+        pac::GPIOA
+            .afr(pin / 8)
+            .modify(|w| w.set_afr(pin % 8, AF_TIMER));
+        pac::GPIOA
+            .ospeedr()
+            .modify(|w| w.set_ospeedr(pin, Ospeedr::HIGH_SPEED));
+        pac::GPIOA
+            .moder()
+            .modify(|w| w.set_moder(pin, Moder::ALTERNATE));
+    }
+    // EXTI7 from port C, EXTI6 from port B, both edges.
+    pac::RCC.apb2enr().modify(|w| w.set_syscfgen(true));
+    pac::SYSCFG.exticr(1).modify(|w| {
+        w.set_exti(3, 2);
+        w.set_exti(2, 1);
+    });
+    for line in [HOME_LINE, FAR_LINE] {
+        pac::EXTI.rtsr(0).modify(|w| w.set_line(line, true));
+        pac::EXTI.ftsr(0).modify(|w| w.set_line(line, true));
+        pac::EXTI.pr(0).write(|w| w.set_line(line, true));
+        pac::EXTI.imr(0).modify(|w| w.set_line(line, true));
+    }
+}
+
+/// EXTI line of the home flag.
+pub const HOME_LINE: usize = 7;
+/// EXTI line of the far limit.
+pub const FAR_LINE: usize = 6;
+
+/// Limits and break before everything; then the time base (the switch filter reads it), the step ring's producer.
+fn configure_priorities() {
+    interrupt::TIM1_BRK_TIM9.set_priority(Priority::P1);
+    interrupt::TIM5.set_priority(Priority::P2);
+    interrupt::EXTI9_5.set_priority(Priority::P3);
+    interrupt::DMA2_STREAM5.set_priority(Priority::P4);
+    interrupt::SPI5.set_priority(Priority::P6);
+    interrupt::USART2.set_priority(Priority::P7);
+    interrupt::DMA1_STREAM5.set_priority(Priority::P7);
+    interrupt::DMA1_STREAM6.set_priority(Priority::P7);
+    // SAFETY: the handlers are in `limits.rs` and `stepgen.rs`; nothing they use is initialised later than this.
+    unsafe {
+        interrupt::EXTI9_5.enable();
+    }
+}
+
+/// No pulse, driver off. Registers only: callable from anywhere, also from a panic or a processor fault.
+pub fn outputs_off() {
+    pac::TIM1.bdtr().modify(|w| w.set_moe(false));
+    pac::GPIOA.bsrr().write(|w| w.set_bs(9, true));
+}
+
+/// No further pulse, from this instruction on; the driver keeps holding. Registers only.
+pub fn cut_pulses() {
+    pac::TIM1.bdtr().modify(|w| w.set_moe(false));
+}
+
+/// Driver on: the motor holds.
+pub fn enable_driver() {
+    pac::GPIOA.bsrr().write(|w| w.set_br(9, true));
+}
+
+/// Sets DIR: true = away from home.
+pub fn set_direction(away: bool) {
+    pac::GPIOB.bsrr().write(|w| {
+        if away {
+            w.set_bs(4, true)
+        } else {
+            w.set_br(4, true)
+        }
+    });
+}
+
+/// Level of DIR: true = away from home.
+pub fn direction_is_away() -> bool {
+    pac::GPIOB.odr().read().odr(4) == pac::gpio::vals::Odr::HIGH
+}
+
+/// The inputs now, not filtered; true = open.
+pub fn inputs() -> RigInputs {
+    let high = |idr: pac::gpio::vals::Idr| idr == pac::gpio::vals::Idr::HIGH;
+    RigInputs {
+        home_flag: high(pac::GPIOC.idr().read().idr(7)),
+        far_limit: high(pac::GPIOB.idr().read().idr(6)),
+        estop_loop: high(pac::GPIOA.idr().read().idr(6)),
+    }
+}
+
+/// Why the chip was reset; clears the flags.
+pub fn reset_cause() -> protocol::system::ResetCause {
+    use protocol::system::ResetCause;
+    let csr = pac::RCC.csr().read();
+    pac::RCC.csr().modify(|w| w.set_rmvf(true));
+    if csr.wdgrstf() {
+        ResetCause::Watchdog
+    } else if csr.porrstf() || csr.borrstf() {
+        ResetCause::PowerOn
+    } else if csr.sftrstf() {
+        ResetCause::Software
+    } else {
+        ResetCause::Pin
+    }
+}
+
+/// The chip's unique number (RM0383 section 24.1).
+pub fn uid() -> [u8; 12] {
+    embassy_stm32::uid::uid()
+}

@@ -1,0 +1,90 @@
+//! Everything that tasks and interrupts share; the only global state.
+
+use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU16, AtomicU32, Ordering};
+use embassy_sync::{
+    blocking_mutex::{Mutex, raw::CriticalSectionRawMutex as Raw},
+    channel::Channel,
+    signal::Signal,
+};
+use firmware_rig::{machine::Event, periods::Path};
+use protocol::{
+    frame::Encoded,
+    rig::RigState,
+    system::Urgent,
+    table::{Reply, Request},
+};
+
+/// A path for the motion task.
+pub struct Order {
+    /// What to execute.
+    pub path: Path,
+    /// First and last allowed position.
+    pub window: (i32, i32),
+}
+
+/// A request for the control task.
+pub enum Inbound {
+    /// From the session.
+    Request(Request),
+    /// Valid at any time.
+    Urgent(Urgent),
+}
+
+/// What telemetry shows of the state machine.
+#[derive(Clone, Copy)]
+pub struct Snapshot {
+    /// State.
+    pub state: RigState,
+    /// Ledger.
+    pub residual_steps: i32,
+}
+
+/// Fed by interrupts and motion, drained by control.
+pub static NOTICES: Channel<Raw, Event, 16> = Channel::new();
+/// Fed by link, drained by control; answered through [`REPLIES`].
+pub static REQUESTS: Channel<Raw, Inbound, 1> = Channel::new();
+/// Fed by control, drained by link.
+pub static REPLIES: Signal<Raw, Reply> = Signal::new();
+/// Fed by control, drained by motion.
+pub static ORDERS: Signal<Raw, Order> = Signal::new();
+/// Fed by control: decelerate. Drained by motion.
+pub static STOP: AtomicBool = AtomicBool::new(false);
+/// The pulses of the present path were cut. Set by interrupts, link and control; cleared by motion at a start.
+pub static CUT: AtomicBool = AtomicBool::new(false);
+/// Wakes motion: the ring has room, or a stop is wanted.
+pub static MOTION_WAKE: Signal<Raw, ()> = Signal::new();
+/// Fed by control, link and telemetry, drained by transmit.
+pub static OUTBOUND: Channel<Raw, Encoded, 4> = Channel::new();
+/// Set by control, read by telemetry.
+pub static SNAPSHOT: Mutex<Raw, core::cell::Cell<Snapshot>> =
+    Mutex::new(core::cell::Cell::new(Snapshot {
+        state: RigState::Unhomed,
+        residual_steps: 0,
+    }));
+/// Telemetry interval in ms, 0 = none. Set by control, read by telemetry.
+pub static TELEMETRY_MS: AtomicU16 = AtomicU16::new(0);
+/// Wakes telemetry after a change of its interval.
+pub static TELEMETRY_CHANGED: Signal<Raw, ()> = Signal::new();
+/// Present session, for unsolicited frames. Set by link.
+pub static SESSION: AtomicU8 = AtomicU8::new(0);
+/// Low 32 bits of the time of the last good frame, us. Set by link, read by control.
+pub static LAST_FRAME_US: AtomicU32 = AtomicU32::new(0);
+/// Position by the generator. Set by motion.
+pub static COMMANDED: AtomicI32 = AtomicI32::new(0);
+/// Stroke in progress. Set by motion.
+pub static STROKE: AtomicU32 = AtomicU32::new(0);
+/// False pulses on the switches. Set by the switch interrupt.
+pub static GLITCHES: AtomicU32 = AtomicU32::new(0);
+/// Filtered state of the switches. Set by the switch interrupt and control.
+pub static HOME_FLAG_OPEN: AtomicBool = AtomicBool::new(false);
+/// Check-ins of the tasks; see `tasks::watchdog`.
+pub static CHECK_INS: AtomicU8 = AtomicU8::new(0);
+
+/// Tells motion and control that the pulses were cut.
+pub fn pulses_were_cut(why: Event) {
+    CUT.store(true, Ordering::Release);
+    MOTION_WAKE.signal(());
+    // 16 notices of at most one run's strokes cannot pile up within control's 10 ms; the switch state is
+    // polled there as well.
+    let _ = NOTICES.try_send(why);
+}

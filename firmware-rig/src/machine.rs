@@ -1,0 +1,724 @@
+//! The rig's state machine: events in, actions out. Pure; the time is an argument.
+//!
+//! ```text
+//! Unhomed --home--> Homing --found--> Ready --run--> Running --complete--> Ready
+//!    Homing, Running --stop--> Stopping --at rest--> Unhomed, Ready
+//!    any --fault--> Faulted --acknowledge--> Unhomed
+//! ```
+//!
+//! A fault is latched, and after it the position is unknown until homed again. Neither a release of the
+//! E-stop nor a reset nor a new connection moves anything: only an accepted command does.
+
+use crate::{periods::Path, settings::Settings};
+use motion::{axis::Direction, run::RunPlan, trapezoid::StrokeProfile, units::Steps};
+use protocol::{
+    error::Refusal,
+    rig::{
+        HomingPhase, LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome, RunRecord,
+    },
+};
+
+/// What the motion task reports when a path has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PathEnd {
+    /// All steps were emitted.
+    Complete,
+    /// Decelerated to rest on request.
+    Stopped,
+    /// The pulses were cut (E-stop loop, far limit, E-stop frame).
+    Cut,
+    /// The queue ran dry.
+    Underrun,
+    /// A step outside the window was refused.
+    Guard,
+}
+
+/// Counters of a path at its end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PathReport {
+    /// Position by the generator.
+    pub commanded: i32,
+    /// Position by the read-back counter.
+    pub counted: i32,
+    /// Tick of the last step, from the path's start.
+    pub last_tick: u64,
+    /// Shortest queue seen while periods were still to come.
+    pub min_queue: u16,
+}
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// The home flag changed, filtered; `count` was the read-back position at the edge.
+    FlagEdge {
+        /// Opened (actuated).
+        opening: bool,
+        /// Read-back position at the edge.
+        count: i32,
+    },
+    /// The far limit opened while the carriage moved away from home. The pulses are already cut.
+    FarLimit,
+    /// The E-stop loop opened. The pulses are already cut, by hardware.
+    LoopOpened,
+    /// A stroke of a run is complete and its last pulse has left.
+    StrokeDone {
+        /// From 0.
+        stroke: u32,
+        /// Position by the generator.
+        commanded: i32,
+        /// Position by the read-back counter.
+        counted: i32,
+    },
+    /// The path has ended; nothing moves any more.
+    PathEnded(PathEnd, PathReport),
+    /// The host has been silent for longer than the link time-out.
+    LinkSilent,
+}
+
+/// A request that may move or stop the rig.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Command {
+    /// Find the reference.
+    Home,
+    /// Execute a plan.
+    Run {
+        /// The plan.
+        plan: RunPlan,
+        /// What silence of the host does.
+        link_loss: LinkLossPolicy,
+    },
+    /// Category-1 stop.
+    Stop,
+    /// Emergency stop by frame. The pulses are already cut.
+    EStop,
+    /// Clear a latched fault.
+    Acknowledge,
+}
+
+/// What is to be done.
+// Lives in a short list on the stack.
+#[allow(clippy::large_enum_variant)]
+#[derive(Clone, Debug)]
+pub enum Action {
+    /// Execute a path; no step outside `window`.
+    Start {
+        /// What.
+        path: Path,
+        /// First and last allowed position.
+        window: (i32, i32),
+    },
+    /// Decelerate to rest.
+    StopPath,
+    /// No further pulse.
+    Cut,
+    /// The carriage stands; its position is this from now on.
+    SetPosition(i32),
+    /// Record and send.
+    Emit(RigEvent),
+}
+
+/// Actions of one event.
+pub type Actions = heapless::Vec<Action, 6>;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Homing {
+    phase: HomingPhase,
+    /// Flag edge of the first pass.
+    seek: Option<i32>,
+    /// Flag edge of the second pass.
+    locate: Option<i32>,
+    /// The flag has closed behind the carriage (phase `Clear`).
+    cleared: bool,
+    /// The position was trusted when homing began.
+    was_homed: bool,
+    /// Between the two passes: position of the second against the first.
+    repeat: i32,
+    shift: i32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum State {
+    Unhomed,
+    Homing(Homing),
+    Ready,
+    Running {
+        link_loss: LinkLossPolicy,
+        direction: Direction,
+    },
+    /// Decelerating, then to the state in `then`.
+    Stopping {
+        then: Then,
+    },
+    Faulted(RigFault),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Then {
+    Unhomed,
+    Ready(RunOutcome),
+    Faulted(RigFault),
+}
+
+/// The machine.
+#[derive(Clone, Debug)]
+pub struct Machine {
+    settings: Settings,
+    state: State,
+    homed: bool,
+    run: RunRecord,
+    strokes: u32,
+    residual: i32,
+    started_us: u64,
+    /// Positions of the last report: by the generator, by the counter.
+    last: (i32, i32),
+}
+
+const NO_RUN: RunRecord = RunRecord {
+    run: 0,
+    outcome: RunOutcome::None,
+    strokes: 0,
+    commanded_edges: 0,
+    counted_edges: 0,
+    ticks: 0,
+    plan_hash: 0,
+    min_steps: 0,
+    max_steps: 0,
+    worst_residual_steps: 0,
+    min_queue: 0,
+    glitches: 0,
+};
+
+impl Machine {
+    /// A machine after a start; `fault` is latched from the start when the last one ended badly.
+    pub fn new(settings: Settings, fault: Option<RigFault>) -> Self {
+        Self {
+            settings,
+            state: fault.map_or(State::Unhomed, State::Faulted),
+            homed: false,
+            run: NO_RUN,
+            strokes: 0,
+            residual: 0,
+            started_us: 0,
+            last: (0, 0),
+        }
+    }
+
+    /// The settings in force.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// State as on the wire.
+    pub fn state(&self) -> RigState {
+        match self.state {
+            State::Unhomed => RigState::Unhomed,
+            State::Homing(_) => RigState::Homing,
+            State::Ready => RigState::Ready,
+            State::Running { .. } => RigState::Running,
+            State::Stopping { .. } => RigState::Stopping,
+            State::Faulted(_) => RigState::Faulted,
+        }
+    }
+
+    /// The latched fault.
+    pub fn fault(&self) -> Option<RigFault> {
+        match self.state {
+            State::Faulted(fault) => Some(fault),
+            _ => None,
+        }
+    }
+
+    /// The position can be trusted.
+    pub fn homed(&self) -> bool {
+        self.homed
+    }
+
+    /// Record of the present or last run.
+    pub fn record(&self) -> &RunRecord {
+        &self.run
+    }
+
+    /// Strokes of the present or last run.
+    pub fn strokes(&self) -> u32 {
+        self.strokes
+    }
+
+    /// Residual of the ledger at the last pass of the home flag.
+    pub fn residual(&self) -> i32 {
+        self.residual
+    }
+
+    /// When the present or last run began.
+    pub fn started_us(&self) -> u64 {
+        self.started_us
+    }
+
+    /// Takes a command.
+    ///
+    /// # Errors
+    /// The refusal; nothing has changed and no action was added.
+    pub fn command(
+        &mut self,
+        now_us: u64,
+        command: Command,
+        position: i32,
+        inputs: RigInputs,
+        actions: &mut Actions,
+    ) -> Result<(), Refusal> {
+        match command {
+            Command::Home => self.home(position, inputs, actions),
+            Command::Run { plan, link_loss } => {
+                self.start_run(now_us, plan, link_loss, position, inputs, actions)
+            }
+            Command::Stop => {
+                self.stop(RunOutcome::Stopped, actions);
+                Ok(())
+            }
+            Command::EStop => {
+                self.latch(RigFault::EStopFrame, actions);
+                Ok(())
+            }
+            Command::Acknowledge => self.acknowledge(inputs, actions),
+        }
+    }
+
+    fn refuse_unless_at_rest(&self, inputs: RigInputs) -> Result<(), Refusal> {
+        match self.state {
+            State::Faulted(RigFault::Watchdog | RigFault::Panic) => {
+                return Err(Refusal::AcknowledgeFirst);
+            }
+            State::Faulted(fault) => return Err(Refusal::RigFaulted(fault)),
+            State::Unhomed | State::Ready => {}
+            _ => return Err(Refusal::RigBusy(self.state())),
+        }
+        if inputs.estop_loop {
+            return Err(Refusal::RigFaulted(RigFault::EStopLoop));
+        }
+        if inputs.home_flag && inputs.far_limit {
+            return Err(Refusal::RigFaulted(RigFault::BothSwitchesOpen));
+        }
+        Ok(())
+    }
+
+    fn home(
+        &mut self,
+        position: i32,
+        inputs: RigInputs,
+        actions: &mut Actions,
+    ) -> Result<(), Refusal> {
+        self.refuse_unless_at_rest(inputs)?;
+        let homing = Homing {
+            phase: if inputs.home_flag {
+                HomingPhase::Clear
+            } else {
+                HomingPhase::Seek
+            },
+            seek: None,
+            locate: None,
+            cleared: false,
+            was_homed: self.homed,
+            repeat: 0,
+            shift: 0,
+        };
+        self.homed = false;
+        self.enter(homing, position, actions);
+        Ok(())
+    }
+
+    /// Starts the move of a homing phase.
+    fn enter(&mut self, homing: Homing, position: i32, actions: &mut Actions) {
+        let settings = &self.settings;
+        let pull_off = settings.steps(settings.pull_off_um);
+        let (direction, distance, speed) = match homing.phase {
+            // The flag reaches from its edge to the end of travel on the home side.
+            HomingPhase::Clear => (
+                Direction::Away,
+                settings.flag_steps() + settings.steps(settings.overtravel_um),
+                settings.locate_um_s * 2,
+            ),
+            HomingPhase::Seek => (
+                Direction::Home,
+                settings.steps(settings.axis.stroke().0) + settings.steps(settings.overtravel_um),
+                settings.seek_um_s,
+            ),
+            HomingPhase::PullOff => (
+                Direction::Away,
+                homing.seek.unwrap_or(position) + pull_off - position,
+                settings.seek_um_s,
+            ),
+            HomingPhase::Locate => (Direction::Home, 2 * pull_off, settings.locate_um_s),
+            HomingPhase::ToZero => {
+                let direction = if position > 0 {
+                    Direction::Home
+                } else {
+                    Direction::Away
+                };
+                (direction, position.abs(), settings.seek_um_s)
+            }
+        };
+        let accel = settings.axis.acceleration(settings.homing_accel_um_s2);
+        let speed = settings.axis.speed(speed);
+        let profile = match (speed, accel) {
+            (Ok(speed), Ok(accel)) => {
+                StrokeProfile::from_speed(Steps(distance.unsigned_abs()), speed, accel).ok()
+            }
+            _ => None,
+        };
+        if homing.phase == HomingPhase::ToZero && distance == 0 {
+            return self.homed_at_zero(homing, actions);
+        }
+        let Some(profile) = profile else {
+            // Only with settings that no validator would pass.
+            return self.latch(RigFault::FlagNotFound(homing.phase), actions);
+        };
+        let end = match direction {
+            Direction::Away => position.saturating_add(distance),
+            Direction::Home => position.saturating_sub(distance),
+        };
+        let window = (position.min(end), position.max(end));
+        self.state = State::Homing(homing);
+        push(
+            actions,
+            Action::Start {
+                path: Path::Move { profile, direction },
+                window,
+            },
+        );
+    }
+
+    fn homed_at_zero(&mut self, homing: Homing, actions: &mut Actions) {
+        self.homed = true;
+        self.residual = 0;
+        self.state = State::Ready;
+        push(
+            actions,
+            Action::Emit(RigEvent::Homed {
+                repeat_steps: homing.repeat,
+                shift_steps: homing.shift,
+            }),
+        );
+    }
+
+    fn start_run(
+        &mut self,
+        now_us: u64,
+        plan: RunPlan,
+        link_loss: LinkLossPolicy,
+        position: i32,
+        inputs: RigInputs,
+        actions: &mut Actions,
+    ) -> Result<(), Refusal> {
+        self.refuse_unless_at_rest(inputs)?;
+        if self.state != State::Ready {
+            return Err(Refusal::NotHomed);
+        }
+        if position != 0 {
+            let nm = self
+                .settings
+                .axis
+                .length_of(Steps(position.unsigned_abs()))
+                .to_um();
+            let um = i32::try_from(nm).unwrap_or(i32::MAX);
+            return Err(Refusal::NotAtHome {
+                position_um: if position < 0 { -um } else { um },
+            });
+        }
+        if inputs.far_limit {
+            return Err(Refusal::RigFaulted(RigFault::FarLimit));
+        }
+        let run = self.run.run + 1;
+        self.run = RunRecord {
+            run,
+            outcome: RunOutcome::Running,
+            plan_hash: plan.hash(),
+            ..NO_RUN
+        };
+        self.strokes = plan.strokes();
+        self.residual = 0;
+        self.last = (0, 0);
+        self.started_us = now_us;
+        self.state = State::Running {
+            link_loss,
+            direction: Direction::Away,
+        };
+        let last = i32::try_from(self.settings.axis.stroke_steps().0).unwrap_or(i32::MAX);
+        push(
+            actions,
+            Action::Start {
+                path: Path::Run(plan),
+                window: (0, last),
+            },
+        );
+        push(actions, Action::Emit(RigEvent::RunStarted { run }));
+        Ok(())
+    }
+
+    fn stop(&mut self, outcome: RunOutcome, actions: &mut Actions) {
+        let then = match self.state {
+            State::Homing(_) => Then::Unhomed,
+            State::Running { .. } => Then::Ready(outcome),
+            _ => return, // nothing moves, or it is stopping already
+        };
+        self.state = State::Stopping { then };
+        push(actions, Action::StopPath);
+    }
+
+    fn acknowledge(&mut self, inputs: RigInputs, _actions: &mut Actions) -> Result<(), Refusal> {
+        let State::Faulted(fault) = self.state else {
+            return Err(Refusal::NothingToAcknowledge);
+        };
+        let present = match fault {
+            RigFault::EStopLoop => inputs.estop_loop,
+            RigFault::BothSwitchesOpen => inputs.home_flag && inputs.far_limit,
+            _ => false,
+        };
+        if present {
+            return Err(Refusal::CauseStillPresent);
+        }
+        self.state = State::Unhomed;
+        Ok(())
+    }
+
+    /// Latches a fault. Cuts the pulses: whatever moved has stopped.
+    fn latch(&mut self, fault: RigFault, actions: &mut Actions) {
+        push(actions, Action::Cut);
+        if let State::Faulted(_) = self.state {
+            return; // the first cause is the one to report
+        }
+        self.end_run(RunOutcome::Faulted(fault), actions);
+        self.homed = false;
+        self.state = State::Faulted(fault);
+        push(actions, Action::Emit(RigEvent::Faulted(fault)));
+    }
+
+    fn end_run(&mut self, outcome: RunOutcome, actions: &mut Actions) {
+        if self.run.outcome == RunOutcome::Running {
+            self.run.outcome = outcome;
+            push(
+                actions,
+                Action::Emit(RigEvent::RunEnded {
+                    run: self.run.run,
+                    outcome,
+                }),
+            );
+        }
+    }
+
+    /// Takes an event.
+    pub fn event(&mut self, event: Event, inputs: RigInputs) -> Actions {
+        let mut actions = Actions::new();
+        match event {
+            Event::FlagEdge { opening, count } => self.flag_edge(opening, count, &mut actions),
+            Event::FarLimit => self.latch(RigFault::FarLimit, &mut actions),
+            Event::LoopOpened => self.latch(RigFault::EStopLoop, &mut actions),
+            Event::StrokeDone {
+                stroke,
+                commanded,
+                counted,
+            } => {
+                self.stroke_done(stroke, commanded, counted, &mut actions);
+            }
+            Event::PathEnded(end, report) => self.path_ended(end, report, inputs, &mut actions),
+            Event::LinkSilent => match self.state {
+                State::Running {
+                    link_loss: LinkLossPolicy::Finish,
+                    ..
+                } => {}
+                _ => self.stop(RunOutcome::LinkLost, &mut actions),
+            },
+        }
+        actions
+    }
+
+    fn flag_edge(&mut self, opening: bool, count: i32, actions: &mut Actions) {
+        match &mut self.state {
+            State::Homing(homing) => match homing.phase {
+                HomingPhase::Clear if !opening => {
+                    homing.cleared = true;
+                    push(actions, Action::StopPath);
+                }
+                HomingPhase::Seek if opening && homing.seek.is_none() => {
+                    homing.seek = Some(count);
+                    push(actions, Action::StopPath);
+                }
+                HomingPhase::Locate if opening && homing.locate.is_none() => {
+                    homing.locate = Some(count);
+                    push(actions, Action::StopPath);
+                }
+                _ => {}
+            },
+            // The flag opens on the way home: the same edge in the same direction as in homing.
+            State::Running {
+                direction: Direction::Home,
+                ..
+            } if opening => {
+                let residual = count - self.settings.flag_steps();
+                self.residual = residual;
+                if residual.abs() > self.run.worst_residual_steps.abs() {
+                    self.run.worst_residual_steps = residual;
+                }
+                if residual.unsigned_abs() > self.settings.ledger_limit_steps {
+                    let fault = RigFault::LostSteps {
+                        residual_steps: residual,
+                    };
+                    self.state = State::Stopping {
+                        then: Then::Faulted(fault),
+                    };
+                    push(actions, Action::StopPath);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn stroke_done(&mut self, stroke: u32, commanded: i32, counted: i32, actions: &mut Actions) {
+        let State::Running { direction, .. } = &mut self.state else {
+            return; // overtaken by a stop or a fault
+        };
+        *direction = if stroke.is_multiple_of(2) {
+            Direction::Home
+        } else {
+            Direction::Away
+        };
+        self.run.strokes = stroke + 1;
+        self.track(commanded, counted);
+        if commanded != counted {
+            return self.latch(RigFault::ReadBack { commanded, counted }, actions);
+        }
+        push(
+            actions,
+            Action::Emit(RigEvent::StrokeDone {
+                stroke,
+                residual_steps: self.residual,
+            }),
+        );
+    }
+
+    /// Adds the way since the last report to the run's record. Positions are reported at the ends of strokes,
+    /// where they are extreme.
+    fn track(&mut self, commanded: i32, counted: i32) {
+        if self.run.outcome != RunOutcome::Running {
+            return;
+        }
+        self.run.min_steps = self.run.min_steps.min(commanded);
+        self.run.max_steps = self.run.max_steps.max(commanded);
+        self.run.commanded_edges += u64::from(commanded.abs_diff(self.last.0));
+        self.run.counted_edges += u64::from(counted.abs_diff(self.last.1));
+        self.last = (commanded, counted);
+    }
+
+    /// False pulses on the limit inputs since the run began.
+    pub fn set_glitches(&mut self, glitches: u32) {
+        if self.run.outcome == RunOutcome::Running {
+            self.run.glitches = glitches;
+        }
+    }
+
+    fn path_ended(
+        &mut self,
+        end: PathEnd,
+        report: PathReport,
+        inputs: RigInputs,
+        actions: &mut Actions,
+    ) {
+        if self.run.outcome == RunOutcome::Running {
+            self.run.min_queue = report.min_queue;
+        }
+        self.track(report.commanded, report.counted);
+        match end {
+            PathEnd::Underrun => return self.latch(RigFault::Underrun, actions),
+            PathEnd::Guard => return self.latch(RigFault::WindowGuard, actions),
+            // Whoever cut the pulses latches the fault; the read-back counter has the true position.
+            PathEnd::Cut => return,
+            PathEnd::Complete | PathEnd::Stopped => {}
+        }
+        let (commanded, counted) = (report.commanded, report.counted);
+        if commanded != counted && !matches!(self.state, State::Faulted(_)) {
+            return self.latch(RigFault::ReadBack { commanded, counted }, actions);
+        }
+        match self.state {
+            State::Homing(homing) => self.homing_move_ended(homing, counted, inputs, actions),
+            State::Running { .. } => {
+                let last = self.strokes.saturating_sub(1);
+                self.run.strokes = self.strokes;
+                self.run.ticks = report.last_tick;
+                push(
+                    actions,
+                    Action::Emit(RigEvent::StrokeDone {
+                        stroke: last,
+                        residual_steps: self.residual,
+                    }),
+                );
+                self.end_run(RunOutcome::Complete, actions);
+                self.state = State::Ready;
+            }
+            State::Stopping { then } => {
+                self.run.ticks = report.last_tick;
+                match then {
+                    Then::Unhomed => self.state = State::Unhomed,
+                    Then::Ready(outcome) => {
+                        self.end_run(outcome, actions);
+                        self.state = State::Ready;
+                    }
+                    Then::Faulted(fault) => return self.latch(fault, actions),
+                }
+                push(
+                    actions,
+                    Action::Emit(RigEvent::Stopped {
+                        position_steps: counted,
+                    }),
+                );
+            }
+            State::Unhomed | State::Ready | State::Faulted(_) => {}
+        }
+    }
+
+    fn homing_move_ended(
+        &mut self,
+        mut homing: Homing,
+        position: i32,
+        inputs: RigInputs,
+        actions: &mut Actions,
+    ) {
+        let missing = match homing.phase {
+            HomingPhase::Clear => (!homing.cleared).then_some(RigFault::FlagStuck),
+            HomingPhase::Seek => homing
+                .seek
+                .is_none()
+                .then_some(RigFault::FlagNotFound(HomingPhase::Seek)),
+            HomingPhase::PullOff => inputs.home_flag.then_some(RigFault::FlagStuck),
+            HomingPhase::Locate => homing
+                .locate
+                .is_none()
+                .then_some(RigFault::FlagNotFound(HomingPhase::Locate)),
+            HomingPhase::ToZero => None,
+        };
+        if let Some(fault) = missing {
+            return self.latch(fault, actions);
+        }
+        homing.phase = match homing.phase {
+            HomingPhase::Clear => HomingPhase::Seek,
+            HomingPhase::Seek => HomingPhase::PullOff,
+            HomingPhase::PullOff => HomingPhase::Locate,
+            HomingPhase::Locate => HomingPhase::ToZero,
+            HomingPhase::ToZero => return self.homed_at_zero(homing, actions),
+        };
+        let mut position = position;
+        if homing.phase == HomingPhase::ToZero {
+            let found = homing.locate.unwrap_or(position);
+            homing.repeat = found - homing.seek.unwrap_or(found);
+            if homing.was_homed {
+                homing.shift = found - self.settings.flag_steps();
+            }
+            position = position - found + self.settings.flag_steps();
+            push(actions, Action::SetPosition(position));
+        }
+        self.enter(homing, position, actions);
+    }
+}
+
+/// No event has more actions than the list holds; the enumeration test checks it.
+fn push(actions: &mut Actions, action: Action) {
+    let full = actions.push(action).is_err();
+    debug_assert!(!full, "list of actions too short");
+}

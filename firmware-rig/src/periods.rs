@@ -1,0 +1,290 @@
+//! Turns step times into timer periods: one uninterrupted list for a whole move or run.
+//!
+//! A period is one round of the step timer; a pulse, if it has one, sits at its start. The list begins with
+//! blank periods up to the first step. Between two strokes comes one [`Item::Turn`]: everything before it has
+//! to leave the pin before DIR may change, everything after it needs the new DIR. The periods of the pause are
+//! handed out before the turn, so that the time line never breaks.
+
+use motion::{
+    axis::{Acceleration, Direction},
+    run::RunPlan,
+    step_times::StepTimes,
+    trapezoid::StrokeProfile,
+};
+
+/// Longest period of the 16-bit step timer.
+pub const MAX_PERIOD: u32 = 65_536;
+/// A piece of a long pause is never shorter than this, so that the queue always holds some time.
+const MIN_PIECE: u64 = 32_768;
+/// Period of the last pulse of a stroke: the pulse and the hold time of DIR, 10 us.
+const LAST_PULSE: u64 = 1_000;
+/// Blank period after the very last pulse, 10 us.
+const TAIL: u64 = 1_000;
+
+/// One round of the step timer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Period {
+    /// Length, 2..=[`MAX_PERIOD`].
+    pub ticks: u32,
+    /// A step pulse at its start.
+    pub pulse: bool,
+    /// A sync pulse at its start: the first step of a stroke.
+    pub sync: bool,
+}
+
+/// What comes next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Item {
+    /// A period for the timer.
+    Period(Period),
+    /// The stroke is complete: wait until its last pulse has left, then change DIR.
+    Turn {
+        /// The completed stroke, from 0.
+        completed: u32,
+        /// Direction of the next stroke.
+        next: Direction,
+    },
+    /// Nothing more; the pulses have all been handed out.
+    End,
+    /// The next step would leave the window: nothing more is handed out.
+    Guard,
+}
+
+/// What is to be executed.
+// One exists at a time, in the motion task.
+#[allow(clippy::large_enum_variant)]
+#[derive(Clone, Debug)]
+pub enum Path {
+    /// A single stroke.
+    Move {
+        /// Its profile.
+        profile: StrokeProfile,
+        /// Its direction.
+        direction: Direction,
+    },
+    /// A whole run, from position 0.
+    Run(RunPlan),
+}
+
+impl Path {
+    /// Start, profile and direction of a stroke; none after the last one.
+    fn stroke(&self, index: u32) -> Option<(u64, StrokeProfile, Direction)> {
+        match self {
+            Path::Move { profile, direction } => (index == 0).then_some((0, *profile, *direction)),
+            Path::Run(plan) => Some((
+                plan.stroke_start(index)?.0,
+                *plan.stroke(index)?,
+                plan.direction(index)?,
+            )),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum After {
+    Pulse,
+    Turn,
+    End,
+    Ended,
+    Guarded,
+}
+
+/// The list of periods of a path, with the position that it leads to.
+#[derive(Clone, Debug)]
+pub struct Periods {
+    path: Path,
+    stroke: u32,
+    start: u64,
+    times: StepTimes,
+    direction: Direction,
+    /// Everything before this tick has been handed out.
+    cursor: u64,
+    /// Ticks from the cursor to what comes `after`.
+    gap: u64,
+    after: After,
+    /// A pulse sits at the cursor and goes into the next period.
+    pulse: bool,
+    sync: bool,
+    /// The next period is the last pulse of a stroke: keep it short.
+    short: bool,
+    stopping: bool,
+    position: i32,
+    window: (i32, i32),
+}
+
+impl Periods {
+    /// The periods of `path`, begun at `position`; no step outside `window` (both ends allowed) will be
+    /// handed out, whatever the path says.
+    /// A path without strokes has none.
+    pub fn new(path: Path, position: i32, window: (i32, i32)) -> Option<Self> {
+        let (start, profile, direction) = path.stroke(0)?;
+        let mut times = StepTimes::new(profile);
+        let first = times.next()?;
+        Some(Self {
+            path,
+            stroke: 0,
+            start,
+            times,
+            direction,
+            cursor: 0,
+            gap: start + first,
+            after: After::Pulse,
+            pulse: false,
+            sync: true,
+            short: false,
+            stopping: false,
+            position,
+            window,
+        })
+    }
+
+    /// Direction of the stroke in progress.
+    pub fn direction(&self) -> Direction {
+        self.direction
+    }
+
+    /// Position after everything handed out so far.
+    pub fn position(&self) -> i32 {
+        self.position
+    }
+
+    /// Tick up to which periods have been handed out, from the start of the path.
+    pub fn cursor(&self) -> u64 {
+        self.cursor
+    }
+
+    /// Stroke in progress, from 0.
+    pub fn stroke(&self) -> u32 {
+        self.stroke
+    }
+
+    /// Tick of the last step, once the end has been handed out.
+    pub fn last_step(&self) -> u64 {
+        self.start + self.times.tick().0
+    }
+
+    /// Decelerates to rest from what has been handed out so far. Between two strokes, or before the first
+    /// step, no step follows at all.
+    pub fn stop(&mut self, deceleration: Acceleration) {
+        match self.after {
+            After::Ended | After::Guarded | After::End => {}
+            After::Turn => self.end_here(),
+            // The first step of a stroke is only announced: drop it.
+            After::Pulse if self.times.emitted().0 <= 1 => self.end_here(),
+            After::Pulse => {
+                self.stopping = true;
+                self.times.stop(deceleration);
+            }
+        }
+    }
+
+    fn end_here(&mut self) {
+        self.stopping = true;
+        self.gap = TAIL;
+        self.after = After::End;
+    }
+
+    /// What comes next.
+    pub fn next_item(&mut self) -> Item {
+        loop {
+            if self.gap > 0 {
+                return Item::Period(self.period());
+            }
+            match self.after {
+                After::Pulse => {
+                    let step = if self.direction == Direction::Away {
+                        1
+                    } else {
+                        -1
+                    };
+                    let next = self.position.saturating_add(step);
+                    if next < self.window.0 || next > self.window.1 {
+                        self.after = After::Guarded;
+                        return Item::Guard;
+                    }
+                    self.position = next;
+                    self.pulse = true;
+                    self.plan_next();
+                }
+                After::Turn => {
+                    let completed = self.stroke - 1;
+                    self.after = After::Pulse;
+                    self.sync = true;
+                    return Item::Turn {
+                        completed,
+                        next: self.direction,
+                    };
+                }
+                After::End => {
+                    self.after = After::Ended;
+                    return Item::End;
+                }
+                After::Ended => return Item::End,
+                After::Guarded => return Item::Guard,
+            }
+        }
+    }
+
+    fn plan_next(&mut self) {
+        if let Some(tick) = self.times.next() {
+            self.gap = self.start + tick - self.cursor;
+            self.after = After::Pulse;
+            return;
+        }
+        self.short = true;
+        let next = if self.stopping {
+            None
+        } else {
+            self.path.stroke(self.stroke + 1)
+        };
+        let Some((start, profile, direction)) = next else {
+            self.gap = LAST_PULSE + TAIL;
+            self.after = After::End;
+            return;
+        };
+        let mut times = StepTimes::new(profile);
+        // A profile has at least one step.
+        let first = times.next().unwrap_or(0);
+        self.gap = start + first - self.cursor;
+        self.after = After::Turn;
+        (self.stroke, self.start, self.direction, self.times) =
+            (self.stroke + 1, start, direction, times);
+    }
+
+    fn period(&mut self) -> Period {
+        let turn_pending = self.after == After::Turn;
+        let ticks = if self.short {
+            LAST_PULSE.min(self.gap)
+        } else if turn_pending && self.gap > MIN_PIECE / 4 && self.gap <= u64::from(MAX_PERIOD) {
+            // At least two blanks before a turn, so that there is time to take it.
+            self.gap / 2
+        } else {
+            piece(self.gap)
+        };
+        let period = Period {
+            ticks: ticks as u32,
+            pulse: self.pulse,
+            sync: self.pulse && self.sync,
+        };
+        self.short = false;
+        if self.pulse {
+            self.sync = false;
+        }
+        self.pulse = false;
+        self.gap -= ticks;
+        self.cursor += ticks;
+        period
+    }
+}
+
+/// The next piece of a pause that may be longer than the timer can count.
+fn piece(gap: u64) -> u64 {
+    let max = u64::from(MAX_PERIOD);
+    if gap <= max {
+        gap
+    } else if gap >= max + MIN_PIECE {
+        max
+    } else {
+        gap / 2
+    }
+}

@@ -1,0 +1,318 @@
+//! The step generator: TIM1 pulses whose periods DMA takes from a ring, and TIM2 which counts them at the pin.
+//!
+//! Each ring slot is one period of TIM1, five half-words in register order {ARR, RCR, CCR1, CCR2, CCR3}, written
+//! through TIM1_DMAR at every update event (RM0383 section 12.3.20). PWM mode 1 puts the pulse at the start of a period;
+//! CCR1 makes the sync pulse in the same way, so both have no latency at all. Everything is preloaded: while
+//! period j plays, period j+1 sits in the preload registers and period j+2 is fetched at the next update.
+//!
+//! The slot after the last written one is always zero. A zero period blocks the counter with the output low
+//! (ARR = 0, RM0383 section 12.4.12): end marker, underrun guard and clean stop in one. However late the
+//! producer is, no pulse is ever repeated, doubled or misplaced; the generator only stops.
+
+#![allow(unsafe_code)]
+
+use crate::{board, channels};
+use core::{
+    cell::UnsafeCell,
+    sync::atomic::{Ordering, compiler_fence},
+};
+use embassy_stm32::{
+    interrupt::{self, InterruptExt},
+    pac::{self, DMA2, TIM1, TIM2},
+};
+use firmware_rig::{machine::Event, periods::Period};
+
+/// Slots of the ring. At 28.5 kHz it holds 4.3 ms.
+const SLOTS: usize = 128;
+const WORDS: usize = 5;
+/// Never more than this many periods wait in the ring; the rest keeps the zero slot away from the reader.
+const MAX_QUEUE: i32 = SLOTS as i32 - 4;
+/// Width of a step pulse, 3 us: above every driver's minimum (DRV8825: 1.9 us).
+const PULSE_TICKS: u16 = 300;
+/// Width of the sync pulse, 50 us, or as long as the period.
+const SYNC_TICKS: u32 = 5_000;
+const STREAM: usize = 5;
+/// TIM1_UP (RM0383 table 28).
+const DMA_CHANNEL: u8 = 6;
+/// DCR.DBA of ARR: register offset 0x2C / 4.
+const DBA_ARR: u8 = 11;
+
+#[repr(C, align(4))]
+struct Ring(UnsafeCell<[[u16; WORDS]; SLOTS]>);
+// SAFETY: written only by the one `StepGen` with volatile stores; the other reader is the DMA controller.
+unsafe impl Sync for Ring {}
+static RING: Ring = Ring(UnsafeCell::new([[0; WORDS]; SLOTS]));
+
+/// The queue ran (nearly) dry; nothing more may be appended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Underrun;
+
+/// The break input is active: the outputs cannot be armed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LoopOpen;
+
+/// The generator; one exists.
+pub struct StepGen {
+    /// Periods pushed since [`StepGen::clear`].
+    pushed: i32,
+    /// Periods that DMA has fetched; exceeds `pushed` by one while the last one plays, by two when halted.
+    fetched: i32,
+    /// Slot that DMA reads next, when `fetched` was last updated.
+    read_slot: usize,
+    /// End of each slot's period on the path's time line (low 32 bits).
+    ends: [u32; SLOTS],
+    end: u32,
+    running: bool,
+}
+
+impl StepGen {
+    /// Sets up TIM1, its DMA stream and TIM2. Outputs stay off.
+    pub fn new() -> Self {
+        pac::RCC.ahb1enr().modify(|w| w.set_dma2en(true));
+        pac::RCC.apb2enr().modify(|w| w.set_tim1en(true));
+        pac::RCC.apb1enr().modify(|w| w.set_tim2en(true));
+
+        TIM1.psc().write_value(0);
+        TIM1.cr1().write(|w| w.set_arpe(true));
+        for channel in [0, 2] {
+            TIM1.ccmr_output(channel / 2).modify(|w| {
+                w.set_ocm(channel % 2, pac::timer::vals::Ocm::PWM_MODE1);
+                w.set_ocpe(channel % 2, true);
+            });
+            TIM1.ccer().modify(|w| w.set_cce(channel, true));
+        }
+        TIM1.bdtr().write(|w| {
+            w.set_ossi(pac::timer::vals::Ossi::IDLE_LEVEL); // MOE = 0 drives the idle level, low
+            w.set_bke(0, true);
+            w.set_bkp(0, pac::timer::vals::Bkp::ACTIVE_HIGH); // the loop is closed to ground: high = open = break
+        });
+        TIM1.dcr().write(|w| {
+            w.set_dba(DBA_ARR);
+            w.set_dbl(WORDS as u8 - 1);
+        });
+
+        let stream = DMA2.st(STREAM);
+        stream.par().write_value(TIM1.dmar().as_ptr() as u32);
+        stream.m0ar().write_value(RING.0.get() as u32);
+
+        // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.4, external clock mode 2).
+        TIM2.arr().write_value(u32::MAX);
+        TIM2.smcr().write(|w| w.set_ece(true));
+        TIM2.egr().write(|w| w.set_ug(true));
+        TIM2.cr1().modify(|w| w.set_cen(true));
+
+        // SAFETY: both handlers are below; they touch registers and channels only.
+        unsafe {
+            interrupt::DMA2_STREAM5.enable();
+            interrupt::TIM1_BRK_TIM9.enable();
+        }
+        Self {
+            pushed: 0,
+            fetched: 0,
+            read_slot: 0,
+            ends: [0; SLOTS],
+            end: 0,
+            running: false,
+        }
+    }
+
+    /// Empties the ring for a new path. Only while halted.
+    pub fn clear(&mut self) {
+        self.halt();
+        for slot in 0..SLOTS {
+            write_slot(slot, [0; WORDS]);
+        }
+        (self.pushed, self.fetched, self.read_slot, self.end) = (0, 0, 0, 0);
+    }
+
+    /// Appends a period.
+    ///
+    /// # Errors
+    /// [`Underrun`] if the reader is so near that the period might not be taken as a whole.
+    pub fn push(&mut self, period: Period) -> Result<(), Underrun> {
+        let slot = self.pushed as usize % SLOTS;
+        let words = [
+            (period.ticks - 1) as u16,
+            0,
+            if period.sync {
+                SYNC_TICKS.min(period.ticks - 1) as u16
+            } else {
+                0
+            },
+            0,
+            if period.pulse { PULSE_TICKS } else { 0 },
+        ];
+        self.update();
+        if self.running && self.queue() < 2 {
+            return Err(Underrun);
+        }
+        write_slot((slot + 1) % SLOTS, [0; WORDS]);
+        write_slot(slot, words);
+        self.update();
+        if self.running && self.fetched > self.pushed {
+            return Err(Underrun);
+        }
+        self.pushed += 1;
+        self.end = self.end.wrapping_add(period.ticks);
+        self.ends[slot] = self.end;
+        Ok(())
+    }
+
+    /// Room for another period.
+    pub fn has_room(&self) -> bool {
+        self.queue() < MAX_QUEUE
+    }
+
+    /// Periods that wait in the ring; -1 while the last one plays, -2 when halted.
+    pub fn queue(&self) -> i32 {
+        self.pushed - self.fetched
+    }
+
+    /// Ticks from the period that plays now to the end of the queue.
+    pub fn lead(&self) -> u32 {
+        let playing = self.fetched - 2;
+        if playing < 0 {
+            return self.end;
+        }
+        self.end.wrapping_sub(self.ends[playing as usize % SLOTS])
+    }
+
+    /// Number of periods pushed so far.
+    pub fn pushed(&self) -> i32 {
+        self.pushed
+    }
+
+    /// The period with this number (from 1, as [`StepGen::pushed`] after its push) has been played.
+    pub fn has_played(&self, number: i32) -> bool {
+        self.fetched >= number + 2
+    }
+
+    /// Reads the progress of DMA. To be called at least once per round of the ring.
+    pub fn update(&mut self) {
+        let left = usize::from(DMA2.st(STREAM).ndtr().read().ndt());
+        let slot = (SLOTS * WORDS - left) / WORDS % SLOTS;
+        self.fetched += ((slot + SLOTS - self.read_slot) % SLOTS) as i32;
+        self.read_slot = slot;
+    }
+
+    /// Starts the timer on the filled ring.
+    ///
+    /// # Errors
+    /// [`LoopOpen`] if the E-stop loop holds the break input.
+    pub fn start(&mut self) -> Result<(), LoopOpen> {
+        let stream = DMA2.st(STREAM);
+        DMA2.ifcr(STREAM / 4).write(|w| {
+            w.set_htif(STREAM % 4, true);
+            w.set_tcif(STREAM % 4, true);
+            w.set_teif(STREAM % 4, true);
+            w.set_dmeif(STREAM % 4, true);
+            w.set_feif(STREAM % 4, true);
+        });
+        stream.ndtr().write(|w| w.set_ndt((SLOTS * WORDS) as u16));
+        stream.cr().write(|w| {
+            w.set_chsel(DMA_CHANNEL);
+            w.set_dir(pac::dma::vals::Dir::MEMORY_TO_PERIPHERAL);
+            w.set_circ(true);
+            w.set_minc(true);
+            w.set_psize(pac::dma::vals::Size::BITS16);
+            w.set_msize(pac::dma::vals::Size::BITS16);
+            w.set_pl(pac::dma::vals::Pl::VERY_HIGH);
+            w.set_htie(true);
+            w.set_tcie(true);
+        });
+        compiler_fence(Ordering::SeqCst);
+        stream.cr().modify(|w| w.set_en(true));
+        TIM1.dier().write(|w| w.set_ude(true));
+        // The first update brings period 0 into the preload registers, the second one makes it active.
+        for fetched in 1..=2 {
+            TIM1.egr().write(|w| w.set_ug(true));
+            for _ in 0..1_000 {
+                self.update();
+                if self.fetched >= fetched {
+                    break;
+                }
+            }
+        }
+        TIM1.sr().write_value(pac::timer::regs::SrAdv(0));
+        TIM1.dier().write(|w| {
+            w.set_ude(true);
+            w.set_bie(true);
+        });
+        TIM1.bdtr().modify(|w| w.set_moe(true));
+        if !TIM1.bdtr().read().moe() {
+            self.halt();
+            return Err(LoopOpen);
+        }
+        TIM1.cr1().modify(|w| w.set_cen(true));
+        self.running = true;
+        Ok(())
+    }
+
+    /// Stops timer and DMA; outputs idle.
+    pub fn halt(&mut self) {
+        board::cut_pulses();
+        TIM1.cr1().modify(|w| w.set_cen(false));
+        TIM1.dier().write(|_| ());
+        DMA2.st(STREAM).cr().modify(|w| w.set_en(false));
+        while DMA2.st(STREAM).cr().read().en() {}
+        self.running = false;
+    }
+}
+
+fn write_slot(slot: usize, words: [u16; WORDS]) {
+    let base = RING.0.get().cast::<u16>();
+    // ARR last: a half-written slot that the reader takes all the same has ARR = 0 and stops the counter.
+    for word in (0..WORDS).rev() {
+        // SAFETY: `slot` < SLOTS and `word` < WORDS, so the address lies inside the ring.
+        unsafe {
+            base.add(slot % SLOTS * WORDS + word)
+                .write_volatile(words[word])
+        };
+    }
+    compiler_fence(Ordering::SeqCst);
+}
+
+/// Position by the read-back counter, steps.
+pub fn counted() -> i32 {
+    TIM2.cnt().read() as i32
+}
+
+/// Sets the read-back counter. Only while no pulse can come.
+pub fn set_counted(position: i32) {
+    TIM2.cnt().write_value(position as u32);
+}
+
+/// Sets DIR and the counter's direction together. Only while no pulse can come.
+pub fn set_direction(away: bool) {
+    board::set_direction(away);
+    TIM2.cr1().modify(|w| {
+        w.set_dir(if away {
+            pac::timer::vals::Dir::UP
+        } else {
+            pac::timer::vals::Dir::DOWN
+        })
+    });
+}
+
+#[pac::interrupt]
+fn DMA2_STREAM5() {
+    DMA2.ifcr(STREAM / 4).write(|w| {
+        w.set_htif(STREAM % 4, true);
+        w.set_tcif(STREAM % 4, true);
+    });
+    channels::MOTION_WAKE.signal(());
+}
+
+/// The E-stop loop opened; the hardware has already cleared MOE.
+#[pac::interrupt]
+fn TIM1_BRK_TIM9() {
+    // The flag cannot be cleared while the loop is open: no more interrupts until the next start.
+    TIM1.dier().modify(|w| w.set_bie(false));
+    TIM1.sr().modify(|w| w.set_bif(0, false));
+    channels::pulses_were_cut(Event::LoopOpened);
+}
+
+/// Pulses can leave the pin.
+pub fn is_armed() -> bool {
+    TIM1.bdtr().read().moe()
+}

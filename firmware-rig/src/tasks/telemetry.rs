@@ -1,0 +1,76 @@
+//! Sends a sample at the interval the host asked for.
+
+use crate::{
+    board,
+    channels::{COMMANDED, OUTBOUND, SESSION, SNAPSHOT, STROKE, TELEMETRY_CHANGED, TELEMETRY_MS},
+    stepgen,
+};
+use core::sync::atomic::Ordering;
+use embassy_futures::select::{Either, select};
+use embassy_time::{Duration, Instant, Timer};
+use firmware_rig::settings::Settings;
+use motion::units::Steps;
+use protocol::{
+    frame::{Header, Kind, encode},
+    rig::RigTelemetry,
+    table::Telemetry,
+};
+
+/// Lowest priority: a sample that finds the line busy is dropped, and its number shows the gap.
+#[embassy_executor::task]
+pub async fn telemetry() -> ! {
+    let mut seq = 0_u16;
+    let mut next = Instant::now();
+    let mut last = (Instant::now(), stepgen::counted());
+    loop {
+        let period = TELEMETRY_MS.load(Ordering::Relaxed);
+        if period == 0 {
+            TELEMETRY_CHANGED.wait().await;
+            next = Instant::now();
+            continue;
+        }
+        next = next
+            .checked_add(Duration::from_millis(u64::from(period)))
+            .unwrap_or(next)
+            .max(Instant::now());
+        if let Either::Second(()) = select(Timer::at(next), TELEMETRY_CHANGED.wait()).await {
+            next = Instant::now();
+            continue;
+        }
+        let (now, position) = (Instant::now(), stepgen::counted());
+        let snapshot = SNAPSHOT.lock(|snapshot| snapshot.get());
+        let sample = RigTelemetry {
+            time_us: now.as_micros(),
+            state: snapshot.state,
+            position_steps: position,
+            commanded_steps: COMMANDED.load(Ordering::Relaxed),
+            speed_um_s: speed_um_s(
+                position.wrapping_sub(last.1),
+                now.saturating_duration_since(last.0),
+            ),
+            stroke: STROKE.load(Ordering::Relaxed),
+            residual_steps: snapshot.residual_steps,
+            inputs: board::inputs(),
+        };
+        last = (now, position);
+        let header = Header {
+            kind: Kind::Telemetry,
+            session: SESSION.load(Ordering::Relaxed),
+            seq,
+        };
+        seq = seq.wrapping_add(1);
+        if let Ok(frame) = encode(header, &Telemetry::Rig(sample)) {
+            let _ = OUTBOUND.try_send(frame);
+        }
+    }
+}
+
+fn speed_um_s(steps: i32, time: Duration) -> i32 {
+    let nm = Settings::REFERENCE
+        .axis
+        .length_of(Steps(steps.unsigned_abs()))
+        .0;
+    let speed = nm.saturating_mul(1_000) / time.as_micros().max(1);
+    let speed = i32::try_from(speed).unwrap_or(i32::MAX);
+    if steps < 0 { -speed } else { speed }
+}
