@@ -1,0 +1,836 @@
+//! The client of one machine: typed requests, events without gaps, telemetry, waiting, stopping.
+//!
+//! Retries, sequence numbers and the session are [`protocol::client::Client`]'s; the bytes and the clock are
+//! the [`Link`]'s. All times in here are on the link's clock, so that the same code runs in real and in virtual
+//! time. An urgent stop goes ahead of everything else.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use protocol::VERSION;
+use protocol::capsule::{
+    self, ActuationAccepted, ActuationRecord, CapsuleEvent, CapsuleState, CapsuleStatus,
+};
+use protocol::client::{Client, Output, Poll};
+use protocol::error::WireError;
+use protocol::rig::{self, HomeAccepted, RigEvent, RigState, RigStatus, RunAccepted, RunRecord};
+use protocol::system::{
+    Acknowledge, DeviceKind, Event, Events, GetEvents, GetLastWords, Identity, KeepAlive,
+    SetTelemetry, Urgent, What,
+};
+use protocol::table::{Command, Request, Response, Retry, SCHEMA_KEY, Telemetry};
+
+use crate::error::ClientError;
+use crate::link::Link;
+
+/// The host shows itself at least this often while it waits; a moving device stops after 1 s of silence.
+pub const KEEP_ALIVE_US: u64 = 250_000;
+
+/// The longest wait for bytes before the [`Interrupt`] is asked again.
+const SLICE_US: u64 = 20_000;
+
+/// How much later than announced an action may end before it is stopped as overdue.
+const OVERDUE_US: u64 = 3_000_000;
+
+/// Asked at least every 20 ms of link time: what the operator wants stopped now. The answer is a level, not an
+/// edge: once an urgent stop was wanted it stays wanted, and may only grow into an emergency stop.
+pub type Interrupt = Arc<dyn Fn() -> Option<Urgent> + Send + Sync>;
+
+/// Where an action is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// Homing.
+    Homing {
+        /// Since the acceptance.
+        elapsed_us: u64,
+        /// It ends within this time, well or with a fault.
+        at_most_us: u64,
+        /// Position; means something only if the rig was homed before.
+        position_um: i32,
+    },
+    /// A run.
+    Run {
+        /// Since the first stroke's start.
+        elapsed_us: u64,
+        /// Of the whole run.
+        total_us: u64,
+        /// Stroke in progress, from 0.
+        stroke: u32,
+        /// Strokes of the run.
+        strokes: u32,
+        /// Position by the read-back counter.
+        position_um: i32,
+    },
+    /// Referencing, folding or unfolding.
+    Actuation {
+        /// Since the acceptance.
+        elapsed_us: u64,
+        /// It ends within this time, well or with a fault.
+        at_most_us: u64,
+        /// Thread wound up.
+        thread_um: i32,
+        /// Motor current.
+        current_ma: u16,
+    },
+}
+
+/// Sees what happens during a wait. Every method may be left out.
+pub trait Observer {
+    /// A telemetry sample; `missed` samples were lost just before it.
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        let _ = (sample, missed);
+    }
+    /// An event: in order, each once, fetched again where one was lost.
+    fn event(&mut self, event: &Event) {
+        let _ = event;
+    }
+    /// About four times a second.
+    fn progress(&mut self, progress: &Progress) {
+        let _ = progress;
+    }
+}
+
+/// Sees nothing.
+#[derive(Clone, Copy, Debug)]
+pub struct Unobserved;
+impl Observer for Unobserved {}
+
+/// Result of homing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Homed {
+    /// Second pass against the first pass over the flag, steps.
+    pub repeat_steps: i32,
+    /// Shift against the previous homing, steps; 0 if the position was not trusted before.
+    pub shift_steps: i32,
+    /// From the request's acceptance to its end.
+    pub duration_us: u64,
+}
+
+enum Turn {
+    Nothing,
+    Answered(Output),
+    Unanswered,
+    UrgentUnanswered,
+}
+
+/// One machine at the end of a link.
+pub struct Device {
+    link: Box<dyn Link>,
+    client: Client,
+    identity: Option<Identity>,
+    interrupt: Option<Interrupt>,
+    /// The strongest urgent stop asked for by the interrupt so far.
+    interrupted: Option<Urgent>,
+    urgent_pending: bool,
+    /// A command is pending that must not be sent again after a stop.
+    commanding: bool,
+    /// Index of the next event to hand out.
+    next_event: u32,
+    /// Events that came before their predecessors.
+    early: BTreeMap<u32, Event>,
+    events: VecDeque<Event>,
+    lost_events: u32,
+    telemetry: VecDeque<(u16, Telemetry)>,
+}
+
+/// Telemetry that nobody takes is forgotten, the oldest first.
+const TELEMETRY_INBOX: usize = 4_096;
+
+impl Device {
+    /// A client without a session: [`Device::urgent`] works at once, everything else after
+    /// [`Device::hello`].
+    #[must_use]
+    pub fn new(link: Box<dyn Link>) -> Self {
+        Self {
+            link,
+            client: Client::new(),
+            identity: None,
+            interrupt: None,
+            interrupted: None,
+            urgent_pending: false,
+            commanding: false,
+            next_event: 0,
+            early: BTreeMap::new(),
+            events: VecDeque::new(),
+            lost_events: 0,
+            telemetry: VecDeque::new(),
+        }
+    }
+
+    /// Opens a session with the wanted machine and makes sure that both ends speak the same protocol. `nonce`
+    /// should be new for every connection. Moves nothing.
+    ///
+    /// # Errors
+    /// [`ClientError::NoAnswer`], [`ClientError::WrongDevice`], [`ClientError::Mismatch`], or the link's.
+    pub fn connect(
+        link: Box<dyn Link>,
+        wanted: DeviceKind,
+        nonce: u32,
+    ) -> Result<Self, ClientError> {
+        let mut device = Self::new(link);
+        device.hello(nonce)?;
+        device.require(wanted)?;
+        Ok(device)
+    }
+
+    /// Opens a session with whatever machine is there. `nonce` should be new for every connection.
+    ///
+    /// # Errors
+    /// [`ClientError::NoAnswer`], or the link's.
+    pub fn hello(&mut self, nonce: u32) -> Result<Identity, ClientError> {
+        if self.client.hello(nonce).is_err() {
+            return Err(self.session_lost());
+        }
+        let identity = match self.answer()? {
+            Some(Output::Accepted(Response::Hello(identity))) => identity,
+            _ => {
+                return Err(ClientError::NoAnswer {
+                    place: self.place(),
+                });
+            }
+        };
+        self.identity = Some(identity);
+        self.early.clear();
+        if matches(&identity) {
+            // What happened before this session is not ours to report.
+            self.next_event = self.events(u32::MAX)?.next;
+        }
+        Ok(identity)
+    }
+
+    /// Makes sure that this is the wanted machine and that both ends speak the same protocol.
+    ///
+    /// # Errors
+    /// [`ClientError::WrongDevice`], [`ClientError::Mismatch`]; [`ClientError::NoAnswer`] before
+    /// [`Device::hello`].
+    pub fn require(&self, wanted: DeviceKind) -> Result<(), ClientError> {
+        let place = self.place();
+        let Some(found) = self.identity else {
+            return Err(ClientError::NoAnswer { place });
+        };
+        let found = Box::new(found);
+        if found.device != wanted {
+            return Err(ClientError::WrongDevice {
+                place,
+                wanted,
+                found,
+            });
+        }
+        if !matches(&found) {
+            return Err(ClientError::Mismatch { place, found });
+        }
+        Ok(())
+    }
+
+    /// What the device said about itself; none before [`Device::hello`].
+    #[must_use]
+    pub fn identity(&self) -> Option<&Identity> {
+        self.identity.as_ref()
+    }
+
+    /// What the link leads to.
+    #[must_use]
+    pub fn place(&self) -> String {
+        self.link.place()
+    }
+
+    /// The link's clock.
+    #[must_use]
+    pub fn now_us(&self) -> u64 {
+        self.link.now_us()
+    }
+
+    /// From now on `interrupt` is asked while waiting for bytes, and what it wants is sent ahead of everything.
+    pub fn set_interrupt(&mut self, interrupt: Interrupt) {
+        self.interrupt = Some(interrupt);
+    }
+
+    /// What the interrupt has asked for so far.
+    #[must_use]
+    pub fn interrupted(&self) -> Option<Urgent> {
+        self.interrupted
+    }
+
+    /// Blocks of received bytes that were not good frames.
+    #[must_use]
+    pub fn rejected_frames(&self) -> u32 {
+        self.client.rejected_frames()
+    }
+
+    /// Events that had left the device's ring before they could be fetched again.
+    #[must_use]
+    pub fn lost_events(&self) -> u32 {
+        self.lost_events
+    }
+
+    // One method per row of the table.
+
+    /// Sends any request of the table and unwraps its response.
+    ///
+    /// # Errors
+    /// [`ClientError`]; [`ClientError::OutcomeUnknown`] if a command was sent and not answered.
+    pub fn call<C: Command>(&mut self, command: C) -> Result<C::Response, ClientError> {
+        let request = command.into_request();
+        let name = request.row().name;
+        let response = self.exchange(&request)?;
+        C::from_response(response).ok_or_else(|| ClientError::WrongResponse {
+            place: self.place(),
+            request: name,
+        })
+    }
+
+    /// Shows the host's presence.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn keep_alive(&mut self) -> Result<(), ClientError> {
+        self.call(KeepAlive).map(|_| ())
+    }
+
+    /// Text of the last panic or processor fault; empty if there was none.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn last_words(&mut self) -> Result<String, ClientError> {
+        Ok(self.call(GetLastWords)?.text.as_str().to_owned())
+    }
+
+    /// Sets the interval of telemetry in ms, 5..=1000, or 0 for none.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn set_telemetry(&mut self, period_ms: u16) -> Result<(), ClientError> {
+        self.call(SetTelemetry { period_ms }).map(|_| ())
+    }
+
+    /// A piece of the device's ring of events, from an index on.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn events(&mut self, from: u32) -> Result<Events, ClientError> {
+        self.call(GetEvents { from })
+    }
+
+    /// Clears a latched fault whose cause is gone. Moves nothing.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn acknowledge(&mut self) -> Result<(), ClientError> {
+        self.call(Acknowledge).map(|_| ())
+    }
+
+    /// Status of the rig.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn rig_status(&mut self) -> Result<RigStatus, ClientError> {
+        self.call(rig::GetRigStatus)
+    }
+
+    /// Begins homing; [`Device::wait_homing`] sees its end.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn home(&mut self) -> Result<HomeAccepted, ClientError> {
+        self.call(rig::Home)
+    }
+
+    /// Begins a run; [`Device::wait_run`] sees its end. Nothing is checked here: the device is the authority.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn run(&mut self, run: rig::Run) -> Result<RunAccepted, ClientError> {
+        self.call(run)
+    }
+
+    /// Record of the last run.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn run_record(&mut self) -> Result<RunRecord, ClientError> {
+        self.call(rig::GetRunRecord)
+    }
+
+    /// Status of the capsule.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn capsule_status(&mut self) -> Result<CapsuleStatus, ClientError> {
+        self.call(capsule::GetCapsuleStatus)
+    }
+
+    /// Begins to find the thread's zero; [`Device::wait_actuation`] sees its end.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn reference(&mut self) -> Result<ActuationAccepted, ClientError> {
+        self.call(capsule::Reference)
+    }
+
+    /// Begins to fold; [`Device::wait_actuation`] sees its end.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn fold(&mut self) -> Result<ActuationAccepted, ClientError> {
+        self.call(capsule::Fold)
+    }
+
+    /// Begins to unfold; [`Device::wait_actuation`] sees its end.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn unfold(&mut self) -> Result<ActuationAccepted, ClientError> {
+        self.call(capsule::Unfold)
+    }
+
+    /// Record of the last actuation.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn actuation_record(&mut self) -> Result<ActuationRecord, ClientError> {
+        self.call(capsule::GetActuationRecord)
+    }
+
+    // Stops.
+
+    /// Stops the machine, ahead of everything else; needs no session and no matching protocol.
+    ///
+    /// # Errors
+    /// [`ClientError::StopUnconfirmed`] if the device did not confirm, or the link's.
+    pub fn urgent(&mut self, urgent: Urgent) -> Result<(), ClientError> {
+        self.client.urgent(urgent);
+        self.urgent_pending = true;
+        while self.urgent_pending {
+            self.step(u64::MAX)?;
+        }
+        Ok(())
+    }
+
+    // Waiting.
+
+    /// Waits until homing ends.
+    ///
+    /// # Errors
+    /// [`ClientError::NotHomed`], [`ClientError::Overdue`], or as [`Device::call`].
+    pub fn wait_homing(
+        &mut self,
+        accepted: &HomeAccepted,
+        observer: &mut dyn Observer,
+    ) -> Result<Homed, ClientError> {
+        let start_us = self.now_us();
+        let mut found = None;
+        let at_most_us = homing_limit_us(accepted);
+        self.wait("homing", at_most_us, observer, |device, event, observer| {
+            if let Some(event) = event {
+                return Ok(match event.what {
+                    What::Rig(RigEvent::Homed {
+                        repeat_steps,
+                        shift_steps,
+                    }) => {
+                        found = Some((repeat_steps, shift_steps));
+                        true
+                    }
+                    What::Rig(RigEvent::Faulted(_) | RigEvent::Stopped { .. }) => true,
+                    _ => false,
+                });
+            }
+            let status = device.rig_status()?;
+            observer.progress(&Progress::Homing {
+                elapsed_us: device.now_us() - start_us,
+                at_most_us,
+                position_um: status.position_um,
+            });
+            Ok(!matches!(
+                status.state,
+                RigState::Homing | RigState::Stopping
+            ))
+        })?;
+        match found {
+            Some((repeat_steps, shift_steps)) => Ok(Homed {
+                repeat_steps,
+                shift_steps,
+                duration_us: self.now_us() - start_us,
+            }),
+            None => Err(ClientError::NotHomed {
+                fault: self.rig_status()?.fault,
+            }),
+        }
+    }
+
+    /// Waits until a run ends, however it ends, and returns the device's record of it.
+    ///
+    /// # Errors
+    /// [`ClientError::Overdue`], or as [`Device::call`].
+    pub fn wait_run(
+        &mut self,
+        accepted: &RunAccepted,
+        observer: &mut dyn Observer,
+    ) -> Result<RunRecord, ClientError> {
+        let total_us = accepted.total_ticks.div_ceil(100);
+        let at_most_us = total_us.saturating_add(accepted.requested.start_delay_us.into());
+        self.wait(
+            "the run",
+            at_most_us,
+            observer,
+            |device, event, observer| {
+                if let Some(event) = event {
+                    return Ok(matches!(
+                        event.what,
+                        What::Rig(RigEvent::RunEnded { run, .. }) if run == accepted.run
+                    ));
+                }
+                let status = device.rig_status()?;
+                observer.progress(&Progress::Run {
+                    elapsed_us: status.elapsed_us,
+                    total_us,
+                    stroke: status.stroke,
+                    strokes: u32::from(accepted.requested.cycles) * 2,
+                    position_um: status.position_um,
+                });
+                Ok(!matches!(
+                    status.state,
+                    RigState::Running | RigState::Held | RigState::Stopping
+                ))
+            },
+        )?;
+        self.run_record()
+    }
+
+    /// Waits until an actuation of the capsule ends, however it ends, and returns the device's record of it.
+    ///
+    /// # Errors
+    /// [`ClientError::Overdue`], or as [`Device::call`].
+    pub fn wait_actuation(
+        &mut self,
+        accepted: &ActuationAccepted,
+        observer: &mut dyn Observer,
+    ) -> Result<ActuationRecord, ClientError> {
+        let start_us = self.now_us();
+        let at_most_us = u64::from(accepted.timeout_ms) * 1_000;
+        self.wait(
+            "the actuation",
+            at_most_us,
+            observer,
+            |device, event, observer| {
+                if let Some(event) = event {
+                    return Ok(matches!(
+                        event.what,
+                        What::Capsule(CapsuleEvent::Ended { actuation, .. })
+                            if actuation == accepted.actuation
+                    ));
+                }
+                let status = device.capsule_status()?;
+                observer.progress(&Progress::Actuation {
+                    elapsed_us: device.now_us() - start_us,
+                    at_most_us,
+                    thread_um: status.thread_um,
+                    current_ma: status.current_ma,
+                });
+                Ok(!matches!(
+                    status.state,
+                    CapsuleState::Referencing | CapsuleState::Folding | CapsuleState::Unfolding
+                ))
+            },
+        )?;
+        self.actuation_record()
+    }
+
+    /// Lets link time pass, with keep-alives; hands telemetry and events to the observer.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn idle(
+        &mut self,
+        duration_us: u64,
+        observer: &mut dyn Observer,
+    ) -> Result<(), ClientError> {
+        let end_us = self.now_us().saturating_add(duration_us);
+        while self.now_us() < end_us {
+            let until_us = self.now_us().saturating_add(KEEP_ALIVE_US).min(end_us);
+            self.listen(until_us)?;
+            self.keep_alive()?;
+            self.hand_out(observer);
+        }
+        self.fetch_events()?;
+        self.hand_out(observer);
+        Ok(())
+    }
+
+    /// Waits until `ended` says so. It is asked about each event, and without an event every
+    /// [`KEEP_ALIVE_US`], when it asks the device for its status: that is the keep-alive, and it finds the end
+    /// even if the event was lost.
+    fn wait(
+        &mut self,
+        action: &'static str,
+        at_most_us: u64,
+        observer: &mut dyn Observer,
+        mut ended: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<bool, ClientError>,
+    ) -> Result<(), ClientError> {
+        let start_us = self.now_us();
+        let limit_us = at_most_us.saturating_add(OVERDUE_US);
+        let mut next_status_us = start_us.saturating_add(KEEP_ALIVE_US);
+        let mut over = false;
+        loop {
+            if !self.early.is_empty() {
+                self.fetch_events()?;
+            }
+            while let Some(event) = self.events.pop_front() {
+                observer.event(&event);
+                over |= ended(self, Some(&event), observer)?;
+            }
+            self.hand_out_telemetry(observer);
+            if over {
+                return Ok(());
+            }
+            let now_us = self.now_us();
+            if now_us >= next_status_us {
+                next_status_us = now_us.saturating_add(KEEP_ALIVE_US);
+                if ended(self, None, observer)? {
+                    // At rest: whatever event has not come by now was lost on the way.
+                    over = true;
+                    self.fetch_events()?;
+                    continue;
+                }
+                if now_us - start_us > limit_us {
+                    self.urgent(Urgent::Stop)?;
+                    return Err(ClientError::Overdue {
+                        place: self.place(),
+                        action,
+                        limit_ms: limit_us / 1_000,
+                    });
+                }
+            }
+            self.step(next_status_us)?;
+        }
+    }
+
+    /// Telemetry that came since the last call, oldest first, each with the number of samples lost before it.
+    pub fn take_telemetry(&mut self) -> Vec<(u16, Telemetry)> {
+        self.telemetry.drain(..).collect()
+    }
+
+    /// Events that came since the last call, in order, none missing.
+    ///
+    /// # Errors
+    /// As [`Device::call`]: missing ones are fetched again.
+    pub fn take_events(&mut self) -> Result<Vec<Event>, ClientError> {
+        self.fetch_events()?;
+        Ok(self.events.drain(..).collect())
+    }
+
+    fn hand_out(&mut self, observer: &mut dyn Observer) {
+        for event in self.events.drain(..) {
+            observer.event(&event);
+        }
+        self.hand_out_telemetry(observer);
+    }
+
+    fn hand_out_telemetry(&mut self, observer: &mut dyn Observer) {
+        for (missed, sample) in self.telemetry.drain(..) {
+            observer.telemetry(&sample, missed);
+        }
+    }
+
+    /// Receives until a time without asking for anything.
+    fn listen(&mut self, until_us: u64) -> Result<(), ClientError> {
+        while self.now_us() < until_us {
+            self.step(until_us)?;
+        }
+        Ok(())
+    }
+
+    // Events.
+
+    fn note_event(&mut self, event: Event) {
+        if event.index >= self.next_event {
+            self.early.insert(event.index, event);
+        }
+        while let Some(event) = self.early.remove(&self.next_event) {
+            self.next_event += 1;
+            self.events.push_back(event);
+        }
+    }
+
+    /// Fetches all events that the device has and we have not.
+    fn fetch_events(&mut self) -> Result<(), ClientError> {
+        loop {
+            let from = self.next_event;
+            let piece = self.events(from)?;
+            if piece.oldest > self.next_event {
+                self.lost_events = self
+                    .lost_events
+                    .saturating_add(piece.oldest - self.next_event);
+                self.next_event = piece.oldest;
+                self.early = self.early.split_off(&piece.oldest);
+            }
+            for event in &piece.events {
+                self.note_event(*event);
+            }
+            if self.next_event >= piece.next || self.next_event == from {
+                return Ok(());
+            }
+        }
+    }
+
+    // Bytes.
+
+    fn exchange(&mut self, request: &Request) -> Result<Response, ClientError> {
+        let row = request.row();
+        let (place, request_name) = (self.place(), row.name);
+        self.ask_interrupt();
+        let command = row.retry == Retry::Deduplicated;
+        if command && self.interrupted.is_some() {
+            while self.urgent_pending {
+                self.step(u64::MAX)?;
+            }
+            return Err(ClientError::Interrupted {
+                request: request_name,
+            });
+        }
+        if self.client.request(request).is_err() {
+            return Err(self.session_lost());
+        }
+        self.commanding = command;
+        let answer = self.answer();
+        let abandoned = command && !std::mem::take(&mut self.commanding);
+        match answer? {
+            _ if abandoned => Err(ClientError::Interrupted {
+                request: request_name,
+            }),
+            Some(Output::Accepted(response)) => Ok(response),
+            Some(Output::Refused(refusal)) => Err(ClientError::Refused {
+                place,
+                request: request_name,
+                refusal,
+            }),
+            Some(Output::Rejected(WireError::NoSession)) => Err(self.session_lost()),
+            Some(Output::Rejected(error)) => Err(ClientError::Rejected {
+                place,
+                request: request_name,
+                error,
+            }),
+            _ if command => Err(ClientError::OutcomeUnknown {
+                place,
+                request: request_name,
+            }),
+            _ => Err(ClientError::NoReply {
+                place,
+                request: request_name,
+            }),
+        }
+    }
+
+    /// Waits for the end of the pending request; `None` if it was not answered, or abandoned for a stop.
+    fn answer(&mut self) -> Result<Option<Output>, ClientError> {
+        let commanding = self.commanding;
+        loop {
+            match self.turn(u64::MAX)? {
+                Turn::Answered(output) => return Ok(Some(output)),
+                Turn::Unanswered => return Ok(None),
+                Turn::UrgentUnanswered => return Err(self.stop_unconfirmed()),
+                Turn::Nothing if commanding && !self.commanding && !self.urgent_pending => {
+                    return Ok(None);
+                }
+                Turn::Nothing => {}
+            }
+        }
+    }
+
+    /// A turn while no request is pending.
+    fn step(&mut self, deadline_us: u64) -> Result<(), ClientError> {
+        match self.turn(deadline_us)? {
+            Turn::UrgentUnanswered => Err(self.stop_unconfirmed()),
+            Turn::Nothing | Turn::Answered(_) | Turn::Unanswered => Ok(()),
+        }
+    }
+
+    /// Sends what is due, or receives for a while and no longer than to `deadline_us`.
+    fn turn(&mut self, deadline_us: u64) -> Result<Turn, ClientError> {
+        self.ask_interrupt();
+        let now_us = self.link.now_us();
+        let until_us = match self.client.poll(now_us) {
+            Poll::Transmit(frame) => {
+                self.link.send(&frame)?;
+                return Ok(Turn::Nothing);
+            }
+            // An urgent stop keeps the pending request waiting: this is the stop's time-out.
+            Poll::TimedOut if self.urgent_pending => {
+                self.urgent_pending = false;
+                return Ok(Turn::UrgentUnanswered);
+            }
+            Poll::TimedOut => return Ok(Turn::Unanswered),
+            Poll::WaitUntil(time_us) => time_us.min(deadline_us),
+        };
+        let mut bytes = [0; 512];
+        let count = self
+            .link
+            .receive(&mut bytes, until_us.min(now_us.saturating_add(SLICE_US)))?;
+        let mut turn = Turn::Nothing;
+        for byte in &bytes[..count] {
+            match self.client.receive(*byte) {
+                None => {}
+                Some(Output::Telemetry { missed, sample }) => {
+                    if self.telemetry.len() == TELEMETRY_INBOX {
+                        self.telemetry.pop_front();
+                    }
+                    self.telemetry.push_back((missed, sample));
+                }
+                Some(Output::Event(event)) => self.note_event(event),
+                Some(Output::UrgentDone(_)) => {
+                    self.urgent_pending = false;
+                }
+                // One request is pending at a time, so that this is the only answer in here.
+                Some(output) => turn = Turn::Answered(output),
+            }
+        }
+        Ok(turn)
+    }
+
+    fn ask_interrupt(&mut self) {
+        let wanted = self.interrupt.as_ref().and_then(|interrupt| interrupt());
+        let stronger = match (self.interrupted, wanted) {
+            (None, Some(urgent)) => Some(urgent),
+            (Some(Urgent::Stop), Some(Urgent::EStop)) => Some(Urgent::EStop),
+            _ => None,
+        };
+        if let Some(urgent) = stronger {
+            self.interrupted = Some(urgent);
+            if std::mem::take(&mut self.commanding) {
+                // A command that is sent again after the stop would start what the operator stopped. Only a
+                // new client forgets it; the session ends with the old one, stops need none.
+                self.client = Client::new();
+            }
+            self.client.urgent(urgent);
+            self.urgent_pending = true;
+        }
+    }
+
+    fn session_lost(&self) -> ClientError {
+        ClientError::SessionLost {
+            place: self.place(),
+        }
+    }
+
+    fn stop_unconfirmed(&self) -> ClientError {
+        ClientError::StopUnconfirmed {
+            place: self.place(),
+        }
+    }
+}
+
+/// Whether the device speaks exactly the host's protocol.
+#[must_use]
+pub fn matches(identity: &Identity) -> bool {
+    identity.protocol.major == VERSION.major && identity.schema_key == SCHEMA_KEY
+}
+
+/// Homing ends within this time: both passes over the whole allowed travel, generously.
+#[must_use]
+pub fn homing_limit_us(accepted: &HomeAccepted) -> u64 {
+    let travel_us = |um: u64, um_s: u32| um * 1_000_000 / u64::from(um_s.max(1));
+    let travel_um = u64::from(accepted.max_travel_um);
+    // The slow pass covers the way from the first pass back, a small part of the travel.
+    2 * travel_us(travel_um, accepted.seek_um_s)
+        + travel_us(travel_um / 4, accepted.locate_um_s)
+        + 5_000_000
+}

@@ -1,0 +1,223 @@
+//! Why a machine did not do what it was asked for: the link's end, the wire's, the device's own refusal.
+
+use miette::Diagnostic;
+use protocol::VERSION;
+use protocol::error::{Refusal, WireError};
+use protocol::rig::RigFault;
+use protocol::system::{DeviceKind, Identity};
+use protocol::table::SCHEMA_KEY;
+
+use crate::identity;
+use crate::link::LinkError;
+
+/// Why something could not be done.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+pub enum ClientError {
+    /// The bytes did not get through.
+    #[error(transparent)]
+    #[diagnostic(
+        code(retrograde::link_lost),
+        help(
+            "check cable and supply; a moving rig stops by itself after 1 s without the host, unless the run was started with `--on-link-loss finish`"
+        )
+    )]
+    Link(#[from] LinkError),
+
+    /// Nothing answered Hello.
+    #[error("no answer from {place}")]
+    #[diagnostic(
+        code(retrograde::no_answer),
+        help(
+            "is the board powered, is this its port (`retrograde devices`), does `--baud` match the firmware (115200), and is Retrograde's firmware on it (`retrograde flash`)?"
+        )
+    )]
+    NoAnswer {
+        /// What the link leads to.
+        place: String,
+    },
+
+    /// Another machine than the wanted one is at this place.
+    #[error("{place} is a {found}, not a {wanted}; nothing was moved", found = identity::kind_name(found.device), wanted = identity::kind_name(*wanted))]
+    #[diagnostic(
+        code(retrograde::wrong_device),
+        help(
+            "there is: {}\nexchange `--rig` and `--capsule`, or choose from `retrograde devices`",
+            identity::line(found)
+        )
+    )]
+    WrongDevice {
+        /// What the link leads to.
+        place: String,
+        /// Which machine was wanted.
+        wanted: DeviceKind,
+        /// What answered.
+        found: Box<Identity>,
+    },
+
+    /// Both ends were built from different protocols: only identity, last words and stops work.
+    #[error("{}", mismatch_text(place, found))]
+    #[diagnostic(
+        code(retrograde::mismatch),
+        help("until then `info`, `stop` and `estop` work, and nothing else is sent")
+    )]
+    Mismatch {
+        /// What the link leads to.
+        place: String,
+        /// What answered.
+        found: Box<Identity>,
+    },
+
+    /// The device understood the request and refused it; nothing moved.
+    #[error("{place} refused {request}: {refusal}")]
+    #[diagnostic(code(retrograde::refused), help("nothing was moved"))]
+    Refused {
+        /// What the link leads to.
+        place: String,
+        /// Name of the request.
+        request: &'static str,
+        /// Why.
+        refusal: Refusal,
+    },
+
+    /// The device could not use the request; nothing moved.
+    #[error("{place} could not use {request}: {error}")]
+    #[diagnostic(code(retrograde::rejected), help("nothing was moved by this request"))]
+    Rejected {
+        /// What the link leads to.
+        place: String,
+        /// Name of the request.
+        request: &'static str,
+        /// Why.
+        error: WireError,
+    },
+
+    /// The session ended under way.
+    #[error("{place} no longer knows this session: it was reset, or another program took it over")]
+    #[diagnostic(
+        code(retrograde::session_lost),
+        help(
+            "a reset stops every motion and nothing starts again by itself; `retrograde info` shows the cause of the last start"
+        )
+    )]
+    SessionLost {
+        /// What the link leads to.
+        place: String,
+    },
+
+    /// A harmless question was not answered.
+    #[error("{place} did not answer {request}; the question changes nothing, so nothing was done")]
+    #[diagnostic(
+        code(retrograde::no_reply),
+        help("check cable and supply, then ask again")
+    )]
+    NoReply {
+        /// What the link leads to.
+        place: String,
+        /// Name of the request.
+        request: &'static str,
+    },
+
+    /// A command was not answered: it may or may not have been carried out.
+    #[error(
+        "outcome unknown: {place} did not answer {request}, which may or may not have been carried out"
+    )]
+    #[diagnostic(
+        code(retrograde::outcome_unknown),
+        help(
+            "look at the machine and at `retrograde info` before asking again; use the emergency stop if it moves"
+        )
+    )]
+    OutcomeUnknown {
+        /// What the link leads to.
+        place: String,
+        /// Name of the request.
+        request: &'static str,
+    },
+
+    /// An urgent stop was not answered.
+    #[error("{place} did not confirm the stop")]
+    #[diagnostic(
+        code(retrograde::stop_unconfirmed),
+        help(
+            "press the emergency stop button or cut the motor supply NOW; then check cable and supply"
+        )
+    )]
+    StopUnconfirmed {
+        /// What the link leads to.
+        place: String,
+    },
+
+    /// The operator stopped the machine while a command was on its way, or before.
+    #[error("stopped by the operator; {request} was not sent, or not again")]
+    #[diagnostic(
+        code(retrograde::interrupted),
+        help(
+            "the device has confirmed the stop and nothing moves; `retrograde info` shows where it stands"
+        )
+    )]
+    Interrupted {
+        /// Name of the request.
+        request: &'static str,
+    },
+
+    /// The device answered with another request's response.
+    #[error("{place} answered {request} with another request's response")]
+    #[diagnostic(
+        code(retrograde::wrong_response),
+        help("host tool and firmware differ although their schema keys agree: report this")
+    )]
+    WrongResponse {
+        /// What the link leads to.
+        place: String,
+        /// Name of the request.
+        request: &'static str,
+    },
+
+    /// An action did not end when it had to; it was stopped.
+    #[error("{action} on {place} did not end within {limit_ms} ms; a stop was sent")]
+    #[diagnostic(
+        code(retrograde::overdue),
+        help("look at the machine and at `retrograde info`")
+    )]
+    Overdue {
+        /// What the link leads to.
+        place: String,
+        /// Which.
+        action: &'static str,
+        /// When it had to end, after its acceptance.
+        limit_ms: u64,
+    },
+
+    /// Homing ended without a position.
+    #[error("homing did not find the position: {}", homing_failure(*fault))]
+    #[diagnostic(code(retrograde::not_homed))]
+    NotHomed {
+        /// The latched fault; none if homing was stopped.
+        fault: Option<RigFault>,
+    },
+}
+
+fn mismatch_text(place: &str, found: &Identity) -> String {
+    let name = identity::kind_name(found.device);
+    let remedy = if found.protocol.major > VERSION.major {
+        "use the host tool that was built with this firmware".to_owned()
+    } else {
+        format!("flash the matching firmware (`retrograde flash {name}`)")
+    };
+    format!(
+        "{remedy}: the {name} at {place} (firmware {}) speaks protocol {}.{} with schema {:016x}, this host tool {}.{} with schema {SCHEMA_KEY:016x}",
+        identity::revision(&found.revision),
+        found.protocol.major,
+        found.protocol.minor,
+        found.schema_key,
+        VERSION.major,
+        VERSION.minor,
+    )
+}
+
+fn homing_failure(fault: Option<RigFault>) -> String {
+    fault.map_or_else(
+        || "it was stopped; home again".to_owned(),
+        |fault| fault.to_string(),
+    )
+}
