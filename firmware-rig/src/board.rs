@@ -56,6 +56,7 @@ pub struct Board {
 pub fn init() -> Board {
     let p = embassy_stm32::init(clocks());
     mend_time_driver();
+    enable_peripherals();
     outputs_off();
     configure_pins();
     configure_priorities();
@@ -113,13 +114,23 @@ fn mend_time_driver() {
     });
 }
 
-fn configure_pins() {
-    use pac::gpio::vals::{Moder, Ospeedr, Pupdr};
+/// What the HAL does not drive for us.
+fn enable_peripherals() {
     pac::RCC.ahb1enr().modify(|w| {
         w.set_gpioaen(true);
         w.set_gpioben(true);
         w.set_gpiocen(true);
+        w.set_dma2en(true);
     });
+    pac::RCC.apb1enr().modify(|w| w.set_tim2en(true));
+    pac::RCC.apb2enr().modify(|w| {
+        w.set_tim1en(true);
+        w.set_syscfgen(true);
+    });
+}
+
+fn configure_pins() {
+    use pac::gpio::vals::{Moder, Ospeedr, Pupdr};
     // Outputs first get their level, then their mode: EN high = driver off.
     pac::GPIOA.bsrr().write(|w| w.set_bs(9, true));
     pac::GPIOA.moder().modify(|w| w.set_moder(9, Moder::OUTPUT));
@@ -147,7 +158,6 @@ fn configure_pins() {
             .modify(|w| w.set_moder(pin, Moder::ALTERNATE));
     }
     // EXTI7 from port C, EXTI6 from port B, both edges.
-    pac::RCC.apb2enr().modify(|w| w.set_syscfgen(true));
     pac::SYSCFG.exticr(1).modify(|w| {
         w.set_exti(3, 2);
         w.set_exti(2, 1);

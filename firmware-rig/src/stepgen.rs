@@ -68,10 +68,6 @@ pub struct StepGen {
 impl StepGen {
     /// Sets up TIM1, its DMA stream and TIM2. Outputs stay off.
     pub fn new() -> Self {
-        pac::RCC.ahb1enr().modify(|w| w.set_dma2en(true));
-        pac::RCC.apb2enr().modify(|w| w.set_tim1en(true));
-        pac::RCC.apb1enr().modify(|w| w.set_tim2en(true));
-
         TIM1.psc().write_value(0);
         TIM1.cr1().write(|w| w.set_arpe(true));
         for channel in [0, 2] {
@@ -122,6 +118,9 @@ impl StepGen {
         for slot in 0..SLOTS {
             write_slot(slot, [0; WORDS]);
         }
+        DMA2.st(STREAM)
+            .ndtr()
+            .write(|w| w.set_ndt((SLOTS * WORDS) as u16));
         (self.pushed, self.fetched, self.read_slot, self.end) = (0, 0, 0, 0);
     }
 
@@ -172,7 +171,10 @@ impl StepGen {
     pub fn lead(&self) -> u32 {
         let playing = self.fetched - 2;
         if playing < 0 {
-            return self.end;
+            return self.end; // not started
+        }
+        if self.queue() < 0 {
+            return 0;
         }
         self.end.wrapping_sub(self.ends[playing as usize % SLOTS])
     }
@@ -208,7 +210,6 @@ impl StepGen {
             w.set_dmeif(STREAM % 4, true);
             w.set_feif(STREAM % 4, true);
         });
-        stream.ndtr().write(|w| w.set_ndt((SLOTS * WORDS) as u16));
         stream.cr().write(|w| {
             w.set_chsel(DMA_CHANNEL);
             w.set_dir(pac::dma::vals::Dir::MEMORY_TO_PERIPHERAL);
