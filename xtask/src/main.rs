@@ -1,2 +1,80 @@
-//! Placeholder.
-fn main() {}
+//! `cargo xtask`: set-up, images, demo, test, bench and CI, each from one command on a fresh machine.
+//!
+//! | file | does |
+//! |---|---|
+//! | `main.rs` | reads the command line |
+//! | `steps.rs` | runs named steps, times them, sums up |
+//! | `checks.rs` | the steps of `test` and `ci` |
+//! | `bench.rs` | starts the virtual bench |
+//! | `images.rs` | builds both ARM images |
+//! | `layout.rs` | reads an image and judges its addresses and sizes |
+//! | `toolchain.rs` | finds a compiler for the STM32 |
+//! | `debian.rs` | one such compiler, from Debian packages |
+//! | `process.rs` | children and their environment |
+#![forbid(unsafe_code)]
+#![allow(
+    clippy::print_stdout,
+    reason = "a command line tool talks to its terminal"
+)]
+
+mod bench;
+mod checks;
+mod debian;
+mod images;
+mod layout;
+mod process;
+mod steps;
+mod toolchain;
+
+use std::process::ExitCode;
+
+use process::Failure;
+
+const HELP: &str = "\
+cargo xtask <command>
+
+  demo [OPTIONS]    build both images and run the paper's experiment on the virtual bench;
+                    leaves data and a report (options go to the bench: `cargo xtask demo --help`)
+  test              build both images, run the host tests and the tests of the images
+  ci                everything that has to hold before a change is merged
+
+  images [--check]  build both images, check their layout and sizes (--check: only check)
+  bench [OPTIONS]   measure the images on the virtual bench
+  setup             find or install a compiler for the STM32, and nothing else
+  help              this text
+
+Nothing has to be installed before. Where the Rust in use has no ARM target, it is added with rustup,
+or taken from Debian packages; each command says what it does.
+";
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let (command, rest) = match arguments.split_first() {
+        Some((command, rest)) => (command.as_str(), rest),
+        None => ("help", &[][..]),
+    };
+    let outcome = match (command, rest) {
+        ("demo", options) => images::build().and_then(|()| bench::run_command("demo", options)),
+        ("bench", options) => images::build().and_then(|()| bench::run_command("bench", options)),
+        ("test", []) => return checks::test(),
+        ("ci", []) => return checks::ci(),
+        ("images", []) => images::build(),
+        ("images", [flag]) if flag == "--check" => images::check(),
+        ("setup", []) => toolchain::find().map(|found| println!("Ready: {found}")),
+        ("help" | "--help" | "-h", _) => {
+            print!("{HELP}");
+            Ok(())
+        }
+        _ => Err(Failure::new(
+            format!("unknown command: {}", arguments.join(" ")),
+            "`cargo xtask help` lists the commands",
+        )),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("{failure}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! The steps of `cargo xtask test` and `cargo xtask ci`.
+//!
+//! Everything is compiled as few times as its purposes allow: once in the dev profile for the host
+//! tests, once in release for the bench (its tests and the demo share that), once as metadata for the
+//! linter and the documentation, once for the chip.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::SystemTime;
+
+use crate::process::{Failure, Result, host_cargo, root, run};
+use crate::steps::{self, Step};
+use crate::{bench, images};
+
+const HOST_TESTS: Step = Step {
+    name: "host tests",
+    does: "plain `cargo test`, which needs nothing installed",
+    after: None,
+    act: host_tests,
+};
+const IMAGES: Step = Step {
+    name: "images",
+    does: "builds both ARM images, judges addresses and sizes",
+    after: None,
+    act: images::build,
+};
+const BENCH_TESTS: Step = Step {
+    name: "bench tests",
+    does: "boots the images on the virtual bench and judges them from their pins",
+    after: Some("images"),
+    act: bench::test,
+};
+
+/// Every test there is, with all set-up.
+pub(crate) fn test() -> ExitCode {
+    steps::run(&[IMAGES, HOST_TESTS, BENCH_TESTS])
+}
+
+/// Every test, and what else has to hold before a change is merged.
+pub(crate) fn ci() -> ExitCode {
+    steps::run(&[
+        Step {
+            name: "format",
+            does: "every file is as rustfmt writes it",
+            after: None,
+            act: format,
+        },
+        // Before anything is installed, so that it is shown to need nothing.
+        HOST_TESTS,
+        Step {
+            name: "lint host",
+            does: "clippy on every package and target of the host, no warning allowed",
+            after: None,
+            act: lint_host,
+        },
+        Step {
+            name: "docs",
+            does: "the documentation of every package, no warning allowed",
+            after: None,
+            act: docs,
+        },
+        IMAGES,
+        Step {
+            name: "lint images",
+            does: "clippy on both images as compiled for the chip, no warning allowed",
+            after: Some("images"),
+            act: images::lint,
+        },
+        BENCH_TESTS,
+        Step {
+            name: "demo",
+            does: "`cargo xtask demo`, and the data and the report it leaves",
+            after: Some("images"),
+            act: demo,
+        },
+    ])
+}
+
+fn host_tests() -> Result<()> {
+    run(
+        &mut host_cargo("test"),
+        "run the failing test alone: `cargo test -p PACKAGE NAME`",
+    )
+}
+
+fn format() -> Result<()> {
+    let mut cargo = host_cargo("fmt");
+    run(
+        cargo.args(["--all", "--check"]),
+        "`cargo fmt --all`; if there is no such command, `rustup component add rustfmt`",
+    )
+}
+
+fn lint_host() -> Result<()> {
+    let mut cargo = host_cargo("clippy");
+    // `--locked`: a change of dependencies has to come with its Cargo.lock.
+    cargo.args(["--locked", "--workspace", "--all-targets"]);
+    bench::accept_this_rust(&mut cargo);
+    run(
+        cargo.args(["--", "-D", "warnings"]),
+        "mend what clippy reports above; if there is no such command, `rustup component add clippy`",
+    )
+}
+
+fn docs() -> Result<()> {
+    let mut cargo = host_cargo("doc");
+    cargo.args(["--workspace", "--no-deps"]);
+    bench::accept_this_rust(&mut cargo);
+    run(
+        cargo.env("RUSTDOCFLAGS", "-D warnings"),
+        "mend what rustdoc reports above",
+    )
+}
+
+/// The folder the demo writes to unless told otherwise.
+const DEMO_DATA: &str = "demo-data";
+
+fn demo() -> Result<()> {
+    let start = SystemTime::now();
+    bench::run_command("demo", &[])?;
+    let written = written_since(start, &root().join(DEMO_DATA));
+    for (what, ending) in [("telemetry", "csv"), ("record", "json"), ("report", "html")] {
+        let found = written
+            .iter()
+            .find(|path| path.extension().is_some_and(|end| end == ending));
+        match found {
+            Some(path) => println!(
+                "{what}: {}",
+                path.strip_prefix(root()).unwrap_or(path).display()
+            ),
+            None => {
+                let what = format!("the demo left no {what} (.{ending}) in {DEMO_DATA}");
+                return Err(Failure::new(what, "see where the demo says it wrote to"));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Files below a folder that are not empty and were written at or after an instant.
+fn written_since(start: SystemTime, folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let Ok(about) = entry.metadata() else {
+            continue;
+        };
+        if about.is_dir() {
+            found.extend(written_since(start, &entry.path()));
+        } else if about.len() > 0 && about.modified().is_ok_and(|when| when >= start) {
+            found.push(entry.path());
+        }
+    }
+    found
+}

@@ -1,0 +1,195 @@
+//! Debian's Rust: no ARM target in the archive, but the sources, so that cargo builds `core` itself.
+
+use std::fmt;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::process::{Failure, Result, first_line, image_cargo, root, run};
+use crate::toolchain::{OLDEST, Version};
+
+/// A matched set: compiler, cargo, the sources of `core`, the linter, and a linker for ARM.
+const PACKAGES: [&str; 5] = [
+    "rustc-web",
+    "cargo-web",
+    "rust-web-src",
+    "rust-web-clippy",
+    "lld",
+];
+
+/// What has to be there for the set to be of use.
+const FILES: [&str; 6] = [
+    "bin/rustc",
+    "bin/cargo",
+    "bin/cargo-clippy",
+    "bin/clippy-driver",
+    "bin/ld.lld",
+    "lib/rustlib/src/rust/library/Cargo.lock",
+];
+
+/// Debian's Rust below some `usr` folder: the system's own, or one unpacked in `target/toolchain`.
+pub(crate) struct Debian {
+    usr: PathBuf,
+    version: Version,
+}
+
+impl Debian {
+    /// The set that is already on this machine, if any.
+    pub(crate) fn present() -> Option<Self> {
+        [PathBuf::from("/usr"), unpacked().join("usr")]
+            .into_iter()
+            .find_map(|usr| Self::at(usr).ok())
+    }
+
+    /// Fetches the set. Root installs it; anybody else unpacks it below `target/`, where it changes
+    /// nothing on the system and goes with `cargo clean`.
+    ///
+    /// # Errors
+    /// Not a Debian, no network, or Debian's Rust is too old.
+    pub(crate) fn fetch() -> Result<Self> {
+        if first_line(Command::new("apt-get").arg("--version")).is_none() {
+            let what = "this machine has no apt-get, so Debian's packages cannot be had";
+            return Err(Failure::new(what, "use rustup, or a Debian machine"));
+        }
+        if first_line(Command::new("id").arg("-u")).as_deref() == Some("0") {
+            println!("Installing {} with apt-get.", PACKAGES.join(", "));
+            match install().and_then(|()| Self::at(PathBuf::from("/usr"))) {
+                Ok(debian) => return Ok(debian),
+                Err(failure) => println!("{failure}"),
+            }
+        }
+        println!(
+            "Unpacking {} below target/toolchain (190 MB to fetch, 1.1 GB on disk, once).",
+            PACKAGES.join(", ")
+        );
+        unpack()?;
+        Self::at(unpacked().join("usr"))
+    }
+
+    fn at(usr: PathBuf) -> Result<Self> {
+        if let Some(missing) = FILES.iter().find(|file| !usr.join(file).exists()) {
+            let what = format!("{} is missing", usr.join(missing).display());
+            return Err(Failure::new(what, "delete target/toolchain and try again"));
+        }
+        let mut rustc = Command::new(usr.join("bin/rustc"));
+        match Version::of(rustc.env("LD_LIBRARY_PATH", libraries(&usr))) {
+            Some(version) if version >= OLDEST => Ok(Self { usr, version }),
+            Some(version) => Err(Failure::new(
+                format!("Debian's Rust is {version}, this workspace needs {OLDEST}"),
+                "add Debian's security archive to /etc/apt, which has a newer one, or use rustup",
+            )),
+            None => Err(Failure::new(
+                format!("{} does not run", usr.join("bin/rustc").display()),
+                "delete target/toolchain and try again, or use rustup",
+            )),
+        }
+    }
+
+    /// A cargo command that builds `core` too.
+    pub(crate) fn cargo(&self, subcommand: &str) -> Command {
+        let program = |name: &str| self.usr.join("bin").join(name);
+        // `cargo clippy` would look for its driver in ~/.cargo/bin first and find another compiler's.
+        let entry = match subcommand {
+            "clippy" => "cargo-clippy",
+            _ => "cargo",
+        };
+        let mut command = image_cargo(program(entry), subcommand);
+        command
+            .env_remove("RUSTUP_TOOLCHAIN")
+            .env("CARGO", program("cargo"))
+            .env("RUSTC", program("rustc"))
+            .env("LD_LIBRARY_PATH", libraries(&self.usr))
+            .env(
+                "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER",
+                program("ld.lld"),
+            )
+            // `build-std` is unstable; Debian ships no nightly.
+            .env("RUSTC_BOOTSTRAP", "1")
+            .args(["-Z", "build-std=core"]);
+        command
+    }
+}
+
+impl fmt::Display for Debian {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { usr, version } = self;
+        let place = usr.strip_prefix(root()).unwrap_or(usr).display();
+        write!(
+            out,
+            "Debian's Rust {version} in {place}, with `core` built from its sources"
+        )
+    }
+}
+
+fn unpacked() -> PathBuf {
+    root().join("target/toolchain")
+}
+
+/// Where the shared libraries of the set lie: Debian's multiarch folder.
+fn libraries(usr: &Path) -> PathBuf {
+    usr.join(format!("lib/{}-linux-gnu", std::env::consts::ARCH))
+}
+
+fn install() -> Result<()> {
+    let remedy = "see what apt-get says above";
+    if first_line(Command::new("apt-cache").args(["show", PACKAGES[0]])).is_none() {
+        run(Command::new("apt-get").args(["-q", "update"]), remedy)?;
+    }
+    let mut apt = Command::new("apt-get");
+    apt.env("DEBIAN_FRONTEND", "noninteractive");
+    apt.args(["-q", "-y", "-o", "DPkg::Lock::Timeout=60", "install"]);
+    // A Rust that somebody installed by hand stays.
+    apt.args(["--no-remove", "--no-install-recommends"]);
+    run(apt.args(PACKAGES), remedy)
+}
+
+/// Fetches the packages, and those they need that are not installed, with folders of our own in place
+/// of the system's, which only root may write.
+fn unpack() -> Result<()> {
+    let remedy = "see what apt-get says above; a Debian mirror has to be reachable";
+    let partial = root().join("target/toolchain.partial");
+    let apt_state = partial.join("apt");
+    let trouble = |error: std::io::Error| {
+        let what = format!("{} cannot be prepared: {error}", partial.display());
+        Failure::new(what, "free some disk space, or make target/ writable")
+    };
+    if partial.exists() {
+        fs::remove_dir_all(&partial).map_err(trouble)?;
+    }
+    for folder in ["apt/lists/partial", "apt/archives/partial"] {
+        fs::create_dir_all(partial.join(folder)).map_err(trouble)?;
+    }
+
+    let apt = || {
+        let mut command = Command::new("apt-get");
+        command.args(["-q", "-o", "Debug::NoLocking=1"]);
+        command.args(["-o", "APT::Sandbox::User=root"]);
+        for (option, folder) in [
+            ("Dir::State::Lists", "lists"),
+            ("Dir::Cache", "."),
+            ("Dir::Cache::Archives", "archives"),
+        ] {
+            let place = apt_state.join(folder);
+            command.args(["-o", &format!("{option}={}", place.display())]);
+        }
+        command
+    };
+    run(apt().arg("update"), remedy)?;
+    let mut download = apt();
+    download.args(["--download-only", "-y", "--no-install-recommends"]);
+    run(download.arg("install").args(PACKAGES), remedy)?;
+
+    let archives = fs::read_dir(apt_state.join("archives")).map_err(trouble)?;
+    for archive in archives.flatten().map(|entry| entry.path()) {
+        if archive.extension().is_some_and(|end| end == "deb") {
+            let mut dpkg = Command::new("dpkg-deb");
+            run(dpkg.arg("-x").args([&archive, &partial]), remedy)?;
+        }
+    }
+    fs::remove_dir_all(&apt_state).map_err(trouble)?;
+    if unpacked().exists() {
+        fs::remove_dir_all(unpacked()).map_err(trouble)?;
+    }
+    // Last, so that a half unpacked set is never taken for a whole one.
+    fs::rename(&partial, unpacked()).map_err(trouble)
+}

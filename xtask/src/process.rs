@@ -1,0 +1,181 @@
+//! Children and their environment.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// What went wrong and what the reader can do about it.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    what: String,
+    remedy: String,
+}
+
+impl Failure {
+    pub(crate) fn new(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self {
+            what: what.into(),
+            remedy: remedy.into(),
+        }
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "error: {}\n remedy: {}", self.what, self.remedy)
+    }
+}
+
+pub(crate) type Result<T> = std::result::Result<T, Failure>;
+
+/// Variables that change what a compiler builds. `cargo run` or a caller's shell sets them for the
+/// host; an image must not depend on them.
+const STEERS_A_COMPILER: [&str; 14] = [
+    "CARGO",
+    "CARGO_BUILD_RUSTC",
+    "CARGO_BUILD_RUSTFLAGS",
+    "CARGO_BUILD_TARGET",
+    "CARGO_ENCODED_RUSTFLAGS",
+    "CARGO_TARGET_DIR",
+    "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER",
+    "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUSTFLAGS",
+    "LD_LIBRARY_PATH",
+    "RUSTC",
+    "RUSTC_WORKSPACE_WRAPPER",
+    "RUSTC_WRAPPER",
+    "RUSTDOC",
+    "RUSTFLAGS",
+];
+
+/// The folder of the workspace.
+pub(crate) fn root() -> PathBuf {
+    // Cargo sets the variable at run time; the compiled-in value serves a direct call of the binary.
+    let package = std::env::var_os("CARGO_MANIFEST_DIR")
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
+    package.parent().unwrap_or(Path::new(".")).to_path_buf()
+}
+
+/// The cargo that runs this program, for the host.
+pub(crate) fn host_cargo(subcommand: &str) -> Command {
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.arg(subcommand).current_dir(root());
+    forget_own_package(&mut command);
+    command
+}
+
+/// A cargo for the images, free of what steers the compiler of the host.
+pub(crate) fn image_cargo(program: impl AsRef<Path>, subcommand: &str) -> Command {
+    let mut command = Command::new(program.as_ref());
+    command.arg(subcommand).current_dir(root());
+    forget_own_package(&mut command);
+    for variable in STEERS_A_COMPILER {
+        command.env_remove(variable);
+    }
+    command
+}
+
+/// Removes the description of `xtask` that `cargo run` leaves behind: build scripts of others watch
+/// some of these names and would run again for nothing.
+fn forget_own_package(command: &mut Command) {
+    for (name, _) in std::env::vars_os() {
+        let text = name.to_string_lossy();
+        if [
+            "CARGO_PKG_",
+            "CARGO_MANIFEST_",
+            "CARGO_BIN_",
+            "CARGO_CRATE_",
+        ]
+        .iter()
+        .any(|prefix| text.starts_with(prefix))
+        {
+            command.env_remove(&name);
+        }
+    }
+}
+
+/// Shows the command, runs it with the terminal attached, and succeeds if it does.
+///
+/// # Errors
+/// It cannot be started or ends with another code than 0; the remedy is the caller's.
+pub(crate) fn run(command: &mut Command, remedy: &str) -> Result<()> {
+    println!("$ {}", spelled(command));
+    let status = command.status().map_err(|error| {
+        let what = format!("{} does not start: {error}", spelled(command));
+        Failure::new(what, remedy)
+    })?;
+    if status.success() {
+        Ok(())
+    } else {
+        let what = format!("{} ended with {status}", spelled(command));
+        Err(Failure::new(what, remedy))
+    }
+}
+
+/// As [`run`], but ends the child when it takes longer than `limit`.
+pub(crate) fn run_within(limit: Duration, command: &mut Command, remedy: &str) -> Result<()> {
+    println!("$ {}", spelled(command));
+    let text = spelled(command);
+    let failure = |reason: String| Failure::new(format!("{text} {reason}"), remedy);
+    let mut child = command
+        .stdin(Stdio::null())
+        .spawn()
+        .map_err(|error| failure(format!("does not start: {error}")))?;
+    let start = Instant::now();
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) if status.success() => return Ok(()),
+            Ok(Some(status)) => return Err(failure(format!("ended with {status}"))),
+            Ok(None) if start.elapsed() < limit => sleep(Duration::from_millis(50)),
+            Ok(None) => {
+                // It may have ended in between; both calls then do nothing.
+                let _ = child.kill();
+                let _ = child.wait();
+                return Err(failure(format!("took longer than {} s", limit.as_secs())));
+            }
+            Err(error) => return Err(failure(format!("cannot be watched: {error}"))),
+        }
+    }
+}
+
+/// The first line a command prints, if it succeeds.
+pub(crate) fn first_line(command: &mut Command) -> Option<String> {
+    let output = command.stdin(Stdio::null()).stderr(Stdio::null());
+    let output = output.output().ok().filter(|done| done.status.success())?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    text.lines().next().map(|line| line.trim().to_owned())
+}
+
+/// The command as a person would type it: file names instead of paths for programs.
+fn spelled(command: &Command) -> String {
+    let program = Path::new(command.get_program());
+    let shown = program.file_name().unwrap_or(program.as_os_str());
+    let mut words = vec![shown.to_string_lossy().into_owned()];
+    words.extend(
+        command
+            .get_args()
+            .map(|word| word.to_string_lossy().into_owned()),
+    );
+    words.join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_child_that_hangs_is_ended() {
+        let start = Instant::now();
+        let mut sleeper = Command::new("sleep");
+        let outcome = run_within(Duration::from_millis(200), sleeper.arg("60"), "none");
+        assert!(outcome.is_err_and(|failure| failure.what.contains("longer than")));
+        assert!(start.elapsed() < Duration::from_secs(30));
+    }
+
+    #[test]
+    fn a_failing_child_carries_the_remedy() {
+        let failure = run(&mut Command::new("false"), "read its output").unwrap_err();
+        assert!(failure.to_string().contains("remedy: read its output"));
+    }
+}

@@ -1,0 +1,159 @@
+//! Finds a compiler for the STM32, in this order: the Rust in use has the target; Debian's Rust is
+//! already there; rustup can add the target; Debian's packages can be fetched.
+
+use std::fmt;
+use std::process::Command;
+use std::time::Duration;
+
+use crate::debian::Debian;
+use crate::process::{Failure, Result, first_line, image_cargo, run_within};
+
+/// The Cortex-M4F with hardware floats.
+pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
+
+/// Oldest compiler that builds the workspace: `rust-version` of the root `Cargo.toml`.
+pub(crate) const OLDEST: Version = Version(1, 95);
+
+/// Long enough for 40 MB on a slow line, short enough for a firewall that swallows packets.
+const RUSTUP_LIMIT: Duration = Duration::from_secs(120);
+
+/// A compiler that can build the images.
+pub(crate) enum Toolchain {
+    /// The Rust in use, which has the target.
+    Native,
+    /// Debian's Rust, which has no target for us but lets `core` be built from source.
+    Debian(Debian),
+}
+
+impl Toolchain {
+    /// A cargo command for the target, `build` or `clippy`, with everything but the packages.
+    pub(crate) fn cargo(&self, subcommand: &str) -> Command {
+        let mut command = match self {
+            Self::Native => image_cargo(
+                std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()),
+                subcommand,
+            ),
+            Self::Debian(debian) => debian.cargo(subcommand),
+        };
+        command.args(["--target", TARGET, "--profile", "firmware"]);
+        command
+    }
+}
+
+impl fmt::Display for Toolchain {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Native => write!(out, "the Rust in use has the target {TARGET}"),
+            Self::Debian(debian) => debian.fmt(out),
+        }
+    }
+}
+
+/// A Rust version, major and minor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Version(pub(crate) u32, pub(crate) u32);
+
+impl Version {
+    /// Asks a compiler; `None` if it does not run.
+    pub(crate) fn of(rustc: &mut Command) -> Option<Self> {
+        Self::parse(&first_line(rustc.arg("--version"))?)
+    }
+
+    /// Reads `rustc 1.95.0 (...)`.
+    fn parse(line: &str) -> Option<Self> {
+        let mut numbers = line.split_whitespace().nth(1)?.split('.');
+        let mut next = || numbers.next()?.parse().ok();
+        Some(Self(next()?, next()?))
+    }
+}
+
+impl fmt::Display for Version {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}.{}", self.0, self.1)
+    }
+}
+
+/// The compiler of the Rust in use.
+pub(crate) fn host_rustc() -> Command {
+    Command::new("rustc")
+}
+
+/// Finds a compiler, installing one where that is possible.
+///
+/// # Errors
+/// There is none and none can be had; the message lists what was tried.
+pub(crate) fn find() -> Result<Toolchain> {
+    if native() {
+        return Ok(Toolchain::Native);
+    }
+    if let Some(debian) = Debian::present() {
+        return Ok(Toolchain::Debian(debian));
+    }
+    let by_rustup = match add_target() {
+        Ok(()) => return Ok(Toolchain::Native),
+        Err(failure) => failure,
+    };
+    println!("{by_rustup}");
+    println!("Falling back on Debian's packages.");
+    Debian::fetch().map(Toolchain::Debian).map_err(|by_debian| {
+        Failure::new(
+            format!("no compiler for {TARGET}.\n  {by_rustup}\n  {by_debian}"),
+            format!("install Rust with rustup and run `rustup target add {TARGET}`"),
+        )
+    })
+}
+
+/// Whether the Rust in use has the target's `core`.
+fn native() -> bool {
+    let mut ask = host_rustc();
+    ask.args(["--print", "target-libdir", "--target", TARGET]);
+    first_line(&mut ask)
+        .and_then(|folder| std::fs::read_dir(folder).ok())
+        .is_some_and(|files| {
+            files
+                .flatten()
+                .any(|file| file.file_name().to_string_lossy().starts_with("libcore-"))
+        })
+}
+
+fn add_target() -> Result<()> {
+    let remedy = "see whether this machine reaches static.rust-lang.org";
+    // rustup's proxies set this name for every child. Without it the Rust in use is not rustup's, and
+    // a target added to some other toolchain would not help.
+    if std::env::var_os("RUSTUP_TOOLCHAIN").is_none() {
+        let what = "the Rust in use has no ARM target and does not come from rustup";
+        return Err(Failure::new(what, "none needed if Debian's packages do"));
+    }
+    println!("The Rust in use has no ARM target yet; rustup adds it (about 40 MB, once).");
+    let mut rustup = Command::new("rustup");
+    run_within(RUSTUP_LIMIT, rustup.args(["target", "add", TARGET]), remedy)?;
+    if native() {
+        Ok(())
+    } else {
+        let what = "rustup added the target, but the Rust in use does not have it";
+        Err(Failure::new(
+            what,
+            "start `cargo xtask` with rustup's cargo",
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_are_read_and_ordered() {
+        let read = Version::parse("rustc 1.96.0 (ac68faa20 2026-05-25) (built from a tarball)");
+        assert_eq!(read, Some(Version(1, 96)));
+        assert!(Version(1, 96) > OLDEST && Version(1, 85) < OLDEST && Version(2, 0) > OLDEST);
+        assert_eq!(Version::parse("rustc 1.97.0-nightly"), Some(Version(1, 97)));
+        assert_eq!(Version::parse("error: no default toolchain"), None);
+    }
+
+    #[test]
+    fn the_oldest_compiler_is_the_one_of_the_manifest() {
+        let manifest = std::fs::read_to_string(crate::process::root().join("Cargo.toml")).unwrap();
+        assert!(manifest.contains(&format!("rust-version = \"{OLDEST}\"")));
+    }
+}
