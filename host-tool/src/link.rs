@@ -3,6 +3,24 @@
 //! The clock comes from the link, so that the same client runs against a port in real time and
 //! against the virtual bench in virtual time.
 
+pub mod address;
+pub mod memory;
+pub mod serial;
+pub mod tcp;
+
+/// A link could not be opened. Nothing was sent.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+#[error("cannot open {place}: {why}")]
+#[diagnostic(code(retrograde::open), help("{remedy}"))]
+pub struct OpenError {
+    /// What the link would lead to, as the user named it.
+    pub place: String,
+    /// The reason.
+    pub why: String,
+    /// What to do about it.
+    pub remedy: String,
+}
+
 /// Why a link could not carry bytes.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {

@@ -1,0 +1,91 @@
+//! Where links, nonces and the time of day come from: the real world here, the virtual bench elsewhere.
+
+use std::hash::{BuildHasher, RandomState};
+
+use jiff::Timestamp;
+use protocol::system::DeviceKind;
+
+use crate::link::address::Address;
+use crate::link::serial::{self, Serial};
+use crate::link::tcp::Tcp;
+use crate::link::{Link, OpenError};
+
+/// A place where a machine may be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Candidate {
+    /// Where.
+    pub address: Address,
+    /// Which machine it is known to be, before asking.
+    pub kind: Option<DeviceKind>,
+    /// What is known about the place.
+    pub description: String,
+    /// Saying Hello there disturbs no foreign instrument.
+    pub may_ask: bool,
+}
+
+/// Makes links.
+pub trait Connector {
+    /// Opens a link to a machine; sends nothing. Never called with [`Address::Auto`].
+    ///
+    /// # Errors
+    /// [`OpenError`] with what to do about it.
+    fn open(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+    ) -> Result<Box<dyn Link>, OpenError>;
+
+    /// Where machines may be, for `auto` and `devices`.
+    fn candidates(&self) -> Vec<Candidate>;
+
+    /// A number for the next session, other than the last one's.
+    fn nonce(&self) -> u32;
+
+    /// The time of day, for records.
+    fn now(&self) -> Timestamp;
+}
+
+/// Serial ports and TCP, random nonces, the computer's clock.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Ports;
+
+impl Connector for Ports {
+    fn open(
+        &self,
+        _kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        match address {
+            Address::Serial(path) => Ok(Box::new(Serial::open(path, baud)?)),
+            Address::Tcp(place) => Ok(Box::new(Tcp::open(place)?)),
+            Address::Auto | Address::Virtual => Err(OpenError {
+                place: address.to_string(),
+                why: "the virtual bench is not part of this program".to_owned(),
+                remedy: "use `cargo xtask demo`, or the `virtual-bench` program, which has the same commands; it can also serve both machines on TCP".to_owned(),
+            }),
+        }
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        serial::ports()
+            .into_iter()
+            .map(|port| Candidate {
+                address: Address::Serial(port.path),
+                kind: None,
+                description: port.description,
+                may_ask: port.stlink,
+            })
+            .collect()
+    }
+
+    fn nonce(&self) -> u32 {
+        // The standard library's hasher keys are the one source of randomness that needs no dependency.
+        RandomState::new().hash_one(Timestamp::now().as_nanosecond()) as u32
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::now()
+    }
+}

@@ -1,0 +1,94 @@
+//! Where a machine is, as the user writes it: `auto`, a serial port, `tcp:HOST:PORT`, or `virtual`.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// Where a machine is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Address {
+    /// The one board of the wanted kind among the ST-LINK ports.
+    Auto,
+    /// A serial port: `/dev/ttyACM0`, `COM3`.
+    Serial(String),
+    /// `HOST:PORT` of a TCP server that speaks the same bytes.
+    Tcp(String),
+    /// The virtual bench in this process.
+    Virtual,
+}
+
+/// An address that cannot be understood.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum AddressError {
+    /// Nothing.
+    #[error("empty: use `auto`, a serial port such as /dev/ttyACM0, `tcp:HOST:PORT`, or `virtual`")]
+    Empty,
+    /// `tcp:` without host or without a port in 1..=65535.
+    #[error("`{0}` has no host or no port: write `tcp:HOST:PORT`, for example tcp:127.0.0.1:7001")]
+    Tcp(String),
+}
+
+impl FromStr for Address {
+    type Err = AddressError;
+
+    fn from_str(text: &str) -> Result<Self, AddressError> {
+        match text {
+            "" => Err(AddressError::Empty),
+            "auto" => Ok(Self::Auto),
+            "virtual" => Ok(Self::Virtual),
+            _ => match text.strip_prefix("tcp:") {
+                Some(rest) => match rest.rsplit_once(':') {
+                    Some((host, port))
+                        if !host.is_empty() && port.parse::<u16>().is_ok_and(|port| port > 0) =>
+                    {
+                        Ok(Self::Tcp(rest.to_owned()))
+                    }
+                    _ => Err(AddressError::Tcp(text.to_owned())),
+                },
+                None => Ok(Self::Serial(text.to_owned())),
+            },
+        }
+    }
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Serial(port) => f.write_str(port),
+            Self::Tcp(place) => write!(f, "tcp:{place}"),
+            Self::Virtual => f.write_str("virtual"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_read_and_written_alike() {
+        for text in [
+            "auto",
+            "virtual",
+            "/dev/ttyACM0",
+            "COM3",
+            "tcp:127.0.0.1:7001",
+            "tcp:[::1]:7001",
+        ] {
+            assert_eq!(
+                text.parse::<Address>().map(|address| address.to_string()),
+                Ok(text.to_owned())
+            );
+        }
+        for text in [
+            "",
+            "tcp:",
+            "tcp:host",
+            "tcp::7001",
+            "tcp:host:0",
+            "tcp:host:70000",
+        ] {
+            assert!(text.parse::<Address>().is_err(), "{text:?}");
+        }
+    }
+}

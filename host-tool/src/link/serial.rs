@@ -1,0 +1,214 @@
+//! A machine at a serial port, opened for this process alone.
+
+use std::fs;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
+
+use crate::link::tcp::{nothing_yet, timeout, wall_us};
+use crate::link::{Link, LinkError, OpenError};
+
+/// Speed of both firmwares.
+pub const DEFAULT_BAUD: u32 = 115_200;
+
+/// USB vendor of the ST-LINK on every Nucleo board.
+const STMICROELECTRONICS: u16 = 0x0483;
+
+/// A frame of 170 bytes takes 15 ms; a port that takes none for so long is stuck.
+const WRITE: Duration = Duration::from_secs(1);
+
+/// A serial port.
+pub struct Serial {
+    path: String,
+    port: Box<dyn SerialPort>,
+    start: Instant,
+}
+
+impl Serial {
+    /// Opens a port for this process alone. Sends nothing.
+    ///
+    /// # Errors
+    /// [`OpenError`], which tells missing, forbidden and busy ports apart and says what to do.
+    pub fn open(path: &str, baud: u32) -> Result<Self, OpenError> {
+        let port = serialport::new(path, baud)
+            .timeout(WRITE)
+            .open()
+            .map_err(|error| explain(path, &error))?;
+        // What the board said before is of no session of ours.
+        let _ = port.clear(ClearBuffer::Input);
+        Ok(Self {
+            path: path.to_owned(),
+            port,
+            start: Instant::now(),
+        })
+    }
+
+    fn lost(&self, why: impl ToString) -> LinkError {
+        LinkError::Lost {
+            place: self.path.clone(),
+            why: why.to_string(),
+        }
+    }
+}
+
+impl Link for Serial {
+    fn place(&self) -> String {
+        self.path.clone()
+    }
+
+    fn now_us(&self) -> u64 {
+        wall_us(self.start)
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.port
+            .set_timeout(WRITE)
+            .map_err(|error| self.lost(error))?;
+        self.port.write_all(bytes).map_err(|error| self.lost(error))
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        let timeout = timeout(self.now_us(), deadline_us);
+        self.port
+            .set_timeout(timeout)
+            .map_err(|error| self.lost(error))?;
+        match self.port.read(buffer) {
+            Ok(0) => Err(self.lost("the port is gone")),
+            Ok(count) => Ok(count),
+            Err(io) if nothing_yet(io.kind()) => Ok(0),
+            Err(io) => Err(self.lost(io)),
+        }
+    }
+}
+
+/// A serial port of this computer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Port {
+    /// Name to open it by.
+    pub path: String,
+    /// What the system knows about it.
+    pub description: String,
+    /// It belongs to an ST-LINK, so that asking who is there disturbs nobody else's instrument.
+    pub stlink: bool,
+}
+
+/// All serial ports, by name.
+#[must_use]
+pub fn ports() -> Vec<Port> {
+    let mut ports: Vec<Port> = serialport::available_ports()
+        .unwrap_or_default()
+        .into_iter()
+        .map(|info| match info.port_type {
+            SerialPortType::UsbPort(usb) => Port {
+                path: info.port_name,
+                description: [
+                    usb.product.unwrap_or_else(|| "USB".to_owned()),
+                    usb.serial_number.unwrap_or_default(),
+                ]
+                .join(" ")
+                .trim()
+                .to_owned(),
+                stlink: usb.vid == STMICROELECTRONICS,
+            },
+            _ => Port {
+                path: info.port_name,
+                description: "not a USB port".to_owned(),
+                stlink: false,
+            },
+        })
+        .collect();
+    ports.sort_by(|a, b| a.path.cmp(&b.path));
+    ports
+}
+
+fn explain(path: &str, error: &serialport::Error) -> OpenError {
+    let exists = Path::new(path).exists();
+    let (why, remedy) = match error.kind() {
+        ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => (
+            "no permission".to_owned(),
+            match group(path) {
+                Some(group) => format!(
+                    "the port belongs to the group `{group}`: run `sudo usermod -aG {group} $USER`, then log out and in again"
+                ),
+                None => "give your user read and write access to the port".to_owned(),
+            },
+        ),
+        ErrorKind::NoDevice if exists => (
+            match owner(path) {
+                Some(owner) => format!("in use by {owner}"),
+                None => "in use by another program".to_owned(),
+            },
+            "close that program (a serial monitor, another `retrograde`, ModemManager), then try again".to_owned(),
+        ),
+        _ if !exists && cfg!(unix) => (
+            "there is no such port".to_owned(),
+            "check the cable; `retrograde devices` lists the ports".to_owned(),
+        ),
+        _ => (
+            error.to_string(),
+            "unplug the board, plug it in again, and try `retrograde devices`".to_owned(),
+        ),
+    };
+    OpenError {
+        place: path.to_owned(),
+        why,
+        remedy,
+    }
+}
+
+/// Name of the group that owns a file.
+#[cfg(unix)]
+fn group(path: &str) -> Option<String> {
+    use std::os::unix::fs::MetadataExt;
+    let gid = fs::metadata(path).ok()?.gid().to_string();
+    let groups = fs::read_to_string("/etc/group").ok()?;
+    groups.lines().find_map(|line| {
+        let mut fields = line.split(':');
+        let name = fields.next()?;
+        (fields.nth(1)? == gid).then(|| name.to_owned())
+    })
+}
+
+#[cfg(not(unix))]
+fn group(_path: &str) -> Option<String> {
+    None
+}
+
+/// The process that has a file open, as far as this user may see it (Linux).
+fn owner(path: &str) -> Option<String> {
+    let wanted = fs::canonicalize(path).ok()?;
+    fs::read_dir("/proc").ok()?.flatten().find_map(|process| {
+        let id = process.file_name().to_str()?.parse::<u32>().ok()?;
+        let open = fs::read_dir(process.path().join("fd"))
+            .ok()?
+            .flatten()
+            .any(|fd| fs::read_link(fd.path()).is_ok_and(|target| target == wanted));
+        if !open || id == std::process::id() {
+            return None;
+        }
+        let name = fs::read_to_string(process.path().join("comm")).ok()?;
+        Some(format!("{} (process {id})", name.trim()))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_port_is_named_and_says_where_to_look() {
+        let error = Serial::open("/dev/retrograde-no-such-port", DEFAULT_BAUD)
+            .err()
+            .expect("there is no such port");
+        assert_eq!(error.place, "/dev/retrograde-no-such-port");
+        assert!(error.remedy.contains("retrograde devices"), "{error:?}");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn the_group_of_a_file_has_a_name() {
+        let group = group("/dev/null").expect("there is /dev/null");
+        assert!(!group.is_empty());
+    }
+}

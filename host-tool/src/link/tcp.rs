@@ -1,0 +1,107 @@
+//! A machine behind a TCP server that passes the same bytes as its serial port, at wall-clock pace.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::{Duration, Instant};
+
+use crate::link::{Link, LinkError, OpenError};
+
+/// How long to wait for the server.
+const CONNECT: Duration = Duration::from_secs(5);
+
+/// A TCP link.
+#[derive(Debug)]
+pub struct Tcp {
+    place: String,
+    stream: TcpStream,
+    start: Instant,
+}
+
+impl Tcp {
+    /// Connects to `HOST:PORT`.
+    ///
+    /// # Errors
+    /// [`OpenError`] if the name is unknown or nobody listens there.
+    pub fn open(host_port: &str) -> Result<Self, OpenError> {
+        let place = format!("tcp:{host_port}");
+        let error = |why: String| OpenError {
+            place: place.clone(),
+            why,
+            remedy: "start the server first (`virtual-bench serve`), and check host and port"
+                .into(),
+        };
+        let mut last = "the host name has no address".to_owned();
+        let addresses = host_port
+            .to_socket_addrs()
+            .map_err(|io| error(io.to_string()))?;
+        for address in addresses {
+            match TcpStream::connect_timeout(&address, CONNECT) {
+                Ok(stream) => {
+                    // Small frames must leave at once: a stop does not wait for company.
+                    stream
+                        .set_nodelay(true)
+                        .map_err(|io| error(io.to_string()))?;
+                    return Ok(Self {
+                        place,
+                        stream,
+                        start: Instant::now(),
+                    });
+                }
+                Err(io) => last = io.to_string(),
+            }
+        }
+        Err(error(last))
+    }
+
+    fn lost(&self, why: impl ToString) -> LinkError {
+        LinkError::Lost {
+            place: self.place.clone(),
+            why: why.to_string(),
+        }
+    }
+}
+
+impl Link for Tcp {
+    fn place(&self) -> String {
+        self.place.clone()
+    }
+
+    fn now_us(&self) -> u64 {
+        wall_us(self.start)
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.stream.write_all(bytes).map_err(|io| self.lost(io))
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        let timeout = timeout(self.now_us(), deadline_us);
+        self.stream
+            .set_read_timeout(Some(timeout))
+            .map_err(|io| self.lost(io))?;
+        match self.stream.read(buffer) {
+            Ok(0) => Err(self.lost("the other end closed the connection")),
+            Ok(count) => Ok(count),
+            Err(io) if nothing_yet(io.kind()) => Ok(0),
+            Err(io) => Err(self.lost(io)),
+        }
+    }
+}
+
+/// Wall clock since the link was opened.
+pub(crate) fn wall_us(start: Instant) -> u64 {
+    u64::try_from(start.elapsed().as_micros()).unwrap_or(u64::MAX)
+}
+
+/// Time to a deadline: never zero, which would mean "for ever", and bounded for the operating system.
+pub(crate) fn timeout(now_us: u64, deadline_us: u64) -> Duration {
+    Duration::from_micros(deadline_us.saturating_sub(now_us).clamp(1_000, 60_000_000))
+}
+
+/// A read that ended without bytes and without harm.
+pub(crate) fn nothing_yet(kind: ErrorKind) -> bool {
+    matches!(
+        kind,
+        ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted
+    )
+}
