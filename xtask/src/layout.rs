@@ -164,7 +164,7 @@ mod tests {
             flash_bytes: BUDGET.flash_bytes,
             ram_bytes: BUDGET.ram_bytes,
             programmed: vec![0x0800_0000..0x0800_0198, 0x0801_0000..0x0801_F000],
-            text: Vec::from([0x0801_0000..0x0801_8000]),
+            text: std::iter::once(0x0801_0000..0x0801_8000).collect(),
             vectors: Some((0x0800_0000, 0x2001_FC00, 0x0801_0001)),
         }
     }
