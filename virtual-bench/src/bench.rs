@@ -1,0 +1,513 @@
+//! One machine on the bench: the emulator on a thread of its own, in lock-step with whoever drives it.
+//!
+//! Virtual time passes only while somebody asks for it: a client inside [`crate::link::VirtualLink`]'s `receive`, or
+//! [`Bench::advance_us`]. Between two such calls the machine stands still, and [`Bench::visit`] may look at it and
+//! change it. Nothing depends on the wall clock or on how the host schedules its threads.
+
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+
+use rigless::emulator::{self, Driver, Host, Settled, Start, Stop};
+use rigless::image::Image;
+use rigless::session::Session;
+use rigless::time::VirtualNanos;
+
+use crate::bus::BusReport;
+use crate::emulator::{ChipOptions, Machine, Wiring};
+use crate::log::{Log, Tap};
+use crate::serial::Serial;
+
+/// Why the bench could not be set up, or stopped working.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// An image is missing.
+    #[error(
+        "no firmware image at {path}: run `cargo xtask images`, or name the folder in RETROGRADE_IMAGES ({why})"
+    )]
+    NoImage {
+        /// Where it was looked for.
+        path: PathBuf,
+        /// The operating system's reason.
+        why: std::io::Error,
+    },
+    /// The file is no image of ours.
+    #[error("{path} is not a usable firmware image: {why}")]
+    BadImage {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// The emulator could not start or failed.
+    #[error("the emulator ended: {0}")]
+    Ended(String),
+    /// A server could not be opened.
+    #[error("cannot listen on {address}: {why}")]
+    Listen {
+        /// The address.
+        address: String,
+        /// The operating system's reason.
+        why: std::io::Error,
+    },
+}
+
+/// How a machine is run.
+#[derive(Clone, Debug)]
+pub struct BenchOptions {
+    /// The chip.
+    pub chip: ChipOptions,
+    /// Grid of the instants at which the machine may stop for its client, us. Bytes wait for the next such instant.
+    pub quantum_us: u64,
+    /// The firmware image (ELF).
+    pub image: PathBuf,
+    /// Contents of the whole flash to start from instead of the image alone, as a power cut left it.
+    pub flash: Option<Vec<u8>>,
+}
+
+impl BenchOptions {
+    /// Defaults, with `image`.
+    #[must_use]
+    pub fn new(image: PathBuf) -> Self {
+        Self {
+            chip: ChipOptions::default(),
+            quantum_us: 500,
+            image,
+            flash: None,
+        }
+    }
+}
+
+/// The folder of the firmware images: `RETROGRADE_IMAGES`, or the workspace's own build.
+#[must_use]
+pub fn images() -> PathBuf {
+    std::env::var_os("RETROGRADE_IMAGES").map_or_else(
+        || {
+            PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+                .join("../target/thumbv7em-none-eabihf/firmware")
+        },
+        PathBuf::from,
+    )
+}
+
+/// What a visitor may touch while the machine stands still.
+pub struct Visit<'a, W: Wiring> {
+    session: &'a mut Session<Machine<W>>,
+    host: &'a mut dyn Host,
+    tap: &'a mut Tap,
+    serial: &'a Mutex<Serial>,
+    stop: Stop,
+    epoch_ns: u64,
+}
+
+impl<W: Wiring> Visit<'_, W> {
+    /// Now on the bench's clock, ns.
+    #[must_use]
+    pub fn now_ns(&self) -> u64 {
+        self.epoch_ns + self.stop.at.0
+    }
+
+    /// Instructions executed since power-up.
+    #[must_use]
+    pub fn instructions(&self) -> u64 {
+        self.stop.instruction_count
+    }
+
+    /// The board.
+    pub fn board(&mut self) -> &mut W {
+        self.session.board_mut().wiring()
+    }
+
+    /// The serial line.
+    pub fn serial(&mut self) -> MutexGuard<'_, Serial> {
+        self.serial.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What the firmware has logged so far.
+    #[must_use]
+    pub fn log(&self) -> Log {
+        self.tap.log()
+    }
+
+    /// What the firmware touched that the emulator or the chip does not have.
+    #[must_use]
+    pub fn bus(&self) -> BusReport {
+        BusReport::of(self.session)
+    }
+
+    /// Pulls the reset pin low for an instant.
+    pub fn reset(&mut self) {
+        let now_ns = self.now_ns();
+        self.tap.drain(self.host, now_ns);
+        self.session
+            .reset_by_pin(self.stop.at, self.stop.instruction_count, self.host);
+    }
+
+    /// The word at `address` of the machine's memory, as a debugger sees it; `None` where there is no memory.
+    pub fn word(&mut self, address: u32) -> Option<u32> {
+        let word = self.host.read(u64::from(address), rigless::soc::Width::W32);
+        word.ok().map(|word| word as u32)
+    }
+}
+
+type Visitor<W> = Box<dyn FnOnce(&mut Visit<'_, W>) + Send>;
+
+enum Command<W: Wiring> {
+    /// Put `bytes` on the line and go on to `until_ns`, or with `eager` to the first grid instant by which the
+    /// machine has sent something.
+    Run {
+        until_ns: u64,
+        eager: bool,
+        bytes: Vec<u8>,
+    },
+    Visit(Visitor<W>),
+    /// Cut the supply for `off_ns` of the bench's time.
+    PowerCycle {
+        off_ns: u64,
+    },
+}
+
+enum Reply {
+    Paused { at_ns: u64, bytes: Vec<(u64, u8)> },
+    Visited,
+    Ended(String),
+}
+
+struct Conductor<W: Wiring> {
+    commands: Receiver<Command<W>>,
+    replies: Sender<Reply>,
+    serial: Arc<Mutex<Serial>>,
+    tap: Tap,
+    quantum_ns: u64,
+    until_ns: u64,
+    eager: bool,
+    epoch_ns: u64,
+    /// Set when the run is to be started again from this flash.
+    power_cycle: Option<(Vec<u8>, u64)>,
+}
+
+impl<W: Wiring> Conductor<W> {
+    fn line(&self) -> MutexGuard<'_, Serial> {
+        self.serial.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn next_instant(&self, now_ns: u64) -> VirtualNanos {
+        let grid = (now_ns / self.quantum_ns + 1) * self.quantum_ns;
+        VirtualNanos(grid.min(self.until_ns) - self.epoch_ns)
+    }
+}
+
+impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
+    fn on_settled(
+        &mut self,
+        session: &mut Session<Machine<W>>,
+        host: &mut dyn Host,
+        settled: Settled,
+    ) {
+        if let Settled::Stop(stop) = settled
+            && stop.reason == emulator::StopReason::Reset
+        {
+            self.tap.restarted(host, self.epoch_ns + stop.at.0);
+        }
+        crate::emulator::settled(session, host, settled);
+    }
+
+    fn on_stop(
+        &mut self,
+        session: &mut Session<Machine<W>>,
+        stop: Stop,
+        host: &mut dyn Host,
+    ) -> Option<VirtualNanos> {
+        let now_ns = self.epoch_ns + stop.at.0;
+        self.tap.drain(host, now_ns);
+        if now_ns < self.until_ns && !(self.eager && self.line().has_sent()) {
+            return Some(self.next_instant(now_ns));
+        }
+        let bytes = self.line().take();
+        let paused = Reply::Paused {
+            at_ns: now_ns,
+            bytes,
+        };
+        self.replies.send(paused).ok()?;
+        loop {
+            match self.commands.recv().ok()? {
+                Command::Run {
+                    until_ns,
+                    eager,
+                    bytes,
+                } => {
+                    self.line().put(&bytes);
+                    self.until_ns = until_ns;
+                    self.eager = eager;
+                    if until_ns <= now_ns {
+                        let bytes = self.line().take();
+                        let at_ns = now_ns;
+                        self.replies.send(Reply::Paused { at_ns, bytes }).ok()?;
+                        continue;
+                    }
+                    return Some(self.next_instant(now_ns));
+                }
+                Command::Visit(visitor) => {
+                    visitor(&mut Visit {
+                        session,
+                        host,
+                        tap: &mut self.tap,
+                        serial: &self.serial,
+                        stop,
+                        epoch_ns: self.epoch_ns,
+                    });
+                    session.board_mut().refresh(stop.at);
+                    self.replies.send(Reply::Visited).ok()?;
+                }
+                Command::PowerCycle { off_ns } => {
+                    let flash = crate::emulator::cut_supply(session, host);
+                    self.power_cycle = Some((flash, now_ns + off_ns));
+                    return None;
+                }
+            }
+        }
+    }
+}
+
+/// Runs a machine until its client has gone; answers why it ended otherwise.
+fn conduct<W: Wiring>(
+    mut wiring: W,
+    options: &BenchOptions,
+    elf: Image,
+    mut conductor: Conductor<W>,
+) -> Result<(), String> {
+    let mut images = vec![elf];
+    if let Some(flash) = &options.flash {
+        images = vec![whole_flash(flash.clone())?];
+    }
+    loop {
+        let epoch_ns = conductor.epoch_ns;
+        let serial = Arc::clone(&conductor.serial);
+        let machine = Machine::new(wiring, options.chip, serial, epoch_ns).map_err(text)?;
+        let session = Session::new(Box::new(machine), 0, VirtualNanos(0)).map_err(text)?;
+        let mut finished = emulator::run(session, &Start::new(&images), conductor).map_err(text)?;
+        if let Some(error) = finished.session.take_error() {
+            return Err(error.to_string());
+        }
+        conductor = finished.driver;
+        let Some((flash, back_ns)) = conductor.power_cycle.take() else {
+            return Ok(());
+        };
+        let Some(kept) = finished.session.board_mut().take_wiring() else {
+            return Err("the board was lost".into());
+        };
+        wiring = kept;
+        images = vec![whole_flash(flash)?];
+        conductor.epoch_ns = back_ns;
+        conductor.until_ns = back_ns;
+        conductor.tap.powered_up(back_ns);
+    }
+}
+
+fn whole_flash(bytes: Vec<u8>) -> Result<Image, String> {
+    Image::new(
+        std::path::Path::new("flash as it was"),
+        bytes,
+        Some(0x0800_0000),
+    )
+    .map_err(text)
+}
+
+fn text(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}
+
+/// The client's end of the lock-step.
+pub(crate) struct Cable<W: Wiring> {
+    commands: Sender<Command<W>>,
+    replies: Receiver<Reply>,
+    now_ns: u64,
+    outbox: Vec<u8>,
+    inbox: std::collections::VecDeque<(u64, u8)>,
+}
+
+impl<W: Wiring> Cable<W> {
+    pub(crate) fn now_ns(&self) -> u64 {
+        self.now_ns
+    }
+
+    pub(crate) fn send(&mut self, bytes: &[u8]) {
+        self.outbox.extend_from_slice(bytes);
+    }
+
+    pub(crate) fn take_received(&mut self, buffer: &mut [u8]) -> usize {
+        let count = buffer.len().min(self.inbox.len());
+        for (slot, (_, byte)) in buffer.iter_mut().zip(self.inbox.drain(..count)) {
+            *slot = byte;
+        }
+        count
+    }
+
+    pub(crate) fn run(&mut self, until_ns: u64, eager: bool) -> Result<(), BenchError> {
+        let bytes = std::mem::take(&mut self.outbox);
+        self.ask(Command::Run {
+            until_ns,
+            eager,
+            bytes,
+        })
+    }
+
+    fn ask(&mut self, command: Command<W>) -> Result<(), BenchError> {
+        // A closed channel has its reason waiting among the replies.
+        let _ = self.commands.send(command);
+        self.answer()
+    }
+
+    fn answer(&mut self) -> Result<(), BenchError> {
+        match self.replies.recv() {
+            Ok(Reply::Paused { at_ns, bytes }) => {
+                self.now_ns = at_ns;
+                self.inbox.extend(bytes);
+                Ok(())
+            }
+            Ok(Reply::Visited) => Ok(()),
+            Ok(Reply::Ended(why)) => Err(BenchError::Ended(why)),
+            Err(_) => Err(BenchError::Ended("its thread is gone".into())),
+        }
+    }
+}
+
+/// A machine on the bench. Clones are handles of the same machine.
+pub struct Bench<W: Wiring> {
+    pub(crate) cable: Arc<Mutex<Cable<W>>>,
+}
+
+impl<W: Wiring> Clone for Bench<W> {
+    fn clone(&self) -> Self {
+        Self {
+            cable: Arc::clone(&self.cable),
+        }
+    }
+}
+
+impl<W: Wiring> Bench<W> {
+    /// Powers a machine up. No virtual time has passed when this returns.
+    ///
+    /// # Errors
+    /// A missing or unusable image.
+    pub fn start(wiring: W, options: BenchOptions) -> Result<Self, BenchError> {
+        let path = options.image.clone();
+        let elf = std::fs::read(&path).map_err(|why| BenchError::NoImage {
+            path: path.clone(),
+            why,
+        })?;
+        let bad = |why: String| BenchError::BadImage {
+            path: path.clone(),
+            why,
+        };
+        let tap = Tap::new(&elf).map_err(bad)?;
+        let image = Image::new(&path, elf, None).map_err(|why| bad(why.to_string()))?;
+        let (commands, commanded) = channel();
+        let (replying, replies) = channel();
+        let conductor = Conductor {
+            commands: commanded,
+            replies: replying.clone(),
+            serial: Arc::default(),
+            tap,
+            quantum_ns: options.quantum_us.max(1) * 1_000,
+            until_ns: 0,
+            eager: false,
+            epoch_ns: 0,
+            power_cycle: None,
+        };
+        thread::Builder::new()
+            .name("emulator".into())
+            .stack_size(16 << 20)
+            .spawn(move || {
+                if let Err(why) = conduct(wiring, &options, image, conductor) {
+                    let _ = replying.send(Reply::Ended(why));
+                }
+            })
+            .map_err(|why| BenchError::Ended(why.to_string()))?;
+        let mut cable = Cable {
+            commands,
+            replies,
+            now_ns: 0,
+            outbox: Vec::new(),
+            inbox: std::collections::VecDeque::new(),
+        };
+        cable.answer()?;
+        Ok(Self {
+            cable: Arc::new(Mutex::new(cable)),
+        })
+    }
+
+    pub(crate) fn cable(&self) -> MutexGuard<'_, Cable<W>> {
+        self.cable.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Now on the bench's clock, ns.
+    #[must_use]
+    pub fn now_ns(&self) -> u64 {
+        self.cable().now_ns
+    }
+
+    /// Lets `us` of virtual time pass. What the machine sends meanwhile waits for the link.
+    ///
+    /// # Errors
+    /// [`BenchError::Ended`] when the emulator has failed.
+    pub fn advance_us(&self, us: u64) -> Result<(), BenchError> {
+        let mut cable = self.cable();
+        let until_ns = cable.now_ns + us * 1_000;
+        cable.run(until_ns, false)
+    }
+
+    /// Shows the machine, which stands still meanwhile, to `visitor`.
+    ///
+    /// # Errors
+    /// [`BenchError::Ended`] when the emulator has failed.
+    pub fn visit<T: Send + 'static>(
+        &self,
+        visitor: impl FnOnce(&mut Visit<'_, W>) -> T + Send + 'static,
+    ) -> Result<T, BenchError> {
+        let (answer, answered) = channel();
+        let visitor: Visitor<W> = Box::new(move |visit| {
+            let _ = answer.send(visitor(visit));
+        });
+        self.cable().ask(Command::Visit(visitor))?;
+        answered
+            .recv()
+            .map_err(|_| BenchError::Ended("the visit did not answer".into()))
+    }
+
+    /// Cuts the supply for `off_us`: the flash keeps what it held, RAM and registers do not. The board's mechanics
+    /// stay where they are.
+    ///
+    /// # Errors
+    /// [`BenchError::Ended`] when the emulator has failed.
+    pub fn power_cycle(&self, off_us: u64) -> Result<(), BenchError> {
+        self.cable().ask(Command::PowerCycle {
+            off_ns: off_us * 1_000,
+        })
+    }
+
+    /// Pulls the reset pin low for an instant.
+    ///
+    /// # Errors
+    /// [`BenchError::Ended`] when the emulator has failed.
+    pub fn reset(&self) -> Result<(), BenchError> {
+        self.visit(|visit| visit.reset())
+    }
+
+    /// What the firmware has logged so far.
+    ///
+    /// # Errors
+    /// [`BenchError::Ended`] when the emulator has failed.
+    pub fn log(&self) -> Result<Log, BenchError> {
+        self.visit(|visit| visit.log())
+    }
+
+    /// What the firmware touched that the emulator or the chip does not have.
+    ///
+    /// # Errors
+    /// [`BenchError::Ended`] when the emulator has failed.
+    pub fn bus(&self) -> Result<BusReport, BenchError> {
+        self.visit(|visit| visit.bus())
+    }
+}

@@ -1,0 +1,4 @@
+//! Which pin goes where.
+
+pub mod capsule;
+pub mod rig;

@@ -1,0 +1,152 @@
+//! The capsule's wiring: the same chip, an H-bridge, an encoder and two voltages.
+//!
+//! | pin | signal | electrically |
+//! |---|---|---|
+//! | PB4, PB5 | IN1, IN2 of the bridge | TIM3_CH1 and CH2 as AF2, or plain outputs; the bridge pulls both low |
+//! | PB10 | nSLEEP | plain output; the bridge pulls it low |
+//! | PA8 | nFAULT | open drain, high through the chip's pull-up |
+//! | PA0, PA1 | encoder A, B | TIM2 in encoder mode, AF1 |
+//! | PA4 | motor current | ADC1 channel 4, 1 mV per mA |
+//! | PB0 | battery | ADC1 channel 8, half its voltage |
+
+use std::path::PathBuf;
+
+use crate::bench::{Bench, BenchError, BenchOptions, images};
+use crate::emulator::{ChipOptions, Pads, Pin, Wiring};
+use crate::plants::capsule::{Capsule, CapsuleOptions};
+
+const IN1: Pin = Pin::new('B', 4);
+const IN2: Pin = Pin::new('B', 5);
+const SLEEP: Pin = Pin::new('B', 10);
+const FAULT: Pin = Pin::new('A', 8);
+const ENCODER: [Pin; 2] = [Pin::new('A', 0), Pin::new('A', 1)];
+const CURRENT: (Pin, u8) = (Pin::new('A', 4), 4);
+const BATTERY: (Pin, u8) = (Pin::new('B', 0), 8);
+/// The functions that carry TIM3 and TIM2 (DS10314 table 9).
+const AF_BRIDGE: Option<u8> = Some(2);
+const AF_ENCODER: Option<u8> = Some(1);
+
+/// The board with the capsule's mechanics on it.
+#[derive(Debug)]
+pub struct CapsuleBoard {
+    /// The mechanics.
+    pub capsule: Capsule,
+    inputs: [bool; 2],
+    encoder: [Option<bool>; 2],
+    fault: Option<bool>,
+    voltages: [Option<u32>; 2],
+}
+
+impl CapsuleBoard {
+    /// `capsule` on its board.
+    #[must_use]
+    pub fn new(capsule: Capsule) -> Self {
+        Self {
+            capsule,
+            inputs: [false; 2],
+            encoder: [None; 2],
+            fault: None,
+            voltages: [None; 2],
+        }
+    }
+
+    /// Advances the mechanics to `at_ns` and shows the encoder's edges to the chip.
+    fn advance(&mut self, at_ns: u64, pads: &mut Pads<'_>) {
+        let encoder = &mut self.encoder;
+        self.capsule
+            .advance(at_ns, |(a, b)| drive_encoder(encoder, [a, b], pads));
+    }
+
+    fn drive_bridge(&mut self, awake: bool) {
+        self.capsule.drive(awake, self.inputs[0], self.inputs[1]);
+    }
+}
+
+fn drive_encoder(driven: &mut [Option<bool>; 2], levels: [bool; 2], pads: &mut Pads<'_>) {
+    for (channel, ((level, pin), known)) in
+        (1_u8..).zip(levels.into_iter().zip(ENCODER).zip(driven))
+    {
+        let seen = level && pads.function(pin) == AF_ENCODER;
+        if known.replace(seen) != Some(seen) {
+            pads.drive_tim2_input(channel, seen);
+        }
+    }
+}
+
+impl Wiring for CapsuleBoard {
+    fn restarted(&mut self) {
+        self.encoder = [None; 2];
+        self.fault = None;
+        self.voltages = [None; 2];
+    }
+
+    fn look(&mut self, pads: &mut Pads<'_>) {
+        let now_ns = pads.now_ns();
+        let by_timer = [IN1, IN2].map(|pin| pads.function(pin) == AF_BRIDGE);
+        let awake = pads.output(SLEEP).unwrap_or(false);
+        for edge in pads.take_tim3_edges() {
+            let input = usize::from(edge.channel - 1);
+            if by_timer[input] && self.inputs[input] != edge.high {
+                self.advance(edge.at_ns, pads);
+                self.inputs[input] = edge.high;
+                let was_awake = self.capsule.is_awake();
+                self.drive_bridge(was_awake);
+            }
+        }
+        self.advance(now_ns, pads);
+        for (input, pin) in [IN1, IN2].into_iter().enumerate() {
+            self.inputs[input] = if by_timer[input] {
+                pads.tim3_high(input as u8 + 1)
+            } else {
+                pads.output(pin).unwrap_or(false)
+            };
+        }
+        self.drive_bridge(awake);
+        let (a, b) = self.capsule.encoder();
+        drive_encoder(&mut self.encoder, [a, b], pads);
+        let sound = self.capsule.fault_high();
+        if self.fault.replace(sound) != Some(sound) {
+            pads.drive(FAULT, (!sound).then_some(false));
+        }
+        let voltages = [
+            (CURRENT, self.capsule.sense_mv()),
+            (BATTERY, self.capsule.battery_mv()),
+        ];
+        for (((pin, channel), mv), known) in voltages.into_iter().zip(&mut self.voltages) {
+            let mv = if pads.is_analog(pin) {
+                mv.round() as u32
+            } else {
+                0
+            };
+            if known.replace(mv) != Some(mv) {
+                pads.set_adc_mv(channel, mv);
+            }
+        }
+        if let Some(next_ns) = self.capsule.next_ns() {
+            pads.wake_at(next_ns);
+        }
+    }
+
+    fn erase_began(&mut self, _at_ns: u64) {
+        self.capsule.erase_began();
+    }
+}
+
+/// Where the capsule's image is looked for.
+#[must_use]
+pub fn image() -> PathBuf {
+    images().join("firmware-capsule")
+}
+
+/// A capsule on the bench, with the image that would be flashed.
+///
+/// # Errors
+/// A missing or unusable image.
+pub fn start(capsule: CapsuleOptions) -> Result<Bench<CapsuleBoard>, BenchError> {
+    let mut options = BenchOptions::new(image());
+    options.chip = ChipOptions {
+        uid: *b"virtual caps",
+        ..ChipOptions::default()
+    };
+    Bench::start(CapsuleBoard::new(Capsule::new(capsule)), options)
+}

@@ -1,0 +1,177 @@
+//! The rig's wiring: NUCLEO-F411RE with a CNC shield.
+//!
+//! | pin | signal | electrically |
+//! |---|---|---|
+//! | PA10 | STEP | TIM1_CH3 as AF1, or a plain output; low while nothing drives it |
+//! | PB4, PA9 | DIR, EN | plain outputs; EN has the shield's pull-up, so the driver is off while nothing drives it |
+//! | PA6 | E-stop loop | contact to ground, TIM1_BKIN as AF1 |
+//! | PC7, PB6 | home flag, far limit | contacts to ground, the chip's pull-ups |
+//! | PA0 | read-back | jumper from STEP, TIM2_ETR as AF1 |
+//! | PA8 | sync | TIM1_CH1 as AF1, or a plain output |
+//! | PC13, PA5 | button, LED | the board's own; the button pulls to ground against a resistor |
+
+use std::path::PathBuf;
+
+use crate::bench::{Bench, BenchError, BenchOptions, images};
+use crate::emulator::{Pads, Pin, Wiring};
+use crate::plants::rig::{Rig, RigOptions, Switch};
+
+const STEP: Pin = Pin::new('A', 10);
+const DIR: Pin = Pin::new('B', 4);
+const ENABLE: Pin = Pin::new('A', 9);
+const ESTOP: Pin = Pin::new('A', 6);
+const HOME: Pin = Pin::new('C', 7);
+const FAR: Pin = Pin::new('B', 6);
+const READ_BACK: Pin = Pin::new('A', 0);
+const SYNC: Pin = Pin::new('A', 8);
+const BUTTON: Pin = Pin::new('C', 13);
+const LED: Pin = Pin::new('A', 5);
+/// The function that carries TIM1 and TIM2 (DS10314 table 9).
+const AF_TIMER: Option<u8> = Some(1);
+/// TIM1's channels.
+const STEP_CHANNEL: u8 = 3;
+const SYNC_CHANNEL: u8 = 1;
+
+/// The contacts and their pins.
+const CONTACTS: [(Switch, Pin); 3] = [
+    (Switch::EStop, ESTOP),
+    (Switch::Home, HOME),
+    (Switch::Far, FAR),
+];
+
+/// The board with the rig on it.
+#[derive(Debug)]
+pub struct RigBoard {
+    /// The rig.
+    pub rig: Rig,
+    step_high: bool,
+    sync_high: bool,
+    led_high: bool,
+    /// What the board last drove, `None` since a reset.
+    contacts: [Option<bool>; 3],
+    button: Option<bool>,
+    broken: Option<bool>,
+    read_back: Option<bool>,
+}
+
+impl RigBoard {
+    /// `rig` on its board.
+    #[must_use]
+    pub fn new(rig: Rig) -> Self {
+        Self {
+            rig,
+            step_high: false,
+            sync_high: false,
+            led_high: false,
+            contacts: [None; 3],
+            button: None,
+            broken: None,
+            read_back: None,
+        }
+    }
+
+    /// Whether the LED is lit.
+    #[must_use]
+    pub fn is_lit(&self) -> bool {
+        self.led_high
+    }
+
+    fn step(&mut self, high: bool, at_ns: u64, pads: &mut Pads<'_>) {
+        if high == self.step_high {
+            return;
+        }
+        self.step_high = high;
+        self.rig.step(high, at_ns);
+        self.drive(pads);
+    }
+
+    fn sync(&mut self, high: bool, at_ns: u64) {
+        if high && !self.sync_high {
+            self.rig.sync(at_ns);
+        }
+        self.sync_high = high;
+    }
+
+    /// Drives every input whose level has changed.
+    fn drive(&mut self, pads: &mut Pads<'_>) {
+        for ((switch, pin), driven) in CONTACTS.into_iter().zip(&mut self.contacts) {
+            let open = self.rig.is_open(switch);
+            if driven.replace(open) != Some(open) {
+                pads.drive(pin, (!open).then_some(false));
+            }
+        }
+        let pressed = self.rig.is_pressed();
+        if self.button.replace(pressed) != Some(pressed) {
+            pads.drive(BUTTON, Some(!pressed));
+        }
+        let broken = pads.function(ESTOP) == AF_TIMER && pads.is_high(ESTOP);
+        if self.broken.replace(broken) != Some(broken) {
+            pads.drive_break(broken);
+        }
+        let counted =
+            self.step_high && self.rig.has_jumper() && pads.function(READ_BACK) == AF_TIMER;
+        if self.read_back.replace(counted) != Some(counted) {
+            pads.drive_tim2_etr(counted);
+        }
+    }
+}
+
+impl Wiring for RigBoard {
+    fn restarted(&mut self) {
+        self.contacts = [None; 3];
+        self.button = None;
+        self.broken = None;
+        self.read_back = None;
+    }
+
+    fn look(&mut self, pads: &mut Pads<'_>) {
+        let now_ns = pads.now_ns();
+        let step_by_timer = pads.function(STEP) == AF_TIMER;
+        let sync_by_timer = pads.function(SYNC) == AF_TIMER;
+        for edge in pads.take_tim1_edges() {
+            match edge.channel {
+                STEP_CHANNEL if step_by_timer => self.step(edge.high, edge.at_ns, pads),
+                SYNC_CHANNEL if sync_by_timer => self.sync(edge.high, edge.at_ns),
+                _ => {}
+            }
+        }
+        let step = if step_by_timer {
+            pads.tim1_high(STEP_CHANNEL)
+        } else {
+            pads.output(STEP).unwrap_or(false)
+        };
+        self.step(step, now_ns, pads);
+        let sync = if sync_by_timer {
+            pads.tim1_high(SYNC_CHANNEL)
+        } else {
+            pads.output(SYNC).unwrap_or(false)
+        };
+        self.sync(sync, now_ns);
+        self.rig.turn(pads.output(DIR).unwrap_or(false), now_ns);
+        self.rig.set_enabled(pads.output(ENABLE) == Some(false));
+        self.led_high = pads.output(LED).unwrap_or(false);
+        self.rig.advance(now_ns);
+        self.drive(pads);
+        if let Some(next_ns) = self.rig.next_ns() {
+            pads.wake_at(next_ns);
+        }
+    }
+
+    fn erase_began(&mut self, at_ns: u64) {
+        self.rig.erase_began(at_ns);
+    }
+}
+
+/// Where the rig's image is looked for.
+#[must_use]
+pub fn image() -> PathBuf {
+    images().join("firmware-rig")
+}
+
+/// A rig on the bench, with the image that would be flashed.
+///
+/// # Errors
+/// A missing or unusable image.
+pub fn start(rig: RigOptions) -> Result<Bench<RigBoard>, BenchError> {
+    Bench::start(RigBoard::new(Rig::new(rig)), BenchOptions::new(image()))
+}

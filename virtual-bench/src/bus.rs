@@ -1,0 +1,108 @@
+//! What the firmware touched that is not there. A register without a model answers what was stored in it, and a
+//! firmware that relies on it would pass on the bench and fail on the chip; so every such touch is reported.
+
+use std::fmt;
+
+use rigless::session::Session;
+
+use crate::emulator::{Machine, Wiring};
+
+/// Addresses which the firmware may touch although nothing is modelled there, each with the reason.
+const ALLOWED: [(u64, u64, &str); 1] = [(
+    0x0800_0000,
+    0x0808_0000,
+    "the flash array: stores are taken by the bench, not by the emulator's bus",
+)];
+
+/// The gaps which a firmware met.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct BusReport {
+    /// One line per gap.
+    pub gaps: Vec<String>,
+    /// Resets so far, in order: instant in ns since power-up, and cause.
+    pub resets: Vec<(u64, String)>,
+}
+
+impl BusReport {
+    pub(crate) fn of<W: Wiring>(session: &Session<Machine<W>>) -> Self {
+        let allowed = |address: u64| {
+            ALLOWED
+                .iter()
+                .any(|&(first, past, _)| (first..past).contains(&address))
+        };
+        let mut gaps = Vec::new();
+        let unmapped = session.unmapped();
+        let unmapped = unmapped.iter().filter(|gap| !allowed(gap.address));
+        gaps.extend(unmapped.map(ToString::to_string));
+        let refused = session.refused().iter();
+        gaps.extend(
+            refused.map(|(address, fault)| format!("refused at {address:#010x}: {fault:?}")),
+        );
+        let unimplemented = session.unimplemented().iter();
+        gaps.extend(unimplemented.map(|(address, gap)| {
+            format!(
+                "no model behind {} {} at {address:#010x}: {} reads, {} writes, pc {:#010x}",
+                gap.instance, gap.register, gap.reads, gap.writes, gap.program_counter
+            )
+        }));
+        let undefined = session.undefined().iter();
+        gaps.extend(undefined.map(|(address, gap)| {
+            format!(
+                "no register in {} at {address:#010x}, pc {:#010x}",
+                gap.instance, gap.program_counter
+            )
+        }));
+        let unrouted = session.unrouted().iter();
+        gaps.extend(
+            unrouted.map(|(instance, line)| format!("no interrupt line {line} for {instance}")),
+        );
+        gaps.extend(
+            session
+                .told()
+                .map(|told| format!("{} {}: {}", told.instance, told.register, told.reason)),
+        );
+        let machine = session.board();
+        let absent = machine.absent().iter();
+        gaps.extend(absent.map(|address| format!("the STM32F411 has nothing at {address:#010x}")));
+        if machine.flash_refused() > 0 {
+            gaps.push(format!(
+                "{} stores into a flash that was not ready for them",
+                machine.flash_refused()
+            ));
+        }
+        let resets = session.resets().iter();
+        Self {
+            gaps,
+            resets: resets
+                .map(|reset| (reset.at.0, format!("{:?}", reset.cause)))
+                .collect(),
+        }
+    }
+
+    /// Fails when anything is missing that the firmware touched, or when it was reset other than expected.
+    ///
+    /// # Errors
+    /// The report as text.
+    pub fn check(&self, expected_resets: usize) -> Result<(), String> {
+        if self.gaps.is_empty() && self.resets.len() == expected_resets {
+            return Ok(());
+        }
+        Err(format!("{expected_resets} resets were expected\n{self}"))
+    }
+}
+
+impl fmt::Display for BusReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for gap in &self.gaps {
+            writeln!(f, "{gap}")?;
+        }
+        for (at_ns, cause) in &self.resets {
+            writeln!(
+                f,
+                "reset {:.6} s after power-up: {cause}",
+                *at_ns as f64 / 1e9
+            )?;
+        }
+        Ok(())
+    }
+}

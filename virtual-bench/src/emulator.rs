@@ -1,0 +1,637 @@
+//! An STM32F411RE: the emulator's STM32F427 with the smaller part's memories, requests and peripherals, an external
+//! interrupt controller, a flash array, and the wires of a board soldered to its pins.
+//!
+//! A board implements [`Wiring`]: it is shown the pins after everything that can have changed them and answers with
+//! the levels that it drives. The emulator's clock starts at 0 with each power-up; the bench's clock, which every
+//! public time here counts on, goes on.
+
+mod array;
+mod exti;
+mod map;
+mod timer;
+
+use std::fmt;
+use std::num::{NonZeroU32, NonZeroU64};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rigless::cpu::armv7m;
+use rigless::device::{ErasedDevice, Level, ResetCause};
+use rigless::emulator::{Access, AccessKind, CoreSpec, Host, Settled};
+use rigless::machine::armv7m as core;
+use rigless::machine::{Board, Target};
+use rigless::mcu::Mcu;
+use rigless::session::Session;
+use rigless::snapshot::Store;
+use rigless::soc::Bus;
+use rigless::soc::stm32f427::Stm32f427;
+use rigless::soc::stm32f427::generated::{flash, gpioa};
+use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin as PortPin};
+use rigless::soc::stm32f427::peripherals::tim::{Advanced, General, Tim};
+use rigless::soc::stm32f427::peripherals::{ADVANCED_TIMERS, TIMERS, adc};
+use rigless::time::VirtualNanos;
+
+use crate::serial::{Serial, Wire};
+pub use timer::OutputEdge;
+
+use array::{Array, Touched};
+use exti::{Exti, Syscfg};
+use timer::Watched;
+
+const TARGET: &str = "stm32f411re";
+/// Indices of the part's fields.
+const TIM1: usize = 0;
+const TIM2: usize = 0;
+const TIM3: usize = 1;
+const USART2: usize = 1;
+/// The alternate function that carries USART2 on PA2 and PA3 (DS10314 table 9).
+const AF_SERIAL: u8 = 7;
+/// High-speed clock that the ST-LINK of the board feeds in, Hz (UM1724 section 7.7.1).
+const HSE_HZ: u64 = 8_000_000;
+/// Supply, mV.
+const SUPPLY_MV: u32 = 3300;
+
+/// A pin of ports A to C.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Pin {
+    port: u8,
+    index: u8,
+}
+
+impl Pin {
+    /// Pin `index` (0 to 15) of `port` ('A' to 'C').
+    ///
+    /// # Panics
+    /// On any other port or index; meant for constants.
+    #[must_use]
+    pub const fn new(port: char, index: u8) -> Self {
+        let port = match port {
+            'A' => 0,
+            'B' => 1,
+            'C' => 2,
+            _ => panic!("ports A to C"),
+        };
+        assert!(index < 16, "16 pins");
+        Self { port, index }
+    }
+
+    fn nth(self) -> (usize, usize) {
+        (usize::from(self.port), usize::from(self.index))
+    }
+
+    fn on_port(self) -> PortPin {
+        PortPin::new(self.index).expect("checked at construction")
+    }
+}
+
+impl fmt::Display for Pin {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "P{}{}", char::from(b'A' + self.port), self.index)
+    }
+}
+
+/// A board around the chip: what hangs on its pins.
+pub trait Wiring: fmt::Debug + Send + 'static {
+    /// Looks at the pins and drives them. Called after every timer event and every register access that can move a
+    /// pin; again while something moves in answer.
+    fn look(&mut self, pads: &mut Pads<'_>);
+
+    /// The chip was reset or powered up: nothing drives any pin any more.
+    fn restarted(&mut self);
+
+    /// An erase of the flash began. On the chip it stops every instruction fetch until it ends.
+    fn erase_began(&mut self, at_ns: u64);
+}
+
+/// The chip's pins for the length of one look.
+pub struct Pads<'a> {
+    part: &'a mut Stm32f427,
+    tim1: &'a mut Watched<Advanced>,
+    tim3: &'a mut Watched<General>,
+    exti: &'a mut Exti,
+    slots: Slots,
+    at: VirtualNanos,
+    epoch_ns: u64,
+    wake: Option<u64>,
+    touched: bool,
+}
+
+impl Pads<'_> {
+    /// Now on the bench's clock, ns.
+    #[must_use]
+    pub fn now_ns(&self) -> u64 {
+        self.epoch_ns + self.at.0
+    }
+
+    /// Asks for another look at `at_ns` or before.
+    pub fn wake_at(&mut self, at_ns: u64) {
+        self.wake = Some(self.wake.map_or(at_ns, |wake| wake.min(at_ns)));
+    }
+
+    /// The alternate function that `pin` carries, if its mode is alternate function.
+    #[must_use]
+    pub fn function(&mut self, pin: Pin) -> Option<u8> {
+        let (_, registers) = self.part.port(pin.nth().0);
+        Gpio::function(pin.on_port(), registers)
+    }
+
+    /// What the firmware drives on `pin` as a plain output, or `None` in any other mode.
+    #[must_use]
+    pub fn output(&mut self, pin: Pin) -> Option<bool> {
+        let (_, registers) = self.part.port(pin.nth().0);
+        let mode = (registers.get(gpioa::Register::Moder) >> (2 * pin.index)) & 3;
+        (mode == 1).then(|| (registers.get(gpioa::Register::Odr) >> pin.index) & 1 == 1)
+    }
+
+    /// Whether `pin` converts: analog mode.
+    #[must_use]
+    pub fn is_analog(&mut self, pin: Pin) -> bool {
+        let (_, registers) = self.part.port(pin.nth().0);
+        (registers.get(gpioa::Register::Moder) >> (2 * pin.index)) & 3 == 3
+    }
+
+    /// The level of `pin` now.
+    #[must_use]
+    pub fn is_high(&mut self, pin: Pin) -> bool {
+        let (gpio, registers) = self.part.port(pin.nth().0);
+        gpio.level(pin.on_port(), registers) == Level::High
+    }
+
+    /// Drives `pin` from outside, or lets it go with `None`; answers the level that results, which is the firmware's
+    /// pull resistor's when nothing drives.
+    pub fn drive(&mut self, pin: Pin, level: Option<bool>) -> bool {
+        self.touched = true;
+        let (port, index) = pin.nth();
+        let at = self.at;
+        let (before, high) = self.part.drive_port(at, port, |gpio, registers, context| {
+            let before = gpio.level(pin.on_port(), registers);
+            gpio.drive(pin.on_port(), level.map(Level::from), registers, context);
+            let after = gpio.level(pin.on_port(), registers);
+            (before == Level::High, after == Level::High)
+        });
+        if high == before {
+            return high;
+        }
+        let routing = self.part.bus().slots()[self.slots.syscfg].registers();
+        let selected = Syscfg::selected(routing, index);
+        let (registers, mut context) = self.part.bus_mut().drive(at, self.slots.exti);
+        if selected == port {
+            self.exti.edge(index, high, registers, &mut context);
+        }
+        high
+    }
+
+    /// Changes of TIM1's outputs 1 and 3 since the last call, in order, at exact instants of the bench's clock.
+    pub fn take_tim1_edges(&mut self) -> Vec<OutputEdge> {
+        on_bench_clock(&mut self.tim1.edges, self.epoch_ns)
+    }
+
+    /// Changes of TIM3's outputs 1 and 2 since the last call, as for TIM1.
+    pub fn take_tim3_edges(&mut self) -> Vec<OutputEdge> {
+        on_bench_clock(&mut self.tim3.edges, self.epoch_ns)
+    }
+
+    /// TIM1's output `channel` now.
+    #[must_use]
+    pub fn tim1_high(&self, channel: u8) -> bool {
+        self.tim1.high(channel)
+    }
+
+    /// TIM3's output `channel` now.
+    #[must_use]
+    pub fn tim3_high(&self, channel: u8) -> bool {
+        self.tim3.high(channel)
+    }
+
+    /// The level at TIM1's break input.
+    pub fn drive_break(&mut self, high: bool) {
+        self.touched = true;
+        let (
+            at,
+            Self {
+                part, tim1, slots, ..
+            },
+        ) = (self.at, self);
+        let (registers, mut context) = part.bus_mut().drive(at, slots.tim1);
+        tim1.tim
+            .drive_break(Level::from(high), registers, &mut context);
+        tim1.note(registers, at.0);
+    }
+
+    /// The level at TIM2's external trigger input.
+    pub fn drive_tim2_etr(&mut self, high: bool) {
+        self.touched = true;
+        self.part
+            .drive_timer(self.at, TIM2, |tim, registers, context| {
+                tim.drive_etr(Level::from(high), registers, context);
+            });
+    }
+
+    /// The level at TIM2's input `channel`, 1 or 2.
+    pub fn drive_tim2_input(&mut self, channel: u8, high: bool) {
+        self.touched = true;
+        let channel = rigless::soc::st::tim::Channel::new(channel).expect("channel 1 to 4");
+        self.part
+            .drive_timer(self.at, TIM2, |tim, registers, context| {
+                tim.drive_input(channel, Level::from(high), registers, context);
+            });
+    }
+
+    /// The voltage at channel `number` of ADC1, mV.
+    pub fn set_adc_mv(&mut self, number: u8, millivolts: u32) {
+        let channel = adc::Channel::new(number).expect("a pin's channel");
+        self.part.adc[0].set_input(channel, millivolts);
+    }
+}
+
+fn on_bench_clock(edges: &mut Vec<OutputEdge>, epoch_ns: u64) -> Vec<OutputEdge> {
+    let mut taken = std::mem::take(edges);
+    for edge in &mut taken {
+        edge.at_ns += epoch_ns;
+    }
+    taken
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Slots {
+    tim1: usize,
+    tim3: usize,
+    exti: usize,
+    syscfg: usize,
+    flash: usize,
+}
+
+/// The chip with a board around it.
+#[derive(Debug)]
+struct Chip<W> {
+    part: Stm32f427,
+    tim1: Watched<Advanced>,
+    tim3: Watched<General>,
+    exti: Exti,
+    syscfg: Syscfg,
+    slots: Slots,
+    serial: Arc<Mutex<Serial>>,
+    epoch_ns: u64,
+    wiring: Option<W>,
+}
+
+impl<W: Wiring> Chip<W> {
+    fn new(
+        wiring: W,
+        serial: Arc<Mutex<Serial>>,
+        epoch_ns: u64,
+    ) -> Result<Self, rigless::soc::Error> {
+        let mut part = Stm32f427::new()?;
+        part.rcc.attach_crystals(HSE_HZ, 0);
+        part.set_supply(SUPPLY_MV);
+        part.adc[0].set_reference(SUPPLY_MV);
+        part.usart[USART2].attach(Wire::new(Arc::clone(&serial), epoch_ns));
+        let bus = part.bus();
+        let slots = Slots {
+            tim1: bus.slot("TIM1")?,
+            tim3: bus.slot("TIM3")?,
+            exti: bus.slot("EXTI")?,
+            syscfg: bus.slot("SYSCFG")?,
+            flash: bus.slot("FLASH")?,
+        };
+        let mut chip = Self {
+            tim1: Watched::new(hollow_advanced(), &[1, 3]),
+            tim3: Watched::new(hollow_general(), &[1, 2]),
+            part,
+            exti: Exti::default(),
+            syscfg: Syscfg,
+            slots,
+            serial,
+            epoch_ns,
+            wiring: Some(wiring),
+        };
+        chip.adopt();
+        chip.look(VirtualNanos(0));
+        Ok(chip)
+    }
+
+    /// Puts our own devices around a part that is fresh out of reset.
+    fn adopt(&mut self) {
+        let part = &mut self.part;
+        part.dma = map::controllers();
+        let tim1 = std::mem::replace(&mut part.advanced[TIM1], hollow_advanced());
+        let tim3 = std::mem::replace(&mut part.tim[TIM3], hollow_general());
+        self.tim1 = Watched::new(tim1, &[1, 3]);
+        self.tim3 = Watched::new(tim3, &[1, 2]);
+        self.exti = Exti::default();
+        self.serial_pins();
+        if let Some(wiring) = &mut self.wiring {
+            wiring.restarted();
+        }
+    }
+
+    /// Serial bytes pass only while both pins carry USART2.
+    fn serial_pins(&mut self) {
+        let (_, registers) = self.part.port(0);
+        let carried = |index| {
+            Gpio::function(PortPin::new(index).expect("a pin"), registers) == Some(AF_SERIAL)
+        };
+        let (sends, hears) = (carried(2), carried(3));
+        let mut serial = self.serial.lock().unwrap_or_else(PoisonError::into_inner);
+        serial.sends = sends;
+        serial.hears = hears;
+    }
+
+    /// Shows the pins to the board until nothing moves any more: an input driven inside a look may cut a pulse.
+    fn look(&mut self, at: VirtualNanos) -> bool {
+        let Some(mut wiring) = self.wiring.take() else {
+            return false;
+        };
+        let mut touched = false;
+        loop {
+            let mut pads = Pads {
+                part: &mut self.part,
+                tim1: &mut self.tim1,
+                tim3: &mut self.tim3,
+                exti: &mut self.exti,
+                slots: self.slots,
+                at,
+                epoch_ns: self.epoch_ns,
+                wake: None,
+                touched: false,
+            };
+            wiring.look(&mut pads);
+            touched |= pads.touched;
+            if let Some(wake) = pads.wake {
+                let wake = VirtualNanos(wake.saturating_sub(self.epoch_ns)).max(at);
+                self.part
+                    .bus_mut()
+                    .drive(at, self.slots.exti)
+                    .1
+                    .schedule(wake);
+            }
+            if self.tim1.edges.is_empty() && self.tim3.edges.is_empty() {
+                break;
+            }
+        }
+        self.wiring = Some(wiring);
+        touched
+    }
+
+    /// A look outside the emulator's own round: what it moved settles at a stop of its own.
+    fn look_between(&mut self, at: VirtualNanos) {
+        if self.look(at) {
+            self.part
+                .bus_mut()
+                .drive(at, self.slots.exti)
+                .1
+                .schedule(at);
+        }
+    }
+}
+
+fn hollow_advanced() -> Tim<Advanced> {
+    Tim::with_clock(0, ADVANCED_TIMERS[TIM1].counter)
+}
+
+fn hollow_general() -> Tim<General> {
+    Tim::with_clock(0, TIMERS[TIM3].counter)
+}
+
+impl<W: Wiring> Mcu for Chip<W> {
+    fn bus(&self) -> &Bus {
+        self.part.bus()
+    }
+
+    fn bus_mut(&mut self) -> &mut Bus {
+        self.part.bus_mut()
+    }
+
+    fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
+        self.part.reset(at, cause);
+        self.adopt();
+        self.look(at);
+    }
+
+    fn poll(&mut self, now: VirtualNanos) {
+        self.part.poll(now);
+        self.look(now);
+    }
+
+    fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
+        let Slots {
+            tim1,
+            tim3,
+            exti,
+            syscfg,
+            ..
+        } = self.slots;
+        if ![tim1, tim3, exti, syscfg].contains(&slot) {
+            return self.part.split(slot);
+        }
+        let bus = self.part.bus_mut();
+        let device: &mut dyn ErasedDevice = if slot == tim1 {
+            &mut self.tim1
+        } else if slot == tim3 {
+            &mut self.tim3
+        } else if slot == exti {
+            &mut self.exti
+        } else {
+            &mut self.syscfg
+        };
+        (bus, Some(device))
+    }
+}
+
+/// What the core is built from: the STM32F411's memories beside the part's peripherals. Nothing is ever accessed here.
+#[derive(Debug)]
+struct Shell {
+    bus: Bus,
+}
+
+impl Mcu for Shell {
+    fn bus(&self) -> &Bus {
+        &self.bus
+    }
+
+    fn bus_mut(&mut self) -> &mut Bus {
+        &mut self.bus
+    }
+
+    fn reset(&mut self, _at: VirtualNanos, _cause: ResetCause) {}
+
+    fn poll(&mut self, _now: VirtualNanos) {}
+
+    fn split(&mut self, _slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
+        (&mut self.bus, None)
+    }
+}
+
+/// How the chip runs.
+#[derive(Clone, Copy, Debug)]
+pub struct ChipOptions {
+    /// Instructions per second of virtual time. 65 million is a cautious stand-in for 100 MHz with wait states.
+    pub instructions_per_second: u64,
+    /// The chip's unique number.
+    pub uid: [u8; 12],
+}
+
+impl Default for ChipOptions {
+    fn default() -> Self {
+        Self {
+            instructions_per_second: 65_000_000,
+            uid: *b"virtual rig\0",
+        }
+    }
+}
+
+/// A chip on its board, as the emulator runs it.
+#[derive(Debug)]
+pub struct Machine<W> {
+    chip: Chip<W>,
+    shell: Shell,
+    options: ChipOptions,
+    array: Array,
+    absent: Vec<u64>,
+    flash_refused: u64,
+}
+
+/// A machine's runs start from reset or from its flash, never from a snapshot.
+impl<W: Wiring> Store for Machine<W> {}
+
+impl<W: Wiring> Machine<W> {
+    pub(crate) fn new(
+        wiring: W,
+        options: ChipOptions,
+        serial: Arc<Mutex<Serial>>,
+        epoch_ns: u64,
+    ) -> Result<Self, rigless::soc::Error> {
+        let chip = Chip::new(wiring, serial, epoch_ns)?;
+        let peripherals: Vec<_> = chip.bus().peripherals().copied().collect();
+        let bus = Bus::builder(chip.bus().cpu(), &map::MEMORY, peripherals).build()?;
+        Ok(Self {
+            chip,
+            shell: Shell { bus },
+            options,
+            array: Array::default(),
+            absent: Vec::new(),
+            flash_refused: 0,
+        })
+    }
+
+    /// The board.
+    ///
+    /// # Panics
+    /// Never between two looks, which is the only time this can be called.
+    pub fn wiring(&mut self) -> &mut W {
+        self.chip.wiring.as_mut().expect("between two looks")
+    }
+
+    pub(crate) fn take_wiring(&mut self) -> Option<W> {
+        self.chip.wiring.take()
+    }
+
+    /// Shows the pins to the board, after it was changed from outside.
+    pub(crate) fn refresh(&mut self, at: VirtualNanos) {
+        self.chip.look_between(at);
+    }
+
+    /// Peripheral addresses touched that an STM32F411 does not have.
+    pub(crate) fn absent(&self) -> &[u64] {
+        &self.absent
+    }
+
+    /// Stores into the flash which the chip would have refused.
+    pub(crate) fn flash_refused(&self) -> u64 {
+        self.flash_refused
+    }
+
+    fn control_and_status(&self) -> (u64, u64) {
+        let registers = self.chip.part.bus().slots()[self.chip.slots.flash].registers();
+        (
+            registers.get(flash::Register::Cr),
+            registers.get(flash::Register::Sr),
+        )
+    }
+
+    fn accessed(&mut self, access: &Access, value: u64, host: &mut dyn Host) {
+        if map::absent(access.address)
+            && self.absent.len() < 64
+            && !self.absent.contains(&access.address)
+        {
+            self.absent.push(access.address);
+        }
+        let registers = self.control_and_status();
+        match self.array.settled(access, value, registers, host) {
+            Touched::Nothing => {}
+            Touched::EraseBegan => {
+                let at_ns = self.chip.epoch_ns + access.virtual_time.0;
+                self.wiring().erase_began(at_ns);
+            }
+            Touched::Refused => self.flash_refused += 1,
+        }
+        if access.kind == AccessKind::Write && moves_pins(access.address) {
+            self.chip.serial_pins();
+            self.chip.look_between(access.virtual_time);
+        }
+    }
+}
+
+/// Whether a write to `address` can move a pin without a timer event: ports A to C, TIM1, TIM3.
+fn moves_pins(address: u64) -> bool {
+    matches!(address, 0x4002_0000..0x4002_0C00 | 0x4001_0000..0x4001_0400 | 0x4000_0400..0x4000_0800)
+}
+
+/// What every settled access and stop of a run does to the machine; to be called from the run's driver.
+pub(crate) fn settled<W: Wiring>(
+    session: &mut Session<Machine<W>>,
+    host: &mut dyn Host,
+    settled: Settled,
+) {
+    let machine = session.board_mut();
+    match settled {
+        Settled::Access { access, value } => machine.accessed(&access, value, host),
+        Settled::Stop(stop) => {
+            if stop.reason == rigless::emulator::StopReason::Reset {
+                machine.array.cut(host);
+            }
+            machine.chip.look_between(stop.at);
+        }
+        _ => {}
+    }
+}
+
+/// Ends a run as a cut of the supply would; answers the flash as it is left.
+pub(crate) fn cut_supply<W: Wiring>(
+    session: &mut Session<Machine<W>>,
+    host: &mut dyn Host,
+) -> Vec<u8> {
+    session.board_mut().array.cut(host);
+    array::read_out(host)
+}
+
+impl<W: Wiring> Board for Machine<W> {
+    fn name(&self) -> &'static str {
+        TARGET
+    }
+
+    fn target_names(&self) -> Vec<&'static str> {
+        vec![TARGET]
+    }
+
+    fn mcu(&mut self, target: usize) -> Option<&mut dyn Mcu> {
+        (target == 0).then_some(&mut self.chip)
+    }
+
+    fn targets(&mut self) -> Vec<Target<'_>> {
+        let core = core::Core {
+            variant: core::Variant::M4,
+            clock_hz: NonZeroU64::new(100_000_000).expect("a running clock"),
+            interrupt_lines: NonZeroU32::new(map::INTERRUPT_LINES).expect("lines"),
+            priority_bits: 4,
+            refclk_divider: NonZeroU32::new(8).expect("a divider divides"),
+            instructions_per_second: NonZeroU64::new(self.options.instructions_per_second)
+                .unwrap_or(NonZeroU64::MIN),
+            boot: "flash",
+        };
+        let windows = armv7m::windows(self.chip.part.bus());
+        let mut spec: CoreSpec =
+            core.spec_with_parts(&windows, core::Fpu::FpV4Sp, core::MpuRegions::Eight);
+        spec.factory_images = map::factory_image(self.options.uid).into_iter().collect();
+        vec![Target::new(TARGET, &mut self.shell, spec)]
+    }
+}

@@ -1,0 +1,157 @@
+//! A timer whose outputs are written down at the exact instant of each change.
+
+use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
+use rigless::soc::RegisterSpec;
+use rigless::soc::st::tim::{Channel, Family, Tim};
+use rigless::time::EventId;
+
+/// A change of one compare output.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OutputEdge {
+    /// Instant on the emulator's clock, ns: the timer's own event, not the stop that served it.
+    pub at_ns: u64,
+    /// Compare channel, 1 to 4.
+    pub channel: u8,
+    /// The level after the change. A pin that the timer does not drive counts as low.
+    pub high: bool,
+}
+
+/// `tim`, with every change of the watched outputs recorded. It answers in the timer's place, because an event
+/// reaches a model at its own instant while a stop of the core may come up to one instruction later.
+#[derive(Debug)]
+pub(super) struct Watched<F: Family> {
+    pub(super) tim: Tim<F>,
+    watched: &'static [u8],
+    high: [bool; 4],
+    pub(super) edges: Vec<OutputEdge>,
+}
+
+impl<F: Family> Watched<F> {
+    pub(super) fn new(tim: Tim<F>, watched: &'static [u8]) -> Self {
+        Self {
+            tim,
+            watched,
+            high: [false; 4],
+            edges: Vec::new(),
+        }
+    }
+
+    pub(super) fn high(&self, channel: u8) -> bool {
+        self.high[usize::from(channel) - 1]
+    }
+
+    pub(super) fn note(&mut self, registers: &RegisterFile, at_ns: u64) {
+        for &number in self.watched {
+            let Some(channel) = Channel::new(number) else {
+                continue;
+            };
+            let high = self.tim.output(channel, registers) == Some(Level::High);
+            let known = &mut self.high[usize::from(number) - 1];
+            if high != *known {
+                *known = high;
+                self.edges.push(OutputEdge {
+                    at_ns,
+                    channel: number,
+                    high,
+                });
+            }
+        }
+    }
+}
+
+impl<F: Family> Device for Watched<F> {
+    type Register = F::Register;
+
+    fn layout(&self) -> &'static [RegisterSpec] {
+        Device::layout(&self.tim)
+    }
+
+    fn read(
+        &mut self,
+        register: F::Register,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> Option<u64> {
+        let value = Device::read(&mut self.tim, register, registers, context);
+        self.note(registers, context.now().0);
+        value
+    }
+
+    fn peek(
+        &self,
+        register: F::Register,
+        registers: &RegisterFile,
+        now: rigless::time::VirtualNanos,
+    ) -> Option<u64> {
+        Device::peek(&self.tim, register, registers, now)
+    }
+
+    fn write(
+        &mut self,
+        register: F::Register,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::write(&mut self.tim, register, value, registers, context);
+        self.note(registers, context.now().0);
+    }
+
+    fn on_event(
+        &mut self,
+        event: EventId,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::on_event(&mut self.tim, event, registers, context);
+        self.note(registers, context.now().0);
+    }
+
+    fn on_request(
+        &mut self,
+        request: RequestChange,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::on_request(&mut self.tim, request, registers, context);
+        self.note(registers, context.now().0);
+    }
+
+    fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        Device::on_clock(&mut self.tim, hz, registers, context);
+        self.note(registers, context.now().0);
+    }
+
+    fn on_access(
+        &mut self,
+        token: u64,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::on_access(&mut self.tim, token, value, registers, context);
+        self.note(registers, context.now().0);
+    }
+
+    fn on_refused(
+        &mut self,
+        token: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        Device::on_refused(&mut self.tim, token, registers, context);
+    }
+
+    fn poll(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        Device::poll(&mut self.tim, registers, context);
+    }
+
+    fn reset(&mut self) {
+        Device::reset(&mut self.tim);
+    }
+
+    fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        Device::reset_line(&mut self.tim, registers, context);
+        self.note(registers, context.now().0);
+    }
+}

@@ -1,0 +1,22 @@
+//! The virtual bench: both machines around the unmodified firmware images on an emulated STM32, judged from their
+//! pins.
+//!
+//! ```text
+//!  host tool --link-- [ serial | chip | board ] -- plant        verdicts <-- pins
+//!                        the ELF that is flashed
+//! ```
+//!
+//! The bench never uses the firmware's own arithmetic: what it expects of a run it computes itself.
+
+pub mod bench;
+pub mod boards;
+pub mod bus;
+pub mod emulator;
+pub mod faults;
+pub mod link;
+pub mod log;
+pub mod pins;
+pub mod plants;
+pub mod serial;
+pub mod serve;
+pub mod verdicts;

@@ -1,0 +1,57 @@
+//! The host tool's link to a machine on the bench, in virtual time.
+
+use host_tool::link::{Link, LinkError};
+
+use crate::bench::{Bench, BenchError};
+use crate::emulator::Wiring;
+
+/// A serial cable to a virtual machine. Its clock is the machine's: it moves only inside `receive`.
+pub struct VirtualLink<W: Wiring> {
+    bench: Bench<W>,
+    place: &'static str,
+}
+
+impl<W: Wiring> VirtualLink<W> {
+    /// The link to `bench`, called `place` in messages.
+    #[must_use]
+    pub fn new(bench: &Bench<W>, place: &'static str) -> Self {
+        Self {
+            bench: bench.clone(),
+            place,
+        }
+    }
+
+    fn lost(&self, why: &BenchError) -> LinkError {
+        LinkError::Lost {
+            place: self.place.into(),
+            why: why.to_string(),
+        }
+    }
+}
+
+impl<W: Wiring> Link for VirtualLink<W> {
+    fn place(&self) -> String {
+        self.place.into()
+    }
+
+    fn now_us(&self) -> u64 {
+        self.bench.now_ns() / 1_000
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.bench.cable().send(bytes);
+        Ok(())
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        let mut cable = self.bench.cable();
+        loop {
+            let count = cable.take_received(buffer);
+            if count > 0 || cable.now_ns() / 1_000 >= deadline_us {
+                return Ok(count);
+            }
+            let ran = cable.run(deadline_us * 1_000, true);
+            ran.map_err(|why| self.lost(&why))?;
+        }
+    }
+}

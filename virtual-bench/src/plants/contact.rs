@@ -1,0 +1,122 @@
+//! A normally closed contact: what should open it, and what can be wrong with it.
+
+/// How a contact bounces: so many extra pulses, each so long.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bounce {
+    /// Times the contact falls back after each change.
+    pub times: u32,
+    /// Between two changes, ns.
+    pub apart_ns: u64,
+}
+
+/// A contact to ground.
+#[derive(Clone, Debug)]
+pub struct Contact {
+    actuated: bool,
+    open: bool,
+    stuck: Option<bool>,
+    bounce: Option<Bounce>,
+    /// Changes to come: instant, open.
+    coming: Vec<(u64, bool)>,
+}
+
+impl Contact {
+    /// A sound contact, open when `actuated`.
+    #[must_use]
+    pub fn new(actuated: bool) -> Self {
+        Self {
+            actuated,
+            open: actuated,
+            stuck: None,
+            bounce: None,
+            coming: Vec::new(),
+        }
+    }
+
+    /// Whether it is open now.
+    #[must_use]
+    pub fn is_open(&self) -> bool {
+        self.stuck.unwrap_or(self.open)
+    }
+
+    /// What works it has moved.
+    pub fn actuate(&mut self, actuated: bool, at_ns: u64) {
+        if actuated == self.actuated {
+            return;
+        }
+        self.actuated = actuated;
+        self.coming.clear();
+        self.open = actuated;
+        if let Some(bounce) = self.bounce {
+            let changes = (1..=u64::from(2 * bounce.times)).map(|n| {
+                let open = if n % 2 == 1 { !actuated } else { actuated };
+                (at_ns + n * bounce.apart_ns, open)
+            });
+            self.coming.extend(changes);
+        }
+    }
+
+    /// An electrical pulse on its wire: the opposite level for `width_ns` from now on.
+    pub fn disturb(&mut self, at_ns: u64, width_ns: u64) {
+        self.open = !self.actuated;
+        self.coming.push((at_ns + width_ns, self.actuated));
+    }
+
+    /// Makes it stay open (a cut wire) or closed (welded) whatever works it, or sound again.
+    pub fn stick(&mut self, open: Option<bool>) {
+        self.stuck = open;
+    }
+
+    /// Makes every change from now on bounce.
+    pub fn set_bounce(&mut self, bounce: Option<Bounce>) {
+        self.bounce = bounce;
+    }
+
+    /// Lets what was to come by `now_ns` happen.
+    pub fn advance(&mut self, now_ns: u64) {
+        while let Some(&(at, open)) = self.coming.first() {
+            if at > now_ns {
+                break;
+            }
+            self.open = open;
+            self.coming.remove(0);
+        }
+    }
+
+    /// When it changes next by itself.
+    #[must_use]
+    pub fn next_ns(&self) -> Option<u64> {
+        self.coming.first().map(|&(at, _)| at)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bouncing_contact_comes_to_rest_where_it_is_worked() {
+        let mut contact = Contact::new(false);
+        contact.set_bounce(Some(Bounce {
+            times: 2,
+            apart_ns: 10,
+        }));
+        contact.actuate(true, 100);
+        let mut seen = vec![contact.is_open()];
+        while let Some(at) = contact.next_ns() {
+            contact.advance(at);
+            seen.push(contact.is_open());
+        }
+        assert_eq!(seen, [true, false, true, false, true]);
+    }
+
+    #[test]
+    fn a_stuck_contact_says_nothing_and_recovers() {
+        let mut contact = Contact::new(false);
+        contact.stick(Some(false));
+        contact.actuate(true, 5);
+        assert!(!contact.is_open());
+        contact.stick(None);
+        assert!(contact.is_open());
+    }
+}

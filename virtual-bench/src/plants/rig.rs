@@ -1,0 +1,504 @@
+//! The rig: step driver, screw, carriage, switches, and the intestine under the rollers.
+//!
+//! The carriage is counted in steps from position 0 = right end, positive to the left. It follows every step that the
+//! driver accepts; ends of travel and injected faults make it lose steps, as a stepper does, without telling anybody.
+
+use locomotion::roller::{self, Params};
+
+use super::contact::{Bounce, Contact};
+use crate::faults::{Faults, When};
+use crate::pins::{EdgeLog, StepEdge};
+
+/// What a step driver needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DriverTiming {
+    /// Shortest high and low of STEP, ns.
+    pub pulse_ns: u64,
+    /// DIR steady before and after a rising STEP, ns.
+    pub dir_ns: u64,
+}
+
+impl DriverTiming {
+    /// DRV8825, the slowest of the supported drivers: 1.9 us and 650 ns (its data sheet, timing requirements).
+    pub const DRV8825: Self = Self {
+        pulse_ns: 1_900,
+        dir_ns: 650,
+    };
+}
+
+/// What the rig is.
+#[derive(Clone, Copy, Debug)]
+pub struct RigOptions {
+    /// Where the carriage stands at first, steps.
+    pub carriage: i64,
+    /// Steps per millimetre.
+    pub steps_per_mm: i64,
+    /// The home flag is open at this position and below, steps.
+    pub flag: i64,
+    /// The far limit is open at this position and above, steps.
+    pub limit: i64,
+    /// The carriage cannot pass these, steps.
+    pub stops: (i64, i64),
+    /// The driver.
+    pub driver: DriverTiming,
+    /// Indentation of the intestine by the rollers (the paper's a_n), mm.
+    pub indentation_mm: f64,
+}
+
+impl Default for RigOptions {
+    /// The paper's rig with the carriage at 20 mm: flag at 1 mm, limit at 131 mm, stops at -3 and 133 mm.
+    fn default() -> Self {
+        Self {
+            carriage: 16_000,
+            steps_per_mm: 800,
+            flag: 800,
+            limit: 131 * 800,
+            stops: (-3 * 800, 133 * 800),
+            driver: DriverTiming::DRV8825,
+            indentation_mm: 3.0,
+        }
+    }
+}
+
+/// The rig's contacts. All are closed to ground in the normal state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Switch {
+    /// Home flag.
+    Home,
+    /// Far limit.
+    Far,
+    /// E-stop loop.
+    EStop,
+}
+
+/// What can be done to the rig.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Action {
+    /// Press (or release) the E-stop.
+    EStop(bool),
+    /// Press (or release) the start button.
+    Button(bool),
+    /// Cut the jumper from STEP to the read-back input, or mend it.
+    Jumper(bool),
+    /// Make a contact stay open or closed, or sound again.
+    Stick(Switch, Option<bool>),
+    /// Make a contact bounce from now on, or sound again.
+    Bounce(Switch, Option<Bounce>),
+    /// A pulse of this width in ns on a contact's wire.
+    Disturb(Switch, u64),
+    /// The motor ignores the next so many steps.
+    LoseSteps(u64),
+}
+
+/// What the driver or the mechanics objected to. All zero in a sound run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Violations {
+    /// STEP pulses too short, other than one cut by the E-stop.
+    pub short_high: u64,
+    /// Gaps between STEP pulses too short.
+    pub short_low: u64,
+    /// Steps too soon after a change of DIR.
+    pub dir_setup: u64,
+    /// Changes of DIR too soon after a step.
+    pub dir_hold: u64,
+    /// Steps while the driver was off.
+    pub disabled: u64,
+    /// Steps lost at the ends of travel.
+    pub stalled: u64,
+    /// Flash erases begun within 10 ms after a step: on the chip they stall every instruction.
+    pub erase_moving: u64,
+}
+
+/// The rig.
+#[derive(Debug)]
+pub struct Rig {
+    options: RigOptions,
+    carriage: i64,
+    away: bool,
+    enabled: bool,
+    step_high: bool,
+    rose_ns: Option<u64>,
+    fell_ns: Option<u64>,
+    turned_ns: Option<u64>,
+    lose: u64,
+    lost: u64,
+    cut_pulses: u64,
+    extremes: (i64, i64),
+    edges: EdgeLog,
+    syncs: Vec<u64>,
+    violations: Violations,
+    /// Contacts.
+    home: Contact,
+    far: Contact,
+    estop: Contact,
+    button: bool,
+    jumper: bool,
+    faults: Faults<Action>,
+    tissue: Option<roller::Bench>,
+}
+
+impl Rig {
+    /// A rig with a body in its intestine.
+    #[must_use]
+    pub fn new(options: RigOptions) -> Self {
+        let mut rig = Self {
+            options,
+            carriage: options.carriage,
+            away: false,
+            enabled: false,
+            step_high: false,
+            rose_ns: None,
+            fell_ns: None,
+            turned_ns: None,
+            lose: 0,
+            lost: 0,
+            cut_pulses: 0,
+            extremes: (options.carriage, options.carriage),
+            edges: EdgeLog::default(),
+            syncs: Vec::new(),
+            violations: Violations::default(),
+            home: Contact::new(options.carriage <= options.flag),
+            far: Contact::new(options.carriage >= options.limit),
+            estop: Contact::new(false),
+            button: false,
+            jumper: true,
+            faults: Faults::default(),
+            tissue: None,
+        };
+        rig.lay_body(options.indentation_mm);
+        rig
+    }
+
+    /// Lays a fresh, unfolded body at the left end of an intestine that the rollers indent by `indentation_mm`.
+    /// Answers whether such an indentation is possible.
+    pub fn lay_body(&mut self, indentation_mm: f64) -> bool {
+        self.tissue = roller::Bench::new(Params::PAPER, indentation_mm).ok();
+        self.feed();
+        self.tissue.is_some()
+    }
+
+    /// How far the body has moved since it was laid, mm, headward positive.
+    #[must_use]
+    pub fn displacement_mm(&self) -> Option<f64> {
+        self.tissue.as_ref().map(roller::Bench::displacement_mm)
+    }
+
+    /// Position of the carriage, steps from the right end.
+    #[must_use]
+    pub fn carriage(&self) -> i64 {
+        self.carriage
+    }
+
+    /// Extreme positions since the last call of [`Rig::forget_extremes`], steps.
+    #[must_use]
+    pub fn extremes(&self) -> (i64, i64) {
+        self.extremes
+    }
+
+    /// Starts a new record of extremes here.
+    pub fn forget_extremes(&mut self) {
+        self.extremes = (self.carriage, self.carriage);
+    }
+
+    /// All step edges so far.
+    #[must_use]
+    pub fn edges(&self) -> &EdgeLog {
+        &self.edges
+    }
+
+    /// Rising edges of the sync output, ns.
+    #[must_use]
+    pub fn syncs(&self) -> &[u64] {
+        &self.syncs
+    }
+
+    /// What was objected to so far.
+    #[must_use]
+    pub fn violations(&self) -> Violations {
+        self.violations
+    }
+
+    /// Steps that the carriage did not follow: injected, stalled, or given to a driver that was off.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Pulses that an E-stop cut short.
+    #[must_use]
+    pub fn cut_pulses(&self) -> u64 {
+        self.cut_pulses
+    }
+
+    /// Whether the driver is on.
+    #[must_use]
+    pub fn is_enabled(&self) -> bool {
+        self.enabled
+    }
+
+    /// Whether `switch` is open.
+    #[must_use]
+    pub fn is_open(&self, switch: Switch) -> bool {
+        match switch {
+            Switch::Home => self.home.is_open(),
+            Switch::Far => self.far.is_open(),
+            Switch::EStop => self.estop.is_open(),
+        }
+    }
+
+    /// Whether the start button is pressed.
+    #[must_use]
+    pub fn is_pressed(&self) -> bool {
+        self.button
+    }
+
+    /// Whether STEP is wired to the read-back input.
+    #[must_use]
+    pub fn has_jumper(&self) -> bool {
+        self.jumper
+    }
+
+    /// Plans a fault.
+    pub fn plan(&mut self, when: When, action: Action) {
+        self.faults.plan(when, action);
+    }
+
+    /// Does `action` now.
+    pub fn act(&mut self, action: Action, at_ns: u64) {
+        match action {
+            Action::EStop(pressed) => self.estop.actuate(pressed, at_ns),
+            Action::Button(pressed) => self.button = pressed,
+            Action::Jumper(whole) => self.jumper = whole,
+            Action::Stick(switch, open) => self.contact(switch).stick(open),
+            Action::Bounce(switch, bounce) => self.contact(switch).set_bounce(bounce),
+            Action::Disturb(switch, width_ns) => self.contact(switch).disturb(at_ns, width_ns),
+            Action::LoseSteps(steps) => self.lose += steps,
+        }
+    }
+
+    fn contact(&mut self, switch: Switch) -> &mut Contact {
+        match switch {
+            Switch::Home => &mut self.home,
+            Switch::Far => &mut self.far,
+            Switch::EStop => &mut self.estop,
+        }
+    }
+
+    /// Lets everything happen that is due by `now_ns`.
+    pub fn advance(&mut self, now_ns: u64) {
+        for action in self.faults.due_by(now_ns) {
+            self.act(action, now_ns);
+        }
+        for contact in [&mut self.home, &mut self.far, &mut self.estop] {
+            contact.advance(now_ns);
+        }
+    }
+
+    /// When something happens next by itself.
+    #[must_use]
+    pub fn next_ns(&self) -> Option<u64> {
+        let contacts = [&self.home, &self.far, &self.estop];
+        let contacts = contacts.into_iter().filter_map(Contact::next_ns);
+        contacts.chain(self.faults.next_ns()).min()
+    }
+
+    /// EN changed: low switches the driver on.
+    pub fn set_enabled(&mut self, enabled: bool) {
+        self.enabled = enabled;
+    }
+
+    /// DIR changed: high is away from home.
+    pub fn turn(&mut self, away: bool, at_ns: u64) {
+        if away == self.away {
+            return;
+        }
+        self.away = away;
+        self.turned_ns = Some(at_ns);
+        if self
+            .rose_ns
+            .is_some_and(|rose| at_ns - rose < self.options.driver.dir_ns)
+        {
+            self.violations.dir_hold += 1;
+        }
+    }
+
+    /// STEP changed.
+    pub fn step(&mut self, high: bool, at_ns: u64) {
+        if high == self.step_high {
+            return;
+        }
+        self.step_high = high;
+        if high {
+            self.rise(at_ns);
+        } else {
+            self.fall(at_ns);
+        }
+    }
+
+    fn fall(&mut self, at_ns: u64) {
+        self.fell_ns = Some(at_ns);
+        let short = self
+            .rose_ns
+            .is_some_and(|rose| at_ns - rose < self.options.driver.pulse_ns);
+        if short && self.estop.is_open() {
+            self.cut_pulses += 1;
+        } else if short {
+            self.violations.short_high += 1;
+        }
+    }
+
+    fn rise(&mut self, at_ns: u64) {
+        let DriverTiming { pulse_ns, dir_ns } = self.options.driver;
+        let since = |event: Option<u64>| event.map_or(u64::MAX, |event| at_ns - event);
+        self.violations.short_low += u64::from(since(self.fell_ns) < pulse_ns);
+        self.violations.dir_setup += u64::from(since(self.turned_ns) < dir_ns);
+        self.rose_ns = Some(at_ns);
+        let away = self.away;
+        self.edges.push(StepEdge { at_ns, away });
+        self.move_carriage();
+        self.home.actuate(self.carriage <= self.options.flag, at_ns);
+        self.far.actuate(self.carriage >= self.options.limit, at_ns);
+        for action in self.faults.due_at_edge(self.edges.len() as u64) {
+            self.act(action, at_ns);
+        }
+    }
+
+    fn move_carriage(&mut self) {
+        let next = self.carriage + if self.away { 1 } else { -1 };
+        let (low, high) = self.options.stops;
+        if !self.enabled {
+            self.violations.disabled += 1;
+        } else if self.lose > 0 {
+            self.lose -= 1;
+        } else if next < low || next > high {
+            self.violations.stalled += 1;
+        } else {
+            self.carriage = next;
+            self.extremes = (self.extremes.0.min(next), self.extremes.1.max(next));
+            self.feed();
+            return;
+        }
+        self.lost += 1;
+    }
+
+    /// Shows the carriage to the tissue, at every tenth of a millimetre.
+    fn feed(&mut self) {
+        let tenth = (self.options.steps_per_mm / 10).max(1);
+        if self.carriage % tenth != 0 {
+            return;
+        }
+        let at_mm = self.carriage as f64 / self.options.steps_per_mm as f64;
+        if let Some(tissue) = &mut self.tissue {
+            // The stops keep the carriage inside the model's range.
+            let _ = tissue.carriage_to(at_mm);
+        }
+    }
+
+    /// The sync output rose.
+    pub fn sync(&mut self, at_ns: u64) {
+        self.syncs.push(at_ns);
+    }
+
+    /// The chip began to erase flash.
+    pub fn erase_began(&mut self, at_ns: u64) {
+        const MOVING_NS: u64 = 10_000_000;
+        if self.rose_ns.is_some_and(|rose| at_ns - rose < MOVING_NS) {
+            self.violations.erase_moving += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pulses(rig: &mut Rig, from_ns: u64, count: u64) {
+        for n in 0..count {
+            rig.step(true, from_ns + n * 10_000);
+            rig.step(false, from_ns + n * 10_000 + 3_000);
+        }
+    }
+
+    #[test]
+    fn steps_move_the_carriage_and_the_flag_opens_at_its_place() {
+        let mut rig = Rig::new(RigOptions {
+            carriage: 802,
+            ..RigOptions::default()
+        });
+        rig.set_enabled(true);
+        pulses(&mut rig, 10_000, 1);
+        assert!(!rig.is_open(Switch::Home));
+        pulses(&mut rig, 30_000, 1);
+        assert!(rig.is_open(Switch::Home));
+        assert_eq!(rig.carriage(), 800);
+        assert_eq!(rig.violations(), Violations::default());
+    }
+
+    #[test]
+    fn the_driver_objects_to_what_it_cannot_follow() {
+        let mut rig = Rig::new(RigOptions::default());
+        rig.set_enabled(true);
+        rig.turn(true, 0);
+        rig.step(true, 649);
+        rig.step(false, 649 + 1_899);
+        rig.step(true, 649 + 1_899 + 1_899);
+        rig.turn(false, 649 + 1_899 + 1_899 + 649);
+        rig.set_enabled(false);
+        rig.step(false, 10_000);
+        rig.step(true, 20_000);
+        let expected = Violations {
+            short_high: 1,
+            short_low: 1,
+            dir_setup: 1,
+            dir_hold: 1,
+            disabled: 1,
+            ..Violations::default()
+        };
+        assert_eq!(rig.violations(), expected);
+    }
+
+    #[test]
+    fn the_ends_of_travel_lose_steps() {
+        let mut rig = Rig::new(RigOptions {
+            carriage: -2_399,
+            ..RigOptions::default()
+        });
+        rig.set_enabled(true);
+        pulses(&mut rig, 0, 3);
+        assert_eq!((rig.carriage(), rig.lost()), (-2_400, 2));
+        assert_eq!(rig.violations().stalled, 2);
+    }
+
+    #[test]
+    fn a_fault_at_an_edge_happens_with_it() {
+        let mut rig = Rig::new(RigOptions::default());
+        rig.set_enabled(true);
+        rig.plan(When::Edge(2), Action::EStop(true));
+        pulses(&mut rig, 0, 1);
+        assert!(!rig.is_open(Switch::EStop));
+        rig.step(true, 50_000);
+        assert!(rig.is_open(Switch::EStop));
+        rig.step(false, 50_010);
+        assert_eq!((rig.cut_pulses(), rig.violations().short_high), (1, 0));
+    }
+
+    #[test]
+    fn the_body_moves_as_the_model_says() {
+        let mut rig = Rig::new(RigOptions {
+            carriage: 0,
+            indentation_mm: 5.05,
+            ..RigOptions::default()
+        });
+        rig.set_enabled(true);
+        let mut at_ns = 0;
+        for _ in 0..5 {
+            for away in [true, false] {
+                rig.turn(away, at_ns);
+                pulses(&mut rig, at_ns + 5_000, 104_000);
+                at_ns += 104_001 * 10_000;
+            }
+        }
+        let expected = roller::run(Params::PAPER, 5.05).expect("the paper's run");
+        assert_eq!(rig.displacement_mm(), Some(expected));
+    }
+}

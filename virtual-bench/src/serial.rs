@@ -1,0 +1,146 @@
+//! The serial line between the machine and the host, in virtual time.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use rigless::chip::Timeline;
+use rigless::chip::uart::Peer;
+use rigless::snapshot::Store;
+use rigless::time::VirtualNanos;
+
+/// What a fault does to one byte on its way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ByteFault {
+    /// It never arrives.
+    Lost,
+    /// It arrives with these bits flipped.
+    Flipped(u8),
+}
+
+/// Both directions of the line.
+#[derive(Debug, Default)]
+pub struct Serial {
+    /// Bytes of the host which the machine has not taken yet.
+    to_machine: VecDeque<u8>,
+    /// Bytes of the machine which the host has not taken yet, with the end of their stop bit, ns.
+    from_machine: Vec<(u64, u8)>,
+    /// Whether the machine's pins carry its serial port.
+    pub(crate) sends: bool,
+    pub(crate) hears: bool,
+    sent: u64,
+    taken: u64,
+    /// Faults by the byte's number in its direction, from 0.
+    faults_to_machine: Vec<(u64, ByteFault)>,
+    faults_from_machine: Vec<(u64, ByteFault)>,
+    /// The last byte's end and the shortest distance between two, ns: the machine's true bit rate.
+    last_sent_ns: Option<u64>,
+    shortest_ns: Option<u64>,
+}
+
+impl Serial {
+    /// Puts bytes of the host on the line, now.
+    pub(crate) fn put(&mut self, bytes: &[u8]) {
+        self.to_machine.extend(bytes);
+    }
+
+    /// Takes what the machine has sent, in order.
+    pub(crate) fn take(&mut self) -> Vec<(u64, u8)> {
+        std::mem::take(&mut self.from_machine)
+    }
+
+    /// Whether the machine has sent anything that was not taken.
+    pub(crate) fn has_sent(&self) -> bool {
+        !self.from_machine.is_empty()
+    }
+
+    /// Does `fault` to the host's byte `number`, from 0 and from the start of the bench.
+    pub fn spoil_to_machine(&mut self, number: u64, fault: ByteFault) {
+        self.faults_to_machine.push((number, fault));
+    }
+
+    /// Does `fault` to the machine's byte `number`.
+    pub fn spoil_from_machine(&mut self, number: u64, fault: ByteFault) {
+        self.faults_from_machine.push((number, fault));
+    }
+
+    /// Bytes which the machine has taken and sent so far.
+    #[must_use]
+    pub fn counts(&self) -> (u64, u64) {
+        (self.taken, self.sent)
+    }
+
+    /// The shortest time from one byte's end to the next, ns, or `None` before two bytes. 115200 baud with eight
+    /// data bits and no parity give 86.8 us.
+    #[must_use]
+    pub fn shortest_byte_ns(&self) -> Option<u64> {
+        self.shortest_ns
+    }
+
+    fn give(&mut self) -> Option<u8> {
+        while let Some(byte) = self.to_machine.pop_front() {
+            let number = self.taken;
+            self.taken += 1;
+            if !self.hears {
+                continue;
+            }
+            match fault(&self.faults_to_machine, number) {
+                None => return Some(byte),
+                Some(ByteFault::Flipped(bits)) => return Some(byte ^ bits),
+                Some(ByteFault::Lost) => {}
+            }
+        }
+        None
+    }
+
+    fn receive(&mut self, byte: u8, at_ns: u64) {
+        if let Some(last) = self.last_sent_ns.replace(at_ns) {
+            let apart = at_ns - last;
+            self.shortest_ns = Some(self.shortest_ns.map_or(apart, |known| known.min(apart)));
+        }
+        let number = self.sent;
+        self.sent += 1;
+        if !self.sends {
+            return;
+        }
+        match fault(&self.faults_from_machine, number) {
+            None => self.from_machine.push((at_ns, byte)),
+            Some(ByteFault::Flipped(bits)) => self.from_machine.push((at_ns, byte ^ bits)),
+            Some(ByteFault::Lost) => {}
+        }
+    }
+}
+
+fn fault(faults: &[(u64, ByteFault)], number: u64) -> Option<ByteFault> {
+    let found = faults.iter().find(|(spoilt, _)| *spoilt == number);
+    found.map(|(_, fault)| *fault)
+}
+
+/// The machine's end of the line.
+#[derive(Debug)]
+pub(crate) struct Wire {
+    serial: Arc<Mutex<Serial>>,
+    epoch_ns: u64,
+}
+
+impl Wire {
+    pub(crate) fn new(serial: Arc<Mutex<Serial>>, epoch_ns: u64) -> Self {
+        Self { serial, epoch_ns }
+    }
+
+    fn line(&self) -> MutexGuard<'_, Serial> {
+        self.serial.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Store for Wire {}
+
+impl Peer for Wire {
+    fn receive(&mut self, word: u16, context: &mut Timeline<'_, '_>) {
+        let at_ns = self.epoch_ns + context.now().0;
+        self.line().receive((word & 0xFF) as u8, at_ns);
+    }
+
+    fn transmit(&mut self, _now: VirtualNanos) -> Option<u16> {
+        self.line().give().map(u16::from)
+    }
+}

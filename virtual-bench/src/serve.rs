@@ -1,0 +1,99 @@
+//! Serves a machine on TCP at the pace of the wall clock, as a serial port would behave.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::time::{Duration, Instant};
+
+use host_tool::link::Link;
+
+use crate::bench::BenchError;
+
+/// Distance of the exchanges with the socket.
+const TURN: Duration = Duration::from_millis(1);
+
+/// A machine behind a port of the loopback interface.
+pub struct Server {
+    listener: TcpListener,
+}
+
+impl Server {
+    /// Listens on `port`, or on a free one with 0.
+    ///
+    /// # Errors
+    /// [`BenchError::Listen`] when the port is taken.
+    pub fn listen(port: u16) -> Result<Self, BenchError> {
+        let refused = |why| BenchError::Listen {
+            address: format!("127.0.0.1:{port}"),
+            why,
+        };
+        let listener = TcpListener::bind(("127.0.0.1", port)).map_err(refused)?;
+        listener.set_nonblocking(true).map_err(refused)?;
+        Ok(Self { listener })
+    }
+
+    /// The port it listens on.
+    #[must_use]
+    pub fn port(&self) -> u16 {
+        self.listener
+            .local_addr()
+            .map_or(0, |address| address.port())
+    }
+
+    /// Runs the machine behind `link` for ever, one client at a time; the latest to connect has the wire. Connecting
+    /// and leaving do nothing to the machine.
+    ///
+    /// # Errors
+    /// [`BenchError::Ended`] when the machine is gone.
+    pub fn serve(&self, link: &mut dyn Link) -> Result<(), BenchError> {
+        let began = Instant::now();
+        let epoch_us = link.now_us();
+        let mut client: Option<TcpStream> = None;
+        let mut buffer = [0; 4096];
+        loop {
+            if let Ok((stream, _)) = self.listener.accept()
+                && stream.set_nonblocking(true).is_ok()
+            {
+                let _ = stream.set_nodelay(true);
+                client = Some(stream);
+            }
+            let heard = client
+                .as_mut()
+                .map_or(Ok(0), |client| read(client, &mut buffer));
+            match heard {
+                Ok(count) if count > 0 => {
+                    link.send(&buffer[..count]).map_err(ended)?;
+                }
+                Ok(_) => {}
+                Err(_) => client = None,
+            }
+            let due_us = epoch_us + began.elapsed().as_micros() as u64;
+            while link.now_us() < due_us {
+                let count = link.receive(&mut buffer, due_us).map_err(ended)?;
+                let written = client
+                    .as_mut()
+                    .map_or(Ok(()), |client| write(client, &buffer[..count]));
+                if written.is_err() {
+                    client = None;
+                }
+            }
+            std::thread::sleep(TURN);
+        }
+    }
+}
+
+fn ended(why: impl std::fmt::Display) -> BenchError {
+    BenchError::Ended(why.to_string())
+}
+
+fn read(client: &mut TcpStream, buffer: &mut [u8]) -> std::io::Result<usize> {
+    match client.read(buffer) {
+        Ok(0) => Err(ErrorKind::UnexpectedEof.into()),
+        Err(why) if matches!(why.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => Ok(0),
+        other => other,
+    }
+}
+
+/// A client that does not read loses its connection, not the machine its pace.
+fn write(client: &mut TcpStream, bytes: &[u8]) -> std::io::Result<()> {
+    client.write_all(bytes)
+}
