@@ -54,8 +54,7 @@ pub struct Board {
 
 /// Clocks, pins and interrupts. The driver stays off and no output is armed.
 pub fn init() -> Board {
-    let p = embassy_stm32::init(clocks());
-    mend_time_driver();
+    let p = init_with_time_mended();
     enable_peripherals();
     outputs_off();
     configure_pins();
@@ -105,13 +104,15 @@ fn clocks() -> Config {
     config
 }
 
-/// The time driver counts a compare flag that was raised at initialisation as an extra half period, which would
-/// make the clock step back later. Clear it before anything reads the time.
-fn mend_time_driver() {
+/// The time driver would count a compare flag that is raised at its initialisation as half a period, 65 ms, and
+/// the clock could step back later. Clear it before the first interrupt can see it.
+fn init_with_time_mended() -> embassy_stm32::Peripherals {
     cortex_m::interrupt::free(|_| {
+        let peripherals = embassy_stm32::init(clocks());
         pac::TIM5.sr().write_value(pac::timer::regs::SrGp16(0));
         cortex_m::peripheral::NVIC::unpend(pac::Interrupt::TIM5);
-    });
+        peripherals
+    })
 }
 
 /// What the HAL does not drive for us.
