@@ -1,1 +1,9 @@
-//! Placeholder.
+//! The capsule's logic without its hardware: mechanics, detection, state machine, commands. Tested on the host;
+//! the image in `main.rs` wires it to the STM32F411.
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod commands;
+pub mod detect;
+pub mod fold;
+pub mod mechanics;
