@@ -1,4 +1,4 @@
-//! The steps of `cargo xtask test` and `cargo xtask ci`.
+//! The steps of `cargo xtask test`, `lint` and `ci`.
 //!
 //! Everything is compiled as few times as its purposes allow: once in the dev profile for the host
 //! tests, once in release for the bench (its tests and the demo share that), once as metadata for the
@@ -31,48 +31,59 @@ const BENCH_TESTS: Step = Step {
     act: bench::test,
 };
 
+const FORMAT: Step = Step {
+    name: "format",
+    does: "every file is as rustfmt writes it",
+    after: None,
+    act: format,
+};
+const LINT_HOST: Step = Step {
+    name: "lint host",
+    does: "clippy on every package and target of the host, no warning allowed",
+    after: None,
+    act: lint_host,
+};
+const LINT_IMAGES: Step = Step {
+    name: "lint images",
+    does: "clippy on both images as compiled for the chip, no warning allowed",
+    after: None,
+    act: images::lint,
+};
+const DOCS: Step = Step {
+    name: "docs",
+    does: "the documentation of every package, no warning allowed",
+    after: None,
+    act: docs,
+};
+const DEMO: Step = Step {
+    name: "demo",
+    does: "`cargo xtask demo`, and the data and the report it leaves",
+    after: Some("images"),
+    act: demo,
+};
+
 /// Every test there is, with all set-up.
 pub(crate) fn test() -> ExitCode {
     steps::run(&[IMAGES, HOST_TESTS, BENCH_TESTS])
 }
 
-/// Every test, and what else has to hold before a change is merged.
+/// What can be said without running anything.
+pub(crate) fn lint() -> ExitCode {
+    steps::run(&[FORMAT, LINT_HOST, DOCS, LINT_IMAGES])
+}
+
+/// Every test, and what else has to hold before a change is merged. The host tests come before
+/// anything is installed, so that they are shown to need nothing.
 pub(crate) fn ci() -> ExitCode {
     steps::run(&[
-        Step {
-            name: "format",
-            does: "every file is as rustfmt writes it",
-            after: None,
-            act: format,
-        },
-        // Before anything is installed, so that it is shown to need nothing.
+        FORMAT,
         HOST_TESTS,
-        Step {
-            name: "lint host",
-            does: "clippy on every package and target of the host, no warning allowed",
-            after: None,
-            act: lint_host,
-        },
-        Step {
-            name: "docs",
-            does: "the documentation of every package, no warning allowed",
-            after: None,
-            act: docs,
-        },
+        LINT_HOST,
+        DOCS,
         IMAGES,
-        Step {
-            name: "lint images",
-            does: "clippy on both images as compiled for the chip, no warning allowed",
-            after: Some("images"),
-            act: images::lint,
-        },
+        LINT_IMAGES,
         BENCH_TESTS,
-        Step {
-            name: "demo",
-            does: "`cargo xtask demo`, and the data and the report it leaves",
-            after: Some("images"),
-            act: demo,
-        },
+        DEMO,
     ])
 }
 

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `main.rs` | reads the command line |
 //! | `steps.rs` | runs named steps, times them, sums up |
-//! | `checks.rs` | the steps of `test` and `ci` |
+//! | `checks.rs` | the steps of `test`, `lint` and `ci` |
 //! | `bench.rs` | starts the virtual bench |
 //! | `images.rs` | builds both ARM images |
 //! | `layout.rs` | reads an image and judges its addresses and sizes |
@@ -36,6 +36,7 @@ cargo xtask <command>
   demo [OPTIONS]    build both images and run the paper's experiment on the virtual bench;
                     leaves data and a report (options go to the bench: `cargo xtask demo --help`)
   test              build both images, run the host tests and the tests of the images
+  lint              format, clippy for host and chip, documentation; no warning allowed
   ci                everything that has to hold before a change is merged
 
   images [--check]  build both images, check their layout and sizes (--check: only check)
@@ -57,6 +58,7 @@ fn main() -> ExitCode {
         ("demo", options) => images::build().and_then(|()| bench::run_command("demo", options)),
         ("bench", options) => images::build().and_then(|()| bench::run_command("bench", options)),
         ("test", []) => return checks::test(),
+        ("lint", []) => return checks::lint(),
         ("ci", []) => return checks::ci(),
         ("images", []) => images::build(),
         ("images", [flag]) if flag == "--check" => images::check(),
