@@ -183,7 +183,14 @@ fn unpack() -> Result<()> {
     for archive in archives.flatten().map(|entry| entry.path()) {
         if archive.extension().is_some_and(|end| end == "deb") {
             let mut dpkg = Command::new("dpkg-deb");
-            run(dpkg.arg("-x").args([&archive, &partial]), remedy)?;
+            dpkg.arg("-x").args([&archive, &partial]);
+            if !dpkg.status().is_ok_and(|status| status.success()) {
+                let what = format!("{} cannot be unpacked", archive.display());
+                return Err(Failure::new(
+                    what,
+                    "see what dpkg-deb says above; free disk space?",
+                ));
+            }
         }
     }
     fs::remove_dir_all(&apt_state).map_err(trouble)?;

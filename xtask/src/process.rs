@@ -147,7 +147,7 @@ pub(crate) fn first_line(command: &mut Command) -> Option<String> {
     text.lines().next().map(|line| line.trim().to_owned())
 }
 
-/// The command as a person would type it: file names instead of paths for programs.
+/// The command as a person would type it in the workspace's folder: programs by name, short paths.
 fn spelled(command: &Command) -> String {
     let program = Path::new(command.get_program());
     let shown = program.file_name().unwrap_or(program.as_os_str());
@@ -157,7 +157,9 @@ fn spelled(command: &Command) -> String {
             .get_args()
             .map(|word| word.to_string_lossy().into_owned()),
     );
-    words.join(" ")
+    words
+        .join(" ")
+        .replace(&format!("{}/", root().display()), "")
 }
 
 #[cfg(test)]
