@@ -20,9 +20,10 @@
 //! | 0 | 1 | pays out |
 //! | 1 | 1 | motor shorted |
 //!
-//! While driving, one input is high all the time and the other one in the first part of each period: short, then
-//! drive. Between the drive phases the motor's current goes on through the short, so that the mean voltage is the
-//! duty times the battery's. A shunt below the bridge sees the current in the drive phase only, so the current is sampled there.
+//! While driving, one input carries pulses and the other one is low: between the pulses the motor runs free. The
+//! usual alternative, shorting it between the pulses, would make the mean voltage independent of the load, but needs an
+//! inductance to carry the current over: this motor's winding forgets its current within some 10 us of the 50 us, and
+//! would brake itself with 0.3 A in every pause, all of it from the battery.
 
 #![allow(unsafe_code)]
 
@@ -58,7 +59,9 @@ const VDDA_MV: u32 = 3_300;
 const ADC_FULL: u32 = 4_095;
 /// The battery's divider is 1/2.
 const BATTERY_RATIO: u32 = 2;
-/// Three times the slowest conversion (15 + 28 cycles of 8 MHz), in turns of a loop of at least four instructions.
+/// Readings per sample while driving: together they take about one PWM period, so that their mean is the period's.
+const ADC_PAIRS: u32 = 6;
+/// More than the slowest conversion (27 cycles of 8 MHz: 3.4 us), in turns of a loop of at least four instructions.
 const ADC_PATIENCE: u32 = 1_000;
 
 const ENCODER: [usize; 2] = [0, 1];
@@ -79,8 +82,7 @@ pub(crate) struct Board {
 
 /// Clocks, pins and interrupts. The bridge stays asleep.
 pub(crate) fn init() -> Board {
-    let p = embassy_stm32::init(Config::default()); // HSI, no PLL
-    mend_time_driver();
+    let p = init_with_time_mended();
 
     pac::RCC.ahb1enr().modify(|w| {
         w.set_gpioaen(true);
@@ -154,13 +156,15 @@ fn alternate_function(port: pac::gpio::Gpio, pin: usize, function: u8) {
     port.afr(pin / 8).modify(|w| w.set_afr(pin % 8, function));
 }
 
-/// The time driver counts a compare flag that was raised at initialisation as an extra half period, which would
-/// make the clock step back later. Clear it before anything reads the time.
-fn mend_time_driver() {
+/// The time driver would count a compare flag that is raised at its initialisation as half a period, 65 ms, and
+/// the clock could step back later. Clear it before the first interrupt can see it. Default clocks: HSI, no PLL.
+fn init_with_time_mended() -> embassy_stm32::Peripherals {
     cortex_m::interrupt::free(|_| {
+        let peripherals = embassy_stm32::init(Config::default());
         pac::TIM5.sr().write_value(pac::timer::regs::SrGp16(0));
         cortex_m::peripheral::NVIC::unpend(pac::Interrupt::TIM5);
-    });
+        peripherals
+    })
 }
 
 /// Counts all four edges of A and B, over the full 32 bits (RM0383 section 13.3.12). The inputs are filtered over
@@ -199,7 +203,7 @@ fn configure_pwm() {
     });
 }
 
-/// 8 MHz, 28 cycles of sampling: 5 us a conversion. Switched on only for a reading.
+/// 8 MHz, 15 cycles of sampling and 12 of conversion. Switched on only for a reading at rest.
 fn configure_adc(current: u8, battery: u8) {
     use pac::{adc::vals::SampleTime, adccommon::vals::Adcpre};
     pac::ADC1_COMMON
@@ -207,7 +211,7 @@ fn configure_adc(current: u8, battery: u8) {
         .modify(|w| w.set_adcpre(Adcpre::DIV2));
     pac::ADC1.smpr2().modify(|w| {
         for channel in [current, battery] {
-            w.set_smp(usize::from(channel), SampleTime::CYCLES28);
+            w.set_smp(usize::from(channel), SampleTime::CYCLES15);
         }
     });
 }
@@ -236,24 +240,11 @@ pub(crate) struct DriveTrain {
 impl DriveTrain {
     /// Sets the bridge. The duty comes from the last battery reading.
     pub(crate) fn set(&mut self, drive: Drive) {
-        let millivolts = match drive {
+        let (in1, in2) = match drive {
             Drive::Off => return outputs_off(),
-            Drive::Brake => 0,
-            Drive::Millivolts(millivolts) => millivolts,
-        };
-        // The part of the period in which both inputs are high. No battery: no drive.
-        let share = u32::from(millivolts.unsigned_abs()) * u32::from(PWM_TICKS)
-            / u32::from(self.battery_mv).max(1);
-        let driven = if self.battery_mv == 0 {
-            0
-        } else {
-            share.min(u32::from(PWM_TICKS)) as u16
-        };
-        let shorted = PWM_TICKS - driven;
-        let (in1, in2) = if millivolts >= 0 {
-            (PWM_TICKS, shorted)
-        } else {
-            (shorted, PWM_TICKS)
+            Drive::Brake => (PWM_TICKS, PWM_TICKS),
+            Drive::Millivolts(millivolts) if millivolts >= 0 => (self.pulse(millivolts), 0),
+            Drive::Millivolts(millivolts) => (0, self.pulse(millivolts)),
         };
         pac::TIM3.ccr(0).write(|w| w.set_ccr(in1));
         pac::TIM3.ccr(1).write(|w| w.set_ccr(in2));
@@ -268,18 +259,31 @@ impl DriveTrain {
         }
     }
 
+    /// Length of the pulse that is this share of the battery. No battery reading: no drive.
+    fn pulse(&self, millivolts: i16) -> u16 {
+        let full = u32::from(PWM_TICKS);
+        let ticks = u32::from(millivolts.unsigned_abs()) * full;
+        let ticks = ticks.checked_div(u32::from(self.battery_mv));
+        ticks.map_or(0, |ticks| ticks.min(full) as u16)
+    }
+
     /// Reads everything. nFAULT means nothing while the bridge sleeps.
     pub(crate) fn sample(&mut self) -> Sample {
         pac::ADC1.cr2().modify(|w| w.set_adon(true));
         // 3 us to power up (DS9716 section 6.3.20).
         cortex_m::asm::delay(48);
-        let battery_mv = millivolts(convert(self.battery)).saturating_mul(BATTERY_RATIO);
-        await_drive_phase();
-        let current_ma = millivolts(convert(self.current));
         let awake = pac::TIM3.cr1().read().cen();
+        let pairs = if awake { ADC_PAIRS } else { 1 };
+        let (mut current, mut battery) = (0, 0);
+        for _ in 0..pairs {
+            current += u32::from(convert(self.current));
+            battery += u32::from(convert(self.battery));
+        }
         if !awake {
             pac::ADC1.cr2().modify(|w| w.set_adon(false));
         }
+        let battery_mv = millivolts(battery, pairs) * BATTERY_RATIO;
+        let current_ma = millivolts(current, pairs); // 1 mV per mA
         self.battery_mv = u16::try_from(battery_mv).unwrap_or(u16::MAX);
         Sample {
             counts: Counts(pac::TIM2.cnt().read() as i32),
@@ -287,27 +291,6 @@ impl DriveTrain {
             battery_mv: self.battery_mv,
             driver_fault: awake
                 && pac::GPIOA.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW,
-        }
-    }
-}
-
-/// Waits, for less than a period, until the bridge has begun to drive and at least half of the phase is left.
-/// Returns at once if it does not drive.
-fn await_drive_phase() {
-    let shorted = pac::TIM3
-        .ccr(0)
-        .read()
-        .ccr()
-        .min(pac::TIM3.ccr(1).read().ccr());
-    if !pac::TIM3.cr1().read().cen() || shorted >= PWM_TICKS {
-        return;
-    }
-    let middle = shorted + (PWM_TICKS - shorted) / 2;
-    // A turn takes at least four clocks: the bound is more than a period.
-    for _ in 0..PWM_TICKS / 2 {
-        let at = pac::TIM3.cnt().read().cnt();
-        if (shorted..middle).contains(&at) {
-            return;
         }
     }
 }
@@ -325,8 +308,9 @@ fn convert(channel: u8) -> u16 {
     panic!("the ADC does not finish a conversion")
 }
 
-fn millivolts(raw: u16) -> u32 {
-    u32::from(raw) * VDDA_MV / ADC_FULL
+/// Mean of `count` readings, rounded down.
+fn millivolts(sum: u32, count: u32) -> u32 {
+    sum * VDDA_MV / (ADC_FULL * count)
 }
 
 /// Why the chip was reset; clears the flags (RM0383 section 6.3.21).

@@ -58,17 +58,11 @@ use protocol::{
 pub const FAST_MV: u16 = 3_700;
 /// Drive where force ends the motion: stalls at 11 N.
 pub const GENTLE_MV: u16 = 1_500;
-/// Drive of the last millimetre before zero: 5.4 mm/s.
-pub const CREEP_MV: u16 = 1_000;
 /// A fold is gentle from here on.
 pub const GENTLE_FROM: Thread = Thread(18_000);
-/// An unfolding creeps from here on.
-pub const CREEP_FROM: Thread = Thread(1_000);
-/// The brake is applied this far before a counted end: running on takes 34 um from 5.4 mm/s (5.4 mm/s times the
-/// motor's 6.2 ms), and the sample 5 um. An unfolding ends between 0 and this.
-pub const BRAKE_LEAD: Thread = Thread(60);
-/// The brake is applied this far before the end of a [`BACK_OFF`], which is driven with [`GENTLE_MV`].
-const BACK_OFF_LEAD: Thread = Thread(100);
+/// A paying-out is braked where the motor will run on to this distance from its end. What the prediction of the
+/// running-on is wrong by must be less: it is 0.15 mm at 20 mm/s.
+pub const STOP_MARGIN: Thread = Thread(40);
 /// Six time constants of the motor.
 pub const BRAKE_US: u64 = 40_000;
 /// A motion is refused below this battery voltage.
@@ -88,7 +82,7 @@ pub enum Drive {
     Off,
     /// Motor short-circuited.
     Brake,
-    /// Mean voltage at the motor; positive winds. Never more than the battery has.
+    /// Duty times battery voltage; positive winds. Never more than the battery has.
     Millivolts(i16),
 }
 
@@ -424,10 +418,10 @@ impl Capsule {
 
     fn take(&mut self, now_us: u64, sample: Sample, actions: &mut Actions) {
         let elapsed_us = now_us.saturating_sub(self.sample_us);
-        if let Drive::Millivolts(drive_mv) = self.drive {
-            // mV * mA * us = pJ. The battery carries the motor's current for the share of the time that makes
-            // the mean voltage out of its own, so battery power is drive voltage times motor current.
-            let power = u64::from(drive_mv.unsigned_abs()) * u64::from(sample.current_ma);
+        if let Drive::Millivolts(_) = self.drive {
+            // mV * mA * us = pJ. All of the motor's current comes from the battery: there is none between the
+            // pulses.
+            let power = u64::from(sample.battery_mv) * u64::from(sample.current_ma);
             self.energy_pj = self
                 .energy_pj
                 .saturating_add(power.saturating_mul(elapsed_us));
@@ -482,7 +476,9 @@ impl Capsule {
             }
         }
         let (leg, overdue) = (actuation.leg, now_us >= actuation.deadline_us);
-        match self.judge(leg, load) {
+        let running_on = actuation.detector.stopping_distance().thread();
+        let margin = Thread(running_on.0.saturating_add(STOP_MARGIN.0));
+        match self.judge(leg, load, margin) {
             Step::Go if overdue => self.fail(now_us, CapsuleFault::Timeout, actions),
             Step::Go => {}
             Step::Turn(leg) => self.turn(now_us, leg),
@@ -497,8 +493,8 @@ impl Capsule {
         }
     }
 
-    /// Where a leg ends.
-    fn judge(&mut self, leg: Leg, load: Load) -> Step {
+    /// Where a leg ends. `margin` is how far ahead of a counted end the brake must be applied.
+    fn judge(&mut self, leg: Leg, load: Load, margin: Thread) -> Step {
         let (thread, counts) = (self.thread(), self.sample.counts);
         let jam = Step::Fault(CapsuleFault::Jam {
             thread_um: thread.0,
@@ -541,7 +537,7 @@ impl Capsule {
             }
             Leg::BackOff { .. } | Leg::PayOut if load.force => jam,
             Leg::BackOff { to, origin } => {
-                if counts.since(to).thread() <= BACK_OFF_LEAD {
+                if counts.since(to).thread() <= margin {
                     Step::Turn(Leg::Seek {
                         origin,
                         second: true,
@@ -550,7 +546,7 @@ impl Capsule {
                     Step::Go
                 }
             }
-            Leg::PayOut if thread <= BRAKE_LEAD => Step::Unfolded,
+            Leg::PayOut if thread <= margin => Step::Unfolded,
             Leg::PayOut => Step::Go,
         }
     }
@@ -643,8 +639,7 @@ impl Capsule {
                     Leg::Seek { .. } | Leg::BackOff { .. } => GENTLE_MV,
                     Leg::Wind if self.thread() < GENTLE_FROM => FAST_MV,
                     Leg::Wind => GENTLE_MV,
-                    Leg::PayOut if self.thread() > CREEP_FROM => FAST_MV,
-                    Leg::PayOut => CREEP_MV,
+                    Leg::PayOut => FAST_MV,
                 };
                 // At most 3700: fits.
                 let millivolts = wanted_mv.min(self.sample.battery_mv) as i16;

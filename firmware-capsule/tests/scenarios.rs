@@ -98,7 +98,7 @@ fn a_fold_ends_on_force_in_time_and_within_the_energy() {
     assert_eq!(record.kind, ActuationKind::Fold);
     assert_eq!(record.outcome, ActuationOutcome::Complete);
     assert!(
-        (1_200..1_800).contains(&record.duration_ms),
+        (900..1_500).contains(&record.duration_ms),
         "{} ms",
         record.duration_ms
     );
@@ -303,9 +303,10 @@ fn a_stop_in_mid_fold_keeps_the_position_and_either_way_goes_on() {
         bench.settle();
         assert!(bench.plant.thread_mm() < 10.3, "{}", bench.highest_mm);
         let record_um = f64::from(bench.capsule.record().thread_um);
-        let (true_um, zero_um) = (bench.plant.thread_mm() * 1e3, 300.0);
+        // The reference puts the zero 0.2 mm into the slack, and the force is felt a little late.
+        let (true_um, zero_um) = (bench.plant.thread_mm() * 1e3, 400.0);
         assert!(
-            (true_um - record_um).abs() < zero_um,
+            (true_um - record_um - zero_um).abs() < 150.0,
             "{record_um} um, true {true_um}"
         );
         bench.run(onward);

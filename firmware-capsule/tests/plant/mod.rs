@@ -39,6 +39,7 @@ pub(crate) struct Plant {
     pub(crate) current: f64,
     pub(crate) cell: f64,
     pub(crate) cell_ohm: f64,
+    pub(crate) bridge_ohm: f64,
     pub(crate) battery: f64,
     pub(crate) broken: Option<Break>,
     pub(crate) snapped: bool,
@@ -54,6 +55,7 @@ impl Plant {
             current: 0.0,
             cell: 3.9,
             cell_ohm: 0.5,
+            bridge_ohm: 0.6,
             battery: 3.9,
             broken: None,
             snapped: false,
@@ -93,14 +95,21 @@ impl Plant {
                 Drive::Millivolts(millivolts) if millivolts < 0 => -torque * 1.133 / (4.0 * 0.8),
                 _ => torque / 0.315 / (4.0 * 0.8),
             };
-            let volts = match drive {
-                Drive::Millivolts(millivolts) => f64::from(millivolts) / 1e3,
+            // The bridge drives for a share of the time and lets the motor run free for the rest of it.
+            let share = match drive {
+                Drive::Millivolts(millivolts) => {
+                    (f64::from(millivolts) / 1e3 / self.battery.max(0.1)).clamp(-1.0, 1.0)
+                }
                 _ => 0.0,
             };
-            self.current = if drive == Drive::Off {
-                0.0
-            } else {
-                (volts - BACK_EMF * self.speed) / RESISTANCE
+            let loop_ohm = RESISTANCE + self.bridge_ohm;
+            self.current = match drive {
+                Drive::Off => 0.0,
+                Drive::Brake => -BACK_EMF * self.speed / loop_ohm,
+                Drive::Millivolts(_) => {
+                    let against = BACK_EMF * self.speed * share.signum();
+                    share * (self.cell - against).max(0.0) / (loop_ohm + self.cell_ohm)
+                }
             };
             let drag = TORQUE * NO_LOAD;
             let push = TORQUE * self.current;
@@ -116,8 +125,12 @@ impl Plant {
                 self.speed = if speed * self.speed < 0.0 { 0.0 } else { speed };
             }
             self.angle += self.speed * step;
-            let share = (volts.abs() / self.battery.max(0.1)).min(1.0);
-            self.battery = (self.cell - self.cell_ohm * self.current.abs() * share).max(0.0);
+            let drawn = if drive == Drive::Brake {
+                0.0
+            } else {
+                self.current.abs()
+            };
+            self.battery = (self.cell - self.cell_ohm * drawn).max(0.0);
         }
     }
 
