@@ -36,6 +36,19 @@ const OVERDUE_US: u64 = 3_000_000;
 /// edge: once an urgent stop was wanted it stays wanted, and may only grow into an emergency stop.
 pub type Interrupt = Arc<dyn Fn() -> Option<Urgent> + Send + Sync>;
 
+/// An action that was accepted and has begun.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+// One exists at a time, on the stack.
+#[allow(clippy::large_enum_variant)]
+pub enum Begun {
+    /// Homing.
+    Homing(HomeAccepted),
+    /// A run.
+    Run(RunAccepted),
+    /// Referencing, folding or unfolding.
+    Actuation(ActuationAccepted),
+}
+
 /// Where an action is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
@@ -76,6 +89,10 @@ pub enum Progress {
 
 /// Sees what happens during a wait. Every method may be left out.
 pub trait Observer {
+    /// An action has begun.
+    fn begun(&mut self, begun: &Begun) {
+        let _ = begun;
+    }
     /// A telemetry sample; `missed` samples were lost just before it.
     fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
         let _ = (sample, missed);
@@ -87,6 +104,28 @@ pub trait Observer {
     /// About four times a second.
     fn progress(&mut self, progress: &Progress) {
         let _ = progress;
+    }
+}
+
+/// Two observers of the same action.
+pub struct Both<'a>(pub &'a mut dyn Observer, pub &'a mut dyn Observer);
+
+impl Observer for Both<'_> {
+    fn begun(&mut self, begun: &Begun) {
+        self.0.begun(begun);
+        self.1.begun(begun);
+    }
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.0.telemetry(sample, missed);
+        self.1.telemetry(sample, missed);
+    }
+    fn event(&mut self, event: &Event) {
+        self.0.event(event);
+        self.1.event(event);
+    }
+    fn progress(&mut self, progress: &Progress) {
+        self.0.progress(progress);
+        self.1.progress(progress);
     }
 }
 
@@ -417,6 +456,7 @@ impl Device {
         accepted: &HomeAccepted,
         observer: &mut dyn Observer,
     ) -> Result<Homed, ClientError> {
+        observer.begun(&Begun::Homing(*accepted));
         let start_us = self.now_us();
         let mut found = None;
         let at_most_us = homing_limit_us(accepted);
@@ -466,6 +506,7 @@ impl Device {
         accepted: &RunAccepted,
         observer: &mut dyn Observer,
     ) -> Result<RunRecord, ClientError> {
+        observer.begun(&Begun::Run(*accepted));
         let total_us = accepted.total_ticks.div_ceil(100);
         let at_most_us = total_us.saturating_add(accepted.requested.start_delay_us.into());
         self.wait(
@@ -505,6 +546,7 @@ impl Device {
         accepted: &ActuationAccepted,
         observer: &mut dyn Observer,
     ) -> Result<ActuationRecord, ClientError> {
+        observer.begun(&Begun::Actuation(*accepted));
         let start_us = self.now_us();
         let at_most_us = u64::from(accepted.timeout_ms) * 1_000;
         self.wait(

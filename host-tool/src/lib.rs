@@ -5,11 +5,19 @@
 //! * [`error`]: why something was not done, and what to do about it.
 //! * [`connector`]: where links come from.
 //! * [`decimal`]: numbers as people write them, exact.
+//! * [`trial`]: what is recorded of an action: telemetry CSV and JSON sidecar.
+//! * [`experiment`]: recorded actions, and the experiment of the paper made of them.
+//! * [`plan`]: a run before it is sent.
+//! * [`report`]: recorded trials as one HTML file.
 #![forbid(unsafe_code)]
 
 pub mod client;
 pub mod connector;
 pub mod decimal;
 pub mod error;
+pub mod experiment;
 pub mod identity;
 pub mod link;
+pub mod plan;
+pub mod report;
+pub mod trial;

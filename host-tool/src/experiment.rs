@@ -1,0 +1,419 @@
+//! Recorded actions, and the paper's experiment made of them.
+
+use std::path::PathBuf;
+
+use jiff::Timestamp;
+use miette::Diagnostic;
+use protocol::capsule::{ActuationKind, ActuationRecord};
+use protocol::rig::{LinkLossPolicy, Run, RunAccepted, RunRecord, RunTiming};
+use protocol::system::{DeviceKind, Identity};
+
+use crate::client::{Both, Device, Homed, Observer};
+use crate::error::ClientError;
+use crate::trial::{Action, Ending, RecordError, Recorder, Recording, Screw, Status, Trial};
+
+/// The paper's run: 5 cycles of 130 mm in 40 s.
+pub const PAPER_RUN: Run = Run {
+    cycles: 5,
+    stroke_um: 130_000,
+    timing: RunTiming::Total {
+        total_us: 40_000_000,
+        accel_um_s2: DEFAULT_ACCEL_UM_S2,
+    },
+    far_dwell_us: 0,
+    home_dwell_us: 0,
+    start_delay_us: 0,
+    link_loss: LinkLossPolicy::Stop,
+};
+
+/// Acceleration of a run unless another is asked for.
+pub const DEFAULT_ACCEL_UM_S2: u32 = 100_000;
+
+/// Telemetry interval unless another is asked for: 100 Hz, a third of 115200 baud.
+pub const DEFAULT_TELEMETRY_MS: u16 = 10;
+
+/// Why a recorded action did not come about.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+pub enum ExperimentError {
+    /// The device or the way to it.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Client(#[from] ClientError),
+    /// The record.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Record(#[from] RecordError),
+    /// A step of the experiment ended otherwise than planned, so that the rest was not begun.
+    #[error("{step} ended as {status:?}{}", reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
+    #[diagnostic(
+        code(retrograde::incomplete),
+        help("the data up to here is in {}", sidecar.display())
+    )]
+    Incomplete {
+        /// Which.
+        step: &'static str,
+        /// How it ended.
+        status: Status,
+        /// The fault, if there was one.
+        reason: Option<String>,
+        /// Its record.
+        sidecar: PathBuf,
+    },
+}
+
+/// A run and where it is recorded.
+#[derive(Clone, Debug)]
+pub struct RunTrial {
+    /// As planned by the rig.
+    pub accepted: RunAccepted,
+    /// As executed.
+    pub record: RunRecord,
+    /// Everything, as in the sidecar.
+    pub trial: Trial,
+    /// Telemetry.
+    pub csv: PathBuf,
+    /// Sidecar.
+    pub sidecar: PathBuf,
+}
+
+/// An actuation and where it is recorded.
+#[derive(Clone, Debug)]
+pub struct ActuationTrial {
+    /// As executed.
+    pub record: ActuationRecord,
+    /// Everything, as in the sidecar.
+    pub trial: Trial,
+    /// Telemetry.
+    pub csv: PathBuf,
+    /// Sidecar.
+    pub sidecar: PathBuf,
+}
+
+/// Carries out and records one run, whatever way it ends.
+///
+/// # Errors
+/// If the rig refused or was lost, or the record could not be written. Both files exist before anything moves.
+pub fn run(
+    rig: &mut Device,
+    run: Run,
+    recording: &Recording,
+    observer: &mut dyn Observer,
+) -> Result<RunTrial, ExperimentError> {
+    let device = identity(rig, DeviceKind::Rig)?;
+    let action = Action::Run {
+        screw: Screw::from(&rig.rig_status()?),
+        requested: run,
+        achieved: None,
+        executed: None,
+    };
+    let mut recorder = Recorder::create(Trial::new(action, &device, recording), recording)?;
+    let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    let outcome = (|| {
+        rig.set_telemetry(recording.telemetry_ms)?;
+        rig.take_telemetry();
+        let accepted = rig.run(run)?;
+        let record = rig.wait_run(&accepted, &mut Both(&mut recorder, observer))?;
+        Ok((accepted, record))
+    })();
+    let (trial, (accepted, record)) =
+        end(rig, recorder, outcome, |(_, record)| Ending::Run(*record))?;
+    Ok(RunTrial {
+        accepted,
+        record,
+        trial,
+        csv,
+        sidecar,
+    })
+}
+
+/// Carries out and records one actuation, whatever way it ends.
+///
+/// # Errors
+/// If the capsule refused or was lost, or the record could not be written. Both files exist before anything moves.
+pub fn actuate(
+    capsule: &mut Device,
+    kind: ActuationKind,
+    recording: &Recording,
+    observer: &mut dyn Observer,
+) -> Result<ActuationTrial, ExperimentError> {
+    let device = identity(capsule, DeviceKind::Capsule)?;
+    let action = Action::Actuation {
+        actuation: kind,
+        accepted: None,
+        record: None,
+    };
+    let mut recorder = Recorder::create(Trial::new(action, &device, recording), recording)?;
+    let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    let outcome = (|| {
+        capsule.set_telemetry(recording.telemetry_ms)?;
+        capsule.take_telemetry();
+        let accepted = match kind {
+            ActuationKind::Reference => capsule.reference()?,
+            ActuationKind::Fold => capsule.fold()?,
+            ActuationKind::Unfold => capsule.unfold()?,
+        };
+        capsule.wait_actuation(&accepted, &mut Both(&mut recorder, observer))
+    })();
+    let (trial, record) = end(capsule, recorder, outcome, |record| {
+        Ending::Actuation(*record)
+    })?;
+    Ok(ActuationTrial {
+        record,
+        trial,
+        csv,
+        sidecar,
+    })
+}
+
+/// Writes the end of a trial, then silences the telemetry.
+fn end<T>(
+    device: &mut Device,
+    recorder: Recorder,
+    outcome: Result<T, ClientError>,
+    ending: impl FnOnce(&T) -> Ending,
+) -> Result<(Trial, T), ExperimentError> {
+    let lost_events = device.lost_events();
+    match outcome {
+        Ok(value) => {
+            let trial = recorder.finish(ending(&value), lost_events)?;
+            device.set_telemetry(0)?;
+            Ok((trial, value))
+        }
+        Err(error) => {
+            recorder.finish(Ending::Lost(error.to_string()), lost_events)?;
+            Err(error.into())
+        }
+    }
+}
+
+fn identity(device: &Device, wanted: DeviceKind) -> Result<Identity, ClientError> {
+    device.require(wanted)?;
+    device
+        .identity()
+        .copied()
+        .ok_or_else(|| ClientError::NoAnswer {
+            place: device.place(),
+        })
+}
+
+/// Homes the rig.
+///
+/// # Errors
+/// As [`Device::home`] and [`Device::wait_homing`].
+pub fn home(rig: &mut Device, observer: &mut dyn Observer) -> Result<Homed, ClientError> {
+    let accepted = rig.home()?;
+    rig.wait_homing(&accepted, observer)
+}
+
+/// Shape of the capsule's origami during a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// The waves carry it forward.
+    Unfolded,
+    /// The same waves carry it the other way.
+    Folded,
+}
+
+impl Shape {
+    /// `unfolded` or `folded`, as in records.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Unfolded => "unfolded",
+            Self::Folded => "folded",
+        }
+    }
+}
+
+/// Sees the experiment's steps and their results. All methods but one may be left out.
+pub trait Hooks {
+    /// A step is about to begin.
+    fn begins(&mut self, step: &str) {
+        let _ = step;
+    }
+    /// Watches the step that goes on.
+    fn observer(&mut self) -> &mut dyn Observer;
+    /// Who is there.
+    fn identified(&mut self, rig: &Identity, capsule: &Identity) {
+        let _ = (rig, capsule);
+    }
+    /// The capsule found its zero.
+    fn referenced(&mut self, trial: &ActuationTrial) {
+        let _ = trial;
+    }
+    /// The rig found its zero.
+    fn homed(&mut self, homed: &Homed) {
+        let _ = homed;
+    }
+    /// A run is complete: the place for a verdict and the body's displacement.
+    fn ran(&mut self, shape: Shape, trial: &RunTrial) {
+        let _ = (shape, trial);
+    }
+    /// The capsule is folded.
+    fn folded(&mut self, trial: &ActuationTrial) {
+        let _ = trial;
+    }
+    /// The capsule is unfolded.
+    fn unfolded(&mut self, trial: &ActuationTrial) {
+        let _ = trial;
+    }
+}
+
+/// What the experiment does and where it is recorded.
+#[derive(Clone, Debug)]
+pub struct Procedure {
+    /// The run, carried out once unfolded and once folded.
+    pub run: Run,
+    /// Folder of all records.
+    pub folder: PathBuf,
+    /// Interval of telemetry, 5..=1000 ms.
+    pub telemetry_ms: u16,
+}
+
+/// The experiment's records, in the order of the steps.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    /// Zero of the thread.
+    pub reference: ActuationTrial,
+    /// Zero of the rig.
+    pub homed: Homed,
+    /// The run with the capsule unfolded.
+    pub unfolded_run: RunTrial,
+    /// Folding.
+    pub fold: ActuationTrial,
+    /// The same run with the capsule folded.
+    pub folded_run: RunTrial,
+    /// Unfolding.
+    pub unfold: ActuationTrial,
+}
+
+impl Experiment {
+    /// The sidecars, in the order of the steps.
+    #[must_use]
+    pub fn sidecars(&self) -> Vec<PathBuf> {
+        vec![
+            self.reference.sidecar.clone(),
+            self.unfolded_run.sidecar.clone(),
+            self.fold.sidecar.clone(),
+            self.folded_run.sidecar.clone(),
+            self.unfold.sidecar.clone(),
+        ]
+    }
+}
+
+/// The paper's experiment: identities; reference and home; run unfolded; fold; the same run folded; unfold. Each step
+/// begins only if the one before is complete. `now` is asked once per record.
+///
+/// # Errors
+/// The first step that was refused, lost, or ended otherwise than planned.
+pub fn paper(
+    rig: &mut Device,
+    capsule: &mut Device,
+    procedure: &Procedure,
+    now: &dyn Fn() -> Timestamp,
+    hooks: &mut dyn Hooks,
+) -> Result<Experiment, ExperimentError> {
+    let recording = |stem: &str, note: Option<Shape>| Recording {
+        folder: procedure.folder.clone(),
+        stem: stem.to_owned(),
+        now: now(),
+        note: note.map(|shape| format!("capsule {}", shape.name())),
+        telemetry_ms: procedure.telemetry_ms,
+    };
+    hooks.identified(
+        &identity(rig, DeviceKind::Rig)?,
+        &identity(capsule, DeviceKind::Capsule)?,
+    );
+
+    hooks.begins("reference the capsule");
+    let reference = complete_actuation(
+        "referencing",
+        actuate(
+            capsule,
+            ActuationKind::Reference,
+            &recording("reference", None),
+            hooks.observer(),
+        )?,
+    )?;
+    hooks.referenced(&reference);
+
+    hooks.begins("home the rig");
+    let homed = home(rig, hooks.observer())?;
+    hooks.homed(&homed);
+
+    let run_shaped = |rig: &mut Device, shape: Shape, hooks: &mut dyn Hooks| {
+        hooks.begins(match shape {
+            Shape::Unfolded => "run, capsule unfolded",
+            Shape::Folded => "run, capsule folded",
+        });
+        let recording = recording(&format!("run-{}", shape.name()), Some(shape));
+        let trial = complete_run(run(rig, procedure.run, &recording, hooks.observer())?)?;
+        hooks.ran(shape, &trial);
+        Ok::<_, ExperimentError>(trial)
+    };
+    let unfolded_run = run_shaped(rig, Shape::Unfolded, hooks)?;
+
+    hooks.begins("fold the capsule");
+    let fold = complete_actuation(
+        "folding",
+        actuate(
+            capsule,
+            ActuationKind::Fold,
+            &recording("fold", None),
+            hooks.observer(),
+        )?,
+    )?;
+    hooks.folded(&fold);
+
+    let folded_run = run_shaped(rig, Shape::Folded, hooks)?;
+
+    hooks.begins("unfold the capsule");
+    let unfold = complete_actuation(
+        "unfolding",
+        actuate(
+            capsule,
+            ActuationKind::Unfold,
+            &recording("unfold", None),
+            hooks.observer(),
+        )?,
+    )?;
+    hooks.unfolded(&unfold);
+
+    Ok(Experiment {
+        reference,
+        homed,
+        unfolded_run,
+        fold,
+        folded_run,
+        unfold,
+    })
+}
+
+fn complete_run(run: RunTrial) -> Result<RunTrial, ExperimentError> {
+    complete("the run", &run.trial, &run.sidecar)?;
+    Ok(run)
+}
+
+fn complete_actuation(
+    step: &'static str,
+    actuation: ActuationTrial,
+) -> Result<ActuationTrial, ExperimentError> {
+    complete(step, &actuation.trial, &actuation.sidecar)?;
+    Ok(actuation)
+}
+
+fn complete(
+    step: &'static str,
+    trial: &Trial,
+    sidecar: &std::path::Path,
+) -> Result<(), ExperimentError> {
+    if trial.status == Status::Complete {
+        return Ok(());
+    }
+    Err(ExperimentError::Incomplete {
+        step,
+        status: trial.status,
+        reason: trial.error.clone(),
+        sidecar: sidecar.to_owned(),
+    })
+}

@@ -1,0 +1,276 @@
+//! A run before it is sent: solved with the same arithmetic as in the rig, summed up, and written out edge by edge.
+
+use std::io::{self, Write};
+
+use motion::axis::{Axis, Direction};
+use motion::run::{Limits, RunError, RunPlan, RunRequest, Timing};
+use motion::step_times::StepTimes;
+use motion::trapezoid::{MIN_INTERVAL, StrokeProfile};
+use motion::units::{TICK_HZ, Ticks};
+use protocol::rig::{Run, RunTiming, Stroke};
+use serde::Serialize;
+
+use crate::decimal;
+use crate::trial::{Achieved, Screw};
+
+/// Limits of the rig as it is delivered; a rig's own settings may differ and decide.
+pub const REFERENCE_LIMITS: Limits = Limits {
+    max_speed_um_s: 49_000,
+    max_accel_um_s2: 2_000_000,
+    min_interval_ticks: 400,
+    min_turnaround_ticks: 100_000,
+};
+
+/// What no rig can exceed.
+const WIDEST_LIMITS: Limits = Limits {
+    max_speed_um_s: u32::MAX,
+    max_accel_um_s2: u32::MAX,
+    min_interval_ticks: MIN_INTERVAL.0 as u32,
+    min_turnaround_ticks: 0,
+};
+
+/// Solves a run as the rig does. The protocol's total leaves the start delay out, the planner's counts it in.
+///
+/// # Errors
+/// What makes the run infeasible, and what would make it feasible.
+pub fn solve(run: &Run, axis: &Axis, limits: &Limits) -> Result<RunPlan, RunError> {
+    let delay_us = u64::from(run.start_delay_us);
+    let timing = match run.timing {
+        RunTiming::Total {
+            total_us,
+            accel_um_s2,
+        } => Timing::Total {
+            total_us: total_us.checked_add(delay_us).ok_or(RunError::TooLong)?,
+            accel_um_s2,
+        },
+        RunTiming::Speeds {
+            forward_um_s,
+            return_um_s,
+            accel_um_s2,
+        } => Timing::Speeds {
+            forward_um_s,
+            return_um_s,
+            accel_um_s2,
+        },
+    };
+    let request = RunRequest {
+        cycles: run.cycles,
+        stroke_um: run.stroke_um,
+        timing,
+        far_dwell_us: run.far_dwell_us,
+        home_dwell_us: run.home_dwell_us,
+        start_delay_us: run.start_delay_us,
+    };
+    RunPlan::solve(axis, limits, &request).map_err(|error| match error {
+        RunError::TotalTooShort {
+            minimal_total_us,
+            minimal_accel_um_s2,
+        } => RunError::TotalTooShort {
+            minimal_total_us: minimal_total_us.saturating_sub(delay_us),
+            minimal_accel_um_s2,
+        },
+        RunError::PeakAboveLimit {
+            peak_um_s,
+            max_um_s,
+            minimal_total_us,
+        } => RunError::PeakAboveLimit {
+            peak_um_s,
+            max_um_s,
+            minimal_total_us: minimal_total_us.map(|us| us.saturating_sub(delay_us)),
+        },
+        other => other,
+    })
+}
+
+/// Refuses what every rig would refuse, before a link is opened. What depends on the rig's own screw and limits
+/// is left to the rig.
+///
+/// # Errors
+/// What is wrong with the request, and what to do about it.
+pub fn check(run: &Run) -> Result<(), RunError> {
+    match solve(run, &Axis::REFERENCE, &WIDEST_LIMITS) {
+        Err(
+            RunError::StrokeBelowOneStep { .. }
+            | RunError::StepRate { .. }
+            | RunError::Turnaround { .. }
+            | RunError::Profile(_),
+        )
+        | Ok(_) => Ok(()),
+        Err(error) => Err(error),
+    }
+}
+
+/// A solved run in numbers.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Summary {
+    /// As requested.
+    pub requested: Run,
+    /// Screw and stroke that it was solved for.
+    pub screw: Screw,
+    /// As it would be executed.
+    pub achieved: Achieved,
+    /// Strokes of the run.
+    pub strokes: u32,
+    /// Highest step rate, Hz, rounded up.
+    pub peak_step_hz: u64,
+}
+
+/// Sums a plan up.
+#[must_use]
+pub fn summary(run: &Run, axis: &Axis, plan: &RunPlan) -> Summary {
+    let span = plan
+        .forward()
+        .min_interval()
+        .min(plan.return_().min_interval());
+    Summary {
+        requested: *run,
+        screw: Screw {
+            lead_um: axis.lead().0,
+            steps_per_rev: axis.steps_per_rev(),
+            stroke_um: axis.stroke().0,
+        },
+        achieved: Achieved {
+            run: 0,
+            forward: stroke(plan.forward(), axis),
+            back: stroke(plan.return_(), axis),
+            total_ticks: plan.total().0 - plan.start_delay().0,
+            edges: plan.edges(),
+            plan_hash: format!("{:016x}", plan.hash()),
+        },
+        strokes: plan.strokes(),
+        peak_step_hz: TICK_HZ.div_ceil(span.0.max(1)),
+    }
+}
+
+fn stroke(profile: &StrokeProfile, axis: &Axis) -> Stroke {
+    Stroke {
+        steps: profile.steps().0,
+        duration_ticks: profile.duration().0,
+        ramp_ticks: profile.ramp().0,
+        peak_um_s: profile.peak_um_s(axis),
+        accel_um_s2: profile.accel_um_s2(axis),
+    }
+}
+
+/// Writes every step edge of a plan as CSV: stroke from 0, position after the edge, and its tick of 10 ns from the
+/// instant of the start, also in seconds.
+///
+/// # Errors
+/// The writer's.
+pub fn write_edges(plan: &RunPlan, out: &mut dyn Write) -> io::Result<()> {
+    writeln!(out, "stroke,position_steps,tick_10ns,time_s")?;
+    for index in 0..plan.strokes() {
+        let (Some(start), Some(profile), Some(direction)) = (
+            plan.stroke_start(index),
+            plan.stroke(index),
+            plan.direction(index),
+        ) else {
+            break;
+        };
+        let steps = profile.steps().0;
+        for (tick, done) in StepTimes::new(*profile).zip(1..) {
+            let position = match direction {
+                Direction::Away => done,
+                Direction::Home => steps - done,
+            };
+            let Ticks(tick) = Ticks(start.0 + tick);
+            writeln!(out, "{index},{position},{tick},{}", decimal::write(tick, 8))?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::PAPER_RUN;
+
+    #[test]
+    fn the_papers_run_is_solved_as_the_design_says() {
+        let plan = solve(&PAPER_RUN, &Axis::REFERENCE, &REFERENCE_LIMITS).expect("feasible");
+        let summary = summary(&PAPER_RUN, &Axis::REFERENCE, &plan);
+        assert_eq!(summary.achieved.edges, 1_040_000);
+        assert_eq!(summary.achieved.total_ticks, 4_000_000_000);
+        assert_eq!(summary.achieved.forward.duration_ticks, 400_000_000);
+        assert_eq!(summary.strokes, 10);
+    }
+
+    #[test]
+    fn a_start_delay_changes_neither_strokes_nor_total() {
+        let delayed = Run {
+            start_delay_us: 7_000_001,
+            ..PAPER_RUN
+        };
+        let plan = |run: &Run| {
+            let plan = solve(run, &Axis::REFERENCE, &REFERENCE_LIMITS).expect("feasible");
+            summary(run, &Axis::REFERENCE, &plan).achieved
+        };
+        let (now, later) = (plan(&PAPER_RUN), plan(&delayed));
+        assert_eq!((now.forward, now.back), (later.forward, later.back));
+        assert_eq!(now.total_ticks, later.total_ticks);
+    }
+
+    #[test]
+    fn every_edge_is_written_once_and_the_last_is_at_home_at_the_end() {
+        let run = Run {
+            cycles: 2,
+            stroke_um: 1_000,
+            timing: RunTiming::Total {
+                total_us: 2_000_000,
+                accel_um_s2: 100_000,
+            },
+            ..PAPER_RUN
+        };
+        let plan = solve(&run, &Axis::REFERENCE, &REFERENCE_LIMITS).expect("feasible");
+        let mut text = vec![];
+        write_edges(&plan, &mut text).expect("memory");
+        let text = String::from_utf8(text).expect("ASCII");
+        let rows: Vec<&str> = text.lines().skip(1).collect();
+        assert_eq!(rows.len() as u64, plan.edges());
+        assert_eq!(rows.last(), Some(&"3,0,200000000,2"));
+        let ticks = rows.iter().map(|row| {
+            row.split(',')
+                .nth(2)
+                .and_then(|tick| tick.parse::<u64>().ok())
+        });
+        assert!(ticks.clone().all(|tick| tick.is_some()));
+        assert!(ticks.is_sorted_by(|a, b| a < b), "edges follow one another");
+    }
+
+    #[test]
+    fn only_what_no_rig_can_do_is_refused_beforehand() {
+        let refused = |run: Run| check(&run).is_err();
+        assert!(!refused(PAPER_RUN));
+        assert!(refused(Run {
+            cycles: 0,
+            ..PAPER_RUN
+        }));
+        assert!(refused(Run {
+            stroke_um: 131_000,
+            ..PAPER_RUN
+        }));
+        assert!(refused(Run {
+            stroke_um: 0,
+            ..PAPER_RUN
+        }));
+        assert!(refused(Run {
+            start_delay_us: 1,
+            timing: RunTiming::Total {
+                total_us: u64::MAX,
+                accel_um_s2: 1
+            },
+            ..PAPER_RUN
+        }));
+        let speed = |forward_um_s| Run {
+            timing: RunTiming::Speeds {
+                forward_um_s,
+                return_um_s: 1_000,
+                accel_um_s2: 100_000,
+            },
+            ..PAPER_RUN
+        };
+        assert!(refused(speed(0)));
+        // Faster than the rig as delivered, but that is the rig's to say.
+        assert!(!refused(speed(60_000)));
+    }
+}

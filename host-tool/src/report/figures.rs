@@ -1,0 +1,312 @@
+//! Figures of a trial as SVG: what was measured, over what was planned.
+
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+use protocol::rig::{Run, Stroke};
+
+use crate::trial::{Achieved, CapsuleSample, RigSample, Screw};
+
+const SIZE: (u32, u32) = (880, 300);
+const MEASURED: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
+const PLANNED: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
+const INK: RGBColor = RGBColor(0x33, 0x33, 0x33);
+
+/// Points of the planned profile per ramp.
+const RAMP_POINTS: u32 = 24;
+
+/// A figure could not be drawn.
+#[derive(Debug, thiserror::Error)]
+#[error("a figure could not be drawn: {0}")]
+pub struct FigureError(String);
+
+/// One curve.
+struct Curve {
+    label: &'static str,
+    colour: RGBColor,
+    width: u32,
+    points: Vec<(f64, f64)>,
+}
+
+/// Position and velocity of a plan over time: (s, mm) and (s, mm/s).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Planned {
+    /// (s, mm).
+    pub position: Vec<(f64, f64)>,
+    /// (s, mm/s).
+    pub velocity: Vec<(f64, f64)>,
+}
+
+/// The exact continuous profile of a run, sampled finely enough to draw. Time 0 is the first stroke's start.
+#[must_use]
+pub fn planned(screw: &Screw, run: &Run, achieved: &Achieved) -> Planned {
+    let seconds = |ticks: u64| ticks as f64 * 1e-8;
+    let (far, home) = (
+        f64::from(run.far_dwell_us) * 1e-6,
+        f64::from(run.home_dwell_us) * 1e-6,
+    );
+    let mut planned = Planned::default();
+    let mut start = 0.0;
+    for cycle in 0..run.cycles {
+        stroke(&mut planned, screw, &achieved.forward, start, false);
+        start += seconds(achieved.forward.duration_ticks) + far;
+        if cycle + 1 == run.cycles {
+            // The last dwell takes up what the division of the total left over.
+            start = seconds(achieved.total_ticks) - seconds(achieved.back.duration_ticks);
+        }
+        stroke(&mut planned, screw, &achieved.back, start, true);
+        start += seconds(achieved.back.duration_ticks) + home;
+    }
+    planned
+}
+
+fn stroke(planned: &mut Planned, screw: &Screw, stroke: &Stroke, start: f64, back: bool) {
+    let steps = f64::from(stroke.steps);
+    let (t, r) = (
+        stroke.duration_ticks as f64 * 1e-8,
+        stroke.ramp_ticks as f64 * 1e-8,
+    );
+    let length = screw.mm(steps);
+    let (speed, acceleration) = (length / (t - r), length / (t - r) / r);
+    let mut point = |time: f64, way: f64, speed: f64| {
+        let (position, velocity) = if back {
+            (length - way, -speed)
+        } else {
+            (way, speed)
+        };
+        planned.position.push((start + time, position));
+        planned.velocity.push((start + time, velocity));
+    };
+    for index in 0..=RAMP_POINTS {
+        let time = r * f64::from(index) / f64::from(RAMP_POINTS);
+        point(time, acceleration * time * time / 2.0, acceleration * time);
+    }
+    point(t - r, length - speed * r / 2.0, speed);
+    for index in (0..RAMP_POINTS).rev() {
+        let left = r * f64::from(index) / f64::from(RAMP_POINTS);
+        point(
+            t - left,
+            length - acceleration * left * left / 2.0,
+            acceleration * left,
+        );
+    }
+}
+
+/// Position and velocity against time, measured over planned.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn run_figures(
+    planned: Planned,
+    samples: &[RigSample],
+    start_us: u64,
+) -> Result<[String; 2], FigureError> {
+    let number = |text: &str| text.parse::<f64>().unwrap_or(f64::NAN);
+    let measured = |value: &dyn Fn(&RigSample) -> f64| {
+        samples
+            .iter()
+            .map(|sample| (since(start_us, sample.time_us), value(sample)))
+            .collect::<Vec<_>>()
+    };
+    Ok([
+        figure(
+            "position / mm",
+            vec![
+                plan_curve(planned.position),
+                measured_curve(measured(&|sample| number(&sample.position_mm))),
+            ],
+        )?,
+        figure(
+            "velocity / (mm/s)",
+            vec![
+                plan_curve(planned.velocity),
+                measured_curve(measured(&|sample| number(&sample.speed_mm_s))),
+            ],
+        )?,
+    ])
+}
+
+/// Thread and motor current against time.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn actuation_figures(
+    samples: &[CapsuleSample],
+    start_us: u64,
+) -> Result<[String; 2], FigureError> {
+    let curve = |value: &dyn Fn(&CapsuleSample) -> f64| {
+        measured_curve(
+            samples
+                .iter()
+                .map(|sample| (since(start_us, sample.time_us), value(sample)))
+                .collect(),
+        )
+    };
+    Ok([
+        figure(
+            "thread wound / mm",
+            vec![curve(&|sample| f64::from(sample.thread_um) / 1e3)],
+        )?,
+        figure(
+            "motor current / mA",
+            vec![curve(&|sample| f64::from(sample.current_ma))],
+        )?,
+    ])
+}
+
+/// Position of a plan alone.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn plan_figure(planned: Planned) -> Result<String, FigureError> {
+    figure("position / mm", vec![plan_curve(planned.position)])
+}
+
+fn plan_curve(points: Vec<(f64, f64)>) -> Curve {
+    Curve {
+        label: "planned",
+        colour: PLANNED,
+        width: 4,
+        points,
+    }
+}
+
+fn measured_curve(points: Vec<(f64, f64)>) -> Curve {
+    Curve {
+        label: "measured",
+        colour: MEASURED,
+        width: 1,
+        points,
+    }
+}
+
+/// Seconds from `start_us`, negative before it.
+fn since(start_us: u64, time_us: u64) -> f64 {
+    let us = i128::from(time_us) - i128::from(start_us);
+    us as f64 * 1e-6
+}
+
+fn figure(y_label: &str, curves: Vec<Curve>) -> Result<String, FigureError> {
+    let mut svg = String::new();
+    draw(&mut svg, y_label, curves).map_err(|error| FigureError(error.to_string()))?;
+    Ok(svg)
+}
+
+fn draw(
+    svg: &mut String,
+    y_label: &str,
+    curves: Vec<Curve>,
+) -> Result<(), Box<dyn std::error::Error>> {
+    let all = || curves.iter().flat_map(|curve| &curve.points);
+    let (x_low, x_high) = span(all().map(|point| point.0), 0.0);
+    let (y_low, y_high) = span(all().map(|point| point.1), 0.06);
+    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    let mut chart = ChartBuilder::on(&root)
+        .margin(10)
+        .margin_right(20)
+        .x_label_area_size(44)
+        .y_label_area_size(64)
+        .build_cartesian_2d(x_low..x_high, y_low..y_high)?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(INK.mix(0.12))
+        .axis_style(INK)
+        .label_style(("sans-serif", 14, &INK))
+        .axis_desc_style(("sans-serif", 15, &INK))
+        .x_desc("time / s")
+        .y_desc(y_label)
+        .draw()?;
+    let named = curves.len() > 1;
+    for Curve {
+        label,
+        colour,
+        width,
+        points,
+    } in curves
+    {
+        let style = colour.stroke_width(width);
+        let finite = points
+            .into_iter()
+            .filter(|point| point.0.is_finite() && point.1.is_finite());
+        let series = chart.draw_series(LineSeries::new(finite, style))?;
+        if named {
+            series
+                .label(label)
+                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
+        }
+    }
+    if named {
+        chart
+            .configure_series_labels()
+            .position(SeriesLabelPosition::UpperRight)
+            .label_font(
+                ("sans-serif", 13)
+                    .into_text_style(&root)
+                    .color(&INK)
+                    .pos(Pos::new(HPos::Left, VPos::Center)),
+            )
+            .background_style(WHITE.mix(0.85))
+            .border_style(INK.mix(0.2))
+            .draw()?;
+    }
+    root.present()?;
+    Ok(())
+}
+
+/// Range of finite values with a margin; never empty.
+fn span(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
+    let (low, high) = values
+        .filter(|value| value.is_finite())
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+            (low.min(value), high.max(value))
+        });
+    if low >= high {
+        let middle = if low.is_finite() { low } else { 0.0 };
+        return (middle - 1.0, middle + 1.0);
+    }
+    let margin = (high - low) * margin;
+    (low - margin, high + margin)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::PAPER_RUN;
+    use crate::plan::{REFERENCE_LIMITS, solve, summary};
+    use motion::axis::Axis;
+
+    #[test]
+    fn the_planned_curve_goes_out_and_home_and_ends_with_the_run() {
+        let plan = solve(&PAPER_RUN, &Axis::REFERENCE, &REFERENCE_LIMITS).expect("feasible");
+        let summary = summary(&PAPER_RUN, &Axis::REFERENCE, &plan);
+        let planned = planned(&summary.screw, &PAPER_RUN, &summary.achieved);
+        let highest = planned
+            .position
+            .iter()
+            .map(|point| point.1)
+            .fold(0.0, f64::max);
+        assert!((highest - 130.0).abs() < 1e-9, "{highest}");
+        let (time, position) = planned.position.last().copied().expect("points");
+        assert!(
+            (time - 40.0).abs() < 1e-9 && position.abs() < 1e-9,
+            "{time} {position}"
+        );
+        assert!(
+            planned.position.is_sorted_by(|a, b| a.0 <= b.0),
+            "time never steps back"
+        );
+        let fastest = planned
+            .velocity
+            .iter()
+            .map(|point| point.1)
+            .fold(0.0, f64::max);
+        let peak = f64::from(summary.achieved.forward.peak_um_s) / 1e3;
+        assert!((fastest - peak).abs() < 1e-3, "{fastest} {peak}");
+    }
+
+    #[test]
+    fn a_figure_without_data_is_still_a_figure() {
+        let svg = figure("y", vec![measured_curve(vec![(f64::NAN, 1.0)])]).expect("drawn");
+        assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
+    }
+}

@@ -1,0 +1,606 @@
+//! The record of a trial: telemetry as CSV in device time, and a JSON sidecar with everything else.
+//!
+//! Both files exist before anything moves. The CSV is flushed about four times a second, and the sidecar says
+//! `running` until the trial ended, so that after a crash of the host the data is readable and nobody takes it for complete.
+//! Numbers in the CSV come from the device alone: the same run gives the same bytes.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use jiff::Timestamp;
+use miette::Diagnostic;
+use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome, ActuationRecord};
+use protocol::rig::{RigStatus, Run, RunAccepted, RunOutcome, RunRecord, Stroke};
+use protocol::system::{Event, Identity};
+use protocol::table::{SCHEMA_KEY, Telemetry};
+use serde::{Deserialize, Serialize};
+
+use crate::client::{Begun, Observer, Progress};
+use crate::decimal;
+use crate::identity::IdentityRecord;
+
+/// Format of the sidecar; raised when a field changes its meaning.
+pub const FORMAT: u32 = 1;
+
+/// A file of a trial could not be written or read.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+#[error("{path}: {why}", path = path.display())]
+#[diagnostic(code(retrograde::record), help("{remedy}"))]
+pub struct RecordError {
+    /// Which file.
+    pub path: PathBuf,
+    /// The reason.
+    pub why: String,
+    /// What to do about it.
+    pub remedy: &'static str,
+}
+
+impl RecordError {
+    pub(crate) fn write(path: &Path, why: impl ToString) -> Self {
+        Self {
+            path: path.to_owned(),
+            why: why.to_string(),
+            remedy: "choose a folder that can be written, with free space: `--out DIR`",
+        }
+    }
+
+    pub(crate) fn read(path: &Path, why: impl ToString) -> Self {
+        Self {
+            path: path.to_owned(),
+            why: why.to_string(),
+            remedy: "give the JSON file of a trial that `retrograde run` or `retrograde fold` wrote, beside its CSV file",
+        }
+    }
+}
+
+/// How a trial ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// Not ended, or the host ended first.
+    Running,
+    /// As planned.
+    Complete,
+    /// On request.
+    Stopped,
+    /// By the device, for the host was silent.
+    LinkLost,
+    /// By a fault.
+    Faulted,
+    /// The host lost the device: see `error`.
+    Unknown,
+}
+
+impl From<RunOutcome> for Status {
+    fn from(outcome: RunOutcome) -> Self {
+        match outcome {
+            RunOutcome::None | RunOutcome::Running => Self::Unknown,
+            RunOutcome::Complete => Self::Complete,
+            RunOutcome::Stopped => Self::Stopped,
+            RunOutcome::LinkLost => Self::LinkLost,
+            RunOutcome::Faulted(_) => Self::Faulted,
+        }
+    }
+}
+
+impl From<ActuationOutcome> for Status {
+    fn from(outcome: ActuationOutcome) -> Self {
+        match outcome {
+            ActuationOutcome::None | ActuationOutcome::Running => Self::Unknown,
+            ActuationOutcome::Complete => Self::Complete,
+            ActuationOutcome::Stopped => Self::Stopped,
+            ActuationOutcome::LinkLost => Self::LinkLost,
+            ActuationOutcome::Faulted(_) => Self::Faulted,
+        }
+    }
+}
+
+/// Screw and stroke of the rig that ran.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Screw {
+    /// Travel per turn.
+    pub lead_um: u32,
+    /// Microsteps per turn.
+    pub steps_per_rev: u32,
+    /// Configured stroke.
+    pub stroke_um: u32,
+}
+
+impl From<&RigStatus> for Screw {
+    fn from(status: &RigStatus) -> Self {
+        Self {
+            lead_um: status.lead_um,
+            steps_per_rev: status.steps_per_rev,
+            stroke_um: status.stroke_um,
+        }
+    }
+}
+
+impl Screw {
+    /// A position in nanometres, to the nearest.
+    #[must_use]
+    pub fn nm(&self, steps: i64) -> i64 {
+        let numerator = i128::from(steps) * i128::from(self.lead_um) * 1_000;
+        let denominator = i128::from(self.steps_per_rev.max(1));
+        i64::try_from((numerator + denominator / 2).div_euclid(denominator)).unwrap_or(i64::MAX)
+    }
+
+    /// A position in millimetres, for plots.
+    #[must_use]
+    pub fn mm(&self, steps: f64) -> f64 {
+        steps * f64::from(self.lead_um) / f64::from(self.steps_per_rev.max(1)) / 1_000.0
+    }
+}
+
+/// What the rig said it would execute.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Achieved {
+    /// Number of the run since the device's start.
+    pub run: u32,
+    /// Strokes away from home.
+    pub forward: Stroke,
+    /// Strokes towards home.
+    pub back: Stroke,
+    /// Duration in ticks of 10 ns, without the start delay.
+    pub total_ticks: u64,
+    /// Steps of the whole run.
+    pub edges: u64,
+    /// Fingerprint of the plan, 16 hex digits.
+    pub plan_hash: String,
+}
+
+impl From<&RunAccepted> for Achieved {
+    fn from(accepted: &RunAccepted) -> Self {
+        Self {
+            run: accepted.run,
+            forward: accepted.forward,
+            back: accepted.back,
+            total_ticks: accepted.total_ticks,
+            edges: accepted.edges,
+            plan_hash: format!("{:016x}", accepted.plan_hash),
+        }
+    }
+}
+
+/// What the rig recorded about the run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Executed {
+    /// How it ended.
+    pub outcome: RunOutcome,
+    /// Completed strokes.
+    pub strokes: u32,
+    /// Steps that the generator emitted.
+    pub commanded_edges: u64,
+    /// Steps that the read-back counter saw at the pin.
+    pub counted_edges: u64,
+    /// Duration by the step timer, ticks of 10 ns.
+    pub ticks: u64,
+    /// Fingerprint of the plan, 16 hex digits.
+    pub plan_hash: String,
+    /// Smallest commanded position.
+    pub min_steps: i32,
+    /// Largest commanded position.
+    pub max_steps: i32,
+    /// Largest residual of the position ledger.
+    pub worst_residual_steps: i32,
+    /// Shortest queue of prepared timer periods.
+    pub min_queue: u16,
+    /// False pulses on the limit inputs.
+    pub glitches: u32,
+}
+
+impl From<&RunRecord> for Executed {
+    fn from(record: &RunRecord) -> Self {
+        Self {
+            outcome: record.outcome,
+            strokes: record.strokes,
+            commanded_edges: record.commanded_edges,
+            counted_edges: record.counted_edges,
+            ticks: record.ticks,
+            plan_hash: format!("{:016x}", record.plan_hash),
+            min_steps: record.min_steps,
+            max_steps: record.max_steps,
+            worst_residual_steps: record.worst_residual_steps,
+            min_queue: record.min_queue,
+            glitches: record.glitches,
+        }
+    }
+}
+
+/// What a trial was.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+// A few exist at a time.
+#[allow(clippy::large_enum_variant)]
+pub enum Action {
+    /// A run of the rig.
+    Run {
+        /// Screw and stroke.
+        screw: Screw,
+        /// As the operator asked.
+        requested: Run,
+        /// As the rig planned; none if it refused.
+        achieved: Option<Achieved>,
+        /// As it went; none if the host lost the rig.
+        executed: Option<Executed>,
+    },
+    /// An actuation of the capsule.
+    Actuation {
+        /// Which.
+        actuation: ActuationKind,
+        /// As accepted; none if it was refused.
+        accepted: Option<ActuationAccepted>,
+        /// As it went; none if the host lost the capsule.
+        record: Option<ActuationRecord>,
+    },
+}
+
+/// The sidecar.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Trial {
+    /// [`FORMAT`].
+    pub format: u32,
+    /// How it ended.
+    pub status: Status,
+    /// The fault or the host's error, if there was one.
+    pub error: Option<String>,
+    /// RFC 3339.
+    pub started_utc: Timestamp,
+    /// What the operator wants to remember, such as the state of the capsule.
+    pub note: Option<String>,
+    /// Name and version of the host tool.
+    pub tool: String,
+    /// Protocol of the host tool.
+    pub protocol: String,
+    /// Schema of the host tool, 16 hex digits.
+    pub schema_key: String,
+    /// The device.
+    pub device: IdentityRecord,
+    /// What was done.
+    pub action: Action,
+    /// Name of the CSV file beside this one.
+    pub telemetry: String,
+    /// Rows in the CSV.
+    pub samples: u64,
+    /// Samples that were lost on the link.
+    pub missed_samples: u64,
+    /// Events of the device during the trial, in order.
+    pub events: Vec<Event>,
+    /// Events that could not be fetched any more.
+    pub lost_events: u32,
+}
+
+impl Trial {
+    /// A trial that is about to begin.
+    #[must_use]
+    pub fn new(action: Action, device: &Identity, recording: &Recording) -> Self {
+        Self {
+            format: FORMAT,
+            status: Status::Running,
+            error: None,
+            started_utc: recording.now,
+            note: recording.note.clone(),
+            tool: concat!("retrograde ", env!("CARGO_PKG_VERSION")).to_owned(),
+            protocol: format!("{}.{}", protocol::VERSION.major, protocol::VERSION.minor),
+            schema_key: format!("{SCHEMA_KEY:016x}"),
+            device: IdentityRecord::from(device),
+            action,
+            telemetry: String::new(),
+            samples: 0,
+            missed_samples: 0,
+            events: vec![],
+            lost_events: 0,
+        }
+    }
+
+    /// Reads a sidecar.
+    ///
+    /// # Errors
+    /// If it cannot be read or is no sidecar of this format.
+    pub fn read(path: &Path) -> Result<Self, RecordError> {
+        let text = fs::read_to_string(path).map_err(|io| RecordError::read(path, io))?;
+        let trial: Self =
+            serde_json::from_str(&text).map_err(|json| RecordError::read(path, json))?;
+        if trial.format != FORMAT {
+            let why = format!("format {}, this tool reads {FORMAT}", trial.format);
+            return Err(RecordError::read(path, why));
+        }
+        Ok(trial)
+    }
+
+    /// Reads the telemetry beside a sidecar. A last row that was cut by a crash is left out.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or a row but the last is damaged.
+    pub fn samples<T: for<'de> Deserialize<'de>>(
+        &self,
+        sidecar: &Path,
+    ) -> Result<Vec<T>, RecordError> {
+        let path = sidecar.with_file_name(&self.telemetry);
+        let mut reader =
+            csv::Reader::from_path(&path).map_err(|error| RecordError::read(&path, error))?;
+        let mut samples = vec![];
+        let mut cut = None;
+        for row in reader.deserialize() {
+            if let Some(error) = cut {
+                return Err(RecordError::read(&path, error));
+            }
+            match row {
+                Ok(sample) => samples.push(sample),
+                Err(error) => cut = Some(error),
+            }
+        }
+        Ok(samples)
+    }
+}
+
+/// A row of the rig's telemetry.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RigSample {
+    /// Device time.
+    pub time_us: u64,
+    /// State.
+    pub state: String,
+    /// Position by the read-back counter, exact to the nanometre.
+    pub position_mm: String,
+    /// Mean speed since the previous sample.
+    pub speed_mm_s: String,
+    /// Stroke in progress, from 0.
+    pub stroke: u32,
+    /// Position by the read-back counter.
+    pub position_steps: i32,
+    /// Position by the generator.
+    pub commanded_steps: i32,
+    /// Residual of the ledger.
+    pub residual_steps: i32,
+    /// Home flag open.
+    pub home_flag: bool,
+    /// Far limit open.
+    pub far_limit: bool,
+    /// E-stop loop open.
+    pub estop_loop: bool,
+    /// Samples lost just before this one.
+    pub missed: u16,
+}
+
+/// A row of the capsule's telemetry.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CapsuleSample {
+    /// Device time.
+    pub time_us: u64,
+    /// State.
+    pub state: String,
+    /// Thread wound up.
+    pub thread_um: i32,
+    /// Motor current.
+    pub current_ma: u16,
+    /// Battery voltage.
+    pub battery_mv: u16,
+    /// Voltage at the motor.
+    pub drive_mv: i16,
+    /// Samples lost just before this one.
+    pub missed: u16,
+}
+
+/// Where and when a trial is recorded.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    /// Folder; made if missing.
+    pub folder: PathBuf,
+    /// First part of the file names.
+    pub stem: String,
+    /// Start of the trial, in the file names and the sidecar.
+    pub now: Timestamp,
+    /// What the operator wants to remember.
+    pub note: Option<String>,
+    /// Interval of telemetry, 5..=1000 ms.
+    pub telemetry_ms: u16,
+}
+
+/// Writes the two files of one trial while it goes on.
+pub struct Recorder {
+    csv_path: PathBuf,
+    csv: csv::Writer<File>,
+    sidecar: PathBuf,
+    trial: Trial,
+    /// The first thing that went wrong while observing.
+    failed: Option<RecordError>,
+}
+
+impl Recorder {
+    /// Makes both files; overwrites none.
+    ///
+    /// # Errors
+    /// If they cannot be made.
+    pub fn create(mut trial: Trial, recording: &Recording) -> Result<Self, RecordError> {
+        let folder = &recording.folder;
+        fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
+        let stamp = recording.now.strftime("%Y%m%dT%H%M%SZ");
+        let name = format!("{}-{stamp}", recording.stem);
+        let (csv_path, file) = create_new(folder, &name)?;
+        trial.telemetry = csv_path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
+        let recorder = Self {
+            sidecar: csv_path.with_extension("json"),
+            csv: csv::Writer::from_writer(file),
+            csv_path,
+            trial,
+            failed: None,
+        };
+        recorder.write_sidecar()?;
+        Ok(recorder)
+    }
+
+    /// The sidecar's path.
+    #[must_use]
+    pub fn sidecar(&self) -> &Path {
+        &self.sidecar
+    }
+
+    /// The telemetry's path.
+    #[must_use]
+    pub fn csv(&self) -> &Path {
+        &self.csv_path
+    }
+
+    /// Writes the rest: how it ended and what the device recorded.
+    ///
+    /// # Errors
+    /// The first thing that could not be written, also of those while it went on.
+    pub fn finish(mut self, ending: Ending, lost_events: u32) -> Result<Trial, RecordError> {
+        match (&mut self.trial.action, ending) {
+            (Action::Run { executed, .. }, Ending::Run(record)) => {
+                self.trial.status = record.outcome.into();
+                if let RunOutcome::Faulted(fault) = record.outcome {
+                    self.trial.error = Some(fault.to_string());
+                }
+                *executed = Some(Executed::from(&record));
+            }
+            (Action::Actuation { record: slot, .. }, Ending::Actuation(record)) => {
+                self.trial.status = record.outcome.into();
+                if let ActuationOutcome::Faulted(fault) = record.outcome {
+                    self.trial.error = Some(fault.to_string());
+                }
+                *slot = Some(record);
+            }
+            (_, Ending::Lost(error)) => {
+                self.trial.status = Status::Unknown;
+                self.trial.error = Some(error);
+            }
+            (_, Ending::Run(_) | Ending::Actuation(_)) => {
+                self.trial.status = Status::Unknown;
+                self.trial.error = Some("the record of another kind of action".to_owned());
+            }
+        }
+        self.trial.lost_events = lost_events;
+        self.flush();
+        self.write_sidecar()?;
+        match self.failed {
+            Some(error) => Err(error),
+            None => Ok(self.trial),
+        }
+    }
+
+    fn row(&mut self, row: impl Serialize) {
+        self.trial.samples += 1;
+        if let Err(error) = self.csv.serialize(row) {
+            self.failed
+                .get_or_insert(RecordError::write(&self.csv_path, error));
+        }
+    }
+
+    fn flush(&mut self) {
+        if let Err(io) = self.csv.flush() {
+            self.failed
+                .get_or_insert(RecordError::write(&self.csv_path, io));
+        }
+    }
+
+    /// The old sidecar or the new one, never a half.
+    fn write_sidecar(&self) -> Result<(), RecordError> {
+        let path = &self.sidecar;
+        let write = || -> io::Result<()> {
+            let part = path.with_extension("json.part");
+            let mut file = File::create(&part)?;
+            serde_json::to_writer_pretty(&mut file, &self.trial)?;
+            file.write_all(b"\n")?;
+            file.sync_all()?;
+            fs::rename(&part, path)
+        };
+        write().map_err(|io| RecordError::write(path, io))
+    }
+}
+
+/// How a trial ended.
+#[derive(Clone, Debug)]
+pub enum Ending {
+    /// With the rig's record.
+    Run(RunRecord),
+    /// With the capsule's record.
+    Actuation(ActuationRecord),
+    /// Without a record, for this reason.
+    Lost(String),
+}
+
+impl Observer for Recorder {
+    fn begun(&mut self, begun: &Begun) {
+        match (&mut self.trial.action, begun) {
+            (Action::Run { achieved, .. }, Begun::Run(run)) => {
+                *achieved = Some(Achieved::from(run));
+            }
+            (Action::Actuation { accepted, .. }, Begun::Actuation(actuation)) => {
+                *accepted = Some(*actuation);
+            }
+            _ => {}
+        }
+        if let Err(error) = self.write_sidecar() {
+            self.failed.get_or_insert(error);
+        }
+    }
+
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.trial.missed_samples += u64::from(missed);
+        match (sample, &self.trial.action) {
+            (Telemetry::Rig(rig), Action::Run { screw, .. }) => {
+                let position_nm = screw.nm(rig.position_steps.into());
+                self.row(RigSample {
+                    time_us: rig.time_us,
+                    state: format!("{:?}", rig.state),
+                    position_mm: decimal::write_signed(position_nm, 6),
+                    speed_mm_s: decimal::write_signed(rig.speed_um_s.into(), 3),
+                    stroke: rig.stroke,
+                    position_steps: rig.position_steps,
+                    commanded_steps: rig.commanded_steps,
+                    residual_steps: rig.residual_steps,
+                    home_flag: rig.inputs.home_flag,
+                    far_limit: rig.inputs.far_limit,
+                    estop_loop: rig.inputs.estop_loop,
+                    missed,
+                });
+            }
+            (Telemetry::Capsule(capsule), Action::Actuation { .. }) => self.row(CapsuleSample {
+                time_us: capsule.time_us,
+                state: format!("{:?}", capsule.state),
+                thread_um: capsule.thread_um,
+                current_ma: capsule.current_ma,
+                battery_mv: capsule.battery_mv,
+                drive_mv: capsule.drive_mv,
+                missed,
+            }),
+            _ => {}
+        }
+    }
+
+    fn event(&mut self, event: &Event) {
+        self.trial.events.push(*event);
+    }
+
+    fn progress(&mut self, _: &Progress) {
+        self.flush();
+    }
+}
+
+/// A CSV file that did not exist; its JSON does not exist either.
+fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), RecordError> {
+    for number in 1..=9_999 {
+        let suffix = if number == 1 {
+            String::new()
+        } else {
+            format!("-{number}")
+        };
+        let path = folder.join(format!("{name}{suffix}.csv"));
+        if path.with_extension("json").exists() {
+            continue;
+        }
+        match OpenOptions::new().write(true).create_new(true).open(&path) {
+            Ok(file) => return Ok((path, file)),
+            Err(io) if io.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(io) => return Err(RecordError::write(&path, io)),
+        }
+    }
+    Err(RecordError::write(folder, "too many trials of this second"))
+}
