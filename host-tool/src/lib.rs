@@ -9,8 +9,11 @@
 //! * [`experiment`]: recorded actions, and the experiment of the paper made of them.
 //! * [`plan`]: a run before it is sent.
 //! * [`report`]: recorded trials as one HTML file.
+//! * [`progress`]: what a person sees meanwhile.
+//! * [`cli`]: the command line, thin over all this.
 #![forbid(unsafe_code)]
 
+pub mod cli;
 pub mod client;
 pub mod connector;
 pub mod decimal;
@@ -19,5 +22,6 @@ pub mod experiment;
 pub mod identity;
 pub mod link;
 pub mod plan;
+pub mod progress;
 pub mod report;
 pub mod trial;

@@ -1,2 +1,11 @@
-//! Placeholder.
-fn main() {}
+//! `retrograde`: the command line tool of both machines.
+#![forbid(unsafe_code)]
+
+use std::process::ExitCode;
+
+use host_tool::cli;
+use host_tool::connector::Ports;
+
+fn main() -> ExitCode {
+    cli::run(std::env::args_os(), &Ports)
+}

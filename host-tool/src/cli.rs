@@ -1,0 +1,92 @@
+//! The command line tool: thin, over the library. [`run`] is the entry for this program and for others that bring
+//! their own [`Connector`].
+
+pub mod args;
+pub mod failure;
+mod finding;
+mod flash;
+mod interrupt;
+pub mod machines;
+mod offline;
+mod screen;
+
+use std::ffi::OsString;
+use std::io::{self, IsTerminal, Write};
+use std::process::ExitCode;
+
+use clap::Parser;
+use protocol::capsule::ActuationKind;
+use protocol::system::Urgent;
+use serde_json::Value;
+
+use crate::cli::args::{CapsuleCommand, Cli, Command};
+use crate::cli::failure::{DONE, Failure, USAGE};
+use crate::cli::finding::Finder;
+use crate::cli::screen::Screen;
+use crate::connector::Connector;
+
+/// Runs one command line, program name first, on the process's streams.
+pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) -> ExitCode {
+    let (mut out, mut err) = (io::stdout(), io::stderr());
+    let terminal = err.is_terminal();
+    ExitCode::from(run_on(args, connector, &mut out, &mut err, terminal))
+}
+
+/// Runs one command line on other streams; `terminal` allows a progress bar on standard error. Returns the exit
+/// code.
+pub fn run_on(
+    args: impl IntoIterator<Item = OsString>,
+    connector: &dyn Connector,
+    out: &mut dyn Write,
+    err: &mut dyn Write,
+    terminal: bool,
+) -> u8 {
+    let cli = match Cli::try_parse_from(args) {
+        Ok(cli) => cli,
+        Err(error) => {
+            let text = error.render().to_string();
+            let wanted = !error.use_stderr();
+            let _ = if wanted {
+                out.write_all(text.as_bytes())
+            } else {
+                err.write_all(text.as_bytes())
+            };
+            return if wanted { DONE } else { USAGE };
+        }
+    };
+    let mut screen = Screen {
+        out,
+        err,
+        json: cli.json,
+        terminal,
+    };
+    let result = carry_out(&cli, connector, &mut screen);
+    screen.finish(result)
+}
+
+fn carry_out(
+    cli: &Cli,
+    connector: &dyn Connector,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let finder = &Finder { cli, connector };
+    match &cli.command {
+        Command::Devices => machines::devices(finder, screen),
+        Command::Info(which) => machines::info(which, finder, screen),
+        Command::Home => machines::home(finder, screen),
+        Command::Run(args) => machines::run(args, finder, screen),
+        Command::Stop(which) => machines::stop(Urgent::Stop, which, finder, screen),
+        Command::Estop(which) => machines::stop(Urgent::EStop, which, finder, screen),
+        Command::Ack(which) => machines::acknowledge(which, finder, screen),
+        Command::Capsule {
+            command: CapsuleCommand::Reference(args),
+        } => machines::actuate(ActuationKind::Reference, args, finder, screen),
+        Command::Fold(args) => machines::actuate(ActuationKind::Fold, args, finder, screen),
+        Command::Unfold(args) => machines::actuate(ActuationKind::Unfold, args, finder, screen),
+        Command::Plan(args) => offline::plan(args, screen),
+        Command::Report(args) => offline::report(args, screen),
+        Command::Flash(args) => flash::flash(args, screen),
+        Command::Completions { shell } => offline::completions(*shell, screen),
+        Command::Man => offline::man(screen),
+    }
+}

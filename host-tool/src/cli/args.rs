@@ -1,0 +1,302 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use protocol::rig::{LinkLossPolicy, Run, RunTiming};
+use protocol::system::DeviceKind;
+
+use crate::decimal::{Milli, Seconds, ShortSeconds};
+use crate::link::address::Address;
+use crate::link::serial::DEFAULT_BAUD;
+
+/// Peristaltic waves on the rig, a folding capsule, and the data of both.
+///
+/// Ctrl-C stops in a controlled way and keeps the position; twice is the emergency stop. This is not a certified
+/// safety function: a hard-wired switch in the motor supply is required.
+#[derive(Debug, Parser)]
+#[command(name = "retrograde", version, arg_required_else_help = true)]
+pub struct Cli {
+    /// The rig: `auto`, a serial port, `tcp:HOST:PORT`, or `virtual`.
+    #[arg(long, global = true, env = "RETROGRADE_RIG", value_name = "WHERE")]
+    pub rig: Option<Address>,
+    /// The capsule: `auto`, a serial port, `tcp:HOST:PORT`, or `virtual`.
+    #[arg(long, global = true, env = "RETROGRADE_CAPSULE", value_name = "WHERE")]
+    pub capsule: Option<Address>,
+    /// Speed of serial ports.
+    #[arg(long, global = true, default_value_t = DEFAULT_BAUD)]
+    pub baud: u32,
+    /// Print one JSON object on standard output; everything else goes to standard error.
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// List ports and the machines at them. Moves nothing.
+    Devices,
+    /// Show identity, state and last fault of the machines. Moves nothing.
+    Info(Which),
+    /// Find the rig's position: two passes over the home flag, then to 0.
+    Home,
+    /// Run the waves: cycles of out and home, recorded. The rig must be homed.
+    Run(Box<RunArgs>),
+    /// Stop: the rig decelerates and keeps its position, the capsule's worm holds.
+    Stop(Which),
+    /// Emergency stop: pulses and motor current end at once; latched, the position is lost.
+    Estop(Which),
+    /// Acknowledge a latched fault whose cause is gone. Moves nothing.
+    Ack(Which),
+    /// The capsule's own commands.
+    Capsule {
+        /// Which.
+        #[command(subcommand)]
+        command: CapsuleCommand,
+    },
+    /// Fold the capsule's origami, recorded.
+    Fold(RecordArgs),
+    /// Unfold the capsule's origami, recorded.
+    Unfold(RecordArgs),
+    /// Solve a run without a rig: durations, speeds, edges as CSV, plot as SVG.
+    Plan(Box<PlanArgs>),
+    /// Make one HTML file of recorded trials.
+    Report(ReportArgs),
+    /// Flash a board through probe-rs.
+    Flash(FlashArgs),
+    /// Print a completion script for a shell.
+    Completions {
+        /// Which shell.
+        shell: clap_complete::Shell,
+    },
+    /// Print the manual page (roff).
+    Man,
+}
+
+/// The capsule's own commands.
+#[derive(Debug, Subcommand)]
+pub enum CapsuleCommand {
+    /// Find the thread's zero, recorded. Needed before folding.
+    Reference(RecordArgs),
+}
+
+/// A machine by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Machine {
+    /// The roller rig.
+    Rig,
+    /// The capsule.
+    Capsule,
+}
+
+impl From<Machine> for DeviceKind {
+    fn from(machine: Machine) -> Self {
+        match machine {
+            Machine::Rig => Self::Rig,
+            Machine::Capsule => Self::Capsule,
+        }
+    }
+}
+
+/// Which machines a command is for.
+#[derive(Debug, Args)]
+pub struct Which {
+    /// Only this one. Without it: those given by `--rig` and `--capsule`, else all that are found.
+    pub machine: Option<Machine>,
+}
+
+/// Where a trial is recorded.
+#[derive(Debug, Args)]
+pub struct RecordArgs {
+    /// Folder of the records (telemetry CSV and JSON).
+    #[arg(long, value_name = "DIR", default_value = "retrograde-data")]
+    pub out: PathBuf,
+    /// Interval of telemetry in ms, 5 to 1000.
+    #[arg(long, value_name = "MS", default_value_t = 10, value_parser = clap::value_parser!(u16).range(5..=1000))]
+    pub telemetry_ms: u16,
+    /// Anything to remember about this trial.
+    #[arg(long)]
+    pub note: Option<String>,
+}
+
+/// A run.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// The waves.
+    #[command(flatten)]
+    pub waves: Waves,
+    /// What silence of the host for 1 s does: stop, or finish the run.
+    #[arg(long, value_name = "POLICY", default_value = "stop")]
+    pub on_link_loss: OnLinkLoss,
+    /// Where it is recorded.
+    #[command(flatten)]
+    pub record: RecordArgs,
+}
+
+/// What silence of the host does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum OnLinkLoss {
+    /// Decelerate, keep the position.
+    Stop,
+    /// Finish the run.
+    Finish,
+}
+
+/// Cycles, stroke and timing.
+#[derive(Debug, Args)]
+pub struct Waves {
+    /// Out-and-home cycles, 1 to 10000.
+    #[arg(long, default_value = "5", value_parser = cycles)]
+    pub cycles: u16,
+    /// Stroke in mm.
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value = "130",
+        allow_negative_numbers = true
+    )]
+    pub stroke_mm: Milli,
+    /// Duration of all cycles in s, dwells included, start delay not. 40 unless speeds are given.
+    #[arg(
+        long,
+        value_name = "S",
+        allow_negative_numbers = true,
+        conflicts_with = "speed_mm_s"
+    )]
+    pub duration_s: Option<Seconds>,
+    /// Speed away from home in mm/s, instead of a duration.
+    #[arg(long, value_name = "MM/S", allow_negative_numbers = true)]
+    pub speed_mm_s: Option<Milli>,
+    /// Speed towards home in mm/s; as away from home unless given.
+    #[arg(
+        long,
+        value_name = "MM/S",
+        allow_negative_numbers = true,
+        requires = "speed_mm_s"
+    )]
+    pub return_speed_mm_s: Option<Milli>,
+    /// Acceleration of every ramp in mm/s2.
+    #[arg(
+        long,
+        value_name = "MM/S2",
+        default_value = "100",
+        allow_negative_numbers = true
+    )]
+    pub accel_mm_s2: Milli,
+    /// Pause at the far end in s.
+    #[arg(
+        long,
+        value_name = "S",
+        default_value = "0",
+        allow_negative_numbers = true
+    )]
+    pub far_dwell_s: ShortSeconds,
+    /// Pause at home between two cycles in s.
+    #[arg(
+        long,
+        value_name = "S",
+        default_value = "0",
+        allow_negative_numbers = true
+    )]
+    pub home_dwell_s: ShortSeconds,
+    /// Pause before the first stroke in s.
+    #[arg(
+        long,
+        value_name = "S",
+        default_value = "0",
+        allow_negative_numbers = true
+    )]
+    pub start_delay_s: ShortSeconds,
+}
+
+/// The paper's duration.
+const DEFAULT_DURATION_US: u64 = 40_000_000;
+
+impl Waves {
+    /// The request of these arguments.
+    #[must_use]
+    pub fn request(&self, on_link_loss: OnLinkLoss) -> Run {
+        let accel_um_s2 = self.accel_mm_s2.0;
+        let timing = match self.speed_mm_s {
+            Some(forward) => RunTiming::Speeds {
+                forward_um_s: forward.0,
+                return_um_s: self.return_speed_mm_s.unwrap_or(forward).0,
+                accel_um_s2,
+            },
+            None => RunTiming::Total {
+                total_us: self
+                    .duration_s
+                    .map_or(DEFAULT_DURATION_US, |seconds| seconds.0),
+                accel_um_s2,
+            },
+        };
+        Run {
+            cycles: self.cycles,
+            stroke_um: self.stroke_mm.0,
+            timing,
+            far_dwell_us: self.far_dwell_s.0,
+            home_dwell_us: self.home_dwell_s.0,
+            start_delay_us: self.start_delay_s.0,
+            link_loss: match on_link_loss {
+                OnLinkLoss::Stop => LinkLossPolicy::Stop,
+                OnLinkLoss::Finish => LinkLossPolicy::Finish,
+            },
+        }
+    }
+}
+
+/// 0 passes here: the planner's refusal says more.
+fn cycles(text: &str) -> Result<u16, String> {
+    let value = crate::decimal::parse(text, 0, 10_000).map_err(|error| error.to_string())?;
+    u16::try_from(value).map_err(|_| "too large: use at most 10000".to_owned())
+}
+
+/// A run to be solved without a rig.
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    /// The waves.
+    #[command(flatten)]
+    pub waves: Waves,
+    /// Travel per turn of the screw in mm.
+    #[arg(long, value_name = "MM", default_value = "4")]
+    pub lead_mm: Milli,
+    /// Full steps per turn, 200 or 400.
+    #[arg(long, default_value_t = 200)]
+    pub full_steps: u16,
+    /// Microsteps per full step.
+    #[arg(long, default_value_t = 16)]
+    pub microsteps: u16,
+    /// Write every step edge to this CSV file.
+    #[arg(long, value_name = "FILE")]
+    pub edges: Option<PathBuf>,
+    /// Draw position against time to this SVG file.
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
+}
+
+/// A report.
+#[derive(Debug, Args)]
+pub struct ReportArgs {
+    /// Records: JSON files of trials, or folders of them.
+    #[arg(required = true, value_name = "TRIAL")]
+    pub trials: Vec<PathBuf>,
+    /// The HTML file.
+    #[arg(long, value_name = "FILE", default_value = "report.html")]
+    pub out: PathBuf,
+}
+
+/// An image to flash.
+#[derive(Debug, Args)]
+pub struct FlashArgs {
+    /// Which machine's image.
+    pub machine: Machine,
+    /// The image (ELF); the one of this workspace's build unless given.
+    #[arg(long, value_name = "ELF")]
+    pub image: Option<PathBuf>,
+    /// The debug probe, `VID:PID:SERIAL`, if several are plugged in.
+    #[arg(long, value_name = "PROBE")]
+    pub probe: Option<String>,
+}

@@ -1,0 +1,237 @@
+//! What went wrong, as the user sees it: text, code, help, exit code.
+
+use std::io;
+use std::path::PathBuf;
+
+use miette::Diagnostic;
+use motion::axis::AxisError;
+use motion::run::RunError;
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+
+use crate::error::ClientError;
+use crate::experiment::ExperimentError;
+use crate::identity;
+use crate::link::OpenError;
+use crate::report::ReportError;
+use crate::report::figures::FigureError;
+use crate::trial::Status;
+
+/// Done.
+pub const DONE: u8 = 0;
+/// A file or this program failed.
+pub const FAILED: u8 = 1;
+/// The command line cannot be understood.
+pub const USAGE: u8 = 2;
+/// Refused by the check or by the device; nothing moved.
+pub const REFUSED: u8 = 3;
+/// No device, the wrong one, several, or the link was lost.
+pub const NO_DEVICE: u8 = 4;
+/// Firmware and host tool do not match.
+pub const MISMATCH: u8 = 5;
+/// The device latched a fault, or ended the action by itself.
+pub const FAULT: u8 = 6;
+/// Whether the command was carried out is unknown: look at the machine.
+pub const UNKNOWN: u8 = 7;
+/// Stopped by the operator.
+pub const STOPPED: u8 = 130;
+
+/// Why a command failed.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+pub enum Failure {
+    /// The device or the way to it.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Client(#[from] ClientError),
+    /// The link could not be opened.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Open(#[from] OpenError),
+    /// A recorded action.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Experiment(#[from] ExperimentError),
+    /// The report.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Report(#[from] ReportError),
+    /// A figure.
+    #[error(transparent)]
+    #[diagnostic(code(retrograde::figure))]
+    Figure(#[from] FigureError),
+    /// The run is infeasible.
+    #[error("{0}")]
+    #[diagnostic(
+        code(retrograde::infeasible),
+        help("nothing was sent; `retrograde plan` tries runs without a rig")
+    )]
+    Run(#[from] RunError),
+    /// The screw is impossible.
+    #[error("{0}")]
+    #[diagnostic(code(retrograde::axis))]
+    Axis(#[from] AxisError),
+    /// Nobody of the wanted kind was found.
+    #[error("no {} found; {there}", identity::kind_name(*.wanted))]
+    #[diagnostic(
+        code(retrograde::not_found),
+        help("plug the board in, or say where it is: `--{} /dev/ttyACM0` or `tcp:HOST:PORT`", identity::kind_name(*.wanted))
+    )]
+    NotFound {
+        /// Which machine.
+        wanted: DeviceKind,
+        /// What is there instead.
+        there: String,
+    },
+    /// Several of the wanted kind were found.
+    #[error("several {}s found: {there}", identity::kind_name(*.wanted))]
+    #[diagnostic(
+        code(retrograde::ambiguous),
+        help("choose one: `--{} WHERE`; nothing was sent but the question who is there", identity::kind_name(*.wanted))
+    )]
+    Ambiguous {
+        /// Which machine.
+        wanted: DeviceKind,
+        /// All of them.
+        there: String,
+    },
+    /// Nothing was found at all.
+    #[error("no machine found; {there}")]
+    #[diagnostic(
+        code(retrograde::not_found),
+        help(
+            "plug a board in, or say where it is: `--rig /dev/ttyACM0`, `--capsule tcp:HOST:PORT`"
+        )
+    )]
+    NothingFound {
+        /// What is there instead.
+        there: String,
+    },
+    /// The action ended otherwise than planned.
+    #[error("{action} {}{}", ended(*.status), reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
+    #[diagnostic(code(retrograde::ended), help("{help}"))]
+    Ended {
+        /// Which.
+        action: &'static str,
+        /// How.
+        status: Status,
+        /// The fault, if there was one.
+        reason: Option<String>,
+        /// What to do now.
+        help: String,
+    },
+    /// A file could not be written.
+    #[error("{path}: {io}", path = path.display())]
+    #[diagnostic(
+        code(retrograde::file),
+        help("choose a file in a folder that can be written, with free space")
+    )]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        io: io::Error,
+    },
+    /// Flashing.
+    #[error("{why}")]
+    #[diagnostic(code(retrograde::flash), help("{help}"))]
+    Flash {
+        /// Why.
+        why: String,
+        /// What to do.
+        help: String,
+    },
+}
+
+fn ended(status: Status) -> &'static str {
+    match status {
+        Status::Complete => "is complete",
+        Status::Stopped => "was stopped on request; the position is kept",
+        Status::LinkLost => "was stopped by the device, which heard nothing for too long",
+        Status::Faulted => "ended by a fault",
+        Status::Running | Status::Unknown => "has an unknown outcome",
+    }
+}
+
+impl Failure {
+    /// The exit code; the table is in `docs/host-tool.md`.
+    #[must_use]
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Client(error) => client_code(error),
+            Self::Open(_)
+            | Self::NotFound { .. }
+            | Self::Ambiguous { .. }
+            | Self::NothingFound { .. } => NO_DEVICE,
+            Self::Experiment(ExperimentError::Client(error)) => client_code(error),
+            Self::Experiment(ExperimentError::Incomplete { status, .. })
+            | Self::Ended { status, .. } => status_code(*status),
+            Self::Run(_) | Self::Axis(_) => REFUSED,
+            Self::Experiment(ExperimentError::Record(_))
+            | Self::Report(_)
+            | Self::Figure(_)
+            | Self::File { .. }
+            | Self::Flash { .. } => FAILED,
+        }
+    }
+
+    /// For `--json`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        json!({
+            "ok": false,
+            "exit_code": self.exit_code(),
+            "error": {
+                "code": self.code().map(|code| code.to_string()),
+                "message": self.to_string(),
+                "help": self.help().map(|help| help.to_string()),
+            },
+        })
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let code = self
+            .code()
+            .map(|code| format!("[{code}]"))
+            .unwrap_or_default();
+        let help = self
+            .help()
+            .map(|help| format!("\n  help: {help}"))
+            .unwrap_or_default();
+        format!("error{code}: {self}{help}")
+    }
+}
+
+fn client_code(error: &ClientError) -> u8 {
+    match error {
+        ClientError::Link(_)
+        | ClientError::NoAnswer { .. }
+        | ClientError::WrongDevice { .. }
+        | ClientError::NoReply { .. }
+        | ClientError::SessionLost { .. } => NO_DEVICE,
+        ClientError::Mismatch { .. } => MISMATCH,
+        ClientError::Refused { .. } | ClientError::Rejected { .. } => REFUSED,
+        ClientError::OutcomeUnknown { .. }
+        | ClientError::StopUnconfirmed { .. }
+        | ClientError::WrongResponse { .. } => UNKNOWN,
+        ClientError::Overdue { .. } => FAULT,
+        ClientError::NotHomed { fault } => {
+            if fault.is_some() {
+                FAULT
+            } else {
+                STOPPED
+            }
+        }
+        ClientError::Interrupted { .. } => STOPPED,
+    }
+}
+
+fn status_code(status: Status) -> u8 {
+    match status {
+        Status::Complete => DONE,
+        Status::Stopped => STOPPED,
+        Status::LinkLost | Status::Faulted => FAULT,
+        Status::Running | Status::Unknown => UNKNOWN,
+    }
+}

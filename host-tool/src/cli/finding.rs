@@ -1,0 +1,171 @@
+//! From `--rig` and `--capsule` to a session with the right machine, or a list of what is there.
+
+use protocol::system::{DeviceKind, Identity, Urgent};
+
+use crate::cli::args::{Cli, Which};
+use crate::cli::failure::Failure;
+use crate::cli::interrupt;
+use crate::client::Device;
+use crate::connector::{Candidate, Connector};
+use crate::error::ClientError;
+use crate::identity;
+use crate::link::address::Address;
+
+/// Both machines.
+const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
+
+/// A place and who answered there.
+pub(crate) struct Found {
+    pub(crate) candidate: Candidate,
+    pub(crate) answer: Result<Identity, Failure>,
+}
+
+/// Finds machines.
+pub(crate) struct Finder<'a> {
+    pub(crate) cli: &'a Cli,
+    pub(crate) connector: &'a dyn Connector,
+}
+
+impl Finder<'_> {
+    fn address(&self, kind: DeviceKind) -> Option<&Address> {
+        match kind {
+            DeviceKind::Rig => self.cli.rig.as_ref(),
+            DeviceKind::Capsule => self.cli.capsule.as_ref(),
+        }
+    }
+
+    /// A session with a machine that speaks the same protocol; Ctrl-C stops it from now on.
+    pub(crate) fn connect(&self, kind: DeviceKind) -> Result<Device, Failure> {
+        let device = self.greet(kind)?;
+        device.require(kind)?;
+        Ok(device)
+    }
+
+    /// A session with a machine of this kind, whatever its version.
+    pub(crate) fn greet(&self, kind: DeviceKind) -> Result<Device, Failure> {
+        let mut device = self.open(kind, &self.resolve(kind)?)?;
+        device.set_interrupt(interrupt::install());
+        device.hello(self.connector.nonce())?;
+        match device.require(kind) {
+            Err(error @ ClientError::WrongDevice { .. }) => Err(error.into()),
+            _ => Ok(device),
+        }
+    }
+
+    /// Sends an urgent stop ahead of anything else, without a session.
+    pub(crate) fn urgent(&self, kind: DeviceKind, urgent: Urgent) -> Result<String, Failure> {
+        let mut device = self.open(kind, &self.resolve(kind)?)?;
+        device.urgent(urgent)?;
+        Ok(device.place())
+    }
+
+    fn open(&self, kind: DeviceKind, address: &Address) -> Result<Device, Failure> {
+        Ok(Device::new(self.connector.open(
+            kind,
+            address,
+            self.cli.baud,
+        )?))
+    }
+
+    /// The one place of a machine: as the user said, or the one that answers.
+    fn resolve(&self, kind: DeviceKind) -> Result<Address, Failure> {
+        match self.address(kind) {
+            Some(Address::Auto) | None => {}
+            Some(address) => return Ok(address.clone()),
+        }
+        let found = self.survey(Some(kind));
+        let mut matching = found
+            .iter()
+            .filter(|found| matches!(&found.answer, Ok(identity) if identity.device == kind));
+        match (matching.next(), matching.next()) {
+            (Some(one), None) => Ok(one.candidate.address.clone()),
+            (None, _) => Err(Failure::NotFound {
+                wanted: kind,
+                there: list(&found),
+            }),
+            (Some(_), Some(_)) => Err(Failure::Ambiguous {
+                wanted: kind,
+                there: list(&found),
+            }),
+        }
+    }
+
+    /// Asks at every place where asking disturbs nobody who is there. `wanted` leaves out places that are known to
+    /// be another machine's.
+    pub(crate) fn survey(&self, wanted: Option<DeviceKind>) -> Vec<Found> {
+        self.connector
+            .candidates()
+            .into_iter()
+            .filter(|candidate| {
+                wanted.is_none() || candidate.kind.is_none() || candidate.kind == wanted
+            })
+            .map(|candidate| {
+                let answer = self.ask(&candidate, wanted);
+                Found { candidate, answer }
+            })
+            .collect()
+    }
+
+    fn ask(&self, candidate: &Candidate, wanted: Option<DeviceKind>) -> Result<Identity, Failure> {
+        if !candidate.may_ask {
+            return Err(Failure::NothingFound {
+                there: "not asked: not an ST-LINK port".to_owned(),
+            });
+        }
+        let kind = candidate.kind.or(wanted).unwrap_or(DeviceKind::Rig);
+        let mut device = self.open(kind, &candidate.address)?;
+        Ok(device.hello(self.connector.nonce())?)
+    }
+
+    /// The machines that a command is for.
+    ///
+    /// # Errors
+    /// If none is addressed and none is found.
+    pub(crate) fn machines(&self, which: &Which) -> Result<Vec<DeviceKind>, Failure> {
+        if let Some(machine) = which.machine {
+            return Ok(vec![machine.into()]);
+        }
+        let addressed: Vec<_> = KINDS
+            .into_iter()
+            .filter(|kind| self.address(*kind).is_some())
+            .collect();
+        if !addressed.is_empty() {
+            return Ok(addressed);
+        }
+        let found = self.survey(None);
+        let there: Vec<_> = KINDS
+            .into_iter()
+            .filter(|kind| {
+                found
+                    .iter()
+                    .any(|found| matches!(&found.answer, Ok(identity) if identity.device == *kind))
+            })
+            .collect();
+        if there.is_empty() {
+            return Err(Failure::NothingFound {
+                there: list(&found),
+            });
+        }
+        Ok(there)
+    }
+}
+
+/// What is at every place, in one line each.
+pub(crate) fn list(found: &[Found]) -> String {
+    if found.is_empty() {
+        return "there is no port with an ST-LINK".to_owned();
+    }
+    let lines: Vec<_> = found.iter().map(line).collect();
+    format!("there is:\n  {}", lines.join("\n  "))
+}
+
+/// What is at one place.
+pub(crate) fn line(found: &Found) -> String {
+    let candidate = &found.candidate;
+    let who = match &found.answer {
+        Ok(identity) => identity::line(identity),
+        Err(Failure::NothingFound { there }) => there.clone(),
+        Err(failure) => failure.to_string(),
+    };
+    format!("{} ({}): {who}", candidate.address, candidate.description)
+}

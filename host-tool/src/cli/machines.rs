@@ -1,0 +1,290 @@
+//! Commands that talk to a machine.
+
+use protocol::capsule::{ActuationKind, CapsuleStatus};
+use protocol::rig::RigStatus;
+use protocol::system::{DeviceKind, Urgent};
+use serde_json::{Map, Value, json};
+
+use crate::cli::args::{RecordArgs, RunArgs, Which};
+use crate::cli::failure::Failure;
+use crate::cli::finding::{Finder, line};
+use crate::cli::screen::Screen;
+use crate::client::matches;
+use crate::decimal;
+use crate::experiment;
+use crate::identity::{self, IdentityRecord};
+use crate::plan;
+use crate::report;
+use crate::trial::{Recording, Status};
+
+pub(crate) fn devices(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let found = finder.survey(None);
+    if found.is_empty() {
+        screen.say("No serial ports.");
+    }
+    for found in &found {
+        screen.say(&line(found));
+    }
+    let list: Vec<_> = found
+        .iter()
+        .map(|found| {
+            json!({
+                "address": found.candidate.address.to_string(),
+                "description": found.candidate.description,
+                "identity": found.answer.as_ref().ok().map(IdentityRecord::from),
+                "error": found.answer.as_ref().err().map(ToString::to_string),
+            })
+        })
+        .collect();
+    Ok(json!({ "devices": list }))
+}
+
+pub(crate) fn info(
+    which: &Which,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let mut all = Map::new();
+    for kind in finder.machines(which)? {
+        let mut device = finder.greet(kind)?;
+        let Some(identity) = device.identity().copied() else {
+            continue;
+        };
+        screen.say(&format!(
+            "{}: {}",
+            device.place(),
+            identity::line(&identity)
+        ));
+        let last_words = device.last_words()?;
+        if !last_words.is_empty() {
+            screen.say(&format!("  last words: {last_words}"));
+        }
+        let status = if !matches(&identity) {
+            screen.say(&format!(
+                "  {}",
+                device
+                    .require(kind)
+                    .err()
+                    .map(|error| error.to_string())
+                    .unwrap_or_default()
+            ));
+            Value::Null
+        } else if kind == DeviceKind::Rig {
+            let status = device.rig_status()?;
+            screen.say(&rig_text(&status));
+            json!(status)
+        } else {
+            let status = device.capsule_status()?;
+            screen.say(&capsule_text(&status));
+            json!(status)
+        };
+        all.insert(
+            identity::kind_name(kind).to_owned(),
+            json!({
+                "place": device.place(),
+                "identity": IdentityRecord::from(&identity),
+                "last_words": last_words,
+                "status": status,
+            }),
+        );
+    }
+    Ok(Value::Object(all))
+}
+
+fn rig_text(status: &RigStatus) -> String {
+    let open = |open: bool| if open { "open" } else { "closed" };
+    let mut text = format!(
+        "  {:?}, {}, at {} mm ({} steps); stroke {} mm, lead {} mm, {} steps per turn\n  home flag {}, far limit {}, E-stop loop {}",
+        status.state,
+        if status.homed { "homed" } else { "not homed" },
+        decimal::write_signed(status.position_um.into(), 3),
+        status.position_steps,
+        decimal::write(status.stroke_um.into(), 3),
+        decimal::write(status.lead_um.into(), 3),
+        status.steps_per_rev,
+        open(status.inputs.home_flag),
+        open(status.inputs.far_limit),
+        open(status.inputs.estop_loop),
+    );
+    if let Some(fault) = status.fault {
+        text.push_str(&format!("\n  fault: {fault}"));
+    }
+    text
+}
+
+fn capsule_text(status: &CapsuleStatus) -> String {
+    let mut text = format!(
+        "  {:?}, {}, {} mm of thread wound, {} mA, battery {} V",
+        status.state,
+        if status.referenced {
+            "referenced"
+        } else {
+            "not referenced"
+        },
+        decimal::write_signed(status.thread_um.into(), 3),
+        status.current_ma,
+        decimal::write(status.battery_mv.into(), 3),
+    );
+    if let Some(fault) = status.fault {
+        text.push_str(&format!("\n  fault: {fault}"));
+    }
+    text
+}
+
+pub(crate) fn home(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let mut rig = finder.connect(DeviceKind::Rig)?;
+    let homed = experiment::home(&mut rig, &mut screen.live())?;
+    screen.say(&homed_text(&homed));
+    Ok(json!({ "homed": homed }))
+}
+
+/// A homing result in one line.
+#[must_use]
+pub fn homed_text(homed: &crate::client::Homed) -> String {
+    format!(
+        "Homed in {} s; the two passes differ by {} steps, the reference moved by {} steps.",
+        decimal::write(homed.duration_us / 1_000, 3),
+        homed.repeat_steps,
+        homed.shift_steps
+    )
+}
+
+pub(crate) fn run(
+    args: &RunArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let request = args.waves.request(args.on_link_loss);
+    plan::check(&request)?;
+    let mut rig = finder.connect(DeviceKind::Rig)?;
+    let recording = recording(&args.record, "run", finder);
+    let trial = experiment::run(&mut rig, request, &recording, &mut screen.live())?;
+    screen.say(&format!(
+        "{} of {} strokes in {} s, {} steps commanded, {} counted, residual {} steps.\n  {}\n  {}",
+        trial.record.strokes,
+        u32::from(request.cycles) * 2,
+        decimal::write(trial.record.ticks, 8),
+        trial.record.commanded_edges,
+        trial.record.counted_edges,
+        trial.record.worst_residual_steps,
+        trial.csv.display(),
+        trial.sidecar.display(),
+    ));
+    let help = format!(
+        "the data is in {}; `retrograde info` shows where the rig stands, a new run needs it at 0: `retrograde home`",
+        trial.sidecar.display()
+    );
+    completed(
+        "the run",
+        trial.trial.status,
+        trial.trial.error.as_ref(),
+        help,
+    )?;
+    Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
+}
+
+pub(crate) fn actuate(
+    kind: ActuationKind,
+    args: &RecordArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let (stem, action) = match kind {
+        ActuationKind::Reference => ("reference", "referencing"),
+        ActuationKind::Fold => ("fold", "folding"),
+        ActuationKind::Unfold => ("unfold", "unfolding"),
+    };
+    let mut capsule = finder.connect(DeviceKind::Capsule)?;
+    let recording = recording(args, stem, finder);
+    let trial = experiment::actuate(&mut capsule, kind, &recording, &mut screen.live())?;
+    for (name, value) in report::actuation_rows(kind, &trial.record) {
+        screen.say(&format!("  {name}: {value}"));
+    }
+    screen.say(&format!(
+        "  {}\n  {}",
+        trial.csv.display(),
+        trial.sidecar.display()
+    ));
+    let help = format!(
+        "the data is in {}; `retrograde info` shows the capsule's state",
+        trial.sidecar.display()
+    );
+    completed(action, trial.trial.status, trial.trial.error.as_ref(), help)?;
+    Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
+}
+
+fn recording(args: &RecordArgs, stem: &str, finder: &Finder<'_>) -> Recording {
+    Recording {
+        folder: args.out.clone(),
+        stem: stem.to_owned(),
+        now: finder.connector.now(),
+        note: args.note.clone(),
+        telemetry_ms: args.telemetry_ms,
+    }
+}
+
+fn completed(
+    action: &'static str,
+    status: Status,
+    reason: Option<&String>,
+    help: String,
+) -> Result<(), Failure> {
+    if status == Status::Complete {
+        return Ok(());
+    }
+    Err(Failure::Ended {
+        action,
+        status,
+        reason: reason.cloned(),
+        help,
+    })
+}
+
+pub(crate) fn stop(
+    urgent: Urgent,
+    which: &Which,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let text = match urgent {
+        Urgent::Stop => "stopped",
+        Urgent::EStop => "emergency stop latched; acknowledge before anything moves again",
+    };
+    let mut stopped = vec![];
+    let mut failed = None;
+    // One machine out of reach must not keep the other from stopping.
+    for kind in finder.machines(which)? {
+        match finder.urgent(kind, urgent) {
+            Ok(place) => {
+                screen.say(&format!("{} at {place}: {text}", identity::kind_name(kind)));
+                stopped.push(json!({ "machine": identity::kind_name(kind), "place": place }));
+            }
+            Err(failure) => {
+                failed.get_or_insert(failure);
+            }
+        }
+    }
+    match failed {
+        Some(failure) => Err(failure),
+        None => Ok(json!({ "stopped": stopped })),
+    }
+}
+
+pub(crate) fn acknowledge(
+    which: &Which,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let mut acknowledged = vec![];
+    for kind in finder.machines(which)? {
+        let mut device = finder.connect(kind)?;
+        device.acknowledge()?;
+        let name = identity::kind_name(kind);
+        screen.say(&format!(
+            "{name} at {}: fault acknowledged; nothing moved",
+            device.place()
+        ));
+        acknowledged.push(name);
+    }
+    Ok(json!({ "acknowledged": acknowledged }))
+}
