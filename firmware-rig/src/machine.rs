@@ -127,8 +127,8 @@ struct Homing {
     seek: Option<i32>,
     /// Flag edge of the second pass.
     locate: Option<i32>,
-    /// The flag has closed behind the carriage (phase `Clear`).
-    cleared: bool,
+    /// The flag by its filtered edges: one look at the pin could meet a glitch.
+    flag_open: bool,
     /// The position was trusted when homing began.
     was_homed: bool,
     /// Between the two passes: position of the second against the first.
@@ -144,6 +144,8 @@ enum State {
     Running {
         link_loss: LinkLossPolicy,
         direction: Direction,
+        /// The flag has opened in this stroke. Only the first edge counts: contacts bounce.
+        flag_met: bool,
     },
     /// Decelerating, then to the state in `then`.
     Stopping {
@@ -165,7 +167,11 @@ pub struct Machine {
     settings: Settings,
     state: State,
     homed: bool,
+    /// A path was started and its end has not been reported.
+    path: bool,
     run: RunRecord,
+    /// The path is that of the run: its reports belong into the record, also after a fault.
+    recording: bool,
     strokes: u32,
     residual: i32,
     started_us: u64,
@@ -195,7 +201,9 @@ impl Machine {
             settings,
             state: fault.map_or(State::Unhomed, State::Faulted),
             homed: false,
+            path: false,
             run: NO_RUN,
+            recording: false,
             strokes: 0,
             residual: 0,
             started_us: 0,
@@ -278,7 +286,7 @@ impl Machine {
                 self.latch(RigFault::EStopFrame, actions);
                 Ok(())
             }
-            Command::Acknowledge => self.acknowledge(inputs, actions),
+            Command::Acknowledge => self.acknowledge(inputs),
         }
     }
 
@@ -315,7 +323,7 @@ impl Machine {
             },
             seek: None,
             locate: None,
-            cleared: false,
+            flag_open: inputs.home_flag,
             was_homed: self.homed,
             repeat: 0,
             shift: 0,
@@ -377,6 +385,7 @@ impl Machine {
         };
         let window = (position.min(end), position.max(end));
         self.state = State::Homing(homing);
+        self.path = true;
         push(
             actions,
             Action::Start {
@@ -433,6 +442,8 @@ impl Machine {
             plan_hash: plan.hash(),
             ..NO_RUN
         };
+        self.recording = true;
+        self.path = true;
         self.strokes = plan.strokes();
         self.residual = 0;
         self.last = (0, 0);
@@ -440,6 +451,7 @@ impl Machine {
         self.state = State::Running {
             link_loss,
             direction: Direction::Away,
+            flag_met: false,
         };
         let last = i32::try_from(self.settings.axis.stroke_steps().0).unwrap_or(i32::MAX);
         push(
@@ -463,7 +475,7 @@ impl Machine {
         push(actions, Action::StopPath);
     }
 
-    fn acknowledge(&mut self, inputs: RigInputs, _actions: &mut Actions) -> Result<(), Refusal> {
+    fn acknowledge(&mut self, inputs: RigInputs) -> Result<(), Refusal> {
         let State::Faulted(fault) = self.state else {
             return Err(Refusal::NothingToAcknowledge);
         };
@@ -472,7 +484,8 @@ impl Machine {
             RigFault::BothSwitchesOpen => inputs.home_flag && inputs.far_limit,
             _ => false,
         };
-        if present {
+        // Its report must not be taken for that of the next path.
+        if present || self.path {
             return Err(Refusal::CauseStillPresent);
         }
         self.state = State::Unhomed;
@@ -532,26 +545,28 @@ impl Machine {
 
     fn flag_edge(&mut self, opening: bool, count: i32, actions: &mut Actions) {
         match &mut self.state {
-            State::Homing(homing) => match homing.phase {
-                HomingPhase::Clear if !opening => {
-                    homing.cleared = true;
-                    push(actions, Action::StopPath);
+            State::Homing(homing) => {
+                homing.flag_open = opening;
+                match homing.phase {
+                    HomingPhase::Clear if !opening => push(actions, Action::StopPath),
+                    HomingPhase::Seek if opening && homing.seek.is_none() => {
+                        homing.seek = Some(count);
+                        push(actions, Action::StopPath);
+                    }
+                    HomingPhase::Locate if opening && homing.locate.is_none() => {
+                        homing.locate = Some(count);
+                        push(actions, Action::StopPath);
+                    }
+                    _ => {}
                 }
-                HomingPhase::Seek if opening && homing.seek.is_none() => {
-                    homing.seek = Some(count);
-                    push(actions, Action::StopPath);
-                }
-                HomingPhase::Locate if opening && homing.locate.is_none() => {
-                    homing.locate = Some(count);
-                    push(actions, Action::StopPath);
-                }
-                _ => {}
-            },
+            }
             // The flag opens on the way home: the same edge in the same direction as in homing.
             State::Running {
                 direction: Direction::Home,
+                flag_met,
                 ..
-            } if opening => {
+            } if opening && !*flag_met => {
+                *flag_met = true;
                 let residual = count - self.settings.flag_steps();
                 self.residual = residual;
                 if residual.abs() > self.run.worst_residual_steps.abs() {
@@ -572,18 +587,34 @@ impl Machine {
     }
 
     fn stroke_done(&mut self, stroke: u32, commanded: i32, counted: i32, actions: &mut Actions) {
-        let State::Running { direction, .. } = &mut self.state else {
-            return; // overtaken by a stop or a fault
-        };
-        *direction = if stroke.is_multiple_of(2) {
-            Direction::Home
-        } else {
-            Direction::Away
-        };
+        if !self.recording {
+            return;
+        }
+        let missed = self.missed_flag(counted);
         self.run.strokes = stroke + 1;
         self.track(commanded, counted);
+        match &mut self.state {
+            State::Running {
+                direction,
+                flag_met,
+                ..
+            } => {
+                *flag_met = false;
+                *direction = if stroke.is_multiple_of(2) {
+                    Direction::Home
+                } else {
+                    Direction::Away
+                };
+            }
+            // It was complete before the stop reached the generator.
+            State::Stopping { .. } => {}
+            _ => return,
+        }
         if commanded != counted {
             return self.latch(RigFault::ReadBack { commanded, counted }, actions);
+        }
+        if let Some(fault) = missed {
+            return self.latch(fault, actions);
         }
         push(
             actions,
@@ -594,12 +625,26 @@ impl Machine {
         );
     }
 
+    /// At the end of a stroke towards home that began beyond the flag, the flag has to be open. Where it really
+    /// is nobody knows then: at least as far off as from here to its edge.
+    fn missed_flag(&self, counted: i32) -> Option<RigFault> {
+        let limit = i32::try_from(self.settings.ledger_limit_steps).unwrap_or(i32::MAX);
+        let beyond = self.last.0 > self.settings.flag_steps().saturating_add(limit);
+        match self.state {
+            State::Running {
+                direction: Direction::Home,
+                flag_met: false,
+                ..
+            } if beyond => Some(RigFault::LostSteps {
+                residual_steps: counted.saturating_sub(self.settings.flag_steps()),
+            }),
+            _ => None,
+        }
+    }
+
     /// Adds the way since the last report to the run's record. Positions are reported at the ends of strokes,
     /// where they are extreme.
     fn track(&mut self, commanded: i32, counted: i32) {
-        if self.run.outcome != RunOutcome::Running {
-            return;
-        }
         self.run.min_steps = self.run.min_steps.min(commanded);
         self.run.max_steps = self.run.max_steps.max(commanded);
         self.run.commanded_edges += u64::from(commanded.abs_diff(self.last.0));
@@ -609,7 +654,7 @@ impl Machine {
 
     /// False pulses on the limit inputs since the run began.
     pub fn set_glitches(&mut self, glitches: u32) {
-        if self.run.outcome == RunOutcome::Running {
+        if self.recording {
             self.run.glitches = glitches;
         }
     }
@@ -621,27 +666,39 @@ impl Machine {
         inputs: RigInputs,
         actions: &mut Actions,
     ) {
-        if self.run.outcome == RunOutcome::Running {
-            self.run.min_queue = report.min_queue;
+        if !core::mem::take(&mut self.path) {
+            return;
         }
-        self.track(report.commanded, report.counted);
+        let (commanded, counted) = (report.commanded, report.counted);
+        let missed = self.missed_flag(counted);
+        if core::mem::take(&mut self.recording) {
+            self.run.ticks = report.last_tick;
+            self.run.min_queue = report.min_queue;
+            self.track(commanded, counted);
+        }
+        if let State::Faulted(_) = self.state {
+            return;
+        }
         match end {
             PathEnd::Underrun => return self.latch(RigFault::Underrun, actions),
             PathEnd::Guard => return self.latch(RigFault::WindowGuard, actions),
-            // Whoever cut the pulses latches the fault; the read-back counter has the true position.
-            PathEnd::Cut => return,
+            // Whoever cut the pulses tells why, but perhaps later than this; the read-back counter has the
+            // true position. Without the loop it was the link: its frame cuts before it is read.
+            PathEnd::Cut if inputs.estop_loop => return self.latch(RigFault::EStopLoop, actions),
+            PathEnd::Cut => return self.latch(RigFault::EStopFrame, actions),
             PathEnd::Complete | PathEnd::Stopped => {}
         }
-        let (commanded, counted) = (report.commanded, report.counted);
-        if commanded != counted && !matches!(self.state, State::Faulted(_)) {
+        if commanded != counted {
             return self.latch(RigFault::ReadBack { commanded, counted }, actions);
         }
         match self.state {
-            State::Homing(homing) => self.homing_move_ended(homing, counted, inputs, actions),
+            State::Homing(homing) => self.homing_move_ended(homing, counted, actions),
             State::Running { .. } => {
                 let last = self.strokes.saturating_sub(1);
                 self.run.strokes = self.strokes;
-                self.run.ticks = report.last_tick;
+                if let Some(fault) = missed {
+                    return self.latch(fault, actions);
+                }
                 push(
                     actions,
                     Action::Emit(RigEvent::StrokeDone {
@@ -653,7 +710,6 @@ impl Machine {
                 self.state = State::Ready;
             }
             State::Stopping { then } => {
-                self.run.ticks = report.last_tick;
                 match then {
                     Then::Unhomed => self.state = State::Unhomed,
                     Then::Ready(outcome) => {
@@ -673,20 +729,15 @@ impl Machine {
         }
     }
 
-    fn homing_move_ended(
-        &mut self,
-        mut homing: Homing,
-        position: i32,
-        inputs: RigInputs,
-        actions: &mut Actions,
-    ) {
+    fn homing_move_ended(&mut self, mut homing: Homing, position: i32, actions: &mut Actions) {
         let missing = match homing.phase {
-            HomingPhase::Clear => (!homing.cleared).then_some(RigFault::FlagStuck),
+            HomingPhase::Clear | HomingPhase::PullOff => {
+                homing.flag_open.then_some(RigFault::FlagStuck)
+            }
             HomingPhase::Seek => homing
                 .seek
                 .is_none()
                 .then_some(RigFault::FlagNotFound(HomingPhase::Seek)),
-            HomingPhase::PullOff => inputs.home_flag.then_some(RigFault::FlagStuck),
             HomingPhase::Locate => homing
                 .locate
                 .is_none()

@@ -109,6 +109,7 @@ pub struct Periods {
     short: bool,
     stopping: bool,
     position: i32,
+    last_step: u64,
     window: (i32, i32),
 }
 
@@ -134,6 +135,7 @@ impl Periods {
             short: false,
             stopping: false,
             position,
+            last_step: 0,
             window,
         })
     }
@@ -158,9 +160,9 @@ impl Periods {
         self.stroke
     }
 
-    /// Tick of the last step, once the end has been handed out.
+    /// Tick of the last step handed out so far, 0 before the first.
     pub fn last_step(&self) -> u64 {
-        self.start + self.times.tick().0
+        self.last_step
     }
 
     /// Decelerates to rest from what has been handed out so far. Between two strokes, or before the first
@@ -197,12 +199,16 @@ impl Periods {
                     } else {
                         -1
                     };
-                    let next = self.position.saturating_add(step);
-                    if next < self.window.0 || next > self.window.1 {
+                    let inside = self
+                        .position
+                        .checked_add(step)
+                        .filter(|next| (self.window.0..=self.window.1).contains(next));
+                    let Some(next) = inside else {
                         self.after = After::Guarded;
                         return Item::Guard;
-                    }
+                    };
                     self.position = next;
+                    self.last_step = self.cursor;
                     self.pulse = true;
                     self.plan_next();
                 }

@@ -1,0 +1,659 @@
+//! The state machine: every pair of state and input, homing, runs, and random sequences.
+
+mod carriage;
+
+use carriage::{CLOSED, Rig, plan, run};
+use firmware_rig::{
+    machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
+    settings::Settings,
+};
+use motion::axis::{Axis, Direction};
+use protocol::{
+    error::Refusal,
+    rig::{
+        HomingPhase, LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome, RunRecord,
+    },
+};
+
+const SETTINGS: Settings = Settings::REFERENCE;
+
+mod homing {
+    use super::*;
+
+    fn home_from(place: i32, fault: impl FnOnce(&mut Rig)) -> Rig {
+        let mut rig = Rig::new(SETTINGS, place);
+        fault(&mut rig);
+        rig.command(Command::Home).unwrap();
+        rig.finish();
+        rig
+    }
+
+    #[test]
+    fn finds_zero_from_everywhere() {
+        for place in [-1_000, 0, 799, 800, 801, 2_000, 50_000, 104_000] {
+            let rig = home_from(place, |_| ());
+            assert_eq!(rig.machine.state(), RigState::Ready, "{place}");
+            assert!(rig.machine.homed());
+            assert_eq!((rig.place, rig.counted), (0, 0), "{place}");
+            let homed = RigEvent::Homed {
+                repeat_steps: 0,
+                shift_steps: 0,
+            };
+            assert_eq!(rig.events, [homed]);
+            // On the flag one move more: off it first.
+            assert_eq!(rig.windows.len(), if place <= 800 { 5 } else { 4 });
+        }
+    }
+
+    #[test]
+    fn reports_how_far_the_reference_has_moved() {
+        let mut rig = Rig::homed(SETTINGS);
+        rig.place += 3; // pushed by hand
+        rig.command(Command::Home).unwrap();
+        assert!(!rig.machine.homed(), "not while it is being found again");
+        rig.finish();
+        let homed = RigEvent::Homed {
+            repeat_steps: 0,
+            shift_steps: -3,
+        };
+        assert_eq!(rig.events, [homed]);
+        assert_eq!((rig.place, rig.counted), (0, 0));
+    }
+
+    #[test]
+    fn a_bouncing_flag_does_no_harm() {
+        for place in [0, 5_000] {
+            let rig = home_from(place, |rig| rig.bounces = 3);
+            assert_eq!((rig.fault(), rig.place), (None, 0));
+        }
+    }
+
+    #[test]
+    fn a_flag_that_never_opens_is_not_found() {
+        // The end-of-travel loop comes first where the carriage reaches it.
+        let rig = home_from(104_000, |rig| rig.stuck_flag = Some(false));
+        assert_eq!(rig.fault(), Some(RigFault::EStopLoop));
+        // A carriage that does not move at all.
+        let rig = home_from(50_000, |rig| rig.slipping = u32::MAX);
+        assert_eq!(rig.fault(), Some(RigFault::FlagNotFound(HomingPhase::Seek)));
+        // 130 mm and 10 mm of overtravel.
+        assert_eq!(rig.pulses, 112_000);
+    }
+
+    #[test]
+    fn a_flag_that_is_lost_between_the_passes_is_not_found() {
+        let mut rig = Rig::new(SETTINGS, 2_000);
+        rig.command(Command::Home).unwrap();
+        while rig.windows.len() < 3 {
+            rig.step();
+        }
+        rig.stuck_flag = Some(false);
+        rig.finish();
+        assert_eq!(
+            rig.fault(),
+            Some(RigFault::FlagNotFound(HomingPhase::Locate))
+        );
+    }
+
+    #[test]
+    fn a_flag_that_never_closes_is_stuck() {
+        let rig = home_from(0, |rig| rig.stuck_flag = Some(true));
+        assert_eq!(rig.fault(), Some(RigFault::FlagStuck));
+        // As far as the flag could reach: 1 mm and the overtravel of 10 mm.
+        assert_eq!(rig.place, 8_800);
+        // It sticks when the first pass has met it.
+        let mut rig = Rig::new(SETTINGS, 2_000);
+        rig.command(Command::Home).unwrap();
+        while rig.windows.len() < 2 {
+            rig.step();
+        }
+        rig.stuck_flag = Some(true);
+        rig.finish();
+        assert_eq!(rig.fault(), Some(RigFault::FlagStuck));
+    }
+
+    /// The flag closes and opens again at once, while the carriage leaves it: a pass towards home would never
+    /// see it open and would end in the end-of-travel loop.
+    #[test]
+    fn a_flag_that_opens_again_behind_the_carriage_is_stuck() {
+        let mut rig = Rig::new(SETTINGS, 0);
+        rig.command(Command::Home).unwrap();
+        while rig.inputs().home_flag {
+            rig.step();
+        }
+        rig.event(Event::FlagEdge {
+            opening: true,
+            count: rig.counted,
+        });
+        rig.finish();
+        assert_eq!(rig.fault(), Some(RigFault::FlagStuck));
+    }
+
+    #[test]
+    fn an_unplugged_cable_is_refused() {
+        let mut rig = Rig::new(SETTINGS, 2_000);
+        (rig.stuck_flag, rig.far_wire_cut) = (Some(true), true);
+        assert_eq!(
+            rig.command(Command::Home),
+            Err(Refusal::RigFaulted(RigFault::BothSwitchesOpen))
+        );
+        rig.pressed = true;
+        assert_eq!(
+            rig.command(Command::Home),
+            Err(Refusal::RigFaulted(RigFault::EStopLoop))
+        );
+        assert_eq!((rig.machine.state(), rig.pulses), (RigState::Unhomed, 0));
+    }
+
+    /// Brings homing from on the flag into each of its five phases, does something, lets it come to rest.
+    fn in_each_phase(mut act: impl FnMut(&mut Rig)) -> Vec<Rig> {
+        (1..=5)
+            .map(|phase| {
+                let mut rig = Rig::new(SETTINGS, 0);
+                rig.command(Command::Home).unwrap();
+                while rig.windows.len() < phase {
+                    rig.step();
+                }
+                rig.pulses(3);
+                let before = rig.windows.len();
+                assert_eq!(before, phase);
+                act(&mut rig);
+                rig.finish();
+                assert_eq!(rig.windows.len(), before, "no further move");
+                assert!(!rig.machine.homed());
+                rig
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_stop_in_each_phase_leaves_it_unhomed() {
+        for rig in in_each_phase(|rig| rig.command(Command::Stop).unwrap()) {
+            assert_eq!(rig.machine.state(), RigState::Unhomed);
+            let position_steps = rig.counted;
+            assert_eq!(rig.events, [RigEvent::Stopped { position_steps }]);
+        }
+    }
+
+    #[test]
+    fn a_silent_host_in_each_phase_leaves_it_unhomed() {
+        for rig in in_each_phase(|rig| rig.event(Event::LinkSilent)) {
+            assert_eq!(rig.machine.state(), RigState::Unhomed);
+        }
+    }
+
+    #[test]
+    fn an_emergency_stop_in_each_phase_is_final() {
+        let mut pulses = 0;
+        for mut rig in in_each_phase(|rig| {
+            pulses = rig.pulses;
+            rig.press();
+        }) {
+            assert_eq!(rig.fault(), Some(RigFault::EStopLoop));
+            assert_eq!(rig.events, [RigEvent::Faulted(RigFault::EStopLoop)]);
+            assert_eq!(
+                rig.command(Command::Acknowledge),
+                Err(Refusal::CauseStillPresent)
+            );
+            rig.pressed = false;
+            assert!(rig.command(Command::Home).is_err());
+            rig.command(Command::Acknowledge).unwrap();
+            assert_eq!(rig.machine.state(), RigState::Unhomed);
+            assert!(!rig.moving());
+            rig.command(Command::Home).unwrap();
+            rig.finish();
+            assert_eq!((rig.machine.state(), rig.place), (RigState::Ready, 0));
+        }
+        for rig in in_each_phase(|rig| rig.command(Command::EStop).unwrap()) {
+            assert_eq!(rig.fault(), Some(RigFault::EStopFrame));
+        }
+    }
+
+    #[test]
+    fn a_missing_jumper_is_found_by_the_first_move() {
+        let rig = home_from(2_000, |rig| rig.jumper_cut = true);
+        assert!(matches!(
+            rig.fault(),
+            Some(RigFault::ReadBack { counted: 0, .. })
+        ));
+        assert_eq!(rig.windows.len(), 1);
+    }
+}
+
+mod running {
+    use super::*;
+
+    /// 10 mm, two cycles: 4 strokes of 8,000 steps.
+    fn started(link_loss: LinkLossPolicy) -> Rig {
+        let mut rig = Rig::homed(SETTINGS);
+        rig.command(run(&SETTINGS, 2, 10_000, link_loss)).unwrap();
+        assert_eq!(rig.windows, [(0, 104_000)]);
+        assert_eq!(rig.events, [RigEvent::RunStarted { run: 1 }]);
+        rig.events.clear();
+        rig
+    }
+
+    fn stroke(stroke: u32) -> RigEvent {
+        RigEvent::StrokeDone {
+            stroke,
+            residual_steps: 0,
+        }
+    }
+
+    fn ended(outcome: RunOutcome) -> RigEvent {
+        RigEvent::RunEnded { run: 1, outcome }
+    }
+
+    /// The pulses that went out are in the record, however the run ended.
+    fn assert_record(rig: &Rig, outcome: RunOutcome, strokes: u32) {
+        let record = rig.machine.record();
+        assert_eq!(record.outcome, outcome);
+        assert_eq!(record.commanded_edges, rig.pulses);
+        assert_eq!(record.counted_edges, rig.pulses);
+        assert_eq!(record.strokes, strokes);
+        assert_eq!(record.min_queue, 60);
+        assert_eq!(record.plan_hash, plan(&SETTINGS, 2, 10_000, 40_000).hash());
+    }
+
+    #[test]
+    fn completes() {
+        let mut rig = started(LinkLossPolicy::Stop);
+        let from = rig.now;
+        rig.machine.set_glitches(3);
+        rig.finish();
+        assert_eq!(
+            rig.events,
+            [
+                stroke(0),
+                stroke(1),
+                stroke(2),
+                stroke(3),
+                ended(RunOutcome::Complete)
+            ]
+        );
+        let plan = plan(&SETTINGS, 2, 10_000, 40_000);
+        assert_eq!(
+            *rig.machine.record(),
+            RunRecord {
+                run: 1,
+                outcome: RunOutcome::Complete,
+                strokes: 4,
+                commanded_edges: 32_000,
+                counted_edges: 32_000,
+                ticks: plan.total().0,
+                plan_hash: plan.hash(),
+                min_steps: 0,
+                max_steps: 8_000,
+                worst_residual_steps: 0,
+                min_queue: 60,
+                glitches: 3,
+            }
+        );
+        // 10 us for the last pulse and 10 us without one follow.
+        assert_eq!(rig.now - from, plan.total().0 + 2_000);
+        assert_eq!((rig.machine.state(), rig.place), (RigState::Ready, 0));
+        // And the next one is run 2, with a record of its own.
+        rig.command(run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop))
+            .unwrap();
+        assert_eq!(rig.machine.record().run, 2);
+        assert_eq!(rig.machine.record().commanded_edges, 0);
+        rig.finish();
+        assert_eq!(rig.machine.record().strokes, 2);
+    }
+
+    /// Homing after a run leaves the run's record alone.
+    #[test]
+    fn the_record_outlives_homing() {
+        let mut rig = started(LinkLossPolicy::Stop);
+        rig.finish();
+        let record = *rig.machine.record();
+        rig.command(Command::Home).unwrap();
+        rig.machine.set_glitches(7);
+        rig.finish();
+        assert_eq!(*rig.machine.record(), record);
+    }
+
+    #[test]
+    fn strokes_shorter_than_the_flag_complete() {
+        let mut rig = Rig::homed(SETTINGS);
+        rig.command(run(&SETTINGS, 3, 500, LinkLossPolicy::Stop))
+            .unwrap();
+        rig.finish();
+        assert_eq!(rig.machine.record().outcome, RunOutcome::Complete);
+    }
+
+    #[test]
+    fn a_stop_anywhere_keeps_the_position() {
+        for pulses in [
+            0, 1, 2, 3_999, 7_999, 8_000, 8_001, 12_345, 16_000, 31_999, 32_000,
+        ] {
+            let mut rig = started(LinkLossPolicy::Stop);
+            rig.pulses(pulses);
+            rig.command(Command::Stop).unwrap();
+            assert_eq!(rig.machine.state(), RigState::Stopping);
+            rig.finish();
+            assert_eq!(rig.machine.state(), RigState::Ready);
+            assert!(rig.machine.homed());
+            assert_eq!(rig.place, rig.counted);
+            let position_steps = rig.counted;
+            assert_eq!(rig.events.pop(), Some(RigEvent::Stopped { position_steps }));
+            assert_eq!(rig.events.pop(), Some(ended(RunOutcome::Stopped)));
+            assert_record(&rig, RunOutcome::Stopped, rig.events.len() as u32);
+            // The next run starts at 0 only.
+            let next = rig.command(run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop));
+            if position_steps == 0 {
+                assert_eq!(next, Ok(()));
+            } else {
+                assert!(matches!(next, Err(Refusal::NotAtHome { .. })));
+                rig.command(Command::Home).unwrap();
+                rig.finish();
+                assert_eq!((rig.machine.state(), rig.place), (RigState::Ready, 0));
+            }
+        }
+    }
+
+    /// The stroke's end and the stop cross each other: the report of the stroke comes after the command.
+    #[test]
+    fn a_stroke_that_ends_during_a_stop_is_counted() {
+        let mut rig = started(LinkLossPolicy::Stop);
+        rig.pulses(7_990);
+        let mut actions = Actions::new();
+        let command = Command::Stop;
+        rig.machine
+            .command(0, command, rig.counted, CLOSED, &mut actions)
+            .unwrap();
+        // The generator has not heard of it yet.
+        rig.pulses(20);
+        rig.machine.event(
+            Event::PathEnded(
+                PathEnd::Stopped,
+                PathReport {
+                    commanded: 7_990,
+                    counted: 7_990,
+                    last_tick: 1,
+                    min_queue: 60,
+                },
+            ),
+            CLOSED,
+        );
+        assert_record(&rig, RunOutcome::Stopped, 1);
+        assert_eq!(rig.events, [stroke(0)]);
+    }
+
+    #[test]
+    fn a_silent_host_stops_or_not_as_declared() {
+        let mut rig = started(LinkLossPolicy::Stop);
+        rig.pulses(10_000);
+        rig.event(Event::LinkSilent);
+        rig.finish();
+        assert_eq!(rig.machine.state(), RigState::Ready);
+        assert_eq!(rig.place, rig.counted);
+        assert_record(&rig, RunOutcome::LinkLost, 1);
+
+        let mut rig = started(LinkLossPolicy::Finish);
+        rig.pulses(10_000);
+        rig.event(Event::LinkSilent);
+        rig.finish();
+        assert_record(&rig, RunOutcome::Complete, 4);
+    }
+
+    /// Latched, position untrusted, nothing moves until acknowledged and homed.
+    fn assert_latched(mut rig: Rig, fault: RigFault) {
+        let pulses = rig.pulses;
+        assert_eq!(rig.fault(), Some(fault));
+        assert!(!rig.machine.homed() && !rig.moving());
+        assert_eq!(rig.events.pop(), Some(RigEvent::Faulted(fault)));
+        assert_eq!(rig.events.pop(), Some(ended(RunOutcome::Faulted(fault))));
+        let again = run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop);
+        assert_eq!(rig.command(again), Err(Refusal::RigFaulted(fault)));
+        assert_eq!(rig.command(Command::Home), Err(Refusal::RigFaulted(fault)));
+        (rig.pressed, rig.far_wire_cut, rig.jumper_cut) = (false, false, false);
+        rig.slipping = 0;
+        rig.command(Command::Acknowledge).unwrap();
+        assert_eq!(rig.command(again), Err(Refusal::NotHomed));
+        assert_eq!(rig.pulses, pulses);
+        rig.command(Command::Home).unwrap();
+        rig.finish();
+        assert_eq!((rig.machine.state(), rig.place), (RigState::Ready, 0));
+        rig.command(again).unwrap();
+        rig.finish();
+        assert_eq!(rig.machine.record().outcome, RunOutcome::Complete);
+    }
+
+    #[test]
+    fn an_emergency_stop_keeps_the_true_count() {
+        for pulses in [1, 4_000, 8_000, 8_001, 20_000, 31_999] {
+            let mut rig = started(LinkLossPolicy::Finish);
+            rig.pulses(pulses);
+            let strokes = rig.events.len() as u32;
+            rig.press();
+            assert_eq!((rig.pulses, rig.place), (pulses, rig.counted));
+            assert_record(&rig, RunOutcome::Faulted(RigFault::EStopLoop), strokes);
+            assert_latched(rig, RigFault::EStopLoop);
+
+            let mut rig = started(LinkLossPolicy::Finish);
+            rig.pulses(pulses);
+            rig.command(Command::EStop).unwrap();
+            assert_record(&rig, RunOutcome::Faulted(RigFault::EStopFrame), strokes);
+            assert_latched(rig, RigFault::EStopFrame);
+        }
+    }
+
+    /// The pulses are cut before the machine hears why: the report of the path's end may come first.
+    #[test]
+    fn pulses_that_were_cut_by_anybody_are_a_fault() {
+        for (loop_open, fault) in [(true, RigFault::EStopLoop), (false, RigFault::EStopFrame)] {
+            let mut rig = started(LinkLossPolicy::Stop);
+            rig.pulses(5_000);
+            let report = PathReport {
+                commanded: 5_000,
+                counted: 5_000,
+                last_tick: 1,
+                min_queue: 60,
+            };
+            let inputs = RigInputs {
+                estop_loop: loop_open,
+                ..CLOSED
+            };
+            rig.machine
+                .event(Event::PathEnded(PathEnd::Cut, report), inputs);
+            assert_eq!(rig.fault(), Some(fault));
+            assert_record(&rig, RunOutcome::Faulted(fault), 0);
+            // Whoever cut them tells afterwards: no second fault.
+            let mut actions = Actions::new();
+            rig.machine
+                .command(0, Command::EStop, 5_000, inputs, &mut actions)
+                .unwrap();
+            assert_eq!(kinds(&actions), ["Cut"]);
+            assert_eq!(rig.fault(), Some(fault));
+        }
+    }
+
+    #[test]
+    fn the_far_limit_ends_a_run() {
+        // The carriage was pushed 5 mm away from home by hand.
+        let mut rig = Rig::homed(SETTINGS);
+        rig.place += 4_000;
+        rig.command(run(&SETTINGS, 1, 130_000, LinkLossPolicy::Stop))
+            .unwrap();
+        rig.events.clear();
+        rig.finish();
+        assert_eq!(rig.place, 104_801);
+        assert_latched(rig, RigFault::FarLimit);
+        // Open before the start.
+        let mut rig = Rig::homed(SETTINGS);
+        rig.far_wire_cut = true;
+        rig.stuck_flag = Some(false);
+        assert_eq!(
+            rig.command(run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop)),
+            Err(Refusal::RigFaulted(RigFault::FarLimit))
+        );
+    }
+
+    #[test]
+    fn lost_steps_are_found_at_the_flag() {
+        for slipping in [1, 8, 9, 64, 500] {
+            let mut rig = started(LinkLossPolicy::Stop);
+            rig.pulses(2_000);
+            rig.slipping = slipping;
+            rig.finish();
+            // Lost on the way out, the flag comes so much too early on the way back.
+            let residual_steps = slipping as i32;
+            if slipping <= SETTINGS.ledger_limit_steps {
+                assert_eq!(rig.machine.state(), RigState::Ready);
+                let record = rig.machine.record();
+                assert_eq!(record.worst_residual_steps, residual_steps);
+            } else {
+                assert_eq!(rig.machine.record().worst_residual_steps, residual_steps);
+                assert_eq!(rig.machine.record().strokes, 1);
+                // Not at once but with a ramp: 40 mm/s at 1,000 mm/s2 take 0.8 mm.
+                assert!(rig.place < 800 && rig.place > 100, "{}", rig.place);
+                assert_latched(rig, RigFault::LostSteps { residual_steps });
+            }
+        }
+        // Lost on the way back, the flag comes too late.
+        let mut rig = started(LinkLossPolicy::Stop);
+        rig.pulses(10_000);
+        rig.slipping = 64;
+        rig.finish();
+        assert_eq!(
+            rig.fault(),
+            Some(RigFault::LostSteps {
+                residual_steps: -64
+            })
+        );
+    }
+
+    /// A carriage that stalls on its way back never meets the flag; without this check the last stroke would
+    /// end "at home".
+    #[test]
+    fn a_flag_that_is_not_met_is_lost_steps() {
+        for stall_at in [10_000, 26_000] {
+            let mut rig = started(LinkLossPolicy::Stop);
+            rig.pulses(stall_at);
+            rig.slipping = 6_000;
+            rig.finish();
+            let residual_steps = -SETTINGS.flag_steps();
+            assert_latched(rig, RigFault::LostSteps { residual_steps });
+        }
+    }
+
+    #[test]
+    fn a_bouncing_flag_loses_no_steps() {
+        let mut rig = started(LinkLossPolicy::Stop);
+        rig.bounces = 2;
+        rig.finish();
+        assert_eq!(rig.fault(), None);
+        assert_eq!(rig.machine.record().worst_residual_steps, 0);
+    }
+
+    #[test]
+    fn a_missing_jumper_is_found_within_one_stroke() {
+        let mut rig = started(LinkLossPolicy::Stop);
+        rig.pulses(100);
+        rig.jumper_cut = true;
+        rig.finish();
+        assert_eq!(rig.pulses, 8_000);
+        let fault = RigFault::ReadBack {
+            commanded: 8_000,
+            counted: 100,
+        };
+        assert_eq!(rig.machine.record().counted_edges, 100);
+        assert_latched(rig, fault);
+        // In the last stroke, by the end of the path.
+        let mut rig = started(LinkLossPolicy::Stop);
+        rig.pulses(24_100);
+        rig.jumper_cut = true;
+        rig.finish();
+        assert!(matches!(rig.fault(), Some(RigFault::ReadBack { .. })));
+    }
+
+    #[test]
+    fn underrun_and_guard_are_faults() {
+        for (end, fault) in [
+            (PathEnd::Underrun, RigFault::Underrun),
+            (PathEnd::Guard, RigFault::WindowGuard),
+        ] {
+            let mut rig = started(LinkLossPolicy::Stop);
+            rig.pulses(5_000);
+            let report = PathReport {
+                commanded: 5_000,
+                counted: 5_000,
+                last_tick: 77,
+                min_queue: 60,
+            };
+            let actions = rig.machine.event(Event::PathEnded(end, report), CLOSED);
+            assert_eq!(kinds(&actions), ["Cut", "RunEnded", "Faulted"]);
+            assert_record(&rig, RunOutcome::Faulted(fault), 0);
+            assert_eq!(rig.machine.record().ticks, 77);
+            assert_eq!(rig.fault(), Some(fault));
+        }
+    }
+
+    #[test]
+    fn a_hundred_runs_do_not_drift() {
+        let mut rig = Rig::homed(small());
+        for _ in 0..100 {
+            rig.command(run(&small(), 5, 20_000, LinkLossPolicy::Stop))
+                .unwrap();
+            rig.finish();
+            assert_eq!((rig.place, rig.counted), (0, 0));
+            assert_eq!(rig.machine.record().worst_residual_steps, 0);
+        }
+        assert_eq!(rig.machine.record().run, 100);
+    }
+}
+
+#[test]
+fn a_fault_of_the_last_start_has_to_be_acknowledged() {
+    for fault in [RigFault::Watchdog, RigFault::Panic] {
+        let mut machine = Machine::new(SETTINGS, Some(fault));
+        let mut actions = Actions::new();
+        for command in [
+            Command::Home,
+            run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop),
+        ] {
+            assert_eq!(
+                machine.command(0, command, 0, CLOSED, &mut actions),
+                Err(Refusal::AcknowledgeFirst)
+            );
+        }
+        machine
+            .command(0, Command::Acknowledge, 0, CLOSED, &mut actions)
+            .unwrap();
+        assert_eq!(machine.state(), RigState::Unhomed);
+        assert_eq!(
+            machine.command(0, Command::Acknowledge, 0, CLOSED, &mut actions),
+            Err(Refusal::NothingToAcknowledge)
+        );
+        assert!(actions.is_empty());
+    }
+}
+
+/// Names of actions.
+fn kinds(actions: &Actions) -> Vec<&'static str> {
+    actions
+        .iter()
+        .map(|action| match action {
+            Action::Start { .. } => "Start",
+            Action::StopPath => "StopPath",
+            Action::Cut => "Cut",
+            Action::SetPosition(_) => "SetPosition",
+            Action::Emit(RigEvent::Homed { .. }) => "Homed",
+            Action::Emit(RigEvent::RunStarted { .. }) => "RunStarted",
+            Action::Emit(RigEvent::StrokeDone { .. }) => "StrokeDone",
+            Action::Emit(RigEvent::RunEnded { .. }) => "RunEnded",
+            Action::Emit(RigEvent::Stopped { .. }) => "Stopped",
+            Action::Emit(RigEvent::Faulted(_)) => "Faulted",
+        })
+        .collect()
+}
+
+/// A rig with few steps, 4 per mm, so that a test can afford many of them.
+fn small() -> Settings {
+    Settings {
+        axis: Axis::new(50_000, 200, 1, 20_000).unwrap(),
+        ledger_limit_steps: 1,
+        ..SETTINGS
+    }
+}

@@ -1,0 +1,420 @@
+//! The list of timer periods against the step times that it is made of.
+
+use firmware_rig::{
+    periods::{Item, MAX_PERIOD, Path, Period, Periods},
+    settings::Settings,
+};
+use motion::{
+    axis::{Acceleration, Axis, Direction},
+    run::{Limits, RunPlan, RunRequest, Timing},
+    step_times::StepTimes,
+    trapezoid::StrokeProfile,
+    units::{Steps, Ticks},
+};
+use proptest::prelude::*;
+
+const LIMITS: Limits = Settings::REFERENCE.limits;
+
+/// Time that DIR has between two strokes, and what has to be queued meanwhile: 300 us.
+const TURN_TICKS: u64 = 30_000;
+
+const EVERYWHERE: (i32, i32) = (i32::MIN, i32::MAX);
+
+fn strokes(path: &Path) -> Vec<(u64, StrokeProfile, Direction)> {
+    match path {
+        Path::Move { profile, direction } => vec![(0, *profile, *direction)],
+        Path::Run(plan) => (0..plan.strokes())
+            .map(|index| {
+                (
+                    plan.stroke_start(index).unwrap().0,
+                    *plan.stroke(index).unwrap(),
+                    plan.direction(index).unwrap(),
+                )
+            })
+            .collect(),
+    }
+}
+
+fn sign(direction: Direction) -> i32 {
+    match direction {
+        Direction::Away => 1,
+        Direction::Home => -1,
+    }
+}
+
+/// Walks a list and checks what holds for every list: lengths, cursor, position, sync.
+struct Walk {
+    periods: Periods,
+    /// Ticks before what comes next.
+    tick: u64,
+    position: i32,
+    window: (i32, i32),
+    /// Pulses of the stroke in progress.
+    pulses: u32,
+    last_pulse: u64,
+}
+
+impl Walk {
+    fn new(path: &Path, position: i32, window: (i32, i32)) -> Self {
+        Self {
+            periods: Periods::new(path.clone(), position, window).unwrap(),
+            tick: 0,
+            position,
+            window,
+            pulses: 0,
+            last_pulse: 0,
+        }
+    }
+
+    fn next(&mut self) -> Item {
+        let direction = self.periods.direction();
+        let item = self.periods.next_item();
+        match item {
+            Item::Period(Period { ticks, pulse, sync }) => {
+                assert!((2..=MAX_PERIOD).contains(&ticks), "{item:?}");
+                assert_eq!(sync, pulse && self.pulses == 0, "{item:?}");
+                if pulse {
+                    self.position += sign(direction);
+                    assert!(self.position >= self.window.0 && self.position <= self.window.1);
+                    self.pulses += 1;
+                    self.last_pulse = self.tick;
+                }
+                self.tick += u64::from(ticks);
+                assert_eq!(self.periods.cursor(), self.tick);
+            }
+            Item::Turn { .. } => self.pulses = 0,
+            Item::End => assert_eq!(self.periods.last_step(), self.last_pulse),
+            Item::Guard => {}
+        }
+        assert_eq!(self.periods.position(), self.position);
+        item
+    }
+
+    /// Up to the next pulse: its tick and its period.
+    fn pulse(&mut self) -> (u64, Period) {
+        loop {
+            let tick = self.tick;
+            match self.next() {
+                Item::Period(period) if period.pulse => return (tick, period),
+                Item::Period(_) => {}
+                other => panic!("{other:?} instead of a pulse at {tick}"),
+            }
+        }
+    }
+
+    /// Up to something that is no blank period: the blanks, their ticks, what follows.
+    fn blanks(&mut self) -> (usize, u64, Item) {
+        let (before, mut count) = (self.tick, 0);
+        loop {
+            match self.next() {
+                Item::Period(Period { pulse: false, .. }) => count += 1,
+                other => return (count, self.tick - before, other),
+            }
+        }
+    }
+}
+
+/// The whole list: every pulse at its absolute tick, every turn with time around it. Returns the pulses.
+fn check_whole(path: &Path, shortest: u32) -> u64 {
+    let strokes = strokes(path);
+    let mut walk = Walk::new(path, 0, EVERYWHERE);
+    let mut pulses = 0;
+    for (index, (start, profile, direction)) in strokes.iter().enumerate() {
+        assert_eq!(walk.periods.direction(), *direction);
+        assert_eq!(walk.periods.stroke() as usize, index);
+        for step in StepTimes::new(*profile) {
+            let (tick, period) = walk.pulse();
+            assert_eq!(tick, start + step);
+            assert!(period.ticks >= shortest, "{period:?} at {tick}");
+            pulses += 1;
+        }
+        // The last pulse of a stroke has a period of its own: pulse and hold time of DIR.
+        assert_eq!(walk.tick - walk.last_pulse, 1_000);
+        let (blanks, ticks, then) = walk.blanks();
+        if let Some((start, profile, next)) = strokes.get(index + 1) {
+            let completed = index as u32;
+            assert_eq!(
+                then,
+                Item::Turn {
+                    completed,
+                    next: *next
+                }
+            );
+            assert!(blanks >= 2 && ticks >= TURN_TICKS, "{blanks}, {ticks}");
+            // No further blank: the turn comes before the period that begins with the pulse.
+            assert_eq!(walk.tick, start + profile.first_interval().0);
+        } else {
+            assert_eq!((blanks, then), (1, Item::End));
+            assert_eq!(walk.next(), Item::End);
+        }
+    }
+    let (start, profile, _) = strokes.last().unwrap();
+    assert_eq!(walk.periods.last_step(), start + profile.duration().0);
+    pulses
+}
+
+/// Any allowed axis; strokes of up to 600 steps that take 1 ms to 3 s.
+fn any_run() -> impl Strategy<Value = RunPlan> {
+    let axis = (500_u32..=50_000, any::<bool>(), 0_u32..=8);
+    let rests = prop_oneof![Just([0, 0, 0]), any::<[u16; 3]>()];
+    let shape = (1_u32..=600, 10.0..21.5_f64, 0.05..1.0_f64, 0.5..2.0_f64);
+    (axis, rests, shape, 1_u16..=3, any::<bool>()).prop_filter_map(
+        "feasible",
+        |((lead, fine, micro), rests, (steps, log_us, ramp, ratio), cycles, total)| {
+            let full = if fine { 400 } else { 200 };
+            let axis = Axis::new(lead, full, 1 << micro, 130_000).unwrap();
+            let stroke_um = (steps * lead).div_ceil(axis.steps_per_rev()).min(130_000);
+            let (um, us) = (f64::from(stroke_um), log_us.exp2());
+            let speed = um / us * 1e6;
+            let accel = (speed / (us * ramp / 2.0) * 1e6 * 2.5).ceil() as u32;
+            let accel_um_s2 = accel.clamp(1, LIMITS.max_accel_um_s2);
+            let [far, home, start_delay_us] = rests.map(u32::from);
+            let timing = if total {
+                let rests = u64::from(start_delay_us)
+                    + u64::from(cycles) * u64::from(far)
+                    + u64::from(cycles - 1) * u64::from(home);
+                Timing::Total {
+                    total_us: (2.0 * f64::from(cycles) * us) as u64 + rests,
+                    accel_um_s2,
+                }
+            } else {
+                Timing::Speeds {
+                    forward_um_s: speed.ceil() as u32,
+                    return_um_s: (speed * ratio).ceil() as u32,
+                    accel_um_s2,
+                }
+            };
+            let request = RunRequest {
+                cycles,
+                stroke_um,
+                timing,
+                far_dwell_us: far,
+                home_dwell_us: home,
+                start_delay_us,
+            };
+            RunPlan::solve(&axis, &LIMITS, &request).ok()
+        },
+    )
+}
+
+fn any_path() -> impl Strategy<Value = Path> {
+    prop_oneof![
+        3 => any_run().prop_map(Path::Run),
+        1 => (any_run(), any::<bool>()).prop_map(|(plan, away)| Path::Move {
+            profile: *plan.forward(),
+            direction: if away { Direction::Away } else { Direction::Home },
+        }),
+    ]
+}
+
+fn any_deceleration() -> impl Strategy<Value = Acceleration> {
+    (10.0..21.0_f64).prop_map(|log| Axis::REFERENCE.acceleration(log.exp2() as u32).unwrap())
+}
+
+/// The generator is seeded: the same cases each time.
+fn config() -> ProptestConfig {
+    ProptestConfig {
+        cases: 384,
+        failure_persistence: None,
+        rng_seed: prop::test_runner::RngSeed::Fixed(1),
+        ..ProptestConfig::default()
+    }
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    #[test]
+    fn every_pulse_has_the_tick_of_its_step(path in any_path()) {
+        let steps: u64 = strokes(&path).iter().map(|(_, p, _)| u64::from(p.steps().0)).sum();
+        prop_assert_eq!(check_whole(&path, LIMITS.min_interval_ticks), steps);
+    }
+
+    #[test]
+    fn a_stop_decelerates_inside_the_stroke_and_ends(
+        path in any_path(),
+        at in 0.0..1.0_f64,
+        deceleration in any_deceleration(),
+        again in any::<bool>(),
+    ) {
+        let strokes = strokes(&path);
+        let items = {
+            let mut walk = Walk::new(&path, 0, EVERYWHERE);
+            (0..).find(|_| walk.next() == Item::End).unwrap()
+        };
+        let mut walk = Walk::new(&path, 0, EVERYWHERE);
+        for _ in 0..(at * f64::from(items)) as u32 {
+            walk.next();
+        }
+        // Before the first pulse of a stroke nothing may follow, within it no more than its rest.
+        let left = if walk.pulses == 0 {
+            0
+        } else {
+            let during = |(start, profile, _): &&(u64, StrokeProfile, Direction)| {
+                (start + 1..=start + profile.duration().0).contains(&walk.last_pulse)
+            };
+            strokes.iter().find(during).unwrap().1.steps().0 - walk.pulses
+        };
+        let end = walk.periods.cursor();
+        walk.periods.stop(deceleration);
+        prop_assert_eq!(walk.periods.cursor(), end);
+
+        let (mut before, mut interval, mut emitted) = (walk.last_pulse, 0, 0);
+        loop {
+            let tick = walk.tick;
+            match walk.next() {
+                Item::Period(Period { pulse: true, ticks, .. }) => {
+                    emitted += 1;
+                    // The first one was announced before the stop; all later ones are slower.
+                    if emitted > 1 {
+                        prop_assert!(tick - before + 1 >= interval, "{} {}", tick - before, interval);
+                    }
+                    (interval, before) = (tick - before, tick);
+                    prop_assert!(ticks >= LIMITS.min_interval_ticks);
+                    if again {
+                        walk.periods.stop(deceleration);
+                    }
+                }
+                Item::Period(_) => {}
+                Item::End => break,
+                other => prop_assert!(false, "{:?} after a stop", other),
+            }
+        }
+        prop_assert!(emitted <= left);
+        prop_assert_eq!(emitted == 0, left == 0);
+        prop_assert_eq!(walk.next(), Item::End);
+    }
+
+    #[test]
+    fn nothing_is_handed_out_beyond_the_window(
+        path in any_path(),
+        below in 0..700_i32,
+        above in 0..700_i32,
+        position in prop_oneof![Just(0), Just(i32::MIN), Just(i32::MAX)],
+        deceleration in any_deceleration(),
+    ) {
+        let window = (position.saturating_sub(below), position.saturating_add(above));
+        // Where the path would lead, and at which pulse it leaves the window.
+        let mut at = i64::from(position);
+        let mut allowed = 0;
+        let leaves = strokes(&path).iter().any(|(_, profile, direction)| {
+            (0..profile.steps().0).any(|_| {
+                at += i64::from(sign(*direction));
+                let outside = at < i64::from(window.0) || at > i64::from(window.1);
+                allowed += u32::from(!outside);
+                outside
+            })
+        });
+        let mut walk = Walk::new(&path, position, window);
+        let mut pulses = 0;
+        let end = loop {
+            match walk.next() {
+                Item::Period(period) => pulses += u32::from(period.pulse),
+                Item::Turn { .. } => {}
+                end => break end,
+            }
+        };
+        prop_assert_eq!(pulses, allowed);
+        prop_assert_eq!(end, if leaves { Item::Guard } else { Item::End });
+        walk.periods.stop(deceleration);
+        prop_assert_eq!(walk.next(), end);
+    }
+}
+
+/// A pause of any length is cut into pieces of which none is short, and none lasts too long.
+#[test]
+fn pieces_of_a_pause_are_long() {
+    for ticks in (400..70_000).chain(98_000..99_000).chain(131_000..197_000) {
+        let profile = StrokeProfile::from_parts(Steps(1), Ticks(ticks), Ticks(ticks / 2)).unwrap();
+        let path = Path::Move {
+            profile,
+            direction: Direction::Away,
+        };
+        let mut walk = Walk::new(&path, 0, (0, 1));
+        loop {
+            match walk.next() {
+                Item::Period(Period {
+                    pulse: false,
+                    ticks: piece,
+                    ..
+                }) => {
+                    assert!(u64::from(piece) >= ticks.min(32_768), "{piece} of {ticks}");
+                }
+                Item::Period(_) => break,
+                other => panic!("{other:?}"),
+            }
+        }
+        assert_eq!(walk.last_pulse, ticks);
+    }
+}
+
+#[test]
+fn the_papers_run_is_1040000_pulses_in_forty_seconds() {
+    let settings = Settings::REFERENCE;
+    let request = RunRequest {
+        cycles: 5,
+        stroke_um: 130_000,
+        timing: Timing::Total {
+            total_us: 40_000_000,
+            accel_um_s2: 100_000,
+        },
+        far_dwell_us: 0,
+        home_dwell_us: 0,
+        start_delay_us: 0,
+    };
+    let plan = RunPlan::solve(&settings.axis, &settings.limits, &request).unwrap();
+    let path = Path::Run(plan);
+    assert_eq!(check_whole(&path, LIMITS.min_interval_ticks), 1_040_000);
+    let mut walk = Walk::new(&path, 0, (0, 104_000));
+    while walk.next() != Item::End {}
+    assert_eq!(walk.last_pulse, 4_000_000_000);
+    assert_eq!(walk.periods.last_step(), 4_000_000_000);
+    assert_eq!(walk.position, 0);
+}
+
+/// In a dwell, and before the first step, a stop ends the path without another pulse; its last step is the last
+/// one that was handed out.
+#[test]
+fn a_stop_at_rest_emits_nothing() {
+    let settings = Settings::REFERENCE;
+    let request = RunRequest {
+        cycles: 2,
+        stroke_um: 100,
+        timing: Timing::Speeds {
+            forward_um_s: 10_000,
+            return_um_s: 20_000,
+            accel_um_s2: 1_000_000,
+        },
+        far_dwell_us: 100_000,
+        home_dwell_us: 100_000,
+        start_delay_us: 100_000,
+    };
+    let plan = RunPlan::solve(&settings.axis, &settings.limits, &request).unwrap();
+    let deceleration = settings.axis.acceleration(1_000).unwrap();
+    for (pulses, position) in [(0, 0), (80, 80), (160, 0), (240, 80), (320, 0)] {
+        for blanks in 0..3 {
+            let mut walk = Walk::new(&Path::Run(plan), 0, (0, 80));
+            let mut seen = 0;
+            while seen < pulses {
+                if let Item::Period(Period { pulse: true, .. }) = walk.next() {
+                    seen += 1;
+                }
+            }
+            for _ in 0..blanks {
+                walk.next();
+            }
+            walk.periods.stop(deceleration);
+            let (_, ticks, end) = walk.blanks();
+            assert_eq!((end, walk.position), (Item::End, position), "{pulses}");
+            // 10 us after what was in the queue, not the rest of the dwell.
+            assert!(ticks <= 1_000, "{ticks}");
+            assert_eq!(walk.next(), Item::End);
+        }
+    }
+    // After the turn, when the first step of the next stroke is due at once.
+    let mut walk = Walk::new(&Path::Run(plan), 0, (0, 80));
+    while !matches!(walk.next(), Item::Turn { .. }) {}
+    walk.periods.stop(deceleration);
+    assert_eq!(walk.blanks().2, Item::End);
+    assert_eq!(walk.position, 80);
+}
