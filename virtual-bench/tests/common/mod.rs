@@ -1,0 +1,163 @@
+//! What the tests on the images share.
+#![allow(missing_docs, dead_code, unreachable_pub)]
+
+use host_tool::client::{Device, Observer, Unobserved};
+use protocol::{
+    rig::{LinkLossPolicy, Run, RunAccepted, RunTiming},
+    system::DeviceKind,
+    table::Telemetry,
+};
+use virtual_bench::{
+    bench::Bench,
+    boards::{
+        capsule::CapsuleBoard,
+        rig::{self, RigBoard},
+    },
+    link::VirtualLink,
+    pins::EdgeLog,
+    plants::rig::{RigOptions, Violations},
+    verdicts,
+};
+
+/// One timer tick and one instruction slot of the emulator at 65 M instructions/s.
+pub const LIMIT_NS: f64 = 10.0 + 1e9 / 65e6;
+
+/// Deterministic choice of the instants of faults; the seed is in every failure's text.
+pub struct Dice(pub u64);
+impl Dice {
+    pub fn roll(&mut self, range: std::ops::Range<u64>) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        range.start + self.0 % (range.end - range.start)
+    }
+}
+
+pub struct RigRun {
+    pub bench: Bench<RigBoard>,
+    pub device: Device,
+}
+
+/// A rig that is connected and not homed.
+pub fn rig() -> RigRun {
+    rig_with(RigOptions::default())
+}
+
+pub fn rig_with(options: RigOptions) -> RigRun {
+    let bench = rig::start(options).expect("the image boots");
+    let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
+    let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
+    RigRun { bench, device }
+}
+
+/// A rig at position 0.
+pub fn homed() -> RigRun {
+    let mut rig = rig();
+    rig.home();
+    rig
+}
+
+impl RigRun {
+    pub fn home(&mut self) {
+        let accepted = self.device.home().expect("homing is accepted");
+        let homed = self.device.wait_homing(&accepted, &mut Unobserved);
+        homed.unwrap_or_else(|error| panic!("{error}\n{}", self.log()));
+        assert_eq!(self.carriage(), 0, "homed, but not at 0");
+    }
+
+    pub fn carriage(&self) -> i64 {
+        self.look(|rig| rig.carriage())
+    }
+
+    pub fn look<T: Send + 'static>(
+        &self,
+        look: impl FnOnce(&mut virtual_bench::plants::rig::Rig) -> T + Send + 'static,
+    ) -> T {
+        self.bench
+            .visit(|visit| look(&mut visit.board().rig))
+            .expect("the bench runs")
+    }
+
+    /// Edges since edge number `first`.
+    pub fn edges(&self, first: usize) -> EdgeLog {
+        self.look(move |rig| rig.edges().since(first))
+    }
+
+    pub fn edge_count(&self) -> usize {
+        self.look(|rig| rig.edges().len())
+    }
+
+    /// The firmware's log, for failures.
+    pub fn log(&self) -> String {
+        let log = self.bench.log().expect("the bench runs");
+        log.lines()
+            .iter()
+            .map(|line| format!("{:>12} ns {}\n", line.at_ns, line.text))
+            .collect()
+    }
+
+    /// Nothing was touched that does not exist, no driver rule was broken.
+    pub fn check_clean(&self, resets: usize) {
+        self.bench
+            .bus()
+            .expect("the bench runs")
+            .check(resets)
+            .unwrap_or_else(|why| panic!("{why}\n{}", self.log()));
+        assert_eq!(
+            self.look(|rig| rig.violations()),
+            Violations::default(),
+            "{}",
+            self.log()
+        );
+    }
+}
+
+/// The paper's run, with another number of cycles at the same speed.
+pub fn paper(cycles: u16) -> Run {
+    Run {
+        cycles,
+        stroke_um: 130_000,
+        timing: RunTiming::Total {
+            total_us: u64::from(cycles) * 8_000_000,
+            accel_um_s2: 100_000,
+        },
+        far_dwell_us: 0,
+        home_dwell_us: 0,
+        start_delay_us: 0,
+        link_loss: LinkLossPolicy::Stop,
+    }
+}
+
+/// The same, as the bench computes it.
+pub fn exact(cycles: u16) -> verdicts::Run {
+    verdicts::Run {
+        cycles: u32::from(cycles),
+        ..verdicts::Run::paper()
+    }
+}
+
+/// Keeps the telemetry as it came.
+#[derive(Default)]
+pub struct Recorder {
+    pub samples: Vec<Telemetry>,
+    pub missed: u32,
+}
+
+impl Observer for Recorder {
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.samples.push(*sample);
+        self.missed += u32::from(missed);
+    }
+}
+
+/// Starts a run and lets it execute, answering what was accepted and the record.
+pub fn execute(rig: &mut RigRun, run: Run) -> (RunAccepted, protocol::rig::RunRecord) {
+    let accepted = rig.device.run(run).expect("the run is accepted");
+    let record = rig.device.wait_run(&accepted, &mut Unobserved);
+    (
+        accepted,
+        record.unwrap_or_else(|error| panic!("{error}\n{}", rig.log())),
+    )
+}
+
+pub type Capsule = Bench<CapsuleBoard>;

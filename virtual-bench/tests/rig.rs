@@ -1,0 +1,449 @@
+//! The rig's image, judged from its pins.
+
+mod common;
+
+use common::{Dice, LIMIT_NS, Recorder, exact, execute, homed, paper, rig};
+use host_tool::{client::Unobserved, error::ClientError};
+use protocol::{
+    error::{Field, Refusal},
+    rig::{LinkLossPolicy, RigFault, RigState, Run, RunOutcome, RunTiming},
+    system::Urgent,
+};
+use virtual_bench::{faults::When, plants::rig::Action, verdicts::Verdict};
+
+/// The paper's experiment: 5 cycles of 130 mm in 40 s.
+#[test]
+fn every_edge_of_the_papers_run_is_where_it_belongs() {
+    let mut rig = homed();
+    let first = rig.edge_count();
+    rig.look(|rig| rig.forget_extremes());
+    let (accepted, record) = execute(&mut rig, paper(5));
+    let edges = rig.edges(first);
+    let verdict = Verdict::of(&exact(5), &edges);
+    verdict
+        .check(LIMIT_NS)
+        .unwrap_or_else(|why| panic!("{why}\n{}", rig.log()));
+    assert_eq!(
+        (verdict.edges, verdict.strokes),
+        ((1_040_000, 1_040_000), 10)
+    );
+    assert_eq!((verdict.extremes, verdict.end), ((0, 104_000), 0));
+    assert!(
+        verdict.duration_ns.abs_diff(40_000_000_000) <= 1_000,
+        "{verdict}"
+    );
+    // What the firmware says of it.
+    assert_eq!(
+        (accepted.total_ticks, accepted.edges),
+        (4_000_000_000, 1_040_000)
+    );
+    assert_eq!(record.outcome, RunOutcome::Complete);
+    assert_eq!(
+        (record.commanded_edges, record.counted_edges),
+        (1_040_000, 1_040_000)
+    );
+    assert_eq!((record.ticks, record.strokes), (4_000_000_000, 10));
+    assert_eq!(
+        (
+            record.min_steps,
+            record.max_steps,
+            record.worst_residual_steps
+        ),
+        (0, 104_000, 0)
+    );
+    // The mechanics.
+    assert_eq!(
+        rig.look(|rig| (rig.carriage(), rig.extremes(), rig.lost())),
+        (0, (0, 104_000), 0)
+    );
+    // One sync pulse at each stroke's first step.
+    let syncs = rig.look(|rig| rig.syncs().to_vec());
+    let of_the_run: Vec<u64> = syncs
+        .into_iter()
+        .filter(|at| *at >= edges.iter().next().unwrap().at_ns - 10_000)
+        .collect();
+    let firsts = edges.iter().step_by(104_000).map(|edge| edge.at_ns);
+    assert_eq!(of_the_run.len(), 10);
+    for (sync, first) in of_the_run.into_iter().zip(firsts) {
+        assert!(
+            sync.abs_diff(first) <= 10_000,
+            "sync at {sync} ns, first step at {first} ns"
+        );
+    }
+    rig.check_clean(0);
+}
+
+#[test]
+fn dwells_delay_and_separate_speeds_are_exact() {
+    let mut rig = homed();
+    let first = rig.edge_count();
+    let run = Run {
+        cycles: 2,
+        stroke_um: 40_000,
+        timing: RunTiming::Speeds {
+            forward_um_s: 10_000,
+            return_um_s: 30_000,
+            accel_um_s2: 200_000,
+        },
+        far_dwell_us: 250_000,
+        home_dwell_us: 0,
+        start_delay_us: 100_000,
+        link_loss: LinkLossPolicy::Stop,
+    };
+    let (accepted, record) = execute(&mut rig, run);
+    assert_eq!(record.outcome, RunOutcome::Complete);
+    let stroke = |stroke: protocol::rig::Stroke| virtual_bench::verdicts::Stroke {
+        steps: u64::from(stroke.steps),
+        duration_ticks: stroke.duration_ticks,
+        ramp_ticks: stroke.ramp_ticks,
+    };
+    // Speed and acceleration are as requested, to the last tick that integers allow.
+    for (stroke, um_s) in [(accepted.forward, 10_000), (accepted.back, 30_000)] {
+        assert!(
+            stroke.peak_um_s <= um_s && stroke.peak_um_s >= um_s - 1,
+            "{stroke:?}"
+        );
+        assert!(
+            stroke.accel_um_s2 <= 200_000 && stroke.accel_um_s2 >= 199_990,
+            "{stroke:?}"
+        );
+    }
+    let exact = virtual_bench::verdicts::Run {
+        cycles: 2,
+        forward: stroke(accepted.forward),
+        back: stroke(accepted.back),
+        far_dwell_ticks: 25_000_000,
+        home_dwell_ticks: 0,
+    };
+    let verdict = Verdict::of(&exact, &rig.edges(first));
+    verdict
+        .check(LIMIT_NS)
+        .unwrap_or_else(|why| panic!("{why}\n{}", rig.log()));
+    assert_eq!(verdict.duration_ns / 10 + 10_000_000, accepted.total_ticks);
+    rig.check_clean(0);
+}
+
+#[test]
+fn after_the_estop_no_edge_follows() {
+    let mut dice = Dice(0x5EED_0001);
+    let mut rig = homed();
+    for trial in 0..20 {
+        let number = rig.edge_count() as u64 + dice.roll(1..208_000);
+        rig.look(move |rig| rig.plan(When::Edge(number), Action::EStop(true)));
+        let accepted = rig.device.run(paper(1)).expect("the run is accepted");
+        let record = rig
+            .device
+            .wait_run(&accepted, &mut Unobserved)
+            .expect("the run ends");
+        assert_eq!(
+            record.outcome,
+            RunOutcome::Faulted(RigFault::EStopLoop),
+            "trial {trial}\n{}",
+            rig.log()
+        );
+        rig.device
+            .idle(50_000, &mut Unobserved)
+            .expect("the link stays");
+        assert_eq!(
+            rig.edge_count() as u64,
+            number,
+            "trial {trial}: edges after the E-stop\n{}",
+            rig.log()
+        );
+        // The true position is known to the step, and not trusted.
+        let status = rig.device.rig_status().expect("a status");
+        assert_eq!(
+            (i64::from(status.position_steps), status.homed),
+            (rig.carriage(), false),
+            "trial {trial}"
+        );
+        // It latches; while it is pressed it cannot be acknowledged; its release moves nothing.
+        refused(rig.device.acknowledge(), Refusal::CauseStillPresent);
+        let now_ns = rig.bench.now_ns();
+        rig.look(move |rig| rig.act(Action::EStop(false), now_ns));
+        rig.device
+            .idle(50_000, &mut Unobserved)
+            .expect("the link stays");
+        refused(rig.device.home(), Refusal::RigFaulted(RigFault::EStopLoop));
+        rig.device.acknowledge().expect("the cause is gone");
+        refused(rig.device.run(paper(1)), Refusal::NotHomed);
+        assert_eq!(
+            rig.edge_count() as u64,
+            number,
+            "trial {trial}: released and moving"
+        );
+        rig.home();
+    }
+    rig.check_clean(0);
+}
+
+#[test]
+fn an_estop_frame_ends_the_pulses_within_2_ms() {
+    let mut dice = Dice(0x5EED_0002);
+    let mut rig = homed();
+    for trial in 0..10 {
+        rig.device.run(paper(1)).expect("the run is accepted");
+        rig.device
+            .idle(dice.roll(10_000..7_500_000), &mut Unobserved)
+            .expect("the link stays");
+        let sent_ns = rig.bench.now_ns();
+        rig.device.urgent(Urgent::EStop).expect("an answer");
+        rig.device
+            .idle(50_000, &mut Unobserved)
+            .expect("the link stays");
+        let last = rig.look(|rig| rig.edges().iter().next_back().map_or(0, |edge| edge.at_ns));
+        // From the first bit at the pin: 11 bytes take 0.95 ms of it.
+        assert!(
+            last.saturating_sub(sent_ns) <= 2_000_000,
+            "trial {trial}: {} ns",
+            last - sent_ns
+        );
+        rig.device.acknowledge().expect("the cause is gone");
+        rig.home();
+    }
+    rig.check_clean(0);
+}
+
+#[test]
+fn a_stop_decelerates_and_keeps_the_position() {
+    let mut dice = Dice(0x5EED_0003);
+    let mut rig = homed();
+    for trial in 0..20 {
+        let first = rig.edge_count();
+        let accepted = rig.device.run(paper(1)).expect("the run is accepted");
+        rig.device
+            .idle(dice.roll(0..7_900_000), &mut Unobserved)
+            .expect("the link stays");
+        let sent_ns = rig.bench.now_ns();
+        rig.device.urgent(Urgent::Stop).expect("an answer");
+        let record = rig
+            .device
+            .wait_run(&accepted, &mut Unobserved)
+            .expect("a stop is no fault");
+        assert_eq!(record.outcome, RunOutcome::Stopped, "trial {trial}");
+        rig.device
+            .idle(300_000, &mut Unobserved)
+            .expect("the link stays");
+        let status = rig.device.rig_status().expect("a status");
+        assert_eq!(
+            (status.state, status.homed),
+            (RigState::Ready, true),
+            "trial {trial}\n{}",
+            rig.log()
+        );
+        assert_eq!(
+            i64::from(status.position_steps),
+            rig.carriage(),
+            "trial {trial}: position lost"
+        );
+        let edges: Vec<_> = rig.edges(first).iter().collect();
+        if let Some(last) = edges.last() {
+            let (after_ns, way) = (
+                last.at_ns.saturating_sub(sent_ns),
+                edges.iter().filter(|edge| edge.at_ns > sent_ns).count(),
+            );
+            assert!(
+                after_ns <= 100_000_000 && way <= 4_000,
+                "trial {trial}: {after_ns} ns, {way} steps"
+            );
+        }
+        // It slows down: at cruise no interval after the stop takes effect is shorter than the one before.
+        let gaps: Vec<u64> = edges
+            .windows(2)
+            .map(|pair| pair[1].at_ns - pair[0].at_ns)
+            .collect();
+        let fastest = gaps.iter().copied().min().unwrap_or(u64::MAX);
+        assert!(
+            fastest >= 35_000,
+            "trial {trial}: {fastest} ns between two steps"
+        );
+        if gaps.len() > 30_000 && gaps.len() < 70_000 {
+            let braking = &gaps[gaps.len() - 20..];
+            assert!(
+                braking.windows(2).all(|pair| pair[1] + 20 >= pair[0]),
+                "trial {trial}: {braking:?}"
+            );
+            assert!(
+                braking[19] > 5 * fastest,
+                "trial {trial}: no ramp, {braking:?}"
+            );
+        }
+        let (low, high) = rig.look(|rig| rig.extremes());
+        assert!(
+            low >= -2_400 && high <= 104_000,
+            "trial {trial}: left the window"
+        );
+        rig.home();
+    }
+    rig.check_clean(0);
+}
+
+fn refused<T: std::fmt::Debug>(result: Result<T, ClientError>, expected: Refusal) {
+    match result {
+        Err(ClientError::Refused { refusal, .. }) => assert_eq!(refusal, expected),
+        other => panic!("expected {expected:?}, found {other:?}"),
+    }
+}
+
+#[test]
+fn what_cannot_be_done_is_refused_and_nothing_moves() {
+    let mut rig = rig();
+    refused(rig.device.run(paper(5)), Refusal::NotHomed);
+    assert_eq!(rig.edge_count(), 0);
+    rig.home();
+    let edges = rig.edge_count();
+    let out_of_range = |field, requested, min, max| Refusal::OutOfRange {
+        field,
+        requested,
+        min,
+        max,
+    };
+    let good = paper(5);
+    let total = |total_us, accel_um_s2| RunTiming::Total {
+        total_us,
+        accel_um_s2,
+    };
+    refused(
+        rig.device.run(Run {
+            stroke_um: 131_000,
+            ..good
+        }),
+        out_of_range(Field::StrokeUm, 131_000, 2, 130_000),
+    );
+    refused(
+        rig.device.run(Run {
+            stroke_um: u32::MAX,
+            ..good
+        }),
+        out_of_range(Field::StrokeUm, u64::from(u32::MAX), 2, 130_000),
+    );
+    refused(
+        rig.device.run(Run {
+            stroke_um: 0,
+            ..good
+        }),
+        out_of_range(Field::StrokeUm, 0, 2, 130_000),
+    );
+    refused(
+        rig.device.run(Run { cycles: 0, ..good }),
+        out_of_range(Field::Cycles, 0, 1, 10_000),
+    );
+    refused(
+        rig.device.run(Run {
+            cycles: u16::MAX,
+            ..good
+        }),
+        out_of_range(Field::Cycles, 65_535, 1, 10_000),
+    );
+    match rig.device.run(Run {
+        timing: total(10_000_000, 100_000),
+        ..good
+    }) {
+        Err(ClientError::Refused {
+            refusal:
+                Refusal::TooFast {
+                    requested_us,
+                    min_us,
+                    min_accel_um_s2,
+                },
+            ..
+        }) => {
+            // 10 triangles of 130 mm at 100 mm/s2 take 10 * 2 sqrt(0.13 / 0.1) s; in 1 s each needs 520 mm/s2.
+            assert_eq!((requested_us, min_accel_um_s2), (10_000_000, 520_000));
+            assert!((22_803_508..=22_803_520).contains(&min_us), "{min_us}");
+        }
+        other => panic!("{other:?}"),
+    }
+    match rig.device.run(Run {
+        timing: total(10_000_000, 2_000_000),
+        ..good
+    }) {
+        Err(ClientError::Refused {
+            refusal:
+                Refusal::SpeedLimit {
+                    needed_um_s,
+                    max_um_s: 49_000,
+                },
+            ..
+        }) => {
+            assert!(needed_um_s > 130_000, "{needed_um_s}");
+        }
+        other => panic!("{other:?}"),
+    }
+    for timing in [
+        total(0, 100_000),
+        total(u64::MAX, 100_000),
+        total(40_000_000, 0),
+        total(40_000_000, u32::MAX),
+    ] {
+        let answer = rig.device.run(Run { timing, ..good });
+        assert!(
+            matches!(answer, Err(ClientError::Refused { .. })),
+            "{timing:?}: {answer:?}"
+        );
+    }
+    rig.device
+        .idle(100_000, &mut Unobserved)
+        .expect("the link stays");
+    assert_eq!(rig.edge_count(), edges, "a refused run moved the carriage");
+    // And the machine is none the worse for it.
+    let (_, record) = execute(
+        &mut rig,
+        Run {
+            stroke_um: 5_000,
+            timing: total(4_000_000, 200_000),
+            ..good
+        },
+    );
+    assert_eq!(record.outcome, RunOutcome::Complete);
+    rig.check_clean(0);
+}
+
+#[test]
+fn a_silent_host_stops_the_run_or_lets_it_finish() {
+    for (link_loss, outcome) in [
+        (LinkLossPolicy::Stop, RunOutcome::LinkLost),
+        (LinkLossPolicy::Finish, RunOutcome::Complete),
+    ] {
+        let mut rig = homed();
+        rig.device
+            .run(Run {
+                link_loss,
+                ..paper(1)
+            })
+            .expect("the run is accepted");
+        rig.bench.advance_us(9_000_000).expect("the bench runs");
+        let record = rig.device.run_record().expect("the link is back");
+        assert_eq!(record.outcome, outcome, "{}", rig.log());
+        let status = rig.device.rig_status().expect("a status");
+        assert_eq!((status.state, status.homed), (RigState::Ready, true));
+        assert_eq!(i64::from(status.position_steps), rig.carriage());
+        rig.check_clean(0);
+    }
+}
+
+#[test]
+fn two_virtual_runs_are_identical_to_the_byte() {
+    let record = || {
+        let mut rig = homed();
+        rig.device.set_telemetry(10).expect("telemetry");
+        let mut recorder = Recorder::default();
+        let accepted = rig.device.run(paper(1)).expect("the run is accepted");
+        rig.device
+            .wait_run(&accepted, &mut recorder)
+            .expect("the run ends");
+        assert_eq!(recorder.missed, 0, "telemetry was lost on a good line");
+        assert!(
+            recorder.samples.len() >= 790,
+            "{} samples in 8 s at 100 Hz",
+            recorder.samples.len()
+        );
+        (
+            rig.look(|rig| rig.edges().sha256()),
+            format!("{:?}", recorder.samples),
+        )
+    };
+    let (first, second) = (record(), record());
+    assert!(first.0 == second.0, "the edges differ");
+    assert!(first.1 == second.1, "the telemetry differs");
+}
