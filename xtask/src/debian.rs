@@ -85,6 +85,13 @@ impl Debian {
         }
     }
 
+    /// Where the sources of `core` lie: by the name the compiler uses and by the one links lead to.
+    pub(crate) fn sources(&self) -> impl Iterator<Item = PathBuf> {
+        let named = self.usr.join("lib/rustlib/src/rust");
+        let real = fs::canonicalize(&named).ok();
+        std::iter::once(named).chain(real)
+    }
+
     /// A cargo command that builds `core` too.
     pub(crate) fn cargo(&self, subcommand: &str) -> Command {
         let program = |name: &str| self.usr.join("bin").join(name);
@@ -132,8 +139,9 @@ fn libraries(usr: &Path) -> PathBuf {
 
 fn install() -> Result<()> {
     let remedy = "see what apt-get says above";
-    if first_line(Command::new("apt-cache").args(["show", PACKAGES[0]])).is_none() {
-        run(Command::new("apt-get").args(["-q", "update"]), remedy)?;
+    // Old lists may know an older Rust. Where the update fails, the lists may still do.
+    if let Err(failure) = run(Command::new("apt-get").args(["-q", "update"]), remedy) {
+        println!("{failure}");
     }
     let mut apt = Command::new("apt-get");
     apt.env("DEBIAN_FRONTEND", "noninteractive");
@@ -176,7 +184,9 @@ fn unpack() -> Result<()> {
     };
     run(apt().arg("update"), remedy)?;
     let mut download = apt();
-    download.args(["--download-only", "-y", "--no-install-recommends"]);
+    // `--reinstall`: also those of the set that the system has, since the set is used as a whole.
+    download.args(["--download-only", "-y", "--reinstall"]);
+    download.arg("--no-install-recommends");
     run(download.arg("install").args(PACKAGES), remedy)?;
 
     let archives = fs::read_dir(apt_state.join("archives")).map_err(trouble)?;

@@ -1,6 +1,7 @@
 //! Builds both ARM images and judges them.
 
 use std::path::PathBuf;
+use std::process::Command;
 
 use crate::layout::{Budget, Layout};
 use crate::process::{Failure, Result, root, run};
@@ -44,6 +45,28 @@ pub(crate) fn build() -> Result<()> {
     check()
 }
 
+/// Builds both images and flashes one of them: the very file that the bench tests.
+///
+/// # Errors
+/// As [`build`]; no such machine, no `probe-rs`, or no board.
+pub(crate) fn flash(machine: &str) -> Result<()> {
+    let name = format!("firmware-{machine}");
+    let Some(image) = IMAGES.iter().find(|image| image.name == name) else {
+        let what = format!("there is no image for `{machine}`");
+        return Err(Failure::new(
+            what,
+            "`cargo xtask flash rig` or `cargo xtask flash capsule`",
+        ));
+    };
+    build()?;
+    run(
+        Command::new("probe-rs")
+            .args(["run", "--chip", "STM32F411RETx"])
+            .arg(path_of(image)),
+        "install probe-rs (https://probe.rs), connect the board by USB; `probe-rs list` shows it",
+    )
+}
+
 /// Lints both images as they are compiled for the chip.
 ///
 /// # Errors
@@ -58,7 +81,7 @@ pub(crate) fn lint() -> Result<()> {
 
 /// Both packages, in the workspace's own target folder whatever the caller's environment says: that
 /// is where the bench and `probe-rs` look.
-fn for_both(cargo: &mut std::process::Command) {
+fn for_both(cargo: &mut Command) {
     for image in &IMAGES {
         cargo.args(["--package", image.name]);
     }

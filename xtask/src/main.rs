@@ -40,6 +40,7 @@ cargo xtask <command>
   ci                everything that has to hold before a change is merged
 
   images [--check]  build both images, check their layout and sizes (--check: only check)
+  flash MACHINE     build both images, flash `rig` or `capsule` with probe-rs, show its log
   bench [OPTIONS]   measure the images on the virtual bench
   setup             find or install a compiler for the STM32, and nothing else
   help              this text
@@ -62,6 +63,7 @@ fn main() -> ExitCode {
         ("ci", []) => return checks::ci(),
         ("images", []) => images::build(),
         ("images", [flag]) if flag == "--check" => images::check(),
+        ("flash", [machine]) => images::flash(machine),
         ("setup", []) => toolchain::find().map(|found| println!("Ready: {found}")),
         ("help" | "--help" | "-h", _) => {
             print!("{HELP}");

@@ -2,11 +2,12 @@
 //! already there; rustup can add the target; Debian's packages can be fetched.
 
 use std::fmt;
+use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;
 
 use crate::debian::Debian;
-use crate::process::{Failure, Result, first_line, image_cargo, run_within};
+use crate::process::{Failure, Result, first_line, image_cargo, root, run_within};
 
 /// The Cortex-M4F with hardware floats.
 pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
@@ -27,14 +28,26 @@ pub(crate) enum Toolchain {
 
 impl Toolchain {
     /// A cargo command for the target, `build` or `clippy`, with everything but the packages.
+    ///
+    /// The names of this machine's folders are kept out of the image: they are part of every panic's
+    /// message, and a long one would cost flash and give another image.
     pub(crate) fn cargo(&self, subcommand: &str) -> Command {
+        let mut folders = vec![(root(), "/retrograde"), (crates(), "/crates")];
         let mut command = match self {
             Self::Native => image_cargo(
                 std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()),
                 subcommand,
             ),
-            Self::Debian(debian) => debian.cargo(subcommand),
+            Self::Debian(debian) => {
+                folders.extend(debian.sources().map(|folder| (folder, "/rust")));
+                debian.cargo(subcommand)
+            }
         };
+        let flags: Vec<String> = folders
+            .iter()
+            .map(|(folder, name)| format!("--remap-path-prefix={}={name}", folder.display()))
+            .collect();
+        command.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\x1f"));
         command.args(["--target", TARGET, "--profile", "firmware"]);
         command
     }
@@ -71,6 +84,15 @@ impl fmt::Display for Version {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "{}.{}", self.0, self.1)
     }
+}
+
+/// Where cargo keeps the sources of crates.
+fn crates() -> PathBuf {
+    let cargo_home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
+    cargo_home
+        .or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cargo")))
+        .unwrap_or_default()
+        .join("registry/src")
 }
 
 /// The compiler of the Rust in use.
@@ -153,7 +175,7 @@ mod tests {
 
     #[test]
     fn the_oldest_compiler_is_the_one_of_the_manifest() {
-        let manifest = std::fs::read_to_string(crate::process::root().join("Cargo.toml")).unwrap();
+        let manifest = std::fs::read_to_string(root().join("Cargo.toml")).unwrap();
         assert!(manifest.contains(&format!("rust-version = \"{OLDEST}\"")));
     }
 }
