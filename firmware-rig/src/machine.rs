@@ -691,42 +691,51 @@ impl Machine {
         if commanded != counted {
             return self.latch(RigFault::ReadBack { commanded, counted }, actions);
         }
+        let stopped = RigEvent::Stopped {
+            position_steps: counted,
+        };
         match self.state {
             State::Homing(homing) => self.homing_move_ended(homing, counted, actions),
-            State::Running { .. } => {
-                let last = self.strokes.saturating_sub(1);
-                self.run.strokes = self.strokes;
+            State::Running { .. } if end == PathEnd::Complete => {
                 if let Some(fault) = missed {
                     return self.latch(fault, actions);
                 }
-                push(
-                    actions,
-                    Action::Emit(RigEvent::StrokeDone {
-                        stroke: last,
-                        residual_steps: self.residual,
-                    }),
-                );
-                self.end_run(RunOutcome::Complete, actions);
+                self.complete(actions);
+            }
+            // Not asked for, and all the same not complete.
+            State::Running { .. } => {
+                self.end_run(RunOutcome::Stopped, actions);
                 self.state = State::Ready;
+                push(actions, Action::Emit(stopped));
             }
             State::Stopping { then } => {
                 match then {
                     Then::Unhomed => self.state = State::Unhomed,
+                    // The stop came too late to stop anything.
+                    Then::Ready(_) if end == PathEnd::Complete => self.complete(actions),
                     Then::Ready(outcome) => {
                         self.end_run(outcome, actions);
                         self.state = State::Ready;
                     }
                     Then::Faulted(fault) => return self.latch(fault, actions),
                 }
-                push(
-                    actions,
-                    Action::Emit(RigEvent::Stopped {
-                        position_steps: counted,
-                    }),
-                );
+                push(actions, Action::Emit(stopped));
             }
             State::Unhomed | State::Ready | State::Faulted(_) => {}
         }
+    }
+
+    fn complete(&mut self, actions: &mut Actions) {
+        self.run.strokes = self.strokes;
+        push(
+            actions,
+            Action::Emit(RigEvent::StrokeDone {
+                stroke: self.strokes.saturating_sub(1),
+                residual_steps: self.residual,
+            }),
+        );
+        self.end_run(RunOutcome::Complete, actions);
+        self.state = State::Ready;
     }
 
     fn homing_move_ended(&mut self, mut homing: Homing, position: i32, actions: &mut Actions) {

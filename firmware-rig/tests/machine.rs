@@ -7,7 +7,7 @@ use firmware_rig::{
     machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
     settings::Settings,
 };
-use motion::axis::{Axis, Direction};
+use motion::axis::Axis;
 use protocol::{
     error::Refusal,
     rig::{
@@ -655,5 +655,496 @@ fn small() -> Settings {
         axis: Axis::new(50_000, 200, 1, 20_000).unwrap(),
         ledger_limit_steps: 1,
         ..SETTINGS
+    }
+}
+
+mod table {
+    use super::*;
+    use Input::*;
+    use Start::*;
+
+    /// Every state that the machine tells apart, each reached through commands and events alone.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    enum Start {
+        Unhomed,
+        Clear,
+        Seek,
+        SeekFound,
+        PullOff,
+        Locate,
+        LocateFound,
+        ToZero,
+        Ready,
+        Away,
+        Back,
+        BackMet,
+        Finish,
+        StopHoming,
+        StopRun,
+        StopLost,
+        Faulted,
+        FaultedMoving,
+        Panicked,
+    }
+
+    const STARTS: [Start; 19] = [
+        Unhomed,
+        Clear,
+        Seek,
+        SeekFound,
+        PullOff,
+        Locate,
+        LocateFound,
+        ToZero,
+        Ready,
+        Away,
+        Back,
+        BackMet,
+        Finish,
+        StopHoming,
+        StopRun,
+        StopLost,
+        Faulted,
+        FaultedMoving,
+        Panicked,
+    ];
+
+    /// Every event and command, with its contents as far as they matter.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    enum Input {
+        FlagOpens,
+        FlagOpensLate,
+        FlagCloses,
+        FarLimit,
+        LoopOpened,
+        StrokeDone,
+        StrokeMismatch,
+        Complete,
+        Stopped,
+        Cut,
+        Underrun,
+        Guard,
+        EndMismatch,
+        LinkSilent,
+        Home,
+        Run,
+        Stop,
+        EStop,
+        Acknowledge,
+    }
+
+    const INPUTS: [Input; 19] = [
+        FlagOpens,
+        FlagOpensLate,
+        FlagCloses,
+        FarLimit,
+        LoopOpened,
+        StrokeDone,
+        StrokeMismatch,
+        Complete,
+        Stopped,
+        Cut,
+        Underrun,
+        Guard,
+        EndMismatch,
+        LinkSilent,
+        Home,
+        Run,
+        Stop,
+        EStop,
+        Acknowledge,
+    ];
+
+    /// No arm for "everything else": a new variant has to be added here, and then to the table.
+    fn inputs_of_event(event: &Event) -> &'static [Input] {
+        match event {
+            Event::FlagEdge { .. } => &[FlagOpens, FlagOpensLate, FlagCloses],
+            Event::FarLimit => &[FarLimit],
+            Event::LoopOpened => &[LoopOpened],
+            Event::StrokeDone { .. } => &[StrokeDone, StrokeMismatch],
+            Event::PathEnded(end, _) => match end {
+                PathEnd::Complete => &[Complete, EndMismatch],
+                PathEnd::Stopped => &[Stopped],
+                PathEnd::Cut => &[Cut],
+                PathEnd::Underrun => &[Underrun],
+                PathEnd::Guard => &[Guard],
+            },
+            Event::LinkSilent => &[LinkSilent],
+        }
+    }
+
+    fn input_of_command(command: &Command) -> Input {
+        match command {
+            Command::Home => Home,
+            Command::Run { .. } => Run,
+            Command::Stop => Stop,
+            Command::EStop => EStop,
+            Command::Acknowledge => Acknowledge,
+        }
+    }
+
+    fn starts_of(state: RigState) -> &'static [Start] {
+        match state {
+            RigState::Unhomed => &[Unhomed],
+            RigState::Homing => &[Clear, Seek, SeekFound, PullOff, Locate, LocateFound, ToZero],
+            RigState::Ready => &[Ready],
+            RigState::Running => &[Away, Back, BackMet, Finish],
+            // The protocol has it; this machine does not hold yet.
+            RigState::Held => &[],
+            RigState::Stopping => &[StopHoming, StopRun, StopLost],
+            RigState::Faulted => &[Faulted, FaultedMoving, Panicked],
+        }
+    }
+
+    enum Sample {
+        Event(Event),
+        Command(Command),
+    }
+
+    fn sample(input: Input) -> Sample {
+        let report = |commanded, counted| PathReport {
+            commanded,
+            counted,
+            last_tick: 1,
+            min_queue: 60,
+        };
+        let ended = |end| Sample::Event(Event::PathEnded(end, report(0, 0)));
+        let edge = |opening, count| Sample::Event(Event::FlagEdge { opening, count });
+        let done = |commanded, counted| {
+            Sample::Event(Event::StrokeDone {
+                stroke: 1,
+                commanded,
+                counted,
+            })
+        };
+        match input {
+            FlagOpens => edge(true, 800),
+            FlagOpensLate => edge(true, 700),
+            FlagCloses => edge(false, 800),
+            FarLimit => Sample::Event(Event::FarLimit),
+            LoopOpened => Sample::Event(Event::LoopOpened),
+            StrokeDone => done(0, 0),
+            StrokeMismatch => done(0, 1),
+            Complete => ended(PathEnd::Complete),
+            Stopped => ended(PathEnd::Stopped),
+            Cut => ended(PathEnd::Cut),
+            Underrun => ended(PathEnd::Underrun),
+            Guard => ended(PathEnd::Guard),
+            EndMismatch => Sample::Event(Event::PathEnded(PathEnd::Complete, report(0, 1))),
+            LinkSilent => Sample::Event(Event::LinkSilent),
+            Home => Sample::Command(Command::Home),
+            Run => Sample::Command(run(&SETTINGS, 1, 10_000, LinkLossPolicy::Stop)),
+            Stop => Sample::Command(Command::Stop),
+            EStop => Sample::Command(Command::EStop),
+            Acknowledge => Sample::Command(Command::Acknowledge),
+        }
+    }
+
+    fn reach(start: Start) -> Machine {
+        let mut machine = Machine::new(SETTINGS, (start == Panicked).then_some(RigFault::Panic));
+        let event = |machine: &mut Machine, event| {
+            machine.event(event, CLOSED);
+        };
+        let ended = |machine: &mut Machine, position| {
+            let report = PathReport {
+                commanded: position,
+                counted: position,
+                last_tick: 1,
+                min_queue: 60,
+            };
+            machine.event(Event::PathEnded(PathEnd::Stopped, report), CLOSED);
+        };
+        let flag = |machine: &mut Machine, opening, count| {
+            machine.event(Event::FlagEdge { opening, count }, CLOSED);
+        };
+        let command = |machine: &mut Machine, command, inputs| {
+            machine
+                .command(0, command, 0, inputs, &mut Actions::new())
+                .unwrap();
+        };
+        let on_flag = RigInputs {
+            home_flag: true,
+            ..CLOSED
+        };
+        if matches!(start, Unhomed | Panicked) {
+            return machine;
+        }
+        if start == Faulted {
+            event(&mut machine, Event::FarLimit);
+            return machine;
+        }
+        command(&mut machine, Command::Home, on_flag);
+        if start == Clear {
+            return machine;
+        }
+        flag(&mut machine, false, 10);
+        ended(&mut machine, 20);
+        if start == Seek {
+            return machine;
+        }
+        if start == FaultedMoving {
+            event(&mut machine, Event::FarLimit);
+            return machine;
+        }
+        if start == StopHoming {
+            command(&mut machine, Command::Stop, CLOSED);
+            return machine;
+        }
+        flag(&mut machine, true, 10);
+        if start == SeekFound {
+            return machine;
+        }
+        ended(&mut machine, 0);
+        if start == PullOff {
+            return machine;
+        }
+        flag(&mut machine, false, 10);
+        ended(&mut machine, 2_410);
+        if start == Locate {
+            return machine;
+        }
+        flag(&mut machine, true, 10);
+        if start == LocateFound {
+            return machine;
+        }
+        ended(&mut machine, 5);
+        if start == ToZero {
+            return machine;
+        }
+        ended(&mut machine, 0);
+        if start == Ready {
+            return machine;
+        }
+        let policy = if start == Finish {
+            LinkLossPolicy::Finish
+        } else {
+            LinkLossPolicy::Stop
+        };
+        command(&mut machine, run(&SETTINGS, 1, 10_000, policy), on_flag);
+        if matches!(start, Away | Finish) {
+            return machine;
+        }
+        if start == StopRun {
+            command(&mut machine, Command::Stop, on_flag);
+            return machine;
+        }
+        event(
+            &mut machine,
+            Event::StrokeDone {
+                stroke: 0,
+                commanded: 8_000,
+                counted: 8_000,
+            },
+        );
+        if start == Back {
+            return machine;
+        }
+        flag(
+            &mut machine,
+            true,
+            if start == StopLost { 700 } else { 800 },
+        );
+        machine
+    }
+
+    /// What it does: the state after it, and the actions; or the refusal.
+    fn outcome(start: Start, input: Input) -> String {
+        let mut machine = reach(start);
+        let before = machine.fault();
+        let result = match sample(input) {
+            Sample::Event(event) => Ok(machine.event(event, CLOSED)),
+            Sample::Command(command) => {
+                let mut actions = Actions::new();
+                machine
+                    .command(0, command, 0, CLOSED, &mut actions)
+                    .map(|()| actions)
+            }
+        };
+        let after = match machine.fault() {
+            Some(fault) if before.is_none() => format!("{fault:?}"),
+            _ => format!("{:?}", machine.state()),
+        };
+        match result {
+            Ok(actions) => {
+                let starts = actions.iter().find_map(|action| match action {
+                    Action::Start { window, .. } => Some(window),
+                    _ => None,
+                });
+                let mut text = [&[after.as_str()][..], &kinds(&actions)].concat().join(" ");
+                if let Some((first, last)) = starts {
+                    text += &format!(" {first}..{last}");
+                }
+                text
+            }
+            Err(refusal) => format!("{after}: {refusal:?}"),
+        }
+    }
+
+    const RUNNING: &[Start] = &[Away, Back, BackMet, Finish];
+    const HOMING: &[Start] = &[Clear, Seek, SeekFound, PullOff, Locate, LocateFound, ToZero];
+    const STOPPING: &[Start] = &[StopHoming, StopRun, StopLost];
+    const FAULTED: &[Start] = &[Faulted, FaultedMoving, Panicked];
+    const AT_REST: &[Start] = &[Unhomed, Ready];
+    /// A run's path is being executed.
+    const IN_RUN: &[Start] = &[Away, Back, BackMet, Finish, StopRun, StopLost];
+    /// A path of homing is.
+    const IN_HOMING: &[Start] = &[
+        Clear,
+        Seek,
+        SeekFound,
+        PullOff,
+        Locate,
+        LocateFound,
+        ToZero,
+        StopHoming,
+    ];
+
+    const EDGES: &[Input] = &[FlagOpens, FlagOpensLate, FlagCloses];
+    const OPENINGS: &[Input] = &[FlagOpens, FlagOpensLate];
+    const STROKES: &[Input] = &[StrokeDone, StrokeMismatch];
+    const ENDS: &[Input] = &[Complete, Stopped, Cut, Underrun, Guard, EndMismatch];
+    const FINE_ENDS: &[Input] = &[Complete, Stopped];
+    const MOVES: &[Input] = &[Home, Run];
+
+    const READ_BACK: &str = "ReadBack { commanded: 0, counted: 1 } Cut Faulted";
+    const READ_BACK_RUN: &str = "ReadBack { commanded: 0, counted: 1 } Cut RunEnded Faulted";
+
+    /// States, inputs, what happens: the state (or the new fault) after it and the actions, or the refusal.
+    const TABLE: &[(&[Start], &[Input], &str)] = &[
+        // Whatever cuts the pulses is latched, at rest as well; the first cause stays.
+        (AT_REST, &[FarLimit], "FarLimit Cut Faulted"),
+        (AT_REST, &[LoopOpened], "EStopLoop Cut Faulted"),
+        (AT_REST, &[EStop], "EStopFrame Cut Faulted"),
+        (IN_HOMING, &[FarLimit], "FarLimit Cut Faulted"),
+        (IN_HOMING, &[LoopOpened], "EStopLoop Cut Faulted"),
+        (IN_HOMING, &[EStop, Cut], "EStopFrame Cut Faulted"),
+        (IN_RUN, &[FarLimit], "FarLimit Cut RunEnded Faulted"),
+        (IN_RUN, &[LoopOpened], "EStopLoop Cut RunEnded Faulted"),
+        (IN_RUN, &[EStop, Cut], "EStopFrame Cut RunEnded Faulted"),
+        (FAULTED, &[FarLimit, LoopOpened, EStop], "Faulted Cut"),
+        // So is every failure of a path.
+        (IN_HOMING, &[Underrun], "Underrun Cut Faulted"),
+        (IN_HOMING, &[Guard], "WindowGuard Cut Faulted"),
+        (IN_HOMING, &[EndMismatch], READ_BACK),
+        (IN_RUN, &[Underrun], "Underrun Cut RunEnded Faulted"),
+        (IN_RUN, &[Guard], "WindowGuard Cut RunEnded Faulted"),
+        (IN_RUN, &[EndMismatch, StrokeMismatch], READ_BACK_RUN),
+        // At rest there is no path to report about, and nothing to stop.
+        (&[Unhomed], EDGES, "Unhomed"),
+        (&[Unhomed], STROKES, "Unhomed"),
+        (&[Unhomed], ENDS, "Unhomed"),
+        (&[Unhomed], &[LinkSilent, Stop], "Unhomed"),
+        (&[Ready], EDGES, "Ready"),
+        (&[Ready], STROKES, "Ready"),
+        (&[Ready], ENDS, "Ready"),
+        (&[Ready], &[LinkSilent, Stop], "Ready"),
+        (FAULTED, EDGES, "Faulted"),
+        (FAULTED, STROKES, "Faulted"),
+        (FAULTED, ENDS, "Faulted"),
+        (FAULTED, &[LinkSilent, Stop], "Faulted"),
+        // Commands that move.
+        (AT_REST, &[Home], "Homing Start -112000..0"),
+        (&[Ready], &[Run], "Running Start RunStarted 0..104000"),
+        (&[Unhomed], &[Run], "Unhomed: NotHomed"),
+        (HOMING, MOVES, "Homing: RigBusy(Homing)"),
+        (RUNNING, MOVES, "Running: RigBusy(Running)"),
+        (STOPPING, MOVES, "Stopping: RigBusy(Stopping)"),
+        (
+            &[Faulted, FaultedMoving],
+            MOVES,
+            "Faulted: RigFaulted(FarLimit)",
+        ),
+        (&[Panicked], MOVES, "Faulted: AcknowledgeFirst"),
+        // Acknowledge.
+        (&[Unhomed], &[Acknowledge], "Unhomed: NothingToAcknowledge"),
+        (HOMING, &[Acknowledge], "Homing: NothingToAcknowledge"),
+        (&[Ready], &[Acknowledge], "Ready: NothingToAcknowledge"),
+        (RUNNING, &[Acknowledge], "Running: NothingToAcknowledge"),
+        (STOPPING, &[Acknowledge], "Stopping: NothingToAcknowledge"),
+        (&[Faulted, Panicked], &[Acknowledge], "Unhomed"),
+        (
+            &[FaultedMoving],
+            &[Acknowledge],
+            "Faulted: CauseStillPresent",
+        ),
+        // Homing: the edge that a phase looks for ends its move, its end begins the next one.
+        (HOMING, STROKES, "Homing"),
+        (HOMING, &[Stop, LinkSilent], "Stopping StopPath"),
+        (&[Clear], &[FlagCloses], "Homing StopPath"),
+        (&[Clear], OPENINGS, "Homing"),
+        (&[Clear, PullOff], FINE_ENDS, "FlagStuck Cut Faulted"),
+        (&[Seek, Locate], OPENINGS, "Homing StopPath"),
+        (&[Seek, Locate], &[FlagCloses], "Homing"),
+        (&[Seek], FINE_ENDS, "FlagNotFound(Seek) Cut Faulted"),
+        (&[Locate], FINE_ENDS, "FlagNotFound(Locate) Cut Faulted"),
+        (&[SeekFound, PullOff, LocateFound, ToZero], EDGES, "Homing"),
+        (&[SeekFound], FINE_ENDS, "Homing Start 0..2410"),
+        (&[LocateFound], FINE_ENDS, "Homing SetPosition Start 0..790"),
+        (&[ToZero], FINE_ENDS, "Ready Homed"),
+        // Runs: the flag counts on the way home, once.
+        (&[Away, BackMet, Finish], EDGES, "Running"),
+        (&[Back], &[FlagOpens, FlagCloses], "Running"),
+        (&[Back], &[FlagOpensLate], "Stopping StopPath"),
+        (
+            &[Away, BackMet, Finish],
+            &[StrokeDone],
+            "Running StrokeDone",
+        ),
+        (
+            &[Away, BackMet, Finish],
+            &[Complete],
+            "Ready StrokeDone RunEnded",
+        ),
+        (
+            &[Back],
+            &[StrokeDone, Complete],
+            "LostSteps { residual_steps: -800 } Cut RunEnded Faulted",
+        ),
+        (RUNNING, &[Stopped], "Ready RunEnded Stopped"),
+        (RUNNING, &[Stop], "Stopping StopPath"),
+        (&[Away, Back, BackMet], &[LinkSilent], "Stopping StopPath"),
+        (&[Finish], &[LinkSilent], "Running"),
+        // Stopping.
+        (STOPPING, EDGES, "Stopping"),
+        (STOPPING, &[LinkSilent, Stop], "Stopping"),
+        (&[StopHoming], STROKES, "Stopping"),
+        (&[StopRun, StopLost], &[StrokeDone], "Stopping StrokeDone"),
+        (&[StopHoming], FINE_ENDS, "Unhomed Stopped"),
+        (&[StopRun], &[Stopped], "Ready RunEnded Stopped"),
+        (&[StopRun], &[Complete], "Ready StrokeDone RunEnded Stopped"),
+        (
+            &[StopLost],
+            FINE_ENDS,
+            "LostSteps { residual_steps: -100 } Cut RunEnded Faulted",
+        ),
+    ];
+
+    #[test]
+    fn every_pair_of_state_and_input_is_in_the_table() {
+        let mut wrong = String::new();
+        for start in STARTS {
+            assert!(
+                starts_of(reach(start).state()).contains(&start),
+                "{start:?}"
+            );
+            for input in INPUTS {
+                match sample(input) {
+                    Sample::Event(event) => assert!(inputs_of_event(&event).contains(&input)),
+                    Sample::Command(command) => assert_eq!(input_of_command(&command), input),
+                }
+                let rows: Vec<_> = TABLE
+                    .iter()
+                    .filter(|(starts, inputs, _)| {
+                        starts.contains(&start) && inputs.contains(&input)
+                    })
+                    .map(|(_, _, expected)| *expected)
+                    .collect();
+                let outcome = outcome(start, input);
+                if rows != [outcome.as_str()] {
+                    wrong += &format!("{start:?} {input:?}: {outcome}, in the table {rows:?}\n");
+                }
+            }
+        }
+        assert!(wrong.is_empty(), "\n{wrong}");
     }
 }

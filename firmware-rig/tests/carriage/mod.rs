@@ -1,6 +1,9 @@
 //! A carriage on its screw: carries out what the machine orders, pulse by pulse in virtual time, and answers with
 //! the events that the switches, the read-back counter and the step generator would raise.
 
+// Each test file uses a part of it.
+#![allow(dead_code)]
+
 use firmware_rig::{
     machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
     periods::{Item, Periods},
@@ -80,7 +83,7 @@ impl Rig {
 
     /// The same, homed.
     pub fn homed(settings: Settings) -> Self {
-        let mut rig = Self::new(settings, settings.flag_steps() + 50);
+        let mut rig = Self::new(settings, settings.flag_steps() + 10);
         rig.command(Command::Home).unwrap();
         rig.finish();
         assert_eq!(rig.machine.state(), RigState::Ready);
