@@ -9,6 +9,7 @@ use motion::run::RunError;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
+use crate::decimal;
 use crate::error::ClientError;
 use crate::experiment::ExperimentError;
 use crate::identity;
@@ -63,7 +64,7 @@ pub enum Failure {
     #[error("{0}")]
     #[diagnostic(
         code(retrograde::infeasible),
-        help("nothing was sent; `retrograde plan` tries runs without a rig")
+        help("{}nothing was sent; `retrograde plan` tries runs without a rig", way_out(.0))
     )]
     Run(#[from] RunError),
     /// The screw is impossible.
@@ -140,6 +141,28 @@ pub enum Failure {
         /// What to do.
         help: String,
     },
+}
+
+/// The planner's numbers in the command line's units.
+fn way_out(error: &RunError) -> String {
+    match *error {
+        RunError::TotalTooShort {
+            minimal_total_us,
+            minimal_accel_um_s2: Some(um_s2),
+        } => format!(
+            "`--duration-s {}`, or `--accel-mm-s2 {}` if the rig allows it; ",
+            decimal::write(minimal_total_us, 6),
+            decimal::write(um_s2, 3)
+        ),
+        RunError::TotalTooShort {
+            minimal_total_us, ..
+        }
+        | RunError::PeakAboveLimit {
+            minimal_total_us: Some(minimal_total_us),
+            ..
+        } => format!("`--duration-s {}`; ", decimal::write(minimal_total_us, 6)),
+        _ => String::new(),
+    }
 }
 
 fn ended(status: Status) -> &'static str {
