@@ -54,6 +54,8 @@ pub struct Script {
     pub reset_at_us: Option<u64>,
     /// Runs do not end.
     pub never_ends: bool,
+    /// Homed or referenced from the start.
+    pub ready: bool,
 }
 
 impl Script {
@@ -69,6 +71,7 @@ impl Script {
             dead: false,
             reset_at_us: None,
             never_ends: false,
+            ready: false,
         }
     }
 }
@@ -136,10 +139,9 @@ pub fn link(script: Script) -> (Box<Memory<Machine>>, Arc<Mutex<Log>>) {
 }
 
 impl Machine {
-    fn new(script: Script, log: Arc<Mutex<Log>>) -> Self {
+    pub fn new(script: Script, log: Arc<Mutex<Log>>) -> Self {
         let mut machine = Self {
             noise: script.seed | 1,
-            script,
             log,
             deframer: Deframer::new(),
             session: Session::new(7),
@@ -149,8 +151,8 @@ impl Machine {
             now_us: 0,
             heard_us: 0,
             motion: Motion::Rest,
-            homed: false,
-            referenced: false,
+            homed: script.ready,
+            referenced: script.ready,
             fault: None,
             thread_um: 0,
             record: RunRecord {
@@ -182,6 +184,7 @@ impl Machine {
             telemetry_us: 0,
             next_telemetry_us: u64::MAX,
             telemetry_seq: 0,
+            script,
         };
         machine.event(0, What::Booted(ResetCause::PowerOn));
         machine

@@ -1,0 +1,396 @@
+//! The command line: refusals before a byte is sent, exit codes, JSON, and commands against machines in memory.
+
+mod machine;
+
+use std::sync::{Arc, Mutex};
+
+use assert_cmd::Command;
+use host_tool::cli::run_on;
+use host_tool::connector::{Candidate, Connector};
+use host_tool::link::address::Address;
+use host_tool::link::{Link, OpenError};
+use jiff::Timestamp;
+use machine::{Log, Script, link};
+use protocol::system::{DeviceKind, Urgent};
+use serde_json::Value;
+
+fn retrograde(args: &[&str]) -> (i32, String, String) {
+    let output = Command::cargo_bin("retrograde")
+        .expect("built")
+        .env_remove("RETROGRADE_RIG")
+        .env_remove("RETROGRADE_CAPSULE")
+        .args(args)
+        .output()
+        .expect("starts");
+    (
+        output.status.code().unwrap_or(-1),
+        String::from_utf8_lossy(&output.stdout).into_owned(),
+        String::from_utf8_lossy(&output.stderr).into_owned(),
+    )
+}
+
+/// Nobody listens at this address: whoever gets so far as to connect ends with exit code 4.
+const NOBODY: &str = "tcp:127.0.0.1:1";
+
+#[test]
+fn impossible_runs_are_refused_before_a_link_is_opened() {
+    for (args, code, says) in [
+        (&["--stroke-mm", "131"][..], 3, "at most 130.000 mm"),
+        (&["--stroke-mm", "0"], 3, "more than zero"),
+        (&["--cycles", "0"], 3, "use 1..=10000"),
+        (&["--duration-s", "10"], 3, "--duration-s 22.80"),
+        (&["--duration-s", "10"], 3, "--accel-mm-s2 520"),
+        (&["--duration-s", "0"], 3, "--duration-s 22.80"),
+        (&["--accel-mm-s2", "0"], 3, "acceleration is zero"),
+        (&["--speed-mm-s", "0"], 3, "speed is zero"),
+        (&["--stroke-mm", "NaN"], 2, "not a number"),
+        (&["--stroke-mm", "inf"], 2, "not a number"),
+        (&["--stroke-mm", "-130"], 2, "negative"),
+        (&["--stroke-mm", "1e999"], 2, "has an exponent"),
+        (&["--stroke-mm", "130.0001"], 2, "more than 3 decimals"),
+        (&["--stroke-mm", "99999999999999999999"], 2, "too large"),
+        (&["--duration-s", "1e999"], 2, "has an exponent"),
+        (&["--duration-s", "NaN"], 2, "not a number"),
+        (&["--cycles", "10001"], 2, "at most 10000"),
+        (&["--cycles", "2.5"], 2, "more than 0 decimals"),
+        (&["--cycles", "-1"], 2, ""),
+        (&["--telemetry-ms", "4"], 2, "5..=1000"),
+        (&["--return-speed-mm-s", "10"], 2, "--speed-mm-s"),
+        (&["--on-link-loss", "carry-on"], 2, "stop, finish"),
+    ] {
+        let line = [&["run", "--rig", NOBODY], args].concat();
+        let (got, out, err) = retrograde(&line);
+        assert_eq!(got, code, "{args:?}: {err}");
+        assert!(err.contains(says), "{args:?}: {err}");
+        assert!(out.is_empty(), "{args:?}: {out}");
+    }
+    // The same line with possible numbers does try to connect.
+    assert_eq!(retrograde(&["run", "--rig", NOBODY]).0, 4);
+}
+
+#[test]
+fn the_virtual_bench_is_elsewhere() {
+    let (code, _, err) = retrograde(&["home", "--rig", "virtual"]);
+    assert_eq!(code, 4);
+    assert!(err.contains("cargo xtask demo"), "{err}");
+}
+
+#[test]
+fn the_papers_plan() {
+    let (code, out, err) = retrograde(&["plan"]);
+    assert_eq!((code, err.as_str()), (0, ""));
+    insta::assert_snapshot!(out, @r"
+    cycles:        5 of 130 mm (130 mm achieved)
+    duration:      40 s, after a delay of 0 s
+    strokes:       10, 4 s out, 4 s home
+    ramps:         0.35683233 s out, 0.35683233 s home
+    peak speed:    35.683 mm/s out, 35.683 mm/s home
+    acceleration:  100 mm/s2 out, 100 mm/s2 home
+    dwell:         0 s at the far end, 0 s at home
+    step rate:     28547 Hz at most
+    edges:         1040000, 104000 per stroke
+    fingerprint:   9966e3a586ca9ec0
+    ");
+}
+
+#[test]
+fn a_plan_writes_its_edges_and_its_plot() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (edges, plot) = (
+        folder.path().join("edges.csv"),
+        folder.path().join("plot.svg"),
+    );
+    let (code, out, err) = retrograde(&[
+        "--json",
+        "plan",
+        "--cycles",
+        "1",
+        "--stroke-mm",
+        "0.01",
+        "--duration-s",
+        "0.2",
+        "--edges",
+        edges.to_str().expect("UTF-8"),
+        "--plot",
+        plot.to_str().expect("UTF-8"),
+    ]);
+    assert_eq!(code, 0, "{err}");
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(json["ok"], true);
+    assert_eq!(json["plan"]["achieved"]["edges"], 16);
+    assert_eq!(
+        std::fs::read_to_string(&edges)
+            .expect("edges")
+            .lines()
+            .count(),
+        17
+    );
+    assert!(
+        std::fs::read_to_string(&plot)
+            .expect("plot")
+            .starts_with("<svg")
+    );
+}
+
+#[test]
+fn help_completions_and_manual_are_there() {
+    assert_eq!(retrograde(&["--help"]).0, 0);
+    assert_eq!(retrograde(&[]).0, 2);
+    let (code, out, _) = retrograde(&["completions", "bash"]);
+    assert!(code == 0 && out.contains("estop"));
+    let (code, out, _) = retrograde(&["man"]);
+    assert!(code == 0 && out.starts_with(".ie"), "{out}");
+}
+
+/// Machines in memory instead of ports.
+struct Memory {
+    scripts: Vec<Script>,
+    logs: Mutex<Vec<Arc<Mutex<Log>>>>,
+}
+
+impl Memory {
+    fn with(scripts: Vec<Script>) -> Self {
+        Self {
+            scripts,
+            logs: Mutex::new(vec![]),
+        }
+    }
+
+    /// Runs a command line; exit code, output, errors.
+    fn run(&self, args: &[&str]) -> (u8, String, String) {
+        let args = std::iter::once("retrograde").chain(args.iter().copied());
+        let (mut out, mut err) = (vec![], vec![]);
+        let code = run_on(args.map(Into::into), self, &mut out, &mut err, false);
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
+        (code, text(out), text(err))
+    }
+
+    fn heard(&self) -> Vec<&'static str> {
+        let logs = self.logs.lock().expect("logs");
+        logs.iter()
+            .flat_map(|log| log.lock().expect("log").heard.clone())
+            .collect()
+    }
+}
+
+impl Connector for Memory {
+    fn open(&self, _: DeviceKind, address: &Address, _: u32) -> Result<Box<dyn Link>, OpenError> {
+        let Address::Serial(index) = address else {
+            panic!("only the test's own places");
+        };
+        let script = &self.scripts[index.parse::<usize>().expect("a number")];
+        let (link, log) = link(script.clone());
+        self.logs.lock().expect("logs").push(log);
+        Ok(link)
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        (0..self.scripts.len())
+            .map(|index| Candidate {
+                address: Address::Serial(index.to_string()),
+                kind: None,
+                description: "memory".to_owned(),
+                may_ask: true,
+            })
+            .collect()
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+fn ready(kind: DeviceKind) -> Script {
+    Script {
+        ready: true,
+        ..Script::new(kind)
+    }
+}
+
+#[test]
+fn machines_are_found_by_asking_and_each_command_takes_the_right_one() {
+    let both = Memory::with(vec![ready(DeviceKind::Capsule), ready(DeviceKind::Rig)]);
+    let (code, out, err) = both.run(&["home"]);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.contains("Homed in 3"), "{out}");
+    let (code, out, _) = both.run(&["--json", "info"]);
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(
+        (code, &json["rig"]["identity"]["device"]),
+        (0, &Value::from("rig"))
+    );
+    assert_eq!(json["capsule"]["status"]["state"], "Unfolded");
+    let (code, out, _) = both.run(&["devices"]);
+    assert!(code == 0 && out.lines().count() == 2, "{out}");
+}
+
+#[test]
+fn none_wrong_or_several_are_listed_and_refused_before_anything_moves() {
+    for (scripts, args, code, says) in [
+        (vec![], &["home"][..], "no rig found"),
+        (
+            vec![DeviceKind::Capsule],
+            &["home"],
+            "no rig found; there is:\n  0 (memory): capsule",
+        ),
+        (
+            vec![DeviceKind::Rig, DeviceKind::Rig],
+            &["home"],
+            "several rigs found",
+        ),
+        (
+            vec![DeviceKind::Capsule],
+            &["--rig", "0", "home"],
+            "is a capsule, not a rig",
+        ),
+    ]
+    .map(|(kinds, args, says)| (kinds.into_iter().map(ready).collect(), args, 4, says))
+    {
+        let memory = Memory::with(scripts);
+        let (got, _, err) = memory.run(args);
+        assert_eq!(got, code, "{err}");
+        assert!(err.contains(says), "{err}");
+        assert!(!memory.heard().contains(&"Home"));
+    }
+}
+
+#[test]
+fn a_run_is_recorded_and_reported() {
+    let folder = tempfile::tempdir().expect("folder");
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let memory = Memory::with(vec![ready(DeviceKind::Rig)]);
+    let (code, out, err) = memory.run(&[
+        "run",
+        "--out",
+        out_dir,
+        "--cycles",
+        "1",
+        "--duration-s",
+        "8",
+    ]);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.contains("Run 1: 2 strokes of 130 mm in 8 s"), "{out}");
+    assert!(out.contains("  5.0 s of 8.0 s, stroke 2 of 2"), "{out}");
+    assert!(
+        out.contains("2 of 2 strokes in 8 s, 208000 steps commanded, 208000 counted"),
+        "{out}"
+    );
+    let report = folder.path().join("report.html");
+    let (code, out, err) =
+        memory.run(&["report", out_dir, "--out", report.to_str().expect("UTF-8")]);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.starts_with("1 trials in"), "{out}");
+    assert!(
+        std::fs::read_to_string(report)
+            .expect("report")
+            .contains("position / mm")
+    );
+}
+
+#[test]
+fn json_is_one_object_and_progress_goes_elsewhere() {
+    let folder = tempfile::tempdir().expect("folder");
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let memory = Memory::with(vec![ready(DeviceKind::Capsule)]);
+    let (code, out, err) = memory.run(&["--json", "fold", "--out", out_dir]);
+    assert_eq!(code, 0, "{err}");
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(json["trial"]["action"]["record"]["thread_um"], 42_000);
+    assert!(err.contains("Actuation 1"), "{err}");
+    let (code, out, _) = Memory::with(vec![]).run(&["--json", "home"]);
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(
+        (code, &json["ok"], &json["exit_code"]),
+        (4, &Value::from(false), &Value::from(4))
+    );
+    assert_eq!(json["error"]["code"], "retrograde::not_found");
+}
+
+#[test]
+fn exit_codes_tell_the_endings_apart() {
+    let folder = tempfile::tempdir().expect("folder");
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let run = &["--rig", "0", "run", "--out", out_dir];
+    let code = |script: Script, args: &[&str]| Memory::with(vec![script]).run(args).0;
+    assert_eq!(code(Script::new(DeviceKind::Rig), run), 3, "not homed");
+    assert_eq!(
+        code(
+            Script {
+                schema_key: 1,
+                ..ready(DeviceKind::Rig)
+            },
+            run
+        ),
+        5,
+        "mismatch"
+    );
+    assert_eq!(
+        code(
+            Script {
+                deaf_to: vec![("Run", 99)],
+                ..ready(DeviceKind::Rig)
+            },
+            run
+        ),
+        7,
+        "outcome unknown"
+    );
+    assert_eq!(
+        code(
+            Script {
+                dead: true,
+                ..ready(DeviceKind::Rig)
+            },
+            run
+        ),
+        4,
+        "no answer"
+    );
+    assert_eq!(
+        code(
+            Script {
+                dead: true,
+                ..ready(DeviceKind::Rig)
+            },
+            &["--rig", "0", "stop"]
+        ),
+        7,
+        "stop not confirmed"
+    );
+    assert_eq!(
+        code(ready(DeviceKind::Rig), &["--rig", "0", "ack"]),
+        3,
+        "nothing to acknowledge"
+    );
+}
+
+#[test]
+fn stops_are_sent_before_anything_else_and_to_all() {
+    let both = Memory::with(vec![ready(DeviceKind::Rig), ready(DeviceKind::Capsule)]);
+    let (code, out, err) = both.run(&["--rig", "0", "--capsule", "1", "estop"]);
+    assert_eq!(code, 0, "{err}");
+    assert_eq!(out.lines().count(), 2, "{out}");
+    assert_eq!(both.heard(), ["Urgent", "Urgent"], "no Hello first");
+    for log in both.logs.lock().expect("logs").iter() {
+        let urgent = log.lock().expect("log").urgent.clone();
+        assert_eq!(urgent, [(Urgent::EStop, 0)]);
+    }
+}
+
+#[test]
+fn info_names_a_mismatched_machine_and_what_to_do() {
+    let memory = Memory::with(vec![Script {
+        schema_key: 1,
+        ..ready(DeviceKind::Rig)
+    }]);
+    let (code, out, err) = memory.run(&["info"]);
+    assert_eq!(code, 0, "{err}");
+    assert!(
+        out.contains("UID abab") && out.contains("flash the matching firmware"),
+        "{out}"
+    );
+}

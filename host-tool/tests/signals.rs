@@ -1,0 +1,98 @@
+//! The real program on TCP in real time, and what the operator's keyboard does to it.
+#![cfg(unix)]
+
+mod machine;
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::TcpListener;
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use host_tool::link::memory::Peer;
+use machine::{Log, Machine, Script};
+use protocol::system::{DeviceKind, Urgent};
+
+/// Serves one connection at wall-clock pace.
+fn serve(script: Script) -> (String, Arc<Mutex<Log>>) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = format!("tcp:{}", listener.local_addr().expect("bound"));
+    let log = Arc::new(Mutex::new(Log::default()));
+    let mut machine = Machine::new(script, Arc::clone(&log));
+    thread::spawn(move || {
+        let (mut stream, _) = listener.accept().expect("the client");
+        stream
+            .set_read_timeout(Some(Duration::from_millis(2)))
+            .expect("set");
+        let start = Instant::now();
+        let mut bytes = [0; 256];
+        loop {
+            let count = match stream.read(&mut bytes) {
+                Ok(0) => return,
+                Ok(count) => count,
+                Err(io) if matches!(io.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => 0,
+                Err(_) => return,
+            };
+            let now_us = start.elapsed().as_micros() as u64;
+            machine.take(&bytes[..count], now_us);
+            if stream.write_all(&machine.give(now_us)).is_err() {
+                return;
+            }
+        }
+    });
+    (address, log)
+}
+
+/// Starts a run of 40 s, waits until it moves, sends `signals`; returns exit code, how long the end took, what the
+/// machine was told.
+fn run_and_signal(signals: &[&str]) -> (Option<i32>, Duration, Vec<Urgent>) {
+    let mut script = Script::new(DeviceKind::Rig);
+    script.ready = true;
+    let (address, log) = serve(script);
+    let folder = tempfile::tempdir().expect("folder");
+    let mut tool = Command::new(env!("CARGO_BIN_EXE_retrograde"))
+        .args(["run", "--rig", &address, "--out"])
+        .arg(folder.path())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("starts");
+    let begin = Instant::now();
+    while !log.lock().expect("log").executed.contains(&"Run") {
+        assert!(
+            begin.elapsed() < Duration::from_secs(20),
+            "the run did not begin"
+        );
+        thread::sleep(Duration::from_millis(5));
+    }
+    thread::sleep(Duration::from_millis(400));
+    let asked = Instant::now();
+    for signal in signals {
+        let sent = Command::new("kill")
+            .arg(signal)
+            .arg(tool.id().to_string())
+            .status();
+        assert!(sent.expect("kill").success());
+        thread::sleep(Duration::from_millis(1));
+    }
+    let status = tool.wait().expect("ends");
+    let took = asked.elapsed();
+    let urgent = log
+        .lock()
+        .expect("log")
+        .urgent
+        .iter()
+        .map(|urgent| urgent.0)
+        .collect();
+    (status.code(), took, urgent)
+}
+
+#[test]
+fn each_of_the_three_signals_is_a_controlled_stop() {
+    for signal in ["-INT", "-TERM", "-HUP"] {
+        let (code, took, urgent) = run_and_signal(&[signal]);
+        assert_eq!((code, urgent), (Some(130), vec![Urgent::Stop]), "{signal}");
+        assert!(took < Duration::from_secs(2), "{signal}: {took:?}");
+    }
+}
