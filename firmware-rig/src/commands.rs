@@ -1,8 +1,11 @@
 //! Requests to replies: the only place where the protocol meets motion and the state machine.
 
-use crate::machine::{Actions, Command, Machine};
+use crate::{
+    machine::{Actions, Command, Machine},
+    settings::Settings,
+};
 use motion::{
-    axis::{Axis, Direction},
+    axis::Direction,
     run::{MAX_CYCLES, RunError, RunPlan, RunRequest, Timing},
     trapezoid::StrokeProfile,
     units::{Steps, TICK_HZ},
@@ -201,7 +204,7 @@ fn solve(run: &rig::Run, machine: &Machine) -> Result<RunPlan, Refusal> {
         start_delay_us: run.start_delay_us,
     };
     RunPlan::solve(&settings.axis, &settings.limits, &request)
-        .map_err(|error| refusal(&error, run, &settings.axis))
+        .map_err(|error| refusal(&error, run, settings))
 }
 
 fn accepted(machine: &Machine, requested: rig::Run, plan: &RunPlan) -> RunAccepted {
@@ -225,15 +228,13 @@ fn accepted(machine: &Machine, requested: rig::Run, plan: &RunPlan) -> RunAccept
 }
 
 /// The wire's words for what the solver found.
-fn refusal(error: &RunError, run: &rig::Run, axis: &Axis) -> Refusal {
+fn refusal(error: &RunError, run: &rig::Run, settings: &Settings) -> Refusal {
+    let (axis, limits) = (&settings.axis, &settings.limits);
     let out_of_range = |field, requested: u64, min, max| Refusal::OutOfRange {
         field,
         requested,
         min,
         max,
-    };
-    let accel_um_s2 = match run.timing {
-        RunTiming::Total { accel_um_s2, .. } | RunTiming::Speeds { accel_um_s2, .. } => accel_um_s2,
     };
     match *error {
         RunError::Cycles { cycles } => {
@@ -299,14 +300,15 @@ fn refusal(error: &RunError, run: &rig::Run, axis: &Axis) -> Refusal {
             };
             out_of_range(field, requested.into(), minimal_dwell_us, u32::MAX.into())
         }
+        // Zero, for nothing else is no speed or no acceleration.
         RunError::Rate(_) => match run.timing {
             RunTiming::Speeds {
                 forward_um_s: 0, ..
-            } => out_of_range(Field::ForwardUmS, 0, 1, u32::MAX.into()),
+            } => out_of_range(Field::ForwardUmS, 0, 1, limits.max_speed_um_s.into()),
             RunTiming::Speeds { return_um_s: 0, .. } => {
-                out_of_range(Field::ReturnUmS, 0, 1, u32::MAX.into())
+                out_of_range(Field::ReturnUmS, 0, 1, limits.max_speed_um_s.into())
             }
-            _ => out_of_range(Field::AccelUmS2, accel_um_s2.into(), 1, u32::MAX.into()),
+            _ => out_of_range(Field::AccelUmS2, 0, 1, limits.max_accel_um_s2.into()),
         },
         RunError::TooLong | RunError::Profile(_) => Refusal::TooSlow,
     }

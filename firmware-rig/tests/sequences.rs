@@ -299,7 +299,7 @@ mod anything {
 
     /// `cargo test --release -p firmware-rig --test sequences -- --ignored`
     #[test]
-    #[ignore = "minutes in a debug build"]
+    #[ignore = "for a release build"]
     fn holds_in_1_000_000_sequences() {
         check(1_000_000);
     }
@@ -382,7 +382,7 @@ mod executed {
 
     /// `cargo test --release -p firmware-rig --test sequences -- --ignored`
     #[test]
-    #[ignore = "minutes in a debug build"]
+    #[ignore = "for a release build"]
     fn holds_in_1_000_000_sequences() {
         check(1_000_000);
     }

@@ -1,0 +1,631 @@
+//! Requests of the protocol against the machine: every row in every state, every refusal, every number of a reply.
+
+mod carriage;
+
+use carriage::{Rig, run};
+use firmware_rig::{
+    commands::{Context, Effect, execute},
+    machine::{Actions, Command, Machine},
+    settings::Settings,
+};
+use motion::axis::Axis;
+use proptest::prelude::*;
+use protocol::{
+    capsule,
+    error::{Field, Refusal},
+    events::EventRing,
+    rig::{
+        self, HomeAccepted, LinkLossPolicy, RigFault, RigState, RigStatus, Run, RunAccepted,
+        RunOutcome, RunTiming, Stroke,
+    },
+    system::{self, Done, Hello, LastWords, ResetCause, SetTelemetry, What},
+    table::{Reply, Request, Response, Served, TABLE},
+};
+
+const SETTINGS: Settings = Settings::REFERENCE;
+
+const PAPER: Run = Run {
+    cycles: 5,
+    stroke_um: 130_000,
+    timing: RunTiming::Total {
+        total_us: 40_000_000,
+        accel_um_s2: 100_000,
+    },
+    far_dwell_us: 0,
+    home_dwell_us: 0,
+    start_delay_us: 0,
+    link_loss: LinkLossPolicy::Stop,
+};
+
+/// Sends a request: the reply, what the caller has to do, and how many actions there are.
+fn send(rig: &mut Rig, request: Request) -> (Reply, Effect, usize) {
+    let mut ring = EventRing::new();
+    ring.record(7, What::Booted(ResetCause::PowerOn));
+    let context = Context {
+        now_us: 1_234,
+        position: rig.counted,
+        inputs: rig.inputs(),
+        stroke: 3,
+        ring: &ring,
+        last_words: "tasks/link.rs:1: oh",
+    };
+    let mut actions = Actions::new();
+    let (reply, effect) = execute(request, &mut rig.machine, &context, &mut actions);
+    (reply, effect, actions.len())
+}
+
+fn refusal(rig: &mut Rig, request: Request) -> Refusal {
+    let before = (rig.machine.state(), *rig.machine.record());
+    match send(rig, request) {
+        (Reply::Refused(refusal), Effect::None, 0) => {
+            assert_eq!((rig.machine.state(), *rig.machine.record()), before);
+            assert!(!refusal.to_string().is_empty());
+            refusal
+        }
+        other => panic!("{request:?} was not refused: {other:?}"),
+    }
+}
+
+fn accepted(rig: &mut Rig, request: Run) -> RunAccepted {
+    match send(rig, Request::Run(request)) {
+        (Reply::Accepted(Response::Run(accepted)), Effect::None, 2) => accepted,
+        other => panic!("{request:?}: {other:?}"),
+    }
+}
+
+fn refused_run(request: Run) -> Refusal {
+    refusal(&mut Rig::homed(SETTINGS), Request::Run(request))
+}
+
+/// The rig in a state, each reached as in life.
+fn rig_in(state: RigState) -> Rig {
+    let mut rig = Rig::homed(SETTINGS);
+    let start = run(&SETTINGS, 1, 10_000, LinkLossPolicy::Stop);
+    match state {
+        RigState::Unhomed => rig = Rig::new(SETTINGS, 5_000),
+        RigState::Homing => rig.command(Command::Home).unwrap(),
+        RigState::Ready => {}
+        RigState::Running => rig.command(start).unwrap(),
+        RigState::Stopping => {
+            rig.command(start).unwrap();
+            rig.pulses(100);
+            rig.command(Command::Stop).unwrap();
+        }
+        RigState::Faulted => {
+            rig.press();
+            rig.pressed = false;
+        }
+        RigState::Held => unreachable!("this machine does not hold"),
+    }
+    assert_eq!(rig.machine.state(), state);
+    rig
+}
+
+const STATES: [RigState; 6] = [
+    RigState::Unhomed,
+    RigState::Homing,
+    RigState::Ready,
+    RigState::Running,
+    RigState::Stopping,
+    RigState::Faulted,
+];
+
+/// One of each row, in the table's order.
+fn requests() -> Vec<Request> {
+    let requests = vec![
+        Request::Hello(Hello {
+            protocol: protocol::VERSION,
+            schema_key: 0,
+            nonce: 1,
+        }),
+        Request::KeepAlive(system::KeepAlive),
+        Request::GetLastWords(system::GetLastWords),
+        Request::SetTelemetry(SetTelemetry { period_ms: 10 }),
+        Request::GetEvents(system::GetEvents { from: 0 }),
+        Request::Acknowledge(system::Acknowledge),
+        Request::GetRigStatus(rig::GetRigStatus),
+        Request::Home(rig::Home),
+        Request::Run(PAPER),
+        Request::GetRunRecord(rig::GetRunRecord),
+        Request::GetCapsuleStatus(capsule::GetCapsuleStatus),
+        Request::Reference(capsule::Reference),
+        Request::Fold(capsule::Fold),
+        Request::Unfold(capsule::Unfold),
+        Request::GetActuationRecord(capsule::GetActuationRecord),
+    ];
+    let names: Vec<_> = requests.iter().map(|request| request.row().name).collect();
+    let table: Vec<_> = TABLE.iter().map(|row| row.name).collect();
+    assert_eq!(names, table);
+    requests
+}
+
+#[test]
+fn every_row_in_every_state() {
+    for request in requests() {
+        let row = request.row();
+        for state in STATES {
+            let mut rig = rig_in(state);
+            let expected = match request {
+                // The session answers it, and never passes it on.
+                Request::Hello(_) => Err(Refusal::WrongDevice),
+                _ if row.served == Served::Capsule => Err(Refusal::WrongDevice),
+                Request::Acknowledge(_) if state != RigState::Faulted => {
+                    Err(Refusal::NothingToAcknowledge)
+                }
+                Request::Home(_) | Request::Run(_) => match state {
+                    RigState::Faulted => Err(Refusal::RigFaulted(RigFault::EStopLoop)),
+                    RigState::Homing | RigState::Running | RigState::Stopping => {
+                        Err(Refusal::RigBusy(state))
+                    }
+                    RigState::Unhomed if row.name == "Run" => Err(Refusal::NotHomed),
+                    _ => Ok(()),
+                },
+                _ => Ok(()),
+            };
+            match expected {
+                Err(expected) => {
+                    assert_eq!(refusal(&mut rig, request), expected, "{state:?}");
+                    assert!(
+                        state != RigState::Faulted
+                            || !row.while_faulted
+                            || row.name == "Hello"
+                            || row.served == Served::Capsule
+                    );
+                }
+                Ok(()) => {
+                    let (reply, effect, actions) = send(&mut rig, request);
+                    let Reply::Accepted(response) = reply else {
+                        panic!("{request:?} in {state:?}: {reply:?}")
+                    };
+                    // The response of the same row.
+                    let name = format!("{response:?}");
+                    assert!(name.starts_with(row.name), "{name}");
+                    assert!(state != RigState::Faulted || row.while_faulted);
+                    let moves = matches!(request, Request::Home(_) | Request::Run(_));
+                    assert_eq!(actions > 0, moves);
+                    let expected = match request {
+                        Request::SetTelemetry(_) => Effect::Telemetry { period_ms: 10 },
+                        Request::Acknowledge(_) => Effect::Acknowledged,
+                        _ => Effect::None,
+                    };
+                    assert_eq!(effect, expected);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_papers_run_in_exact_integers() {
+    let mut rig = Rig::homed(SETTINGS);
+    // The shortest ramp r with r (T - r) >= n (100 MHz)^2 / (100 mm/s2 at 800 steps/mm) = 1.3e16.
+    let stroke = Stroke {
+        steps: 104_000,
+        duration_ticks: 400_000_000,
+        ramp_ticks: 35_683_233,
+        peak_um_s: 35_683,
+        accel_um_s2: 100_000,
+    };
+    let accepted = accepted(&mut rig, PAPER);
+    assert_eq!(
+        accepted,
+        RunAccepted {
+            run: 1,
+            requested: PAPER,
+            forward: stroke,
+            back: stroke,
+            total_ticks: 4_000_000_000,
+            edges: 1_040_000,
+            plan_hash: rig.machine.record().plan_hash,
+        }
+    );
+    assert_eq!(rig.machine.state(), RigState::Running);
+    assert_eq!(rig.machine.strokes(), 10);
+}
+
+#[test]
+fn a_reply_says_what_was_asked_and_what_will_be() {
+    let mut rig = Rig::homed(SETTINGS);
+    let request = Run {
+        cycles: 3,
+        // 1,000.8 steps: rounded towards the inside.
+        stroke_um: 1_251,
+        timing: RunTiming::Speeds {
+            forward_um_s: 10_000,
+            return_um_s: 20_000,
+            accel_um_s2: 500_000,
+        },
+        far_dwell_us: 11,
+        home_dwell_us: 1_000,
+        start_delay_us: 500,
+        link_loss: LinkLossPolicy::Finish,
+    };
+    let accepted = accepted(&mut rig, request);
+    assert_eq!(accepted.requested, request);
+    let (forward, back) = (accepted.forward, accepted.back);
+    assert_eq!((forward.steps, back.steps), (1_000, 1_000));
+    assert_eq!((forward.peak_um_s, back.peak_um_s), (10_000, 20_000));
+    assert_eq!((forward.accel_um_s2, back.accel_um_s2), (500_000, 500_000));
+    // Strokes, three dwells of 11 us, two of 1 ms, 0.5 ms of delay.
+    let rests = (3 * 11 + 2 * 1_000 + 500) * 100;
+    let strokes = 3 * (forward.duration_ticks + back.duration_ticks);
+    assert_eq!(accepted.total_ticks, strokes + rests);
+    assert_eq!(accepted.edges, 6_000);
+}
+
+#[test]
+fn homing_says_how_far_it_may_go() {
+    let (reply, _, actions) = send(&mut rig_in(RigState::Unhomed), Request::Home(rig::Home));
+    let expected = HomeAccepted {
+        seek_um_s: 20_000,
+        locate_um_s: 2_000,
+        max_travel_um: 140_000,
+    };
+    assert_eq!(reply, Reply::Accepted(Response::Home(expected)));
+    assert_eq!(actions, 1);
+}
+
+fn out_of_range(field: Field, requested: u64, min: u64, max: u64) -> Refusal {
+    Refusal::OutOfRange {
+        field,
+        requested,
+        min,
+        max,
+    }
+}
+
+#[test]
+fn strokes_and_cycles_out_of_range() {
+    // 131 mm, and nothing at all; one step is 1.25 um.
+    for stroke_um in [131_000, 130_001, u32::MAX, 0, 1] {
+        let refusal = refused_run(Run { stroke_um, ..PAPER });
+        assert_eq!(
+            refusal,
+            out_of_range(Field::StrokeUm, stroke_um.into(), 2, 130_000)
+        );
+        let text = refusal.to_string();
+        assert!(
+            text.contains("stroke (um)") && text.contains("2 to 130000"),
+            "{text}"
+        );
+    }
+    for cycles in [0, 10_001, u16::MAX] {
+        assert_eq!(
+            refused_run(Run { cycles, ..PAPER }),
+            out_of_range(Field::Cycles, cycles.into(), 1, 10_000)
+        );
+    }
+}
+
+#[test]
+fn a_run_in_ten_seconds_is_infeasible() {
+    let total = |total_us, accel_um_s2| Run {
+        timing: RunTiming::Total {
+            total_us,
+            accel_um_s2,
+        },
+        ..PAPER
+    };
+    // Ten triangles at 100 mm/s2: 10 * 2 sqrt(0.13 / 0.1) s. In 1 s each: 4 * 0.13 / 1 m/s2.
+    assert_eq!(
+        refused_run(total(10_000_000, 100_000)),
+        Refusal::TooFast {
+            requested_us: 10_000_000,
+            min_us: 22_803_509,
+            min_accel_um_s2: 520_000,
+        }
+    );
+    // With that acceleration it is the speed.
+    assert_eq!(
+        refused_run(total(10_000_000, 520_000)),
+        Refusal::SpeedLimit {
+            needed_um_s: 260_000,
+            max_um_s: 49_000,
+        }
+    );
+    assert!(matches!(
+        refused_run(total(30_000_000, 100_000)),
+        Refusal::SpeedLimit {
+            needed_um_s: 52_000..53_000,
+            ..
+        }
+    ));
+    // The dwells alone take longer.
+    let dwelling = Run {
+        far_dwell_us: 9_000_000,
+        ..PAPER
+    };
+    assert!(matches!(
+        refused_run(dwelling),
+        Refusal::TooFast {
+            requested_us: 40_000_000,
+            min_us: 67_803_509,
+            ..
+        }
+    ));
+    for (total_us, accel_um_s2) in [(u64::MAX, 100_000), (u64::MAX / 100, 1)] {
+        assert_eq!(refused_run(total(total_us, accel_um_s2)), Refusal::TooSlow);
+    }
+    for accel_um_s2 in [0, 2_000_001, u32::MAX] {
+        assert_eq!(
+            refused_run(total(40_000_000, accel_um_s2)),
+            out_of_range(Field::AccelUmS2, accel_um_s2.into(), 1, 2_000_000)
+        );
+    }
+}
+
+#[test]
+fn speeds_out_of_range() {
+    let speeds = |forward_um_s, return_um_s, accel_um_s2| Run {
+        timing: RunTiming::Speeds {
+            forward_um_s,
+            return_um_s,
+            accel_um_s2,
+        },
+        ..PAPER
+    };
+    for speed in [49_001, u32::MAX] {
+        let refusal = Refusal::SpeedLimit {
+            needed_um_s: speed.into(),
+            max_um_s: 49_000,
+        };
+        assert_eq!(refused_run(speeds(speed, 10_000, 100_000)), refusal);
+        assert_eq!(refused_run(speeds(10_000, speed, 100_000)), refusal);
+    }
+    assert_eq!(
+        refused_run(speeds(0, 10_000, 100_000)),
+        out_of_range(Field::ForwardUmS, 0, 1, 49_000)
+    );
+    assert_eq!(
+        refused_run(speeds(10_000, 0, 100_000)),
+        out_of_range(Field::ReturnUmS, 0, 1, 49_000)
+    );
+    assert_eq!(
+        refused_run(speeds(10_000, 10_000, 0)),
+        out_of_range(Field::AccelUmS2, 0, 1, 2_000_000)
+    );
+    // What the refusal names is possible.
+    accepted(&mut Rig::homed(SETTINGS), speeds(49_000, 49_000, 2_000_000));
+}
+
+/// 1/256: 12,800 steps per mm.
+fn fine() -> Settings {
+    Settings {
+        axis: Axis::new(4_000, 200, 256, 130_000).unwrap(),
+        ..SETTINGS
+    }
+}
+
+#[test]
+fn the_step_rate_is_limited() {
+    let mut rig = Rig::homed(fine());
+    let request = |speed_um_s| Run {
+        timing: RunTiming::Speeds {
+            forward_um_s: speed_um_s,
+            return_um_s: speed_um_s,
+            accel_um_s2: 100_000,
+        },
+        ..PAPER
+    };
+    let refusal = refusal(&mut rig, Request::Run(request(25_000)));
+    let Refusal::StepRateLimit { needed_hz, max_hz } = refusal else {
+        panic!("{refusal:?}")
+    };
+    assert_eq!(max_hz, 250_000);
+    // 25 mm/s are 320 kHz, in whole ticks.
+    assert!((320_000..322_000).contains(&needed_hz), "{needed_hz}");
+    // 250 kHz are 19.5 mm/s.
+    accepted(&mut rig, request(19_531));
+}
+
+#[test]
+fn a_dwell_must_leave_time_to_turn() {
+    let request = |far_dwell_us, home_dwell_us| Run {
+        stroke_um: 1_000,
+        timing: RunTiming::Speeds {
+            forward_um_s: 10_000,
+            return_um_s: 10_000,
+            accel_um_s2: 2_000_000,
+        },
+        far_dwell_us,
+        home_dwell_us,
+        ..PAPER
+    };
+    let mut rig = Rig::homed(fine());
+    let mut too_short = |far, home| match refusal(&mut rig, Request::Run(request(far, home))) {
+        Refusal::OutOfRange {
+            field,
+            requested: 0,
+            min,
+            max,
+        } => {
+            assert_eq!(max, u64::from(u32::MAX));
+            (field, min as u32)
+        }
+        other => panic!("{other:?}"),
+    };
+    let (field, min) = too_short(0, 1_000);
+    assert_eq!(field, Field::FarDwellUs);
+    // 1 ms less the time of the first step: sqrt(2 * 78 nm / 2 m/s2) = 280 us.
+    assert!((720..722).contains(&min), "{min}");
+    assert_eq!(too_short(min, 0), (Field::HomeDwellUs, min));
+    accepted(&mut rig, request(min, min));
+}
+
+#[test]
+fn telemetry_between_1_and_200_hz_or_off() {
+    let mut rig = rig_in(RigState::Running);
+    for period_ms in [1, 4, 1_001, u16::MAX] {
+        let request = Request::SetTelemetry(SetTelemetry { period_ms });
+        assert_eq!(
+            refusal(&mut rig, request),
+            out_of_range(Field::PeriodMs, period_ms.into(), 5, 1_000)
+        );
+    }
+    for period_ms in [0, 5, 1_000] {
+        let set = SetTelemetry { period_ms };
+        let (reply, effect, _) = send(&mut rig, Request::SetTelemetry(set));
+        assert_eq!(reply, Reply::Accepted(Response::SetTelemetry(set)));
+        assert_eq!(effect, Effect::Telemetry { period_ms });
+    }
+}
+
+#[test]
+fn a_latched_fault_is_named_with_its_remedy() {
+    let mut rig = rig_in(RigState::Faulted);
+    for request in [Request::Home(rig::Home), Request::Run(PAPER)] {
+        let text = refusal(&mut rig, request).to_string();
+        assert!(
+            text.contains("release the button") && text.contains("acknowledge"),
+            "{text}"
+        );
+    }
+    rig.pressed = true;
+    let acknowledge = Request::Acknowledge(system::Acknowledge);
+    assert_eq!(refusal(&mut rig, acknowledge), Refusal::CauseStillPresent);
+    rig.pressed = false;
+    let (reply, effect, actions) = send(&mut rig, acknowledge);
+    assert_eq!(reply, Reply::Accepted(Response::Acknowledge(Done)));
+    assert_eq!((effect, actions), (Effect::Acknowledged, 0));
+    assert_eq!(refusal(&mut rig, Request::Run(PAPER)), Refusal::NotHomed);
+}
+
+#[test]
+fn a_run_starts_at_home_only() {
+    let mut rig = rig_in(RigState::Stopping);
+    rig.finish();
+    let position_um = rig.counted * 5 / 4;
+    assert!(position_um > 0);
+    let Refusal::NotAtHome { position_um: um } = refusal(&mut rig, Request::Run(PAPER)) else {
+        panic!("not refused for its position")
+    };
+    assert!((um - position_um).abs() <= 1);
+}
+
+fn status(rig: &mut Rig) -> RigStatus {
+    match send(rig, Request::GetRigStatus(rig::GetRigStatus)) {
+        (Reply::Accepted(Response::GetRigStatus(status)), Effect::None, 0) => status,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn status_shows_the_machine() {
+    let mut rig = Rig::homed(SETTINGS);
+    rig.counted = -801;
+    assert_eq!(
+        status(&mut rig),
+        RigStatus {
+            time_us: 1_234,
+            state: RigState::Ready,
+            fault: None,
+            homed: true,
+            position_steps: -801,
+            position_um: -1_001,
+            stroke_um: 130_000,
+            steps_per_rev: 3_200,
+            lead_um: 4_000,
+            inputs: rig.inputs(),
+            run: 0,
+            stroke: 0,
+            strokes: 0,
+            elapsed_us: 0,
+            needs_acknowledge: false,
+        }
+    );
+    let running = &mut Rig::homed(SETTINGS);
+    accepted(running, PAPER);
+    let shown = status(running);
+    assert_eq!((shown.run, shown.stroke, shown.strokes), (1, 3, 10));
+    let faulted = status(&mut rig_in(RigState::Faulted));
+    assert_eq!(faulted.fault, Some(RigFault::EStopLoop));
+    assert!(!faulted.homed && !faulted.needs_acknowledge);
+}
+
+#[test]
+fn records_words_and_events_are_handed_out() {
+    let mut rig = rig_in(RigState::Running);
+    let (reply, ..) = send(&mut rig, Request::GetRunRecord(rig::GetRunRecord));
+    let Reply::Accepted(Response::GetRunRecord(record)) = reply else {
+        panic!("{reply:?}")
+    };
+    assert_eq!((record.run, record.outcome), (1, RunOutcome::Running));
+    let (reply, ..) = send(&mut rig, Request::GetLastWords(system::GetLastWords));
+    let words = LastWords {
+        text: "tasks/link.rs:1: oh".try_into().unwrap(),
+    };
+    assert_eq!(reply, Reply::Accepted(Response::GetLastWords(words)));
+    let (reply, ..) = send(&mut rig, Request::GetEvents(system::GetEvents { from: 0 }));
+    let Reply::Accepted(Response::GetEvents(events)) = reply else {
+        panic!("{reply:?}")
+    };
+    assert_eq!((events.oldest, events.next, events.events.len()), (0, 1, 1));
+}
+
+fn config() -> ProptestConfig {
+    ProptestConfig {
+        cases: 2_000,
+        failure_persistence: None,
+        rng_seed: prop::test_runner::RngSeed::Fixed(1),
+        ..ProptestConfig::default()
+    }
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    /// Whatever is asked for: refused without effect, or inside every limit.
+    #[test]
+    fn any_run_is_refused_or_within_the_limits(
+        cycles in prop_oneof![1..20_u16, any::<u16>()],
+        stroke_um in prop_oneof![1..=130_000_u32, any::<u32>()],
+        total in any::<bool>(),
+        times in prop_oneof![
+            (1_000_000..100_000_000_u64, 1..60_000_u32, 1..60_000_u32),
+            any::<(u64, u32, u32)>(),
+        ],
+        accel_um_s2 in prop_oneof![1_000..3_000_000_u32, any::<u32>()],
+        dwells in prop_oneof![Just([0; 3]), any::<[u32; 3]>()],
+    ) {
+        let timing = if total {
+            RunTiming::Total { total_us: times.0, accel_um_s2 }
+        } else {
+            RunTiming::Speeds { forward_um_s: times.1, return_um_s: times.2, accel_um_s2 }
+        };
+        let [far_dwell_us, home_dwell_us, start_delay_us] = dwells;
+        let link_loss = LinkLossPolicy::Stop;
+        let request = Run {
+            cycles, stroke_um, timing, far_dwell_us, home_dwell_us, start_delay_us, link_loss,
+        };
+        let mut rig = ready();
+        match send(&mut rig, Request::Run(request)) {
+            (Reply::Accepted(Response::Run(accepted)), _, 2) => {
+                prop_assert_eq!(accepted.requested, request);
+                for stroke in [accepted.forward, accepted.back] {
+                    prop_assert!((1..=104_000).contains(&stroke.steps));
+                    prop_assert!(stroke.peak_um_s <= 49_000);
+                    prop_assert!(stroke.accel_um_s2 <= 2_000_000);
+                }
+                if total {
+                    prop_assert_eq!(accepted.total_ticks, times.0 * 100);
+                }
+            }
+            (Reply::Refused(_), Effect::None, 0) => {
+                prop_assert_eq!(rig.machine.state(), RigState::Ready);
+                prop_assert_eq!(rig.machine.record().run, 0);
+            }
+            other => prop_assert!(false, "{:?}", other),
+        }
+    }
+}
+
+thread_local! {
+    /// A rig that is ready, made once.
+    static READY: Machine = Rig::homed(SETTINGS).machine;
+}
+
+fn ready() -> Rig {
+    let mut rig = Rig::new(SETTINGS, 0);
+    rig.machine = READY.with(Machine::clone);
+    rig
+}
