@@ -117,6 +117,29 @@ pub fn write(value: u64, decimals: u32) -> String {
     }
 }
 
+/// Writes `value / 10^decimals` with all decimals, so that they show how finely it was measured.
+#[must_use]
+pub fn fixed(value: i64, decimals: u32) -> String {
+    let sign = if value < 0 { "-" } else { "" };
+    let scale = 10_u64.pow(decimals);
+    let value = value.unsigned_abs();
+    if decimals == 0 {
+        return format!("{sign}{value}");
+    }
+    format!(
+        "{sign}{}.{:0width$}",
+        value / scale,
+        value % scale,
+        width = decimals as usize
+    )
+}
+
+/// Writes ticks of 10 ns as seconds with all eight decimals.
+#[must_use]
+pub fn seconds(ticks: u64) -> String {
+    fixed(i64::try_from(ticks).unwrap_or(i64::MAX), 8)
+}
+
 /// As [`write`], with a sign.
 #[must_use]
 pub fn write_signed(value: i64, decimals: u32) -> String {
@@ -169,6 +192,8 @@ mod tests {
         assert_eq!("40".parse(), Ok(Seconds(40_000_000)));
         assert_eq!("0.000001".parse(), Ok(ShortSeconds(1)));
         assert_eq!(write_signed(-1_250, 3), "-1.25");
+        assert_eq!(fixed(-50, 3), "-0.050");
+        assert_eq!(seconds(4_000_000_001), "40.00000001");
     }
 
     proptest! {

@@ -111,7 +111,7 @@ impl Observer for Live<'_> {
                     tenths(elapsed_us),
                     tenths(total_us),
                     (stroke + 1).min(strokes),
-                    decimal::write_signed(position_um.into(), 3),
+                    decimal::fixed(position_um.into(), 3),
                     tenths(total_us.saturating_sub(elapsed_us)),
                 );
                 self.show(elapsed_us, total_us, &message);
@@ -126,7 +126,7 @@ impl Observer for Live<'_> {
                     "{} s of at most {} s, {} mm of thread, {current_ma} mA",
                     tenths(elapsed_us),
                     tenths(at_most_us),
-                    decimal::write_signed(thread_um.into(), 3),
+                    decimal::fixed(thread_um.into(), 3),
                 );
                 self.show(elapsed_us, at_most_us, &message);
             }

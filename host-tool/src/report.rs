@@ -252,7 +252,7 @@ fn run(
             tbody {
                 (row4("strokes", (u32::from(requested.cycles) * 2).to_string(), "", done(&|e| e.strokes.to_string())))
                 (row4("stroke", format!("{} mm", milli(requested.stroke_um)), both(&|s| format!("{} mm", decimal::write_signed(screw.nm(s.steps.into()), 6))), done(&|e| format!("{} to {} mm", decimal::write_signed(screw.nm(e.min_steps.into()), 6), decimal::write_signed(screw.nm(e.max_steps.into()), 6)))))
-                (row4("duration", asked(true), planned_of(&|a| format!("{} s", decimal::write(a.total_ticks, 8))), done(&|e| format!("{} s", decimal::write(e.ticks, 8)))))
+                (row4("duration", asked(true), planned_of(&|a| format!("{} s", decimal::seconds(a.total_ticks))), done(&|e| format!("{} s", decimal::seconds(e.ticks)))))
                 (row4("peak speed, out / home", asked(false), both(&|s| format!("{} mm/s", milli(s.peak_um_s))), ""))
                 (row4("acceleration, out / home", format!("{} mm/s²", milli(accel_um_s2)), both(&|s| format!("{} mm/s²", milli(s.accel_um_s2))), ""))
                 (row4("dwell, far / home", format!("{} / {} s", decimal::write(requested.far_dwell_us.into(), 6), decimal::write(requested.home_dwell_us.into(), 6)), "", ""))
@@ -300,11 +300,11 @@ pub fn actuation_rows(
     let mut rows = vec![
         (
             "time",
-            format!("{} s", decimal::write(record.duration_ms.into(), 3)),
+            format!("{} s", decimal::fixed(record.duration_ms.into(), 3)),
         ),
         (
             "thread at the end",
-            format!("{} mm", decimal::write_signed(record.thread_um.into(), 3)),
+            format!("{} mm", decimal::fixed(record.thread_um.into(), 3)),
         ),
         (
             "current at the end",
@@ -315,17 +315,17 @@ pub fn actuation_rows(
     if kind == ActuationKind::Fold {
         let engaged = match record.engaged_um {
             0 => "never".to_owned(),
-            um => format!("{} mm", decimal::write_signed(um.into(), 3)),
+            um => format!("{} mm", decimal::fixed(um.into(), 3)),
         };
         rows.push(("load first felt at", engaged));
     }
     rows.push((
         "energy",
-        format!("{} J", decimal::write(record.energy_mj.into(), 3)),
+        format!("{} J", decimal::fixed(record.energy_mj.into(), 3)),
     ));
     rows.push((
         "lowest battery voltage",
-        format!("{} V", decimal::write(record.min_battery_mv.into(), 3)),
+        format!("{} V", decimal::fixed(record.min_battery_mv.into(), 3)),
     ));
     rows
 }
@@ -354,15 +354,15 @@ fn in_short(trial: &Trial) -> String {
             "{} strokes, {} steps, {} s",
             executed.strokes,
             executed.counted_edges,
-            decimal::write(executed.ticks, 8)
+            decimal::seconds(executed.ticks)
         ),
         Action::Actuation {
             record: Some(record),
             ..
         } => format!(
             "{} s, {} mm of thread, {} mA",
-            decimal::write(record.duration_ms.into(), 3),
-            decimal::write_signed(record.thread_um.into(), 3),
+            decimal::fixed(record.duration_ms.into(), 3),
+            decimal::fixed(record.thread_um.into(), 3),
             record.end_current_ma
         ),
         _ => dash(),

@@ -276,7 +276,7 @@ fn a_run_is_recorded_and_reported() {
     assert!(out.contains("Run 1: 2 strokes of 130 mm in 8 s"), "{out}");
     assert!(out.contains("  5.0 s of 8.0 s, stroke 2 of 2"), "{out}");
     assert!(
-        out.contains("2 of 2 strokes in 8 s, 208000 steps commanded, 208000 counted"),
+        out.contains("2 of 2 strokes in 8.00000000 s, 208000 steps commanded, 208000 counted"),
         "{out}"
     );
     let report = folder.path().join("report.html");
@@ -375,6 +375,17 @@ fn stops_are_sent_before_anything_else_and_to_all() {
     assert_eq!(code, 0, "{err}");
     assert_eq!(out.lines().count(), 2, "{out}");
     assert_eq!(both.heard(), ["Urgent", "Urgent"], "no Hello first");
+    // Without an address to everyone who may be there, and an unconfirmed stop is no success.
+    let dead = Script {
+        dead: true,
+        ..ready(DeviceKind::Rig)
+    };
+    let found = Memory::with(vec![dead, ready(DeviceKind::Capsule)]);
+    let (code, out, err) = found.run(&["stop"]);
+    assert_eq!(code, 7, "{err}");
+    assert!(out.contains("test capsule: stopped"), "{out}");
+    assert!(err.contains("cut the motor supply NOW"), "{err}");
+    assert_eq!(found.heard(), ["Urgent"], "no Hello first");
     for log in both.logs.lock().expect("logs").iter() {
         let urgent = log.lock().expect("log").urgent.clone();
         assert_eq!(urgent, [(Urgent::EStop, 0)]);

@@ -34,6 +34,14 @@ impl Finder<'_> {
         }
     }
 
+    /// The machines that the user gave an address for.
+    fn addressed(&self) -> Vec<DeviceKind> {
+        KINDS
+            .into_iter()
+            .filter(|kind| self.address(*kind).is_some())
+            .collect()
+    }
+
     /// A session with a machine that speaks the same protocol; Ctrl-C stops it from now on.
     pub(crate) fn connect(&self, kind: DeviceKind) -> Result<Device, Failure> {
         let device = self.greet(kind)?;
@@ -52,11 +60,44 @@ impl Finder<'_> {
         }
     }
 
-    /// Sends an urgent stop ahead of anything else, without a session.
-    pub(crate) fn urgent(&self, kind: DeviceKind, urgent: Urgent) -> Result<String, Failure> {
-        let mut device = self.open(kind, &self.resolve(kind)?)?;
+    /// Sends an urgent stop ahead of anything else, without a session; says where it was confirmed.
+    pub(crate) fn urgent(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        urgent: Urgent,
+    ) -> Result<String, Failure> {
+        let mut device = self.open(kind, address)?;
         device.urgent(urgent)?;
         Ok(device.place())
+    }
+
+    /// Where an urgent stop is to be sent: where the user said; else to every place that may be asked, without
+    /// asking who is there first.
+    pub(crate) fn places_to_stop(
+        &self,
+        which: &Which,
+    ) -> Result<Vec<(DeviceKind, Address)>, Failure> {
+        if let Some(machine) = which.machine {
+            let kind = machine.into();
+            return Ok(vec![(kind, self.resolve(kind)?)]);
+        }
+        let kinds = self.addressed();
+        if !kinds.is_empty() {
+            let place = |kind| Ok((kind, self.resolve(kind)?));
+            return kinds.into_iter().map(place).collect();
+        }
+        let places: Vec<_> = self
+            .connector
+            .candidates()
+            .into_iter()
+            .filter(|candidate| candidate.may_ask)
+            .map(|candidate| (candidate.kind.unwrap_or(DeviceKind::Rig), candidate.address))
+            .collect();
+        if places.is_empty() {
+            return Err(Failure::NothingFound { there: list(&[]) });
+        }
+        Ok(places)
     }
 
     fn open(&self, kind: DeviceKind, address: &Address) -> Result<Device, Failure> {
@@ -125,10 +166,7 @@ impl Finder<'_> {
         if let Some(machine) = which.machine {
             return Ok(vec![machine.into()]);
         }
-        let addressed: Vec<_> = KINDS
-            .into_iter()
-            .filter(|kind| self.address(*kind).is_some())
-            .collect();
+        let addressed = self.addressed();
         if !addressed.is_empty() {
             return Ok(addressed);
         }

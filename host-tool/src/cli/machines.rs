@@ -163,7 +163,7 @@ pub(crate) fn run(
         "{} of {} strokes in {} s, {} steps commanded, {} counted, residual {} steps.\n  {}\n  {}",
         trial.record.strokes,
         u32::from(request.cycles) * 2,
-        decimal::write(trial.record.ticks, 8),
+        decimal::seconds(trial.record.ticks),
         trial.record.commanded_edges,
         trial.record.counted_edges,
         trial.record.worst_residual_steps,
@@ -253,13 +253,14 @@ pub(crate) fn stop(
     let mut stopped = vec![];
     let mut failed = None;
     // One machine out of reach must not keep the other from stopping.
-    for kind in finder.machines(which)? {
-        match finder.urgent(kind, urgent) {
+    for (kind, address) in finder.places_to_stop(which)? {
+        match finder.urgent(kind, &address, urgent) {
             Ok(place) => {
-                screen.say(&format!("{} at {place}: {text}", identity::kind_name(kind)));
-                stopped.push(json!({ "machine": identity::kind_name(kind), "place": place }));
+                screen.say(&format!("{place}: {text}"));
+                stopped.push(place);
             }
             Err(failure) => {
+                screen.say(&format!("{address}: {failure}"));
                 failed.get_or_insert(failure);
             }
         }

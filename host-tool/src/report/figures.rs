@@ -6,7 +6,8 @@ use protocol::rig::{Run, Stroke};
 
 use crate::trial::{Achieved, CapsuleSample, RigSample, Screw};
 
-const SIZE: (u32, u32) = (880, 300);
+/// The drawing library rounds to whole units: draw large, show small.
+const SIZE: (u32, u32) = (1_760, 640);
 const MEASURED: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
 const PLANNED: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
 const INK: RGBColor = RGBColor(0x33, 0x33, 0x33);
@@ -165,7 +166,7 @@ fn plan_curve(points: Vec<(f64, f64)>) -> Curve {
     Curve {
         label: "planned",
         colour: PLANNED,
-        width: 4,
+        width: 8,
         points,
     }
 }
@@ -174,7 +175,7 @@ fn measured_curve(points: Vec<(f64, f64)>) -> Curve {
     Curve {
         label: "measured",
         colour: MEASURED,
-        width: 1,
+        width: 3,
         points,
     }
 }
@@ -200,23 +201,28 @@ fn draw(
     let (x_low, x_high) = span(all().map(|point| point.0), 0.0);
     let (y_low, y_high) = span(all().map(|point| point.1), 0.06);
     let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    let text = |size: i32| ("sans-serif", size).into_font().color(&INK);
     let mut chart = ChartBuilder::on(&root)
-        .margin(10)
-        .margin_right(20)
-        .x_label_area_size(44)
-        .y_label_area_size(64)
+        .margin(16)
+        .margin_top(56)
+        .margin_right(40)
+        .x_label_area_size(84)
+        .y_label_area_size(124)
         .build_cartesian_2d(x_low..x_high, y_low..y_high)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
-        .bold_line_style(INK.mix(0.12))
-        .axis_style(INK)
-        .label_style(("sans-serif", 14, &INK))
-        .axis_desc_style(("sans-serif", 15, &INK))
+        .bold_line_style(INK.mix(0.12).stroke_width(2))
+        .axis_style(INK.stroke_width(2))
+        .label_style(text(27))
+        .axis_desc_style(text(30))
+        .x_label_formatter(&|value| tick_label(*value))
+        .y_label_formatter(&|value| tick_label(*value))
         .x_desc("time / s")
         .y_desc(y_label)
         .draw()?;
-    let named = curves.len() > 1;
+    // Above the plot, where no curve can be.
+    let mut x = 150;
     for Curve {
         label,
         colour,
@@ -225,32 +231,24 @@ fn draw(
     } in curves
     {
         let style = colour.stroke_width(width);
+        root.draw(&PathElement::new([(x, 32), (x + 48, 32)], style))?;
+        let anchored = text(27).pos(Pos::new(HPos::Left, VPos::Center));
+        root.draw(&Text::new(label, (x + 60, 32), anchored))?;
+        x += 240;
         let finite = points
             .into_iter()
             .filter(|point| point.0.is_finite() && point.1.is_finite());
-        let series = chart.draw_series(LineSeries::new(finite, style))?;
-        if named {
-            series
-                .label(label)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], style));
-        }
-    }
-    if named {
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .label_font(
-                ("sans-serif", 13)
-                    .into_text_style(&root)
-                    .color(&INK)
-                    .pos(Pos::new(HPos::Left, VPos::Center)),
-            )
-            .background_style(WHITE.mix(0.85))
-            .border_style(INK.mix(0.2))
-            .draw()?;
+        chart.draw_series(LineSeries::new(finite, style))?;
     }
     root.present()?;
     Ok(())
+}
+
+/// A number without trailing zeros.
+fn tick_label(value: f64) -> String {
+    let text = format!("{value:.3}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0" } else { text }.to_owned()
 }
 
 /// Range of finite values with a margin; never empty.
