@@ -60,9 +60,11 @@ const ADC_FULL: u32 = 4_095;
 /// The battery's divider is 1/2.
 const BATTERY_RATIO: u32 = 2;
 /// Readings per sample while driving: together they take about one PWM period, so that their mean is the period's.
-const ADC_PAIRS: u32 = 6;
-/// More than the slowest conversion (27 cycles of 8 MHz: 3.4 us), in turns of a loop of at least four instructions.
-const ADC_PATIENCE: u32 = 1_000;
+const ADC_PAIRS: u32 = 5;
+/// A conversion takes 27 cycles of 8 MHz.
+const ADC_CYCLES: u32 = 54;
+/// How often to look for the end of a conversion, [`ADC_CYCLES`] apart.
+const ADC_PATIENCE: u32 = 20;
 
 const ENCODER: [usize; 2] = [0, 1];
 const IN1: usize = 4;
@@ -300,6 +302,7 @@ fn convert(channel: u8) -> u16 {
     pac::ADC1.sr().modify(|w| w.set_eoc(false));
     pac::ADC1.cr2().modify(|w| w.set_swstart(true));
     for _ in 0..ADC_PATIENCE {
+        cortex_m::asm::delay(ADC_CYCLES);
         if pac::ADC1.sr().read().eoc() {
             return pac::ADC1.dr().read().data();
         }

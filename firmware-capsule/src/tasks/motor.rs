@@ -40,12 +40,12 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
         if stale && !was_stale {
             defmt::error!("control is silent: motor braked");
         }
-        let period = if drive == Drive::Off {
-            CHECK_IN
+        next = if drive == Drive::Off {
+            now + CHECK_IN
         } else {
-            PERIOD
+            // On the grid of the period, but after a rest on a new one.
+            (next + PERIOD).clamp(now, now + PERIOD)
         };
-        next = (next + period).max(now);
         // Either way there is something to do.
         let _ = select(Timer::at(next), ORDER_CHANGED.wait()).await;
         let order = ORDER.lock(|order| order.get());
