@@ -140,7 +140,7 @@ pub fn seconds(ticks: u64) -> String {
     fixed(i64::try_from(ticks).unwrap_or(i64::MAX), 8)
 }
 
-/// As [`write`], with a sign.
+/// As [`write()`], with a sign.
 #[must_use]
 pub fn write_signed(value: i64, decimals: u32) -> String {
     let sign = if value < 0 { "-" } else { "" };

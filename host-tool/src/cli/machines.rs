@@ -189,12 +189,25 @@ pub(crate) fn actuate(
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let (stem, action) = match kind {
-        ActuationKind::Reference => ("reference", "referencing"),
-        ActuationKind::Fold => ("fold", "folding"),
-        ActuationKind::Unfold => ("unfold", "unfolding"),
+    let (stem, action, what) = match kind {
+        ActuationKind::Reference => (
+            "reference",
+            "referencing",
+            "Reference: unwind to the hard reference, then back to where the thread engages.",
+        ),
+        ActuationKind::Fold => (
+            "fold",
+            "folding",
+            "Fold: wind the thread until the motor current in the end window says that the origami is folded.",
+        ),
+        ActuationKind::Unfold => (
+            "unfold",
+            "unfolding",
+            "Unfold: pay the thread out to its zero.",
+        ),
     };
     let mut capsule = finder.connect(DeviceKind::Capsule)?;
+    screen.say(what);
     let recording = recording(args, stem, finder);
     let trial = experiment::actuate(&mut capsule, kind, &recording, &mut screen.live())?;
     for (name, value) in report::actuation_rows(kind, &trial.record) {
