@@ -18,18 +18,18 @@ const PACKAGES: [&str; 5] = [
 ];
 
 /// What has to be there for the set to be of use.
-const FILES: [&str; 6] = [
+const FILES: [&str; 5] = [
     "bin/rustc",
     "bin/cargo",
     "bin/cargo-clippy",
     "bin/clippy-driver",
-    "bin/ld.lld",
     "lib/rustlib/src/rust/library/Cargo.lock",
 ];
 
 /// Debian's Rust below some `usr` folder: the system's own, or one unpacked in `target/toolchain`.
 pub(crate) struct Debian {
     usr: PathBuf,
+    linker: PathBuf,
     version: Version,
 }
 
@@ -71,9 +71,19 @@ impl Debian {
             let what = format!("{} is missing", usr.join(missing).display());
             return Err(Failure::new(what, "delete target/toolchain and try again"));
         }
+        // Unpacked beside a system that has the linker, the set has only a link into nothing.
+        let linker = [usr.as_path(), Path::new("/usr")]
+            .map(|place| place.join("bin/ld.lld"))
+            .into_iter()
+            .find(|linker| linker.exists())
+            .ok_or_else(|| Failure::new("ld.lld is missing", "install Debian's package lld"))?;
         let mut rustc = Command::new(usr.join("bin/rustc"));
         match Version::of(rustc.env("LD_LIBRARY_PATH", libraries(&usr))) {
-            Some(version) if version >= OLDEST => Ok(Self { usr, version }),
+            Some(version) if version >= OLDEST => Ok(Self {
+                usr,
+                linker,
+                version,
+            }),
             Some(version) => Err(Failure::new(
                 format!("Debian's Rust is {version}, this workspace needs {OLDEST}"),
                 "add Debian's security archive to /etc/apt, which has a newer one, or use rustup",
@@ -106,10 +116,7 @@ impl Debian {
             .env("CARGO", program("cargo"))
             .env("RUSTC", program("rustc"))
             .env("LD_LIBRARY_PATH", libraries(&self.usr))
-            .env(
-                "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER",
-                program("ld.lld"),
-            )
+            .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", &self.linker)
             // `build-std` is unstable; Debian ships no nightly.
             .env("RUSTC_BOOTSTRAP", "1")
             .args(["-Z", "build-std=core"]);
@@ -119,7 +126,7 @@ impl Debian {
 
 impl fmt::Display for Debian {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { usr, version } = self;
+        let Self { usr, version, .. } = self;
         let place = usr.strip_prefix(root()).unwrap_or(usr).display();
         write!(
             out,
