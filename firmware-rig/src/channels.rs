@@ -84,7 +84,6 @@ pub static CHECK_INS: AtomicU8 = AtomicU8::new(0);
 pub fn pulses_were_cut(why: Event) {
     CUT.store(true, Ordering::Release);
     MOTION_WAKE.signal(());
-    // 16 notices of at most one run's strokes cannot pile up within control's 10 ms; the switch state is
-    // polled there as well.
+    // 16 notices cannot pile up within control's 10 ms; and if one did get lost, the path's end says that it was cut.
     let _ = NOTICES.try_send(why);
 }

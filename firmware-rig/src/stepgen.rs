@@ -27,8 +27,9 @@ const SLOTS: usize = 128;
 const WORDS: usize = 5;
 /// Never more than this many periods wait in the ring; the rest keeps the zero slot away from the reader.
 const MAX_QUEUE: i32 = SLOTS as i32 - 4;
-/// Width of a step pulse, 3 us: above every driver's minimum (DRV8825: 1.9 us).
-const PULSE_TICKS: u16 = 300;
+/// Width of a step pulse, 2 us: above every driver's minimum (DRV8825: 1.9 us), and at the highest step rate, 250 kHz,
+/// the pause is as long.
+const PULSE_TICKS: u16 = 200;
 /// Width of the sync pulse, 50 us, or as long as the period.
 const SYNC_TICKS: u32 = 5_000;
 const STREAM: usize = 5;

@@ -4,9 +4,9 @@ use super::watchdog::{Client, check_in};
 use crate::{
     board,
     channels::{
-        CUT, GLITCHES, Inbound, LAST_FRAME_US, MOTION_WAKE, NOTICES, ORDERS, OUTBOUND, Order,
-        REPLIES, REQUESTS, SESSION, SNAPSHOT, STOP, STROKE, Snapshot, TELEMETRY_CHANGED,
-        TELEMETRY_MS,
+        CUT, GLITCHES, HOME_FLAG_OPEN, Inbound, LAST_FRAME_US, MOTION_WAKE, NOTICES, ORDERS,
+        OUTBOUND, Order, REPLIES, REQUESTS, SESSION, SNAPSHOT, STOP, STROKE, Snapshot,
+        TELEMETRY_CHANGED, TELEMETRY_MS,
     },
     stepgen,
 };
@@ -21,7 +21,7 @@ use heapless::String;
 use protocol::{
     events::EventRing,
     frame::{Header, Kind, encode},
-    rig::RigState,
+    rig::{RigInputs, RigState},
     system::{ResetCause, Urgent, What},
     table::Reply,
 };
@@ -92,7 +92,7 @@ impl Control {
                 .load(Ordering::Relaxed)
                 .wrapping_sub(self.glitches_at_start),
         );
-        let actions = self.machine.event(event, board::inputs());
+        let actions = self.machine.event(event, inputs());
         self.perform(actions);
     }
 
@@ -107,7 +107,7 @@ impl Control {
             now_us(),
             command,
             stepgen::counted(),
-            board::inputs(),
+            inputs(),
             &mut actions,
         );
         self.perform(actions);
@@ -117,7 +117,7 @@ impl Control {
         let context = Context {
             now_us: now_us(),
             position: stepgen::counted(),
-            inputs: board::inputs(),
+            inputs: inputs(),
             stroke: STROKE.load(Ordering::Relaxed),
             ring: &self.ring,
             last_words: &self.last_words,
@@ -138,7 +138,7 @@ impl Control {
 
     fn tick(&mut self) {
         // The break interrupt reports an opening while pulses are armed; this one reports it at rest.
-        if board::inputs().estop_loop && self.machine.state() != RigState::Faulted {
+        if inputs().estop_loop && self.machine.state() != RigState::Faulted {
             self.event(Event::LoopOpened);
         }
         let moving = matches!(self.machine.state(), RigState::Homing | RigState::Running);
@@ -192,6 +192,14 @@ impl Control {
             // If the line is busy the host fetches it again by its index.
             let _ = OUTBOUND.try_send(frame);
         }
+    }
+}
+
+/// The inputs, with the home flag as filtered: one glitch must not choose how homing begins.
+fn inputs() -> RigInputs {
+    RigInputs {
+        home_flag: HOME_FLAG_OPEN.load(Ordering::Relaxed),
+        ..board::inputs()
     }
 }
 

@@ -145,7 +145,10 @@ async fn execute(
     work.fill();
     let mut end = match work.generator.start() {
         Ok(()) => None,
-        Err(stepgen::LoopOpen) => Some(PathEnd::Cut),
+        Err(stepgen::LoopOpen) => {
+            let _ = NOTICES.try_send(Event::LoopOpened);
+            Some(PathEnd::Cut)
+        }
     };
     while end.is_none() {
         let wait = if work.filling == Filling::Full {

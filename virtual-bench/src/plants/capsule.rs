@@ -273,9 +273,13 @@ impl Capsule {
 
     /// Lets time pass to `until_ns`; `edge` is shown the encoder after each of its edges.
     pub fn advance(&mut self, until_ns: u64, mut edge: impl FnMut((bool, bool))) {
-        while self.now_ns < until_ns {
+        loop {
+            // Also those that fall on the end: the next look is asked for what is still to come.
             for action in self.faults.due_by(self.now_ns) {
                 self.act(action);
+            }
+            if self.now_ns >= until_ns {
+                return;
             }
             if self.is_quiet() {
                 let next = self.faults.next_ns().unwrap_or(until_ns);

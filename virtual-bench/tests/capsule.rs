@@ -1,0 +1,323 @@
+//! The capsule's image, judged from its motor, thread and spring.
+
+use host_tool::{
+    client::{Device, Unobserved},
+    error::ClientError,
+};
+use protocol::{
+    capsule::{ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState},
+    error::Refusal,
+    system::{DeviceKind, Urgent},
+};
+use virtual_bench::{
+    bench::Bench,
+    boards::capsule::{self, CapsuleBoard},
+    link::VirtualLink,
+    plants::capsule::{Action, Capsule, CapsuleOptions},
+};
+
+struct CapsuleRun {
+    bench: Bench<CapsuleBoard>,
+    device: Device,
+}
+
+fn start() -> CapsuleRun {
+    let bench = capsule::start(CapsuleOptions::default()).expect("the image boots");
+    let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
+    let device = Device::connect(link, DeviceKind::Capsule, 1).expect("the capsule answers");
+    CapsuleRun { bench, device }
+}
+
+fn referenced() -> CapsuleRun {
+    let mut capsule = start();
+    let accepted = capsule.device.reference().expect("referencing is accepted");
+    let record = capsule
+        .device
+        .wait_actuation(&accepted, &mut Unobserved)
+        .expect("it ends");
+    assert_eq!(
+        record.outcome,
+        ActuationOutcome::Complete,
+        "{}",
+        capsule.log()
+    );
+    capsule
+}
+
+impl CapsuleRun {
+    fn look<T: Send + 'static>(&self, look: impl FnOnce(&mut Capsule) -> T + Send + 'static) -> T {
+        self.bench
+            .visit(|visit| look(&mut visit.board().capsule))
+            .expect("the bench runs")
+    }
+
+    fn log(&self) -> String {
+        let log = self.bench.log().expect("the bench runs");
+        log.lines()
+            .iter()
+            .map(|line| format!("{:>12} ns {}\n", line.at_ns, line.text))
+            .collect()
+    }
+
+    fn fold(&mut self) -> ActuationRecord {
+        let accepted = self.device.fold().expect("folding is accepted");
+        self.device
+            .wait_actuation(&accepted, &mut Unobserved)
+            .expect("it ends")
+    }
+
+    fn unfold(&mut self) -> ActuationRecord {
+        let accepted = self.device.unfold().expect("unfolding is accepted");
+        self.device
+            .wait_actuation(&accepted, &mut Unobserved)
+            .expect("it ends")
+    }
+
+    fn state(&mut self) -> (CapsuleState, Option<CapsuleFault>, bool) {
+        let status = self.device.capsule_status().expect("a status");
+        (status.state, status.fault, status.referenced)
+    }
+
+    /// At rest the motor is off and the bridge asleep, whatever the state: the worm holds.
+    fn check_at_rest(&mut self) {
+        self.device
+            .idle(200_000, &mut Unobserved)
+            .expect("the link stays");
+        let before =
+            self.look(|capsule| (capsule.is_awake(), capsule.is_moving(), capsule.wound_mm()));
+        self.device
+            .idle(1_000_000, &mut Unobserved)
+            .expect("the link stays");
+        let after = self.look(|capsule| capsule.wound_mm());
+        assert_eq!(
+            before,
+            (false, false, after),
+            "driven at rest\n{}",
+            self.log()
+        );
+    }
+
+    fn check_clean(&self) {
+        self.bench
+            .bus()
+            .expect("the bench runs")
+            .check(0)
+            .unwrap_or_else(|why| panic!("{why}\n{}", self.log()));
+    }
+}
+
+#[test]
+fn it_folds_on_force_and_unfolds_by_count_again_and_again() {
+    let mut capsule = referenced();
+    let zero = capsule.look(|capsule| capsule.wound_mm());
+    assert!(
+        zero >= -0.05,
+        "referencing left the thread at {zero} mm: past zero"
+    );
+    for round in 0..5 {
+        let folded = capsule.fold();
+        assert_eq!(
+            folded.outcome,
+            ActuationOutcome::Complete,
+            "round {round}\n{}",
+            capsule.log()
+        );
+        let (force, travel) = capsule.look(|capsule| (capsule.peak_force_n(), capsule.travel_mm()));
+        assert!(
+            (19.5..=22.5).contains(&travel),
+            "round {round}: folded at {travel} mm of travel"
+        );
+        assert!((4.0..=10.0).contains(&force), "round {round}: {force} N");
+        assert_eq!(capsule.state().0, CapsuleState::Folded);
+        capsule.check_at_rest();
+
+        let unfolded = capsule.unfold();
+        assert_eq!(
+            unfolded.outcome,
+            ActuationOutcome::Complete,
+            "round {round}\n{}",
+            capsule.log()
+        );
+        let (wound, lowest) = capsule.look(|capsule| (capsule.wound_mm(), capsule.extremes_mm().0));
+        assert!(
+            (wound - zero).abs() < 0.2,
+            "round {round}: {wound} mm after unfolding, {zero} mm at first"
+        );
+        assert!(lowest >= -0.05, "round {round}: paid out to {lowest} mm");
+        assert_eq!(capsule.state().0, CapsuleState::Unfolded);
+        let energy_mj = folded.energy_mj + unfolded.energy_mj;
+        assert!(
+            (1..=410).contains(&energy_mj),
+            "round {round}: {energy_mj} mJ"
+        );
+        capsule.check_at_rest();
+    }
+    capsule.check_clean();
+}
+
+#[test]
+fn what_it_says_is_what_the_plant_did() {
+    let mut capsule = referenced();
+    let (zero, energy) = capsule.look(|capsule| (capsule.wound_mm(), capsule.energy_j()));
+    let record = capsule.fold();
+    let (wound, energy) =
+        capsule.look(move |capsule| (capsule.wound_mm() - zero, capsule.energy_j() - energy));
+    let thread_mm = f64::from(record.thread_um) / 1_000.0;
+    assert!(
+        (thread_mm - wound).abs() < 0.1,
+        "{thread_mm} mm reported, {wound} mm wound"
+    );
+    let energy_mj = f64::from(record.energy_mj);
+    assert!(
+        (energy_mj - energy * 1e3).abs() < 0.15 * energy_mj,
+        "{energy_mj} mJ reported, {energy} J drawn"
+    );
+    assert!(
+        record.end_current_ma >= 100 && record.peak_current_ma >= record.end_current_ma,
+        "{record:?}"
+    );
+    assert!(
+        record.duration_ms > 500 && record.duration_ms < 5_000,
+        "{record:?}"
+    );
+    capsule.check_clean();
+}
+
+/// A fold that is disturbed 400 ms after its start ends in the fault that says so, and nothing is driven after it.
+fn disturbed(action: Action, expected: fn(&CapsuleFault) -> bool) {
+    let mut capsule = referenced();
+    let at_ns = capsule.bench.now_ns() + 400_000_000;
+    capsule.look(move |capsule| capsule.plan(at_ns, action));
+    let record = capsule.fold();
+    let ActuationOutcome::Faulted(fault) = record.outcome else {
+        panic!("{record:?}\n{}", capsule.log())
+    };
+    assert!(expected(&fault), "{fault:?}\n{}", capsule.log());
+    capsule.check_at_rest();
+    let (state, latched, _) = capsule.state();
+    assert_eq!((state, latched), (CapsuleState::Faulted, Some(fault)));
+    match capsule.device.unfold() {
+        Err(ClientError::Refused {
+            refusal: Refusal::CapsuleFaulted(found),
+            ..
+        }) => assert_eq!(found, fault),
+        other => panic!("{other:?}"),
+    }
+    capsule.check_clean();
+}
+
+#[test]
+fn a_jam_is_found_where_it_is() {
+    disturbed(
+        Action::Jam(Some(12.0)),
+        |fault| matches!(fault, CapsuleFault::Jam { thread_um } if (11_000..15_000).contains(thread_um)),
+    );
+}
+
+#[test]
+fn a_snapped_thread_is_found() {
+    disturbed(Action::Snap(true), |fault| {
+        *fault == CapsuleFault::ThreadBroken
+    });
+}
+
+#[test]
+fn a_lost_encoder_is_found() {
+    disturbed(Action::LoseEncoder(true), |fault| {
+        *fault == CapsuleFault::EncoderLost
+    });
+}
+
+#[test]
+fn a_fault_of_the_bridge_is_found() {
+    disturbed(Action::DriverFault(true), |fault| {
+        *fault == CapsuleFault::DriverFault
+    });
+}
+
+#[test]
+fn a_low_battery_is_refused_before_it_moves() {
+    let mut capsule = referenced();
+    capsule.look(|capsule| capsule.act(Action::Battery(2_800.0)));
+    capsule
+        .device
+        .idle(200_000, &mut Unobserved)
+        .expect("the link stays");
+    let before = capsule.look(|capsule| capsule.wound_mm());
+    let answer = capsule.device.fold();
+    assert!(
+        matches!(answer, Err(ClientError::Refused { .. })),
+        "{answer:?}\n{}",
+        capsule.log()
+    );
+    capsule.check_at_rest();
+    assert_eq!(capsule.look(|capsule| capsule.wound_mm()), before);
+}
+
+#[test]
+fn a_stop_in_mid_fold_holds_and_an_estop_latches() {
+    for urgent in [Urgent::Stop, Urgent::EStop] {
+        let mut capsule = referenced();
+        capsule.device.fold().expect("folding is accepted");
+        capsule
+            .device
+            .idle(700_000, &mut Unobserved)
+            .expect("the link stays");
+        capsule.device.urgent(urgent).expect("an answer");
+        capsule.check_at_rest();
+        let wound = capsule.look(|capsule| capsule.wound_mm());
+        assert!(wound > 2.0 && wound < 20.0, "{wound} mm");
+        let (state, fault, _) = capsule.state();
+        match urgent {
+            Urgent::Stop => {
+                assert_eq!((state, fault), (CapsuleState::Stopped, None));
+                assert_eq!(
+                    capsule.fold().outcome,
+                    ActuationOutcome::Complete,
+                    "{}",
+                    capsule.log()
+                );
+            }
+            Urgent::EStop => assert_eq!(
+                (state, fault),
+                (CapsuleState::Faulted, Some(CapsuleFault::EStopFrame))
+            ),
+        }
+        capsule.check_clean();
+    }
+}
+
+#[test]
+fn a_silent_host_stops_the_motor() {
+    let mut capsule = referenced();
+    // Slow it down, so that the fold lasts longer than the link time-out.
+    capsule.look(|capsule| capsule.act(Action::Battery(3_050.0)));
+    capsule.device.fold().expect("folding is accepted");
+    capsule.bench.advance_us(6_000_000).expect("the bench runs");
+    let record = capsule.device.actuation_record().expect("the link is back");
+    assert!(
+        matches!(record.outcome, ActuationOutcome::LinkLost),
+        "{record:?}\n{}",
+        capsule.log()
+    );
+    capsule.check_at_rest();
+}
+
+#[test]
+fn nothing_moves_before_the_reference() {
+    let mut capsule = start();
+    for answer in [capsule.device.fold(), capsule.device.unfold()] {
+        assert!(
+            matches!(
+                answer,
+                Err(ClientError::Refused {
+                    refusal: Refusal::NotReferenced,
+                    ..
+                })
+            ),
+            "{answer:?}"
+        );
+    }
+    capsule.check_at_rest();
+    capsule.check_clean();
+}
