@@ -156,7 +156,7 @@ impl RunPlan {
                 return Err(RunError::Turnaround {
                     before: at,
                     dwell: Ticks(dwell),
-                    minimal_dwell: Ticks(dwell + least - ticks),
+                    minimal_dwell_us: Ticks(dwell + least - ticks).to_us_ceil(),
                 });
             }
             Ok(())
@@ -174,14 +174,8 @@ impl RunPlan {
             home_dwell_ticks: home,
             start_delay_ticks: delay,
             last_far_extra_ticks: extra,
-            // Each stroke is below 2^60 / (2 n), so that 20,000 of a single step could be too long.
-            total_ticks: forward
-                .duration()
-                .0
-                .checked_add(return_.duration().0)
-                .and_then(|both| both.checked_mul(count))
-                .and_then(|strokes| strokes.checked_add(rests + extra))
-                .ok_or(RunError::TooLong)?,
+            // A stroke is below 2^45: n intervals of 2^30, and 2 n T below 2^60. No sum overflows.
+            total_ticks: count * (forward.duration().0 + return_.duration().0) + rests + extra,
         })
     }
 
@@ -221,8 +215,8 @@ impl RunPlan {
         Ticks(self.start_delay_ticks)
     }
 
-    /// What the last far dwell is longer than the others, less than a tick per stroke: it makes
-    /// the total exact.
+    /// By how much the last far dwell is longer than the others, less than a tick per stroke:
+    /// it makes the total exact.
     #[must_use]
     pub const fn last_far_extra(&self) -> Ticks {
         Ticks(self.last_far_extra_ticks)
@@ -455,8 +449,8 @@ pub enum RunError {
         before: Direction,
         /// The dwell asked for.
         dwell: Ticks,
-        /// The dwell that suffices for these strokes.
-        minimal_dwell: Ticks,
+        /// The shortest dwell, in whole microseconds, that suffices for these strokes.
+        minimal_dwell_us: u64,
     },
     /// The run is longer than 64 bits of ticks.
     TooLong,
@@ -550,10 +544,10 @@ impl fmt::Display for RunError {
             Self::Turnaround {
                 before,
                 dwell,
-                minimal_dwell,
+                minimal_dwell_us,
             } => write!(
                 f,
-                "a dwell of {dwell} at {} is too short to turn: use at least {minimal_dwell}",
+                "a dwell of {dwell} at {} is too short to turn: use at least {minimal_dwell_us} us",
                 match before {
                     Direction::Home => "the far end",
                     Direction::Away => "home",

@@ -11,6 +11,8 @@
 pub mod bench;
 pub mod boards;
 pub mod bus;
+pub mod connector;
+pub mod demo;
 pub mod emulator;
 pub mod faults;
 pub mod link;

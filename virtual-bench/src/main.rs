@@ -1,11 +1,17 @@
 //! `virtual-bench`: the machines without the machines.
 
+use std::ffi::OsString;
+use std::io::IsTerminal;
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::thread;
 
 use clap::{Parser, Subcommand};
+use jiff::Timestamp;
 use virtual_bench::bench::{Bench, BenchError};
 use virtual_bench::boards;
+use virtual_bench::connector::BenchPorts;
+use virtual_bench::demo::{self, DemoOptions};
 use virtual_bench::emulator::Wiring;
 use virtual_bench::link::VirtualLink;
 use virtual_bench::plants::capsule::CapsuleOptions;
@@ -21,6 +27,12 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Carries out the paper's experiment on both images and judges it from the pins.
+    Demo {
+        /// Folder for the records and the report.
+        #[arg(long, value_name = "DIR", default_value = "demo-data")]
+        out: PathBuf,
+    },
     /// Serves the machines on TCP of this computer at the pace of the wall clock, until interrupted.
     Serve {
         /// Port of the rig; 0 takes a free one.
@@ -30,14 +42,30 @@ enum Command {
         #[arg(long, value_name = "PORT")]
         capsule: Option<u16>,
     },
+    /// Any command of the host tool, here also with `--rig virtual` and `--capsule virtual`.
+    #[command(external_subcommand)]
+    Retrograde(Vec<OsString>),
 }
 
 fn main() -> ExitCode {
-    let Command::Serve { rig, capsule } = Arguments::parse().command;
-    match serve(rig, capsule) {
+    let result = match Arguments::parse().command {
+        Command::Demo { out } => {
+            let now = Timestamp::now();
+            demo::run(&DemoOptions { out, now }, std::io::stderr().is_terminal())
+                .map_err(miette::Report::from)
+        }
+        Command::Serve { rig, capsule } => {
+            serve(rig, capsule).map_err(|why| miette::miette!("{why}"))
+        }
+        Command::Retrograde(arguments) => {
+            let program = OsString::from("virtual-bench");
+            return host_tool::cli::run([program].into_iter().chain(arguments), &BenchPorts);
+        }
+    };
+    match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(why) => {
-            eprintln!("{why}");
+            eprintln!("{why:?}");
             ExitCode::FAILURE
         }
     }

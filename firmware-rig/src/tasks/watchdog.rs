@@ -45,7 +45,7 @@ pub async fn watchdog(
         }
         round = round.wrapping_add(1);
         match crate::channels::SNAPSHOT.lock(|snapshot| snapshot.get().state) {
-            RigState::Faulted => led.set_level((round % 2 == 0).into()),
+            RigState::Faulted => led.set_level(round.is_multiple_of(2).into()),
             RigState::Unhomed => led.set_level((round % 8 < 4).into()),
             _ => led.set_high(),
         }

@@ -1,0 +1,399 @@
+//! The paper's experiment on both images: driven by the host tool's client, judged from the pins.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use host_tool::client::{Device, Homed, Observer};
+use host_tool::error::ClientError;
+use host_tool::experiment::{
+    self, ActuationTrial, ExperimentError, Hooks, Procedure, RunTrial, Shape,
+};
+use host_tool::progress::Live;
+use host_tool::report::{self, Remark, ReportError};
+use host_tool::{cli, decimal, identity};
+use jiff::Timestamp;
+use locomotion::kinematics::Design;
+use locomotion::range::OutOfRange;
+use locomotion::{folded, roller};
+use protocol::system::{DeviceKind, Identity};
+
+use crate::bench::{Bench, BenchError};
+use crate::boards::capsule::CapsuleBoard;
+use crate::boards::rig::RigBoard;
+use crate::boards::{capsule, rig};
+use crate::link::VirtualLink;
+use crate::pins::EdgeLog;
+use crate::plants::capsule::CapsuleOptions;
+use crate::plants::rig::{RigOptions, Violations};
+use crate::verdicts::{Run, Verdict};
+
+/// One tick of the step timer and one instruction slot of the emulator, ns.
+const EDGE_LIMIT_NS: f64 = 10.0 + 1e9 / 65e6;
+/// Limit of the run's duration against the exact one, ns.
+const DURATION_LIMIT_NS: u64 = 1_000;
+/// The paper's largest indentation (its a_5), mm.
+const INDENTATION_MM: f64 = 5.05;
+/// Slack of the thread before it pulls, mm.
+const SLACK_MM: f64 = 1.0;
+/// Steps per millimetre of the default rig.
+const STEPS_PER_MM: f64 = 800.0;
+/// The carriage is shown to the models every tenth of a millimetre.
+const SHOWN_STEPS: i64 = 80;
+
+/// Why the demo ended early.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+pub enum DemoError {
+    /// The bench.
+    #[error(transparent)]
+    #[diagnostic(code(bench::failed))]
+    Bench(#[from] BenchError),
+    /// A device or the way to it.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Client(#[from] ClientError),
+    /// A step of the experiment.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Experiment(#[from] ExperimentError),
+    /// The report.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Report(#[from] ReportError),
+    /// The pins say otherwise than they should.
+    #[error("the pins do not agree with the experiment:\n{0}")]
+    #[diagnostic(code(bench::verdict), help("the firmware's log is above"))]
+    Verdict(String),
+    /// The locomotion model does not take these numbers.
+    #[error(transparent)]
+    #[diagnostic(code(bench::model))]
+    Model(#[from] OutOfRange),
+}
+
+/// Where the demo leaves its data.
+#[derive(Clone, Debug)]
+pub struct DemoOptions {
+    /// Folder of the records and the report.
+    pub out: PathBuf,
+    /// Start of the records.
+    pub now: Timestamp,
+}
+
+/// Carries out the experiment and prints it.
+///
+/// # Errors
+/// The first thing that is not as it should be. What was recorded until then is kept.
+pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
+    let rig_bench = rig::start(RigOptions::default())?;
+    let capsule_bench = capsule::start(CapsuleOptions::default())?;
+    // The first nonce of a session has a fixed value: two demos are the same to the byte.
+    let mut rig = Device::connect(
+        Box::new(VirtualLink::new(&rig_bench, "virtual rig")),
+        DeviceKind::Rig,
+        1,
+    )?;
+    let link = Box::new(VirtualLink::new(&capsule_bench, "virtual capsule"));
+    let mut capsule = Device::connect(link, DeviceKind::Capsule, 1)?;
+    let procedure = Procedure {
+        run: experiment::PAPER_RUN,
+        folder: options.out.clone(),
+        telemetry_ms: experiment::DEFAULT_TELEMETRY_MS,
+    };
+    let mut stdout = std::io::stdout();
+    let mut judge = Judge {
+        rig: rig_bench.clone(),
+        capsule: capsule_bench.clone(),
+        live: Live::new(&mut stdout, terminal),
+        first_edge: 0,
+        thread_mm: 0.0,
+        remarks: Vec::new(),
+        failures: Vec::new(),
+    };
+    let result = experiment::paper(
+        &mut rig,
+        &mut capsule,
+        &procedure,
+        &|| options.now,
+        &mut judge,
+    );
+    let Judge {
+        remarks,
+        mut failures,
+        ..
+    } = judge;
+    let experiment = match result {
+        Ok(experiment) => experiment,
+        Err(error) => {
+            print_logs(&rig_bench, &capsule_bench)?;
+            return Err(error.into());
+        }
+    };
+    for (name, bus) in [("rig", rig_bench.bus()?), ("capsule", capsule_bench.bus()?)] {
+        failures.extend(bus.check(0).err().map(|why| format!("{name}: {why}")));
+    }
+    if !failures.is_empty() {
+        print_logs(&rig_bench, &capsule_bench)?;
+        return Err(DemoError::Verdict(failures.join("\n")));
+    }
+    let page = options.out.join("report.html");
+    report::write(&experiment.sidecars(), &remarks, &page)?;
+    say("Data and report");
+    for sidecar in experiment.sidecars() {
+        say(&format!(
+            "  {} and {}",
+            sidecar.with_extension("csv").display(),
+            sidecar.display()
+        ));
+    }
+    say(&format!("  {}", page.display()));
+    Ok(())
+}
+
+fn say(line: &str) {
+    // A closed pipe ends the demo's printing, not the demo.
+    let _ = writeln!(std::io::stdout(), "{line}");
+}
+
+fn print_logs(rig: &Bench<RigBoard>, capsule: &Bench<CapsuleBoard>) -> Result<(), BenchError> {
+    for (name, log) in [("rig", rig.log()?), ("capsule", capsule.log()?)] {
+        for line in log.lines() {
+            say(&format!("{name} {:>14} ns  {}", line.at_ns, line.text));
+        }
+    }
+    Ok(())
+}
+
+/// Watches the experiment and judges each step from the pins.
+struct Judge<'a> {
+    rig: Bench<RigBoard>,
+    capsule: Bench<CapsuleBoard>,
+    live: Live<'a>,
+    /// Edges before the run that is about to begin.
+    first_edge: usize,
+    /// Thread wound up when folded.
+    thread_mm: f64,
+    remarks: Vec<Remark>,
+    failures: Vec<String>,
+}
+
+impl Judge<'_> {
+    fn judge_run(&mut self, shape: Shape, trial: &RunTrial) -> Result<(), DemoError> {
+        let first = self.first_edge;
+        let (edges, violations, carriage, syncs) = self.rig.visit(move |visit| {
+            let rig = &visit.board().rig;
+            (
+                rig.edges().since(first),
+                rig.violations(),
+                rig.carriage(),
+                rig.syncs().len(),
+            )
+        })?;
+        self.first_edge += edges.len();
+        let verdict = Verdict::of(&Run::paper(), &edges);
+        let displacement_mm = displacement_mm(shape, &edges, self.thread_mm)?;
+        let rows = vec![
+            row(
+                "edges on the STEP pin",
+                format!("{} of {}", verdict.edges.0, verdict.edges.1),
+            ),
+            row(
+                "strokes",
+                format!("{}, {syncs} sync pulses since the start", verdict.strokes),
+            ),
+            row(
+                "longest deviation of an edge from the exact profile",
+                format!(
+                    "{:.2} ns (edge {}; one timer tick is 10 ns)",
+                    verdict.worst.0, verdict.worst.1
+                ),
+            ),
+            row(
+                "duration",
+                format!(
+                    "{} ns, exactly {} ns",
+                    verdict.duration_ns, verdict.exact_ns
+                ),
+            ),
+            row(
+                "extreme positions",
+                format!(
+                    "{} and {} steps, end at {}",
+                    verdict.extremes.0, verdict.extremes.1, verdict.end
+                ),
+            ),
+            row(
+                "displacement of the body (model, not measured)",
+                format!(
+                    "{displacement_mm:+.2} mm {}",
+                    if displacement_mm > 0.0 {
+                        "against the wave"
+                    } else {
+                        "with the wave"
+                    }
+                ),
+            ),
+        ];
+        say(&format!("Verdict from the pins, capsule {}", shape.name()));
+        print_rows(&rows);
+        self.failures.extend(verdict.check(EDGE_LIMIT_NS).err());
+        let mut expect = |holds: bool, what: &str| {
+            if !holds {
+                self.failures
+                    .push(format!("run, capsule {}: {what}", shape.name()));
+            }
+        };
+        expect(
+            verdict.duration_ns.abs_diff(verdict.exact_ns) <= DURATION_LIMIT_NS,
+            "its duration is off by more than 1 us",
+        );
+        expect(
+            verdict.extremes.0 >= 0 && verdict.extremes.1 <= 104_000 && verdict.end == 0,
+            "it left the stroke",
+        );
+        expect(carriage == 0, "the carriage is not at 0");
+        expect(
+            violations == Violations::default(),
+            &format!("{violations:?}"),
+        );
+        expect(
+            trial.record.counted_edges == verdict.edges.0,
+            "the read-back counter disagrees with the pin",
+        );
+        self.remarks.push(Remark {
+            sidecar: Some(trial.sidecar.clone()),
+            title: "Verdict from the pins".into(),
+            rows,
+        });
+        Ok(())
+    }
+
+    fn show_actuation(&mut self, title: &str, trial: &ActuationTrial) {
+        let record = &trial.record;
+        say(title);
+        let mut rows = vec![
+            row(
+                "time",
+                format!("{} s", decimal::write(record.duration_ms.into(), 3)),
+            ),
+            row(
+                "current at the end",
+                format!("{} mA", record.end_current_ma),
+            ),
+            row(
+                "thread wound up",
+                format!("{} mm", decimal::fixed(record.thread_um.into(), 3)),
+            ),
+            row("energy of the motor", format!("{} mJ", record.energy_mj)),
+        ];
+        let plant = self.capsule.visit(|visit| {
+            let capsule = &visit.board().capsule;
+            (capsule.travel_mm(), capsule.force_n())
+        });
+        if let Ok((travel_mm, force_n)) = plant {
+            rows.push(row(
+                "by the bench's spring",
+                format!("{travel_mm:.2} mm of travel, {force_n:.1} N"),
+            ));
+        }
+        print_rows(&rows);
+        self.remarks.push(Remark {
+            sidecar: Some(trial.sidecar.clone()),
+            title: title.into(),
+            rows,
+        });
+    }
+}
+
+impl Hooks for Judge<'_> {
+    fn begins(&mut self, step: &str) {
+        say(&format!("\n== {step}"));
+    }
+
+    fn observer(&mut self) -> &mut dyn Observer {
+        &mut self.live
+    }
+
+    fn identified(&mut self, rig: &Identity, capsule: &Identity) {
+        say(&identity::line(rig));
+        say(&identity::line(capsule));
+    }
+
+    fn referenced(&mut self, trial: &ActuationTrial) {
+        self.show_actuation("Referenced", trial);
+    }
+
+    fn homed(&mut self, homed: &Homed) {
+        say(&cli::machines::homed_text(homed));
+        match self.rig.visit(|visit| visit.board().rig.edges().len()) {
+            Ok(edges) => self.first_edge = edges,
+            Err(error) => self.failures.push(error.to_string()),
+        }
+    }
+
+    fn ran(&mut self, shape: Shape, trial: &RunTrial) {
+        if let Err(error) = self.judge_run(shape, trial) {
+            self.failures.push(error.to_string());
+        }
+    }
+
+    fn folded(&mut self, trial: &ActuationTrial) {
+        self.thread_mm = f64::from(trial.record.thread_um) / 1_000.0;
+        self.show_actuation("Folded", trial);
+    }
+
+    fn unfolded(&mut self, trial: &ActuationTrial) {
+        self.show_actuation("Unfolded", trial);
+    }
+}
+
+fn row(name: &str, value: String) -> (String, String) {
+    (name.to_owned(), value)
+}
+
+fn print_rows(rows: &[(String, String)]) {
+    for (name, value) in rows {
+        say(&format!("  {name:<52} {value}"));
+    }
+}
+
+/// How far the body moves by the locomotion models when the carriage makes exactly these steps. Positive is against
+/// the antegrade wave, the way the paper's unfolded body goes.
+///
+/// # Errors
+/// [`OutOfRange`] if the models do not take the rig's numbers.
+fn displacement_mm(shape: Shape, edges: &EdgeLog, thread_mm: f64) -> Result<f64, OutOfRange> {
+    match shape {
+        Shape::Unfolded => {
+            let mut body = roller::Bench::new(roller::Params::PAPER, INDENTATION_MM)?;
+            carry(edges, |at_mm| body.carriage_to(at_mm))?;
+            Ok(body.displacement_mm())
+        }
+        Shape::Folded => {
+            let design = Design::paper_printed();
+            let params = folded::Params::PAPER.folded_by(&design, thread_mm - SLACK_MM)?;
+            let mut body = folded::Bench::new(params, INDENTATION_MM)?;
+            carry(edges, |at_mm| body.carriage_to(at_mm))?;
+            Ok(body.displacement_mm())
+        }
+    }
+}
+
+/// Shows every tenth of a millimetre and every turn of the carriage to `carriage_to`.
+fn carry(
+    edges: &EdgeLog,
+    mut carriage_to: impl FnMut(f64) -> Result<(), OutOfRange>,
+) -> Result<(), OutOfRange> {
+    let (mut at, mut heading) = (0_i64, None);
+    for edge in edges.iter() {
+        if heading
+            .replace(edge.away)
+            .is_some_and(|before| before != edge.away)
+        {
+            carriage_to(at as f64 / STEPS_PER_MM)?;
+        }
+        at += if edge.away { 1 } else { -1 };
+        if at % SHOWN_STEPS == 0 {
+            carriage_to(at as f64 / STEPS_PER_MM)?;
+        }
+    }
+    Ok(())
+}
