@@ -11,6 +11,7 @@ use std::thread;
 
 use rigless::emulator::{self, Driver, Host, Settled, Start, Stop};
 use rigless::image::Image;
+use rigless::mcu::Operate;
 use rigless::session::Session;
 use rigless::time::VirtualNanos;
 
@@ -138,10 +139,16 @@ impl<W: Wiring> Visit<'_, W> {
 
     /// Pulls the reset pin low for an instant.
     pub fn reset(&mut self) {
-        let now_ns = self.now_ns();
-        self.tap.drain(self.host, now_ns);
         self.session
             .reset_by_pin(self.stop.at, self.stop.instruction_count, self.host);
+    }
+
+    /// The peripheral register at `address`, as a debugger peeks at it; `None` where there is none.
+    pub fn register(&mut self, address: u32) -> Option<u32> {
+        let at = self.stop.at;
+        let mcu = self.session.mcu();
+        let value = mcu.peek(at, u64::from(address), rigless::soc::Width::W32);
+        value.ok().map(|value| value as u32)
     }
 
     /// The word at `address` of the machine's memory, as a debugger sees it; `None` where there is no memory.
@@ -183,6 +190,8 @@ struct Conductor<W: Wiring> {
     until_ns: u64,
     eager: bool,
     epoch_ns: u64,
+    /// Resets since power-up that were taken notice of.
+    resets: usize,
     /// Set when the run is to be started again from this flash.
     power_cycle: Option<(Vec<u8>, u64)>,
 }
@@ -206,9 +215,11 @@ impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
         settled: Settled,
     ) {
         if let Settled::Stop(stop) = settled
-            && stop.reason == emulator::StopReason::Reset
+            && session.resets().len() != self.resets
         {
+            self.resets = session.resets().len();
             self.tap.restarted(host, self.epoch_ns + stop.at.0);
+            crate::emulator::restarted(session, host);
         }
         crate::emulator::settled(session, host, settled);
     }
@@ -301,6 +312,7 @@ fn conduct<W: Wiring>(
         images = vec![whole_flash(flash)?];
         conductor.epoch_ns = back_ns;
         conductor.until_ns = back_ns;
+        conductor.resets = 0;
         conductor.tap.powered_up(back_ns);
     }
 }
@@ -414,6 +426,7 @@ impl<W: Wiring> Bench<W> {
             until_ns: 0,
             eager: false,
             epoch_ns: 0,
+            resets: 0,
             power_cycle: None,
         };
         thread::Builder::new()

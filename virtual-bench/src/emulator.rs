@@ -271,6 +271,8 @@ struct Chip<W> {
     slots: Slots,
     serial: Arc<Mutex<Serial>>,
     epoch_ns: u64,
+    /// The next look that is already asked for, on the emulator's clock.
+    wake: Option<VirtualNanos>,
     wiring: Option<W>,
 }
 
@@ -302,6 +304,7 @@ impl<W: Wiring> Chip<W> {
             slots,
             serial,
             epoch_ns,
+            wake: None,
             wiring: Some(wiring),
         };
         chip.adopt();
@@ -318,6 +321,7 @@ impl<W: Wiring> Chip<W> {
         self.tim1 = Watched::new(tim1, &[1, 3]);
         self.tim3 = Watched::new(tim3, &[1, 2]);
         self.exti = Exti::default();
+        self.wake = None;
         self.serial_pins();
         if let Some(wiring) = &mut self.wiring {
             wiring.restarted();
@@ -358,11 +362,12 @@ impl<W: Wiring> Chip<W> {
             touched |= pads.touched;
             if let Some(wake) = pads.wake {
                 let wake = VirtualNanos(wake.saturating_sub(self.epoch_ns)).max(at);
-                self.part
-                    .bus_mut()
-                    .drive(at, self.slots.exti)
-                    .1
-                    .schedule(wake);
+                // One look ahead is enough: each look asks for the next one.
+                if self.wake.is_none_or(|asked| asked <= at || wake < asked) {
+                    self.wake = Some(wake);
+                    let bus = self.part.bus_mut();
+                    bus.drive(at, self.slots.exti).1.schedule(wake);
+                }
             }
             if self.tim1.edges.is_empty() && self.tim3.edges.is_empty() {
                 break;
@@ -464,7 +469,9 @@ impl Mcu for Shell {
 /// How the chip runs.
 #[derive(Clone, Copy, Debug)]
 pub struct ChipOptions {
-    /// Instructions per second of virtual time. 65 million is a cautious stand-in for 100 MHz with wait states.
+    /// The core's clock, Hz.
+    pub core_hz: u64,
+    /// Instructions per second of virtual time: 65 for 100 cycles is a cautious estimate for this core.
     pub instructions_per_second: u64,
     /// The chip's unique number.
     pub uid: [u8; 12],
@@ -473,6 +480,7 @@ pub struct ChipOptions {
 impl Default for ChipOptions {
     fn default() -> Self {
         Self {
+            core_hz: 100_000_000,
             instructions_per_second: 65_000_000,
             uid: *b"virtual rig\0",
         }
@@ -585,14 +593,14 @@ pub(crate) fn settled<W: Wiring>(
     let machine = session.board_mut();
     match settled {
         Settled::Access { access, value } => machine.accessed(&access, value, host),
-        Settled::Stop(stop) => {
-            if stop.reason == rigless::emulator::StopReason::Reset {
-                machine.array.cut(host);
-            }
-            machine.chip.look_between(stop.at);
-        }
+        Settled::Stop(stop) => machine.chip.look_between(stop.at),
         _ => {}
     }
+}
+
+/// The chip has restarted with its memory kept, and has not executed anything yet.
+pub(crate) fn restarted<W: Wiring>(session: &mut Session<Machine<W>>, host: &mut dyn Host) {
+    session.board_mut().array.cut(host);
 }
 
 /// Ends a run as a cut of the supply would; answers the flash as it is left.
@@ -620,7 +628,7 @@ impl<W: Wiring> Board for Machine<W> {
     fn targets(&mut self) -> Vec<Target<'_>> {
         let core = core::Core {
             variant: core::Variant::M4,
-            clock_hz: NonZeroU64::new(100_000_000).expect("a running clock"),
+            clock_hz: NonZeroU64::new(self.options.core_hz).unwrap_or(NonZeroU64::MIN),
             interrupt_lines: NonZeroU32::new(map::INTERRUPT_LINES).expect("lines"),
             priority_bits: 4,
             refclk_divider: NonZeroU32::new(8).expect("a divider divides"),

@@ -29,6 +29,8 @@ pub struct Serial {
     pub(crate) hears: bool,
     sent: u64,
     taken: u64,
+    /// When the machine began to receive the host's last byte, ns.
+    last_taken_ns: u64,
     /// Faults by the byte's number in its direction, from 0.
     faults_to_machine: Vec<(u64, ByteFault)>,
     faults_from_machine: Vec<(u64, ByteFault)>,
@@ -76,10 +78,17 @@ impl Serial {
         self.shortest_ns
     }
 
-    fn give(&mut self) -> Option<u8> {
+    /// When the start bit of the host's last byte so far reached the machine, ns.
+    #[must_use]
+    pub fn last_taken_ns(&self) -> u64 {
+        self.last_taken_ns
+    }
+
+    fn give(&mut self, now_ns: u64) -> Option<u8> {
         while let Some(byte) = self.to_machine.pop_front() {
             let number = self.taken;
             self.taken += 1;
+            self.last_taken_ns = now_ns;
             if !self.hears {
                 continue;
             }
@@ -140,7 +149,7 @@ impl Peer for Wire {
         self.line().receive((word & 0xFF) as u8, at_ns);
     }
 
-    fn transmit(&mut self, _now: VirtualNanos) -> Option<u16> {
-        self.line().give().map(u16::from)
+    fn transmit(&mut self, now: VirtualNanos) -> Option<u16> {
+        self.line().give(self.epoch_ns + now.0).map(u16::from)
     }
 }

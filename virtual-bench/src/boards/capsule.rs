@@ -144,9 +144,11 @@ pub fn image() -> PathBuf {
 /// A missing or unusable image.
 pub fn start(capsule: CapsuleOptions) -> Result<Bench<CapsuleBoard>, BenchError> {
     let mut options = BenchOptions::new(image());
+    // The capsule runs on the 16 MHz oscillator.
     options.chip = ChipOptions {
+        core_hz: 16_000_000,
+        instructions_per_second: 10_400_000,
         uid: *b"virtual caps",
-        ..ChipOptions::default()
     };
     Bench::start(CapsuleBoard::new(Capsule::new(capsule)), options)
 }

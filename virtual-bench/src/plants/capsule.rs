@@ -427,7 +427,6 @@ mod tests {
         });
         capsule.drive(true, true, false);
         run(&mut capsule, 20_000_000);
-        assert!(!capsule.is_moving());
         assert!(
             (capsule.force_n() - 6.0).abs() < 0.1,
             "{} N",
