@@ -15,6 +15,7 @@ pub mod connector;
 pub mod demo;
 pub mod emulator;
 pub mod faults;
+pub mod figures;
 pub mod link;
 pub mod log;
 pub mod pins;

@@ -1,7 +1,7 @@
 //! `virtual-bench`: the machines without the machines.
 
 use std::ffi::OsString;
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::thread;
@@ -13,6 +13,7 @@ use virtual_bench::boards;
 use virtual_bench::connector::BenchPorts;
 use virtual_bench::demo::{self, DemoOptions};
 use virtual_bench::emulator::Wiring;
+use virtual_bench::figures;
 use virtual_bench::link::VirtualLink;
 use virtual_bench::plants::capsule::CapsuleOptions;
 use virtual_bench::plants::rig::RigOptions;
@@ -33,6 +34,8 @@ enum Command {
         #[arg(long, value_name = "DIR", default_value = "demo-data")]
         out: PathBuf,
     },
+    /// Measures what the rig's image reaches.
+    Bench,
     /// Serves the machines on TCP of this computer at the pace of the wall clock, until interrupted.
     Serve {
         /// Port of the rig; 0 takes a free one.
@@ -54,6 +57,8 @@ fn main() -> ExitCode {
             demo::run(&DemoOptions { out, now }, std::io::stderr().is_terminal())
                 .map_err(miette::Report::from)
         }
+        Command::Bench => figures::run(&mut |line| drop(writeln!(std::io::stdout(), "{line}")))
+            .map_err(miette::Report::from),
         Command::Serve { rig, capsule } => {
             serve(rig, capsule).map_err(|why| miette::miette!("{why}"))
         }

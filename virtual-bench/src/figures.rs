@@ -1,0 +1,212 @@
+//! `virtual-bench bench`: what the rig's image reaches, measured on the emulator in instructions and virtual time.
+
+use std::time::Instant;
+
+use host_tool::client::{Device, Unobserved};
+use host_tool::error::ClientError;
+use host_tool::experiment::PAPER_RUN;
+use protocol::rig::{Run as RunRequest, RunTiming};
+use protocol::system::{DeviceKind, Urgent};
+
+use crate::bench::{Bench, BenchError, BenchOptions};
+use crate::boards::rig::{self, RigBoard};
+use crate::faults::When;
+use crate::link::VirtualLink;
+use crate::plants::rig::{Action, Rig, RigOptions, Switch};
+use crate::verdicts::{Run, Verdict};
+
+/// Why a figure could not be taken.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+pub enum FigureError {
+    /// The bench.
+    #[error(transparent)]
+    #[diagnostic(code(bench::failed))]
+    Bench(#[from] BenchError),
+    /// The device or the way to it.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Client(#[from] ClientError),
+}
+
+/// One cycle of the paper's run.
+const ONE_CYCLE: RunRequest = RunRequest {
+    cycles: 1,
+    timing: RunTiming::Total {
+        total_us: 8_000_000,
+        accel_um_s2: 100_000,
+    },
+    ..PAPER_RUN
+};
+
+struct Homed {
+    bench: Bench<RigBoard>,
+    device: Device,
+    ips: u64,
+}
+
+fn homed(ips: u64) -> Result<Homed, FigureError> {
+    let mut options = BenchOptions::new(rig::image());
+    options.chip.instructions_per_second = ips;
+    let bench = Bench::start(RigBoard::new(Rig::new(RigOptions::default())), options)?;
+    let mut device = Device::connect(
+        Box::new(VirtualLink::new(&bench, "virtual rig")),
+        DeviceKind::Rig,
+        1,
+    )?;
+    let accepted = device.home()?;
+    device.wait_homing(&accepted, &mut Unobserved)?;
+    Ok(Homed { bench, device, ips })
+}
+
+impl Homed {
+    /// Share of the processor's time that is not slept, while `us` pass.
+    fn load(&mut self, us: u64) -> Result<f64, FigureError> {
+        let before = (
+            self.bench.visit(|visit| visit.instructions())?,
+            self.bench.now_ns(),
+        );
+        self.device.idle(us, &mut Unobserved)?;
+        let after = (
+            self.bench.visit(|visit| visit.instructions())?,
+            self.bench.now_ns(),
+        );
+        let seconds = (after.1 - before.1) as f64 * 1e-9;
+        Ok((after.0 - before.0) as f64 / (seconds * self.ips as f64))
+    }
+
+    fn edges(&self) -> Result<(usize, u64), FigureError> {
+        Ok(self.bench.visit(|visit| {
+            let edges = visit.board().rig.edges();
+            (
+                edges.len(),
+                edges.iter().next_back().map_or(0, |edge| edge.at_ns),
+            )
+        })?)
+    }
+}
+
+/// Takes all figures and prints each with the goal beside it.
+///
+/// # Errors
+/// The emulator or the link failed; a figure that misses its goal is printed, not an error.
+pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
+    let mut line =
+        |what: &str, value: String, goal: &str| say(&format!("{what:<58} {value:<28} {goal}"));
+    line("figure", "measured".into(), "goal, or best seen elsewhere");
+
+    let mut rig = homed(65_000_000)?;
+    line(
+        "CPU load at rest (65 M instructions/s)",
+        format!("{:.2} %", rig.load(1_000_000)? * 1e2),
+        "",
+    );
+    let first = rig.edges()?.0;
+    let accepted = rig.device.run(ONE_CYCLE)?;
+    rig.device.idle(1_000_000, &mut Unobserved)?;
+    let wall = Instant::now();
+    let load = rig.load(2_000_000)?;
+    let speed = 2.0 / wall.elapsed().as_secs_f64();
+    line(
+        "CPU load at 28.5 kHz",
+        format!("{:.2} %", load * 1e2),
+        "< 3 %",
+    );
+    line(
+        "instructions per step at 28.5 kHz, all tasks together",
+        format!("{:.0}", load * 65e6 / 28_547.0),
+        "Klipper 46 cycles, without planning",
+    );
+    line(
+        "virtual seconds per wall second while stepping",
+        format!("{speed:.1}"),
+        ">= 4",
+    );
+    rig.device.wait_run(&accepted, &mut Unobserved)?;
+    let edges = rig
+        .bench
+        .visit(move |visit| visit.board().rig.edges().since(first))?;
+    let verdict = Verdict::of(
+        &Run {
+            cycles: 1,
+            ..Run::paper()
+        },
+        &edges,
+    );
+    line(
+        "longest deviation of an edge",
+        format!("{:.2} ns", verdict.worst.0),
+        "<= 10 ns; Klipper 25 us",
+    );
+
+    // The far limit opens in mid-stroke.
+    let number = rig.edges()?.0 as u64 + 50_000;
+    rig.bench.visit(move |visit| {
+        visit
+            .board()
+            .rig
+            .plan(When::Edge(number), Action::Stick(Switch::Far, Some(true)))
+    })?;
+    let accepted = rig.device.run(ONE_CYCLE)?;
+    rig.device.wait_run(&accepted, &mut Unobserved)?;
+    let (opened_ns, last_ns) = rig.bench.visit(move |visit| {
+        let edges = visit.board().rig.edges();
+        let opened = edges
+            .iter()
+            .nth(number as usize - 1)
+            .map_or(0, |edge| edge.at_ns);
+        (
+            opened,
+            edges.iter().next_back().map_or(0, |edge| edge.at_ns),
+        )
+    })?;
+    line(
+        "far limit to last edge",
+        format!("{:.1} us", (last_ns - opened_ns) as f64 / 1e3),
+        "<= 50 us; Klipper >= 45 us",
+    );
+
+    let mut rig = homed(65_000_000)?;
+    rig.device.run(ONE_CYCLE)?;
+    rig.device.idle(2_000_000, &mut Unobserved)?;
+    let sent_ns = rig.bench.now_ns();
+    rig.device.urgent(Urgent::EStop)?;
+    rig.device.idle(20_000, &mut Unobserved)?;
+    let after_us = rig.edges()?.1.saturating_sub(sent_ns) as f64 / 1e3;
+    line(
+        "E-stop frame's first bit to last edge, 115200 baud",
+        format!("{after_us:.1} us"),
+        "<= 2 ms",
+    );
+
+    for ips in [40, 25, 16, 12, 8] {
+        let result = (|| {
+            let mut rig = homed(ips * 1_000_000)?;
+            let first = rig.edges()?.0;
+            let accepted = rig.device.run(ONE_CYCLE)?;
+            rig.device.wait_run(&accepted, &mut Unobserved)?;
+            let edges = rig
+                .bench
+                .visit(move |visit| visit.board().rig.edges().since(first))?;
+            Ok::<_, FigureError>(Verdict::of(
+                &Run {
+                    cycles: 1,
+                    ..Run::paper()
+                },
+                &edges,
+            ))
+        })();
+        let value = match result {
+            Ok(verdict) if verdict.edges.0 == verdict.edges.1 => {
+                format!("{:.2} ns off", verdict.worst.0)
+            }
+            Ok(verdict) => format!("stopped at edge {}", verdict.edges.0),
+            Err(error) => format!("failed: {error}"),
+        };
+        line(
+            &format!("one cycle at {ips} M instructions/s"),
+            value,
+            "margin below 65",
+        );
+    }
+    Ok(())
+}
