@@ -73,7 +73,7 @@ fn is_nearest(p: &StrokeProfile, k: u32, tick: u64) -> bool {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(150))]
+    #![proptest_config(ProptestConfig::with_cases(1_000))]
 
     #[test]
     fn every_edge_is_within_half_a_tick(profile in profiles(1_500)) {
