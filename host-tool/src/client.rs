@@ -470,7 +470,11 @@ impl Device {
                         found = Some((repeat_steps, shift_steps));
                         true
                     }
-                    What::Rig(RigEvent::Faulted(_) | RigEvent::Stopped { .. }) => true,
+                    // It may be an older one that was still on its way: the status decides.
+                    What::Rig(RigEvent::Faulted(_) | RigEvent::Stopped { .. }) => !matches!(
+                        device.rig_status()?.state,
+                        RigState::Homing | RigState::Stopping
+                    ),
                     _ => false,
                 });
             }

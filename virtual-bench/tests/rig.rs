@@ -177,6 +177,24 @@ fn after_the_estop_no_edge_follows() {
     rig.check_clean(0);
 }
 
+/// The fault's event is still on its way when the run's end is known; the next homing must not take it for its own.
+#[test]
+fn homing_right_after_a_fault_is_not_ended_by_its_late_event() {
+    let mut rig = homed();
+    let number = rig.edge_count() as u64 + 1_000;
+    rig.look(move |rig| rig.plan(When::Edge(number), Action::EStop(true)));
+    let accepted = rig.device.run(paper(1)).expect("the run is accepted");
+    let record = rig
+        .device
+        .wait_run(&accepted, &mut Unobserved)
+        .expect("the run ends");
+    assert_eq!(record.outcome, RunOutcome::Faulted(RigFault::EStopLoop));
+    let now_ns = rig.bench.now_ns();
+    rig.look(move |rig| rig.act(Action::EStop(false), now_ns));
+    rig.device.acknowledge().expect("the cause is gone");
+    rig.home();
+}
+
 #[test]
 fn an_estop_frame_ends_the_pulses_within_2_ms() {
     let mut dice = Dice(0x5EED_0002);
