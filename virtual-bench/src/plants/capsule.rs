@@ -56,7 +56,7 @@ const LOOK_NS: u64 = 50_000;
 pub struct CapsuleOptions {
     /// Battery without load, mV.
     pub battery_mv: f64,
-    /// Battery's inner resistance, ohm [assumed].
+    /// Battery's inner resistance, ohm (assumed).
     pub battery_ohm: f64,
     /// Thread wound onto the spool at first, mm.
     pub wound_mm: f64,
