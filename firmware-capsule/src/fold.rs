@@ -24,7 +24,7 @@
 //! itself backwards onto the spool look alike. And the force begins gently: by the beam estimate of the
 //! origami the current rises by 0.3 of the no-load current (0.2 N) only some 9 mm after the slack
 //! has ended, and where exactly depends on friction more than on the thread. So the first engagement is recorded but
-//! nothing is referred to it. The sharp mark is the other end: at [`FORCE_MA`] the force grows
+//! nothing is referred to it. The sharp mark is the other end: at [`FORCE_MA`](crate::mechanics::FORCE_MA) the force grows
 //! by about 5 N per mm, so that an error of 10 % in the current is 0.15 mm of thread. A reference run
 //! therefore winds, slowly, to the same force at the same voltage as a fold does, calls that
 //! [`FOLDED`], and pays out exactly that much: it ends unfolded, whatever the state was in which it began.
