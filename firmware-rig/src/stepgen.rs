@@ -25,6 +25,7 @@ use firmware_rig::{machine::Event, periods::Period};
 /// Slots of the ring. At 28.5 kHz it holds 4.3 ms.
 const SLOTS: usize = 128;
 const WORDS: usize = 5;
+const RING_WORDS: u32 = (SLOTS * WORDS) as u32;
 /// Never more than this many periods wait in the ring; the rest keeps the zero slot away from the reader.
 const MAX_QUEUE: i32 = SLOTS as i32 - 4;
 /// Width of a step pulse, 2 us: above every driver's minimum (DRV8825: 1.9 us), and at the highest step rate, 250 kHz,
@@ -54,12 +55,12 @@ pub struct LoopOpen;
 
 /// The generator; one exists.
 pub struct StepGen {
-    /// Periods pushed since [`StepGen::clear`].
-    pushed: i32,
+    /// Periods pushed since [`StepGen::clear`]; wraps in runs of many hours.
+    pushed: u32,
     /// Periods that DMA has fetched; exceeds `pushed` by one while the last one plays, by two when halted.
-    fetched: i32,
+    fetched: u32,
     /// Slot that DMA reads next, when `fetched` was last updated.
-    read_slot: usize,
+    read_slot: u32,
     /// End of each slot's period on the path's time line (low 32 bits).
     ends: [u32; SLOTS],
     end: u32,
@@ -117,11 +118,11 @@ impl StepGen {
     pub fn clear(&mut self) {
         self.halt();
         for slot in 0..SLOTS {
-            write_slot(slot, [0; WORDS]);
+            write_slot(slot, 0, 0, 0);
         }
         DMA2.st(STREAM)
             .ndtr()
-            .write(|w| w.set_ndt((SLOTS * WORDS) as u16));
+            .write(|w| w.set_ndt(RING_WORDS as u16));
         (self.pushed, self.fetched, self.read_slot, self.end) = (0, 0, 0, 0);
     }
 
@@ -130,29 +131,23 @@ impl StepGen {
     /// # Errors
     /// [`Underrun`] if the reader is so near that the period might not be taken as a whole.
     pub fn push(&mut self, period: Period) -> Result<(), Underrun> {
-        let slot = self.pushed as usize % SLOTS;
-        let words = [
-            (period.ticks - 1) as u16,
-            0,
-            if period.sync {
-                SYNC_TICKS.min(period.ticks - 1) as u16
-            } else {
-                0
-            },
-            0,
-            if period.pulse { PULSE_TICKS } else { 0 },
-        ];
-        self.update();
         if self.running && self.queue() < 2 {
             return Err(Underrun);
         }
-        write_slot((slot + 1) % SLOTS, [0; WORDS]);
-        write_slot(slot, words);
+        let slot = self.pushed as usize % SLOTS;
+        let sync = if period.sync {
+            SYNC_TICKS.min(period.ticks - 1)
+        } else {
+            0
+        };
+        let pulse = if period.pulse { PULSE_TICKS } else { 0 };
+        write_slot((slot + 1) % SLOTS, 0, 0, 0);
+        write_slot(slot, (period.ticks - 1) as u16, sync as u16, pulse);
         self.update();
-        if self.running && self.fetched > self.pushed {
+        self.pushed = self.pushed.wrapping_add(1);
+        if self.running && self.queue() < 1 {
             return Err(Underrun);
         }
-        self.pushed += 1;
         self.end = self.end.wrapping_add(period.ticks);
         self.ends[slot] = self.end;
         Ok(())
@@ -165,15 +160,15 @@ impl StepGen {
 
     /// Periods that wait in the ring; -1 while the last one plays, -2 when halted.
     pub fn queue(&self) -> i32 {
-        self.pushed - self.fetched
+        self.pushed.wrapping_sub(self.fetched) as i32
     }
 
     /// Ticks from the period that plays now to the end of the queue.
     pub fn lead(&self) -> u32 {
-        let playing = self.fetched - 2;
-        if playing < 0 {
+        if self.fetched < 2 && !self.running {
             return self.end; // not started
         }
+        let playing = self.fetched.wrapping_sub(2);
         if self.queue() < 0 {
             return 0;
         }
@@ -181,20 +176,21 @@ impl StepGen {
     }
 
     /// Number of periods pushed so far.
-    pub fn pushed(&self) -> i32 {
+    pub fn pushed(&self) -> u32 {
         self.pushed
     }
 
     /// The period with this number (from 1, as [`StepGen::pushed`] after its push) has been played.
-    pub fn has_played(&self, number: i32) -> bool {
-        self.fetched >= number + 2
+    pub fn has_played(&self, number: u32) -> bool {
+        self.fetched.wrapping_sub(number) as i32 >= 2
     }
 
     /// Reads the progress of DMA. To be called at least once per round of the ring.
     pub fn update(&mut self) {
-        let left = usize::from(DMA2.st(STREAM).ndtr().read().ndt());
-        let slot = (SLOTS * WORDS - left) / WORDS % SLOTS;
-        self.fetched += ((slot + SLOTS - self.read_slot) % SLOTS) as i32;
+        let left = u32::from(DMA2.st(STREAM).ndtr().read().ndt());
+        let slot = (RING_WORDS - left) / WORDS as u32 % SLOTS as u32;
+        let fetched = slot.wrapping_sub(self.read_slot) % SLOTS as u32;
+        self.fetched = self.fetched.wrapping_add(fetched);
         self.read_slot = slot;
     }
 
@@ -261,15 +257,22 @@ impl StepGen {
     }
 }
 
-fn write_slot(slot: usize, words: [u16; WORDS]) {
-    let base = RING.0.get().cast::<u16>();
-    // ARR last: a half-written slot that the reader takes all the same has ARR = 0 and stops the counter.
-    for word in (0..WORDS).rev() {
-        // SAFETY: `slot` < SLOTS and `word` < WORDS, so the address lies inside the ring.
-        unsafe {
-            base.add(slot % SLOTS * WORDS + word)
-                .write_volatile(words[word])
-        };
+/// Writes the words of a slot that are ever other than zero: no repetition (RCR), no second channel (CCR2).
+fn write_slot(slot: usize, arr: u16, sync: u16, pulse: u16) {
+    let slots = RING.0.get().cast::<[u16; WORDS]>();
+    // SAFETY: `slot` % SLOTS lies inside the ring; volatile, because DMA reads it.
+    unsafe {
+        let words = slots.add(slot % SLOTS).cast::<u16>();
+        // ARR goes to zero first and to its value last: a half-written slot that the reader takes all the same
+        // stops the counter.
+        if arr == 0 {
+            words.write_volatile(0);
+        }
+        words.add(2).write_volatile(sync);
+        words.add(4).write_volatile(pulse);
+        if arr != 0 {
+            words.write_volatile(arr);
+        }
     }
     compiler_fence(Ordering::SeqCst);
 }

@@ -52,7 +52,7 @@ struct Execution<'a> {
     generator: &'a mut StepGen,
     periods: Periods,
     /// Number of the period with the last pulse.
-    last_pulse: i32,
+    last_pulse: u32,
     filling: Filling,
 }
 
@@ -68,7 +68,6 @@ impl Execution<'_> {
                 return;
             }
             self.filling = Filling::Full;
-            self.generator.update();
             let enough = self.generator.lead() >= LEAD_TICKS && self.generator.queue() >= MIN_QUEUE;
             if enough || !self.generator.has_room() {
                 return;
