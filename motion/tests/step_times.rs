@@ -236,6 +236,12 @@ proptest! {
             prop_assert!(p.within(speed));
             prop_assert!(p.peak_um_s(&axis) <= um_s);
             prop_assert!(p.accel_um_s2(&axis) <= um_s2);
+            // n / (r (T - r)) <= a, exactly.
+            let (steps, t, r) = integers(&p);
+            prop_assert!(
+                steps * TICK_HZ * TICK_HZ * axis.lead().0
+                    <= BigInt::from(um_s2) * axis.steps_per_rev() * &r * (t - &r)
+            );
             let same = StrokeProfile::from_duration(Steps(n), p.duration(), acceleration).unwrap();
             prop_assert!(same.within(speed));
             let shorter = Ticks(p.duration().0 - 1);
@@ -255,6 +261,29 @@ fn a_stop_before_the_first_step_moves_nothing() {
     assert_eq!(stop.steps, Steps(0));
     assert_eq!(times.next(), None);
     assert_eq!(times.left_out(), Steps(100));
+}
+
+/// On the stroke's own final ramp, a deceleration that would not be at rest earlier changes nothing.
+#[test]
+fn a_gentle_stop_on_the_final_ramp_finishes_the_stroke_as_planned() {
+    let axis = Axis::REFERENCE;
+    let gentle = axis.acceleration(50_000).unwrap();
+    let profile = StrokeProfile::from_duration(
+        Steps(8_000),
+        Ticks(100_000_000),
+        axis.acceleration(100_000).unwrap(),
+    )
+    .unwrap();
+    let planned: Vec<u64> = StepTimes::new(profile).collect();
+    let down = planned.len() - profile.ramp_steps().0 as usize;
+    for at in [down + 1, down + 100, planned.len() - 2] {
+        let mut times = StepTimes::new(profile);
+        times.by_ref().take(at).for_each(drop);
+        let stop = times.stop(gentle);
+        assert_eq!(stop.steps, Steps((planned.len() - at) as u32));
+        assert_eq!(stop.rest, profile.duration());
+        assert!(times.eq(planned[at..].iter().copied()));
+    }
 }
 
 #[test]
