@@ -286,6 +286,20 @@ fn a_gentle_stop_on_the_final_ramp_finishes_the_stroke_as_planned() {
     }
 }
 
+/// 20,000 steps at 80,000 steps/s^2: half a second up to 40,000 steps/s, half a second down.
+#[test]
+fn a_triangle_uses_the_acceleration_up() {
+    let axis = Axis::REFERENCE;
+    let (speed, acceleration) = (
+        axis.speed(100_000).unwrap(),
+        axis.acceleration(100_000).unwrap(),
+    );
+    let triangle = StrokeProfile::from_speed(Steps(20_000), speed, acceleration).unwrap();
+    assert_eq!(triangle.duration(), Ticks(TICK_HZ));
+    assert_eq!(triangle.ramp(), Ticks(TICK_HZ / 2));
+    assert_eq!(triangle.peak_um_s(&axis), 50_000);
+}
+
 #[test]
 fn the_bounds_refuse_what_they_say() {
     let parts = |n, t, r| StrokeProfile::from_parts(Steps(n), Ticks(t), Ticks(r));
