@@ -1,0 +1,112 @@
+//! The switches of the rig: a true one stops, a disturbance does not.
+
+mod common;
+
+use common::{Dice, LIMIT_NS, exact, homed, paper};
+use host_tool::client::Unobserved;
+use protocol::{
+    error::Refusal,
+    rig::{RigFault, RunOutcome},
+};
+use virtual_bench::{
+    faults::When,
+    plants::rig::{Action, Switch},
+    verdicts::Verdict,
+};
+
+/// 50 us from the contact, and the step that is under way (at most 35 us at the paper's speed).
+const STOP_LIMIT_NS: u64 = 50_000 + 35_100;
+
+#[test]
+fn the_far_limit_ends_the_pulses_within_50_us() {
+    let mut dice = Dice(0x5EED_0004);
+    let mut rig = homed();
+    for trial in 0..10 {
+        let number = rig.edge_count() as u64 + dice.roll(1_000..103_000);
+        rig.look(move |rig| rig.plan(When::Edge(number), Action::Stick(Switch::Far, Some(true))));
+        let accepted = rig.device.run(paper(1)).expect("the run is accepted");
+        let record = rig
+            .device
+            .wait_run(&accepted, &mut Unobserved)
+            .expect("the run ends");
+        assert_eq!(
+            record.outcome,
+            RunOutcome::Faulted(RigFault::FarLimit),
+            "trial {trial}\n{}",
+            rig.log()
+        );
+        let edges = rig.edges(number as usize - 1);
+        let opened = edges.iter().next().expect("the edge of the fault").at_ns;
+        let last = edges.iter().next_back().expect("the last edge").at_ns;
+        assert!(
+            last - opened <= STOP_LIMIT_NS,
+            "trial {trial}: {} ns",
+            last - opened
+        );
+        // The read-back counter knows where it stopped, to the step.
+        let status = rig.device.rig_status().expect("a status");
+        assert_eq!(
+            (i64::from(status.position_steps), status.homed),
+            (rig.carriage(), false)
+        );
+        let now_ns = rig.bench.now_ns();
+        rig.look(move |rig| rig.act(Action::Stick(Switch::Far, None), now_ns));
+        rig.device.acknowledge().expect("it can be acknowledged");
+        rig.home();
+    }
+    rig.check_clean(0);
+}
+
+/// Disturbances of 19 us on all three wires, a thousand a second each, for a whole cycle.
+#[test]
+fn disturbances_of_19_us_never_stop_a_run_and_are_counted() {
+    let mut rig = homed();
+    let first = rig.edge_count();
+    let start_ns = rig.bench.now_ns() + 100_000_000;
+    rig.look(move |rig| {
+        for millisecond in 0..7_500 {
+            let at = start_ns + millisecond * 1_000_000;
+            rig.plan(When::At(at), Action::Disturb(Switch::Far, 19_000));
+            rig.plan(
+                When::At(at + 500_000),
+                Action::Disturb(Switch::Home, 19_000),
+            );
+        }
+    });
+    let accepted = rig.device.run(paper(1)).expect("the run is accepted");
+    let record = rig
+        .device
+        .wait_run(&accepted, &mut Unobserved)
+        .expect("the run ends");
+    assert_eq!(record.outcome, RunOutcome::Complete, "{}", rig.log());
+    Verdict::of(&exact(1), &rig.edges(first))
+        .check(LIMIT_NS)
+        .unwrap_or_else(|why| panic!("{why}"));
+    // The home wire shows nothing while the flag is actuated and holds the contact open: 2.3 % of this run.
+    assert!(
+        (14_600..=15_000).contains(&record.glitches),
+        "{} of 15000 counted",
+        record.glitches
+    );
+    rig.check_clean(0);
+}
+
+#[test]
+fn both_switches_open_is_an_unplugged_cable() {
+    let mut rig = common::rig();
+    let now_ns = rig.bench.now_ns();
+    rig.look(move |rig| {
+        rig.act(Action::Stick(Switch::Far, Some(true)), now_ns);
+        rig.act(Action::Stick(Switch::Home, Some(true)), now_ns);
+    });
+    rig.device
+        .idle(10_000, &mut Unobserved)
+        .expect("the link stays");
+    match rig.device.home() {
+        Err(host_tool::error::ClientError::Refused { refusal, .. }) => {
+            assert_eq!(refusal, Refusal::RigFaulted(RigFault::BothSwitchesOpen));
+        }
+        other => panic!("{other:?}"),
+    }
+    assert_eq!(rig.edge_count(), 0);
+}
