@@ -31,7 +31,7 @@ pub(crate) fn run_command(command: &str, options: &[String]) -> Result<()> {
 /// A test fails.
 pub(crate) fn test() -> Result<()> {
     let mut cargo = host_cargo("test");
-    cargo.args(["--release", "--package", "virtual-bench"]);
+    cargo.args(["--release", "--package", "virtual-bench", "--no-fail-fast"]);
     accept_this_rust(&mut cargo);
     run(
         &mut cargo,
