@@ -417,7 +417,12 @@ impl Capsule {
     }
 
     fn take(&mut self, now_us: u64, sample: Sample, actions: &mut Actions) {
-        let elapsed_us = now_us.saturating_sub(self.sample_us);
+        // The last sample before an actuation is up to 100 ms old, and nothing was driven then.
+        let since_us = match &self.mode {
+            Mode::Moving(actuation) => self.sample_us.max(actuation.started_us),
+            _ => self.sample_us,
+        };
+        let elapsed_us = now_us.saturating_sub(since_us);
         if let Drive::Millivolts(_) = self.drive {
             // mV * mA * us = pJ. All of the motor's current comes from the battery: there is none between the
             // pulses.

@@ -158,28 +158,55 @@ fn it_folds_on_force_and_unfolds_by_count_again_and_again() {
 #[test]
 fn what_it_says_is_what_the_plant_did() {
     let mut capsule = referenced();
-    let (zero, energy) = capsule.look(|capsule| (capsule.wound_mm(), capsule.energy_j()));
-    let record = capsule.fold();
-    let (wound, energy) =
-        capsule.look(move |capsule| (capsule.wound_mm() - zero, capsule.energy_j() - energy));
-    let thread_mm = f64::from(record.thread_um) / 1_000.0;
-    assert!(
-        (thread_mm - wound).abs() < 0.1,
-        "{thread_mm} mm reported, {wound} mm wound"
-    );
-    let energy_mj = f64::from(record.energy_mj);
-    assert!(
-        (energy_mj - energy * 1e3).abs() < 0.15 * energy_mj,
-        "{energy_mj} mJ reported, {energy} J drawn"
-    );
-    assert!(
-        record.end_current_ma >= 100 && record.peak_current_ma >= record.end_current_ma,
-        "{record:?}"
-    );
-    assert!(
-        record.duration_ms > 500 && record.duration_ms < 5_000,
-        "{record:?}"
-    );
+    let zero = capsule.look(|capsule| capsule.wound_mm());
+    // The pauses are those of a person: no reading of the idle bridge may leak into the next actuation.
+    for pause_us in [0, 30_000, 77_000, 101_000] {
+        for folds in [true, false] {
+            capsule
+                .device
+                .idle(pause_us, &mut Unobserved)
+                .expect("the link stays");
+            let energy = capsule.look(|capsule| capsule.energy_j());
+            let record = if folds {
+                capsule.fold()
+            } else {
+                capsule.unfold()
+            };
+            assert_eq!(
+                record.outcome,
+                ActuationOutcome::Complete,
+                "{}",
+                capsule.log()
+            );
+            let (wound, energy) = capsule.look(move |capsule| {
+                (
+                    capsule.wound_mm() - zero,
+                    (capsule.energy_j() - energy) * 1e3,
+                )
+            });
+            let thread_mm = f64::from(record.thread_um) / 1_000.0;
+            assert!(
+                (thread_mm - wound).abs() < 0.5,
+                "{thread_mm} mm reported, {wound} mm wound"
+            );
+            let energy_mj = f64::from(record.energy_mj);
+            assert!(
+                (energy_mj / energy - 1.0).abs() < 0.05,
+                "{energy_mj} mJ reported, {energy:.1} mJ drawn"
+            );
+            if folds {
+                assert!(record.end_current_ma >= 100, "{record:?}");
+                assert!(
+                    record.peak_current_ma >= record.end_current_ma,
+                    "{record:?}"
+                );
+                assert!(
+                    record.duration_ms > 500 && record.duration_ms < 5_000,
+                    "{record:?}"
+                );
+            }
+        }
+    }
     capsule.check_clean();
 }
 
