@@ -512,32 +512,26 @@ impl Device {
     ) -> Result<RunRecord, ClientError> {
         observer.begun(&Begun::Run(*accepted));
         let total_us = accepted.total_ticks.div_ceil(100);
-        let at_most_us = total_us.saturating_add(accepted.requested.start_delay_us.into());
-        self.wait(
-            "the run",
-            at_most_us,
-            observer,
-            |device, event, observer| {
-                if let Some(event) = event {
-                    return Ok(matches!(
-                        event.what,
-                        What::Rig(RigEvent::RunEnded { run, .. }) if run == accepted.run
-                    ));
-                }
-                let status = device.rig_status()?;
-                observer.progress(&Progress::Run {
-                    elapsed_us: status.elapsed_us,
-                    total_us,
-                    stroke: status.stroke,
-                    strokes: u32::from(accepted.requested.cycles) * 2,
-                    position_um: status.position_um,
-                });
-                Ok(!matches!(
-                    status.state,
-                    RigState::Running | RigState::Held | RigState::Stopping
-                ))
-            },
-        )?;
+        self.wait("the run", total_us, observer, |device, event, observer| {
+            if let Some(event) = event {
+                return Ok(matches!(
+                    event.what,
+                    What::Rig(RigEvent::RunEnded { run, .. }) if run == accepted.run
+                ));
+            }
+            let status = device.rig_status()?;
+            observer.progress(&Progress::Run {
+                elapsed_us: status.elapsed_us,
+                total_us,
+                stroke: status.stroke,
+                strokes: u32::from(accepted.requested.cycles) * 2,
+                position_um: status.position_um,
+            });
+            Ok(!matches!(
+                status.state,
+                RigState::Running | RigState::Held | RigState::Stopping
+            ))
+        })?;
         self.run_record()
     }
 

@@ -29,18 +29,17 @@ const WIDEST_LIMITS: Limits = Limits {
     min_turnaround_ticks: 0,
 };
 
-/// Solves a run as the rig does. The protocol's total leaves the start delay out, the planner's counts it in.
+/// Solves a run as the rig does. A total counts the start delay in.
 ///
 /// # Errors
 /// What makes the run infeasible, and what would make it feasible.
 pub fn solve(run: &Run, axis: &Axis, limits: &Limits) -> Result<RunPlan, RunError> {
-    let delay_us = u64::from(run.start_delay_us);
     let timing = match run.timing {
         RunTiming::Total {
             total_us,
             accel_um_s2,
         } => Timing::Total {
-            total_us: total_us.checked_add(delay_us).ok_or(RunError::TooLong)?,
+            total_us,
             accel_um_s2,
         },
         RunTiming::Speeds {
@@ -61,25 +60,7 @@ pub fn solve(run: &Run, axis: &Axis, limits: &Limits) -> Result<RunPlan, RunErro
         home_dwell_us: run.home_dwell_us,
         start_delay_us: run.start_delay_us,
     };
-    RunPlan::solve(axis, limits, &request).map_err(|error| match error {
-        RunError::TotalTooShort {
-            minimal_total_us,
-            minimal_accel_um_s2,
-        } => RunError::TotalTooShort {
-            minimal_total_us: minimal_total_us.saturating_sub(delay_us),
-            minimal_accel_um_s2,
-        },
-        RunError::PeakAboveLimit {
-            peak_um_s,
-            max_um_s,
-            minimal_total_us,
-        } => RunError::PeakAboveLimit {
-            peak_um_s,
-            max_um_s,
-            minimal_total_us: minimal_total_us.map(|us| us.saturating_sub(delay_us)),
-        },
-        other => other,
-    })
+    RunPlan::solve(axis, limits, &request)
 }
 
 /// Refuses what every rig would refuse, before a link is opened. What depends on the rig's own screw and limits
@@ -133,7 +114,7 @@ pub fn summary(run: &Run, axis: &Axis, plan: &RunPlan) -> Summary {
             run: 0,
             forward: stroke(plan.forward(), axis),
             back: stroke(plan.return_(), axis),
-            total_ticks: plan.total().0 - plan.start_delay().0,
+            total_ticks: plan.total().0,
             edges: plan.edges(),
             plan_hash: format!("{:016x}", plan.hash()),
         },
@@ -196,9 +177,13 @@ mod tests {
     }
 
     #[test]
-    fn a_start_delay_changes_neither_strokes_nor_total() {
+    fn a_start_delay_is_part_of_the_total() {
         let delayed = Run {
-            start_delay_us: 7_000_001,
+            start_delay_us: 4_000_000,
+            timing: RunTiming::Total {
+                total_us: 44_000_000,
+                accel_um_s2: 100_000,
+            },
             ..PAPER_RUN
         };
         let plan = |run: &Run| {
@@ -207,7 +192,7 @@ mod tests {
         };
         let (now, later) = (plan(&PAPER_RUN), plan(&delayed));
         assert_eq!((now.forward, now.back), (later.forward, later.back));
-        assert_eq!(now.total_ticks, later.total_ticks);
+        assert_eq!(later.total_ticks, now.total_ticks + 400_000_000);
     }
 
     #[test]

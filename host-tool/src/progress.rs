@@ -151,7 +151,7 @@ pub fn begun_text(begun: &Begun) -> String {
             };
             let delay = match run.requested.start_delay_us {
                 0 => String::new(),
-                us => format!(" after {} s", decimal::write(us.into(), 6)),
+                us => format!(" with a start delay of {} s", decimal::write(us.into(), 6)),
             };
             format!(
                 "Run {}: {} strokes of {} mm in {} s{how}{delay}; peak {} / {} mm/s, {} mm/s2, {} steps.",

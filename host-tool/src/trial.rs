@@ -142,7 +142,7 @@ pub struct Achieved {
     pub forward: Stroke,
     /// Strokes towards home.
     pub back: Stroke,
-    /// Duration in ticks of 10 ns, without the start delay.
+    /// Duration in ticks of 10 ns, with the start delay.
     pub total_ticks: u64,
     /// Steps of the whole run.
     pub edges: u64,

@@ -81,7 +81,7 @@ fn the_papers_plan() {
     assert_eq!((code, err.as_str()), (0, ""));
     insta::assert_snapshot!(out, @r"
     cycles:        5 of 130 mm (130 mm achieved)
-    duration:      40 s, after a delay of 0 s
+    duration:      40 s, a start delay of 0 s included
     strokes:       10, 4 s out, 4 s home
     ramps:         0.35683233 s out, 0.35683233 s home
     peak speed:    35.683 mm/s out, 35.683 mm/s home

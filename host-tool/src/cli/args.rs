@@ -202,7 +202,7 @@ pub struct Waves {
         allow_negative_numbers = true
     )]
     pub home_dwell_s: ShortSeconds,
-    /// Pause before the first stroke in s.
+    /// Pause before the first stroke in s; part of the duration.
     #[arg(
         long,
         value_name = "S",

@@ -67,7 +67,7 @@ fn text(summary: &Summary) -> String {
     format!(
         "\
 cycles:        {} of {} mm ({} mm achieved)
-duration:      {} s, after a delay of {} s
+duration:      {} s, a start delay of {} s included
 strokes:       {}, {} s out, {} s home
 ramps:         {} s out, {} s home
 peak speed:    {} mm/s out, {} mm/s home

@@ -37,7 +37,7 @@ pub struct Planned {
     pub velocity: Vec<(f64, f64)>,
 }
 
-/// The exact continuous profile of a run, sampled finely enough to draw. Time 0 is the first stroke's start.
+/// The exact continuous profile of a run, sampled finely enough to draw. Time 0 is the run's start.
 #[must_use]
 pub fn planned(screw: &Screw, run: &Run, achieved: &Achieved) -> Planned {
     let seconds = |ticks: u64| ticks as f64 * 1e-8;
@@ -46,7 +46,7 @@ pub fn planned(screw: &Screw, run: &Run, achieved: &Achieved) -> Planned {
         f64::from(run.home_dwell_us) * 1e-6,
     );
     let mut planned = Planned::default();
-    let mut start = 0.0;
+    let mut start = f64::from(run.start_delay_us) * 1e-6;
     for cycle in 0..run.cycles {
         stroke(&mut planned, screw, &achieved.forward, start, false);
         start += seconds(achieved.forward.duration_ticks) + far;
