@@ -51,7 +51,7 @@ pub enum Refusal {
         requested_us: u64,
         /// Shortest possible with the requested acceleration.
         min_us: u64,
-        /// Smallest acceleration that would do it in the requested time.
+        /// Smallest acceleration that would do it in the requested time; `u64::MAX`: none, delay and dwells use it up.
         min_accel_um_s2: u64,
     },
     /// The plan needs a speed that the axis must not reach.
@@ -254,6 +254,10 @@ impl fmt::Display for Refusal {
             Refusal::OutOfRange { field, requested, min, max } => {
                 write!(f, "{field} is {requested}, allowed is {min} to {max}")
             }
+            Refusal::TooFast { requested_us, min_us, min_accel_um_s2: u64::MAX } => write!(
+                f,
+                "{requested_us} us is too short: delay and dwells leave no time for the strokes; at this acceleration the run takes at least {min_us} us"
+            ),
             Refusal::TooFast { requested_us, min_us, min_accel_um_s2 } => write!(
                 f,
                 "{requested_us} us is too short: at this acceleration the run takes at least {min_us} us; to do it in the requested time needs at least {min_accel_um_s2} um/s2"
@@ -289,3 +293,25 @@ impl fmt::Display for WireError {
 
 impl core::error::Error for Refusal {}
 impl core::error::Error for WireError {}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use std::string::ToString;
+
+    #[test]
+    fn no_text_shows_a_number_that_stands_for_none() {
+        let refusal = |min_accel_um_s2| Refusal::TooFast {
+            requested_us: 1,
+            min_us: 2,
+            min_accel_um_s2,
+        };
+        assert!(
+            !refusal(u64::MAX)
+                .to_string()
+                .contains("18446744073709551615")
+        );
+        assert!(refusal(520_000).to_string().contains("520000 um/s2"));
+    }
+}
