@@ -123,6 +123,43 @@ fn dwells_delay_and_separate_speeds_are_exact() {
     rig.check_clean(0);
 }
 
+/// The total counts the delay in: what the host asks for is when the run is over.
+#[test]
+fn a_start_delay_is_part_of_the_total() {
+    let mut rig = homed();
+    let first = rig.edge_count();
+    let run = Run {
+        cycles: 1,
+        stroke_um: 40_000,
+        timing: RunTiming::Total {
+            total_us: 5_000_000,
+            accel_um_s2: 200_000,
+        },
+        start_delay_us: 1_000_000,
+        ..paper(1)
+    };
+    let asked_ns = rig.bench.now_ns();
+    let (accepted, record) = execute(&mut rig, run);
+    assert_eq!(
+        (accepted.total_ticks, record.ticks),
+        (500_000_000, 500_000_000)
+    );
+    let edges = rig.edges(first);
+    let (start, end) = (
+        edges.iter().next().expect("edges").at_ns,
+        edges.iter().next_back().expect("edges").at_ns,
+    );
+    // The first step of a stroke comes some milliseconds into it; the request takes some to arrive.
+    assert!(
+        (1_000_000_000..1_030_000_000).contains(&(start - asked_ns)),
+        "{start} after {asked_ns}"
+    );
+    assert!(
+        (5_000_000_000..5_030_000_000).contains(&(end - asked_ns)),
+        "{end} after {asked_ns}"
+    );
+}
+
 #[test]
 fn after_the_estop_no_edge_follows() {
     let mut dice = Dice(0x5EED_0001);
