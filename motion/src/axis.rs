@@ -5,6 +5,7 @@
 use core::fmt;
 
 use crate::units::{Micrometres, Nanometres, Steps, TICK_HZ};
+use crate::wide::{div_ceil, div_nearest};
 
 /// The longest stroke that can be configured: the paper's, 130 mm.
 pub const MAX_STROKE: Micrometres = Micrometres(130_000);
@@ -240,7 +241,7 @@ impl Axis {
     pub(crate) fn scaled_um(&self, steps: u32, scale: u128, per: u128) -> u32 {
         let numerator = u128::from(steps) * u128::from(self.ratio.um) * scale;
         let denominator = per * u128::from(self.ratio.steps);
-        u32::try_from((numerator + denominator / 2) / denominator).unwrap_or(u32::MAX)
+        u32::try_from(div_nearest(numerator, denominator)).unwrap_or(u32::MAX)
     }
 }
 
@@ -298,8 +299,10 @@ impl Speed {
 
     /// The fewest whole ticks in which `steps` may pass: ceil(steps / speed).
     pub(crate) fn least_span(self, steps: Steps) -> u128 {
-        (u128::from(steps.0) * u128::from(TICK_HZ) * u128::from(self.ratio.um))
-            .div_ceil(u128::from(self.um_s) * u128::from(self.ratio.steps))
+        div_ceil(
+            u128::from(steps.0) * u128::from(TICK_HZ) * u128::from(self.ratio.um),
+            u128::from(self.um_s) * u128::from(self.ratio.steps),
+        )
     }
 }
 
@@ -320,15 +323,18 @@ impl Acceleration {
 
     /// `steps / acceleration` in ticks^2, rounded up.
     pub(crate) fn least_square(self, steps: Steps) -> u128 {
-        self.square_of_unit(steps)
-            .div_ceil(u128::from(self.um_s2) * u128::from(self.ratio.steps))
+        div_ceil(
+            self.square_of_unit(steps),
+            u128::from(self.um_s2) * u128::from(self.ratio.steps),
+        )
     }
 
     /// The least acceleration, um/s^2, for which `least_square(steps)` is at most `square`.
     pub(crate) fn least_for(self, steps: Steps, square: u128) -> u64 {
-        let um_s2 = self
-            .square_of_unit(steps)
-            .div_ceil(square.max(1) * u128::from(self.ratio.steps));
+        let um_s2 = div_ceil(
+            self.square_of_unit(steps),
+            square.max(1) * u128::from(self.ratio.steps),
+        );
         u64::try_from(um_s2).unwrap_or(u64::MAX)
     }
 
@@ -337,8 +343,10 @@ impl Acceleration {
     pub(crate) fn steps_to_rest(self, interval: u32) -> u128 {
         let speed_of_unit = u128::from(TICK_HZ) * u128::from(TICK_HZ) * u128::from(self.ratio.um);
         let square = u128::from(interval) * u128::from(interval);
-        speed_of_unit
-            .div_ceil(2 * square.max(1) * u128::from(self.um_s2) * u128::from(self.ratio.steps))
+        div_ceil(
+            speed_of_unit,
+            2 * square.max(1) * u128::from(self.um_s2) * u128::from(self.ratio.steps),
+        )
     }
 
     fn square_of_unit(self, steps: Steps) -> u128 {

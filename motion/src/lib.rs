@@ -17,3 +17,4 @@ pub mod run;
 pub mod step_times;
 pub mod trapezoid;
 pub mod units;
+mod wide;

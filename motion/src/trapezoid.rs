@@ -15,6 +15,7 @@ use core::fmt;
 
 use crate::axis::{Acceleration, Axis, Speed};
 use crate::units::{Steps, TICK_HZ, Ticks};
+use crate::wide::div_ceil;
 
 /// The most steps of one stroke. The finest axis has 26.6 M in 130 mm.
 pub const MAX_STEPS: Steps = Steps(1 << 25);
@@ -133,14 +134,14 @@ impl StrokeProfile {
         let square = span * u128::from(self.ramp_ticks);
         Self::shortest_within(
             left,
-            (left_steps * span).div_ceil(n),
-            (left_steps * square).div_ceil(n),
+            div_ceil(left_steps * span, n),
+            div_ceil(left_steps * square, n),
         )
     }
 
     /// Peak speed steps/span at most, acceleration steps/square at most.
     fn shortest_within(steps: Steps, span: u128, square: u128) -> Result<Self, StrokeError> {
-        let ramp = square.div_ceil(span);
+        let ramp = div_ceil(square, span);
         if ramp >= span {
             let duration = shortest(square);
             return Self::from_parts(steps, duration, Ticks(duration.0 / 2));
@@ -195,9 +196,8 @@ impl StrokeProfile {
         } else if self.ramp_steps().0 == 0 {
             Ticks((n * self.ramp_ticks + 2 * span + n) / (2 * n))
         } else {
-            let four = 4 * u128::from(self.ramp_ticks) * 2 * u128::from(span) / u128::from(n);
-            // With a step inside the ramp, t_1 <= r < 2^31 for every profile that is accepted.
-            Ticks(u64::try_from(four).unwrap_or(u64::MAX).isqrt().div_ceil(2))
+            // The square is below 2^62 for every profile that is accepted.
+            Ticks((4 * self.square() / n).isqrt().div_ceil(2))
         }
     }
 

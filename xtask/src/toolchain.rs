@@ -32,7 +32,8 @@ impl Toolchain {
     /// The names of this machine's folders are kept out of the image: they are part of every panic's
     /// message, and a long one would cost flash and give another image.
     pub(crate) fn cargo(&self, subcommand: &str) -> Command {
-        let mut folders = vec![(root(), "/retrograde"), (crates(), "/crates")];
+        let mut folders = vec![(root(), "/retrograde")];
+        folders.extend(crates().into_iter().map(|folder| (folder, "")));
         let mut command = match self {
             Self::Native => image_cargo(
                 std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()),
@@ -87,12 +88,16 @@ impl fmt::Display for Version {
 }
 
 /// Where cargo keeps the sources of crates.
-fn crates() -> PathBuf {
+fn crates() -> Vec<PathBuf> {
     let cargo_home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
-    cargo_home
+    let sources = cargo_home
         .or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cargo")))
         .unwrap_or_default()
-        .join("registry/src")
+        .join("registry/src");
+    // This program was built from there; without it (vendored sources) the texts in the image are longer.
+    std::fs::read_dir(sources)
+        .map(|folders| folders.flatten().map(|folder| folder.path()).collect())
+        .unwrap_or_default()
 }
 
 /// The compiler of the Rust in use.
