@@ -5,9 +5,9 @@ fn main() {
     println!("cargo:rerun-if-changed=build.rs");
     println!("cargo:rerun-if-changed=../memory.x");
     // Link arguments live here and not in `rustflags`, which vanish when RUSTFLAGS is set: the link would then
-    // succeed without a vector table.
+    // succeed without a vector table. Equal functions are kept once.
     if std::env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
-        for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
+        for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x", "--icf=all"] {
             println!("cargo:rustc-link-arg-bins={argument}");
         }
     }

@@ -11,6 +11,7 @@
 //! | home flag, normally closed to ground | PC7 | EXTI7 |
 //! | far limit, normally closed to ground | PB6 | EXTI6 |
 //! | status LED | PA5 | |
+//! | start button, low = pressed | PC13 | |
 //! | serial | PA2, PA3 | USART2, DMA1 streams 6 and 5 |
 //!
 //! Step timer: TIM1 with DMA2 stream 5 channel 6 (RM0383 table 28). Time driver: TIM5. All inputs have pull-ups:
@@ -20,6 +21,7 @@
 
 use embassy_stm32::{
     Config, bind_interrupts, dma,
+    flash::{Bank1Region1, Blocking, Flash},
     gpio::{Level, Output, Speed},
     interrupt::{self, InterruptExt, Priority},
     mode::Async,
@@ -48,8 +50,10 @@ pub struct Board {
     pub uart: Uart<'static, Async>,
     /// Status LED.
     pub led: Output<'static>,
-    /// 500 ms.
+    /// 800 ms: longer than the longest erasure of a settings sector, 500 ms.
     pub watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
+    /// Sectors 0 to 3 of the flash.
+    pub sectors: Bank1Region1<'static, Blocking>,
 }
 
 /// Clocks, pins and interrupts. The driver stays off and no output is armed.
@@ -69,11 +73,14 @@ pub fn init() -> Board {
         defmt::panic!("USART2: the clock does not divide to the baud rate")
     };
     let led = Output::new(p.PA5, Level::Low, Speed::Low);
-    let watchdog = IndependentWatchdog::new(p.IWDG, 500_000);
+    let watchdog = IndependentWatchdog::new(p.IWDG, 800_000);
     Board {
         uart,
         led,
         watchdog,
+        sectors: Flash::new_blocking(p.FLASH)
+            .into_blocking_regions()
+            .bank1_region1,
     }
 }
 
@@ -136,7 +143,7 @@ fn configure_pins() {
     pac::GPIOA.bsrr().write(|w| w.set_bs(9, true));
     pac::GPIOA.moder().modify(|w| w.set_moder(9, Moder::OUTPUT));
     pac::GPIOB.moder().modify(|w| w.set_moder(4, Moder::OUTPUT));
-    for (port, pin) in [(pac::GPIOC, 7), (pac::GPIOB, 6)] {
+    for (port, pin) in [(pac::GPIOC, 7), (pac::GPIOB, 6), (pac::GPIOC, 13)] {
         port.pupdr().modify(|w| w.set_pupdr(pin, Pupdr::PULL_UP));
         port.moder().modify(|w| w.set_moder(pin, Moder::INPUT));
     }
@@ -232,6 +239,11 @@ pub fn inputs() -> RigInputs {
         far_limit: high(pac::GPIOB.idr().read().idr(6)),
         estop_loop: high(pac::GPIOA.idr().read().idr(6)),
     }
+}
+
+/// The start button is down, not filtered.
+pub fn button_is_down() -> bool {
+    pac::GPIOC.idr().read().idr(13) == pac::gpio::vals::Idr::LOW
 }
 
 /// Why the chip was reset; clears the flags.

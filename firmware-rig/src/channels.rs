@@ -6,10 +6,13 @@ use embassy_sync::{
     channel::Channel,
     signal::Signal,
 };
+use embassy_time::Instant;
 use firmware_rig::{machine::Event, periods::Path};
+use motion::axis::{Acceleration, Axis};
 use protocol::{
     frame::Encoded,
     rig::RigState,
+    settings::SettingKey,
     system::Urgent,
     table::{Reply, Request},
 };
@@ -20,6 +23,10 @@ pub struct Order {
     pub path: Path,
     /// First and last allowed position.
     pub window: (i32, i32),
+    /// Of a stop.
+    pub stop_accel: Acceleration,
+    /// Width of a step pulse.
+    pub pulse_ticks: u16,
 }
 
 /// A request for the control task.
@@ -37,6 +44,8 @@ pub struct Snapshot {
     pub state: RigState,
     /// Ledger.
     pub residual_steps: i32,
+    /// What a step is in um.
+    pub axis: Axis,
 }
 
 /// Fed by interrupts and motion, drained by control.
@@ -60,6 +69,7 @@ pub static SNAPSHOT: Mutex<Raw, core::cell::Cell<Snapshot>> =
     Mutex::new(core::cell::Cell::new(Snapshot {
         state: RigState::Unhomed,
         residual_steps: 0,
+        axis: Axis::REFERENCE,
     }));
 /// Telemetry interval in ms, 0 = none. Set by control, read by telemetry.
 pub static TELEMETRY_MS: AtomicU16 = AtomicU16::new(0);
@@ -73,12 +83,57 @@ pub static LAST_FRAME_US: AtomicU32 = AtomicU32::new(0);
 pub static COMMANDED: AtomicI32 = AtomicI32::new(0);
 /// Stroke in progress. Set by motion.
 pub static STROKE: AtomicU32 = AtomicU32::new(0);
-/// False pulses on the switches. Set by the switch interrupt.
-pub static GLITCHES: AtomicU32 = AtomicU32::new(0);
+/// False pulses on home flag and far limit, and when the last one was. Set by the switch interrupt.
+pub static GLITCHES: [Glitches; 2] = [const { Glitches::new() }; 2];
+/// How long a switch must keep its level, us. Set by control, read by the switch interrupt.
+pub static SWITCH_FILTER_US: AtomicU32 = AtomicU32::new(SettingKey::SwitchFilterUs.range().default);
+/// Receptions that failed, frames that were bad, frames that found the line busy. Set by link and senders.
+pub static UART_ERRORS: AtomicU32 = AtomicU32::new(0);
+/// See [`UART_ERRORS`].
+pub static BAD_FRAMES: AtomicU32 = AtomicU32::new(0);
+/// See [`UART_ERRORS`].
+pub static UNSENT_FRAMES: AtomicU32 = AtomicU32::new(0);
 /// Filtered state of the switches. Set by the switch interrupt and control.
 pub static HOME_FLAG_OPEN: AtomicBool = AtomicBool::new(false);
 /// Check-ins of the tasks; see `tasks::watchdog`.
 pub static CHECK_INS: AtomicU8 = AtomicU8::new(0);
+
+/// False pulses on one switch.
+pub struct Glitches {
+    count: AtomicU32,
+    last_us: AtomicU32,
+}
+
+impl Glitches {
+    const fn new() -> Self {
+        Self {
+            count: AtomicU32::new(0),
+            last_us: AtomicU32::new(0),
+        }
+    }
+
+    /// One more.
+    pub fn add(&self) {
+        self.count.fetch_add(1, Ordering::Relaxed);
+        let now = Instant::now().as_micros() as u32;
+        self.last_us.store(now, Ordering::Relaxed);
+    }
+
+    /// As on the wire.
+    pub fn get(&self) -> protocol::rig::Glitches {
+        protocol::rig::Glitches {
+            count: self.count.load(Ordering::Relaxed),
+            last_us: self.last_us.load(Ordering::Relaxed),
+        }
+    }
+}
+
+/// Sends a frame that nobody waits for, unless the line is busy.
+pub fn send_if_free(frame: Encoded) {
+    if OUTBOUND.try_send(frame).is_err() {
+        UNSENT_FRAMES.fetch_add(1, Ordering::Relaxed);
+    }
+}
 
 /// Tells motion and control that the pulses were cut.
 pub fn pulses_were_cut(why: Event) {

@@ -2,18 +2,22 @@
 
 use crate::{
     machine::{Actions, Command, Machine},
-    settings::Settings,
+    settings::{Settings, Values},
 };
 use motion::{
-    axis::Direction,
+    axis::{Axis, Direction, Position},
     run::{MAX_CYCLES, RunError, RunPlan, RunRequest, Timing},
     trapezoid::StrokeProfile,
-    units::{Steps, TICK_HZ},
+    units::{Micrometres, TICK_HZ},
 };
 use protocol::{
     error::{Field, Refusal},
     events::EventRing,
-    rig::{self, RigFault, RigInputs, RigStatus, RunAccepted, RunTiming, Stroke},
+    rig::{
+        self, LinkLossPolicy, RigFault, RigHealth, RigInputs, RigStatus, RunAccepted, RunTiming,
+        Sense, Stroke,
+    },
+    settings::{GetSetting, MAX_NAME, Name, Setting, SettingKey},
     system::{Done, LastWords, SetTelemetry},
     table::{Reply, Request, Response},
 };
@@ -32,10 +36,18 @@ pub struct Context<'a> {
     pub ring: &'a EventRing,
     /// Text of the last panic or processor fault.
     pub last_words: &'a str,
+    /// Settings, value by value.
+    pub values: &'a Values,
+    /// The rig's name.
+    pub name: &'a str,
+    /// Counters, when they are asked for.
+    pub health: Option<RigHealth>,
 }
 
 /// What the caller has to do besides the machine's actions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+// One exists at a time, on the stack.
+#[allow(clippy::large_enum_variant)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Effect {
     /// Nothing.
     None,
@@ -46,6 +58,28 @@ pub enum Effect {
     },
     /// Record that a fault was acknowledged.
     Acknowledged,
+    /// Write this to flash; then it is in force.
+    Store(Change),
+}
+
+/// A change of the settings.
+// One exists at a time, on the stack.
+#[allow(clippy::large_enum_variant)]
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// One value.
+    Value {
+        /// The value as accepted.
+        setting: Setting,
+        /// All values.
+        values: Values,
+        /// What they give.
+        settings: Settings,
+    },
+    /// The rig's name.
+    Name(heapless::String<MAX_NAME>),
+    /// The defaults of all values and of the name.
+    Reset,
 }
 
 /// Carries out one request.
@@ -115,6 +149,58 @@ fn respond(
             Response::Run(accepted(machine, requested, &plan))
         }
         Request::GetRunRecord(_) => Response::GetRunRecord(*machine.record()),
+        Request::Hold(_) => {
+            command(machine, Command::Hold)?;
+            Response::Hold(Done)
+        }
+        Request::Resume(_) => {
+            command(machine, Command::Resume)?;
+            Response::Resume(Done)
+        }
+        Request::Jog(rig::Jog { sense, speed_um_s }) => {
+            let direction = match sense {
+                Sense::Away => Direction::Away,
+                Sense::Home => Direction::Home,
+            };
+            let speed = machine.settings().speed(speed_um_s)?;
+            command(machine, Command::Jog { direction, speed })?;
+            Response::Jog(Done)
+        }
+        Request::MoveTo(requested) => {
+            let (target, accepted) = move_to(&requested, machine.settings(), context.position)?;
+            let speed = machine.settings().speed(requested.speed_um_s)?;
+            command(machine, Command::MoveTo { target, speed })?;
+            Response::MoveTo(accepted)
+        }
+        Request::GetSetting(GetSetting { key }) => Response::GetSetting(Setting {
+            key,
+            value: context.values.get(key),
+        }),
+        Request::SetSetting(setting) => {
+            machine.may_change_settings()?;
+            let (values, settings) = context.values.with(setting.key, setting.value)?;
+            let change = Change::Value {
+                setting,
+                values,
+                settings,
+            };
+            return Ok((Response::SetSetting(setting), Effect::Store(change)));
+        }
+        Request::FactoryReset(_) => {
+            machine.may_change_settings()?;
+            return Ok((Response::FactoryReset(Done), Effect::Store(Change::Reset)));
+        }
+        Request::GetName(_) => Response::GetName(Name {
+            name: context.name.try_into().unwrap_or_default(),
+        }),
+        Request::SetName(name) => {
+            machine.may_change_settings()?;
+            let change = Change::Name(name.name.clone());
+            return Ok((Response::SetName(name), Effect::Store(change)));
+        }
+        Request::GetRigHealth(_) => {
+            Response::GetRigHealth(context.health.ok_or(Refusal::WrongDevice)?)
+        }
         Request::Hello(_)
         | Request::GetCapsuleStatus(_)
         | Request::Reference(_)
@@ -123,6 +209,66 @@ fn respond(
         | Request::GetActuationRecord(_) => return Err(Refusal::WrongDevice),
     };
     Ok((response, Effect::None))
+}
+
+/// The start button was pressed: what [`Command::Button`] says, with the run that the settings describe.
+///
+/// # Errors
+/// The refusal; nothing moves.
+pub fn press_button(
+    machine: &mut Machine,
+    values: &Values,
+    now_us: u64,
+    position: i32,
+    inputs: RigInputs,
+    actions: &mut Actions,
+) -> Result<(), Refusal> {
+    let run = rig::Run {
+        // The range of the setting fits.
+        cycles: values.get(SettingKey::ButtonCycles) as u16,
+        stroke_um: values.get(SettingKey::ButtonStrokeUm),
+        timing: RunTiming::Total {
+            total_us: u64::from(values.get(SettingKey::ButtonTotalMs)) * 1_000,
+            accel_um_s2: values.get(SettingKey::ButtonAccelUmS2),
+        },
+        far_dwell_us: 0,
+        home_dwell_us: 0,
+        start_delay_us: 0,
+        link_loss: LinkLossPolicy::Finish,
+    };
+    let plan = solve(&run, machine).ok();
+    machine.command(now_us, Command::Button(plan), position, inputs, actions)
+}
+
+/// Where a move goes, and how.
+fn move_to(
+    requested: &rig::MoveTo,
+    settings: &Settings,
+    from_steps: i32,
+) -> Result<(Position, rig::MoveAccepted), Refusal> {
+    let axis = &settings.axis;
+    let stroke_um = axis.stroke().0;
+    in_range(
+        Field::PositionUm,
+        requested.position_um,
+        0,
+        stroke_um.into(),
+    )?;
+    let speed = settings.speed(requested.speed_um_s)?;
+    let target = axis
+        .position_um(Micrometres(requested.position_um))
+        .map_err(|_| Refusal::AlreadyThere)?;
+    let to_steps = i32::try_from(target.steps().0).unwrap_or(i32::MAX);
+    if to_steps == from_steps {
+        return Err(Refusal::AlreadyThere);
+    }
+    let profile = settings.move_profile(to_steps - from_steps, speed)?;
+    let accepted = rig::MoveAccepted {
+        from_steps,
+        to_steps,
+        stroke: stroke(axis, &profile),
+    };
+    Ok((target, accepted))
 }
 
 fn in_range(field: Field, requested: impl Into<u64>, min: u64, max: u64) -> Result<(), Refusal> {
@@ -141,11 +287,6 @@ fn in_range(field: Field, requested: impl Into<u64>, min: u64, max: u64) -> Resu
 
 fn status(machine: &Machine, context: &Context<'_>) -> RigStatus {
     let axis = &machine.settings().axis;
-    let um = i32::try_from(
-        axis.length_of(Steps(context.position.unsigned_abs()))
-            .to_um(),
-    )
-    .unwrap_or(i32::MAX);
     let running = machine.state() == rig::RigState::Running;
     RigStatus {
         time_us: context.now_us,
@@ -153,7 +294,7 @@ fn status(machine: &Machine, context: &Context<'_>) -> RigStatus {
         fault: machine.fault(),
         homed: machine.homed(),
         position_steps: context.position,
-        position_um: if context.position < 0 { -um } else { um },
+        position_um: machine.settings().um(context.position),
         stroke_um: axis.stroke().0,
         steps_per_rev: axis.steps_per_rev(),
         lead_um: axis.lead().0,
@@ -209,21 +350,24 @@ fn solve(run: &rig::Run, machine: &Machine) -> Result<RunPlan, Refusal> {
 
 fn accepted(machine: &Machine, requested: rig::Run, plan: &RunPlan) -> RunAccepted {
     let axis = &machine.settings().axis;
-    let stroke = |profile: &StrokeProfile| Stroke {
+    RunAccepted {
+        run: machine.record().run,
+        requested,
+        forward: stroke(axis, plan.forward()),
+        back: stroke(axis, plan.return_()),
+        total_ticks: plan.total().0,
+        edges: plan.edges(),
+        plan_hash: plan.hash(),
+    }
+}
+
+fn stroke(axis: &Axis, profile: &StrokeProfile) -> Stroke {
+    Stroke {
         steps: profile.steps().0,
         duration_ticks: profile.duration().0,
         ramp_ticks: profile.ramp().0,
         peak_um_s: profile.peak_um_s(axis),
         accel_um_s2: profile.accel_um_s2(axis),
-    };
-    RunAccepted {
-        run: machine.record().run,
-        requested,
-        forward: stroke(plan.forward()),
-        back: stroke(plan.return_()),
-        total_ticks: plan.total().0,
-        edges: plan.edges(),
-        plan_hash: plan.hash(),
     }
 }
 

@@ -1,7 +1,8 @@
 //! Home flag and far limit: filtered in the interrupt that their edges raise.
 //!
-//! The handler watches the contact for 21 us after the edge. Shorter pulses (electrical noise of the motor) are
-//! counted and have no effect; a contact that stays open stops the pulses 21 us after its edge, well inside 50 us.
+//! The handler watches the contact for 21 us (a setting) after the edge. Shorter pulses (electrical noise of the motor) are
+//! counted and have no effect; a contact that stays open stops the pulses 21 us after its edge, within 50 us at the
+//! longest setting and two watches.
 //! A pulse that ends and begins again raises the next interrupt and is watched afresh.
 
 #![allow(unsafe_code)]
@@ -18,9 +19,6 @@ use embassy_stm32::{
 use embassy_time::Instant;
 use firmware_rig::machine::Event;
 
-/// How long a contact must stay open (or closed) to count.
-const WATCH_US: u64 = 21;
-
 /// A contact that does not come to rest within so many watches counts as open: the safe side.
 const WATCHES: u32 = 2;
 
@@ -30,7 +28,7 @@ fn EXTI9_5() {
     let count = stepgen::counted();
     let pending = EXTI.pr(0).read();
     if pending.line(FAR_LINE) {
-        let open = settle(FAR_LINE, false, || board::inputs().far_limit);
+        let open = settle(FAR_LINE, 1, false, || board::inputs().far_limit);
         if open && board::direction_is_away() && stepgen::is_armed() {
             board::cut_pulses();
             channels::pulses_were_cut(Event::FarLimit);
@@ -38,7 +36,7 @@ fn EXTI9_5() {
     }
     if pending.line(HOME_LINE) {
         let before = channels::HOME_FLAG_OPEN.load(Ordering::Relaxed);
-        let opening = settle(HOME_LINE, before, || board::inputs().home_flag);
+        let opening = settle(HOME_LINE, 0, before, || board::inputs().home_flag);
         if opening != before {
             channels::HOME_FLAG_OPEN.store(opening, Ordering::Relaxed);
             let _ = channels::NOTICES.try_send(Event::FlagEdge { opening, count });
@@ -47,27 +45,24 @@ fn EXTI9_5() {
 }
 
 /// Watches a contact until it keeps its level for a whole watch; counts the pulses that did not last.
-fn settle(line: usize, before: bool, level: impl Fn() -> bool) -> bool {
+fn settle(line: usize, counter: usize, before: bool, level: impl Fn() -> bool) -> bool {
+    let watch_us = u64::from(channels::SWITCH_FILTER_US.load(Ordering::Relaxed));
     for watch in 0..WATCHES {
         EXTI.pr(0).write(|w| w.set_line(line, true));
         let first = level();
         let start = Instant::now();
         let mut steady = true;
-        while steady && start.elapsed().as_micros() < WATCH_US {
+        while steady && start.elapsed().as_micros() < watch_us {
             steady = level() == first;
         }
         if steady {
             // A pulse that was over before the first look.
             if watch == 0 && first == before {
-                count_glitch();
+                channels::GLITCHES[counter].add();
             }
             return first;
         }
-        count_glitch();
+        channels::GLITCHES[counter].add();
     }
     true
-}
-
-fn count_glitch() {
-    channels::GLITCHES.fetch_add(1, Ordering::Relaxed);
 }

@@ -2,7 +2,9 @@
 //!
 //! ```text
 //! Unhomed --home--> Homing --found--> Ready --run--> Running --complete--> Ready
-//!    Homing, Running --stop--> Stopping --at rest--> Unhomed, Ready
+//!    Ready --jog, move--> Moving --there--> Ready
+//!    Running --hold--> Stopping --at rest--> Held --resume--> Running
+//!    Homing, Running, Moving --stop--> Stopping --at rest--> Unhomed, Ready
 //!    any --fault--> Faulted --acknowledge--> Unhomed
 //! ```
 //!
@@ -10,7 +12,12 @@
 //! E-stop nor a reset nor a new connection moves anything: only an accepted command does.
 
 use crate::{periods::Path, settings::Settings};
-use motion::{axis::Direction, run::RunPlan, trapezoid::StrokeProfile, units::Steps};
+use motion::{
+    axis::{Direction, Position, Speed},
+    run::RunPlan,
+    trapezoid::StrokeProfile,
+    units::Steps,
+};
 use protocol::{
     error::Refusal,
     rig::{
@@ -73,6 +80,11 @@ pub enum Event {
     PathEnded(PathEnd, PathReport),
     /// The host has been silent for longer than the link time-out.
     LinkSilent,
+    /// Time has passed.
+    Tick {
+        /// Device time.
+        now_us: u64,
+    },
 }
 
 /// A request that may move or stop the rig.
@@ -87,6 +99,26 @@ pub enum Command {
         /// What silence of the host does.
         link_loss: LinkLossPolicy,
     },
+    /// Decelerate within a run, to go on later.
+    Hold,
+    /// Go on with the held run.
+    Resume,
+    /// Move towards an end of the stroke until the dead-man time has passed without another jog.
+    Jog {
+        /// Which way.
+        direction: Direction,
+        /// How fast.
+        speed: Speed,
+    },
+    /// Move to a position.
+    MoveTo {
+        /// Where.
+        target: Position,
+        /// How fast.
+        speed: Speed,
+    },
+    /// The start button: home if needed, else run, else stop. `None` if its run is not possible.
+    Button(Option<RunPlan>),
     /// Category-1 stop.
     Stop,
     /// Emergency stop by frame. The pulses are already cut.
@@ -134,6 +166,35 @@ struct Homing {
     /// Between the two passes: position of the second against the first.
     repeat: i32,
     shift: i32,
+    link_loss: LinkLossPolicy,
+    deadline_us: u64,
+}
+
+/// The run that is going on or held.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Course {
+    plan: RunPlan,
+    link_loss: LinkLossPolicy,
+    /// Stroke in progress, from 0.
+    stroke: u32,
+    /// The flag has opened in this stroke. Only the first edge counts: contacts bounce.
+    flag_met: bool,
+}
+
+impl Course {
+    fn direction(&self) -> Option<Direction> {
+        self.plan.direction(self.stroke)
+    }
+
+    /// Steps left of the stroke in progress, from a position within it.
+    fn left(&self, position: i32) -> Option<Steps> {
+        let steps = self.plan.stroke(self.stroke)?.steps().0;
+        let gone = position.max(0).unsigned_abs();
+        Some(Steps(match self.direction()? {
+            Direction::Away => steps.saturating_sub(gone),
+            Direction::Home => gone.min(steps),
+        }))
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -141,11 +202,11 @@ enum State {
     Unhomed,
     Homing(Homing),
     Ready,
-    Running {
-        link_loss: LinkLossPolicy,
-        direction: Direction,
-        /// The flag has opened in this stroke. Only the first edge counts: contacts bounce.
-        flag_met: bool,
+    Running,
+    Held,
+    Moving {
+        /// A jog of this direction and speed, until this time.
+        jog: Option<(Direction, Speed, u64)>,
     },
     /// Decelerating, then to the state in `then`.
     Stopping {
@@ -158,6 +219,8 @@ enum State {
 enum Then {
     Unhomed,
     Ready(RunOutcome),
+    Held,
+    Moved,
     Faulted(RigFault),
 }
 
@@ -170,6 +233,8 @@ pub struct Machine {
     /// A path was started and its end has not been reported.
     path: bool,
     run: RunRecord,
+    image_hash: u32,
+    course: Option<Course>,
     /// The path is that of the run: its reports belong into the record, also after a fault.
     recording: bool,
     strokes: u32,
@@ -192,6 +257,8 @@ const NO_RUN: RunRecord = RunRecord {
     worst_residual_steps: 0,
     min_queue: 0,
     glitches: 0,
+    holds: 0,
+    image_hash: 0,
 };
 
 impl Machine {
@@ -203,11 +270,44 @@ impl Machine {
             homed: false,
             path: false,
             run: NO_RUN,
+            image_hash: 0,
+            course: None,
             recording: false,
             strokes: 0,
             residual: 0,
             started_us: 0,
             last: (0, 0),
+        }
+    }
+
+    /// Puts the fingerprint of the image into the records of runs.
+    #[must_use]
+    pub fn with_image(mut self, hash: u32) -> Self {
+        self.image_hash = hash;
+        self
+    }
+
+    /// Whether settings may be changed now.
+    ///
+    /// # Errors
+    /// Something moves, or a run is held.
+    pub fn may_change_settings(&self) -> Result<(), Refusal> {
+        match self.state {
+            State::Unhomed | State::Ready | State::Faulted(_) if !self.path => Ok(()),
+            _ => Err(Refusal::RigBusy(self.state())),
+        }
+    }
+
+    /// Takes other settings, where [`Machine::may_change_settings`]. Where they give positions another meaning,
+    /// the position is unknown from then on.
+    pub fn set_settings(&mut self, settings: Settings) {
+        let same = (settings.axis, settings.flag_um) == (self.settings.axis, self.settings.flag_um);
+        self.settings = settings;
+        if !same {
+            self.homed = false;
+            if self.state == State::Ready {
+                self.state = State::Unhomed;
+            }
         }
     }
 
@@ -222,7 +322,9 @@ impl Machine {
             State::Unhomed => RigState::Unhomed,
             State::Homing(_) => RigState::Homing,
             State::Ready => RigState::Ready,
-            State::Running { .. } => RigState::Running,
+            State::Running => RigState::Running,
+            State::Held => RigState::Held,
+            State::Moving { .. } => RigState::Moving,
             State::Stopping { .. } => RigState::Stopping,
             State::Faulted(_) => RigState::Faulted,
         }
@@ -274,10 +376,20 @@ impl Machine {
         actions: &mut Actions,
     ) -> Result<(), Refusal> {
         match command {
-            Command::Home => self.home(position, inputs, actions),
+            Command::Home => self.home(now_us, LinkLossPolicy::Stop, position, inputs, actions),
             Command::Run { plan, link_loss } => {
                 self.start_run(now_us, plan, link_loss, position, inputs, actions)
             }
+            Command::Hold => self.hold(actions),
+            Command::Resume => self.resume(position, inputs, actions),
+            Command::Jog { direction, speed } => {
+                self.jog(now_us, direction, speed, position, inputs, actions)
+            }
+            Command::MoveTo { target, speed } => {
+                self.refuse_unless_ready(inputs)?;
+                self.move_to(target, speed, None, position, inputs, actions)
+            }
+            Command::Button(plan) => self.button(now_us, plan, position, inputs, actions),
             Command::Stop => {
                 self.stop(RunOutcome::Stopped, actions);
                 Ok(())
@@ -308,8 +420,19 @@ impl Machine {
         Ok(())
     }
 
+    fn refuse_unless_ready(&self, inputs: RigInputs) -> Result<(), Refusal> {
+        self.refuse_unless_at_rest(inputs)?;
+        if self.state == State::Ready {
+            Ok(())
+        } else {
+            Err(Refusal::NotHomed)
+        }
+    }
+
     fn home(
         &mut self,
+        now_us: u64,
+        link_loss: LinkLossPolicy,
         position: i32,
         inputs: RigInputs,
         actions: &mut Actions,
@@ -327,6 +450,8 @@ impl Machine {
             was_homed: self.homed,
             repeat: 0,
             shift: 0,
+            link_loss,
+            deadline_us: now_us.saturating_add(self.settings.homing_timeout_us),
         };
         self.homed = false;
         self.enter(homing, position, actions);
@@ -344,11 +469,19 @@ impl Machine {
                 settings.flag_steps() + settings.steps(settings.overtravel_um),
                 settings.locate_um_s * 2,
             ),
-            HomingPhase::Seek => (
-                Direction::Home,
-                settings.steps(settings.axis.stroke().0) + settings.steps(settings.overtravel_um),
-                settings.seek_um_s,
-            ),
+            HomingPhase::Seek => {
+                // From a known position, no farther than needed.
+                let from = if homing.was_homed {
+                    position.max(0)
+                } else {
+                    settings.steps(settings.axis.stroke().0)
+                };
+                (
+                    Direction::Home,
+                    from + settings.steps(settings.overtravel_um),
+                    settings.seek_um_s,
+                )
+            }
             HomingPhase::PullOff => (
                 Direction::Away,
                 homing.seek.unwrap_or(position) + pull_off - position,
@@ -417,19 +550,10 @@ impl Machine {
         inputs: RigInputs,
         actions: &mut Actions,
     ) -> Result<(), Refusal> {
-        self.refuse_unless_at_rest(inputs)?;
-        if self.state != State::Ready {
-            return Err(Refusal::NotHomed);
-        }
+        self.refuse_unless_ready(inputs)?;
         if position != 0 {
-            let nm = self
-                .settings
-                .axis
-                .length_of(Steps(position.unsigned_abs()))
-                .to_um();
-            let um = i32::try_from(nm).unwrap_or(i32::MAX);
             return Err(Refusal::NotAtHome {
-                position_um: if position < 0 { -um } else { um },
+                position_um: self.settings.um(position),
             });
         }
         if inputs.far_limit {
@@ -440,6 +564,7 @@ impl Machine {
             run,
             outcome: RunOutcome::Running,
             plan_hash: plan.hash(),
+            image_hash: self.image_hash,
             ..NO_RUN
         };
         self.recording = true;
@@ -448,29 +573,199 @@ impl Machine {
         self.residual = 0;
         self.last = (0, 0);
         self.started_us = now_us;
-        self.state = State::Running {
+        self.course = Some(Course {
+            plan,
             link_loss,
-            direction: Direction::Away,
+            stroke: 0,
             flag_met: false,
-        };
-        let last = i32::try_from(self.settings.axis.stroke_steps().0).unwrap_or(i32::MAX);
+        });
+        self.state = State::Running;
         push(
             actions,
             Action::Start {
                 path: Path::Run(plan),
-                window: (0, last),
+                window: self.stroke_window(),
             },
         );
         push(actions, Action::Emit(RigEvent::RunStarted { run }));
         Ok(())
     }
 
-    fn stop(&mut self, outcome: RunOutcome, actions: &mut Actions) {
-        let then = match self.state {
-            State::Homing(_) => Then::Unhomed,
-            State::Running { .. } => Then::Ready(outcome),
-            _ => return, // nothing moves, or it is stopping already
+    /// First and last position of the configured stroke.
+    fn stroke_window(&self) -> (i32, i32) {
+        let last = i32::try_from(self.settings.axis.stroke_steps().0).unwrap_or(i32::MAX);
+        (0, last)
+    }
+
+    fn hold(&mut self, actions: &mut Actions) -> Result<(), Refusal> {
+        match self.state {
+            State::Running => {
+                self.stop_then(Then::Held, actions);
+                Ok(())
+            }
+            State::Faulted(fault) => Err(Refusal::RigFaulted(fault)),
+            _ => Err(Refusal::NothingToHold),
+        }
+    }
+
+    fn resume(
+        &mut self,
+        position: i32,
+        inputs: RigInputs,
+        actions: &mut Actions,
+    ) -> Result<(), Refusal> {
+        let (State::Held, Some(course)) = (self.state, self.course) else {
+            return Err(match self.state {
+                State::Faulted(fault) => Refusal::RigFaulted(fault),
+                _ => Refusal::NothingToResume,
+            });
         };
+        if inputs.estop_loop {
+            return Err(Refusal::RigFaulted(RigFault::EStopLoop));
+        }
+        if inputs.far_limit {
+            return Err(Refusal::RigFaulted(RigFault::FarLimit));
+        }
+        if position != self.last.1 {
+            let fault = RigFault::ReadBack {
+                commanded: self.last.1,
+                counted: position,
+            };
+            self.latch(fault, actions);
+            return Err(Refusal::RigFaulted(fault));
+        }
+        let (Some(profile), Some(left)) =
+            (course.plan.stroke(course.stroke), course.left(position))
+        else {
+            return Err(Refusal::NothingToResume);
+        };
+        let first = if left == profile.steps() {
+            *profile
+        } else {
+            profile.resumed(left).map_err(|_| Refusal::TooSlow)?
+        };
+        self.state = State::Running;
+        (self.recording, self.path) = (true, true);
+        let path = Path::Rest {
+            plan: course.plan,
+            stroke: course.stroke,
+            first,
+        };
+        push(
+            actions,
+            Action::Start {
+                path,
+                window: self.stroke_window(),
+            },
+        );
+        push(actions, Action::Emit(RigEvent::Resumed));
+        Ok(())
+    }
+
+    fn jog(
+        &mut self,
+        now_us: u64,
+        direction: Direction,
+        speed: Speed,
+        position: i32,
+        inputs: RigInputs,
+        actions: &mut Actions,
+    ) -> Result<(), Refusal> {
+        let until = now_us.saturating_add(self.settings.dead_man_us);
+        let jog = Some((direction, speed, until));
+        if let State::Moving {
+            jog: Some((same, as_fast, _)),
+        } = self.state
+            && (same, as_fast) == (direction, speed)
+        {
+            self.state = State::Moving { jog };
+            return Ok(());
+        }
+        self.refuse_unless_ready(inputs)?;
+        let target = match direction {
+            Direction::Away => self.settings.axis.far(),
+            Direction::Home => self.settings.axis.home(),
+        };
+        self.move_to(target, speed, jog, position, inputs, actions)
+    }
+
+    fn move_to(
+        &mut self,
+        target: Position,
+        speed: Speed,
+        jog: Option<(Direction, Speed, u64)>,
+        position: i32,
+        inputs: RigInputs,
+        actions: &mut Actions,
+    ) -> Result<(), Refusal> {
+        let to = i32::try_from(target.steps().0).unwrap_or(i32::MAX);
+        let direction = match to - position {
+            0 => return Err(Refusal::AlreadyThere),
+            1.. => Direction::Away,
+            _ => Direction::Home,
+        };
+        if inputs.far_limit && direction == Direction::Away {
+            return Err(Refusal::RigFaulted(RigFault::FarLimit));
+        }
+        let profile = self.settings.move_profile(to - position, speed)?;
+        self.state = State::Moving { jog };
+        self.path = true;
+        push(
+            actions,
+            Action::Start {
+                path: Path::Move { profile, direction },
+                window: (position.min(to), position.max(to)),
+            },
+        );
+        Ok(())
+    }
+
+    fn button(
+        &mut self,
+        now_us: u64,
+        plan: Option<RunPlan>,
+        position: i32,
+        inputs: RigInputs,
+        actions: &mut Actions,
+    ) -> Result<(), Refusal> {
+        let policy = LinkLossPolicy::Finish;
+        match (self.state, plan) {
+            (State::Homing(_) | State::Running | State::Moving { .. }, _) => {
+                self.stop(RunOutcome::Stopped, actions);
+                Ok(())
+            }
+            (State::Held, _) => self.resume(position, inputs, actions),
+            (State::Ready, Some(plan)) if position == 0 => {
+                self.start_run(now_us, plan, policy, position, inputs, actions)
+            }
+            (State::Ready, None) => Err(Refusal::TooSlow),
+            _ => self.home(now_us, policy, position, inputs, actions),
+        }
+    }
+
+    fn stop(&mut self, outcome: RunOutcome, actions: &mut Actions) {
+        match self.state {
+            State::Homing(_) => self.stop_then(Then::Unhomed, actions),
+            State::Running => self.stop_then(Then::Ready(outcome), actions),
+            State::Moving { .. } => self.stop_then(Then::Moved, actions),
+            // It stands already; its run is over.
+            State::Held => {
+                self.end_run(outcome, actions);
+                self.state = State::Ready;
+                let position_steps = self.last.1;
+                push(actions, Action::Emit(RigEvent::Stopped { position_steps }));
+            }
+            // On its way to a rest within a run that shall not go on.
+            State::Stopping { then: Then::Held } => {
+                self.state = State::Stopping {
+                    then: Then::Ready(outcome),
+                };
+            }
+            _ => {} // nothing moves, or it is stopping already
+        }
+    }
+
+    fn stop_then(&mut self, then: Then, actions: &mut Actions) {
         self.state = State::Stopping { then };
         push(actions, Action::StopPath);
     }
@@ -532,12 +827,25 @@ impl Machine {
                 self.stroke_done(stroke, commanded, counted, &mut actions);
             }
             Event::PathEnded(end, report) => self.path_ended(end, report, inputs, &mut actions),
-            Event::LinkSilent => match self.state {
-                State::Running {
-                    link_loss: LinkLossPolicy::Finish,
-                    ..
-                } => {}
-                _ => self.stop(RunOutcome::LinkLost, &mut actions),
+            Event::LinkSilent => {
+                let policy = match self.state {
+                    State::Running => self.course.map(|course| course.link_loss),
+                    State::Homing(homing) => Some(homing.link_loss),
+                    State::Moving { .. } => Some(LinkLossPolicy::Stop),
+                    _ => None,
+                };
+                if policy == Some(LinkLossPolicy::Stop) {
+                    self.stop(RunOutcome::LinkLost, &mut actions);
+                }
+            }
+            Event::Tick { now_us } => match self.state {
+                State::Homing(homing) if now_us > homing.deadline_us => {
+                    self.latch(RigFault::HomingTimeout(homing.phase), &mut actions);
+                }
+                State::Moving {
+                    jog: Some((_, _, until)),
+                } if now_us > until => self.stop_then(Then::Moved, &mut actions),
+                _ => {}
             },
         }
         actions
@@ -545,6 +853,9 @@ impl Machine {
 
     fn flag_edge(&mut self, opening: bool, count: i32, actions: &mut Actions) {
         match &mut self.state {
+            State::Running | State::Stopping { then: Then::Held } if opening => {
+                self.ledger(count, actions);
+            }
             State::Homing(homing) => {
                 homing.flag_open = opening;
                 match homing.phase {
@@ -560,29 +871,29 @@ impl Machine {
                     _ => {}
                 }
             }
-            // The flag opens on the way home: the same edge in the same direction as in homing.
-            State::Running {
-                direction: Direction::Home,
-                flag_met,
-                ..
-            } if opening && !*flag_met => {
-                *flag_met = true;
-                let residual = count - self.settings.flag_steps();
-                self.residual = residual;
-                if residual.abs() > self.run.worst_residual_steps.abs() {
-                    self.run.worst_residual_steps = residual;
-                }
-                if residual.unsigned_abs() > self.settings.ledger_limit_steps {
-                    let fault = RigFault::LostSteps {
-                        residual_steps: residual,
-                    };
-                    self.state = State::Stopping {
-                        then: Then::Faulted(fault),
-                    };
-                    push(actions, Action::StopPath);
-                }
-            }
             _ => {}
+        }
+    }
+
+    /// The flag opens on the way home: the same edge in the same direction as in homing.
+    fn ledger(&mut self, count: i32, actions: &mut Actions) {
+        let Some(course) = &mut self.course else {
+            return;
+        };
+        if course.flag_met || course.direction() != Some(Direction::Home) {
+            return;
+        }
+        course.flag_met = true;
+        let residual = count - self.settings.flag_steps();
+        self.residual = residual;
+        if residual.abs() > self.run.worst_residual_steps.abs() {
+            self.run.worst_residual_steps = residual;
+        }
+        if residual.unsigned_abs() > self.settings.ledger_limit_steps {
+            let fault = RigFault::LostSteps {
+                residual_steps: residual,
+            };
+            self.stop_then(Then::Faulted(fault), actions);
         }
     }
 
@@ -593,23 +904,13 @@ impl Machine {
         let missed = self.missed_flag(counted);
         self.run.strokes = stroke + 1;
         self.track(commanded, counted);
-        match &mut self.state {
-            State::Running {
-                direction,
-                flag_met,
-                ..
-            } => {
-                *flag_met = false;
-                *direction = if stroke.is_multiple_of(2) {
-                    Direction::Home
-                } else {
-                    Direction::Away
-                };
-            }
-            // It was complete before the stop reached the generator.
-            State::Stopping { .. } => {}
-            _ => return,
-        }
+        // Stopping: it was complete before the stop reached the generator.
+        let (State::Running | State::Stopping { .. }, Some(course)) =
+            (self.state, &mut self.course)
+        else {
+            return;
+        };
+        (course.stroke, course.flag_met) = (stroke + 1, false);
         if commanded != counted {
             return self.latch(RigFault::ReadBack { commanded, counted }, actions);
         }
@@ -630,16 +931,16 @@ impl Machine {
     fn missed_flag(&self, counted: i32) -> Option<RigFault> {
         let limit = i32::try_from(self.settings.ledger_limit_steps).unwrap_or(i32::MAX);
         let beyond = self.last.0 > self.settings.flag_steps().saturating_add(limit);
-        match self.state {
-            State::Running {
-                direction: Direction::Home,
-                flag_met: false,
-                ..
-            } if beyond => Some(RigFault::LostSteps {
-                residual_steps: counted.saturating_sub(self.settings.flag_steps()),
-            }),
-            _ => None,
-        }
+        let on_the_way_home = self
+            .course
+            .is_some_and(|course| !course.flag_met && course.direction() == Some(Direction::Home));
+        let running = matches!(
+            self.state,
+            State::Running | State::Stopping { then: Then::Held }
+        );
+        (running && on_the_way_home && beyond).then(|| RigFault::LostSteps {
+            residual_steps: counted.saturating_sub(self.settings.flag_steps()),
+        })
     }
 
     /// Adds the way since the last report to the run's record. Positions are reported at the ends of strokes,
@@ -672,8 +973,12 @@ impl Machine {
         let (commanded, counted) = (report.commanded, report.counted);
         let missed = self.missed_flag(counted);
         if core::mem::take(&mut self.recording) {
-            self.run.ticks = report.last_tick;
-            self.run.min_queue = report.min_queue;
+            self.run.ticks += report.last_tick;
+            self.run.min_queue = if self.run.holds == 0 {
+                report.min_queue
+            } else {
+                self.run.min_queue.min(report.min_queue)
+            };
             self.track(commanded, counted);
         }
         if let State::Faulted(_) = self.state {
@@ -695,15 +1000,15 @@ impl Machine {
             position_steps: counted,
         };
         match self.state {
-            State::Homing(homing) => self.homing_move_ended(homing, counted, actions),
-            State::Running { .. } if end == PathEnd::Complete => {
+            State::Homing(homing) => self.homing_move_ended(homing, counted, inputs, actions),
+            State::Running if end == PathEnd::Complete => {
                 if let Some(fault) = missed {
                     return self.latch(fault, actions);
                 }
                 self.complete(actions);
             }
             // Not asked for, and all the same not complete.
-            State::Running { .. } => {
+            State::Running => {
                 self.end_run(RunOutcome::Stopped, actions);
                 self.state = State::Ready;
                 push(actions, Action::Emit(stopped));
@@ -717,12 +1022,60 @@ impl Machine {
                         self.end_run(outcome, actions);
                         self.state = State::Ready;
                     }
+                    Then::Held => return self.held(end, counted, missed, actions),
+                    Then::Moved => self.state = State::Ready,
                     Then::Faulted(fault) => return self.latch(fault, actions),
                 }
                 push(actions, Action::Emit(stopped));
             }
-            State::Unhomed | State::Ready | State::Faulted(_) => {}
+            State::Moving { .. } => {
+                self.state = State::Ready;
+                let position_steps = counted;
+                push(actions, Action::Emit(RigEvent::Moved { position_steps }));
+            }
+            State::Unhomed | State::Ready | State::Held | State::Faulted(_) => {}
         }
+    }
+
+    /// The carriage stands within its run.
+    fn held(
+        &mut self,
+        end: PathEnd,
+        position: i32,
+        missed: Option<RigFault>,
+        actions: &mut Actions,
+    ) {
+        let limit = i32::try_from(self.settings.ledger_limit_steps).unwrap_or(i32::MAX);
+        let behind_the_flag = position.saturating_add(limit) < self.settings.flag_steps();
+        let stroke_complete = self
+            .course
+            .is_some_and(|course| course.left(position) == Some(Steps(0)));
+        if let Some(fault) = missed.filter(|_| stroke_complete || behind_the_flag) {
+            return self.latch(fault, actions);
+        }
+        if end == PathEnd::Complete || self.run.strokes == self.strokes {
+            return self.complete(actions);
+        }
+        if stroke_complete && let Some(course) = &mut self.course {
+            let stroke = course.stroke;
+            (course.stroke, course.flag_met) = (stroke + 1, false);
+            if course.stroke == self.strokes {
+                return self.complete(actions);
+            }
+            self.run.strokes = course.stroke;
+            let residual_steps = self.residual;
+            push(
+                actions,
+                Action::Emit(RigEvent::StrokeDone {
+                    stroke,
+                    residual_steps,
+                }),
+            );
+        }
+        self.run.holds += 1;
+        self.state = State::Held;
+        let position_steps = position;
+        push(actions, Action::Emit(RigEvent::Held { position_steps }));
     }
 
     fn complete(&mut self, actions: &mut Actions) {
@@ -738,10 +1091,20 @@ impl Machine {
         self.state = State::Ready;
     }
 
-    fn homing_move_ended(&mut self, mut homing: Homing, position: i32, actions: &mut Actions) {
+    fn homing_move_ended(
+        &mut self,
+        mut homing: Homing,
+        position: i32,
+        inputs: RigInputs,
+        actions: &mut Actions,
+    ) {
         let missing = match homing.phase {
             HomingPhase::Clear | HomingPhase::PullOff => {
-                homing.flag_open.then_some(RigFault::FlagStuck)
+                homing.flag_open.then_some(if inputs.far_limit {
+                    RigFault::BothSwitchesOpen
+                } else {
+                    RigFault::FlagStuck
+                })
             }
             HomingPhase::Seek => homing
                 .seek

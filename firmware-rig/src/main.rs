@@ -7,22 +7,25 @@ mod board;
 #[cfg(target_os = "none")]
 mod channels;
 #[cfg(target_os = "none")]
+mod image;
+#[cfg(target_os = "none")]
 mod limits;
 #[cfg(target_os = "none")]
 mod panic;
 #[cfg(target_os = "none")]
 mod stepgen;
 #[cfg(target_os = "none")]
+mod storage;
+#[cfg(target_os = "none")]
 mod tasks;
 
 #[cfg(target_os = "none")]
 mod start {
-    use crate::{board, channels, panic, stepgen::StepGen, tasks};
+    use crate::{board, channels, image, panic, stepgen::StepGen, storage::Store, tasks};
     use core::sync::atomic::Ordering;
     use defmt_rtt as _;
     use embassy_executor::{InterruptExecutor, Spawner};
     use embassy_stm32::{interrupt, pac};
-    use firmware_rig::{machine::Machine, settings::Settings};
     use protocol::{
         VERSION,
         rig::RigFault,
@@ -42,7 +45,11 @@ mod start {
 
     #[embassy_executor::main]
     async fn main(spawner: Spawner) {
-        let (boot_id, last_words) = panic::start();
+        let panic::Left {
+            boot_id,
+            last_words,
+            latched,
+        } = panic::start();
         let board = board::init();
         let reset_cause = match (&last_words, board::reset_cause()) {
             (Some(_), ResetCause::Software) => ResetCause::Panic,
@@ -52,9 +59,8 @@ mod start {
         let fault = match reset_cause {
             ResetCause::Panic => Some(RigFault::Panic),
             ResetCause::Watchdog => Some(RigFault::Watchdog),
-            _ => None,
+            _ => latched,
         };
-        let settings = Settings::REFERENCE;
         channels::HOME_FLAG_OPEN.store(board::inputs().home_flag, Ordering::Relaxed);
         let identity = Identity {
             device: DeviceKind::Rig,
@@ -80,18 +86,14 @@ mod start {
         let receiver = receiver.into_ring_buffered(RECEIVE_BUFFER.init([0; 512]));
 
         let motion_spawner = MOTION_EXECUTOR.start(interrupt::SPI5);
-        let Ok(stop_accel) = settings.axis.acceleration(settings.stop_accel_um_s2) else {
-            defmt::panic!("the stop's deceleration is zero")
-        };
         let start = tasks::control::Start {
-            machine: Machine::new(settings, fault),
+            store: Store::new(board.sectors),
+            fault,
             reset_cause,
             last_words: last_words.unwrap_or_default(),
+            image_hash: image::hash(),
         };
-        motion_spawner.spawn(defmt::unwrap!(tasks::motion::motion(
-            StepGen::new(),
-            stop_accel
-        )));
+        motion_spawner.spawn(defmt::unwrap!(tasks::motion::motion(StepGen::new())));
         spawner.spawn(defmt::unwrap!(tasks::control::control(start)));
         spawner.spawn(defmt::unwrap!(tasks::link::transmit(transmitter)));
         spawner.spawn(defmt::unwrap!(tasks::link::receive(receiver, identity)));

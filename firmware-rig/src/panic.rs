@@ -6,12 +6,12 @@
 
 use crate::board;
 use core::{
-    fmt::Write,
     panic::PanicInfo,
     ptr::{read_volatile, write_volatile},
 };
 use cortex_m_rt::{ExceptionFrame, exception};
 use heapless::String;
+use protocol::rig::RigFault;
 
 const MAGIC: u32 = 0x5245_5430;
 
@@ -25,7 +25,12 @@ struct Kept {
     len: u32,
     text: [u32; 30],
     check: u32,
+    /// An E-stop that was not acknowledged: [`LATCHED_LOOP`] or [`LATCHED_FRAME`].
+    latched: u32,
 }
+
+const LATCHED_LOOP: u32 = MAGIC ^ 1;
+const LATCHED_FRAME: u32 = MAGIC ^ 2;
 
 unsafe extern "C" {
     static mut _last_words_start: Kept;
@@ -49,8 +54,29 @@ fn check(kept: &Kept) -> u32 {
         })
 }
 
-/// Takes what the previous start left: the number of this start and, once, the last words.
-pub fn start() -> (u32, Option<String<120>>) {
+/// What the previous start left.
+pub struct Left {
+    /// Number of this start.
+    pub boot_id: u32,
+    /// Text of a panic or processor fault; once.
+    pub last_words: Option<String<120>>,
+    /// An E-stop that was latched.
+    pub latched: Option<RigFault>,
+}
+
+/// Keeps an E-stop over a reset, or forgets it (any other fault, or none).
+pub fn keep_latched(fault: Option<RigFault>) {
+    let mut kept = load();
+    kept.latched = match fault {
+        Some(RigFault::EStopLoop) => LATCHED_LOOP,
+        Some(RigFault::EStopFrame) => LATCHED_FRAME,
+        _ => 0,
+    };
+    store(&kept);
+}
+
+/// Takes what the previous start left.
+pub fn start() -> Left {
     let mut kept = load();
     let boot_id = if kept.boot_magic == MAGIC {
         kept.boot_id.wrapping_add(1)
@@ -77,7 +103,15 @@ pub fn start() -> (u32, Option<String<120>>) {
         });
     (kept.boot_magic, kept.boot_id, kept.words_magic) = (MAGIC, boot_id, 0);
     store(&kept);
-    (boot_id, words)
+    Left {
+        boot_id,
+        last_words: words,
+        latched: match kept.latched {
+            LATCHED_LOOP => Some(RigFault::EStopLoop),
+            LATCHED_FRAME => Some(RigFault::EStopFrame),
+            _ => None,
+        },
+    }
 }
 
 fn die(text: &str) -> ! {
@@ -96,16 +130,46 @@ fn die(text: &str) -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
+/// Last words in the making, cut off at their end.
+#[derive(Default)]
+struct Text(String<120>);
+
+impl Text {
+    fn push(&mut self, part: &str) {
+        for letter in part.chars() {
+            let _ = self.0.push(letter);
+        }
+    }
+
+    fn push_number(&mut self, number: u32, base: u32) {
+        if number >= base {
+            self.push_number(number / base, base);
+        }
+        // A digit of its base always is one.
+        let _ = self
+            .0
+            .push(char::from_digit(number % base, base).unwrap_or('?'));
+    }
+
+    fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
     board::outputs_off();
-    let mut text = String::<120>::new();
+    let mut text = Text::default();
     // Cut off at 120 bytes: the place comes first.
     if let Some(place) = info.location() {
-        let _ = write!(text, "{}:{}: ", place.file(), place.line());
+        text.push(place.file());
+        text.push(":");
+        text.push_number(place.line(), 10);
+        text.push(": ");
     }
-    let _ = write!(text, "{}", info.message());
-    die(&text)
+    // A message with arguments needs the formatting machinery, two kilobytes; the place tells enough.
+    text.push(info.message().as_str().unwrap_or("panic"));
+    die(text.as_str())
 }
 
 /// `defmt::panic!` has printed its message; it must not format it a second time.
@@ -117,12 +181,10 @@ fn defmt_panic() -> ! {
 #[exception]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     board::outputs_off();
-    let mut text = String::<120>::new();
-    let _ = write!(
-        text,
-        "processor fault at {:#010x}, called from {:#010x}",
-        frame.pc(),
-        frame.lr()
-    );
-    die(&text)
+    let mut text = Text::default();
+    text.push("processor fault at 0x");
+    text.push_number(frame.pc(), 16);
+    text.push(", called from 0x");
+    text.push_number(frame.lr(), 16);
+    die(text.as_str())
 }

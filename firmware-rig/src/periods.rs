@@ -64,9 +64,26 @@ pub enum Path {
     },
     /// A whole run, from position 0.
     Run(RunPlan),
+    /// The rest of a run that was held.
+    Rest {
+        /// The run.
+        plan: RunPlan,
+        /// The stroke to go on with.
+        stroke: u32,
+        /// What is left of it.
+        first: StrokeProfile,
+    },
 }
 
 impl Path {
+    /// The stroke it begins with.
+    pub fn first_stroke(&self) -> u32 {
+        match self {
+            Path::Move { .. } | Path::Run(_) => 0,
+            Path::Rest { stroke, .. } => *stroke,
+        }
+    }
+
     /// Start, profile and direction of a stroke; none after the last one.
     fn stroke(&self, index: u32) -> Option<(u64, StrokeProfile, Direction)> {
         match self {
@@ -76,6 +93,21 @@ impl Path {
                 *plan.stroke(index)?,
                 plan.direction(index)?,
             )),
+            Path::Rest {
+                plan,
+                stroke,
+                first,
+            } => {
+                if index == *stroke {
+                    return Some((0, *first, plan.direction(index)?));
+                }
+                let held = plan.stroke_start(*stroke)?.0 + plan.stroke(*stroke)?.duration().0;
+                Some((
+                    plan.stroke_start(index)?.0 - held + first.duration().0,
+                    *plan.stroke(index)?,
+                    plan.direction(index)?,
+                ))
+            }
         }
     }
 }
@@ -118,12 +150,13 @@ impl Periods {
     /// handed out, whatever the path says.
     /// A path without strokes has none.
     pub fn new(path: Path, position: i32, window: (i32, i32)) -> Option<Self> {
-        let (start, profile, direction) = path.stroke(0)?;
+        let stroke = path.first_stroke();
+        let (start, profile, direction) = path.stroke(stroke)?;
         let mut times = StepTimes::new(profile);
         let first = times.next()?;
         Some(Self {
             path,
-            stroke: 0,
+            stroke,
             start,
             times,
             direction,

@@ -28,9 +28,6 @@ const WORDS: usize = 5;
 const RING_WORDS: u32 = (SLOTS * WORDS) as u32;
 /// Never more than this many periods wait in the ring; the rest keeps the zero slot away from the reader.
 const MAX_QUEUE: i32 = SLOTS as i32 - 4;
-/// Width of a step pulse, 2 us: above every driver's minimum (DRV8825: 1.9 us), and at the highest step rate, 250 kHz,
-/// the pause is as long.
-const PULSE_TICKS: u16 = 200;
 /// Width of the sync pulse, 50 us, or as long as the period.
 const SYNC_TICKS: u32 = 5_000;
 const STREAM: usize = 5;
@@ -65,6 +62,8 @@ pub struct StepGen {
     ends: [u32; SLOTS],
     end: u32,
     running: bool,
+    /// Width of a step pulse: a setting, no less than the driver's minimum (DRV8825: 1.9 us).
+    pulse_ticks: u16,
 }
 
 impl StepGen {
@@ -111,12 +110,14 @@ impl StepGen {
             ends: [0; SLOTS],
             end: 0,
             running: false,
+            pulse_ticks: 0,
         }
     }
 
-    /// Empties the ring for a new path. Only while halted.
-    pub fn clear(&mut self) {
+    /// Empties the ring for a new path with pulses of this width. Only while halted.
+    pub fn clear(&mut self, pulse_ticks: u16) {
         self.halt();
+        self.pulse_ticks = pulse_ticks;
         for slot in 0..SLOTS {
             write_slot(slot, 0, 0, 0);
         }
@@ -140,7 +141,7 @@ impl StepGen {
         } else {
             0
         };
-        let pulse = if period.pulse { PULSE_TICKS } else { 0 };
+        let pulse = if period.pulse { self.pulse_ticks } else { 0 };
         write_slot((slot + 1) % SLOTS, 0, 0, 0);
         write_slot(slot, (period.ticks - 1) as u16, sync as u16, pulse);
         self.update();

@@ -3,6 +3,7 @@
 use crate::{
     capsule::{CapsuleFault, CapsuleState},
     rig::{HomingPhase, RigFault, RigState},
+    settings::{SettingKey, SettingRule},
 };
 use core::fmt;
 use postcard_schema::Schema;
@@ -84,6 +85,26 @@ pub enum Refusal {
     },
     /// The carriage already is, or the thread already is, where the request would take it.
     AlreadyThere,
+    /// A setting's value is outside its range.
+    SettingRange {
+        /// Which.
+        key: SettingKey,
+        /// Requested.
+        requested: u32,
+    },
+    /// A setting's value breaks a rule that settings have to keep together.
+    SettingRule {
+        /// Which.
+        key: SettingKey,
+        /// The rule.
+        rule: SettingRule,
+    },
+    /// The flash could not be written; the old value stands.
+    StorageFailed,
+    /// No run is going on that could be held.
+    NothingToHold,
+    /// No run is held.
+    NothingToResume,
 }
 
 /// Which value was out of range.
@@ -110,6 +131,10 @@ pub enum Field {
     StartDelayUs,
     /// Telemetry period in ms.
     PeriodMs,
+    /// Position in um.
+    PositionUm,
+    /// Speed in um/s.
+    SpeedUmS,
 }
 
 /// A frame with a good CRC whose content could not be used. Nothing moved.
@@ -139,6 +164,20 @@ impl fmt::Display for Field {
             Field::HomeDwellUs => "dwell at home (us)",
             Field::StartDelayUs => "start delay (us)",
             Field::PeriodMs => "telemetry period (ms)",
+            Field::PositionUm => "position (um)",
+            Field::SpeedUmS => "speed (um/s)",
+        })
+    }
+}
+
+impl fmt::Display for HomingPhase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            HomingPhase::Clear => "leaving the flag",
+            HomingPhase::Seek => "first pass",
+            HomingPhase::PullOff => "pulling off",
+            HomingPhase::Locate => "second pass",
+            HomingPhase::ToZero => "to zero",
         })
     }
 }
@@ -155,14 +194,11 @@ impl fmt::Display for RigFault {
             ),
             RigFault::FlagNotFound(phase) => write!(
                 f,
-                "homing ({}): the home flag did not change within the allowed travel: check that the carriage moves and the flag's switch works",
-                match phase {
-                    HomingPhase::Clear => "leaving the flag",
-                    HomingPhase::Seek => "first pass",
-                    HomingPhase::PullOff => "pulling off",
-                    HomingPhase::Locate => "second pass",
-                    HomingPhase::ToZero => "to zero",
-                }
+                "homing ({phase}): the home flag did not change within the allowed travel: check that the carriage moves and the flag's switch works",
+            ),
+            RigFault::HomingTimeout(phase) => write!(
+                f,
+                "homing ({phase}) took too long: check the settings seek_um_s and homing_timeout_s, acknowledge, home",
             ),
             RigFault::FlagStuck => f.write_str(
                 "homing: the home flag stays open over the whole pull-off: check the switch for dirt and its wire for a break",
@@ -240,6 +276,7 @@ impl fmt::Display for Refusal {
                 RigState::Held => "held",
                 RigState::Stopping => "stopping",
                 RigState::Faulted => "faulted",
+                RigState::Moving => "moving",
             }),
             Refusal::CapsuleBusy(state) => write!(f, "not possible while the capsule is {}", match state {
                 CapsuleState::Unreferenced => "not referenced",
@@ -270,12 +307,22 @@ impl fmt::Display for Refusal {
             }
             Refusal::TooSlow => f.write_str("the strokes are too slow for the exact step arithmetic: give less time or a higher acceleration"),
             Refusal::NotAtHome { position_um } => {
-                write!(f, "the carriage stands at {position_um} um, a run starts at 0: home first")
+                write!(f, "the carriage stands at {position_um} um, a run starts at 0: move to 0 or home first")
             }
             Refusal::BatteryLow { battery_mv, min_mv } => {
                 write!(f, "the battery is at {battery_mv} mV, {min_mv} mV are needed: charge it")
             }
             Refusal::AlreadyThere => f.write_str("already there: nothing to do"),
+            Refusal::SettingRange { key, requested } => {
+                let range = key.range();
+                write!(f, "{} is {requested}, allowed is {} to {}", key.name(), range.min, range.max)
+            }
+            Refusal::SettingRule { key, rule } => {
+                write!(f, "{} cannot have this value: {}", key.name(), rule.text())
+            }
+            Refusal::StorageFailed => f.write_str("the flash could not be written; the old value stands. Try again; if it happens twice, replace the board"),
+            Refusal::NothingToHold => f.write_str("no run is going on that could be held"),
+            Refusal::NothingToResume => f.write_str("no run is held"),
         }
     }
 }

@@ -45,8 +45,9 @@ pub mod events;
 pub mod frame;
 pub mod rig;
 pub mod session;
+pub mod settings;
 pub mod system;
 pub mod table;
 
 /// The protocol's version; see the compatibility rules in the crate documentation.
-pub const VERSION: system::Version = system::Version { major: 1, minor: 0 };
+pub const VERSION: system::Version = system::Version { major: 2, minor: 0 };

@@ -1,5 +1,6 @@
 //! Messages of the rig.
 
+use crate::settings::SettingKey;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
@@ -109,6 +110,99 @@ pub struct RunAccepted {
     pub plan_hash: u64,
 }
 
+/// Feed hold: decelerates within a run, which can be resumed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Hold;
+
+/// Goes on with a held run, exactly as planned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Resume;
+
+/// Which way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Sense {
+    /// Away from home, positions grow.
+    Away,
+    /// Towards home.
+    Home,
+}
+
+/// Moves until the end of the stroke as long as this is repeated within the dead-man time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Jog {
+    /// Which way.
+    pub sense: Sense,
+    /// How fast.
+    pub speed_um_s: u32,
+}
+
+/// Moves to a position within the stroke.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct MoveTo {
+    /// Where, 0..=configured stroke.
+    pub position_um: u32,
+    /// How fast.
+    pub speed_um_s: u32,
+}
+
+/// A move has begun.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct MoveAccepted {
+    /// From here.
+    pub from_steps: i32,
+    /// To there.
+    pub to_steps: i32,
+    /// How.
+    pub stroke: Stroke,
+}
+
+/// Asks for counters of the rig's health.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GetRigHealth;
+
+/// False pulses on a switch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Glitches {
+    /// Since the start.
+    pub count: u32,
+    /// Device time of the last one, low 32 bits of us; 0 = none.
+    pub last_us: u32,
+}
+
+/// Counters since the start of the device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct RigHealth {
+    /// Home flag.
+    pub home_flag: Glitches,
+    /// Far limit.
+    pub far_limit: Glitches,
+    /// Receptions that ended with noise, framing error or overrun.
+    pub uart_errors: u32,
+    /// Frames with a bad checksum or length.
+    pub bad_frames: u32,
+    /// Events and telemetry that found the line busy and were not sent.
+    pub unsent_frames: u32,
+    /// Paths that ended because the queue of timer periods ran dry.
+    pub underruns: u32,
+    /// Highest use of the stack.
+    pub stack_used: u32,
+    /// Size of the stack.
+    pub stack_size: u32,
+    /// Longest time that the control task's 10 ms round was late.
+    pub control_late_us: u32,
+    /// Fingerprint of the image in flash: FNV-1a, 32 bits, over its words.
+    pub image_hash: u32,
+}
+
 /// Asks for the record of the last run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -146,7 +240,8 @@ pub struct RunRecord {
     pub commanded_edges: u64,
     /// Steps that the read-back counter saw at the pin.
     pub counted_edges: u64,
-    /// Duration by the step timer, ticks of 10 ns, from the start, with the start delay, to the last step.
+    /// Duration by the step timer, ticks of 10 ns, from the start, with the start delay, to the last step. The pause of a
+    /// hold does not count; its ramps do.
     pub ticks: u64,
     /// Fingerprint of the plan.
     pub plan_hash: u64,
@@ -160,6 +255,10 @@ pub struct RunRecord {
     pub min_queue: u16,
     /// False pulses on the limit inputs that were filtered out.
     pub glitches: u32,
+    /// How often it was held.
+    pub holds: u32,
+    /// Fingerprint of the image, as in [`RigHealth`].
+    pub image_hash: u32,
 }
 
 /// Asks for the rig's status.
@@ -185,6 +284,8 @@ pub enum RigState {
     Stopping,
     /// A fault is latched.
     Faulted,
+    /// Jog, or a move to a position.
+    Moving,
 }
 
 /// Steps of homing, for the fault's text.
@@ -239,6 +340,8 @@ pub enum RigFault {
     Watchdog,
     /// The firmware panicked or hit a processor fault; the device was reset.
     Panic,
+    /// Homing took longer than its time-out.
+    HomingTimeout(HomingPhase),
 }
 
 /// State of the rig's inputs; true = open (actuated, or wire cut).
@@ -326,6 +429,26 @@ pub enum RigEvent {
     },
     /// A fault was latched.
     Faulted(RigFault),
+    /// The run was held; the carriage stands.
+    Held {
+        /// Where.
+        position_steps: i32,
+    },
+    /// The held run goes on.
+    Resumed,
+    /// A move or jog ended.
+    Moved {
+        /// Where.
+        position_steps: i32,
+    },
+    /// A setting was changed.
+    SettingChanged(SettingKey),
+    /// All settings are at their defaults now.
+    SettingsReset,
+    /// The stored settings do not fit together or cannot be read: the defaults are in force.
+    SettingsUnusable,
+    /// The start button was pressed and nothing could be started.
+    ButtonIgnored,
 }
 
 /// Telemetry of the rig.

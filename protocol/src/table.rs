@@ -1,6 +1,6 @@
 //! The table of requests: one row per request with everything that both ends must agree on.
 
-use crate::{capsule, error::Refusal, error::WireError, rig, system};
+use crate::{capsule, error::Refusal, error::WireError, rig, settings, system};
 use postcard_schema::Schema;
 use postcard_schema::key::Key;
 use serde::{Deserialize, Serialize};
@@ -53,7 +53,7 @@ pub trait Command: Sized {
 macro_rules! table {
     ($($name:ident: $request:ty => $response:ty, $served:ident, match $matched:literal, faulted $faulted:literal, $retry:ident;)*) => {
         /// All requests. Index-coded: append only.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+        #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         pub enum Request { $(#[doc = concat!("[`", stringify!($request), "`]")] $name($request)),* }
 
@@ -103,6 +103,16 @@ table! {
     Fold: capsule::Fold => capsule::ActuationAccepted, Capsule, match true, faulted false, Deduplicated;
     Unfold: capsule::Unfold => capsule::ActuationAccepted, Capsule, match true, faulted false, Deduplicated;
     GetActuationRecord: capsule::GetActuationRecord => capsule::ActuationRecord, Capsule, match true, faulted true, Idempotent;
+    Hold: rig::Hold => system::Done, Rig, match true, faulted false, Deduplicated;
+    Resume: rig::Resume => system::Done, Rig, match true, faulted false, Deduplicated;
+    Jog: rig::Jog => system::Done, Rig, match true, faulted false, Deduplicated;
+    MoveTo: rig::MoveTo => rig::MoveAccepted, Rig, match true, faulted false, Deduplicated;
+    GetSetting: settings::GetSetting => settings::Setting, Rig, match true, faulted true, Idempotent;
+    SetSetting: settings::Setting => settings::Setting, Rig, match true, faulted true, Deduplicated;
+    FactoryReset: settings::FactoryReset => system::Done, Rig, match true, faulted true, Deduplicated;
+    GetName: settings::GetName => settings::Name, Rig, match true, faulted true, Idempotent;
+    SetName: settings::Name => settings::Name, Rig, match true, faulted true, Deduplicated;
+    GetRigHealth: rig::GetRigHealth => rig::RigHealth, Rig, match true, faulted true, Idempotent;
 }
 
 /// Answer to a request.

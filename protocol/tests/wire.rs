@@ -169,7 +169,7 @@ fn trailing_bytes_are_not_a_message() {
             session: 1,
             seq: 2,
         },
-        &(exemplars::requests()[1], 0_u8),
+        &(exemplars::requests()[1].clone(), 0_u8),
     );
     let mut deframer = Deframer::new();
     let bytes = frame_bytes.unwrap();

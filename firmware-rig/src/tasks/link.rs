@@ -3,7 +3,10 @@
 use super::watchdog::{CHECK_IN, Client, check_in};
 use crate::{
     board,
-    channels::{CUT, Inbound, LAST_FRAME_US, MOTION_WAKE, OUTBOUND, REPLIES, REQUESTS, SESSION},
+    channels::{
+        BAD_FRAMES, CUT, Inbound, LAST_FRAME_US, MOTION_WAKE, OUTBOUND, REPLIES, REQUESTS, SESSION,
+        UART_ERRORS,
+    },
 };
 use core::sync::atomic::Ordering;
 use embassy_stm32::{
@@ -43,10 +46,12 @@ pub async fn receive(mut uart: RingBufferedUartRx<'static>, identity: Identity) 
             Ok(Err(error)) => {
                 // Noise, framing, overrun: the CRC finds the damaged frame, the host repeats it.
                 defmt::debug!("receive error {}", error);
+                UART_ERRORS.fetch_add(1, Ordering::Relaxed);
                 0
             }
             Err(_) => 0,
         };
+        BAD_FRAMES.store(deframer.rejected(), Ordering::Relaxed);
         for byte in &buffer[..count] {
             if let Some(frame) = deframer.push(*byte) {
                 LAST_FRAME_US.store(Instant::now().as_micros() as u32, Ordering::Relaxed);

@@ -12,7 +12,7 @@ use firmware_rig::{
     machine::{Event, PathEnd, PathReport},
     periods::{Item, Periods},
 };
-use motion::axis::{Acceleration, Direction};
+use motion::axis::Direction;
 
 /// Time that is kept prepared in the ring: what a stop has to wait for before it takes effect.
 const LEAD_TICKS: u32 = 800_000;
@@ -25,11 +25,11 @@ const SHORT_ROUND: Duration = Duration::from_micros(100);
 
 /// Highest task priority. Idle: every 100 ms. Moving: every 2 ms at the latest.
 #[embassy_executor::task]
-pub async fn motion(mut generator: StepGen, stop_accel: Acceleration) -> ! {
+pub async fn motion(mut generator: StepGen) -> ! {
     loop {
         check_in(Client::Motion);
         if let Ok(order) = with_timeout(CHECK_IN, ORDERS.wait()).await {
-            let (end, report) = execute(&mut generator, order, stop_accel).await;
+            let (end, report) = execute(&mut generator, order).await;
             NOTICES.send(Event::PathEnded(end, report)).await;
         }
     }
@@ -111,15 +111,11 @@ impl Execution<'_> {
     }
 }
 
-async fn execute(
-    generator: &mut StepGen,
-    order: Order,
-    stop_accel: Acceleration,
-) -> (PathEnd, PathReport) {
+async fn execute(generator: &mut StepGen, order: Order) -> (PathEnd, PathReport) {
     CUT.store(false, Ordering::Release);
     STOP.store(false, Ordering::Release);
-    STROKE.store(0, Ordering::Relaxed);
-    generator.clear();
+    STROKE.store(order.path.first_stroke(), Ordering::Relaxed);
+    generator.clear(order.pulse_ticks);
     board::enable_driver();
     let Some(periods) = Periods::new(order.path, stepgen::counted(), order.window) else {
         let position = stepgen::counted();
@@ -168,7 +164,7 @@ async fn execute(
         }
         if STOP.swap(false, Ordering::AcqRel) {
             stopped = true;
-            work.periods.stop(stop_accel);
+            work.periods.stop(order.stop_accel);
             if let Filling::Turn { .. } = work.filling {
                 work.filling = Filling::Full; // the next stroke does not come
             }

@@ -2,14 +2,15 @@
 
 use crate::{
     board,
-    channels::{COMMANDED, OUTBOUND, SESSION, SNAPSHOT, STROKE, TELEMETRY_CHANGED, TELEMETRY_MS},
+    channels::{
+        COMMANDED, SESSION, SNAPSHOT, STROKE, TELEMETRY_CHANGED, TELEMETRY_MS, send_if_free,
+    },
     stepgen,
 };
 use core::sync::atomic::Ordering;
 use embassy_futures::select::{Either, select};
 use embassy_time::{Duration, Instant, Timer};
-use firmware_rig::settings::Settings;
-use motion::units::Steps;
+use motion::{axis::Axis, units::Steps};
 use protocol::{
     frame::{Header, Kind, encode},
     rig::RigTelemetry,
@@ -45,6 +46,7 @@ pub async fn telemetry() -> ! {
             position_steps: position,
             commanded_steps: COMMANDED.load(Ordering::Relaxed),
             speed_um_s: speed_um_s(
+                &snapshot.axis,
                 position.wrapping_sub(last.1),
                 now.saturating_duration_since(last.0),
             ),
@@ -60,16 +62,13 @@ pub async fn telemetry() -> ! {
         };
         seq = seq.wrapping_add(1);
         if let Ok(frame) = encode(header, &Telemetry::Rig(sample)) {
-            let _ = OUTBOUND.try_send(frame);
+            send_if_free(frame);
         }
     }
 }
 
-fn speed_um_s(steps: i32, time: Duration) -> i32 {
-    let nm = Settings::REFERENCE
-        .axis
-        .length_of(Steps(steps.unsigned_abs()))
-        .0;
+fn speed_um_s(axis: &Axis, steps: i32, time: Duration) -> i32 {
+    let nm = axis.length_of(Steps(steps.unsigned_abs())).0;
     let speed = nm.saturating_mul(1_000) / time.as_micros().max(1);
     let speed = i32::try_from(speed).unwrap_or(i32::MAX);
     if steps < 0 { -speed } else { speed }

@@ -1,7 +1,7 @@
 //! One exemplar of every message, with every field away from its default.
 
 use heapless::Vec;
-use protocol::{capsule::*, error::*, rig::*, system::*, table::*};
+use protocol::{capsule::*, error::*, rig::*, settings::*, system::*, table::*};
 
 pub fn requests() -> std::vec::Vec<Request> {
     let run = |timing| Run {
@@ -41,7 +41,36 @@ pub fn requests() -> std::vec::Vec<Request> {
         Request::Fold(Fold),
         Request::Unfold(Unfold),
         Request::GetActuationRecord(GetActuationRecord),
+        Request::Hold(Hold),
+        Request::Resume(Resume),
+        Request::Jog(Jog {
+            sense: Sense::Home,
+            speed_um_s: 5_000,
+        }),
+        Request::MoveTo(MoveTo {
+            position_um: 65_000,
+            speed_um_s: 20_000,
+        }),
+        Request::GetSetting(GetSetting {
+            key: SettingKey::ButtonAccelUmS2,
+        }),
+        Request::SetSetting(SETTING),
+        Request::FactoryReset(FactoryReset),
+        Request::GetName(GetName),
+        Request::SetName(lab_name()),
+        Request::GetRigHealth(GetRigHealth),
     ]
+}
+
+const SETTING: Setting = Setting {
+    key: SettingKey::SwitchFilterUs,
+    value: 18,
+};
+
+fn lab_name() -> Name {
+    Name {
+        name: "rig 2, room B.17".try_into().unwrap(),
+    }
 }
 
 const INPUTS: RigInputs = RigInputs {
@@ -79,6 +108,22 @@ pub fn events() -> std::vec::Vec<Event> {
         event(What::Rig(RigEvent::Faulted(RigFault::LostSteps {
             residual_steps: 64,
         }))),
+        event(What::Rig(RigEvent::Held {
+            position_steps: 40_000,
+        })),
+        event(What::Rig(RigEvent::Resumed)),
+        event(What::Rig(RigEvent::Moved {
+            position_steps: 52_000,
+        })),
+        event(What::Rig(RigEvent::SettingChanged(
+            SettingKey::SwitchFilterUs,
+        ))),
+        event(What::Rig(RigEvent::SettingsReset)),
+        event(What::Rig(RigEvent::SettingsUnusable)),
+        event(What::Rig(RigEvent::ButtonIgnored)),
+        event(What::Rig(RigEvent::Faulted(RigFault::HomingTimeout(
+            HomingPhase::Seek,
+        )))),
         event(What::Capsule(CapsuleEvent::Started {
             actuation: 4,
             kind: ActuationKind::Unfold,
@@ -183,6 +228,8 @@ pub fn responses() -> std::vec::Vec<Response> {
             worst_residual_steps: -3,
             min_queue: 101,
             glitches: 5,
+            holds: 1,
+            image_hash: 0x811c_9dc5,
         }),
         Response::GetCapsuleStatus(CapsuleStatus {
             time_us: 12_345_678,
@@ -218,6 +265,37 @@ pub fn responses() -> std::vec::Vec<Response> {
             engaged_um: 1_000,
             energy_mj: 180,
             min_battery_mv: 3_600,
+        }),
+        Response::Hold(Done),
+        Response::Resume(Done),
+        Response::Jog(Done),
+        Response::MoveTo(MoveAccepted {
+            from_steps: 104_000,
+            to_steps: 52_000,
+            stroke,
+        }),
+        Response::GetSetting(SETTING),
+        Response::SetSetting(SETTING),
+        Response::FactoryReset(Done),
+        Response::GetName(lab_name()),
+        Response::SetName(lab_name()),
+        Response::GetRigHealth(RigHealth {
+            home_flag: Glitches {
+                count: 300,
+                last_us: 12_345_678,
+            },
+            far_limit: Glitches {
+                count: 2,
+                last_us: 11_222_333,
+            },
+            uart_errors: 3,
+            bad_frames: 4,
+            unsent_frames: 5,
+            underruns: 1,
+            stack_used: 4_000,
+            stack_size: 118_000,
+            control_late_us: 900,
+            image_hash: 0x811c_9dc5,
         }),
     ]
 }
@@ -261,6 +339,17 @@ pub fn replies() -> std::vec::Vec<Reply> {
             min_mv: 3_000,
         },
         Refusal::AlreadyThere,
+        Refusal::SettingRange {
+            key: SettingKey::LeadUm,
+            requested: 499,
+        },
+        Refusal::SettingRule {
+            key: SettingKey::StepPulseNs,
+            rule: SettingRule::PulseWithinStep,
+        },
+        Refusal::StorageFailed,
+        Refusal::NothingToHold,
+        Refusal::NothingToResume,
     ];
     let wire = [
         WireError::NoSession,
