@@ -1,57 +1,56 @@
-//! Panic and processor faults: outputs off, last words kept over the reset, reset.
+//! Panic and processor faults: outputs off, last words kept over the reset, reset. Also keeps what else has to
+//! survive a reset: the number of starts and an unacknowledged E-stop.
 //!
-//! The last words live in the kilobyte of RAM that `memory.x` leaves out of data and stack.
+//! All of it lives in the kilobyte of RAM that `memory.x` leaves out of data and stack.
 
 #![allow(unsafe_code)]
 
 use crate::board;
 use core::{
     panic::PanicInfo,
-    ptr::{read_volatile, write_volatile},
+    ptr::{addr_of_mut, read_volatile, write_volatile},
 };
 use cortex_m_rt::{ExceptionFrame, exception};
-use heapless::String;
+use heapless::{String, Vec};
 use protocol::rig::RigFault;
 
 const MAGIC: u32 = 0x5245_5430;
-
-/// What is kept. Whole words only, so that every bit pattern is a valid value.
-#[repr(C)]
-#[derive(Clone, Copy)]
-struct Kept {
-    boot_magic: u32,
-    boot_id: u32,
-    words_magic: u32,
-    len: u32,
-    text: [u32; 30],
-    check: u32,
-    /// An E-stop that was not acknowledged: [`LATCHED_LOOP`] or [`LATCHED_FRAME`].
-    latched: u32,
-}
-
 const LATCHED_LOOP: u32 = MAGIC ^ 1;
 const LATCHED_FRAME: u32 = MAGIC ^ 2;
 
+/// Longest last words, bytes.
+const LONGEST: usize = 120;
+
+// Numbers of the kept words.
+const BOOT_MAGIC: usize = 0;
+const BOOT_ID: usize = 1;
+const LATCHED: usize = 2;
+const WORDS_MAGIC: usize = 3;
+const LENGTH: usize = 4;
+const CHECK: usize = 5;
+const TEXT: usize = 6;
+
 unsafe extern "C" {
-    static mut _last_words_start: Kept;
+    static mut _last_words_start: [u32; TEXT + LONGEST];
 }
 
-fn load() -> Kept {
-    // SAFETY: the linker script reserves a kilobyte at this address for nothing else, and all bit patterns are valid.
-    unsafe { read_volatile(&raw const _last_words_start) }
+#[inline(never)]
+fn get(word: usize) -> u32 {
+    // SAFETY: the linker script reserves a kilobyte at this address for nothing else; any bit pattern is a number.
+    unsafe { read_volatile(addr_of_mut!(_last_words_start).cast::<u32>().add(word)) }
 }
 
-fn store(kept: &Kept) {
-    // SAFETY: as in `load`; callers are start-up before any task, or a panic, of which there is one at a time.
-    unsafe { write_volatile(&raw mut _last_words_start, *kept) }
+#[inline(never)]
+fn set(word: usize, value: u32) {
+    // SAFETY: as in `get`; callers are start-up, one task, or a panic, of which there is one at a time.
+    unsafe { write_volatile(addr_of_mut!(_last_words_start).cast::<u32>().add(word), value) }
 }
 
-fn check(kept: &Kept) -> u32 {
-    kept.text
-        .iter()
-        .fold(kept.words_magic ^ kept.len, |sum, word| {
-            sum.rotate_left(5) ^ word
-        })
+/// Of the text; one letter per word.
+fn check(length: usize) -> u32 {
+    (0..length).fold(MAGIC ^ length as u32, |sum, index| {
+        sum.rotate_left(5) ^ get(TEXT + index)
+    })
 }
 
 /// What the previous start left.
@@ -59,54 +58,42 @@ pub struct Left {
     /// Number of this start.
     pub boot_id: u32,
     /// Text of a panic or processor fault; once.
-    pub last_words: Option<String<120>>,
+    pub last_words: Option<String<LONGEST>>,
     /// An E-stop that was latched.
     pub latched: Option<RigFault>,
 }
 
 /// Keeps an E-stop over a reset, or forgets it (any other fault, or none).
 pub fn keep_latched(fault: Option<RigFault>) {
-    let mut kept = load();
-    kept.latched = match fault {
+    let word = match fault {
         Some(RigFault::EStopLoop) => LATCHED_LOOP,
         Some(RigFault::EStopFrame) => LATCHED_FRAME,
         _ => 0,
     };
-    store(&kept);
+    set(LATCHED, word);
 }
 
 /// Takes what the previous start left.
 pub fn start() -> Left {
-    let mut kept = load();
-    let boot_id = if kept.boot_magic == MAGIC {
-        kept.boot_id.wrapping_add(1)
+    let boot_id = if get(BOOT_MAGIC) == MAGIC {
+        get(BOOT_ID).wrapping_add(1)
     } else {
+        set(LATCHED, 0);
         1
     };
-    let words =
-        (kept.words_magic == MAGIC && kept.len <= 120 && kept.check == check(&kept)).then(|| {
-            let mut text = String::new();
-            for byte in kept
-                .text
-                .iter()
-                .flat_map(|word| word.to_le_bytes())
-                .take(kept.len as usize)
-            {
-                // Cannot overflow: at most 120 bytes.
-                let _ = text.push(if byte.is_ascii() {
-                    char::from(byte)
-                } else {
-                    '?'
-                });
-            }
-            text
-        });
-    (kept.boot_magic, kept.boot_id, kept.words_magic) = (MAGIC, boot_id, 0);
-    store(&kept);
+    let length = (get(LENGTH) as usize).min(LONGEST);
+    let words = get(WORDS_MAGIC) == MAGIC && get(CHECK) == check(length);
+    let last_words = words.then(|| {
+        let text = (0..length).map(|index| get(TEXT + index) as u8 & 0x7F).collect();
+        String::from_utf8(text).unwrap_or_default()
+    });
+    set(BOOT_MAGIC, MAGIC);
+    set(BOOT_ID, boot_id);
+    set(WORDS_MAGIC, 0);
     Left {
         boot_id,
-        last_words: words,
-        latched: match kept.latched {
+        last_words,
+        latched: match get(LATCHED) {
             LATCHED_LOOP => Some(RigFault::EStopLoop),
             LATCHED_FRAME => Some(RigFault::EStopFrame),
             _ => None,
@@ -114,30 +101,31 @@ pub fn start() -> Left {
     }
 }
 
-fn die(text: &str) -> ! {
+fn die(text: &Text) -> ! {
     board::outputs_off();
-    let mut kept = load();
-    let bytes = text.as_bytes();
-    let len = bytes.len().min(120);
-    kept.text = [0; 30];
-    for (index, byte) in bytes.iter().take(len).enumerate() {
-        kept.text[index / 4] |= u32::from(*byte) << (index % 4 * 8);
+    for (index, byte) in text.0.iter().enumerate() {
+        set(TEXT + index, u32::from(*byte));
     }
-    (kept.words_magic, kept.len) = (MAGIC, len as u32);
-    kept.check = check(&kept);
-    store(&kept);
-    defmt::error!("{=str}", text);
+    set(LENGTH, text.0.len() as u32);
+    set(CHECK, check(text.0.len()));
+    set(WORDS_MAGIC, MAGIC);
+    defmt::error!("{=[u8]:a}", &text.0);
     cortex_m::peripheral::SCB::sys_reset()
 }
 
 /// Last words in the making, cut off at their end.
-#[derive(Default)]
-struct Text(String<120>);
+struct Text(Vec<u8, LONGEST>);
 
 impl Text {
+    fn new(beginning: &str) -> Self {
+        let mut text = Self(Vec::new());
+        text.push(beginning);
+        text
+    }
+
     fn push(&mut self, part: &str) {
-        for letter in part.chars() {
-            let _ = self.0.push(letter);
+        for byte in part.bytes() {
+            let _ = self.0.push(byte);
         }
     }
 
@@ -145,46 +133,38 @@ impl Text {
         if number >= base {
             self.push_number(number / base, base);
         }
-        // A digit of its base always is one.
-        let _ = self
-            .0
-            .push(char::from_digit(number % base, base).unwrap_or('?'));
-    }
-
-    fn as_str(&self) -> &str {
-        &self.0
+        let _ = self.0.push(b"0123456789abcdef"[(number % base) as usize % 16]);
     }
 }
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
     board::outputs_off();
-    let mut text = Text::default();
-    // Cut off at 120 bytes: the place comes first.
+    // The place comes first: what is too long is cut off.
+    let mut text = Text::new("");
     if let Some(place) = info.location() {
         text.push(place.file());
         text.push(":");
         text.push_number(place.line(), 10);
         text.push(": ");
     }
-    // A message with arguments needs the formatting machinery, two kilobytes; the place tells enough.
+    // A message with arguments needs the formatting machinery; the place tells enough.
     text.push(info.message().as_str().unwrap_or("panic"));
-    die(text.as_str())
+    die(&text)
 }
 
 /// `defmt::panic!` has printed its message; it must not format it a second time.
 #[defmt::panic_handler]
 fn defmt_panic() -> ! {
-    die("a check failed; its text is in the debug log")
+    die(&Text::new("a check failed; its text is in the debug log"))
 }
 
 #[exception]
 unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
     board::outputs_off();
-    let mut text = Text::default();
-    text.push("processor fault at 0x");
+    let mut text = Text::new("processor fault at 0x");
     text.push_number(frame.pc(), 16);
     text.push(", called from 0x");
     text.push_number(frame.lr(), 16);
-    die(text.as_str())
+    die(&text)
 }

@@ -16,7 +16,7 @@ use sequential_storage::{
 /// Offsets in flash, as in `memory.x`.
 const SECTORS: Range<u32> = 0x4000..0x1_0000;
 /// The longest record, its key included, in whole words.
-const RECORD: usize = 32;
+pub const RECORD: usize = 32;
 
 /// The blocking driver of the first four sectors as an asynchronous one that never waits.
 struct Flash(Bank1Region1<'static, Blocking>);
@@ -71,20 +71,16 @@ impl Store {
         }
     }
 
-    /// Calls `record` with key and content of every record, older ones first: the last of a key counts.
+    /// The content of a record, if there is one.
     ///
     /// # Errors
-    /// The sectors cannot be read as records; what was read before stands.
-    pub fn load(&mut self, mut record: impl FnMut(u8, &[u8])) -> Result<(), Failed> {
-        let mut buffer = [0; RECORD];
-        let load = async {
-            let mut records = self.map.fetch_all_items(&mut buffer).await?;
-            while let Some((key, content)) = records.next::<&[u8]>(&mut buffer).await? {
-                record(key, content);
-            }
-            Ok(())
-        };
-        block_on(load).map_err(|_: sequential_storage::Error<Error>| Failed)
+    /// The sectors cannot be read as records.
+    pub fn load<'a>(
+        &mut self,
+        number: u8,
+        buffer: &'a mut [u8; RECORD],
+    ) -> Result<Option<&'a [u8]>, Failed> {
+        block_on(self.map.fetch_item(buffer, &number)).map_err(|_| Failed)
     }
 
     /// Writes a record. Stops the processor for up to a second: only while nothing moves.

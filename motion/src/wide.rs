@@ -11,9 +11,35 @@ pub(crate) fn div_nearest(numerator: u128, denominator: u128) -> u128 {
     div_rem(numerator + denominator / 2, denominator).0
 }
 
-/// Not inlined: each use would bring a kilobyte of its own.
+/// Bit by bit: this runs a few dozen times before a move, and the compiler's routine takes a kilobyte.
 #[inline(never)]
 fn div_rem(numerator: u128, denominator: u128) -> (u128, u128) {
-    let quotient = numerator / denominator;
-    (quotient, numerator - quotient * denominator)
+    let (mut quotient, mut rest) = (numerator, 0_u128);
+    for _ in 0..u128::BITS {
+        // The quotient's bits come in where the numerator's go out.
+        rest = rest << 1 | quotient >> (u128::BITS - 1);
+        quotient <<= 1;
+        if rest >= denominator {
+            rest -= denominator;
+            quotient |= 1;
+        }
+    }
+    (quotient, rest)
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        // The denominators of this crate stay below 2^127: a doubled rest fits.
+        #[test]
+        fn divides(numerator: u128, denominator in 1..u128::MAX / 2, shift in 0..128_u32) {
+            let denominator = (denominator >> shift).max(1);
+            let expected = (numerator / denominator, numerator % denominator);
+            prop_assert_eq!(div_rem(numerator, denominator), expected);
+        }
+    }
 }

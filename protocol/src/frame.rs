@@ -14,7 +14,8 @@ const MAX_COBS: usize = MAX_RAW + MAX_RAW / 254 + 1;
 /// Largest frame on the wire, with both delimiters.
 pub const MAX_FRAME: usize = MAX_COBS + 2;
 
-const CRC32C: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
+/// Without a table: a kilobyte of flash is worth more than the time.
+const CRC32C: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_ISCSI);
 
 /// An encoded frame, ready for the wire.
 pub type Encoded = heapless::Vec<u8, MAX_FRAME>;

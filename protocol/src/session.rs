@@ -192,7 +192,7 @@ impl Session {
             };
         };
         self.newest_seq = Some(seq);
-        if request.row().needs_match && !self.matched {
+        if request.needs_match() && !self.matched {
             return Decision::Refuse {
                 refusal: Refusal::Incompatible,
                 ticket,

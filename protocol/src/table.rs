@@ -69,6 +69,11 @@ macro_rules! table {
         }),*];
 
         impl Request {
+            /// [`Row::needs_match`] of its row, without the names: those are for people, not for the flash.
+            pub const fn needs_match(&self) -> bool {
+                match self { $(Request::$name(_) => $matched),* }
+            }
+
             /// The request's row.
             pub const fn row(&self) -> &'static Row {
                 enum Index { $($name),* }

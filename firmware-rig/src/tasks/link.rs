@@ -15,11 +15,10 @@ use embassy_stm32::{
 };
 use embassy_time::{Instant, with_timeout};
 use protocol::{
-    VERSION,
     frame::{Deframer, Encoded, Frame, Header, Kind, encode},
     session::{Decision, Session},
     system::{Identity, Urgent},
-    table::{Reply, Response, SCHEMA_KEY},
+    table::{Reply, Response},
 };
 
 /// Sends what the other tasks have queued, one frame after the other.
@@ -61,8 +60,25 @@ pub async fn receive(mut uart: RingBufferedUartRx<'static>, identity: Identity) 
     }
 }
 
+/// Not inlined: one copy of the whole encoder.
+#[inline(never)]
+fn reply_frame(header: Header, reply: &Reply) -> Option<Encoded> {
+    encode(header, reply).ok()
+}
+
+/// What a frame is answered with.
+enum Answer {
+    Reply(Reply),
+    /// Ask control first.
+    Ask(Inbound),
+    Frame(Encoded),
+    Nothing,
+}
+
+/// One way in, one way out: each `await` is a copy of the state, so there are few.
 async fn serve(frame: &Frame<'_>, session: &mut Session, identity: &Identity) {
-    match session.receive(frame) {
+    let mut remember = None;
+    let (number, seq, answer) = match session.receive(frame) {
         Decision::Greet {
             session: number,
             seq,
@@ -70,21 +86,19 @@ async fn serve(frame: &Frame<'_>, session: &mut Session, identity: &Identity) {
             SESSION.store(number, Ordering::Relaxed);
             let identity = Identity {
                 session: number,
-                protocol: VERSION,
-                schema_key: SCHEMA_KEY,
                 ..*identity
             };
-            send(number, seq, &Reply::Accepted(Response::Hello(identity))).await;
+            let reply = Reply::Accepted(Response::Hello(identity));
+            (number, seq, Answer::Reply(reply))
         }
         Decision::Execute { request, ticket } => {
-            let reply = ask(Inbound::Request(request)).await;
-            if let Some(frame) = send(ticket.session, ticket.seq, &reply).await {
-                session.remember(ticket, &frame);
-            }
+            let (number, seq) = (ticket.session, ticket.seq);
+            remember = Some(ticket);
+            (number, seq, Answer::Ask(Inbound::Request(request)))
         }
         Decision::Urgent {
             urgent,
-            session,
+            session: number,
             seq,
         } => {
             if urgent == Urgent::EStop {
@@ -93,42 +107,41 @@ async fn serve(frame: &Frame<'_>, session: &mut Session, identity: &Identity) {
                 CUT.store(true, Ordering::Release);
                 MOTION_WAKE.signal(());
             }
-            let reply = ask(Inbound::Urgent(urgent)).await;
-            send(session, seq, &reply).await;
+            (number, seq, Answer::Ask(Inbound::Urgent(urgent)))
         }
-        Decision::Resend(frame) => OUTBOUND.send(frame).await,
+        Decision::Resend(frame) => (0, 0, Answer::Frame(frame)),
         Decision::Refuse { refusal, ticket } => {
-            if let Some(frame) = send(ticket.session, ticket.seq, &Reply::Refused(refusal)).await {
-                session.remember(ticket, &frame);
-            }
+            let (number, seq) = (ticket.session, ticket.seq);
+            remember = Some(ticket);
+            (number, seq, Answer::Reply(Reply::Refused(refusal)))
         }
         Decision::Reject {
             error,
-            session,
+            session: number,
             seq,
-        } => {
-            send(session, seq, &Reply::Wire(error)).await;
+        } => (number, seq, Answer::Reply(Reply::Wire(error))),
+        Decision::Ignore => (0, 0, Answer::Nothing),
+    };
+    let header = Header {
+        kind: Kind::Reply,
+        session: number,
+        seq,
+    };
+    let frame = match answer {
+        Answer::Reply(reply) => reply_frame(header, &reply),
+        Answer::Ask(inbound) => {
+            REPLIES.reset();
+            REQUESTS.send(inbound).await;
+            reply_frame(header, &REPLIES.wait().await)
         }
-        Decision::Ignore => {}
+        Answer::Frame(frame) => Some(frame),
+        Answer::Nothing => None,
+    };
+    let Some(frame) = frame else {
+        return;
+    };
+    if let Some(ticket) = remember {
+        session.remember(ticket, &frame);
     }
-}
-
-async fn ask(inbound: Inbound) -> Reply {
-    REPLIES.reset();
-    REQUESTS.send(inbound).await;
-    REPLIES.wait().await
-}
-
-async fn send(session: u8, seq: u16, reply: &Reply) -> Option<Encoded> {
-    let frame = encode(
-        Header {
-            kind: Kind::Reply,
-            session,
-            seq,
-        },
-        reply,
-    )
-    .ok()?;
-    OUTBOUND.send(frame.clone()).await;
-    Some(frame)
+    OUTBOUND.send(frame).await;
 }
