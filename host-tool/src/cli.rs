@@ -7,8 +7,10 @@ mod finding;
 mod flash;
 mod interrupt;
 pub mod machines;
+mod motion;
 mod offline;
 mod screen;
+mod settings;
 
 use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
@@ -83,6 +85,12 @@ fn carry_out(
         } => machines::actuate(ActuationKind::Reference, args, finder, screen),
         Command::Fold(args) => machines::actuate(ActuationKind::Fold, args, finder, screen),
         Command::Unfold(args) => machines::actuate(ActuationKind::Unfold, args, finder, screen),
+        Command::Hold => motion::hold(finder, screen),
+        Command::Resume => motion::resume(finder, screen),
+        Command::Jog(args) => motion::jog(args, finder, screen),
+        Command::Move(args) => motion::move_to(args, finder, screen),
+        Command::Health => motion::health(finder, screen),
+        Command::Settings { command } => settings::settings(command, finder, screen),
         Command::Plan(args) => offline::plan(args, screen),
         Command::Report(args) => offline::report(args, screen),
         Command::Flash(args) => flash::flash(args, screen),

@@ -26,6 +26,9 @@ use crate::link::Link;
 /// The host shows itself at least this often while it waits; a moving device stops after 1 s of silence.
 pub const KEEP_ALIVE_US: u64 = 250_000;
 
+/// Between two looks at a move, us of link time.
+const POLL_US: u64 = 50_000;
+
 /// The longest wait for bytes before the [`Interrupt`] is asked again.
 const SLICE_US: u64 = 20_000;
 
@@ -143,6 +146,21 @@ pub struct Homed {
     pub shift_steps: i32,
     /// From the request's acceptance to its end.
     pub duration_us: u64,
+}
+
+/// How an action is getting on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Course {
+    Goes,
+    /// Held: its time stands still.
+    Stands,
+    Over,
+}
+
+impl From<bool> for Course {
+    fn from(over: bool) -> Self {
+        if over { Self::Over } else { Self::Goes }
+    }
 }
 
 enum Turn {
@@ -514,10 +532,10 @@ impl Device {
         let total_us = accepted.total_ticks.div_ceil(100);
         self.wait("the run", total_us, observer, |device, event, observer| {
             if let Some(event) = event {
-                return Ok(matches!(
+                return Ok(Course::from(matches!(
                     event.what,
                     What::Rig(RigEvent::RunEnded { run, .. }) if run == accepted.run
-                ));
+                )));
             }
             let status = device.rig_status()?;
             observer.progress(&Progress::Run {
@@ -527,12 +545,27 @@ impl Device {
                 strokes: u32::from(accepted.requested.cycles) * 2,
                 position_um: status.position_um,
             });
-            Ok(!matches!(
-                status.state,
-                RigState::Running | RigState::Held | RigState::Stopping
-            ))
+            Ok(match status.state {
+                RigState::Running | RigState::Stopping => Course::Goes,
+                RigState::Held => Course::Stands,
+                _ => Course::Over,
+            })
         })?;
         self.run_record()
+    }
+
+    /// Waits until nothing moves, and returns the rig's status then. A run that goes on is not waited for.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn wait_rest(&mut self) -> Result<RigStatus, ClientError> {
+        loop {
+            let status = self.rig_status()?;
+            if !matches!(status.state, RigState::Moving | RigState::Stopping) {
+                return Ok(status);
+            }
+            self.idle(POLL_US, &mut Unobserved)?;
+        }
     }
 
     /// Waits until an actuation of the capsule ends, however it ends, and returns the device's record of it.
@@ -599,15 +632,15 @@ impl Device {
     /// Waits until `ended` says so. It is asked about each event, and without an event every
     /// [`KEEP_ALIVE_US`], when it asks the device for its status: that is the keep-alive, and it finds the end
     /// even if the event was lost.
-    fn wait(
+    fn wait<C: Into<Course>>(
         &mut self,
         action: &'static str,
         at_most_us: u64,
         observer: &mut dyn Observer,
-        mut ended: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<bool, ClientError>,
+        mut ended: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<C, ClientError>,
     ) -> Result<(), ClientError> {
         let start_us = self.now_us();
-        let limit_us = at_most_us.saturating_add(OVERDUE_US);
+        let mut limit_us = at_most_us.saturating_add(OVERDUE_US);
         let mut next_status_us = start_us.saturating_add(KEEP_ALIVE_US);
         let mut over = false;
         loop {
@@ -616,7 +649,7 @@ impl Device {
             }
             while let Some(event) = self.events.pop_front() {
                 observer.event(&event);
-                over |= ended(self, Some(&event), observer)?;
+                over |= ended(self, Some(&event), observer)?.into() == Course::Over;
             }
             self.hand_out_telemetry(observer);
             if over {
@@ -625,7 +658,11 @@ impl Device {
             let now_us = self.now_us();
             if now_us >= next_status_us {
                 next_status_us = now_us.saturating_add(KEEP_ALIVE_US);
-                if ended(self, None, observer)? {
+                let course = ended(self, None, observer)?.into();
+                if course == Course::Stands {
+                    limit_us = limit_us.saturating_add(KEEP_ALIVE_US);
+                }
+                if course == Course::Over {
                     // At rest: whatever event has not come by now was lost on the way.
                     over = true;
                     self.fetch_events()?;

@@ -6,8 +6,9 @@ use motion::axis::{Axis, Direction};
 use motion::run::{Limits, RunError, RunPlan, RunRequest, Timing};
 use motion::step_times::StepTimes;
 use motion::trapezoid::{MIN_INTERVAL, StrokeProfile};
-use motion::units::{TICK_HZ, Ticks};
+use motion::units::{TICK_HZ, TICKS_PER_US, Ticks};
 use protocol::rig::{Run, RunTiming, Stroke};
+use protocol::settings::SettingKey;
 use serde::Serialize;
 
 use crate::decimal;
@@ -15,10 +16,10 @@ use crate::trial::{Achieved, Screw};
 
 /// Limits of the rig as it is delivered; a rig's own settings may differ and decide.
 pub const REFERENCE_LIMITS: Limits = Limits {
-    max_speed_um_s: 49_000,
-    max_accel_um_s2: 2_000_000,
-    min_interval_ticks: 400,
-    min_turnaround_ticks: 100_000,
+    max_speed_um_s: SettingKey::MaxSpeedUmS.range().default,
+    max_accel_um_s2: SettingKey::MaxAccelUmS2.range().default,
+    min_interval_ticks: (TICK_HZ as u32).div_ceil(SettingKey::MaxStepHz.range().default),
+    min_turnaround_ticks: SettingKey::TurnaroundUs.range().default * TICKS_PER_US as u32,
 };
 
 /// What no rig can exceed.

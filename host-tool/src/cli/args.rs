@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use protocol::rig::{LinkLossPolicy, Run, RunTiming};
+use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 
 use crate::decimal::{Milli, Seconds, ShortSeconds};
@@ -61,6 +62,22 @@ pub enum Command {
     Fold(RecordArgs),
     /// Unfold the capsule's origami, recorded.
     Unfold(RecordArgs),
+    /// Hold the run that is going on: decelerate, keep the position, ready to go on.
+    Hold,
+    /// Go on with a held run, exactly as planned.
+    Resume,
+    /// Move the rig as long as this command lives; it stops at the ends of the stroke.
+    Jog(JogArgs),
+    /// Move the rig to a position.
+    Move(MoveArgs),
+    /// Show the rig's counters: false pulses, serial line, stack, underruns.
+    Health,
+    /// The rig's settings.
+    Settings {
+        /// What to do with them.
+        #[command(subcommand)]
+        command: SettingsCommand,
+    },
     /// Solve a run without a rig: durations, speeds, edges as CSV, plot as SVG.
     Plan(Box<PlanArgs>),
     /// Make one HTML file of recorded trials.
@@ -74,6 +91,101 @@ pub enum Command {
     },
     /// Print the manual page (roff).
     Man,
+}
+
+/// What to do with settings.
+#[derive(Debug, Subcommand)]
+pub enum SettingsCommand {
+    /// Show all with unit and range.
+    List,
+    /// Show one.
+    Get {
+        /// Its name.
+        key: Key,
+    },
+    /// Change one; it is written to flash. Not while something moves.
+    Set {
+        /// Its name.
+        key: Key,
+        /// Its value, a whole number in the unit of its name.
+        value: u32,
+    },
+    /// Write all to a JSON file.
+    Export {
+        /// The file.
+        file: PathBuf,
+    },
+    /// Set all from a JSON file that `export` wrote.
+    Import {
+        /// The file.
+        file: PathBuf,
+    },
+    /// Show the rig's name, or change it.
+    Name {
+        /// At most 24 bytes.
+        name: Option<String>,
+    },
+    /// Set all to their defaults, the name too.
+    Reset,
+}
+
+/// A setting by name.
+#[derive(Clone, Copy, Debug)]
+pub struct Key(pub SettingKey);
+
+impl std::str::FromStr for Key {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        crate::cli::settings::key_of(text).map(Self)
+    }
+}
+
+/// Which way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Way {
+    /// Away from home.
+    Away,
+    /// Towards home.
+    Home,
+}
+
+/// A jog.
+#[derive(Debug, Args)]
+pub struct JogArgs {
+    /// Which way.
+    pub way: Way,
+    /// Speed in mm/s.
+    #[arg(
+        long,
+        value_name = "MM/S",
+        default_value = "5",
+        allow_negative_numbers = true
+    )]
+    pub speed_mm_s: Milli,
+    /// For how long, in s.
+    #[arg(
+        long,
+        value_name = "S",
+        default_value = "1",
+        allow_negative_numbers = true
+    )]
+    pub for_s: ShortSeconds,
+}
+
+/// A move.
+#[derive(Debug, Args)]
+pub struct MoveArgs {
+    /// Where to, in mm from home.
+    #[arg(value_name = "MM", allow_negative_numbers = true)]
+    pub position_mm: Milli,
+    /// Speed in mm/s.
+    #[arg(
+        long,
+        value_name = "MM/S",
+        default_value = "20",
+        allow_negative_numbers = true
+    )]
+    pub speed_mm_s: Milli,
 }
 
 /// The capsule's own commands.
@@ -159,7 +271,18 @@ pub struct Waves {
         allow_negative_numbers = true
     )]
     pub stroke_mm: Milli,
-    /// Duration of all cycles in s, dwells included, start delay not. 40 unless speeds are given.
+    /// A run by name: `paper` is 40 s for 5 cycles, `wave` 10 mm/s both ways, as a slow wave of the intestine.
+    #[arg(long, conflicts_with_all = ["duration_s", "speed_mm_s", "waves_per_minute"])]
+    pub preset: Option<Preset>,
+    /// Cycles per minute, dwells and start delay included, instead of a duration.
+    #[arg(
+        long,
+        value_name = "N",
+        allow_negative_numbers = true,
+        conflicts_with_all = ["duration_s", "speed_mm_s"]
+    )]
+    pub waves_per_minute: Option<Milli>,
+    /// Duration of all cycles in s, dwells and start delay included. 40 unless speeds are given.
     #[arg(
         long,
         value_name = "S",
@@ -214,24 +337,51 @@ pub struct Waves {
 
 /// The paper's duration.
 const DEFAULT_DURATION_US: u64 = 40_000_000;
+/// The paper's duration of a cycle.
+const PAPER_CYCLE_US: u64 = 8_000_000;
+/// Speed of the preset `wave`.
+const WAVE_UM_S: u32 = 10_000;
+
+/// A run by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Preset {
+    /// The paper's: 8 s per cycle.
+    Paper,
+    /// 10 mm/s both ways.
+    Wave,
+}
 
 impl Waves {
     /// The request of these arguments.
     #[must_use]
     pub fn request(&self, on_link_loss: OnLinkLoss) -> Run {
         let accel_um_s2 = self.accel_mm_s2.0;
+        let cycles = u64::from(self.cycles);
+        let total = |total_us| RunTiming::Total {
+            total_us,
+            accel_um_s2,
+        };
+        let per_minute = self.waves_per_minute.filter(|waves| waves.0 > 0);
         let timing = match self.speed_mm_s {
+            _ if self.preset == Some(Preset::Paper) => total(cycles * PAPER_CYCLE_US),
+            _ if self.preset == Some(Preset::Wave) => RunTiming::Speeds {
+                forward_um_s: WAVE_UM_S,
+                return_um_s: WAVE_UM_S,
+                accel_um_s2,
+            },
+            // In thousandths per minute; rounded up: no faster than asked for. None at all is refused as too short.
+            _ if self.waves_per_minute.is_some() => total(per_minute.map_or(0, |waves| {
+                (cycles * 60_000_000_000).div_ceil(waves.0.into())
+            })),
             Some(forward) => RunTiming::Speeds {
                 forward_um_s: forward.0,
                 return_um_s: self.return_speed_mm_s.unwrap_or(forward).0,
                 accel_um_s2,
             },
-            None => RunTiming::Total {
-                total_us: self
-                    .duration_s
+            None => total(
+                self.duration_s
                     .map_or(DEFAULT_DURATION_US, |seconds| seconds.0),
-                accel_um_s2,
-            },
+            ),
         };
         Run {
             cycles: self.cycles,

@@ -132,6 +132,15 @@ pub enum Failure {
         /// Why.
         io: io::Error,
     },
+    /// A file or an argument that cannot be used.
+    #[error("{why}")]
+    #[diagnostic(code(retrograde::input), help("{help}"))]
+    Input {
+        /// Why.
+        why: String,
+        /// What to do.
+        help: String,
+    },
     /// Flashing.
     #[error("{why}")]
     #[diagnostic(code(retrograde::flash), help("{help}"))]
@@ -188,6 +197,7 @@ impl Failure {
             Self::Experiment(ExperimentError::Client(error)) => client_code(error),
             Self::Experiment(ExperimentError::Incomplete { status, .. })
             | Self::Ended { status, .. } => status_code(*status),
+            Self::Input { .. } => USAGE,
             Self::Run(_) | Self::Axis(_) => REFUSED,
             Self::Experiment(ExperimentError::Record(_))
             | Self::Report(_)

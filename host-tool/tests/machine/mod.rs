@@ -168,6 +168,8 @@ impl Machine {
                 worst_residual_steps: 0,
                 min_queue: 9,
                 glitches: 0,
+                holds: 0,
+                image_hash: 0,
             },
             actuation: ActuationRecord {
                 actuation: 0,
