@@ -14,7 +14,7 @@ use protocol::{
     },
     error::{Field, Refusal},
     events::EventRing,
-    rig,
+    rig, settings,
     system::{Acknowledge, GetEvents, GetLastWords, KeepAlive, SetTelemetry},
     table::{Reply, Request, Response, Served, TABLE},
 };
@@ -181,16 +181,39 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
         Request::Fold(Fold),
         Request::Unfold(Unfold),
         Request::GetActuationRecord(GetActuationRecord),
+        Request::Hold(rig::Hold),
+        Request::Resume(rig::Resume),
+        Request::MoveTo(rig::MoveTo {
+            position_um: 1,
+            speed_um_s: 1,
+        }),
+        Request::Jog(rig::Jog {
+            sense: rig::Sense::Away,
+            speed_um_s: 1,
+        }),
+        Request::GetSetting(settings::GetSetting {
+            key: settings::SettingKey::LeadUm,
+        }),
+        Request::SetSetting(settings::Setting {
+            key: settings::SettingKey::LeadUm,
+            value: 4_000,
+        }),
+        Request::FactoryReset(settings::FactoryReset),
+        Request::GetName(settings::GetName),
+        Request::SetName(settings::Name {
+            name: "capsule".try_into().unwrap(),
+        }),
+        Request::GetRigHealth(rig::GetRigHealth),
     ];
     // Hello belongs to the session; Run differs from the other rig rows in its body only.
     assert_eq!(requests.len() + 2, TABLE.len());
     for state in STATES {
         let mut bench = bench_in(state);
         let before = bench.capsule.clone();
-        for request in requests {
+        for request in requests.clone() {
             bench.capsule = before.clone();
             let row = request.row();
-            match reply(&mut bench, request).0 {
+            match reply(&mut bench, request.clone()).0 {
                 Reply::Accepted(response) => {
                     let named = format!("{response:?}");
                     assert!(named.starts_with(row.name), "{} got {named}", row.name);
