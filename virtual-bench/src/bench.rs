@@ -16,8 +16,9 @@ use rigless::session::Session;
 use rigless::time::VirtualNanos;
 
 use crate::bus::BusReport;
-use crate::emulator::{ChipOptions, Machine, Wiring};
+use crate::emulator::{ChipOptions, CutAt, Machine, Wiring};
 use crate::log::{Log, Tap};
+use crate::sabotage::Sabotage;
 use crate::serial::Serial;
 
 /// Why the bench could not be set up, or stopped working.
@@ -135,6 +136,35 @@ impl<W: Wiring> Visit<'_, W> {
     #[must_use]
     pub fn bus(&self) -> BusReport {
         BusReport::of(self.session)
+    }
+
+    /// Stores into the flash and erases since power-up.
+    pub fn flash_operations(&mut self) -> u64 {
+        self.session.board_mut().flash_operations()
+    }
+
+    /// Lets the supply fail at flash operation number `operation` (from 0, since power-up), as far as the flash is
+    /// concerned: from there on it does not change. [`Bench::power_cycle`] then does the rest.
+    pub fn cut_flash(&mut self, at: CutAt, operation: u64) {
+        self.session.board_mut().cut_flash(at, operation);
+    }
+
+    /// The whole flash, as a programmer reads it out: [`BenchOptions::flash`] of another bench.
+    pub fn flash(&mut self) -> Vec<u8> {
+        crate::emulator::read_out(self.host)
+    }
+
+    /// Whether that operation has been reached.
+    pub fn flash_is_cut(&mut self) -> bool {
+        self.session.board_mut().flash_is_cut()
+    }
+
+    /// Lets `sabotage` take effect from the next instruction on, until the next reset.
+    pub fn sabotage(&mut self, sabotage: &Sabotage) {
+        for (address, code) in sabotage.code() {
+            let machine = self.session.board_mut();
+            machine.overwrite(*address, code, self.host);
+        }
     }
 
     /// Pulls the reset pin low for an instant.

@@ -22,7 +22,7 @@ use rigless::machine::{Board, Target};
 use rigless::mcu::Mcu;
 use rigless::session::Session;
 use rigless::snapshot::Store;
-use rigless::soc::Bus;
+use rigless::soc::{Bus, Width};
 use rigless::soc::stm32f427::Stm32f427;
 use rigless::soc::stm32f427::generated::{flash, gpioa};
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin as PortPin};
@@ -33,6 +33,7 @@ use rigless::time::VirtualNanos;
 use crate::serial::{Serial, Wire};
 pub use timer::OutputEdge;
 
+pub use array::CutAt;
 use array::{Array, Touched};
 use exti::{Exti, Syscfg};
 use timer::Watched;
@@ -494,6 +495,8 @@ pub struct Machine<W> {
     shell: Shell,
     options: ChipOptions,
     array: Array,
+    /// Code overwritten from outside: address and what was there.
+    overwritten: Vec<(u64, u64)>,
     absent: Vec<u64>,
     flash_refused: u64,
 }
@@ -516,6 +519,7 @@ impl<W: Wiring> Machine<W> {
             shell: Shell { bus },
             options,
             array: Array::default(),
+            overwritten: Vec::new(),
             absent: Vec::new(),
             flash_refused: 0,
         })
@@ -546,6 +550,37 @@ impl<W: Wiring> Machine<W> {
     /// Stores into the flash which the chip would have refused.
     pub(crate) fn flash_refused(&self) -> u64 {
         self.flash_refused
+    }
+
+    /// Stores into the flash and erases since power-up.
+    pub(crate) fn flash_operations(&self) -> u64 {
+        self.array.operations()
+    }
+
+    /// From flash operation number `operation` (from 0, since power-up) on the flash stays as it is then: what a cut
+    /// of the supply there leaves.
+    pub(crate) fn cut_flash(&mut self, at: CutAt, operation: u64) {
+        self.array.fail(at, operation);
+    }
+
+    /// Whether the operation that was to be cut has been reached.
+    pub(crate) fn flash_is_cut(&self) -> bool {
+        self.array.has_failed()
+    }
+
+    /// Overwrites code as a debugger does, past the flash interface and until the next reset.
+    pub(crate) fn overwrite(&mut self, address: u64, code: &[u16], host: &mut dyn Host) {
+        for (address, half) in (address..).step_by(2).zip(code) {
+            let was = host.read(address, Width::W16).unwrap_or(0);
+            self.overwritten.push((address, was));
+            let _ = host.program(address, Width::W16, u64::from(*half));
+        }
+    }
+
+    fn mend(&mut self, host: &mut dyn Host) {
+        for (address, was) in self.overwritten.drain(..).rev() {
+            let _ = host.program(address, Width::W16, was);
+        }
     }
 
     fn control_and_status(&self) -> (u64, u64) {
@@ -603,12 +638,17 @@ pub(crate) fn restarted<W: Wiring>(session: &mut Session<Machine<W>>, host: &mut
     session.board_mut().array.cut(host);
 }
 
+/// The whole flash.
+pub(crate) fn read_out(host: &mut dyn Host) -> Vec<u8> {
+    array::read_out(host)
+}
+
 /// Ends a run as a cut of the supply would; answers the flash as it is left.
 pub(crate) fn cut_supply<W: Wiring>(
     session: &mut Session<Machine<W>>,
     host: &mut dyn Host,
 ) -> Vec<u8> {
-    session.board_mut().array.cut(host);
+    restarted(session, host);
     array::read_out(host)
 }
 

@@ -20,6 +20,7 @@ pub mod link;
 pub mod log;
 pub mod pins;
 pub mod plants;
+pub mod sabotage;
 pub mod serial;
 pub mod serve;
 pub mod verdicts;

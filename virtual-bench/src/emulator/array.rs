@@ -16,6 +16,13 @@ const STRT: u64 = 1 << 16;
 const LOCK: u64 = 1 << 31;
 const BUSY: u64 = 1 << 16;
 
+/// How much of an operation takes place.
+enum Share {
+    None,
+    Part,
+    All,
+}
+
 /// What a store or a start did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Touched {
@@ -27,13 +34,62 @@ pub(super) enum Touched {
     Refused,
 }
 
+/// Where in a flash operation the supply fails.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CutAt {
+    /// Just before it.
+    Before,
+    /// Within: a store has cleared some of its bits, an erase has done half of its sector.
+    Within,
+    /// Just after it.
+    After,
+}
+
 #[derive(Debug, Default)]
 pub(super) struct Array {
     /// First byte and length of what is being erased.
     erasing: Option<(u64, u64)>,
+    /// Stores and erases since power-up.
+    operations: u64,
+    /// The supply fails at this operation.
+    failing: Option<(u64, CutAt)>,
+    /// It has: the array does not change any more.
+    failed: bool,
 }
 
 impl Array {
+    pub(super) fn operations(&self) -> u64 {
+        self.operations
+    }
+
+    pub(super) fn has_failed(&self) -> bool {
+        self.failed
+    }
+
+    pub(super) fn fail(&mut self, at: CutAt, operation: u64) {
+        self.failing = Some((operation, at));
+    }
+
+    /// Counts an operation; how much of it takes place.
+    fn begin(&mut self) -> Share {
+        if self.failed {
+            return Share::None;
+        }
+        let number = self.operations;
+        self.operations += 1;
+        match self.failing {
+            Some((operation, at)) if operation == number => {
+                self.failed = true;
+                match at {
+                    CutAt::Before => Share::None,
+                    CutAt::Within => Share::Part,
+                    CutAt::After => Share::All,
+                }
+            }
+            _ => Share::All,
+        }
+    }
+
     /// An access has settled. `control` is the control register now, `status` the status register.
     pub(super) fn settled(
         &mut self,
@@ -44,9 +100,13 @@ impl Array {
     ) -> Touched {
         let in_array = (FLASH_BASE..FLASH_BASE + FLASH_BYTES).contains(&access.address);
         match (access.kind, access.address) {
-            (AccessKind::Write, _) if in_array => Self::program(access, control, host),
+            (AccessKind::Write, _) if in_array => self.program(access, control, host),
             (AccessKind::Write, CONTROL) if access.value & STRT != 0 && status & BUSY != 0 => {
-                self.erasing = region(access.value);
+                self.erasing = region(access.value).map(|(first, bytes)| match self.begin() {
+                    Share::None => (first, 0),
+                    Share::Part => (first, bytes / 2),
+                    Share::All => (first, bytes),
+                });
                 Touched::EraseBegan
             }
             (AccessKind::Read, STATUS) if value & BUSY == 0 => {
@@ -66,7 +126,7 @@ impl Array {
         }
     }
 
-    fn program(access: &Access, control: u64, host: &mut dyn Host) -> Touched {
+    fn program(&mut self, access: &Access, control: u64, host: &mut dyn Host) -> Touched {
         let width = match (control >> 8) & 3 {
             0 => Width::W8,
             1 => Width::W16,
@@ -77,7 +137,15 @@ impl Array {
             return Touched::Refused;
         }
         let old = host.read(access.address, access.width).unwrap_or(0);
-        let _ = host.program(access.address, access.width, old & access.value);
+        let stored = match self.begin() {
+            Share::None => old,
+            // Which bits are quick and which slow differs from store to store.
+            Share::Part => {
+                old & (access.value | self.operations.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 16)
+            }
+            Share::All => old & access.value,
+        };
+        let _ = host.program(access.address, access.width, stored);
         Touched::Nothing
     }
 }

@@ -8,14 +8,14 @@ use protocol::{
     table::Telemetry,
 };
 use virtual_bench::{
-    bench::Bench,
+    bench::{Bench, BenchOptions},
     boards::{
         capsule::CapsuleBoard,
         rig::{self, RigBoard},
     },
     link::VirtualLink,
     pins::EdgeLog,
-    plants::rig::{RigOptions, Violations},
+    plants::rig::{Rig, RigOptions, Violations},
     verdicts,
 };
 
@@ -45,6 +45,19 @@ pub fn rig() -> RigRun {
 
 pub fn rig_with(options: RigOptions) -> RigRun {
     let bench = rig::start(options).expect("the image boots");
+    let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
+    let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
+    RigRun { bench, device }
+}
+
+/// A rig whose flash holds this.
+pub fn rig_from_flash(flash: Vec<u8>) -> RigRun {
+    let options = BenchOptions {
+        flash: Some(flash),
+        ..BenchOptions::new(rig::image())
+    };
+    let board = RigBoard::new(Rig::new(RigOptions::default()));
+    let bench = Bench::start(board, options).expect("the image boots");
     let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
     let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
     RigRun { bench, device }
