@@ -73,7 +73,7 @@ impl Sabotage {
 /// `check_in` with a deed: r0 is the client; r1 to r3 are the callee's (AAPCS32 section 6.1.1).
 fn substitute(client: u8, deed: Deed, check_ins: u32) -> Vec<u16> {
     let deed = match deed {
-        Deed::Hang => vec![0xE7FE], // b .
+        Deed::Hang => vec![0xE7FE],                                     // b .
         Deed::Fault => [&load_r1(NOWHERE | 1)[..], &[0x4708]].concat(), // bx r1
     };
     let past = deed.len() as u16 - 1;

@@ -1,0 +1,148 @@
+//! Tasks that hang and processor faults, each where a task checks in with the watchdog.
+
+mod common;
+
+use common::{RigRun, homed, paper};
+use host_tool::{client::Unobserved, error::ClientError};
+use protocol::{
+    error::Refusal,
+    rig::{RigFault, RigState},
+    system::ResetCause,
+};
+use virtual_bench::{
+    boards::rig::image,
+    sabotage::{Deed, NOWHERE, Sabotage},
+};
+
+/// Clients of the watchdog, as they call `check_in`.
+const CLIENTS: [(u8, &str); 3] = [(1, "motion"), (2, "link"), (4, "control")];
+/// The watchdog's period, ns.
+const WATCHDOG_NS: u64 = 800_000_000;
+/// Until the client's next check-in, and until the round that feeds the watchdog with what was gathered before, ns.
+const LAST_FEEDING_NS: u64 = 100_000_000 + 150_000_000;
+
+struct Ended {
+    rig: RigRun,
+    armed_ns: u64,
+    reset_ns: u64,
+    edges: usize,
+}
+
+/// Lets `client` do `deed` at rest or 1 s into a run, until the device has restarted; checks what holds for every such
+/// end: one reset, no edge after it, driver off, motion refused until it is acknowledged.
+fn sabotaged(client: u8, deed: Deed, moving: bool, cause: ResetCause, fault: RigFault) -> Ended {
+    let mut rig = homed();
+    if moving {
+        rig.device.run(paper(1)).expect("the run is accepted");
+    }
+    rig.device
+        .idle(1_000_000, &mut Unobserved)
+        .expect("the link stays");
+    assert_eq!(rig.carriage() > 10_000, moving);
+    let sabotage = Sabotage::new(&image(), client, deed).expect("an image with its symbols");
+    rig.bench
+        .visit(move |visit| visit.sabotage(&sabotage))
+        .expect("the bench runs");
+    let armed_ns = rig.bench.now_ns();
+    rig.bench.advance_us(1_500_000).expect("the bench runs");
+    let resets = rig.bench.bus().expect("the bench runs").resets;
+    assert_eq!(resets.len(), 1, "{resets:?}\n{}", rig.log());
+    let reset_ns = resets[0].0;
+    let (edges, late, enabled) = rig.look(move |rig| {
+        let late = rig.edges().after(reset_ns).len();
+        (rig.edges().len(), late, rig.is_enabled())
+    });
+    assert_eq!((late, enabled), (0, false), "{}", rig.log());
+
+    let identity = rig.device.hello(2).expect("it answers again");
+    assert_eq!(identity.reset_cause, cause);
+    let status = rig.device.rig_status().expect("a status");
+    assert_eq!(
+        (status.state, status.fault, status.homed),
+        (RigState::Faulted, Some(fault), false)
+    );
+    assert!(status.needs_acknowledge);
+    match rig.device.home() {
+        Err(ClientError::Refused { refusal, .. }) => assert!(
+            [Refusal::RigFaulted(fault), Refusal::AcknowledgeFirst].contains(&refusal),
+            "{refusal:?}"
+        ),
+        other => panic!("{other:?}"),
+    }
+    rig.device
+        .idle(500_000, &mut Unobserved)
+        .expect("the link stays");
+    assert_eq!(rig.edge_count(), edges, "it moved by itself");
+    Ended {
+        rig,
+        armed_ns,
+        reset_ns,
+        edges,
+    }
+}
+
+fn last_edge_ns(ended: &Ended) -> u64 {
+    let edges = ended.rig.edges(ended.edges - 1);
+    edges.iter().next().map_or(0, |edge| edge.at_ns)
+}
+
+fn mended(mut ended: Ended) {
+    ended.rig.device.acknowledge().expect("the cause is gone");
+    ended.rig.home();
+}
+
+/// Whoever hangs, at rest or within a run: nothing moves any more when the watchdog's period is over.
+#[test]
+fn a_task_that_hangs_is_ended_by_the_watchdog() {
+    for (client, name) in CLIENTS {
+        for moving in [false, true] {
+            let (cause, fault) = (ResetCause::Watchdog, RigFault::Watchdog);
+            let ended = sabotaged(client, Deed::Hang, moving, cause, fault);
+            let took_ns = ended.reset_ns - ended.armed_ns;
+            assert!(
+                (WATCHDOG_NS - LAST_FEEDING_NS..=WATCHDOG_NS + LAST_FEEDING_NS).contains(&took_ns),
+                "{name}, moving {moving}: reset after {took_ns} ns"
+            );
+            assert!(last_edge_ns(&ended) <= ended.reset_ns);
+            ended.rig.check_clean(1);
+            mended(ended);
+        }
+    }
+}
+
+/// Outputs off by the handler, reset by itself, and the place kept for whoever asks.
+#[test]
+fn a_processor_fault_switches_off_at_once_and_leaves_its_words() {
+    for (client, name) in CLIENTS {
+        for moving in [false, true] {
+            let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
+            let mut ended = sabotaged(client, Deed::Fault, moving, cause, fault);
+            // The client checks in within 100 ms; from the fault to the reset it is a few hundred instructions.
+            let took_ns = ended.reset_ns - ended.armed_ns;
+            assert!(took_ns <= 101_000_000, "{name}: reset after {took_ns} ns");
+            let words = ended.rig.device.last_words().expect("they are kept");
+            let expected = format!("processor fault at 0x{NOWHERE:x}");
+            assert!(words.starts_with(&expected), "{name}: {words:?}");
+            // The jump into nowhere is ours; nothing else was touched.
+            let gaps = ended.rig.bench.bus().expect("the bench runs").gaps;
+            assert!(gaps.iter().all(|gap| gap.contains("60000000")), "{gaps:?}");
+            mended(ended);
+        }
+    }
+}
+
+/// The substitute of the code is harmless for everybody but the client that it is made for.
+#[test]
+fn a_client_that_does_not_exist_changes_nothing() {
+    let mut rig = homed();
+    let sabotage = Sabotage::new(&image(), 8, Deed::Hang).expect("an image with its symbols");
+    rig.bench
+        .visit(move |visit| visit.sabotage(&sabotage))
+        .expect("the bench runs");
+    let first = rig.edge_count();
+    common::execute(&mut rig, paper(1));
+    virtual_bench::verdicts::Verdict::of(&common::exact(1), &rig.edges(first))
+        .check(common::LIMIT_NS)
+        .unwrap_or_else(|why| panic!("{why}"));
+    rig.check_clean(0);
+}
