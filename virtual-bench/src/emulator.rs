@@ -635,7 +635,9 @@ pub(crate) fn settled<W: Wiring>(
 
 /// The chip has restarted with its memory kept, and has not executed anything yet.
 pub(crate) fn restarted<W: Wiring>(session: &mut Session<Machine<W>>, host: &mut dyn Host) {
-    session.board_mut().array.cut(host);
+    let machine = session.board_mut();
+    machine.array.cut(host);
+    machine.mend(host);
 }
 
 /// The whole flash.
