@@ -9,6 +9,7 @@ mod interrupt;
 pub mod machines;
 mod motion;
 mod offline;
+pub mod science;
 mod screen;
 mod settings;
 
@@ -92,6 +93,8 @@ fn carry_out(
         Command::Health => motion::health(finder, screen),
         Command::Settings { command } => settings::settings(command, finder, screen),
         Command::Plan(args) => offline::plan(args, screen),
+        Command::Design(args) => science::design(args, screen),
+        Command::Simulate(args) => science::simulate(args, screen),
         Command::Report(args) => offline::report(args, screen),
         Command::Flash(args) => flash::flash(args, screen),
         Command::Completions { shell } => offline::completions(*shell, screen),

@@ -9,6 +9,7 @@
 //! * [`experiment`]: recorded actions, and the experiment of the paper made of them.
 //! * [`plan`]: a run before it is sent.
 //! * [`report`]: recorded trials as one HTML file.
+//! * [`science`]: the paper's design, simulations and series, without a machine.
 //! * [`progress`]: what a person sees meanwhile.
 //! * [`cli`]: the command line, thin over all this.
 #![forbid(unsafe_code)]
@@ -24,4 +25,5 @@ pub mod link;
 pub mod plan;
 pub mod progress;
 pub mod report;
+pub mod science;
 pub mod trial;

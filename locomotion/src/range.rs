@@ -15,6 +15,8 @@ pub struct OutOfRange {
     pub max: f64,
     /// Unit of the three values; empty for a pure number.
     pub unit: &'static str,
+    /// Which of the two ends belong to the range.
+    pub ends: Ends,
     /// Why the range ends there.
     pub because: &'static str,
 }
@@ -27,21 +29,27 @@ impl fmt::Display for OutOfRange {
             min,
             max,
             unit,
+            ends,
             because,
         } = self;
         let gap = if unit.is_empty() { "" } else { " " };
         write!(
             f,
-            "{quantity} = {value}{gap}{unit} is not usable: {because}; choose a value from {min} to {max}{gap}{unit}"
-        )
+            "{quantity} = {value}{gap}{unit} is not usable: {because}; choose a value "
+        )?;
+        match ends {
+            Ends::Closed => write!(f, "from {min} to {max}{gap}{unit}"),
+            Ends::Open => write!(f, "above {min} and below {max}{gap}{unit}"),
+            Ends::OpenBelow => write!(f, "above {min}, at most {max}{gap}{unit}"),
+        }
     }
 }
 
 impl core::error::Error for OutOfRange {}
 
 /// Which ends of a range belong to it.
-#[derive(Clone, Copy)]
-pub(crate) enum Ends {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ends {
     /// `min <= value <= max`
     Closed,
     /// `min < value < max`
@@ -73,6 +81,7 @@ pub(crate) fn check(
         min,
         max,
         unit,
+        ends,
         because,
     })
 }

@@ -358,6 +358,11 @@ impl Tube {
         &self.wall_mm[..self.params.segments as usize]
     }
 
+    /// Inward indentation of the wall at a place, mm from the tube's left end.
+    pub fn wall_at_mm(&self, x_mm: f64) -> f64 {
+        between_middles(self.walls_mm(), x_mm / self.params.segment_mm - 0.5)
+    }
+
     /// How far the tail has moved since the start, mm; + is headward (retrograde).
     pub fn displacement_mm(&self) -> f64 {
         self.chain.displacement_mm()

@@ -7,6 +7,7 @@ use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 
+use crate::cli::science::{DesignArgs, SimulateArgs};
 use crate::decimal::{Milli, Seconds, ShortSeconds};
 use crate::link::address::Address;
 use crate::link::serial::DEFAULT_BAUD;
@@ -80,6 +81,10 @@ pub enum Command {
     },
     /// Solve a run without a rig: durations, speeds, edges as CSV, plot as SVG.
     Plan(Box<PlanArgs>),
+    /// Work out an origami: lengths, shortening, the paper's requirements; drawings as SVG.
+    Design(Box<DesignArgs>),
+    /// Simulate the paper's series and free sweeps: CSV and SVG.
+    Simulate(Box<SimulateArgs>),
     /// Make one HTML file of recorded trials.
     Report(ReportArgs),
     /// Flash a board through probe-rs.

@@ -3,6 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
+use locomotion::range::OutOfRange;
 use miette::Diagnostic;
 use motion::axis::AxisError;
 use motion::run::RunError;
@@ -71,6 +72,10 @@ pub enum Failure {
     #[error("{0}")]
     #[diagnostic(code(retrograde::axis))]
     Axis(#[from] AxisError),
+    /// A number that the models do not cover.
+    #[error("{0}")]
+    #[diagnostic(code(retrograde::range))]
+    Range(#[from] OutOfRange),
     /// Nobody of the wanted kind was found.
     #[error("no {} found; {there}", identity::kind_name(*.wanted))]
     #[diagnostic(
@@ -197,7 +202,7 @@ impl Failure {
             Self::Experiment(ExperimentError::Client(error)) => client_code(error),
             Self::Experiment(ExperimentError::Incomplete { status, .. })
             | Self::Ended { status, .. } => status_code(*status),
-            Self::Input { .. } => USAGE,
+            Self::Input { .. } | Self::Range(_) => USAGE,
             Self::Run(_) | Self::Axis(_) => REFUSED,
             Self::Experiment(ExperimentError::Record(_))
             | Self::Report(_)

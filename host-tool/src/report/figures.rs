@@ -6,7 +6,7 @@ use protocol::rig::{Run, Stroke};
 
 use crate::trial::{Achieved, CapsuleSample, RigSample, Screw};
 
-/// The drawing library rounds to whole units: draw large, show small.
+/// Of one chart. The drawing library rounds to whole units: draw large, show small.
 const SIZE: (u32, u32) = (1_760, 640);
 const MEASURED: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
 const PLANNED: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
@@ -20,12 +20,28 @@ const RAMP_POINTS: u32 = 24;
 #[error("a figure could not be drawn: {0}")]
 pub struct FigureError(String);
 
-/// One curve.
-struct Curve {
-    label: &'static str,
-    colour: RGBColor,
-    width: u32,
-    points: Vec<(f64, f64)>,
+/// How a curve is drawn.
+#[derive(Clone, Copy)]
+pub(crate) enum Mark {
+    /// A line of this width.
+    Line(u32),
+    /// Dots of this radius.
+    Dots(i32),
+}
+
+/// One curve. Without a label it has no entry in the legend.
+pub(crate) struct Curve {
+    pub(crate) label: String,
+    pub(crate) colour: RGBColor,
+    pub(crate) mark: Mark,
+    pub(crate) points: Vec<(f64, f64)>,
+}
+
+/// One chart of a figure.
+pub(crate) struct Chart {
+    pub(crate) x_label: &'static str,
+    pub(crate) y_label: String,
+    pub(crate) curves: Vec<Curve>,
 }
 
 /// Position and velocity of a plan over time: (s, mm) and (s, mm/s).
@@ -109,14 +125,14 @@ pub fn run_figures(
             .collect::<Vec<_>>()
     };
     Ok([
-        figure(
+        over_time(
             "position / mm",
             vec![
                 plan_curve(planned.position),
                 measured_curve(measured(&|sample| number(&sample.position_mm))),
             ],
         )?,
-        figure(
+        over_time(
             "velocity / (mm/s)",
             vec![
                 plan_curve(planned.velocity),
@@ -143,11 +159,11 @@ pub fn actuation_figures(
         )
     };
     Ok([
-        figure(
+        over_time(
             "thread wound / mm",
             vec![curve(&|sample| f64::from(sample.thread_um) / 1e3)],
         )?,
-        figure(
+        over_time(
             "motor current / mA",
             vec![curve(&|sample| f64::from(sample.current_ma))],
         )?,
@@ -159,23 +175,23 @@ pub fn actuation_figures(
 /// # Errors
 /// If the drawing library fails.
 pub fn plan_figure(planned: Planned) -> Result<String, FigureError> {
-    figure("position / mm", vec![plan_curve(planned.position)])
+    over_time("position / mm", vec![plan_curve(planned.position)])
 }
 
 fn plan_curve(points: Vec<(f64, f64)>) -> Curve {
     Curve {
-        label: "planned",
+        label: "planned".to_owned(),
         colour: PLANNED,
-        width: 8,
+        mark: Mark::Line(8),
         points,
     }
 }
 
 fn measured_curve(points: Vec<(f64, f64)>) -> Curve {
     Curve {
-        label: "measured",
+        label: "measured".to_owned(),
         colour: MEASURED,
-        width: 3,
+        mark: Mark::Line(3),
         points,
     }
 }
@@ -186,25 +202,52 @@ fn since(start_us: u64, time_us: u64) -> f64 {
     us as f64 * 1e-6
 }
 
-fn figure(y_label: &str, curves: Vec<Curve>) -> Result<String, FigureError> {
+fn over_time(y_label: &str, curves: Vec<Curve>) -> Result<String, FigureError> {
+    figure(vec![Chart {
+        x_label: "time / s",
+        y_label: y_label.to_owned(),
+        curves,
+    }])
+}
+
+/// Charts one below the other, as one SVG.
+///
+/// # Errors
+/// If the drawing library fails.
+pub(crate) fn figure(charts: Vec<Chart>) -> Result<String, FigureError> {
     let mut svg = String::new();
-    draw(&mut svg, y_label, curves).map_err(|error| FigureError(error.to_string()))?;
+    draw(&mut svg, charts).map_err(|error| FigureError(error.to_string()))?;
     Ok(svg)
 }
 
-fn draw(
-    svg: &mut String,
-    y_label: &str,
-    curves: Vec<Curve>,
-) -> Result<(), Box<dyn std::error::Error>> {
+fn draw(svg: &mut String, charts: Vec<Chart>) -> Result<(), Box<dyn std::error::Error>> {
+    let (width, height) = SIZE;
+    let size = (width, height * charts.len() as u32);
+    let root = SVGBackend::with_string(svg, size).into_drawing_area();
+    let areas = root.split_evenly((charts.len(), 1));
+    for (chart, area) in charts.into_iter().zip(&areas) {
+        draw_chart(area, chart)?;
+    }
+    root.present()?;
+    Ok(())
+}
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
+
+fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::Error>> {
+    let Chart {
+        x_label,
+        y_label,
+        curves,
+    } = chart;
     let all = || curves.iter().flat_map(|curve| &curve.points);
     let (x_low, x_high) = span(all().map(|point| point.0), 0.0);
     let (y_low, y_high) = span(all().map(|point| point.1), 0.06);
-    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    let legend = Legend::of(&curves);
     let text = |size: i32| ("sans-serif", size).into_font().color(&INK);
-    let mut chart = ChartBuilder::on(&root)
+    let mut chart = ChartBuilder::on(root)
         .margin(16)
-        .margin_top(56)
+        .margin_top(legend.height())
         .margin_right(40)
         .x_label_area_size(84)
         .y_label_area_size(124)
@@ -218,30 +261,81 @@ fn draw(
         .axis_desc_style(text(30))
         .x_label_formatter(&|value| tick_label(*value))
         .y_label_formatter(&|value| tick_label(*value))
-        .x_desc("time / s")
+        .x_desc(x_label)
         .y_desc(y_label)
         .draw()?;
     // Above the plot, where no curve can be.
-    let mut x = 150;
+    let mut entry = 0;
     for Curve {
         label,
         colour,
-        width,
+        mark,
         points,
     } in curves
     {
-        let style = colour.stroke_width(width);
-        root.draw(&PathElement::new([(x, 32), (x + 48, 32)], style))?;
-        let anchored = text(27).pos(Pos::new(HPos::Left, VPos::Center));
-        root.draw(&Text::new(label, (x + 60, 32), anchored))?;
-        x += 240;
+        if !label.is_empty() {
+            let (x, y) = legend.place(entry);
+            entry += 1;
+            match mark {
+                Mark::Line(width) => root.draw(&PathElement::new(
+                    [(x, y), (x + 48, y)],
+                    colour.stroke_width(width),
+                ))?,
+                Mark::Dots(radius) => {
+                    root.draw(&Circle::new((x + 24, y), radius, colour.filled()))?;
+                }
+            }
+            let anchored = text(27).pos(Pos::new(HPos::Left, VPos::Center));
+            root.draw(&Text::new(label, (x + 60, y), anchored))?;
+        }
         let finite = points
             .into_iter()
             .filter(|point| point.0.is_finite() && point.1.is_finite());
-        chart.draw_series(LineSeries::new(finite, style))?;
+        match mark {
+            Mark::Line(width) => {
+                chart.draw_series(LineSeries::new(finite, colour.stroke_width(width)))?;
+            }
+            Mark::Dots(radius) => {
+                chart.draw_series(finite.map(|at| Circle::new(at, radius, colour.filled())))?;
+            }
+        }
     }
-    root.present()?;
     Ok(())
+}
+
+/// Where the entries of a legend stand: in rows above the plot.
+struct Legend {
+    entries: usize,
+    column: i32,
+    columns: usize,
+}
+
+impl Legend {
+    const ROW: i32 = 40;
+
+    fn of(curves: &[Curve]) -> Self {
+        let labels = || curves.iter().filter(|curve| !curve.label.is_empty());
+        let longest = labels().map(|curve| curve.label.chars().count()).max();
+        // The letters of 27 units are about 14 wide.
+        let column = (90 + 14 * longest.unwrap_or(0) as i32).max(240);
+        Self {
+            entries: labels().count(),
+            column,
+            columns: usize::max(1, ((SIZE.0 as i32 - 150) / column) as usize),
+        }
+    }
+
+    fn height(&self) -> i32 {
+        16 + Self::ROW * self.entries.div_ceil(self.columns).max(1) as i32
+    }
+
+    fn place(&self, entry: usize) -> (i32, i32) {
+        let (row, column) = (entry / self.columns, entry % self.columns);
+        (
+            150 + self.column * column as i32,
+            32 + Self::ROW * row as i32,
+        )
+    }
 }
 
 /// A number without trailing zeros.
@@ -304,7 +398,7 @@ mod tests {
 
     #[test]
     fn a_figure_without_data_is_still_a_figure() {
-        let svg = figure("y", vec![measured_curve(vec![(f64::NAN, 1.0)])]).expect("drawn");
+        let svg = over_time("y", vec![measured_curve(vec![(f64::NAN, 1.0)])]).expect("drawn");
         assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
     }
 }

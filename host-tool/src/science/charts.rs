@@ -1,0 +1,267 @@
+//! The series as figures: the models' values, beside what the paper's text says where it says a number. The label of
+//! each curve has the origin of its values.
+
+use plotters::style::RGBColor;
+
+use crate::report::figures::{Chart, Curve, FigureError, Mark, figure};
+use crate::science::design::Maps;
+use crate::science::series::{FoldTest, IsolatedRow, RollerRow, TubeRow, TubeRun};
+
+const MODEL: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
+const SECOND: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
+const PAPER: RGBColor = RGBColor(0xc2, 0x1f, 0x26);
+
+/// A family of curves with more members has no legend.
+const LEGEND: usize = 12;
+
+fn curve(label: &str, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> Curve {
+    Curve {
+        label: label.to_owned(),
+        colour,
+        mark,
+        points,
+    }
+}
+
+/// From light to dark over a family of curves.
+fn shade(index: usize, count: usize) -> RGBColor {
+    let part = index as f64 / (count.max(2) - 1) as f64;
+    let mix = |light: f64, dark: f64| (light + (dark - light) * part).round() as u8;
+    RGBColor(mix(150.0, 10.0), mix(195.0, 45.0), mix(235.0, 110.0))
+}
+
+/// Curves of one family, from light to dark.
+fn family(members: Vec<(String, Vec<(f64, f64)>)>, width: u32) -> Vec<Curve> {
+    let count = members.len();
+    members
+        .into_iter()
+        .enumerate()
+        .map(|(index, (label, points))| Curve {
+            label: if count <= LEGEND {
+                label
+            } else {
+                String::new()
+            },
+            colour: shade(index, count),
+            mark: Mark::Line(width),
+            points,
+        })
+        .collect()
+}
+
+/// Like Fig. 4(a): displacement over time at each friction, and at the end over friction.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn friction(runs: &[TubeRun], rows: &[TubeRow]) -> Result<String, FigureError> {
+    let courses = runs
+        .iter()
+        .map(|run| (format!("{}", run.case.friction), run.course.clone()))
+        .collect();
+    tube_figure(courses, "friction coefficient", rows, |row| row.friction)
+}
+
+/// Like Fig. 4(b): displacement over time at each pressure, and at the end over pressure.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn pressure(runs: &[TubeRun], rows: &[TubeRow]) -> Result<String, FigureError> {
+    let courses = runs
+        .iter()
+        .map(|run| (format!("{} Pa", run.case.pressure_pa), run.course.clone()))
+        .collect();
+    tube_figure(courses, "peristaltic pressure / Pa", rows, |row| {
+        row.pressure_pa
+    })
+}
+
+fn tube_figure(
+    courses: Vec<(String, Vec<(f64, f64)>)>,
+    x_label: &'static str,
+    rows: &[TubeRow],
+    x: impl Fn(&TubeRow) -> f64,
+) -> Result<String, FigureError> {
+    let model = rows
+        .iter()
+        .map(|row| (x(row), row.displacement_mm))
+        .collect();
+    let paper = rows
+        .iter()
+        .filter_map(|row| Some((x(row), row.paper_about_mm?)))
+        .collect();
+    figure(vec![
+        Chart {
+            x_label: "time / s",
+            y_label: "displacement / mm".to_owned(),
+            curves: family(courses, 3),
+        },
+        Chart {
+            x_label,
+            y_label: "displacement in 20 s / mm".to_owned(),
+            curves: vec![
+                curve("model (calibrated)", MODEL, Mark::Line(4), model),
+                curve("paper's text (about)", PAPER, Mark::Dots(9), paper),
+            ],
+        },
+    ])
+}
+
+/// Like Fig. 7: the rig's displacement over indentation, the tube's over pressure, each for two frictions.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn comparison(rig: &[RollerRow], tube: &[TubeRow]) -> Result<String, FigureError> {
+    let rig_curve = |name: &str, label: &str, colour, width| {
+        let points = rig
+            .iter()
+            .filter(|row| row.lubrication == name)
+            .map(|row| (row.indentation_mm, row.displacement_mm))
+            .collect();
+        curve(label, colour, Mark::Line(width), points)
+    };
+    let tube_curve = |friction: f64, colour, width| {
+        let points = tube
+            .iter()
+            .filter(|row| row.friction == friction)
+            .map(|row| (row.pressure_pa, row.displacement_mm))
+            .collect();
+        let label = format!("friction {friction:.2} (model, calibrated)");
+        curve(&label, colour, Mark::Line(width), points)
+    };
+    let paper = tube
+        .iter()
+        .filter_map(|row| Some((row.pressure_pa, row.paper_about_mm?)))
+        .collect();
+    figure(vec![
+        Chart {
+            x_label: "peristaltic indentation / mm",
+            y_label: "displacement in 40 s / mm".to_owned(),
+            // The wide curve lies under the narrow one: the model gives both the same values.
+            curves: vec![
+                rig_curve("without", "not lubricated (model, prediction)", SECOND, 10),
+                rig_curve("with", "lubricated (model, prediction)", MODEL, 3),
+            ],
+        },
+        Chart {
+            x_label: "peristaltic pressure / Pa",
+            y_label: "displacement in 20 s / mm".to_owned(),
+            curves: vec![
+                tube_curve(0.20, SECOND, 10),
+                tube_curve(0.08, MODEL, 3),
+                curve("paper's text (about)", PAPER, Mark::Dots(9), paper),
+            ],
+        },
+    ])
+}
+
+/// The fold test: both bodies over the carriage's way.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn fold(test: &FoldTest) -> Result<String, FigureError> {
+    let points = |value: fn(&crate::science::series::FoldRow) -> f64| {
+        test.course
+            .iter()
+            .map(|row| (row.travel_mm, value(row)))
+            .collect()
+    };
+    figure(vec![Chart {
+        x_label: "way of the carriage / mm",
+        y_label: "displacement / mm".to_owned(),
+        curves: vec![
+            curve(
+                "unfolded (model)",
+                MODEL,
+                Mark::Line(4),
+                points(|row| row.unfolded_mm),
+            ),
+            curve(
+                "folded (model)",
+                SECOND,
+                Mark::Line(4),
+                points(|row| row.folded_mm),
+            ),
+        ],
+    }])
+}
+
+/// One pass in each direction over indentation.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn isolated(rows: &[IsolatedRow]) -> Result<String, FigureError> {
+    let points = |value: fn(&IsolatedRow) -> f64| {
+        rows.iter()
+            .map(|row| (row.indentation_mm, value(row)))
+            .collect()
+    };
+    figure(vec![Chart {
+        x_label: "peristaltic indentation / mm",
+        y_label: "displacement by one pass / mm".to_owned(),
+        curves: vec![
+            curve(
+                "antegrade (model)",
+                MODEL,
+                Mark::Line(4),
+                points(|row| row.antegrade_mm),
+            ),
+            curve(
+                "returning (model)",
+                SECOND,
+                Mark::Line(4),
+                points(|row| row.returning_mm),
+            ),
+        ],
+    }])
+}
+
+/// A sweep: displacement over the fast quantity, a curve for each friction.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn sweep(
+    x_label: &'static str,
+    y_label: &str,
+    rows: &[(f64, f64, f64)],
+) -> Result<String, FigureError> {
+    let members = rows
+        .chunk_by(|left, right| left.0 == right.0)
+        .map(|part| {
+            let points = part.iter().map(|(_, x, y)| (*x, *y)).collect();
+            (format!("friction {} (model)", part[0].0), points)
+        })
+        .collect();
+    figure(vec![Chart {
+        x_label,
+        y_label: y_label.to_owned(),
+        curves: family(members, 4),
+    }])
+}
+
+/// Shortening over each angle, with the design in it.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn maps(maps: &Maps) -> Result<String, FigureError> {
+    let chart = |x_label, members: &[(String, Vec<(f64, f64)>)], design| {
+        let mut curves = family(members.to_vec(), 4);
+        curves.push(curve("this design", PAPER, Mark::Dots(9), vec![design]));
+        Chart {
+            x_label,
+            y_label: format!("d at a = {:.2} mm / mm", maps.indentation_mm),
+            curves,
+        }
+    };
+    figure(vec![
+        chart(
+            "alpha / deg",
+            &maps.over_alpha,
+            (maps.alpha_deg, maps.shortening_mm),
+        ),
+        chart(
+            "beta / deg",
+            &maps.over_beta,
+            (maps.beta_deg, maps.shortening_mm),
+        ),
+    ])
+}

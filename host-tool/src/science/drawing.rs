@@ -1,0 +1,402 @@
+//! Drawings to scale: one unit of the SVG is one millimetre, in the drawing's own coordinates and, printed, on paper.
+
+use std::fmt::{Display, Write};
+
+use locomotion::body::Chain;
+use locomotion::kinematics::Design;
+use locomotion::range::OutOfRange;
+
+/// Height of letters, mm.
+const LETTER_MM: f64 = 2.4;
+/// Length of a dimension's arrow heads, mm.
+const ARROW_MM: f64 = 1.0;
+
+const STYLE: &str = "\
+text{font-family:sans-serif;font-size:2.4px;fill:#333}\
+.core{fill:#1f5aa8}.crescent{fill:#8fb4de;stroke:#1f5aa8;stroke-width:.15}\
+.wall{fill:none;stroke:#c2565b;stroke-width:.6}\
+.axis{stroke:#999;stroke-width:.12;stroke-dasharray:2 .6 .4 .6}\
+.ghost{fill:none;stroke:#888;stroke-width:.15;stroke-dasharray:.8 .6}\
+.dimension{fill:none;stroke:#333;stroke-width:.15}.arrow{fill:#333}\
+.start{stroke:#1f5aa8;stroke-width:.5}.end{stroke:#c21f26;stroke-width:.5}";
+
+/// A point, mm: x to the right, y downward.
+pub type Point = (f64, f64);
+
+/// An SVG under construction.
+pub struct Drawing {
+    width_mm: f64,
+    height_mm: f64,
+    body: String,
+}
+
+impl Drawing {
+    /// An empty sheet of this size.
+    #[must_use]
+    pub fn new(width_mm: f64, height_mm: f64) -> Self {
+        Self {
+            width_mm,
+            height_mm,
+            body: String::new(),
+        }
+    }
+
+    /// The whole file.
+    #[must_use]
+    pub fn finish(self, title: &str) -> String {
+        let Self {
+            width_mm: w,
+            height_mm: h,
+            body,
+        } = self;
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{w}mm\" height=\"{h}mm\" viewBox=\"0 0 {w} {h}\">\n\
+             <title>{}</title>\n<style>{STYLE}</style>\n\
+             <rect width=\"{w}\" height=\"{h}\" fill=\"#fff\"/>\n{body}</svg>\n",
+            Escaped(title)
+        )
+    }
+
+    /// Anything; writing to a string cannot fail.
+    fn put(&mut self, element: std::fmt::Arguments<'_>) {
+        let _ = self.body.write_fmt(element);
+        self.body.push('\n');
+    }
+
+    /// Begins a part whose coordinates count from `origin`; ended by [`Drawing::close`].
+    pub fn open(&mut self, class: &str, origin: Point) {
+        let (x, y) = origin;
+        self.put(format_args!(
+            "<g class=\"{class}\" transform=\"translate({} {})\">",
+            Mm(x),
+            Mm(y)
+        ));
+    }
+
+    /// Ends a part.
+    pub fn close(&mut self) {
+        self.put(format_args!("</g>"));
+    }
+
+    /// A straight line.
+    pub fn line(&mut self, class: &str, (x1, y1): Point, (x2, y2): Point) {
+        self.put(format_args!(
+            "<line class=\"{class}\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>",
+            Mm(x1),
+            Mm(y1),
+            Mm(x2),
+            Mm(y2)
+        ));
+    }
+
+    /// A closed shape.
+    pub fn polygon(&mut self, class: &str, points: &[Point]) {
+        self.put(format_args!(
+            "<polygon class=\"{class}\" points=\"{}\"/>",
+            Points(points)
+        ));
+    }
+
+    /// An open line through points.
+    pub fn polyline(&mut self, class: &str, points: &[Point]) {
+        self.put(format_args!(
+            "<polyline class=\"{class}\" points=\"{}\"/>",
+            Points(points)
+        ));
+    }
+
+    /// Words; `anchor` is `start`, `middle` or `end`.
+    pub fn text(&mut self, anchor: &str, (x, y): Point, text: &str) {
+        self.put(format_args!(
+            "<text text-anchor=\"{anchor}\" x=\"{}\" y=\"{}\">{}</text>",
+            Mm(x),
+            Mm(y),
+            Escaped(text)
+        ));
+    }
+
+    /// An arc about `centre` from straight down (`from_deg` = 0) counted towards the right.
+    fn arc(&mut self, centre: Point, radius: f64, from_deg: f64, to_deg: f64) {
+        let at = |deg: f64| {
+            let angle = deg.to_radians();
+            (
+                centre.0 + radius * angle.sin(),
+                centre.1 + radius * angle.cos(),
+            )
+        };
+        let ((x1, y1), (x2, y2)) = (at(from_deg), at(to_deg));
+        self.put(format_args!(
+            "<path class=\"dimension\" d=\"M{} {}A{r} {r} 0 0 0 {} {}\"/>",
+            Mm(x1),
+            Mm(y1),
+            Mm(x2),
+            Mm(y2),
+            r = Mm(radius),
+        ));
+    }
+
+    /// A dimension with its words: horizontal at height `y`, from `x1` to `x2`.
+    fn across(&mut self, y: f64, (x1, x2): (f64, f64), text: &str) {
+        self.line("dimension", (x1, y), (x2, y));
+        for (x, inward) in [(x1, ARROW_MM), (x2, -ARROW_MM)] {
+            self.line("dimension", (x, y - 1.0), (x, y + 1.0));
+            self.polygon(
+                "arrow",
+                &[(x, y), (x + inward, y - 0.3), (x + inward, y + 0.3)],
+            );
+        }
+        self.text("middle", ((x1 + x2) / 2.0, y - 0.8), text);
+    }
+
+    /// A dimension with its words: vertical at `x`, from `y1` to `y2`.
+    fn upright(&mut self, x: f64, (y1, y2): (f64, f64), text: &str) {
+        self.line("dimension", (x, y1), (x, y2));
+        for (y, inward) in [(y1, ARROW_MM), (y2, -ARROW_MM)] {
+            self.line("dimension", (x - 1.0, y), (x + 1.0, y));
+            self.polygon(
+                "arrow",
+                &[(x, y), (x - 0.3, y + inward), (x + 0.3, y + inward)],
+            );
+        }
+        self.text("start", (x + 0.8, (y1 + y2) / 2.0 + LETTER_MM / 3.0), text);
+    }
+
+    /// A body about the axis y = 0.
+    pub fn body(&mut self, body: &Body) {
+        let root = body.core_mm / 2.0;
+        for crescent in &body.crescents {
+            for side in [-1.0, 1.0] {
+                self.polygon(
+                    "crescent",
+                    &[
+                        (crescent.tail_root_mm, side * root),
+                        (crescent.tip_mm, side * crescent.reach_mm),
+                        (crescent.head_root_mm, side * root),
+                    ],
+                );
+            }
+        }
+        let (tail, head) = body.core_ends_mm();
+        self.polygon(
+            "core",
+            &[(tail, -root), (head, -root), (head, root), (tail, root)],
+        );
+    }
+}
+
+/// Micrometres are fine enough; without trailing zeros.
+struct Mm(f64);
+
+impl Display for Mm {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", (self.0 * 1e3).round() / 1e3 + 0.0)
+    }
+}
+
+struct Points<'a>(&'a [Point]);
+
+impl Display for Points<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        for (index, (x, y)) in self.0.iter().enumerate() {
+            let gap = if index == 0 { "" } else { " " };
+            write!(f, "{gap}{},{}", Mm(*x), Mm(*y))?;
+        }
+        Ok(())
+    }
+}
+
+struct Escaped<'a>(&'a str);
+
+impl Display for Escaped<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.chars().try_for_each(|letter| match letter {
+            '&' => f.write_str("&amp;"),
+            '<' => f.write_str("&lt;"),
+            '>' => f.write_str("&gt;"),
+            other => f.write_char(other),
+        })
+    }
+}
+
+/// A crescent as it lies: a triangle on either side of the core, its tip back towards the tail.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Crescent {
+    /// Foot of the short side, mm along the axis, + to the head.
+    pub tail_root_mm: f64,
+    /// Foot of the long side, mm.
+    pub head_root_mm: f64,
+    /// The tip, mm along the axis.
+    pub tip_mm: f64,
+    /// The tip, mm from the axis.
+    pub reach_mm: f64,
+    /// What the crescent is squeezed by, mm.
+    pub indentation_mm: f64,
+}
+
+/// A body as it lies.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Body {
+    core_mm: f64,
+    /// Tail first.
+    pub crescents: Vec<Crescent>,
+}
+
+impl Body {
+    /// From the indentation of each crescent, tail first.
+    ///
+    /// # Errors
+    /// An indentation that the design does not allow.
+    pub fn new(
+        design: &Design<f64>,
+        core_tail_mm: f64,
+        indentations_mm: &[f64],
+    ) -> Result<Self, OutOfRange> {
+        let mut tail_root_mm = core_tail_mm;
+        let mut crescents = vec![];
+        for &indentation_mm in indentations_mm {
+            let head_root_mm = tail_root_mm + design.squeezed_spacing_mm(indentation_mm)?;
+            crescents.push(Crescent {
+                tail_root_mm,
+                head_root_mm,
+                tip_mm: tail_root_mm - design.wing_reach_mm(indentation_mm)?,
+                reach_mm: design.folded_width_mm(indentation_mm)? / 2.0,
+                indentation_mm,
+            });
+            tail_root_mm = head_root_mm;
+        }
+        Ok(Self {
+            core_mm: design.core_mm(),
+            crescents,
+        })
+    }
+
+    /// As a model's chain lies.
+    ///
+    /// # Errors
+    /// None for the chain of this design.
+    pub fn of(design: &Design<f64>, chain: &Chain) -> Result<Self, OutOfRange> {
+        Self::new(design, chain.core_tail_mm(), chain.indentations_mm())
+    }
+
+    /// Tail and head of the core, mm.
+    #[must_use]
+    pub fn core_ends_mm(&self) -> (f64, f64) {
+        let end = |crescent: Option<&Crescent>, of: fn(&Crescent) -> f64| crescent.map_or(0.0, of);
+        (
+            end(self.crescents.first(), |c| c.tail_root_mm),
+            end(self.crescents.last(), |c| c.head_root_mm),
+        )
+    }
+}
+
+/// The structure unsqueezed and squeezed by `a_mm`, side by side and to scale, as in the paper's Fig. 2, with the tail at
+/// the left. The heads of both cores lie at the same place of their parts.
+///
+/// # Errors
+/// `a_mm` outside `0..=h`.
+pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> {
+    const MARGIN: f64 = 14.0;
+    let m = usize::from(design.crescents());
+    let (length, half) = (design.length_mm(0.0)?, design.width_mm() / 2.0);
+    let part = length + 2.0 * MARGIN;
+    let middle = 20.0 + half;
+    let mut drawing = Drawing::new((2.0 * part).ceil(), (middle + half + 24.0).ceil());
+
+    // The rearmost tip at 0, so that the core begins at s2(0).
+    let free = Body::new(design, design.wing_reach_mm(0.0)?, &vec![0.0; m])?;
+    let (tail, head) = free.core_ends_mm();
+    drawing.open("unsqueezed", (MARGIN, middle));
+    drawing.text("middle", (length / 2.0, -half - 16.0), "(a) not squeezed");
+    walls(&mut drawing, length, half);
+    drawing.body(&free);
+    drawing.upright(
+        head + 4.0,
+        (-half, half),
+        &format!("W = {:.2}", design.width_mm()),
+    );
+    let root = design.core_mm() / 2.0;
+    drawing.text(
+        "end",
+        (free.crescents[0].tip_mm + 4.0, LETTER_MM / 3.0),
+        &format!("c = {:.2}", design.core_mm()),
+    );
+    drawing.across(
+        half + 5.0,
+        (tail, head),
+        &format!(
+            "m ϕ = {} x {:.3} = {:.2}",
+            m,
+            design.spacing_mm(),
+            head - tail
+        ),
+    );
+    drawing.across(half + 10.5, (0.0, length), &format!("L = {length:.2}"));
+    // The angles at the tip of the foremost crescent, to the transverse axis.
+    let crescent = free.crescents[m - 1];
+    let tip = (crescent.tip_mm, -half);
+    let (alpha, beta) = (
+        design.tan_alpha().atan().to_degrees(),
+        design.tan_beta().atan().to_degrees(),
+    );
+    drawing.line("ghost", tip, (tip.0, -root));
+    drawing.arc(tip, 4.0, 0.0, alpha);
+    drawing.arc(tip, 6.0, 0.0, beta);
+    drawing.text(
+        "middle",
+        (length / 2.0, half + 15.5),
+        &format!(
+            "α = {alpha:.2}°, β = {beta:.2}° to the transverse axis; l1 = {:.3}, l2 = {:.3}",
+            design.long_side_mm(),
+            design.short_side_mm()
+        ),
+    );
+    drawing.close();
+
+    let psi = design.squeezed_spacing_mm(a_mm)?;
+    let d = design.shortening_mm(a_mm)?;
+    let squeezed = Body::new(design, tail + d, &vec![a_mm; m])?;
+    let reach = half - a_mm;
+    drawing.open("squeezed", (part + MARGIN, middle));
+    drawing.text(
+        "middle",
+        (length / 2.0, -half - 16.0),
+        &format!("(b) squeezed by a = {a_mm:.2}"),
+    );
+    for side in [-1.0, 1.0] {
+        drawing.line("ghost", (-3.0, side * half), (length + 3.0, side * half));
+    }
+    walls(&mut drawing, length, reach);
+    drawing.body(&squeezed);
+    drawing.line("ghost", (tail, -half), (tail, half));
+    drawing.upright(head + 4.0, (-half, -reach), &format!("a = {a_mm:.2}"));
+    drawing.across(
+        half + 5.0,
+        (tail, tail + d),
+        &format!("d = m d0 = {} x {:.3} = {d:.2}", m, d / m as f64),
+    );
+    let back = squeezed.crescents[0].tip_mm;
+    drawing.across(
+        half + 10.5,
+        (back, length),
+        &format!("L(a) = {:.2}", length - back),
+    );
+    drawing.text(
+        "middle",
+        (length / 2.0, half + 15.5),
+        &format!("ψ = {psi:.3}, core m ψ = {:.2}", m as f64 * psi),
+    );
+    drawing.close();
+    drawing.text(
+        "start",
+        (MARGIN, middle + half + 21.5),
+        "lengths in mm, drawn to scale; tail at the left, head at the right",
+    );
+    Ok(drawing.finish("The origami, not squeezed and squeezed"))
+}
+
+fn walls(drawing: &mut Drawing, length: f64, reach: f64) {
+    for side in [-1.0, 1.0] {
+        drawing.line("wall", (-3.0, side * reach), (length + 3.0, side * reach));
+    }
+    drawing.line("axis", (-3.0, 0.0), (length + 3.0, 0.0));
+}

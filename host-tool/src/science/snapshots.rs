@@ -1,0 +1,238 @@
+//! Wall and body at several moments, as in the paper's Fig. 6: one column for each pressure or indentation, one row for
+//! each moment; the blue line is the head's start, the red one where it is at the end of the run.
+
+use locomotion::range::OutOfRange;
+use locomotion::{roller, tube};
+use serde::Serialize;
+
+use crate::science::drawing::{Body, Drawing, Point};
+
+/// Pressures of the tube's columns, Pa.
+const PRESSURES_PA: [f64; 3] = [3000.0, 5000.0, 7000.0];
+/// Moments of the tube's rows, s: one wave, which is over after 12 s, and the end.
+const TUBE_S: [f64; 6] = [0.0, 3.0, 6.0, 9.0, 12.0, 20.0];
+/// Indentations of the rig's columns, mm.
+const INDENTATIONS_MM: [f64; 3] = [1.0, 3.0, 5.05];
+/// Way of the carriage at the rig's rows, in strokes: one antegrade wave, and the end.
+const STROKES: [f64; 6] = [0.0, 0.25, 0.5, 0.75, 1.0, 10.0];
+
+/// Distance of two points of a drawn wall, mm.
+const WALL_STEP_MM: f64 = 0.5;
+
+/// One picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Snapshot {
+    /// Column: what squeezes.
+    pub case: String,
+    /// Row: when.
+    pub moment: String,
+    /// Places and indentations of the wall, mm.
+    pub wall_mm: Vec<Point>,
+    /// The body.
+    pub body: Body,
+    /// Place of the rollers, mm, if there are any.
+    pub roller_mm: Option<f64>,
+}
+
+/// All pictures of one model, column by column.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Strip {
+    /// `tube` or `roller`.
+    pub model: &'static str,
+    /// Half the width of the intestine at rest, mm.
+    pub half_width_mm: f64,
+    /// Columns of pictures from the first moment to the last.
+    pub columns: Vec<Vec<Snapshot>>,
+}
+
+/// One crescent in one picture.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SnapshotRow {
+    /// `tube` or `roller`.
+    pub model: &'static str,
+    /// Column: what squeezes.
+    pub case: String,
+    /// Row: when.
+    pub moment: String,
+    /// Which crescent, 1 at the tail.
+    pub crescent: usize,
+    /// Foot of its short side, mm from the intestine's left mark.
+    pub tail_root_mm: f64,
+    /// Foot of its long side, mm.
+    pub head_root_mm: f64,
+    /// Its tip, mm.
+    pub tip_mm: f64,
+    /// What it is squeezed by, mm.
+    pub indentation_mm: f64,
+}
+
+/// The tube at three pressures.
+///
+/// # Errors
+/// None for the parameters of the paper.
+pub fn tube() -> Result<Strip, OutOfRange> {
+    let params = tube::Params::PAPER;
+    let design = params.body.design;
+    let length_mm = f64::from(params.segments) * params.segment_mm;
+    let mut columns = vec![];
+    for pressure_pa in PRESSURES_PA {
+        let mut tube = tube::Tube::new(params, pressure_pa)?;
+        let mut column = vec![];
+        for time_s in TUBE_S {
+            // Half a step before the moment: sums of steps are not whole.
+            while tube.time_s() < time_s - params.step_s / 2.0 {
+                tube.step()?;
+            }
+            column.push(Snapshot {
+                case: format!("{pressure_pa} Pa"),
+                moment: format!("{time_s} s"),
+                wall_mm: wall(length_mm, |x| tube.wall_at_mm(x)),
+                body: Body::of(&design, tube.body())?,
+                roller_mm: None,
+            });
+        }
+        columns.push(column);
+    }
+    Ok(Strip {
+        model: "tube",
+        half_width_mm: params.radius_mm,
+        columns,
+    })
+}
+
+/// The rig at three indentations.
+///
+/// # Errors
+/// None for the parameters of the paper.
+pub fn roller() -> Result<Strip, OutOfRange> {
+    let params = roller::Params::PAPER;
+    let design = params.body.design;
+    let mut columns = vec![];
+    for indentation_mm in INDENTATIONS_MM {
+        let mut bench = roller::Bench::new(params, indentation_mm)?;
+        let mut column = vec![];
+        let mut done = 0;
+        for strokes in STROKES {
+            // Whole strokes first: each reversal is at an end of the rail.
+            while f64::from(done + 1) <= strokes {
+                done += 1;
+                bench.carriage_to(if done % 2 == 1 { params.stroke_mm } else { 0.0 })?;
+            }
+            let part = (strokes - f64::from(done)) * params.stroke_mm;
+            let carriage_mm = if done % 2 == 0 {
+                part
+            } else {
+                params.stroke_mm - part
+            };
+            bench.carriage_to(carriage_mm)?;
+            let roller_mm = params.stroke_mm - carriage_mm;
+            column.push(Snapshot {
+                case: format!("a = {indentation_mm} mm"),
+                moment: format!("{strokes} strokes"),
+                wall_mm: wall(params.stroke_mm, |x| {
+                    roller::wall_mm(indentation_mm, params.radius_mm, x - roller_mm)
+                }),
+                body: Body::of(&design, bench.body())?,
+                roller_mm: Some(roller_mm),
+            });
+        }
+        columns.push(column);
+    }
+    Ok(Strip {
+        model: "roller",
+        half_width_mm: design.width_mm() / 2.0,
+        columns,
+    })
+}
+
+fn wall(length_mm: f64, at: impl Fn(f64) -> f64) -> Vec<Point> {
+    let points = (length_mm / WALL_STEP_MM).round() as u32;
+    (0..=points)
+        .map(|index| {
+            let x = f64::from(index) * WALL_STEP_MM;
+            (x, at(x))
+        })
+        .collect()
+}
+
+impl Strip {
+    /// Every crescent of every picture.
+    #[must_use]
+    pub fn rows(&self) -> Vec<SnapshotRow> {
+        let mut rows = vec![];
+        for snapshot in self.columns.iter().flatten() {
+            for (index, crescent) in snapshot.body.crescents.iter().enumerate() {
+                rows.push(SnapshotRow {
+                    model: self.model,
+                    case: snapshot.case.clone(),
+                    moment: snapshot.moment.clone(),
+                    crescent: index + 1,
+                    tail_root_mm: crescent.tail_root_mm,
+                    head_root_mm: crescent.head_root_mm,
+                    tip_mm: crescent.tip_mm,
+                    indentation_mm: crescent.indentation_mm,
+                });
+            }
+        }
+        rows
+    }
+
+    /// The strip, to scale.
+    #[must_use]
+    pub fn svg(&self) -> String {
+        const GAP: f64 = 8.0;
+        const LEFT: f64 = 26.0;
+        let half = self.half_width_mm;
+        let length = self.columns[0][0].wall_mm.last().map_or(0.0, |(x, _)| *x);
+        let (width, height) = (length + GAP, 2.0 * half + GAP);
+        let rows = self.columns[0].len();
+        let mut drawing = Drawing::new(
+            LEFT + width * self.columns.len() as f64,
+            20.0 + height * rows as f64,
+        );
+        let head = |snapshot: &Snapshot| snapshot.body.core_ends_mm().1;
+        for (index, column) in self.columns.iter().enumerate() {
+            let x = LEFT + width * index as f64;
+            drawing.text("middle", (x + length / 2.0, 7.0), &column[0].case);
+            let (start, end) = (head(&column[0]), column.last().map_or(0.0, head));
+            for (row, snapshot) in column.iter().enumerate() {
+                let y = 12.0 + half + height * row as f64;
+                if index == 0 {
+                    drawing.text("start", (4.0, y), &snapshot.moment);
+                }
+                drawing.open("snapshot", (x, y));
+                for side in [-1.0, 1.0] {
+                    let points: Vec<_> = snapshot
+                        .wall_mm
+                        .iter()
+                        .map(|(x, a)| (*x, side * (half - a)))
+                        .collect();
+                    drawing.polyline("wall", &points);
+                }
+                drawing.body(&snapshot.body);
+                drawing.line("start", (start, -half), (start, half));
+                drawing.line("end", (end, -half), (end, half));
+                if let Some(roller) = snapshot.roller_mm {
+                    for (side, base) in [(-1.0, -half - 2.5), (1.0, half + 2.5)] {
+                        drawing.polygon(
+                            "arrow",
+                            &[
+                                (roller, base - side * 2.0),
+                                (roller - 1.5, base),
+                                (roller + 1.5, base),
+                            ],
+                        );
+                    }
+                }
+                drawing.close();
+            }
+        }
+        drawing.text(
+            "start",
+            (LEFT, 12.0 + height * rows as f64 + 4.0),
+            "to scale, tail at the left; blue: start of the head, red: its place at the end; model values, \
+             see parameters.csv for what is calibrated or assumed",
+        );
+        drawing.finish("Wall and body at several moments")
+    }
+}
