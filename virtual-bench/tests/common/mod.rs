@@ -4,6 +4,7 @@
 use host_tool::client::{Device, Observer, Unobserved};
 use protocol::{
     rig::{LinkLossPolicy, Run, RunAccepted, RunTiming},
+    settings::{Setting, SettingKey},
     system::DeviceKind,
     table::Telemetry,
 };
@@ -82,10 +83,7 @@ impl RigRun {
         self.look(|rig| rig.carriage())
     }
 
-    pub fn look<T: Send + 'static>(
-        &self,
-        look: impl FnOnce(&mut virtual_bench::plants::rig::Rig) -> T + Send + 'static,
-    ) -> T {
+    pub fn look<T: Send + 'static>(&self, look: impl FnOnce(&mut Rig) -> T + Send + 'static) -> T {
         self.bench
             .visit(|visit| look(&mut visit.board().rig))
             .expect("the bench runs")
@@ -174,3 +172,30 @@ pub fn execute(rig: &mut RigRun, run: Run) -> (RunAccepted, protocol::rig::RunRe
 }
 
 pub type Capsule = Bench<CapsuleBoard>;
+
+/// Sets `rig` up to home in a fraction of a second, for tests that home often.
+pub fn home_quickly(rig: &mut RigRun) {
+    for (key, value) in [
+        (SettingKey::SeekUmS, 40_000),
+        (SettingKey::LocateUmS, 10_000),
+        (SettingKey::HomingAccelUmS2, 1_000_000),
+        (SettingKey::PullOffUm, 1_000),
+    ] {
+        rig.device
+            .call(Setting { key, value })
+            .unwrap_or_else(|error| panic!("{}: {error}", key.name()));
+    }
+}
+
+/// A short, quick run by speeds.
+pub fn quick(cycles: u16, stroke_um: u32, speed_um_s: u32, accel_um_s2: u32) -> Run {
+    Run {
+        stroke_um,
+        timing: RunTiming::Speeds {
+            forward_um_s: speed_um_s,
+            return_um_s: speed_um_s,
+            accel_um_s2,
+        },
+        ..paper(cycles)
+    }
+}

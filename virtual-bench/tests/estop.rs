@@ -1,0 +1,71 @@
+//! The E-stop at many edges of short runs: what the read-back says afterwards is where the carriage is.
+
+mod common;
+
+use common::{Dice, home_quickly, quick, rig};
+use host_tool::client::Unobserved;
+use protocol::rig::{RigFault, RunOutcome};
+use virtual_bench::{faults::When, plants::rig::Action};
+
+const SEED: u64 = 0x5EED_E570;
+const TRIALS: u64 = 200;
+
+#[test]
+fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
+    let mut dice = Dice(SEED);
+    let mut rig = rig();
+    home_quickly(&mut rig);
+    rig.home();
+    let mut places = std::collections::BTreeSet::new();
+    for trial in 0..TRIALS {
+        let stroke_um = dice.roll(1_500..9_000) as u32;
+        let speed_um_s = dice.roll(3_000..45_000) as u32;
+        let accel_um_s2 = dice.roll(300_000..2_000_000) as u32;
+        let run = quick(1, stroke_um, speed_um_s, accel_um_s2);
+        let steps = u64::from(stroke_um) * 4 / 5;
+        // Every tenth at an end of a stroke, where the direction turns.
+        let within = match trial % 10 {
+            0 => steps,
+            5 => steps + 1,
+            _ => dice.roll(1..2 * steps),
+        };
+        let what = format!("seed {SEED:#x}, trial {trial}: edge {within} of {run:?}");
+        let number = rig.edge_count() as u64 + within;
+        rig.look(move |rig| rig.plan(When::Edge(number), Action::EStop(true)));
+        let accepted = rig.device.run(run).expect(&what);
+        let record = rig
+            .device
+            .wait_run(&accepted, &mut Unobserved)
+            .expect(&what);
+        assert_eq!(
+            record.outcome,
+            RunOutcome::Faulted(RigFault::EStopLoop),
+            "{what}\n{}",
+            rig.log()
+        );
+        let status = rig.device.rig_status().expect(&what);
+        let carriage = rig.carriage();
+        assert_eq!(
+            (i64::from(status.position_steps), status.homed),
+            (carriage, false),
+            "{what}"
+        );
+        let expected = within.min(2 * steps - within) as i64;
+        assert_eq!(carriage, expected, "{what}");
+        assert_eq!(
+            (record.counted_edges, rig.edge_count() as u64),
+            (within, number),
+            "{what}"
+        );
+        places.insert(carriage);
+        let now_ns = rig.bench.now_ns();
+        rig.look(move |rig| rig.act(Action::EStop(false), now_ns));
+        rig.bench.advance_us(30_000).expect(&what);
+        rig.device.acknowledge().expect(&what);
+        rig.bench.advance_us(30_000).expect(&what);
+        assert_eq!(rig.edge_count() as u64, number, "{what}: it moved");
+        rig.home();
+    }
+    assert!(places.len() > 150, "{} places", places.len());
+    rig.check_clean(0);
+}
