@@ -5,7 +5,7 @@ use crate::{
     settings::{Settings, Values},
 };
 use motion::{
-    axis::{Axis, Direction, Position},
+    axis::{Axis, Direction},
     run::{MAX_CYCLES, RunError, RunPlan, RunRequest, Timing},
     trapezoid::StrokeProfile,
     units::{Micrometres, TICK_HZ},
@@ -167,10 +167,25 @@ fn respond(
             Response::Jog(Done)
         }
         Request::MoveTo(requested) => {
-            let (target, accepted) = move_to(&requested, machine.settings(), context.position)?;
-            let speed = machine.settings().speed(requested.speed_um_s)?;
+            let settings = machine.settings();
+            let axis = &settings.axis;
+            let (position_um, max) = (requested.position_um, axis.stroke().0);
+            in_range(Field::PositionUm, position_um, 0, max.into())?;
+            let speed = settings.speed(requested.speed_um_s)?;
+            let target = axis
+                .position_um(Micrometres(position_um))
+                .map_err(|_| Refusal::AlreadyThere)?;
             command(machine, Command::MoveTo { target, speed })?;
-            Response::MoveTo(accepted)
+            // The same that the machine has just ordered.
+            let settings = machine.settings();
+            let from_steps = context.position;
+            let to_steps = i32::try_from(target.steps().0).unwrap_or(i32::MAX);
+            let profile = settings.move_profile(to_steps - from_steps, speed)?;
+            Response::MoveTo(rig::MoveAccepted {
+                from_steps,
+                to_steps,
+                stroke: stroke(&settings.axis, &profile),
+            })
         }
         Request::GetSetting(GetSetting { key }) => Response::GetSetting(Setting {
             key,
@@ -238,37 +253,6 @@ pub fn press_button(
     };
     let plan = solve(&run, machine).ok();
     machine.command(now_us, Command::Button(plan), position, inputs, actions)
-}
-
-/// Where a move goes, and how.
-fn move_to(
-    requested: &rig::MoveTo,
-    settings: &Settings,
-    from_steps: i32,
-) -> Result<(Position, rig::MoveAccepted), Refusal> {
-    let axis = &settings.axis;
-    let stroke_um = axis.stroke().0;
-    in_range(
-        Field::PositionUm,
-        requested.position_um,
-        0,
-        stroke_um.into(),
-    )?;
-    let speed = settings.speed(requested.speed_um_s)?;
-    let target = axis
-        .position_um(Micrometres(requested.position_um))
-        .map_err(|_| Refusal::AlreadyThere)?;
-    let to_steps = i32::try_from(target.steps().0).unwrap_or(i32::MAX);
-    if to_steps == from_steps {
-        return Err(Refusal::AlreadyThere);
-    }
-    let profile = settings.move_profile(to_steps - from_steps, speed)?;
-    let accepted = rig::MoveAccepted {
-        from_steps,
-        to_steps,
-        stroke: stroke(axis, &profile),
-    };
-    Ok((target, accepted))
 }
 
 fn in_range(field: Field, requested: impl Into<u64>, min: u64, max: u64) -> Result<(), Refusal> {

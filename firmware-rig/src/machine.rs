@@ -366,7 +366,8 @@ impl Machine {
     /// Takes a command.
     ///
     /// # Errors
-    /// The refusal; nothing has changed and no action was added.
+    /// The refusal; nothing has changed and no action was added. Only a resume that finds the carriage elsewhere
+    /// than it was held has latched that as a fault.
     pub fn command(
         &mut self,
         now_us: u64,
@@ -735,10 +736,10 @@ impl Machine {
                 Ok(())
             }
             (State::Held, _) => self.resume(position, inputs, actions),
-            (State::Ready, Some(plan)) if position == 0 => {
+            (State::Ready, plan) if position == 0 => {
+                let plan = plan.ok_or(Refusal::TooSlow)?;
                 self.start_run(now_us, plan, policy, position, inputs, actions)
             }
-            (State::Ready, None) => Err(Refusal::TooSlow),
             _ => self.home(now_us, policy, position, inputs, actions),
         }
     }
@@ -853,7 +854,7 @@ impl Machine {
 
     fn flag_edge(&mut self, opening: bool, count: i32, actions: &mut Actions) {
         match &mut self.state {
-            State::Running | State::Stopping { then: Then::Held } if opening => {
+            State::Running | State::Held | State::Stopping { then: Then::Held } if opening => {
                 self.ledger(count, actions);
             }
             State::Homing(homing) => {
@@ -883,13 +884,18 @@ impl Machine {
         if course.flag_met || course.direction() != Some(Direction::Home) {
             return;
         }
-        course.flag_met = true;
         let residual = count - self.settings.flag_steps();
+        let lost = residual.unsigned_abs() > self.settings.ledger_limit_steps;
+        // At rest it opens a moment late at the most; elsewhere it was a hand.
+        if lost && self.state == State::Held {
+            return;
+        }
+        course.flag_met = true;
         self.residual = residual;
         if residual.abs() > self.run.worst_residual_steps.abs() {
             self.run.worst_residual_steps = residual;
         }
-        if residual.unsigned_abs() > self.settings.ledger_limit_steps {
+        if lost {
             let fault = RigFault::LostSteps {
                 residual_steps: residual,
             };
@@ -930,15 +936,16 @@ impl Machine {
     /// is nobody knows then: at least as far off as from here to its edge.
     fn missed_flag(&self, counted: i32) -> Option<RigFault> {
         let limit = i32::try_from(self.settings.ledger_limit_steps).unwrap_or(i32::MAX);
-        let beyond = self.last.0 > self.settings.flag_steps().saturating_add(limit);
-        let on_the_way_home = self
-            .course
-            .is_some_and(|course| !course.flag_met && course.direction() == Some(Direction::Home));
+        let from = self.settings.flag_steps().saturating_add(limit).max(0);
+        let on_the_way_home = self.course.is_some_and(|course| {
+            let beyond = course.plan.forward().steps().0 > from.unsigned_abs();
+            beyond && !course.flag_met && course.direction() == Some(Direction::Home)
+        });
         let running = matches!(
             self.state,
             State::Running | State::Stopping { then: Then::Held }
         );
-        (running && on_the_way_home && beyond).then(|| RigFault::LostSteps {
+        (running && on_the_way_home).then(|| RigFault::LostSteps {
             residual_steps: counted.saturating_sub(self.settings.flag_steps()),
         })
     }

@@ -7,7 +7,10 @@ use firmware_rig::{
     machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
     settings::Settings,
 };
-use motion::axis::Axis;
+use motion::{
+    axis::{Axis, Direction},
+    units::Steps,
+};
 use protocol::{
     error::Refusal,
     rig::{
@@ -257,7 +260,11 @@ mod running {
 
     #[test]
     fn completes() {
-        let mut rig = started(LinkLossPolicy::Stop);
+        let mut rig = Rig::homed(SETTINGS);
+        rig.machine = rig.machine.with_image(0xCAFE);
+        rig.command(run(&SETTINGS, 2, 10_000, LinkLossPolicy::Stop))
+            .unwrap();
+        rig.events.clear();
         let from = rig.now;
         rig.machine.set_glitches(3);
         rig.finish();
@@ -287,6 +294,8 @@ mod running {
                 worst_residual_steps: 0,
                 min_queue: 60,
                 glitches: 3,
+                holds: 0,
+                image_hash: 0xCAFE,
             }
         );
         // 10 us for the last pulse and 10 us without one follow.
@@ -645,6 +654,15 @@ fn kinds(actions: &Actions) -> Vec<&'static str> {
             Action::Emit(RigEvent::RunEnded { .. }) => "RunEnded",
             Action::Emit(RigEvent::Stopped { .. }) => "Stopped",
             Action::Emit(RigEvent::Faulted(_)) => "Faulted",
+            Action::Emit(RigEvent::Held { .. }) => "Held",
+            Action::Emit(RigEvent::Resumed) => "Resumed",
+            Action::Emit(RigEvent::Moved { .. }) => "Moved",
+            Action::Emit(
+                other @ (RigEvent::SettingChanged(_)
+                | RigEvent::SettingsReset
+                | RigEvent::SettingsUnusable
+                | RigEvent::ButtonIgnored),
+            ) => panic!("{other:?} is not the machine's"),
         })
         .collect()
 }
@@ -679,15 +697,28 @@ mod table {
         Back,
         BackMet,
         Finish,
+        HomingByButton,
+        ReadyOut,
+        StopHoldOut,
+        StopHoldBack,
+        StopHoldMet,
+        HeldAtStart,
+        HeldOut,
+        HeldBack,
+        HeldMet,
+        Moving,
+        Jogging,
         StopHoming,
         StopRun,
         StopLost,
+        StopMove,
         Faulted,
         FaultedMoving,
+        FaultedHeld,
         Panicked,
     }
 
-    const STARTS: [Start; 19] = [
+    const STARTS: [Start; 32] = [
         Unhomed,
         Clear,
         Seek,
@@ -701,11 +732,24 @@ mod table {
         Back,
         BackMet,
         Finish,
+        HomingByButton,
+        ReadyOut,
+        StopHoldOut,
+        StopHoldBack,
+        StopHoldMet,
+        HeldAtStart,
+        HeldOut,
+        HeldBack,
+        HeldMet,
+        Moving,
+        Jogging,
         StopHoming,
         StopRun,
         StopLost,
+        StopMove,
         Faulted,
         FaultedMoving,
+        FaultedHeld,
         Panicked,
     ];
 
@@ -721,19 +765,31 @@ mod table {
         StrokeMismatch,
         Complete,
         Stopped,
+        StoppedFar,
+        StoppedNear,
         Cut,
         Underrun,
         Guard,
         EndMismatch,
         LinkSilent,
+        TickInTime,
+        TickLate,
         Home,
         Run,
+        Hold,
+        Resume,
+        ResumeElsewhere,
+        JogSame,
+        JogOther,
+        MoveTo,
+        Button,
+        ButtonNoPlan,
         Stop,
         EStop,
         Acknowledge,
     }
 
-    const INPUTS: [Input; 19] = [
+    const INPUTS: [Input; 31] = [
         FlagOpens,
         FlagOpensLate,
         FlagCloses,
@@ -743,13 +799,25 @@ mod table {
         StrokeMismatch,
         Complete,
         Stopped,
+        StoppedFar,
+        StoppedNear,
         Cut,
         Underrun,
         Guard,
         EndMismatch,
         LinkSilent,
+        TickInTime,
+        TickLate,
         Home,
         Run,
+        Hold,
+        Resume,
+        ResumeElsewhere,
+        JogSame,
+        JogOther,
+        MoveTo,
+        Button,
+        ButtonNoPlan,
         Stop,
         EStop,
         Acknowledge,
@@ -764,35 +832,41 @@ mod table {
             Event::StrokeDone { .. } => &[StrokeDone, StrokeMismatch],
             Event::PathEnded(end, _) => match end {
                 PathEnd::Complete => &[Complete, EndMismatch],
-                PathEnd::Stopped => &[Stopped],
+                PathEnd::Stopped => &[Stopped, StoppedFar, StoppedNear],
                 PathEnd::Cut => &[Cut],
                 PathEnd::Underrun => &[Underrun],
                 PathEnd::Guard => &[Guard],
             },
             Event::LinkSilent => &[LinkSilent],
+            Event::Tick { .. } => &[TickInTime, TickLate],
         }
     }
 
-    fn input_of_command(command: &Command) -> Input {
+    fn inputs_of_command(command: &Command) -> &'static [Input] {
         match command {
-            Command::Home => Home,
-            Command::Run { .. } => Run,
-            Command::Stop => Stop,
-            Command::EStop => EStop,
-            Command::Acknowledge => Acknowledge,
+            Command::Home => &[Home],
+            Command::Run { .. } => &[Run],
+            Command::Hold => &[Hold],
+            Command::Resume => &[Resume, ResumeElsewhere],
+            Command::Jog { .. } => &[JogSame, JogOther],
+            Command::MoveTo { .. } => &[MoveTo],
+            Command::Button(_) => &[Button, ButtonNoPlan],
+            Command::Stop => &[Stop],
+            Command::EStop => &[EStop],
+            Command::Acknowledge => &[Acknowledge],
         }
     }
 
     fn starts_of(state: RigState) -> &'static [Start] {
         match state {
             RigState::Unhomed => &[Unhomed],
-            RigState::Homing => &[Clear, Seek, SeekFound, PullOff, Locate, LocateFound, ToZero],
-            RigState::Ready => &[Ready],
-            RigState::Running => &[Away, Back, BackMet, Finish],
-            // The protocol has it; this machine does not hold yet.
-            RigState::Held => &[],
-            RigState::Stopping => &[StopHoming, StopRun, StopLost],
-            RigState::Faulted => &[Faulted, FaultedMoving, Panicked],
+            RigState::Homing => HOMING,
+            RigState::Ready => READY,
+            RigState::Running => RUNNING,
+            RigState::Held => HELD,
+            RigState::Moving => MOVING,
+            RigState::Stopping => STOPPING,
+            RigState::Faulted => FAULTED,
         }
     }
 
@@ -809,6 +883,7 @@ mod table {
             min_queue: 60,
         };
         let ended = |end| Sample::Event(Event::PathEnded(end, report(0, 0)));
+        let stopped = |at| Sample::Event(Event::PathEnded(PathEnd::Stopped, report(at, at)));
         let edge = |opening, count| Sample::Event(Event::FlagEdge { opening, count });
         let done = |commanded, counted| {
             Sample::Event(Event::StrokeDone {
@@ -827,124 +902,193 @@ mod table {
             StrokeMismatch => done(0, 1),
             Complete => ended(PathEnd::Complete),
             Stopped => ended(PathEnd::Stopped),
+            StoppedFar => stopped(4_000),
+            StoppedNear => stopped(500),
             Cut => ended(PathEnd::Cut),
             Underrun => ended(PathEnd::Underrun),
             Guard => ended(PathEnd::Guard),
             EndMismatch => Sample::Event(Event::PathEnded(PathEnd::Complete, report(0, 1))),
             LinkSilent => Sample::Event(Event::LinkSilent),
+            TickInTime => Sample::Event(Event::Tick { now_us: 300_000 }),
+            TickLate => Sample::Event(Event::Tick { now_us: 60_000_001 }),
             Home => Sample::Command(Command::Home),
             Run => Sample::Command(run(&SETTINGS, 1, 10_000, LinkLossPolicy::Stop)),
+            Hold => Sample::Command(Command::Hold),
+            Resume | ResumeElsewhere => Sample::Command(Command::Resume),
+            JogSame => Sample::Command(jog(Direction::Away)),
+            JogOther => Sample::Command(jog(Direction::Home)),
+            MoveTo => Sample::Command(move_to(2_000)),
+            Button => Sample::Command(Command::Button(Some(plan(&SETTINGS, 1, 10_000, 40_000)))),
+            ButtonNoPlan => Sample::Command(Command::Button(None)),
             Stop => Sample::Command(Command::Stop),
             EStop => Sample::Command(Command::EStop),
             Acknowledge => Sample::Command(Command::Acknowledge),
         }
     }
 
-    fn reach(start: Start) -> Machine {
-        let mut machine = Machine::new(SETTINGS, (start == Panicked).then_some(RigFault::Panic));
-        let event = |machine: &mut Machine, event| {
-            machine.event(event, CLOSED);
-        };
-        let ended = |machine: &mut Machine, position| {
+    fn jog(direction: Direction) -> Command {
+        let speed = SETTINGS.speed(10_000).unwrap();
+        Command::Jog { direction, speed }
+    }
+
+    fn move_to(steps: u32) -> Command {
+        Command::MoveTo {
+            target: SETTINGS.axis.position(Steps(steps)).unwrap(),
+            speed: SETTINGS.speed(10_000).unwrap(),
+        }
+    }
+
+    const ON_FLAG: RigInputs = RigInputs {
+        home_flag: true,
+        ..CLOSED
+    };
+
+    /// A machine on its way, with nothing that it says.
+    struct Way(Machine);
+
+    impl Way {
+        fn command(&mut self, command: Command, inputs: RigInputs) {
+            self.0
+                .command(0, command, 0, inputs, &mut Actions::new())
+                .unwrap();
+        }
+
+        fn event(&mut self, event: Event) {
+            self.0.event(event, CLOSED);
+        }
+
+        fn ended(&mut self, position: i32) {
             let report = PathReport {
                 commanded: position,
                 counted: position,
                 last_tick: 1,
                 min_queue: 60,
             };
-            machine.event(Event::PathEnded(PathEnd::Stopped, report), CLOSED);
-        };
-        let flag = |machine: &mut Machine, opening, count| {
-            machine.event(Event::FlagEdge { opening, count }, CLOSED);
-        };
-        let command = |machine: &mut Machine, command, inputs| {
-            machine
-                .command(0, command, 0, inputs, &mut Actions::new())
-                .unwrap();
-        };
-        let on_flag = RigInputs {
-            home_flag: true,
-            ..CLOSED
-        };
-        if matches!(start, Unhomed | Panicked) {
-            return machine;
+            self.event(Event::PathEnded(PathEnd::Stopped, report));
         }
-        if start == Faulted {
-            event(&mut machine, Event::FarLimit);
-            return machine;
+
+        fn flag(&mut self, opening: bool, count: i32) {
+            self.event(Event::FlagEdge { opening, count });
         }
-        command(&mut machine, Command::Home, on_flag);
-        if start == Clear {
-            return machine;
+
+        /// From on the flag up to the beginning of a phase, to its edge, or to the end.
+        fn home(&mut self, start: Start) {
+            let phases: [(Start, fn(&mut Self)); 8] = [
+                (Clear, |way| way.command(Command::Home, ON_FLAG)),
+                (Seek, |way| way.off_the_flag(20)),
+                (SeekFound, |way| way.flag(true, 10)),
+                (PullOff, |way| way.ended(0)),
+                (Locate, |way| way.off_the_flag(2_410)),
+                (LocateFound, |way| way.flag(true, 10)),
+                (ToZero, |way| way.ended(5)),
+                (Ready, |way| way.ended(0)),
+            ];
+            for (phase, begin) in phases {
+                begin(self);
+                if phase == start {
+                    return;
+                }
+            }
         }
-        flag(&mut machine, false, 10);
-        ended(&mut machine, 20);
-        if start == Seek {
-            return machine;
+
+        fn off_the_flag(&mut self, position: i32) {
+            self.flag(false, 10);
+            self.ended(position);
         }
-        if start == FaultedMoving {
-            event(&mut machine, Event::FarLimit);
-            return machine;
+
+        fn first_stroke(&mut self) {
+            self.event(Event::StrokeDone {
+                stroke: 0,
+                commanded: 8_000,
+                counted: 8_000,
+            });
         }
-        if start == StopHoming {
-            command(&mut machine, Command::Stop, CLOSED);
-            return machine;
+
+        fn hold(&mut self, at: i32) {
+            self.command(Command::Hold, CLOSED);
+            self.ended(at);
         }
-        flag(&mut machine, true, 10);
-        if start == SeekFound {
-            return machine;
-        }
-        ended(&mut machine, 0);
-        if start == PullOff {
-            return machine;
-        }
-        flag(&mut machine, false, 10);
-        ended(&mut machine, 2_410);
-        if start == Locate {
-            return machine;
-        }
-        flag(&mut machine, true, 10);
-        if start == LocateFound {
-            return machine;
-        }
-        ended(&mut machine, 5);
-        if start == ToZero {
-            return machine;
-        }
-        ended(&mut machine, 0);
-        if start == Ready {
-            return machine;
-        }
+    }
+
+    fn reach(start: Start) -> Machine {
+        let panic = (start == Panicked).then_some(RigFault::Panic);
+        let mut way = Way(Machine::new(SETTINGS, panic));
         let policy = if start == Finish {
             LinkLossPolicy::Finish
         } else {
             LinkLossPolicy::Stop
         };
-        command(&mut machine, run(&SETTINGS, 1, 10_000, policy), on_flag);
-        if matches!(start, Away | Finish) {
-            return machine;
+        let run = run(&SETTINGS, 1, 10_000, policy);
+        match start {
+            Unhomed | Panicked => {}
+            Faulted => way.event(Event::FarLimit),
+            HomingByButton => way.command(Command::Button(None), CLOSED),
+            FaultedMoving => {
+                way.home(Seek);
+                way.event(Event::FarLimit);
+            }
+            StopHoming => {
+                way.home(Seek);
+                way.command(Command::Stop, CLOSED);
+            }
+            Clear | Seek | SeekFound | PullOff | Locate | LocateFound | ToZero | Ready => {
+                way.home(start);
+            }
+            ReadyOut | Moving | Jogging | StopMove => {
+                way.home(Ready);
+                if start == Jogging {
+                    way.command(jog(Direction::Away), ON_FLAG);
+                } else {
+                    way.command(move_to(4_000), ON_FLAG);
+                }
+                match start {
+                    ReadyOut => way.ended(4_000),
+                    StopMove => way.command(Command::Stop, CLOSED),
+                    _ => {}
+                }
+            }
+            Away | Finish | StopRun | StopHoldOut | HeldAtStart | HeldOut | FaultedHeld => {
+                way.home(Ready);
+                way.command(run, ON_FLAG);
+                match start {
+                    StopRun => way.command(Command::Stop, ON_FLAG),
+                    StopHoldOut => way.command(Command::Hold, ON_FLAG),
+                    HeldAtStart => way.hold(0),
+                    HeldOut | FaultedHeld => way.hold(4_000),
+                    _ => {}
+                }
+                if start == FaultedHeld {
+                    way.event(Event::FarLimit);
+                }
+            }
+            Back | BackMet | StopLost | StopHoldBack | StopHoldMet | HeldBack | HeldMet => {
+                way.home(Ready);
+                way.command(run, ON_FLAG);
+                way.first_stroke();
+                match start {
+                    BackMet | StopHoldMet | HeldMet => way.flag(true, 800),
+                    StopLost => way.flag(true, 700),
+                    _ => {}
+                }
+                match start {
+                    StopHoldBack | StopHoldMet => way.command(Command::Hold, CLOSED),
+                    HeldBack => way.hold(4_000),
+                    HeldMet => way.hold(500),
+                    _ => {}
+                }
+            }
         }
-        if start == StopRun {
-            command(&mut machine, Command::Stop, on_flag);
-            return machine;
-        }
-        event(
-            &mut machine,
-            Event::StrokeDone {
-                stroke: 0,
-                commanded: 8_000,
-                counted: 8_000,
-            },
-        );
-        if start == Back {
-            return machine;
-        }
-        flag(
-            &mut machine,
-            true,
-            if start == StopLost { 700 } else { 800 },
-        );
-        machine
+        way.0
+    }
+
+    /// Where the carriage stands, where that matters.
+    fn position(start: Start, input: Input) -> i32 {
+        let position = match start {
+            ReadyOut | HeldOut | HeldBack => 4_000,
+            HeldMet => 500,
+            _ => 0,
+        };
+        position + i32::from(input == ResumeElsewhere)
     }
 
     /// What it does: the state after it, and the actions; or the refusal.
@@ -956,7 +1100,7 @@ mod table {
             Sample::Command(command) => {
                 let mut actions = Actions::new();
                 machine
-                    .command(0, command, 0, CLOSED, &mut actions)
+                    .command(0, command, position(start, input), CLOSED, &mut actions)
                     .map(|()| actions)
             }
         };
@@ -980,14 +1124,47 @@ mod table {
         }
     }
 
+    const HOMING: &[Start] = &[
+        Clear,
+        Seek,
+        SeekFound,
+        PullOff,
+        Locate,
+        LocateFound,
+        ToZero,
+        HomingByButton,
+    ];
+    const READY: &[Start] = &[Ready, ReadyOut];
     const RUNNING: &[Start] = &[Away, Back, BackMet, Finish];
-    const HOMING: &[Start] = &[Clear, Seek, SeekFound, PullOff, Locate, LocateFound, ToZero];
-    const STOPPING: &[Start] = &[StopHoming, StopRun, StopLost];
-    const FAULTED: &[Start] = &[Faulted, FaultedMoving, Panicked];
-    const AT_REST: &[Start] = &[Unhomed, Ready];
+    const HELD: &[Start] = &[HeldAtStart, HeldOut, HeldBack, HeldMet];
+    const MOVING: &[Start] = &[Moving, Jogging];
+    const STOPPING: &[Start] = &[
+        StopHoming,
+        StopRun,
+        StopLost,
+        StopMove,
+        StopHoldOut,
+        StopHoldBack,
+        StopHoldMet,
+    ];
+    const FAULTED: &[Start] = &[Faulted, FaultedMoving, FaultedHeld, Panicked];
+    const AFTER_LIMIT: &[Start] = &[Faulted, FaultedMoving, FaultedHeld];
+    /// Homing that the host asked for.
+    const BY_HOST: &[Start] = &[Clear, Seek, SeekFound, PullOff, Locate, LocateFound, ToZero];
+    const AT_REST: &[Start] = &[Unhomed, Ready, ReadyOut];
     /// A run's path is being executed.
-    const IN_RUN: &[Start] = &[Away, Back, BackMet, Finish, StopRun, StopLost];
-    /// A path of homing is.
+    const IN_RUN: &[Start] = &[
+        Away,
+        Back,
+        BackMet,
+        Finish,
+        StopRun,
+        StopLost,
+        StopHoldOut,
+        StopHoldBack,
+        StopHoldMet,
+    ];
+    /// A path of homing is, or that of a move.
     const IN_HOMING: &[Start] = &[
         Clear,
         Seek,
@@ -996,15 +1173,30 @@ mod table {
         Locate,
         LocateFound,
         ToZero,
+        HomingByButton,
         StopHoming,
     ];
+    const IN_MOVE: &[Start] = &[Moving, Jogging, StopMove];
 
     const EDGES: &[Input] = &[FlagOpens, FlagOpensLate, FlagCloses];
     const OPENINGS: &[Input] = &[FlagOpens, FlagOpensLate];
     const STROKES: &[Input] = &[StrokeDone, StrokeMismatch];
-    const ENDS: &[Input] = &[Complete, Stopped, Cut, Underrun, Guard, EndMismatch];
-    const FINE_ENDS: &[Input] = &[Complete, Stopped];
-    const MOVES: &[Input] = &[Home, Run];
+    const ENDS: &[Input] = &[
+        Complete,
+        Stopped,
+        StoppedFar,
+        StoppedNear,
+        Cut,
+        Underrun,
+        Guard,
+        EndMismatch,
+    ];
+    const FINE_ENDS: &[Input] = &[Complete, Stopped, StoppedFar, StoppedNear];
+    const STOPPED: &[Input] = &[Stopped, StoppedFar, StoppedNear];
+    const TICKS: &[Input] = &[TickInTime, TickLate];
+    const MOVES: &[Input] = &[Home, Run, JogSame, JogOther, MoveTo];
+    const RESUMES: &[Input] = &[Resume, ResumeElsewhere];
+    const BUTTONS: &[Input] = &[Button, ButtonNoPlan];
 
     const READ_BACK: &str = "ReadBack { commanded: 0, counted: 1 } Cut Faulted";
     const READ_BACK_RUN: &str = "ReadBack { commanded: 0, counted: 1 } Cut RunEnded Faulted";
@@ -1018,14 +1210,23 @@ mod table {
         (IN_HOMING, &[FarLimit], "FarLimit Cut Faulted"),
         (IN_HOMING, &[LoopOpened], "EStopLoop Cut Faulted"),
         (IN_HOMING, &[EStop, Cut], "EStopFrame Cut Faulted"),
+        (IN_MOVE, &[FarLimit], "FarLimit Cut Faulted"),
+        (IN_MOVE, &[LoopOpened], "EStopLoop Cut Faulted"),
+        (IN_MOVE, &[EStop, Cut], "EStopFrame Cut Faulted"),
         (IN_RUN, &[FarLimit], "FarLimit Cut RunEnded Faulted"),
         (IN_RUN, &[LoopOpened], "EStopLoop Cut RunEnded Faulted"),
         (IN_RUN, &[EStop, Cut], "EStopFrame Cut RunEnded Faulted"),
+        (HELD, &[FarLimit], "FarLimit Cut RunEnded Faulted"),
+        (HELD, &[LoopOpened], "EStopLoop Cut RunEnded Faulted"),
+        (HELD, &[EStop], "EStopFrame Cut RunEnded Faulted"),
         (FAULTED, &[FarLimit, LoopOpened, EStop], "Faulted Cut"),
         // So is every failure of a path.
         (IN_HOMING, &[Underrun], "Underrun Cut Faulted"),
         (IN_HOMING, &[Guard], "WindowGuard Cut Faulted"),
         (IN_HOMING, &[EndMismatch], READ_BACK),
+        (IN_MOVE, &[Underrun], "Underrun Cut Faulted"),
+        (IN_MOVE, &[Guard], "WindowGuard Cut Faulted"),
+        (IN_MOVE, &[EndMismatch], READ_BACK),
         (IN_RUN, &[Underrun], "Underrun Cut RunEnded Faulted"),
         (IN_RUN, &[Guard], "WindowGuard Cut RunEnded Faulted"),
         (IN_RUN, &[EndMismatch, StrokeMismatch], READ_BACK_RUN),
@@ -1033,35 +1234,112 @@ mod table {
         (&[Unhomed], EDGES, "Unhomed"),
         (&[Unhomed], STROKES, "Unhomed"),
         (&[Unhomed], ENDS, "Unhomed"),
+        (&[Unhomed], TICKS, "Unhomed"),
         (&[Unhomed], &[LinkSilent, Stop], "Unhomed"),
-        (&[Ready], EDGES, "Ready"),
-        (&[Ready], STROKES, "Ready"),
-        (&[Ready], ENDS, "Ready"),
-        (&[Ready], &[LinkSilent, Stop], "Ready"),
+        (READY, EDGES, "Ready"),
+        (READY, STROKES, "Ready"),
+        (READY, ENDS, "Ready"),
+        (READY, TICKS, "Ready"),
+        (READY, &[LinkSilent, Stop], "Ready"),
+        (HELD, EDGES, "Held"),
+        (HELD, STROKES, "Held"),
+        (HELD, ENDS, "Held"),
+        (HELD, TICKS, "Held"),
+        (HELD, &[LinkSilent], "Held"),
         (FAULTED, EDGES, "Faulted"),
         (FAULTED, STROKES, "Faulted"),
         (FAULTED, ENDS, "Faulted"),
+        (FAULTED, TICKS, "Faulted"),
         (FAULTED, &[LinkSilent, Stop], "Faulted"),
         // Commands that move.
-        (AT_REST, &[Home], "Homing Start -112000..0"),
+        (&[Unhomed], &[Home], "Homing Start -112000..0"),
+        (&[Ready], &[Home], "Homing Start -8000..0"),
+        (&[ReadyOut], &[Home], "Homing Start -8000..4000"),
         (&[Ready], &[Run], "Running Start RunStarted 0..104000"),
-        (&[Unhomed], &[Run], "Unhomed: NotHomed"),
+        (
+            &[ReadyOut],
+            &[Run],
+            "Ready: NotAtHome { position_um: 5000 }",
+        ),
+        (&[Ready], &[JogSame], "Moving Start 0..104000"),
+        (&[Ready], &[JogOther], "Ready: AlreadyThere"),
+        (&[Ready], &[MoveTo], "Moving Start 0..2000"),
+        (&[ReadyOut], &[JogSame], "Moving Start 4000..104000"),
+        (&[ReadyOut], &[JogOther], "Moving Start 0..4000"),
+        (&[ReadyOut], &[MoveTo], "Moving Start 2000..4000"),
+        (
+            &[Unhomed],
+            &[Run, JogSame, JogOther, MoveTo],
+            "Unhomed: NotHomed",
+        ),
         (HOMING, MOVES, "Homing: RigBusy(Homing)"),
         (RUNNING, MOVES, "Running: RigBusy(Running)"),
-        (STOPPING, MOVES, "Stopping: RigBusy(Stopping)"),
+        (HELD, MOVES, "Held: RigBusy(Held)"),
+        (&[Moving], MOVES, "Moving: RigBusy(Moving)"),
+        (&[Jogging], &[JogSame], "Moving"),
         (
-            &[Faulted, FaultedMoving],
-            MOVES,
-            "Faulted: RigFaulted(FarLimit)",
+            &[Jogging],
+            &[Home, Run, JogOther, MoveTo],
+            "Moving: RigBusy(Moving)",
         ),
+        (STOPPING, MOVES, "Stopping: RigBusy(Stopping)"),
+        (AFTER_LIMIT, MOVES, "Faulted: RigFaulted(FarLimit)"),
         (&[Panicked], MOVES, "Faulted: AcknowledgeFirst"),
+        // Hold and resume.
+        (RUNNING, &[Hold], "Stopping StopPath"),
+        (&[Unhomed], &[Hold], "Unhomed: NothingToHold"),
+        (HOMING, &[Hold], "Homing: NothingToHold"),
+        (READY, &[Hold], "Ready: NothingToHold"),
+        (HELD, &[Hold], "Held: NothingToHold"),
+        (MOVING, &[Hold], "Moving: NothingToHold"),
+        (STOPPING, &[Hold], "Stopping: NothingToHold"),
+        (AFTER_LIMIT, &[Hold], "Faulted: RigFaulted(FarLimit)"),
+        (&[Panicked], &[Hold], "Faulted: RigFaulted(Panic)"),
+        (HELD, &[Resume], "Running Start Resumed 0..104000"),
+        (
+            &[HeldAtStart],
+            &[ResumeElsewhere],
+            "ReadBack { commanded: 0, counted: 1 }: RigFaulted(ReadBack { commanded: 0, counted: 1 })",
+        ),
+        (
+            &[HeldOut, HeldBack],
+            &[ResumeElsewhere],
+            "ReadBack { commanded: 4000, counted: 4001 }: RigFaulted(ReadBack { commanded: 4000, counted: 4001 })",
+        ),
+        (
+            &[HeldMet],
+            &[ResumeElsewhere],
+            "ReadBack { commanded: 500, counted: 501 }: RigFaulted(ReadBack { commanded: 500, counted: 501 })",
+        ),
+        (&[Unhomed], RESUMES, "Unhomed: NothingToResume"),
+        (HOMING, RESUMES, "Homing: NothingToResume"),
+        (READY, RESUMES, "Ready: NothingToResume"),
+        (RUNNING, RESUMES, "Running: NothingToResume"),
+        (MOVING, RESUMES, "Moving: NothingToResume"),
+        (STOPPING, RESUMES, "Stopping: NothingToResume"),
+        (AFTER_LIMIT, RESUMES, "Faulted: RigFaulted(FarLimit)"),
+        (&[Panicked], RESUMES, "Faulted: RigFaulted(Panic)"),
+        // The button.
+        (&[Unhomed], BUTTONS, "Homing Start -112000..0"),
+        (&[ReadyOut], BUTTONS, "Homing Start -8000..4000"),
+        (&[Ready], &[Button], "Running Start RunStarted 0..104000"),
+        (&[Ready], &[ButtonNoPlan], "Ready: TooSlow"),
+        (HOMING, BUTTONS, "Stopping StopPath"),
+        (RUNNING, BUTTONS, "Stopping StopPath"),
+        (MOVING, BUTTONS, "Stopping StopPath"),
+        (HELD, BUTTONS, "Running Start Resumed 0..104000"),
+        (STOPPING, BUTTONS, "Stopping: RigBusy(Stopping)"),
+        (AFTER_LIMIT, BUTTONS, "Faulted: RigFaulted(FarLimit)"),
+        (&[Panicked], BUTTONS, "Faulted: AcknowledgeFirst"),
         // Acknowledge.
         (&[Unhomed], &[Acknowledge], "Unhomed: NothingToAcknowledge"),
         (HOMING, &[Acknowledge], "Homing: NothingToAcknowledge"),
-        (&[Ready], &[Acknowledge], "Ready: NothingToAcknowledge"),
+        (READY, &[Acknowledge], "Ready: NothingToAcknowledge"),
         (RUNNING, &[Acknowledge], "Running: NothingToAcknowledge"),
+        (HELD, &[Acknowledge], "Held: NothingToAcknowledge"),
+        (MOVING, &[Acknowledge], "Moving: NothingToAcknowledge"),
         (STOPPING, &[Acknowledge], "Stopping: NothingToAcknowledge"),
-        (&[Faulted, Panicked], &[Acknowledge], "Unhomed"),
+        (&[Faulted, FaultedHeld, Panicked], &[Acknowledge], "Unhomed"),
         (
             &[FaultedMoving],
             &[Acknowledge],
@@ -1069,19 +1347,60 @@ mod table {
         ),
         // Homing: the edge that a phase looks for ends its move, its end begins the next one.
         (HOMING, STROKES, "Homing"),
-        (HOMING, &[Stop, LinkSilent], "Stopping StopPath"),
+        (HOMING, &[Stop], "Stopping StopPath"),
+        (BY_HOST, &[LinkSilent], "Stopping StopPath"),
+        (&[HomingByButton], &[LinkSilent], "Homing"),
+        (HOMING, &[TickInTime], "Homing"),
+        (&[Clear], &[TickLate], "HomingTimeout(Clear) Cut Faulted"),
+        (
+            &[Seek, SeekFound, HomingByButton],
+            &[TickLate],
+            "HomingTimeout(Seek) Cut Faulted",
+        ),
+        (
+            &[PullOff],
+            &[TickLate],
+            "HomingTimeout(PullOff) Cut Faulted",
+        ),
+        (
+            &[Locate, LocateFound],
+            &[TickLate],
+            "HomingTimeout(Locate) Cut Faulted",
+        ),
+        (&[ToZero], &[TickLate], "HomingTimeout(ToZero) Cut Faulted"),
         (&[Clear], &[FlagCloses], "Homing StopPath"),
         (&[Clear], OPENINGS, "Homing"),
         (&[Clear, PullOff], FINE_ENDS, "FlagStuck Cut Faulted"),
-        (&[Seek, Locate], OPENINGS, "Homing StopPath"),
-        (&[Seek, Locate], &[FlagCloses], "Homing"),
-        (&[Seek], FINE_ENDS, "FlagNotFound(Seek) Cut Faulted"),
+        (&[Seek, HomingByButton, Locate], OPENINGS, "Homing StopPath"),
+        (&[Seek, HomingByButton, Locate], &[FlagCloses], "Homing"),
+        (
+            &[Seek, HomingByButton],
+            FINE_ENDS,
+            "FlagNotFound(Seek) Cut Faulted",
+        ),
         (&[Locate], FINE_ENDS, "FlagNotFound(Locate) Cut Faulted"),
         (&[SeekFound, PullOff, LocateFound, ToZero], EDGES, "Homing"),
-        (&[SeekFound], FINE_ENDS, "Homing Start 0..2410"),
-        (&[LocateFound], FINE_ENDS, "Homing SetPosition Start 0..790"),
+        (&[SeekFound], &[Complete, Stopped], "Homing Start 0..2410"),
+        (&[SeekFound], &[StoppedFar], "Homing Start 2410..4000"),
+        (&[SeekFound], &[StoppedNear], "Homing Start 500..2410"),
+        (
+            &[LocateFound],
+            &[Complete, Stopped],
+            "Homing SetPosition Start 0..790",
+        ),
+        (
+            &[LocateFound],
+            &[StoppedFar],
+            "Homing SetPosition Start 0..4790",
+        ),
+        (
+            &[LocateFound],
+            &[StoppedNear],
+            "Homing SetPosition Start 0..1290",
+        ),
         (&[ToZero], FINE_ENDS, "Ready Homed"),
         // Runs: the flag counts on the way home, once.
+        (RUNNING, TICKS, "Running"),
         (&[Away, BackMet, Finish], EDGES, "Running"),
         (&[Back], &[FlagOpens, FlagCloses], "Running"),
         (&[Back], &[FlagOpensLate], "Stopping StopPath"),
@@ -1100,24 +1419,86 @@ mod table {
             &[StrokeDone, Complete],
             "LostSteps { residual_steps: -800 } Cut RunEnded Faulted",
         ),
-        (RUNNING, &[Stopped], "Ready RunEnded Stopped"),
+        (RUNNING, STOPPED, "Ready RunEnded Stopped"),
         (RUNNING, &[Stop], "Stopping StopPath"),
         (&[Away, Back, BackMet], &[LinkSilent], "Stopping StopPath"),
         (&[Finish], &[LinkSilent], "Running"),
+        // A held run can be given up.
+        (HELD, &[Stop], "Ready RunEnded Stopped"),
+        // Moves: the flag and strokes are none of theirs; only a jog has a time.
+        (MOVING, EDGES, "Moving"),
+        (MOVING, STROKES, "Moving"),
+        (MOVING, FINE_ENDS, "Ready Moved"),
+        (MOVING, &[LinkSilent, Stop], "Stopping StopPath"),
+        (MOVING, &[TickInTime], "Moving"),
+        (&[Moving], &[TickLate], "Moving"),
+        (&[Jogging], &[TickLate], "Stopping StopPath"),
         // Stopping.
-        (STOPPING, EDGES, "Stopping"),
+        (
+            &[
+                StopHoming,
+                StopRun,
+                StopLost,
+                StopMove,
+                StopHoldOut,
+                StopHoldMet,
+            ],
+            EDGES,
+            "Stopping",
+        ),
+        (STOPPING, TICKS, "Stopping"),
         (STOPPING, &[LinkSilent, Stop], "Stopping"),
-        (&[StopHoming], STROKES, "Stopping"),
-        (&[StopRun, StopLost], &[StrokeDone], "Stopping StrokeDone"),
+        (&[StopHoming, StopMove], STROKES, "Stopping"),
+        (
+            &[StopRun, StopLost, StopHoldOut, StopHoldMet],
+            &[StrokeDone],
+            "Stopping StrokeDone",
+        ),
         (&[StopHoming], FINE_ENDS, "Unhomed Stopped"),
-        (&[StopRun], &[Stopped], "Ready RunEnded Stopped"),
+        (&[StopMove], FINE_ENDS, "Ready Stopped"),
+        (&[StopRun], STOPPED, "Ready RunEnded Stopped"),
         (&[StopRun], &[Complete], "Ready StrokeDone RunEnded Stopped"),
         (
             &[StopLost],
             FINE_ENDS,
             "LostSteps { residual_steps: -100 } Cut RunEnded Faulted",
         ),
+        // Stopping to be held: the ledger goes on; behind the flag it has to have been met.
+        (&[StopHoldOut], STOPPED, "Held Held"),
+        (&[StopHoldOut], &[Complete], "Ready StrokeDone RunEnded"),
+        (&[StopHoldBack], &[FlagOpens, FlagCloses], "Stopping"),
+        (&[StopHoldBack], &[FlagOpensLate], "Stopping StopPath"),
+        (&[StopHoldBack], &[StoppedFar], "Held Held"),
+        (
+            &[StopHoldBack],
+            &[StoppedNear],
+            "LostSteps { residual_steps: -300 } Cut RunEnded Faulted",
+        ),
+        (
+            &[StopHoldBack],
+            &[StrokeDone, Complete, Stopped],
+            "LostSteps { residual_steps: -800 } Cut RunEnded Faulted",
+        ),
+        (&[StopHoldMet], &[StoppedFar, StoppedNear], "Held Held"),
+        // It stood at the end of the last stroke already: the run is complete.
+        (
+            &[StopHoldMet],
+            &[Complete, Stopped],
+            "Ready StrokeDone RunEnded",
+        ),
     ];
+
+    /// Only a command starts something, and only where the rig is at rest and not faulted; without a reference it
+    /// is homing. Homing alone goes on by itself.
+    fn may_start(start: Start, input: Input) -> bool {
+        match input {
+            Home | Button | ButtonNoPlan if start == Unhomed => true,
+            Home | Run | JogSame | JogOther | MoveTo => READY.contains(&start),
+            Button | ButtonNoPlan => READY.contains(&start) || HELD.contains(&start),
+            Resume => HELD.contains(&start),
+            _ => BY_HOST.contains(&start) && FINE_ENDS.contains(&input),
+        }
+    }
 
     #[test]
     fn every_pair_of_state_and_input_is_in_the_table() {
@@ -1130,7 +1511,9 @@ mod table {
             for input in INPUTS {
                 match sample(input) {
                     Sample::Event(event) => assert!(inputs_of_event(&event).contains(&input)),
-                    Sample::Command(command) => assert_eq!(input_of_command(&command), input),
+                    Sample::Command(command) => {
+                        assert!(inputs_of_command(&command).contains(&input));
+                    }
                 }
                 let rows: Vec<_> = TABLE
                     .iter()
@@ -1140,6 +1523,9 @@ mod table {
                     .map(|(_, _, expected)| *expected)
                     .collect();
                 let outcome = outcome(start, input);
+                if outcome.contains(" Start ") {
+                    assert!(may_start(start, input), "{start:?} {input:?}");
+                }
                 if rows != [outcome.as_str()] {
                     wrong += &format!("{start:?} {input:?}: {outcome}, in the table {rows:?}\n");
                 }
