@@ -1,0 +1,266 @@
+//! A bad line and a line that falls silent, in every state of the rig.
+
+mod common;
+
+use common::{Dice, LIMIT_NS, Recorder, RigRun, exact, home_quickly, paper, quick, rig};
+use host_tool::{
+    client::{Device, Unobserved},
+    error::ClientError,
+};
+use protocol::{
+    rig::{
+        Hold, Jog, LinkLossPolicy, MoveTo, Resume, RigFault, RigState, Run, RunOutcome, RunRecord,
+        Sense,
+    },
+    system::{DeviceKind, Urgent},
+};
+use virtual_bench::{link::VirtualLink, serial::ByteFault, verdicts::Verdict};
+
+/// One byte in a thousand is changed, half of those lost, in both directions and for a whole run with telemetry.
+#[test]
+fn a_byte_in_a_thousand_is_garbled_and_the_run_is_executed_once() {
+    let seed = 0x5EED_6A2B;
+    let mut dice = Dice(seed);
+    let mut rig = common::homed();
+    rig.device.set_telemetry(20).expect("telemetry");
+    let mut faults = Vec::new();
+    for number in 0..60_000_u64 {
+        for to_machine in [false, true] {
+            if dice.roll(0..1_000) == 0 {
+                let fault = match dice.roll(0..2) {
+                    0 => ByteFault::Lost,
+                    _ => ByteFault::Flipped(dice.roll(1..256) as u8),
+                };
+                faults.push((to_machine, number, fault));
+            }
+        }
+    }
+    rig.bench
+        .visit(move |visit| {
+            let mut serial = visit.serial();
+            let (taken, sent) = serial.counts();
+            for (to_machine, number, fault) in faults {
+                if to_machine {
+                    serial.spoil_to_machine(taken + number, fault);
+                } else {
+                    serial.spoil_from_machine(sent + number, fault);
+                }
+            }
+        })
+        .expect("the bench runs");
+    let first = rig.edge_count();
+    let mut recorder = Recorder::default();
+    let accepted = rig.device.run(paper(2)).expect("the run is accepted");
+    let record = rig
+        .device
+        .wait_run(&accepted, &mut recorder)
+        .unwrap_or_else(|error| panic!("seed {seed:#x}: {error}\n{}", rig.log()));
+    assert_eq!(
+        (accepted.run, record.run, record.outcome),
+        (1, 1, RunOutcome::Complete),
+        "seed {seed:#x}"
+    );
+    Verdict::of(&exact(2), &rig.edges(first))
+        .check(LIMIT_NS)
+        .unwrap_or_else(|why| panic!("seed {seed:#x}: {why}"));
+    assert!(rig.device.rejected_frames() > 5, "the faults were not met");
+    assert!(
+        recorder.samples.len() > 600,
+        "{} samples",
+        recorder.samples.len()
+    );
+    rig.check_clean(0);
+}
+
+/// Where the silence begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Before {
+    Unhomed,
+    Homing,
+    Ready,
+    RunningToStop,
+    RunningToFinish,
+    Stopping,
+    Held,
+    MovingTo,
+    Jogging,
+    Faulted,
+}
+
+impl Before {
+    /// Each state, and what three seconds of silence leave: state and fault.
+    const ALL: [(Self, RigState, Option<RigFault>); 10] = [
+        (Self::Unhomed, RigState::Unhomed, None),
+        (Self::Homing, RigState::Unhomed, None),
+        (Self::Ready, RigState::Ready, None),
+        (Self::RunningToStop, RigState::Ready, None),
+        (Self::RunningToFinish, RigState::Ready, None),
+        (Self::Stopping, RigState::Ready, None),
+        (Self::Held, RigState::Held, None),
+        (Self::MovingTo, RigState::Ready, None),
+        (Self::Jogging, RigState::Ready, None),
+        (Self::Faulted, RigState::Faulted, Some(RigFault::EStopFrame)),
+    ];
+
+    /// Brings a rig there, and says nothing more.
+    fn reach(self) -> RigRun {
+        let mut rig = rig();
+        if self == Self::Unhomed {
+            return rig;
+        }
+        if self == Self::Homing {
+            // Slow enough to be still on its way when the silence is noticed.
+            rig.device
+                .call(protocol::settings::Setting {
+                    key: protocol::settings::SettingKey::SeekUmS,
+                    value: 5_000,
+                })
+                .expect("accepted");
+            rig.device.home().expect("homing is accepted");
+            return rig;
+        }
+        home_quickly(&mut rig);
+        rig.home();
+        match self {
+            Self::Unhomed | Self::Homing | Self::Ready => {}
+            Self::MovingTo => {
+                let there = MoveTo {
+                    position_um: 100_000,
+                    speed_um_s: 20_000,
+                };
+                rig.device.call(there).expect("the move is accepted");
+            }
+            Self::Jogging => {
+                let jog = Jog {
+                    sense: Sense::Away,
+                    speed_um_s: 20_000,
+                };
+                rig.device.call(jog).expect("the jog is accepted");
+            }
+            Self::RunningToStop
+            | Self::RunningToFinish
+            | Self::Stopping
+            | Self::Held
+            | Self::Faulted => {
+                let link_loss = if self == Self::RunningToFinish {
+                    LinkLossPolicy::Finish
+                } else {
+                    LinkLossPolicy::Stop
+                };
+                rig.device
+                    .run(Run {
+                        link_loss,
+                        ..quick(1, 40_000, 30_000, 300_000)
+                    })
+                    .expect("the run is accepted");
+                rig.device
+                    .idle(600_000, &mut Unobserved)
+                    .expect("the link stays");
+            }
+        }
+        match self {
+            Self::Stopping => rig.device.urgent(Urgent::Stop).expect("an answer"),
+            Self::Faulted => rig.device.urgent(Urgent::EStop).expect("an answer"),
+            Self::Held => {
+                rig.device.call(Hold).expect("it holds");
+                let state = (0..20).map(|_| {
+                    rig.device
+                        .idle(50_000, &mut Unobserved)
+                        .expect("the link stays");
+                    rig.device.rig_status().expect("a status").state
+                });
+                assert!(state.into_iter().any(|state| state == RigState::Held));
+            }
+            _ => {}
+        }
+        rig
+    }
+
+    fn outcome(self) -> Option<RunOutcome> {
+        match self {
+            Self::RunningToStop => Some(RunOutcome::LinkLost),
+            Self::RunningToFinish => Some(RunOutcome::Complete),
+            Self::Stopping => Some(RunOutcome::Stopped),
+            Self::Faulted => Some(RunOutcome::Faulted(RigFault::EStopFrame)),
+            Self::Held => Some(RunOutcome::Running),
+            _ => None,
+        }
+    }
+}
+
+/// The silence ends as documented; opening the port again and saying Hello moves nothing.
+#[test]
+fn silence_in_every_state_ends_as_documented_and_reconnecting_moves_nothing() {
+    for (before, state, fault) in Before::ALL {
+        let mut rig = before.reach();
+        let silent = rig.edge_count();
+        rig.bench.advance_us(3_500_000).expect("the bench runs");
+        let edges = rig.edge_count();
+        let moved = edges > silent;
+        let may_move = matches!(
+            before,
+            Before::Homing
+                | Before::RunningToStop
+                | Before::RunningToFinish
+                | Before::MovingTo
+                | Before::Jogging
+        );
+        if before != Before::Stopping {
+            assert_eq!(moved, may_move, "{before:?}: {silent} to {edges} edges");
+        }
+        let link = Box::new(VirtualLink::new(&rig.bench, "virtual rig"));
+        rig.device = Device::connect(link, DeviceKind::Rig, 77).expect("it answers");
+        rig.device
+            .idle(500_000, &mut Unobserved)
+            .expect("the link stays");
+        assert_eq!(rig.edge_count(), edges, "{before:?}: it moved");
+        let status = rig.device.rig_status().expect("a status");
+        assert_eq!(
+            (status.state, status.fault),
+            (state, fault),
+            "{before:?}\n{}",
+            rig.log()
+        );
+        if status.homed {
+            assert_eq!(
+                i64::from(status.position_steps),
+                rig.carriage(),
+                "{before:?}"
+            );
+        }
+        if let Some(expected) = before.outcome() {
+            let record = rig.device.run_record().expect("a record");
+            assert_eq!(record.outcome, expected, "{before:?}");
+        }
+        if before == Before::Jogging {
+            // 300 ms of dead-man time and the braking.
+            assert!(
+                (1..=8_000).contains(&rig.carriage()),
+                "{} steps",
+                rig.carriage()
+            );
+        }
+        if before == Before::Held {
+            resumed(&mut rig);
+        }
+        rig.check_clean(0);
+    }
+}
+
+fn resumed(rig: &mut RigRun) {
+    rig.device.call(Resume).expect("it goes on");
+    let ended: Result<RunRecord, ClientError> = loop {
+        rig.device
+            .idle(200_000, &mut Unobserved)
+            .expect("the link stays");
+        let record = rig.device.run_record();
+        if !matches!(&record, Ok(record) if record.outcome == RunOutcome::Running) {
+            break record;
+        }
+    };
+    let record = ended.expect("a record");
+    assert_eq!(
+        (record.outcome, record.counted_edges, rig.carriage()),
+        (RunOutcome::Complete, 64_000, 0)
+    );
+}
