@@ -1106,12 +1106,10 @@ impl Machine {
         actions: &mut Actions,
     ) {
         let missing = match homing.phase {
+            // The edge that was found may be that of the cable.
+            _ if inputs.home_flag && inputs.far_limit => Some(RigFault::BothSwitchesOpen),
             HomingPhase::Clear | HomingPhase::PullOff => {
-                homing.flag_open.then_some(if inputs.far_limit {
-                    RigFault::BothSwitchesOpen
-                } else {
-                    RigFault::FlagStuck
-                })
+                homing.flag_open.then_some(RigFault::FlagStuck)
             }
             HomingPhase::Seek => homing
                 .seek

@@ -149,7 +149,7 @@ impl Rig {
         self.path.is_some()
     }
 
-    fn perform(&mut self, actions: Actions) {
+    pub fn perform(&mut self, actions: Actions) {
         for action in actions {
             match action {
                 Action::Start { path, window } => {

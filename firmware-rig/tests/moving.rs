@@ -1,0 +1,484 @@
+//! Jog, move, start button, time-outs, and changes of the settings while the rig is in use.
+
+mod carriage;
+
+use carriage::{Rig, run};
+use firmware_rig::{
+    commands::press_button,
+    machine::{Actions, Command, Event},
+    settings::{Settings, Values},
+};
+use motion::{axis::Direction, units::Steps};
+use protocol::{
+    error::Refusal,
+    rig::{HomingPhase, LinkLossPolicy, RigEvent, RigFault, RigState, RunOutcome},
+    settings::SettingKey,
+};
+
+const SETTINGS: Settings = Settings::REFERENCE;
+
+fn jog(direction: Direction, um_s: u32) -> Command {
+    let speed = SETTINGS.speed(um_s).unwrap();
+    Command::Jog { direction, speed }
+}
+
+fn move_to(steps: u32, um_s: u32) -> Command {
+    Command::MoveTo {
+        target: SETTINGS.axis.position(Steps(steps)).unwrap(),
+        speed: SETTINGS.speed(um_s).unwrap(),
+    }
+}
+
+/// At rest somewhere in the stroke.
+fn rig_at(steps: u32) -> Rig {
+    let mut rig = Rig::homed(SETTINGS);
+    if steps > 0 {
+        rig.command(move_to(steps, 40_000)).unwrap();
+        rig.finish();
+    }
+    assert_eq!((rig.place, rig.counted), (steps as i32, steps as i32));
+    rig.events.clear();
+    rig.windows.clear();
+    rig
+}
+
+/// Device time, 10 ns each.
+const MS: u64 = 100_000;
+
+/// Executes for so long.
+fn run_for(rig: &mut Rig, ticks: u64) {
+    let until = rig.now + ticks;
+    while rig.now < until && rig.moving() {
+        rig.step();
+    }
+}
+
+mod jogging {
+    use super::*;
+
+    /// Repeated every 250 ms it goes on; 300 ms after the last one it brakes.
+    #[test]
+    fn goes_on_while_it_is_repeated() {
+        let mut rig = rig_at(40_000);
+        for _ in 0..8 {
+            rig.command(jog(Direction::Away, 10_000)).unwrap();
+            run_for(&mut rig, 250 * MS);
+            assert_eq!(rig.machine.state(), RigState::Moving);
+        }
+        assert_eq!(rig.windows, [(40_000, 104_000)], "one path");
+        let (last, place) = (rig.now - 250 * MS, rig.place);
+        rig.finish();
+        assert_eq!(rig.machine.state(), RigState::Ready);
+        let position_steps = rig.counted;
+        assert_eq!(rig.events, [RigEvent::Stopped { position_steps }]);
+        // Noticed within control's 10 ms; 10 mm/s and 1,000 mm/s2 take 10 ms and 40 steps to rest.
+        let end = rig.last_pulse - last;
+        assert!((300 * MS..=321 * MS).contains(&end), "{end}");
+        let way = rig.place - place;
+        assert!((400 + 40..=400 + 80 + 41).contains(&way), "{way}");
+    }
+
+    #[test]
+    fn ends_at_the_ends_of_the_stroke() {
+        for (from, direction, end) in [
+            (103_000, Direction::Away, 104_000),
+            (1_000, Direction::Home, 0),
+        ] {
+            let mut rig = rig_at(from);
+            while rig.place != end {
+                rig.command(jog(direction, 49_000)).unwrap();
+                run_for(&mut rig, 50 * MS);
+            }
+            rig.finish();
+            assert_eq!((rig.place, rig.fault()), (end, None));
+            let position_steps = end;
+            assert_eq!(rig.events, [RigEvent::Moved { position_steps }]);
+            assert_eq!(
+                rig.command(jog(direction, 1_000)),
+                Err(Refusal::AlreadyThere)
+            );
+        }
+    }
+
+    /// To turn round or to change the speed it has to come to rest first: release, then jog again.
+    #[test]
+    fn another_jog_is_refused_while_it_moves() {
+        let mut rig = rig_at(40_000);
+        rig.command(jog(Direction::Away, 10_000)).unwrap();
+        run_for(&mut rig, 100 * MS);
+        let busy = Err(Refusal::RigBusy(RigState::Moving));
+        for other in [
+            jog(Direction::Home, 10_000),
+            jog(Direction::Away, 10_001),
+            move_to(0, 10_000),
+            Command::Home,
+        ] {
+            assert_eq!(rig.command(other), busy);
+        }
+        // Refused ones do not renew it.
+        run_for(&mut rig, 190 * MS);
+        assert_eq!(rig.command(jog(Direction::Home, 10_000)), busy);
+        rig.finish();
+        assert!(rig.place < 40_000 + 10 * 800 * 330 / 1_000);
+        rig.command(jog(Direction::Home, 10_000)).unwrap();
+        run_for(&mut rig, 100 * MS);
+        assert_eq!(rig.machine.state(), RigState::Moving);
+    }
+
+    #[test]
+    fn the_time_is_that_of_the_last_jog() {
+        let mut rig = rig_at(0);
+        rig.command(jog(Direction::Away, 1_000)).unwrap();
+        rig.finish();
+        // Much later: the old time is not the new one's.
+        rig.wait(100_000 * MS);
+        rig.command(jog(Direction::Away, 1_000)).unwrap();
+        run_for(&mut rig, 290 * MS);
+        assert_eq!(rig.machine.state(), RigState::Moving);
+    }
+}
+
+mod moves {
+    use super::*;
+
+    #[test]
+    fn reach_their_target_exactly() {
+        let mut rig = rig_at(0);
+        let mut from = 0_i32;
+        for to in [1, 0, 104_000, 2, 800, 799, 50_000, 0] {
+            for speed in [500, 49_000] {
+                if rig.counted == to {
+                    continue;
+                }
+                if from.abs_diff(to) > 10_000 && speed == 500 {
+                    continue; // minutes
+                }
+                rig.command(move_to(to as u32, speed)).unwrap();
+                assert_eq!(rig.machine.state(), RigState::Moving);
+                rig.finish();
+                assert_eq!((rig.place, rig.counted), (to, to));
+                let position_steps = to;
+                assert_eq!(rig.events.pop(), Some(RigEvent::Moved { position_steps }));
+                assert_eq!(rig.windows.pop(), Some((from.min(to), from.max(to))));
+                from = to;
+            }
+        }
+        assert_eq!((rig.machine.state(), rig.fault()), (RigState::Ready, None));
+        // From there a run starts as ever.
+        rig.command(run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop))
+            .unwrap();
+    }
+
+    /// A move is not the host's last word for long: silence stops it, whatever the run before allowed.
+    #[test]
+    fn stop_when_the_host_falls_silent_or_says_so() {
+        for stop in [
+            (|rig| rig.event(Event::LinkSilent)) as fn(&mut Rig),
+            |rig| rig.command(Command::Stop).unwrap(),
+            |rig| rig.command(Command::Button(None)).unwrap(),
+        ] {
+            for command in [move_to(50_000, 10_000), jog(Direction::Away, 10_000)] {
+                let mut rig = rig_at(0);
+                rig.command(command).unwrap();
+                rig.pulses(1_000);
+                stop(&mut rig);
+                assert_eq!(rig.machine.state(), RigState::Stopping);
+                rig.finish();
+                assert_eq!(rig.machine.state(), RigState::Ready);
+                assert!(rig.machine.homed());
+                assert_eq!(rig.place, 1_041, "40 steps, and the one that was prepared");
+                let position_steps = rig.counted;
+                assert_eq!(rig.events, [RigEvent::Stopped { position_steps }]);
+                // No run, no record.
+                assert_eq!(rig.machine.record().outcome, RunOutcome::None);
+            }
+        }
+    }
+
+    #[test]
+    fn end_in_a_fault_as_runs_do() {
+        type Mishap = fn(&mut Rig);
+        let mishaps: [(Mishap, RigFault); 3] = [
+            (Rig::press, RigFault::EStopLoop),
+            (
+                |rig| rig.command(Command::EStop).unwrap(),
+                RigFault::EStopFrame,
+            ),
+            (|rig| rig.event(Event::FarLimit), RigFault::FarLimit),
+        ];
+        for (mishap, fault) in mishaps {
+            let mut rig = rig_at(1_000);
+            rig.command(move_to(50_000, 10_000)).unwrap();
+            rig.pulses(1_000);
+            mishap(&mut rig);
+            assert_eq!((rig.fault(), rig.place), (Some(fault), 2_000));
+            assert!(!rig.machine.homed() && !rig.moving());
+            assert_eq!(rig.events, [RigEvent::Faulted(fault)]);
+        }
+        let mut rig = rig_at(1_000);
+        rig.jumper_cut = true;
+        rig.command(move_to(3_000, 10_000)).unwrap();
+        rig.finish();
+        assert_eq!(
+            rig.fault(),
+            Some(RigFault::ReadBack {
+                commanded: 3_000,
+                counted: 1_000
+            })
+        );
+    }
+
+    #[test]
+    fn are_refused_where_they_cannot_be() {
+        let mut rig = Rig::new(SETTINGS, 5_000);
+        for command in [move_to(10, 1_000), jog(Direction::Away, 1_000)] {
+            assert_eq!(rig.command(command), Err(Refusal::NotHomed));
+        }
+        let mut rig = rig_at(5_000);
+        assert_eq!(
+            rig.command(move_to(5_000, 1_000)),
+            Err(Refusal::AlreadyThere)
+        );
+        // An open far limit: home is the way out.
+        rig.far_wire_cut = true;
+        let limit = Err(Refusal::RigFaulted(RigFault::FarLimit));
+        assert_eq!(rig.command(move_to(5_001, 1_000)), limit);
+        assert_eq!(rig.command(jog(Direction::Away, 1_000)), limit);
+        rig.command(move_to(4_999, 1_000)).unwrap();
+        rig.finish();
+        assert_eq!((rig.place, rig.fault()), (4_999, None));
+    }
+}
+
+mod homing {
+    use super::*;
+
+    #[test]
+    fn that_takes_too_long_is_a_fault() {
+        let settings = Settings {
+            homing_timeout_us: 5_000_000,
+            ..SETTINGS
+        };
+        // 100 mm at 20 mm/s take longer, 90 mm with all phases do not.
+        let mut rig = Rig::new(settings, 80_800);
+        rig.command(Command::Home).unwrap();
+        rig.finish();
+        let fault = RigFault::HomingTimeout(HomingPhase::Seek);
+        assert_eq!((rig.fault(), rig.machine.homed()), (Some(fault), false));
+        assert!((5_000 * MS..=5_010 * MS).contains(&rig.now));
+        let mut rig = Rig::new(settings, 20_000);
+        rig.command(Command::Home).unwrap();
+        rig.finish();
+        assert_eq!((rig.fault(), rig.place), (None, 0));
+        // The time counts from the beginning of each homing.
+        rig.wait(100_000 * MS);
+        rig.command(Command::Home).unwrap();
+        rig.finish();
+        assert_eq!((rig.fault(), rig.place), (None, 0));
+    }
+
+    /// The cable is pulled while the carriage looks for the flag: both switches open at once.
+    #[test]
+    fn with_both_switches_open_is_a_fault() {
+        for phase in 1..=5 {
+            let mut rig = Rig::new(SETTINGS, 0);
+            rig.command(Command::Home).unwrap();
+            while rig.windows.len() < phase {
+                rig.step();
+            }
+            rig.pulses(3);
+            (rig.stuck_flag, rig.far_wire_cut) = (Some(true), true);
+            rig.finish();
+            // Not the cable's edge for the flag's in the second pass.
+            assert_eq!(rig.fault(), Some(RigFault::BothSwitchesOpen), "{phase}");
+            assert!(!rig.machine.homed());
+            for command in [Command::Home, Command::Button(None)] {
+                assert!(rig.command(command).is_err());
+            }
+            assert!(!rig.moving());
+        }
+    }
+}
+
+mod button {
+    use super::*;
+
+    fn press(rig: &mut Rig, values: &Values) -> Result<(), Refusal> {
+        let mut actions = Actions::new();
+        let (now_us, inputs) = (rig.now / 100, rig.inputs());
+        let result = press_button(
+            &mut rig.machine,
+            values,
+            now_us,
+            rig.counted,
+            inputs,
+            &mut actions,
+        );
+        rig.perform(actions);
+        result
+    }
+
+    fn values(changes: &[(SettingKey, u32)]) -> Values {
+        changes
+            .iter()
+            .fold(Values::DEFAULT, |values, (key, value)| {
+                values.with(*key, *value).unwrap().0
+            })
+    }
+
+    /// Home, run, home again, run: a rig without a host.
+    #[test]
+    fn homes_and_runs_without_a_host() {
+        let values = values(&[
+            (SettingKey::ButtonCycles, 2),
+            (SettingKey::ButtonStrokeUm, 5_000),
+            (SettingKey::ButtonTotalMs, 2_000),
+        ]);
+        let mut rig = Rig::new(SETTINGS, 30_000);
+        press(&mut rig, &values).unwrap();
+        assert_eq!(rig.machine.state(), RigState::Homing);
+        rig.event(Event::LinkSilent);
+        rig.finish();
+        assert_eq!((rig.machine.state(), rig.place), (RigState::Ready, 0));
+        press(&mut rig, &values).unwrap();
+        assert_eq!(rig.machine.state(), RigState::Running);
+        rig.pulses(1_000);
+        rig.event(Event::LinkSilent);
+        rig.finish();
+        let record = *rig.machine.record();
+        assert_eq!(record.outcome, RunOutcome::Complete);
+        assert_eq!((record.strokes, record.counted_edges), (4, 16_000));
+        assert_eq!(record.ticks, 2_000 * MS);
+        // Stopped away from 0 it homes first.
+        press(&mut rig, &values).unwrap();
+        rig.pulses(1_000);
+        press(&mut rig, &values).unwrap();
+        assert_eq!(rig.machine.state(), RigState::Stopping);
+        assert_eq!(
+            press(&mut rig, &values),
+            Err(Refusal::RigBusy(RigState::Stopping))
+        );
+        rig.finish();
+        assert_eq!(rig.machine.record().outcome, RunOutcome::Stopped);
+        press(&mut rig, &values).unwrap();
+        assert_eq!(rig.machine.state(), RigState::Homing);
+        press(&mut rig, &values).unwrap();
+        rig.finish();
+        assert_eq!(rig.machine.state(), RigState::Unhomed);
+    }
+
+    #[test]
+    fn does_nothing_after_a_fault() {
+        let mut rig = Rig::homed(SETTINGS);
+        rig.press();
+        for pressed in [true, false] {
+            rig.pressed = pressed;
+            let refusal = Refusal::RigFaulted(RigFault::EStopLoop);
+            assert_eq!(press(&mut rig, &Values::DEFAULT), Err(refusal));
+            assert!(!rig.moving());
+        }
+    }
+
+    /// 130 mm in 20 s need more than 49 mm/s: the rig does not run, but it homes.
+    #[test]
+    fn runs_nothing_impossible() {
+        let values = values(&[(SettingKey::ButtonTotalMs, 20_000)]);
+        let mut rig = Rig::homed(SETTINGS);
+        assert_eq!(press(&mut rig, &values), Err(Refusal::TooSlow));
+        assert!(!rig.moving());
+        rig.command(move_to(10, 1_000)).unwrap();
+        rig.finish();
+        press(&mut rig, &values).unwrap();
+        assert_eq!(rig.machine.state(), RigState::Homing);
+    }
+
+    #[test]
+    fn runs_the_papers_run_by_default() {
+        let mut rig = Rig::homed(SETTINGS);
+        press(&mut rig, &Values::DEFAULT).unwrap();
+        assert_eq!(rig.machine.strokes(), 10);
+        rig.pulses(100);
+        press(&mut rig, &Values::DEFAULT).unwrap();
+    }
+}
+
+mod settings {
+    use super::*;
+
+    #[test]
+    fn stay_while_something_moves_or_is_held() {
+        let start = run(&SETTINGS, 1, 10_000, LinkLossPolicy::Stop);
+        let ways: [(&[Command], RigState); 6] = [
+            (&[Command::Home], RigState::Homing),
+            (&[start], RigState::Running),
+            (&[move_to(100, 1_000)], RigState::Moving),
+            (&[start, Command::Stop], RigState::Stopping),
+            (&[start, Command::Hold], RigState::Stopping),
+            (&[start, Command::Hold], RigState::Held),
+        ];
+        for (commands, state) in ways {
+            let mut rig = Rig::homed(SETTINGS);
+            assert_eq!(rig.machine.may_change_settings(), Ok(()));
+            for command in commands {
+                rig.command(*command).unwrap();
+                rig.pulses(10);
+            }
+            if state == RigState::Held {
+                rig.finish();
+            }
+            assert_eq!(rig.machine.state(), state);
+            let busy = Err(Refusal::RigBusy(state));
+            assert_eq!(rig.machine.may_change_settings(), busy);
+        }
+        // Also after a fault, as soon as the path has ended.
+        let mut rig = Rig::homed(SETTINGS);
+        rig.command(start).unwrap();
+        rig.pulses(10);
+        rig.machine.event(Event::LoopOpened, rig.inputs());
+        let busy = Err(Refusal::RigBusy(RigState::Faulted));
+        assert_eq!(rig.machine.may_change_settings(), busy);
+        rig.press();
+        assert_eq!(rig.machine.state(), RigState::Faulted);
+        assert_eq!(rig.machine.may_change_settings(), Ok(()));
+    }
+
+    /// What changes the meaning of a position makes it unknown; nothing else does.
+    #[test]
+    fn unhome_where_positions_change_their_meaning() {
+        for key in SettingKey::ALL {
+            let value = match key {
+                SettingKey::FullSteps => 400,
+                SettingKey::Microsteps => 8,
+                SettingKey::TelemetryMs => 10,
+                SettingKey::StepPulseNs => 1_500,
+                SettingKey::MaxStepHz => 200_000,
+                SettingKey::SwitchFilterUs => 20,
+                _ => key.range().default - 1,
+            };
+            let (_, settings) = Values::DEFAULT.with(key, value).unwrap();
+            let unhomes = matches!(
+                key,
+                SettingKey::LeadUm
+                    | SettingKey::FullSteps
+                    | SettingKey::Microsteps
+                    | SettingKey::StrokeUm
+                    | SettingKey::FlagUm
+            );
+            let mut rig = Rig::homed(SETTINGS);
+            rig.machine.set_settings(settings);
+            assert_eq!(rig.machine.homed(), !unhomes, "{}", key.name());
+            let state = if unhomes {
+                RigState::Unhomed
+            } else {
+                RigState::Ready
+            };
+            assert_eq!(rig.machine.state(), state);
+            assert_eq!(*rig.machine.settings(), settings);
+            // A latched fault stays, whatever is set.
+            let mut rig = Rig::homed(SETTINGS);
+            rig.press();
+            rig.machine.set_settings(settings);
+            assert_eq!(rig.fault(), Some(RigFault::EStopLoop));
+        }
+    }
+}
