@@ -4,7 +4,9 @@
 use std::hint::black_box;
 use std::time::Instant;
 
+use locomotion::comparison::{frictions, pressures_pa};
 use locomotion::{folded, roller, tube};
+use rayon::prelude::*;
 
 /// Best of several rounds, in microseconds per call.
 fn microseconds(rounds: u32, mut work: impl FnMut()) -> f64 {
@@ -30,20 +32,23 @@ fn main() {
             black_box(5.05),
         ));
     });
-    let series = microseconds(20, || {
-        for thousandths in (80..=200).step_by(5) {
-            let mut params = tube::Params::PAPER;
-            params.body.friction = f64::from(thousandths) / 1000.0;
-            let _ = black_box(tube::run(black_box(params), 7000.0));
-        }
-        for pascals in (3000..=7000).step_by(400) {
-            let _ = black_box(tube::run(
-                black_box(tube::Params::PAPER),
-                f64::from(pascals),
-            ));
-        }
-    });
+    let at = |friction: f64, pressure_pa: f64| {
+        let mut params = tube::Params::PAPER;
+        params.body.friction = friction;
+        (params, pressure_pa)
+    };
+    let cases: Vec<_> = frictions()
+        .map(|friction| at(friction, 7000.0))
+        .chain(pressures_pa().map(|pressure_pa| at(0.15, pressure_pa)))
+        .collect();
+    let run = |(params, pressure_pa): &(tube::Params, f64)| {
+        let _ = black_box(tube::run(black_box(*params), *pressure_pa));
+    };
+    let series = microseconds(20, || cases.iter().for_each(run));
+    let parallel = microseconds(20, || cases.par_iter().for_each(run));
+    let threads = rayon::current_num_threads();
     println!("roller run, 5 cycles, 5.05 mm:          {roller:9.1} us");
     println!("folded run, 5 cycles, 5.05 mm:          {folded:9.3} us");
     println!("tube, 25 frictions and 11 pressures:    {series:9.1} us on one core");
+    println!("the same on {threads} threads:                  {parallel:9.1} us");
 }

@@ -4,6 +4,7 @@
 
 use core::fmt;
 
+use crate::body::Chain;
 use crate::kinematics::{Design, indentation_from_calipers_mm};
 use crate::range::OutOfRange;
 use crate::{folded, roller, tube};
@@ -108,7 +109,7 @@ impl fmt::Display for Table<'_> {
 }
 
 /// Number of rows.
-pub const ROWS: usize = 45;
+pub const ROWS: usize = 69;
 
 /// The friction coefficients of section II.B: 0.08, 0.085 ... 0.20.
 pub fn frictions() -> impl ExactSizeIterator<Item = f64> + Clone {
@@ -129,6 +130,8 @@ struct Runs {
     pressure_mm: [f64; 11],
     /// Least and greatest displacement over the frictions at 7000 Pa.
     friction_mm: (f64, f64),
+    /// Greatest difference at any pressure between the lowest and the highest friction.
+    tube_friction_mm: f64,
     /// Displacement at each indentation.
     roller_mm: [f64; 5],
     /// Greatest difference at any indentation between the lowest and the highest friction.
@@ -138,8 +141,14 @@ struct Runs {
 impl Runs {
     fn new() -> Result<Self, OutOfRange> {
         let mut pressure_mm = [0.0; 11];
+        let (mut slippery, mut rough) = (tube::Params::PAPER, tube::Params::PAPER);
+        slippery.body.friction = 0.08;
+        rough.body.friction = 0.20;
+        let mut tube_friction_mm = 0.0f64;
         for (mm, pressure) in pressure_mm.iter_mut().zip(pressures_pa()) {
             *mm = tube::run(tube::Params::PAPER, pressure)?;
+            let difference = tube::run(rough, pressure)? - tube::run(slippery, pressure)?;
+            tube_friction_mm = tube_friction_mm.max(libm::fabs(difference));
         }
         let mut friction_mm = (f64::INFINITY, f64::NEG_INFINITY);
         for friction in frictions() {
@@ -161,6 +170,7 @@ impl Runs {
         Ok(Self {
             pressure_mm,
             friction_mm,
+            tube_friction_mm,
             roller_mm,
             lubrication_mm,
         })
@@ -211,19 +221,42 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
     let pipe = tube::Params::PAPER;
     let block = folded::Params::PAPER;
     let deepest_mm = INDENTATIONS_MM[4];
-    let pass = roller::isolated_pass(
-        roller::Params {
-            step_mm: 0.1,
-            ..rig
-        },
-        deepest_mm,
-    )?;
+    let fine = roller::Params {
+        step_mm: 0.1,
+        ..rig
+    };
+    let pass = roller::isolated_pass(fine, deepest_mm)?;
+    let shallow = roller::isolated_pass(fine, INDENTATIONS_MM[0])?;
     let mut pushed = folded::Bench::new(block, deepest_mm)?;
     pushed.carriage_to(block.stroke_mm)?;
     let antegrade_mm = pushed.displacement_mm();
     pushed.carriage_to(0.0)?;
     let returning_mm = pushed.displacement_mm() - antegrade_mm;
     let ring_pa = ring_buckling_pa(&pipe);
+    let d0_mm = design.shortening_per_crescent_mm(3.0)?;
+    let with = |alpha_deg: f64, beta_deg: f64, core_ratio: f64| {
+        Design::new(24.40, core_ratio * 24.40, alpha_deg, beta_deg, 9)
+    };
+    let other = |tan_beta: f64, crescents: u8| {
+        let paper = rig.body.design;
+        let mut params = rig;
+        params.body.design = Design::with_slopes(
+            paper.width_mm(),
+            paper.core_mm(),
+            paper.tan_alpha(),
+            tan_beta,
+            crescents,
+        )?;
+        roller::run(params, deepest_mm)
+    };
+    let steep_mm = other(1.0, 9)?;
+    let tan_beta = rig.body.design.tan_beta();
+    let (few_mm, many_mm) = (other(tan_beta, 5)?, other(tan_beta, 13)?);
+    let mut body = Chain::new(rig.body)?;
+    let at_rest_mm = body.head_mm() - body.core_tail_mm();
+    body.step(|_| deepest_mm)?;
+    body.step(|_| 0.0)?;
+    let released_mm = body.head_mm() - body.core_tail_mm() - at_rest_mm;
     let row = |section, sentence, quantity, paper, model, unit, worth, remark| Row {
         section,
         sentence,
@@ -236,6 +269,36 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
     };
     Ok([
         row(
+            "II",
+            "squeezed across, it contracts along its axis",
+            "length at a = 5.05 mm over length at rest",
+            "less than 1",
+            Some(design.length_mm(deepest_mm)? / design.length_mm(0.0)?),
+            "",
+            Outcome,
+            "the negative Poisson's ratio of the text",
+        ),
+        row(
+            "II",
+            "released, it restores the original shape",
+            "length after release less length at rest",
+            "0",
+            Some(released_mm),
+            "mm",
+            Built,
+            "an inextensible chain has no other shape",
+        ),
+        row(
+            "II",
+            "the angles act like an anisotropic friction",
+            "friction ratio r on the rig",
+            "more than 1",
+            Some(rig.body.friction_ratio),
+            "",
+            Fitted,
+            "fitted to the retrograde waves of section III; in the tube 1.222 [assumed]",
+        ),
+        row(
             "II.A",
             "alpha should be around 13 deg",
             "d d0/d alpha at a = 3 mm",
@@ -244,6 +307,26 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
             "mm/rad",
             Outcome,
             "negative for every indentation: no optimum, the material sets the lower bound",
+        ),
+        row(
+            "II.A",
+            "alpha too large: less forward deformation",
+            "d0 at alpha = 20 deg less d0, a = 3 mm",
+            "less",
+            Some(with(20.0, 33.69, 0.2)?.shortening_per_crescent_mm(3.0)? - d0_mm),
+            "mm",
+            Outcome,
+            "",
+        ),
+        row(
+            "II.A",
+            "alpha too small: the short side deforms backward",
+            "side",
+            "-",
+            None,
+            "",
+            Outside,
+            "rigid sides",
         ),
         row(
             "II.A",
@@ -257,6 +340,36 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
         ),
         row(
             "II.A",
+            "beta too small: less forward deformation",
+            "d0 at beta = 25 deg less d0, a = 3 mm",
+            "less",
+            Some(with(12.53, 25.0, 0.2)?.shortening_per_crescent_mm(3.0)? - d0_mm),
+            "mm",
+            Outcome,
+            "",
+        ),
+        row(
+            "II.A",
+            "beta too large: the spacing increases",
+            "phi at beta = 45 deg less phi",
+            "more",
+            Some(with(12.53, 45.0, 0.2)?.spacing_mm() - design.spacing_mm()),
+            "mm",
+            Outcome,
+            "",
+        ),
+        row(
+            "II.A",
+            "beta too large: less total displacement",
+            "displacement in 40 s with beta = 45 deg less with 33.69, a = 5.05 mm",
+            "less",
+            Some(steep_mm - runs.roller_mm[4]),
+            "mm",
+            Outcome,
+            "missed: with nine crescents either way, the longer strokes outweigh that fewer lie under a wave",
+        ),
+        row(
+            "II.A",
             "W is roughly the intestine's diameter",
             "W / D",
             "about 1",
@@ -264,6 +377,16 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
             "",
             Input,
             "",
+        ),
+        row(
+            "II.A",
+            "W too small: not stuck; too large: slower",
+            "width",
+            "-",
+            None,
+            "",
+            Outside,
+            "the models start from W = D",
         ),
         row(
             "II.A",
@@ -277,6 +400,26 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
         ),
         row(
             "II.A",
+            "c too long: much less forward deformation",
+            "d0 at c/W = 0.4 less d0, a = 3 mm",
+            "less",
+            Some(with(12.53, 33.69, 0.4)?.shortening_per_crescent_mm(3.0)? - d0_mm),
+            "mm",
+            Outcome,
+            "a fifth less; the gap h is a quarter smaller",
+        ),
+        row(
+            "II.A",
+            "c too short: easily bent",
+            "core",
+            "-",
+            None,
+            "",
+            Outside,
+            "rigid core",
+        ),
+        row(
+            "II.A",
             "the number m should be about 9",
             "m",
             "9",
@@ -284,6 +427,26 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
             "",
             Input,
             "n in the words, m in Eq. (7)",
+        ),
+        row(
+            "II.A",
+            "m too small: hard to move",
+            "displacement in 40 s with m = 5 less with 9, a = 5.05 mm",
+            "less",
+            Some(few_mm - runs.roller_mm[4]),
+            "mm",
+            Outcome,
+            "fewer crescents, less of it",
+        ),
+        row(
+            "II.A",
+            "m too large: less efficient",
+            "displacement in 40 s with m = 13 less with 9, a = 5.05 mm",
+            "less",
+            Some(many_mm - runs.roller_mm[4]),
+            "mm",
+            Outcome,
+            "missed: a common friction cancels, and a longer body goes farther",
         ),
         row(
             "II.A",
@@ -324,6 +487,16 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
             "mm",
             Outcome,
             "less than d: the last wing lies back",
+        ),
+        row(
+            "II.A",
+            "the larger d, the stronger the mobility",
+            "rising steps of 4, a_1 to a_5",
+            "all",
+            Some(Runs::rising(&runs.roller_mm)),
+            "",
+            Outcome,
+            "on the rig; d rises with a",
         ),
         row(
             "II.B",
@@ -427,6 +600,26 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
         ),
         row(
             "II.B",
+            "displacement within 20 s",
+            "length of a run",
+            "20",
+            Some(pipe.duration_s),
+            "s",
+            Input,
+            "",
+        ),
+        row(
+            "II.B",
+            "friction series at 7000 Pa",
+            "peristaltic pressure",
+            "7000",
+            Some(7000.0),
+            "Pa",
+            Input,
+            "",
+        ),
+        row(
+            "II.B",
             "friction coefficients 0.08 to 0.20, by 0.005",
             "number of runs",
             "25",
@@ -444,6 +637,16 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
             "",
             Input,
             "",
+        ),
+        row(
+            "II.B",
+            "pressure series at friction 0.15",
+            "friction",
+            "0.15",
+            Some(pipe.body.friction),
+            "",
+            Input,
+            "it cancels",
         ),
         row(
             "II.B",
@@ -547,6 +750,36 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
         ),
         row(
             "III",
+            "structure 24.40 mm wide, as the intestine",
+            "W on the rig",
+            "24.40",
+            Some(rig.body.design.width_mm()),
+            "mm",
+            Input,
+            "",
+        ),
+        row(
+            "III",
+            "tail at the left end, rollers at the right",
+            "tail at the start",
+            "0",
+            Some(rig.body.tail_mm),
+            "mm",
+            Input,
+            "the tip of the rearmost wing",
+        ),
+        row(
+            "III",
+            "silicone Ecoflex 00-30",
+            "shore hardness",
+            "00-30",
+            None,
+            "",
+            Outside,
+            "the wall is the rollers' arc",
+        ),
+        row(
+            "III",
             "rollers of 40 mm diameter",
             "diameter",
             "40",
@@ -577,6 +810,16 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
         ),
         row(
             "III",
+            "peristaltic indentation a_1 to a_5",
+            "number of indentations",
+            "5",
+            Some(INDENTATIONS_MM.len() as f64),
+            "",
+            Input,
+            "1, 2, 3, 4 mm [assumed] and 5.05 mm",
+        ),
+        row(
+            "III",
             "back and forth 5 times in 40 s",
             "mean speed of the carriage",
             "-",
@@ -594,6 +837,16 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
             "mm",
             Fitted,
             "roller step 0.1 mm; an antegrade pass gives the next row",
+        ),
+        row(
+            "III",
+            "retrograde waves hardly cause displacement",
+            "isolated return pass at 1 mm",
+            "hardly",
+            Some(shallow.returning_mm),
+            "mm",
+            Outcome,
+            "a third of the antegrade pass, 2.710 mm: at small indentations the sentence is missed",
         ),
         row(
             "III",
@@ -647,6 +900,16 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
         ),
         row(
             "III.A",
+            "low and high friction differ little in the simulation",
+            "greatest difference, friction 0.08 and 0.20, all pressures",
+            "no very",
+            Some(runs.tube_friction_mm),
+            "mm",
+            Built,
+            "a common friction cancels",
+        ),
+        row(
+            "III.A",
             "faster from about 6000 Pa",
             "mean slope 3000 to 5800 Pa",
             "-",
@@ -674,6 +937,16 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
             "mm",
             Outcome,
             "21 mm of thread, laid down at mid-stroke (assumed); below 14.3 mm of width it would not be touched",
+        ),
+        row(
+            "III.A",
+            "folded, recorded within 40 s",
+            "cycles",
+            "40 s",
+            Some(f64::from(block.cycles)),
+            "",
+            Input,
+            "5 cycles of 8 s",
         ),
         row(
             "III.A",

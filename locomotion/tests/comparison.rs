@@ -36,10 +36,13 @@ fn each_row_has_a_value_or_lies_outside() {
     }
 }
 
-/// Section II.A to III.A, in the paper's order, none left out.
+/// Section II to III.A, in the paper's order, none left out.
 #[test]
 fn every_section_with_numbers_is_there() {
     let mut sections: Vec<_> = rows().unwrap().iter().map(|row| row.section).collect();
     sections.dedup();
-    assert_eq!(sections, ["II.A", "II.B", "II.C", "II.D", "III", "III.A"]);
+    assert_eq!(
+        sections,
+        ["II", "II.A", "II.B", "II.C", "II.D", "III", "III.A"]
+    );
 }

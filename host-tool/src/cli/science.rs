@@ -9,7 +9,7 @@ use locomotion::comparison::{self, INDENTATIONS_MM};
 use locomotion::folded::Contact;
 use locomotion::kinematics::Design;
 use locomotion::parameter::{Label, Parameter};
-use locomotion::range::OutOfRange;
+use locomotion::range::{Ends, OutOfRange};
 use locomotion::{folded, roller, tube};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -155,7 +155,20 @@ pub enum Simulation {
 const MOST_RUNS: usize = 100_000;
 
 pub(crate) fn design(args: &DesignArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let core_mm = args.core_ratio * args.width_mm;
+    let ratio = args.core_ratio;
+    if !(ratio > 0.0 && ratio < 1.0) {
+        return Err(OutOfRange {
+            quantity: "c/W",
+            value: ratio,
+            min: 0.0,
+            max: 1.0,
+            unit: "",
+            ends: Ends::Open,
+            because: "the crescents stand between core and wall",
+        }
+        .into());
+    }
+    let core_mm = ratio * args.width_mm;
     let design = if args.exact_slopes {
         Design::with_slopes(args.width_mm, core_mm, 2.0 / 9.0, 2.0 / 3.0, args.crescents)
     } else {

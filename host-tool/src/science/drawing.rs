@@ -145,10 +145,10 @@ impl Drawing {
                 &[(x, y), (x + inward, y - 0.3), (x + inward, y + 0.3)],
             );
         }
-        self.text("middle", ((x1 + x2) / 2.0, y - 0.8), text);
+        self.text("middle", ((x1 + x2) / 2.0, y - 1.2), text);
     }
 
-    /// A dimension with its words: vertical at `x`, from `y1` to `y2`.
+    /// A dimension with its words: vertical at `x`, from `y1` to `y2`; left of the drawing the words are on its left.
     fn upright(&mut self, x: f64, (y1, y2): (f64, f64), text: &str) {
         self.line("dimension", (x, y1), (x, y2));
         for (y, inward) in [(y1, ARROW_MM), (y2, -ARROW_MM)] {
@@ -158,7 +158,13 @@ impl Drawing {
                 &[(x, y), (x - 0.3, y + inward), (x + 0.3, y + inward)],
             );
         }
-        self.text("start", (x + 0.8, (y1 + y2) / 2.0 + LETTER_MM / 3.0), text);
+        let (anchor, aside) = if x < 0.0 {
+            ("end", -1.4)
+        } else {
+            ("start", 1.4)
+        };
+        let middle = (y1 + y2) / 2.0 + LETTER_MM / 3.0;
+        self.text(anchor, (x + aside, middle), text);
     }
 
     /// A body about the axis y = 0.
@@ -295,18 +301,18 @@ impl Body {
 /// # Errors
 /// `a_mm` outside `0..=h`.
 pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> {
-    const MARGIN: f64 = 14.0;
+    const MARGIN: f64 = 18.0;
     let m = usize::from(design.crescents());
     let (length, half) = (design.length_mm(0.0)?, design.width_mm() / 2.0);
     let part = length + 2.0 * MARGIN;
-    let middle = 20.0 + half;
-    let mut drawing = Drawing::new((2.0 * part).ceil(), (middle + half + 24.0).ceil());
+    let middle = 10.0 + half;
+    let mut drawing = Drawing::new((2.0 * part).ceil(), (middle + half + 26.0).ceil());
 
     // The rearmost tip at 0, so that the core begins at s2(0).
     let free = Body::new(design, design.wing_reach_mm(0.0)?, &vec![0.0; m])?;
     let (tail, head) = free.core_ends_mm();
     drawing.open("unsqueezed", (MARGIN, middle));
-    drawing.text("middle", (length / 2.0, -half - 16.0), "(a) not squeezed");
+    drawing.text("middle", (length / 2.0, -half - 4.0), "(a) not squeezed");
     walls(&mut drawing, length, half);
     drawing.body(&free);
     drawing.upright(
@@ -315,11 +321,7 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
         &format!("W = {:.2}", design.width_mm()),
     );
     let root = design.core_mm() / 2.0;
-    drawing.text(
-        "end",
-        (free.crescents[0].tip_mm + 4.0, LETTER_MM / 3.0),
-        &format!("c = {:.2}", design.core_mm()),
-    );
+    drawing.upright(-5.0, (-root, root), &format!("c = {:.2}", design.core_mm()));
     drawing.across(
         half + 5.0,
         (tail, head),
@@ -344,8 +346,13 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
     drawing.text(
         "middle",
         (length / 2.0, half + 15.5),
+        &format!("α = {alpha:.2}°, β = {beta:.2}° to the transverse axis"),
+    );
+    drawing.text(
+        "middle",
+        (length / 2.0, half + 19.5),
         &format!(
-            "α = {alpha:.2}°, β = {beta:.2}° to the transverse axis; l1 = {:.3}, l2 = {:.3}",
+            "l1 = {:.3}, l2 = {:.3}",
             design.long_side_mm(),
             design.short_side_mm()
         ),
@@ -359,7 +366,7 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
     drawing.open("squeezed", (part + MARGIN, middle));
     drawing.text(
         "middle",
-        (length / 2.0, -half - 16.0),
+        (length / 2.0, -half - 4.0),
         &format!("(b) squeezed by a = {a_mm:.2}"),
     );
     for side in [-1.0, 1.0] {
@@ -388,7 +395,7 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
     drawing.close();
     drawing.text(
         "start",
-        (MARGIN, middle + half + 21.5),
+        (MARGIN, middle + half + 24.0),
         "lengths in mm, drawn to scale; tail at the left, head at the right",
     );
     Ok(drawing.finish("The origami, not squeezed and squeezed"))

@@ -9,8 +9,8 @@ use crate::science::drawing::{Body, Drawing, Point};
 
 /// Pressures of the tube's columns, Pa.
 const PRESSURES_PA: [f64; 3] = [3000.0, 5000.0, 7000.0];
-/// Moments of the tube's rows, s: one wave, which is over after 12 s, and the end.
-const TUBE_S: [f64; 6] = [0.0, 3.0, 6.0, 9.0, 12.0, 20.0];
+/// Moments of the tube's rows, s: the start, one wave at the peaks of single pulses, and the end.
+const TUBE_S: [f64; 6] = [0.0, 4.5, 6.5, 8.5, 10.5, 20.0];
 /// Indentations of the rig's columns, mm.
 const INDENTATIONS_MM: [f64; 3] = [1.0, 3.0, 5.05];
 /// Way of the carriage at the rig's rows, in strokes: one antegrade wave, and the end.
@@ -39,6 +39,8 @@ pub struct Snapshot {
 pub struct Strip {
     /// `tube` or `roller`.
     pub model: &'static str,
+    /// chi: part of the wall's indentation that a crescent feels.
+    pub coupling: f64,
     /// Half the width of the intestine at rest, mm.
     pub half_width_mm: f64,
     /// Columns of pictures from the first moment to the last.
@@ -95,6 +97,7 @@ pub fn tube() -> Result<Strip, OutOfRange> {
     }
     Ok(Strip {
         model: "tube",
+        coupling: params.body.coupling,
         half_width_mm: params.radius_mm,
         columns,
     })
@@ -128,7 +131,7 @@ pub fn roller() -> Result<Strip, OutOfRange> {
             let roller_mm = params.stroke_mm - carriage_mm;
             column.push(Snapshot {
                 case: format!("a = {indentation_mm} mm"),
-                moment: format!("{strokes} strokes"),
+                moment: format!("{} mm of way", strokes * params.stroke_mm),
                 wall_mm: wall(params.stroke_mm, |x| {
                     roller::wall_mm(indentation_mm, params.radius_mm, x - roller_mm)
                 }),
@@ -140,6 +143,7 @@ pub fn roller() -> Result<Strip, OutOfRange> {
     }
     Ok(Strip {
         model: "roller",
+        coupling: params.body.coupling,
         half_width_mm: design.width_mm() / 2.0,
         columns,
     })
@@ -181,7 +185,7 @@ impl Strip {
     #[must_use]
     pub fn svg(&self) -> String {
         const GAP: f64 = 8.0;
-        const LEFT: f64 = 26.0;
+        const LEFT: f64 = 30.0;
         let half = self.half_width_mm;
         let length = self.columns[0][0].wall_mm.last().map_or(0.0, |(x, _)| *x);
         let (width, height) = (length + GAP, 2.0 * half + GAP);
@@ -230,8 +234,11 @@ impl Strip {
         drawing.text(
             "start",
             (LEFT, 12.0 + height * rows as f64 + 4.0),
-            "to scale, tail at the left; blue: start of the head, red: its place at the end; model values, \
-             see parameters.csv for what is calibrated or assumed",
+            &format!(
+                "to scale, tail at the left; blue: start of the head, red: its place at the end; model values: a \
+                 crescent feels {} of the wall's indentation; parameters.csv says what is calibrated or assumed",
+                self.coupling
+            ),
         );
         drawing.finish("Wall and body at several moments")
     }
