@@ -20,18 +20,45 @@ const TURN_TICKS: u64 = 30_000;
 
 const EVERYWHERE: (i32, i32) = (i32::MIN, i32::MAX);
 
-fn strokes(path: &Path) -> Vec<(u64, StrokeProfile, Direction)> {
+/// Start, profile and direction of each stroke.
+type Strokes = Vec<(u64, StrokeProfile, Direction)>;
+
+fn strokes(path: &Path) -> Strokes {
+    let planned = |plan: &RunPlan| -> Strokes {
+        let stroke = |index| {
+            (
+                plan.stroke_start(index).unwrap().0,
+                *plan.stroke(index).unwrap(),
+                plan.direction(index).unwrap(),
+            )
+        };
+        (0..plan.strokes()).map(stroke).collect()
+    };
     match path {
         Path::Move { profile, direction } => vec![(0, *profile, *direction)],
-        Path::Run(plan) => (0..plan.strokes())
-            .map(|index| {
-                (
-                    plan.stroke_start(index).unwrap().0,
-                    *plan.stroke(index).unwrap(),
-                    plan.direction(index).unwrap(),
-                )
-            })
-            .collect(),
+        Path::Run(plan) => planned(plan),
+        // What is left of the stroke at once; all later ones as far behind its end as planned.
+        Path::Rest {
+            plan,
+            stroke,
+            first,
+        } => {
+            let mut rest = planned(plan).split_off(*stroke as usize);
+            let end = rest[0].0 + rest[0].1.duration().0;
+            for (start, ..) in &mut rest[1..] {
+                *start = *start - end + first.duration().0;
+            }
+            (rest[0].0, rest[0].1) = (0, *first);
+            rest
+        }
+    }
+}
+
+/// Number of its first stroke.
+fn first_stroke(path: &Path) -> usize {
+    match path {
+        Path::Move { .. } | Path::Run(_) => 0,
+        Path::Rest { stroke, .. } => *stroke as usize,
     }
 }
 
@@ -121,7 +148,8 @@ fn check_whole(path: &Path, shortest: u32) -> u64 {
     let mut pulses = 0;
     for (index, (start, profile, direction)) in strokes.iter().enumerate() {
         assert_eq!(walk.periods.direction(), *direction);
-        assert_eq!(walk.periods.stroke() as usize, index);
+        let number = first_stroke(path) + index;
+        assert_eq!(walk.periods.stroke() as usize, number);
         for step in StepTimes::new(*profile) {
             let (tick, period) = walk.pulse();
             assert_eq!(tick, start + step);
@@ -132,7 +160,7 @@ fn check_whole(path: &Path, shortest: u32) -> u64 {
         assert_eq!(walk.tick - walk.last_pulse, 1_000);
         let (blanks, ticks, then) = walk.blanks();
         if let Some((start, profile, next)) = strokes.get(index + 1) {
-            let completed = index as u32;
+            let completed = number as u32;
             assert_eq!(
                 then,
                 Item::Turn {
@@ -197,9 +225,30 @@ fn any_run() -> impl Strategy<Value = RunPlan> {
     )
 }
 
+/// What is left of a stroke from any step on, and all strokes behind it.
+fn any_rest() -> impl Strategy<Value = Path> {
+    let part = (any::<prop::sample::Index>(), any::<prop::sample::Index>());
+    (any_run(), part).prop_filter_map("not too slow", |(plan, (stroke, left))| {
+        let stroke = stroke.index(plan.strokes() as usize) as u32;
+        let profile = plan.stroke(stroke)?;
+        let left = Steps(1 + left.index(profile.steps().0 as usize) as u32);
+        let first = if left == profile.steps() {
+            *profile
+        } else {
+            profile.resumed(left).ok()?
+        };
+        Some(Path::Rest {
+            plan,
+            stroke,
+            first,
+        })
+    })
+}
+
 fn any_path() -> impl Strategy<Value = Path> {
     prop_oneof![
         3 => any_run().prop_map(Path::Run),
+        2 => any_rest(),
         1 => (any_run(), any::<bool>()).prop_map(|(plan, away)| Path::Move {
             profile: *plan.forward(),
             direction: if away { Direction::Away } else { Direction::Home },
@@ -318,6 +367,90 @@ proptest! {
         prop_assert_eq!(end, if leaves { Item::Guard } else { Item::End });
         walk.periods.stop(deceleration);
         prop_assert_eq!(walk.next(), end);
+    }
+}
+
+/// What the machine orders after a hold: the stroke that was not complete, with what is left of it.
+fn rest_of(plan: &RunPlan, stroke: u32, position: i32) -> Option<Path> {
+    let steps = plan.stroke(stroke)?.steps().0;
+    let left = match plan.direction(stroke)? {
+        Direction::Away => steps - position as u32,
+        Direction::Home => position as u32,
+    };
+    if left == 0 {
+        return rest_of(plan, stroke + 1, position);
+    }
+    let profile = plan.stroke(stroke)?;
+    let first = if left == steps {
+        *profile
+    } else {
+        profile.resumed(Steps(left)).unwrap()
+    };
+    Some(Path::Rest {
+        plan: *plan,
+        stroke,
+        first,
+    })
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    /// Held at random, any number of times: every position once per stroke in its order, ticks that grow, no
+    /// interval under the limit, no speed above the planned one.
+    #[test]
+    fn a_run_in_pieces_has_the_edges_of_the_run(
+        plan in any_run(),
+        holds in prop::collection::vec(1..700_u32, 0..6),
+        deceleration in any_deceleration(),
+    ) {
+        let last = plan.forward().steps().0 as i32;
+        let mut path = Some(Path::Run(plan));
+        let (mut position, mut stroke, mut positions) = (0, 0, Vec::new());
+        let mut holds = holds.into_iter();
+        while let Some(piece) = path.take() {
+            let mut walk = Walk::new(&piece, position, (0, last));
+            stroke = first_stroke(&piece) as u32;
+            let mut items = holds.next();
+            let mut before = None;
+            loop {
+                if items == Some(0) {
+                    walk.periods.stop(deceleration);
+                }
+                items = items.map(|items| items.saturating_sub(1));
+                let tick = walk.tick;
+                match walk.next() {
+                    Item::Period(Period { pulse: true, ticks, .. }) => {
+                        prop_assert!(ticks >= LIMITS.min_interval_ticks);
+                        // The first and last interval of a stroke are the longest; in between the profile's peak.
+                        if let Some(before) = before {
+                            let interval = tick - before;
+                            let peak = plan.stroke(stroke).unwrap().min_interval().0;
+                            prop_assert!(interval + 1 >= peak, "{interval} {peak}");
+                        }
+                        before = Some(tick);
+                        positions.push(walk.position);
+                    }
+                    Item::Period(_) => {}
+                    Item::Turn { completed, .. } => {
+                        prop_assert_eq!(completed, stroke);
+                        (stroke, before) = (completed + 1, None);
+                    }
+                    Item::End => break,
+                    Item::Guard => prop_assert!(false, "outside at {}", walk.position),
+                }
+            }
+            position = walk.position;
+            path = rest_of(&plan, stroke, position);
+        }
+        prop_assert_eq!((position, stroke), (0, plan.strokes() - 1));
+        let planned: Vec<i32> = (0..plan.strokes())
+            .flat_map(|stroke| match plan.direction(stroke).unwrap() {
+                Direction::Away => (1..=last).collect::<Vec<_>>(),
+                Direction::Home => (0..last).rev().collect(),
+            })
+            .collect();
+        prop_assert_eq!(positions, planned);
     }
 }
 
