@@ -4,7 +4,7 @@ mod common;
 
 use common::{Dice, home_quickly, quick, rig};
 use host_tool::client::Unobserved;
-use protocol::rig::{RigFault, RunOutcome};
+use protocol::rig::{RigFault, RigState, RunOutcome};
 use virtual_bench::{faults::When, plants::rig::Action};
 
 const SEED: u64 = 0x5EED_E570;
@@ -68,4 +68,32 @@ fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
     }
     assert!(places.len() > 150, "{} places", places.len());
     rig.check_clean(0);
+}
+
+/// An E-stop that nobody has acknowledged is still one after a reset, released or not.
+#[test]
+fn an_estop_outlives_a_reset() {
+    let mut rig = rig();
+    home_quickly(&mut rig);
+    rig.home();
+    let number = rig.edge_count() as u64 + 3_000;
+    rig.look(move |rig| rig.plan(When::Edge(number), Action::EStop(true)));
+    let (_, record) = common::execute(&mut rig, quick(1, 8_000, 20_000, 500_000));
+    let fault = RigFault::EStopLoop;
+    assert_eq!(record.outcome, RunOutcome::Faulted(fault));
+    let now_ns = rig.bench.now_ns();
+    rig.look(move |rig| rig.act(Action::EStop(false), now_ns));
+    rig.bench.reset().expect("the bench runs");
+    rig.bench.advance_us(500_000).expect("the bench runs");
+    rig.device.hello(2).expect("it answers again");
+    let status = rig.device.rig_status().expect("a status");
+    assert_eq!(
+        (status.state, status.fault),
+        (RigState::Faulted, Some(fault))
+    );
+    assert!(rig.device.home().is_err(), "it has to be acknowledged");
+    assert_eq!(rig.edge_count() as u64, number, "it moved");
+    rig.device.acknowledge().expect("the cause is gone");
+    rig.home();
+    rig.check_clean(1);
 }
