@@ -4,20 +4,21 @@ mod carriage;
 
 use carriage::{Rig, run};
 use firmware_rig::{
-    commands::{Context, Effect, execute},
+    commands::{Change, Context, Effect, execute},
     machine::{Actions, Command, Machine},
-    settings::Settings,
+    settings::{Settings, Values},
 };
-use motion::axis::Axis;
+use motion::axis::{Axis, Direction};
 use proptest::prelude::*;
 use protocol::{
     capsule,
     error::{Field, Refusal},
     events::EventRing,
     rig::{
-        self, HomeAccepted, LinkLossPolicy, RigFault, RigState, RigStatus, Run, RunAccepted,
-        RunOutcome, RunTiming, Stroke,
+        self, Glitches, HomeAccepted, LinkLossPolicy, MoveAccepted, RigFault, RigHealth, RigState,
+        RigStatus, Run, RunAccepted, RunOutcome, RunTiming, Sense, Stroke,
     },
+    settings::{self, FactoryReset, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{self, Done, Hello, LastWords, ResetCause, SetTelemetry, What},
     table::{Reply, Request, Response, Served, TABLE},
 };
@@ -37,6 +38,25 @@ const PAPER: Run = Run {
     link_loss: LinkLossPolicy::Stop,
 };
 
+const HEALTH: RigHealth = RigHealth {
+    home_flag: Glitches {
+        count: 1,
+        last_us: 2,
+    },
+    far_limit: Glitches {
+        count: 3,
+        last_us: 4,
+    },
+    uart_errors: 5,
+    bad_frames: 6,
+    unsent_frames: 7,
+    underruns: 8,
+    stack_used: 9,
+    stack_size: 10,
+    control_late_us: 11,
+    image_hash: 12,
+};
+
 /// Sends a request: the reply, what the caller has to do, and how many actions there are.
 fn send(rig: &mut Rig, request: Request) -> (Reply, Effect, usize) {
     let mut ring = EventRing::new();
@@ -48,6 +68,9 @@ fn send(rig: &mut Rig, request: Request) -> (Reply, Effect, usize) {
         stroke: 3,
         ring: &ring,
         last_words: "tasks/link.rs:1: oh",
+        values: &Values::DEFAULT,
+        name: "left bench",
+        health: matches!(request, Request::GetRigHealth(_)).then_some(HEALTH),
     };
     let mut actions = Actions::new();
     let (reply, effect) = execute(request, &mut rig.machine, &context, &mut actions);
@@ -56,13 +79,14 @@ fn send(rig: &mut Rig, request: Request) -> (Reply, Effect, usize) {
 
 fn refusal(rig: &mut Rig, request: Request) -> Refusal {
     let before = (rig.machine.state(), *rig.machine.record());
+    let text = format!("{request:?}");
     match send(rig, request) {
         (Reply::Refused(refusal), Effect::None, 0) => {
             assert_eq!((rig.machine.state(), *rig.machine.record()), before);
             assert!(!refusal.to_string().is_empty());
             refusal
         }
-        other => panic!("{request:?} was not refused: {other:?}"),
+        other => panic!("{text} was not refused: {other:?}"),
     }
 }
 
@@ -95,20 +119,53 @@ fn rig_in(state: RigState) -> Rig {
             rig.press();
             rig.pressed = false;
         }
-        RigState::Held => unreachable!("this machine does not hold"),
+        RigState::Held => {
+            rig.command(start).unwrap();
+            rig.pulses(100);
+            rig.command(Command::Hold).unwrap();
+            rig.finish();
+        }
+        RigState::Moving => {
+            let speed = SETTINGS.speed(1_000).unwrap();
+            let direction = Direction::Away;
+            rig.command(Command::Jog { direction, speed }).unwrap();
+        }
     }
     assert_eq!(rig.machine.state(), state);
     rig
 }
 
-const STATES: [RigState; 6] = [
+const STATES: [RigState; 8] = [
     RigState::Unhomed,
     RigState::Homing,
     RigState::Ready,
     RigState::Running,
+    RigState::Held,
+    RigState::Moving,
     RigState::Stopping,
     RigState::Faulted,
 ];
+
+const JOG: rig::Jog = rig::Jog {
+    sense: Sense::Away,
+    speed_um_s: 1_000,
+};
+
+const MOVE: rig::MoveTo = rig::MoveTo {
+    position_um: 10_000,
+    speed_um_s: 10_000,
+};
+
+const SETTING: Setting = Setting {
+    key: SettingKey::FlagUm,
+    value: 900,
+};
+
+fn name(text: &str) -> Name {
+    Name {
+        name: text.try_into().unwrap(),
+    }
+}
 
 /// One of each row, in the table's order.
 fn requests() -> Vec<Request> {
@@ -132,11 +189,70 @@ fn requests() -> Vec<Request> {
         Request::Fold(capsule::Fold),
         Request::Unfold(capsule::Unfold),
         Request::GetActuationRecord(capsule::GetActuationRecord),
+        Request::Hold(rig::Hold),
+        Request::Resume(rig::Resume),
+        Request::Jog(JOG),
+        Request::MoveTo(MOVE),
+        Request::GetSetting(GetSetting {
+            key: SettingKey::FlagUm,
+        }),
+        Request::SetSetting(SETTING),
+        Request::FactoryReset(FactoryReset),
+        Request::GetName(settings::GetName),
+        Request::SetName(name("right bench")),
+        Request::GetRigHealth(rig::GetRigHealth),
     ];
     let names: Vec<_> = requests.iter().map(|request| request.row().name).collect();
     let table: Vec<_> = TABLE.iter().map(|row| row.name).collect();
     assert_eq!(names, table);
     requests
+}
+
+/// What refuses a request in a state; none: nothing does.
+fn refused_in(request: &Request, state: RigState) -> Option<Refusal> {
+    let at_rest = matches!(state, RigState::Unhomed | RigState::Ready);
+    let faulted = state == RigState::Faulted;
+    match request {
+        // The session answers it, and never passes it on.
+        Request::Hello(_) => Some(Refusal::WrongDevice),
+        _ if request.row().served == Served::Capsule => Some(Refusal::WrongDevice),
+        Request::Acknowledge(_) => (!faulted).then_some(Refusal::NothingToAcknowledge),
+        _ if faulted && !request.row().while_faulted => {
+            Some(Refusal::RigFaulted(RigFault::EStopLoop))
+        }
+        Request::Hold(_) => (state != RigState::Running).then_some(Refusal::NothingToHold),
+        Request::Resume(_) => (state != RigState::Held).then_some(Refusal::NothingToResume),
+        // It renews the one that is going on.
+        Request::Jog(_) if state == RigState::Moving => None,
+        Request::Home(_) | Request::Run(_) | Request::Jog(_) | Request::MoveTo(_) if !at_rest => {
+            Some(Refusal::RigBusy(state))
+        }
+        Request::Run(_) | Request::Jog(_) | Request::MoveTo(_) => {
+            (state == RigState::Unhomed).then_some(Refusal::NotHomed)
+        }
+        Request::SetSetting(_) | Request::FactoryReset(_) | Request::SetName(_) => {
+            (!at_rest && !faulted).then_some(Refusal::RigBusy(state))
+        }
+        _ => None,
+    }
+}
+
+fn expected_effect(request: &Request) -> Effect {
+    match request {
+        Request::SetTelemetry(_) => Effect::Telemetry { period_ms: 10 },
+        Request::Acknowledge(_) => Effect::Acknowledged,
+        Request::SetSetting(setting) => {
+            let (values, settings) = Values::DEFAULT.with(setting.key, setting.value).unwrap();
+            Effect::Store(Change::Value {
+                setting: *setting,
+                values,
+                settings,
+            })
+        }
+        Request::SetName(name) => Effect::Store(Change::Name(name.name.clone())),
+        Request::FactoryReset(_) => Effect::Store(Change::Reset),
+        _ => Effect::None,
+    }
 }
 
 #[test]
@@ -145,54 +261,174 @@ fn every_row_in_every_state() {
         let row = request.row();
         for state in STATES {
             let mut rig = rig_in(state);
-            let expected = match request {
-                // The session answers it, and never passes it on.
-                Request::Hello(_) => Err(Refusal::WrongDevice),
-                _ if row.served == Served::Capsule => Err(Refusal::WrongDevice),
-                Request::Acknowledge(_) if state != RigState::Faulted => {
-                    Err(Refusal::NothingToAcknowledge)
-                }
-                Request::Home(_) | Request::Run(_) => match state {
-                    RigState::Faulted => Err(Refusal::RigFaulted(RigFault::EStopLoop)),
-                    RigState::Homing | RigState::Running | RigState::Stopping => {
-                        Err(Refusal::RigBusy(state))
-                    }
-                    RigState::Unhomed if row.name == "Run" => Err(Refusal::NotHomed),
-                    _ => Ok(()),
-                },
-                _ => Ok(()),
-            };
-            match expected {
-                Err(expected) => {
-                    assert_eq!(refusal(&mut rig, request), expected, "{state:?}");
-                    assert!(
-                        state != RigState::Faulted
-                            || !row.while_faulted
-                            || row.name == "Hello"
-                            || row.served == Served::Capsule
-                    );
-                }
-                Ok(()) => {
-                    let (reply, effect, actions) = send(&mut rig, request);
-                    let Reply::Accepted(response) = reply else {
-                        panic!("{request:?} in {state:?}: {reply:?}")
-                    };
-                    // The response of the same row.
-                    let name = format!("{response:?}");
-                    assert!(name.starts_with(row.name), "{name}");
-                    assert!(state != RigState::Faulted || row.while_faulted);
-                    let moves = matches!(request, Request::Home(_) | Request::Run(_));
-                    assert_eq!(actions > 0, moves);
-                    let expected = match request {
-                        Request::SetTelemetry(_) => Effect::Telemetry { period_ms: 10 },
-                        Request::Acknowledge(_) => Effect::Acknowledged,
-                        _ => Effect::None,
-                    };
-                    assert_eq!(effect, expected);
-                }
+            if let Some(expected) = refused_in(&request, state) {
+                assert_eq!(refusal(&mut rig, request.clone()), expected, "{state:?}");
+                assert!(
+                    state != RigState::Faulted
+                        || !row.while_faulted
+                        || row.name == "Hello"
+                        || row.served == Served::Capsule
+                );
+                continue;
             }
+            let (reply, effect, actions) = send(&mut rig, request.clone());
+            let Reply::Accepted(response) = reply else {
+                panic!("{request:?} in {state:?}: {reply:?}")
+            };
+            // The response of the same row.
+            let name = format!("{response:?}");
+            assert!(name.starts_with(row.name), "{name}");
+            assert!(state != RigState::Faulted || row.while_faulted);
+            let renewed = state == RigState::Moving && matches!(request, Request::Jog(_));
+            let moves = matches!(
+                request,
+                Request::Home(_)
+                    | Request::Run(_)
+                    | Request::Hold(_)
+                    | Request::Resume(_)
+                    | Request::Jog(_)
+                    | Request::MoveTo(_)
+            );
+            assert_eq!(actions > 0, moves && !renewed);
+            assert_eq!(effect, expected_effect(&request));
         }
     }
+}
+
+#[test]
+fn a_move_says_how_it_will_be() {
+    let mut rig = Rig::homed(SETTINGS);
+    // 10.001 mm are 8,000.8 steps: rounded towards home.
+    let request = Request::MoveTo(rig::MoveTo {
+        position_um: 10_001,
+        ..MOVE
+    });
+    let (reply, effect, actions) = send(&mut rig, request);
+    // 8 M ticks per 10 mm/s and step less a ramp of 10 mm/s / 200 mm/s2 = 50 ms.
+    let expected = MoveAccepted {
+        from_steps: 0,
+        to_steps: 8_000,
+        stroke: Stroke {
+            steps: 8_000,
+            duration_ticks: 105_000_000,
+            ramp_ticks: 5_000_000,
+            peak_um_s: 10_000,
+            accel_um_s2: 200_000,
+        },
+    };
+    assert_eq!(reply, Reply::Accepted(Response::MoveTo(expected)));
+    assert_eq!((effect, actions), (Effect::None, 1));
+    assert_eq!(rig.machine.state(), RigState::Moving);
+}
+
+#[test]
+fn moves_and_jogs_out_of_range() {
+    let mut rig = Rig::homed(SETTINGS);
+    let to = |position_um, speed_um_s| {
+        Request::MoveTo(rig::MoveTo {
+            position_um,
+            speed_um_s,
+        })
+    };
+    for position_um in [130_001, u32::MAX] {
+        assert_eq!(
+            refusal(&mut rig, to(position_um, 1_000)),
+            out_of_range(Field::PositionUm, position_um.into(), 0, 130_000)
+        );
+    }
+    for speed_um_s in [0, 49_001, u32::MAX] {
+        let expected = out_of_range(Field::SpeedUmS, speed_um_s.into(), 1, 49_000);
+        assert_eq!(refusal(&mut rig, to(10_000, speed_um_s)), expected);
+        for sense in [Sense::Away, Sense::Home] {
+            let jog = Request::Jog(rig::Jog { sense, speed_um_s });
+            assert_eq!(refusal(&mut rig, jog), expected);
+        }
+    }
+    // Less than a step from where it stands.
+    assert_eq!(refusal(&mut rig, to(0, 1_000)), Refusal::AlreadyThere);
+    assert_eq!(refusal(&mut rig, to(1, 1_000)), Refusal::AlreadyThere);
+    let home = Request::Jog(rig::Jog {
+        sense: Sense::Home,
+        ..JOG
+    });
+    assert_eq!(refusal(&mut rig, home), Refusal::AlreadyThere);
+    let mut rig = Rig::homed(fine());
+    assert!(matches!(
+        refusal(&mut rig, to(10_000, 25_000)),
+        Refusal::StepRateLimit {
+            max_hz: 250_000,
+            ..
+        }
+    ));
+}
+
+/// Where nothing is known about the position, nobody is "already there".
+#[test]
+fn a_move_to_where_the_counter_stands_needs_a_position() {
+    let request = || {
+        Request::MoveTo(rig::MoveTo {
+            position_um: 0,
+            ..MOVE
+        })
+    };
+    for (state, expected) in [
+        (RigState::Unhomed, Refusal::NotHomed),
+        (RigState::Faulted, Refusal::RigFaulted(RigFault::EStopLoop)),
+    ] {
+        let mut rig = rig_in(state);
+        rig.counted = 0;
+        assert_eq!(refusal(&mut rig, request()), expected);
+    }
+}
+
+#[test]
+fn settings_are_read_and_checked() {
+    let mut rig = Rig::homed(SETTINGS);
+    for key in SettingKey::ALL {
+        let (reply, effect, _) = send(&mut rig, Request::GetSetting(GetSetting { key }));
+        let value = key.range().default;
+        let expected = Reply::Accepted(Response::GetSetting(Setting { key, value }));
+        assert_eq!((reply, effect), (expected, Effect::None));
+    }
+    let mut set = |key, value| refusal(&mut rig, Request::SetSetting(Setting { key, value }));
+    let (key, requested) = (SettingKey::StrokeUm, 130_001);
+    let refused = set(key, requested);
+    assert_eq!(refused, Refusal::SettingRange { key, requested });
+    assert_eq!(
+        refused.to_string(),
+        "stroke_um is 130001, allowed is 1 to 130000"
+    );
+    let (key, rule) = (SettingKey::Microsteps, SettingRule::Microsteps);
+    assert_eq!(set(key, 12), Refusal::SettingRule { key, rule });
+    // The machine has its old settings until the new ones are in flash.
+    let request = Request::SetSetting(SETTING);
+    assert!(matches!(send(&mut rig, request).1, Effect::Store(_)));
+    assert_eq!(*rig.machine.settings(), SETTINGS);
+    assert!(rig.machine.homed());
+}
+
+#[test]
+fn name_and_health_are_handed_out() {
+    for state in STATES {
+        let mut rig = rig_in(state);
+        let (reply, ..) = send(&mut rig, Request::GetName(settings::GetName));
+        assert_eq!(
+            reply,
+            Reply::Accepted(Response::GetName(name("left bench")))
+        );
+        let (reply, ..) = send(&mut rig, Request::GetRigHealth(rig::GetRigHealth));
+        assert_eq!(reply, Reply::Accepted(Response::GetRigHealth(HEALTH)));
+    }
+}
+
+/// While the run is held the status shows the stroke that it will go on with.
+#[test]
+fn status_of_a_held_run() {
+    let mut rig = rig_in(RigState::Held);
+    let shown = status(&mut rig);
+    assert_eq!((shown.state, shown.homed), (RigState::Held, true));
+    assert_eq!((shown.run, shown.stroke, shown.strokes), (1, 0, 2));
+    assert!(shown.position_steps > 100);
 }
 
 #[test]
@@ -482,7 +718,10 @@ fn a_latched_fault_is_named_with_its_remedy() {
     }
     rig.pressed = true;
     let acknowledge = Request::Acknowledge(system::Acknowledge);
-    assert_eq!(refusal(&mut rig, acknowledge), Refusal::CauseStillPresent);
+    assert_eq!(
+        refusal(&mut rig, acknowledge.clone()),
+        Refusal::CauseStillPresent
+    );
     rig.pressed = false;
     let (reply, effect, actions) = send(&mut rig, acknowledge);
     assert_eq!(reply, Reply::Accepted(Response::Acknowledge(Done)));
