@@ -41,6 +41,8 @@ pub(crate) struct Curve {
 pub(crate) struct Chart {
     pub(crate) x_label: &'static str,
     pub(crate) y_label: String,
+    /// The axis reaches to 0, so that a difference looks as large as it is.
+    pub(crate) y_from_zero: bool,
     pub(crate) curves: Vec<Curve>,
 }
 
@@ -206,6 +208,7 @@ fn over_time(y_label: &str, curves: Vec<Curve>) -> Result<String, FigureError> {
     figure(vec![Chart {
         x_label: "time / s",
         y_label: y_label.to_owned(),
+        y_from_zero: false,
         curves,
     }])
 }
@@ -238,11 +241,13 @@ fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::E
     let Chart {
         x_label,
         y_label,
+        y_from_zero,
         curves,
     } = chart;
     let all = || curves.iter().flat_map(|curve| &curve.points);
     let (x_low, x_high) = span(all().map(|point| point.0), 0.0);
-    let (y_low, y_high) = span(all().map(|point| point.1), 0.06);
+    let zero = y_from_zero.then_some(0.0);
+    let (y_low, y_high) = span(all().map(|point| point.1).chain(zero), 0.06);
     let legend = Legend::of(&curves);
     let text = |size: i32| ("sans-serif", size).into_font().color(&INK);
     let mut chart = ChartBuilder::on(root)

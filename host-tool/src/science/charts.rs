@@ -11,7 +11,7 @@ const MODEL: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
 const SECOND: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
 const PAPER: RGBColor = RGBColor(0xc2, 0x1f, 0x26);
 
-/// A family of curves with more members has no legend.
+/// Of a family with more curves the legend names the first and the last.
 const LEGEND: usize = 12;
 
 fn curve(label: &str, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> Curve {
@@ -37,7 +37,7 @@ fn family(members: Vec<(String, Vec<(f64, f64)>)>, width: u32) -> Vec<Curve> {
         .into_iter()
         .enumerate()
         .map(|(index, (label, points))| Curve {
-            label: if count <= LEGEND {
+            label: if count <= LEGEND || index == 0 || index + 1 == count {
                 label
             } else {
                 String::new()
@@ -56,7 +56,12 @@ fn family(members: Vec<(String, Vec<(f64, f64)>)>, width: u32) -> Vec<Curve> {
 pub fn friction(runs: &[TubeRun], rows: &[TubeRow]) -> Result<String, FigureError> {
     let courses = runs
         .iter()
-        .map(|run| (format!("{}", run.case.friction), run.course.clone()))
+        .map(|run| {
+            (
+                format!("friction {}", run.case.friction),
+                run.course.clone(),
+            )
+        })
         .collect();
     tube_figure(courses, "friction coefficient", rows, |row| row.friction)
 }
@@ -93,11 +98,13 @@ fn tube_figure(
         Chart {
             x_label: "time / s",
             y_label: "displacement / mm".to_owned(),
+            y_from_zero: true,
             curves: family(courses, 3),
         },
         Chart {
             x_label,
             y_label: "displacement in 20 s / mm".to_owned(),
+            y_from_zero: true,
             curves: vec![
                 curve("model (calibrated)", MODEL, Mark::Line(4), model),
                 curve("paper's text (about)", PAPER, Mark::Dots(9), paper),
@@ -136,6 +143,7 @@ pub fn comparison(rig: &[RollerRow], tube: &[TubeRow]) -> Result<String, FigureE
         Chart {
             x_label: "peristaltic indentation / mm",
             y_label: "displacement in 40 s / mm".to_owned(),
+            y_from_zero: true,
             // The wide curve lies under the narrow one: the model gives both the same values.
             curves: vec![
                 rig_curve("without", "not lubricated (model, prediction)", SECOND, 10),
@@ -145,6 +153,7 @@ pub fn comparison(rig: &[RollerRow], tube: &[TubeRow]) -> Result<String, FigureE
         Chart {
             x_label: "peristaltic pressure / Pa",
             y_label: "displacement in 20 s / mm".to_owned(),
+            y_from_zero: true,
             curves: vec![
                 tube_curve(0.20, SECOND, 10),
                 tube_curve(0.08, MODEL, 3),
@@ -168,6 +177,7 @@ pub fn fold(test: &FoldTest) -> Result<String, FigureError> {
     figure(vec![Chart {
         x_label: "way of the carriage / mm",
         y_label: "displacement / mm".to_owned(),
+        y_from_zero: true,
         curves: vec![
             curve(
                 "unfolded (model)",
@@ -198,6 +208,7 @@ pub fn isolated(rows: &[IsolatedRow]) -> Result<String, FigureError> {
     figure(vec![Chart {
         x_label: "peristaltic indentation / mm",
         y_label: "displacement by one pass / mm".to_owned(),
+        y_from_zero: true,
         curves: vec![
             curve(
                 "antegrade (model)",
@@ -234,6 +245,7 @@ pub fn sweep(
     figure(vec![Chart {
         x_label,
         y_label: y_label.to_owned(),
+        y_from_zero: true,
         curves: family(members, 4),
     }])
 }
@@ -249,6 +261,7 @@ pub fn maps(maps: &Maps) -> Result<String, FigureError> {
         Chart {
             x_label,
             y_label: format!("d at a = {:.2} mm / mm", maps.indentation_mm),
+            y_from_zero: true,
             curves,
         }
     };

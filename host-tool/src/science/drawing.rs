@@ -301,17 +301,20 @@ impl Body {
 /// # Errors
 /// `a_mm` outside `0..=h`.
 pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> {
+    // Room for the words beside and below a small structure.
     const MARGIN: f64 = 18.0;
+    const LEAST_PART: f64 = 70.0;
     let m = usize::from(design.crescents());
     let (length, half) = (design.length_mm(0.0)?, design.width_mm() / 2.0);
-    let part = length + 2.0 * MARGIN;
+    let part = (length + 2.0 * MARGIN).max(LEAST_PART);
+    let margin = (part - length) / 2.0;
     let middle = 10.0 + half;
     let mut drawing = Drawing::new((2.0 * part).ceil(), (middle + half + 26.0).ceil());
 
     // The rearmost tip at 0, so that the core begins at s2(0).
     let free = Body::new(design, design.wing_reach_mm(0.0)?, &vec![0.0; m])?;
     let (tail, head) = free.core_ends_mm();
-    drawing.open("unsqueezed", (MARGIN, middle));
+    drawing.open("unsqueezed", (margin, middle));
     drawing.text("middle", (length / 2.0, -half - 4.0), "(a) not squeezed");
     walls(&mut drawing, length, half);
     drawing.body(&free);
@@ -341,8 +344,9 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
         design.tan_beta().atan().to_degrees(),
     );
     drawing.line("ghost", tip, (tip.0, -root));
-    drawing.arc(tip, 4.0, 0.0, alpha);
-    drawing.arc(tip, 6.0, 0.0, beta);
+    let radius = design.half_gap_mm() / 10.0;
+    drawing.arc(tip, 4.0 * radius, 0.0, alpha);
+    drawing.arc(tip, 6.0 * radius, 0.0, beta);
     drawing.text(
         "middle",
         (length / 2.0, half + 15.5),
@@ -363,7 +367,7 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
     let d = design.shortening_mm(a_mm)?;
     let squeezed = Body::new(design, tail + d, &vec![a_mm; m])?;
     let reach = half - a_mm;
-    drawing.open("squeezed", (part + MARGIN, middle));
+    drawing.open("squeezed", (part + margin, middle));
     drawing.text(
         "middle",
         (length / 2.0, -half - 4.0),
@@ -395,7 +399,7 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
     drawing.close();
     drawing.text(
         "start",
-        (MARGIN, middle + half + 24.0),
+        (4.0, middle + half + 24.0),
         "lengths in mm, drawn to scale; tail at the left, head at the right",
     );
     Ok(drawing.finish("The origami, not squeezed and squeezed"))

@@ -236,7 +236,7 @@ impl Strip {
             (LEFT, 12.0 + height * rows as f64 + 4.0),
             &format!(
                 "to scale, tail at the left; blue: start of the head, red: its place at the end; model values: a \
-                 crescent feels {} of the wall's indentation; parameters.csv says what is calibrated or assumed",
+                 crescent feels {} of the wall's indentation over its foot; parameters.csv says what is calibrated or assumed",
                 self.coupling
             ),
         );
