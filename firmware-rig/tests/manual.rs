@@ -1,8 +1,10 @@
-//! The manual says what the code says: every fault with its text, every setting with its default.
+//! The manual says what the code says: every fault with its text, every setting with unit, range and default, every
+//! rule.
 
-use firmware_rig::settings::Settings;
-use motion::run::Limits;
-use protocol::rig::{HomingPhase, RigFault};
+use protocol::{
+    rig::{HomingPhase, RigFault},
+    settings::{SettingKey, SettingRule},
+};
 
 const MANUAL: &str = include_str!("../../docs/rig.md");
 
@@ -22,6 +24,7 @@ fn every_fault_is_in_the_manual() {
         RigFault::EStopFrame,
         RigFault::FarLimit,
         RigFault::FlagNotFound(HomingPhase::Seek),
+        RigFault::HomingTimeout(HomingPhase::Seek),
         RigFault::FlagStuck,
         RigFault::BothSwitchesOpen,
         RigFault::LostSteps { residual_steps: 1 },
@@ -40,6 +43,7 @@ fn every_fault_is_in_the_manual() {
             RigFault::EStopFrame => "EStopFrame",
             RigFault::FarLimit => "FarLimit",
             RigFault::FlagNotFound(_) => "FlagNotFound",
+            RigFault::HomingTimeout(_) => "HomingTimeout",
             RigFault::FlagStuck => "FlagStuck",
             RigFault::BothSwitchesOpen => "BothSwitchesOpen",
             RigFault::LostSteps { .. } => "LostSteps",
@@ -58,50 +62,65 @@ fn every_fault_is_in_the_manual() {
     }
 }
 
+/// A number with commas.
+fn number(value: u32) -> String {
+    let digits = value.to_string();
+    let groups = digits.as_bytes().rchunks(3).rev();
+    let groups: Vec<_> = groups.map(|group| str::from_utf8(group).unwrap()).collect();
+    groups.join(",")
+}
+
+/// The rows of the manual's table, generated.
+fn settings_table() -> String {
+    let row = |key: SettingKey| {
+        let range = key.range();
+        format!(
+            "| `{}` | {} | {} to {} | {} | {} |\n",
+            key.name(),
+            key.unit().replace('1', "-"),
+            number(range.min),
+            number(range.max),
+            number(range.default),
+            key.doc()
+        )
+    };
+    SettingKey::ALL.into_iter().map(row).collect()
+}
+
 #[test]
 fn every_setting_is_in_the_manual() {
-    // Without "..": a new field has to be named here.
-    let Settings {
-        axis,
-        limits:
-            Limits {
-                max_speed_um_s,
-                max_accel_um_s2,
-                min_interval_ticks,
-                min_turnaround_ticks,
-            },
-        seek_um_s,
-        locate_um_s,
-        homing_accel_um_s2,
-        stop_accel_um_s2,
-        overtravel_um,
-        pull_off_um,
-        flag_um,
-        ledger_limit_steps,
-        link_timeout_us,
-    } = Settings::REFERENCE;
-    let defaults: [(&str, u64); 17] = [
-        ("lead_um", axis.lead().0.into()),
-        ("full_steps_per_rev", axis.full_steps_per_rev().into()),
-        ("microsteps", axis.microsteps().into()),
-        ("stroke_um", axis.stroke().0.into()),
-        ("max_speed_um_s", max_speed_um_s.into()),
-        ("max_accel_um_s2", max_accel_um_s2.into()),
-        ("min_interval_ticks", min_interval_ticks.into()),
-        ("min_turnaround_ticks", min_turnaround_ticks.into()),
-        ("seek_um_s", seek_um_s.into()),
-        ("locate_um_s", locate_um_s.into()),
-        ("homing_accel_um_s2", homing_accel_um_s2.into()),
-        ("stop_accel_um_s2", stop_accel_um_s2.into()),
-        ("overtravel_um", overtravel_um.into()),
-        ("pull_off_um", pull_off_um.into()),
-        ("flag_um", flag_um.into()),
-        ("ledger_limit_steps", ledger_limit_steps.into()),
-        ("link_timeout_us", link_timeout_us),
+    let table = settings_table();
+    assert!(
+        MANUAL.contains(&format!("|---|---|---|---|---|\n{table}\n")),
+        "put this table into docs/rig.md:\n{table}"
+    );
+}
+
+#[test]
+fn every_rule_is_in_the_manual() {
+    use SettingRule::*;
+    let rules = [
+        FullSteps,
+        Microsteps,
+        StrokeHoldsAStep,
+        PullOffHoldsAStep,
+        FlagWithinStroke,
+        PulseWithinStep,
+        HomingWithinStepRate,
+        TelemetryInterval,
     ];
-    for (name, default) in defaults {
-        let row = row(name);
-        assert_eq!(row.len(), 5, "{name}: unit, range, default, what it is");
-        assert_eq!(row[3].replace(',', ""), default.to_string(), "{name}");
-    }
+    let list: String = rules
+        .into_iter()
+        .map(|rule| match rule {
+            // A new rule has to be named here.
+            FullSteps | Microsteps | StrokeHoldsAStep | PullOffHoldsAStep | FlagWithinStroke
+            | PulseWithinStep | HomingWithinStepRate | TelemetryInterval => {
+                format!("- {}\n", rule.text())
+            }
+        })
+        .collect();
+    assert!(
+        MANUAL.contains(&format!("\n\n{list}\n")),
+        "put this list into docs/rig.md:\n{list}"
+    );
 }
