@@ -22,12 +22,12 @@ use rigless::machine::{Board, Target};
 use rigless::mcu::Mcu;
 use rigless::session::Session;
 use rigless::snapshot::Store;
-use rigless::soc::{Bus, Width};
 use rigless::soc::stm32f427::Stm32f427;
 use rigless::soc::stm32f427::generated::{flash, gpioa};
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin as PortPin};
 use rigless::soc::stm32f427::peripherals::tim::{Advanced, General, Tim};
 use rigless::soc::stm32f427::peripherals::{ADVANCED_TIMERS, TIMERS, adc};
+use rigless::soc::{Bus, Width};
 use rigless::time::VirtualNanos;
 
 use crate::serial::{Serial, Wire};
