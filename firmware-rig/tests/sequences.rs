@@ -10,8 +10,9 @@ use firmware_rig::{
 use motion::{
     axis::{Axis, Direction},
     run::RunPlan,
+    units::Steps,
 };
-use protocol::rig::{LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState};
+use protocol::rig::{LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome};
 
 /// A rig with few steps, 4 per mm: 80 in its stroke of 20 mm, the flag at the fourth.
 fn small() -> Settings {
@@ -51,6 +52,21 @@ fn link_loss(random: &mut Random) -> LinkLossPolicy {
     random.pick(&[LinkLossPolicy::Stop, LinkLossPolicy::Finish])
 }
 
+fn jog(random: &mut Random, settings: &Settings) -> Command {
+    Command::Jog {
+        direction: random.pick(&[Direction::Away, Direction::Home]),
+        speed: settings.speed(random.pick(&[5_000, 40_000])).unwrap(),
+    }
+}
+
+fn move_to(random: &mut Random, settings: &Settings) -> Command {
+    let to = Steps(random.below(81) as u32);
+    Command::MoveTo {
+        target: settings.axis.position(to).unwrap(),
+        speed: settings.speed(40_000).unwrap(),
+    }
+}
+
 /// Anything at all, in any order; mostly what makes sense, so that every state is reached.
 mod anything {
     use super::*;
@@ -58,6 +74,8 @@ mod anything {
     enum Input {
         Event(Event),
         Command(Command, i32),
+        /// So far from 0 lies the flag now.
+        Flag(u32),
     }
 
     fn position(random: &mut Random) -> i32 {
@@ -70,7 +88,12 @@ mod anything {
 
     /// What a rig without mishaps would bring next.
     fn expected(random: &mut Random, plan: RunPlan, state: RigState) -> Input {
-        let report = PathReport::default();
+        let at = if random.one_in(4) { 20 } else { 0 };
+        let report = PathReport {
+            commanded: at,
+            counted: at,
+            ..PathReport::default()
+        };
         let flag = Input::Event(Event::FlagEdge {
             opening: random.one_in(2),
             count: 4,
@@ -82,19 +105,29 @@ mod anything {
         });
         let ended = |end| Input::Event(Event::PathEnded(end, report));
         match state {
+            RigState::Unhomed if random.one_in(4) => Input::Command(Command::Button(None), 0),
             RigState::Unhomed => Input::Command(Command::Home, 0),
             RigState::Homing if random.one_in(3) => ended(PathEnd::Stopped),
             RigState::Homing => flag,
+            RigState::Ready if random.one_in(3) => Input::Command(jog(random, &small()), 0),
+            RigState::Ready if random.one_in(3) => Input::Command(move_to(random, &small()), 0),
             RigState::Ready => {
                 let link_loss = link_loss(random);
                 Input::Command(Command::Run { plan, link_loss }, 0)
             }
-            RigState::Running => match random.below(3) {
-                0 => flag,
-                1 => done,
+            RigState::Running => match random.below(6) {
+                0 | 1 => flag,
+                2 => done,
+                3 | 4 => Input::Command(Command::Hold, 0),
                 _ => ended(PathEnd::Complete),
             },
-            RigState::Held | RigState::Stopping => ended(PathEnd::Stopped),
+            RigState::Held => {
+                let command = random.pick(&[Command::Resume, Command::Button(None)]);
+                Input::Command(command, at)
+            }
+            RigState::Moving if random.one_in(2) => Input::Command(jog(random, &small()), at),
+            RigState::Moving => ended(PathEnd::Complete),
+            RigState::Stopping => ended(PathEnd::Stopped),
             RigState::Faulted if random.one_in(2) => ended(PathEnd::Cut),
             RigState::Faulted => Input::Command(Command::Acknowledge, 0),
         }
@@ -113,10 +146,22 @@ mod anything {
         let report = PathReport {
             commanded: position_now,
             counted: other,
-            last_tick: random.next(),
+            last_tick: random.below(1 << 40),
             min_queue: random.next() as u16,
         };
-        match random.below(40) {
+        match random.below(56) {
+            40 => Input::Command(Command::Hold, position_now),
+            41..44 => Input::Command(Command::Resume, position_now),
+            44..46 => Input::Command(jog(random, &small()), position_now),
+            46..48 => Input::Command(move_to(random, &small()), position_now),
+            48..50 => {
+                let plan = random.pick(&[Some(plan), None]);
+                Input::Command(Command::Button(plan), position_now)
+            }
+            50..54 => Input::Event(Event::Tick {
+                now_us: random.pick(&[1, 300_001, 300_002, 60_000_001, 60_000_002]),
+            }),
+            54 => Input::Flag(random.pick(&[1_000, 1_250])),
             0..6 => Input::Command(Command::Home, position_now),
             6..12 => {
                 let link_loss = link_loss(random);
@@ -180,20 +225,39 @@ mod anything {
                     let result = self
                         .machine
                         .command(1, asked, position, inputs, &mut actions);
-                    if result.is_err() {
+                    let found_elsewhere = before == RigState::Held
+                        && matches!(asked, Command::Resume | Command::Button(_))
+                        && matches!(self.machine.fault(), Some(RigFault::ReadBack { .. }));
+                    if result.is_err() && !found_elsewhere {
                         assert!(actions.is_empty());
                         assert_eq!(self.machine.state(), before);
                         assert_eq!(self.machine.homed(), homed);
                         assert_eq!(self.machine.fault(), fault);
                         return;
                     }
-                    command = Some(asked);
+                    command = Some((asked, position));
+                }
+                Input::Flag(flag_um) => {
+                    let may = self.machine.may_change_settings();
+                    assert_eq!(
+                        may.is_ok(),
+                        !self.path && before != RigState::Held,
+                        "{before:?}"
+                    );
+                    if may.is_ok() {
+                        let other = flag_um != self.machine.settings().flag_um;
+                        self.machine.set_settings(Settings { flag_um, ..small() });
+                        self.found &= !other;
+                        assert_eq!(self.machine.homed(), homed && !other);
+                        assert_eq!(self.machine.fault(), fault);
+                    }
+                    return;
                 }
             }
             assert!(!actions.is_full(), "no room to spare: {actions:?}");
             let after = self.machine.state();
             if let Some(fault) = fault {
-                if command == Some(Command::Acknowledge) {
+                if let Some((Command::Acknowledge, _)) = command {
                     assert_eq!(after, RigState::Unhomed);
                     self.acknowledged = true;
                 } else {
@@ -223,32 +287,54 @@ mod anything {
             }
             let moves = matches!(
                 after,
-                RigState::Homing | RigState::Running | RigState::Stopping
+                RigState::Homing | RigState::Running | RigState::Moving | RigState::Stopping
             );
             assert!(!moves || self.path, "{after:?} without a path");
+            let rests = matches!(after, RigState::Unhomed | RigState::Ready | RigState::Held);
+            assert!(!rests || !self.path, "{after:?} with a path");
             if self.machine.homed() {
                 assert!(self.found && self.machine.fault().is_none());
                 assert!(homed || before == RigState::Homing);
             }
         }
 
-        fn check_start(&self, before: RigState, command: Option<Command>, window: (i32, i32)) {
+        fn check_start(
+            &self,
+            before: RigState,
+            command: Option<(Command, i32)>,
+            window: (i32, i32),
+        ) {
             assert!(self.acknowledged);
-            match command {
-                Some(Command::Home) => {
-                    assert!(matches!(before, RigState::Unhomed | RigState::Ready));
-                    assert!(!self.machine.homed());
-                }
-                Some(Command::Run { .. }) => {
-                    assert_eq!(before, RigState::Ready);
-                    assert!(self.found && self.machine.homed());
-                    assert_eq!(window, (0, 80));
-                }
-                Some(other) => panic!("{other:?} started something"),
-                None => {
+            match (self.machine.state(), command) {
+                (RigState::Homing, None) => {
                     assert_eq!(before, RigState::Homing, "only homing goes on by itself");
                     assert!(!self.machine.homed());
                 }
+                (RigState::Homing, Some((Command::Home | Command::Button(_), _))) => {
+                    assert!(matches!(before, RigState::Unhomed | RigState::Ready));
+                    assert!(!self.machine.homed());
+                }
+                (RigState::Running, Some((asked, _))) => {
+                    let from = match asked {
+                        Command::Run { .. } | Command::Button(Some(_)) => {
+                            matches!(before, RigState::Ready | RigState::Held)
+                        }
+                        Command::Resume | Command::Button(None) => before == RigState::Held,
+                        _ => false,
+                    };
+                    assert!(from, "{asked:?} in {before:?}");
+                    assert!(self.found && self.machine.homed());
+                    assert_eq!(window, (0, 80));
+                }
+                (RigState::Moving, Some((Command::Jog { .. } | Command::MoveTo { .. }, from))) => {
+                    assert_eq!(before, RigState::Ready);
+                    assert!(self.found && self.machine.homed());
+                    // From where it stands to somewhere in the stroke.
+                    let to = if window.0 == from { window.1 } else { window.0 };
+                    assert!(window.0 == from || window.1 == from);
+                    assert!((0..=80).contains(&to));
+                }
+                (state, other) => panic!("{other:?} started something, {state:?}"),
             }
             // Finite, and no longer than a search over stroke and overtravel.
             assert!(window.1.abs_diff(window.0) <= 400_500, "{window:?}");
@@ -258,15 +344,23 @@ mod anything {
     fn check(sequences: u64) {
         let settings = small();
         let plan = plan(&settings, 2, 15_000, 40_000);
-        let mut reached = [0_u64; 7];
+        let ready = Rig::homed(settings).machine;
+        let mut reached = [0_u64; 8];
         for seed in 0..sequences {
             let mut random = Random(seed);
+            // From the start, after a bad end, or homed already.
+            let homed = !random.one_in(4);
             let fault = random.one_in(8).then_some(RigFault::Watchdog);
+            let fault = fault.filter(|_| !homed);
             let mut watch = Watch {
-                machine: Machine::new(settings, fault),
+                machine: if homed {
+                    ready.clone()
+                } else {
+                    Machine::new(settings, fault)
+                },
                 path: false,
                 acknowledged: fault.is_none(),
-                found: false,
+                found: homed,
             };
             for _ in 0..40 {
                 let inputs = RigInputs {
@@ -284,6 +378,8 @@ mod anything {
             RigState::Homing,
             RigState::Ready,
             RigState::Running,
+            RigState::Held,
+            RigState::Moving,
             RigState::Stopping,
             RigState::Faulted,
         ] {
@@ -309,25 +405,44 @@ mod anything {
 mod executed {
     use super::*;
 
+    /// What one sequence came to.
+    #[derive(Default)]
+    struct Ends {
+        runs: u64,
+        complete: u64,
+        held: u64,
+        moves: u64,
+    }
+
     /// What the carriage itself checks at every pulse: no pulse outside a moving state, none outside the stroke
     /// while the position is trusted, one path at a time. Here: what needs more than one look.
-    fn sequence(random: &mut Random, settings: Settings) -> Option<RigState> {
+    fn sequence(random: &mut Random, settings: Settings, ends: &mut Ends) {
         let mut rig = Rig::new(settings, random.below(81) as i32);
-        let mut complete = None;
-        for _ in 0..24 {
-            let (pulses, fault) = (rig.pulses, rig.fault());
-            match random.below(24) {
-                0..5 => {
+        let (mut edges, mut sound) = (0, true);
+        for _ in 0..30 {
+            let (pulses, before, events) = (rig.pulses, rig.machine.state(), rig.events.len());
+            match random.below(32) {
+                0..4 => {
                     let _ = rig.command(Command::Home);
                 }
-                5..10 => {
+                4..9 => {
                     let stroke_um = 250 + random.below(19_751) as u32;
                     let plan = plan(&settings, 1 + random.below(2) as u16, stroke_um, 40_000);
                     let link_loss = link_loss(random);
-                    let _ = rig.command(Command::Run { plan, link_loss });
+                    let command = if random.one_in(4) {
+                        Command::Button(Some(plan))
+                    } else {
+                        Command::Run { plan, link_loss }
+                    };
+                    if rig.command(command).is_ok()
+                        && before == RigState::Ready
+                        && rig.machine.state() == RigState::Running
+                    {
+                        edges = plan.edges();
+                    }
                 }
-                10 => rig.command(Command::Stop).unwrap(),
-                11 => {
+                9 => rig.command(Command::Stop).unwrap(),
+                10 => {
                     if random.one_in(2) {
                         rig.command(Command::EStop).unwrap();
                     } else {
@@ -335,44 +450,94 @@ mod executed {
                     }
                     assert!(!rig.moving());
                 }
-                12 => rig.pressed = false,
-                13 => {
+                11 => rig.pressed = false,
+                12 => {
                     let _ = rig.command(Command::Acknowledge);
                 }
-                14 => rig.event(Event::LinkSilent),
-                15 if random.one_in(4) => rig.slipping = random.below(30) as u32,
-                16 if random.one_in(4) => {
+                13 => rig.event(Event::LinkSilent),
+                14 if random.one_in(4) => {
+                    rig.slipping = random.below(30) as u32;
+                }
+                15 if random.one_in(4) => {
                     rig.stuck_flag = random.pick(&[None, Some(true), Some(false)]);
                 }
-                17 if random.one_in(8) => rig.jumper_cut = !rig.jumper_cut,
-                18 => rig.bounces = random.below(3) as u32,
+                16 if random.one_in(8) => rig.jumper_cut = !rig.jumper_cut,
+                17 => rig.bounces = random.below(3) as u32,
                 // By hand, where hands can move it.
-                19 if !rig.moving() && random.one_in(4) => rig.place = random.below(81) as i32,
+                18 if !rig.moving() && random.one_in(4) => {
+                    rig.place = random.below(81) as i32;
+                    sound = false;
+                }
+                19 | 20 => {
+                    let _ = rig.command(Command::Hold);
+                }
+                21 | 22 => {
+                    let _ = rig.command(Command::Resume);
+                }
+                23 => {
+                    let _ = rig.command(jog(random, &settings));
+                }
+                24 => {
+                    let _ = rig.command(move_to(random, &settings));
+                }
+                25 if !rig.moving() => rig.wait(random.below(1_000_000_000)),
                 _ => {
                     rig.pulses(random.below(200));
-                    if fault.is_some() {
-                        assert_eq!(rig.pulses, pulses, "faulted");
+                    if matches!(
+                        before,
+                        RigState::Unhomed | RigState::Ready | RigState::Held | RigState::Faulted
+                    ) {
+                        assert_eq!(rig.pulses, pulses, "{before:?}");
                     }
-                    continue;
                 }
             }
-            assert_eq!(
-                rig.pulses, pulses,
-                "nothing moves before the generator does"
-            );
-            if let Some(RigEvent::RunEnded { .. }) = rig.events.last() {
-                complete = Some(rig.machine.state());
+            if before == rig.machine.state() && !rig.moving() {
+                assert_eq!(rig.pulses, pulses, "nothing moves at rest");
+            }
+            for event in &rig.events[events..] {
+                match event {
+                    RigEvent::RunEnded { outcome, .. } => {
+                        ends.runs += 1;
+                        let record = rig.machine.record();
+                        if *outcome == RunOutcome::Complete {
+                            ends.complete += 1;
+                            ends.held += u64::from(record.holds > 0);
+                            assert_eq!(record.commanded_edges, edges, "held or not");
+                            assert_eq!(record.counted_edges, edges);
+                            assert_eq!(rig.counted, 0);
+                        }
+                    }
+                    RigEvent::Moved { .. } => ends.moves += 1,
+                    _ => {}
+                }
+            }
+            // Since homing began no mishap: then the carriage is where the counter says.
+            let mishap = rig.slipping > 0 || rig.jumper_cut || rig.stuck_flag.is_some();
+            let begun = before != RigState::Homing && rig.machine.state() == RigState::Homing;
+            sound = (sound || begun) && !mishap;
+            if rig.machine.homed() && sound {
+                assert_eq!(rig.place, rig.counted);
+                assert!((0..=80).contains(&rig.place));
             }
         }
-        complete
     }
 
     fn check(sequences: u64) {
         let settings = small();
-        let ends = (0..sequences)
-            .filter_map(|seed| sequence(&mut Random(seed), settings))
-            .count() as u64;
-        assert!(ends * 50 > sequences, "too few runs: {ends}");
+        let mut ends = Ends::default();
+        for seed in 0..sequences {
+            sequence(&mut Random(seed), settings, &mut ends);
+        }
+        let Ends {
+            runs,
+            complete,
+            held,
+            moves,
+        } = ends;
+        assert!(runs * 20 > sequences, "too few runs: {runs}");
+        assert!(complete * 50 > sequences, "too few complete: {complete}");
+        assert!(held * 500 > sequences, "too few held and complete: {held}");
+        assert!(moves * 50 > sequences, "too few moves: {moves}");
     }
 
     #[test]
