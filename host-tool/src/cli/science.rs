@@ -226,7 +226,8 @@ spacing:  phi {spacing_mm:.3} mm (Eq. 3), {crescents} crescents
 length:   core m phi {core_length_mm:.3} mm, overall {length_mm:.3} mm
 thread:   {largest_shortening_mm:.2} mm at most, {capsule}
 
-    a/mm   psi/mm    d0/mm     d/mm     L/mm   W-2a/mm  dd0/da  dd0/dalpha  dd0/dbeta mm/rad
+       a      psi       d0        d        L      W-2a  dd0/da  dd0/dalpha  dd0/dbeta
+      mm       mm       mm       mm       mm        mm       1      mm/rad     mm/rad
 ",
         report.alpha_window_deg.0,
         report.alpha_window_deg.1,
@@ -271,7 +272,7 @@ thread:   {largest_shortening_mm:.2} mm at most, {capsule}
     };
     text += &format!(
         "Eq. (6) at a = {:.2} mm: left less right side {:.3} as printed (its units do not agree), {:.3} repaired; \
-         d d0/d alpha is {:.3} mm/rad. It has no root near a design's alpha.",
+         d d0/d alpha is {:.3} mm/rad. Repaired it has no root below alpha = 51.827 deg.",
         report.indentation_mm,
         report.equation_6.printed_residual,
         report.equation_6.repaired_residual,
