@@ -43,7 +43,12 @@ fn get(word: usize) -> u32 {
 #[inline(never)]
 fn set(word: usize, value: u32) {
     // SAFETY: as in `get`; callers are start-up, one task, or a panic, of which there is one at a time.
-    unsafe { write_volatile(addr_of_mut!(_last_words_start).cast::<u32>().add(word), value) }
+    unsafe {
+        write_volatile(
+            addr_of_mut!(_last_words_start).cast::<u32>().add(word),
+            value,
+        )
+    }
 }
 
 /// Of the text; one letter per word.
@@ -84,7 +89,9 @@ pub fn start() -> Left {
     let length = (get(LENGTH) as usize).min(LONGEST);
     let words = get(WORDS_MAGIC) == MAGIC && get(CHECK) == check(length);
     let last_words = words.then(|| {
-        let text = (0..length).map(|index| get(TEXT + index) as u8 & 0x7F).collect();
+        let text = (0..length)
+            .map(|index| get(TEXT + index) as u8 & 0x7F)
+            .collect();
         String::from_utf8(text).unwrap_or_default()
     });
     set(BOOT_MAGIC, MAGIC);
@@ -133,7 +140,9 @@ impl Text {
         if number >= base {
             self.push_number(number / base, base);
         }
-        let _ = self.0.push(b"0123456789abcdef"[(number % base) as usize % 16]);
+        let _ = self
+            .0
+            .push(b"0123456789abcdef"[(number % base) as usize % 16]);
     }
 }
 

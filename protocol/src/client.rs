@@ -14,6 +14,8 @@ use crate::{
 pub const RETRY_AFTER_US: u64 = 100_000;
 /// How often a request is sent before its outcome is reported as unknown.
 pub const ATTEMPTS: u8 = 8;
+/// The same for requests that write to flash: the device hears nothing while it erases, half a second or more.
+pub const FLASH_ATTEMPTS: u8 = 30;
 
 /// What the device sent.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,15 +63,17 @@ pub struct NotNow;
 struct Pending {
     header: Header,
     frame: Encoded,
+    attempts: u8,
     sent: u8,
     next_us: u64,
 }
 
 impl Pending {
-    fn new(header: Header, frame: Encoded) -> Self {
+    fn new(header: Header, frame: Encoded, attempts: u8) -> Self {
         Self {
             header,
             frame,
+            attempts,
             sent: 0,
             next_us: 0,
         }
@@ -79,7 +83,7 @@ impl Pending {
         if now_us < self.next_us {
             return Poll::WaitUntil(self.next_us);
         }
-        if self.sent == ATTEMPTS {
+        if self.sent == self.attempts {
             return Poll::TimedOut;
         }
         self.sent += 1;
@@ -154,7 +158,13 @@ impl Client {
         };
         // The messages of this crate all fit; see the test `every_message_fits`.
         let frame = encode(header, request).map_err(|_| NotNow)?;
-        self.pending = Some(Pending::new(header, frame));
+        let attempts = match request {
+            Request::SetSetting(_) | Request::FactoryReset(_) | Request::SetName(_) => {
+                FLASH_ATTEMPTS
+            }
+            _ => ATTEMPTS,
+        };
+        self.pending = Some(Pending::new(header, frame, attempts));
         Ok(())
     }
 
@@ -168,7 +178,7 @@ impl Client {
         };
         self.urgent = encode(header, &urgent)
             .ok()
-            .map(|frame| Pending::new(header, frame));
+            .map(|frame| Pending::new(header, frame, ATTEMPTS));
     }
 
     fn take_seq(&mut self) -> u16 {

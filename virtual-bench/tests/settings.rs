@@ -3,14 +3,16 @@
 mod common;
 
 use common::{RigRun, rig};
-use host_tool::error::ClientError;
+use host_tool::{error::ClientError, link::Link};
 use protocol::{
     error::Refusal,
+    frame::{Header, Kind, encode},
     rig::{RigEvent, RigState},
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::What,
+    table::Command,
 };
-use virtual_bench::emulator::CutAt;
+use virtual_bench::{emulator::CutAt, link::VirtualLink};
 
 fn get(rig: &mut RigRun, key: SettingKey) -> u32 {
     let got = rig.device.call(GetSetting { key }).expect("it answers");
@@ -20,6 +22,25 @@ fn get(rig: &mut RigRun, key: SettingKey) -> u32 {
 
 fn set(rig: &mut RigRun, key: SettingKey, value: u32) -> Result<Setting, ClientError> {
     rig.device.call(Setting { key, value })
+}
+
+/// Sends the request and lets it be carried out, to its end or to the cut.
+fn begin(rig: &RigRun, key: SettingKey, value: u32) {
+    let header = Header {
+        kind: Kind::Request,
+        session: rig.device.identity().expect("a session").session,
+        seq: 60_000,
+    };
+    let frame = encode(header, &Setting { key, value }.into_request()).expect("it fits");
+    let mut link = VirtualLink::new(&rig.bench, "a second hand on the line");
+    link.send(&frame).expect("the bench runs");
+    for _ in 0..20 {
+        rig.bench.advance_us(50_000).expect("the bench runs");
+        let cut = rig.bench.visit(|visit| visit.flash_is_cut());
+        if cut.expect("the bench runs") {
+            break;
+        }
+    }
 }
 
 fn power_cycle(rig: &mut RigRun) {
@@ -156,7 +177,7 @@ fn cut_within_a_change(
             visit.cut_flash(at, done + number);
         })
         .expect("the bench runs");
-    let _ = set(rig, key, wanted);
+    begin(rig, key, wanted);
     let cut = rig
         .bench
         .visit(|visit| visit.flash_is_cut())
@@ -192,7 +213,14 @@ fn until_a_sector_is_full(stop_before: Option<u32>) -> (RigRun, u32, u64) {
             return (rig, change, 0);
         }
         let before = operations(&rig);
-        set(&mut rig, FILLED, filled(change)).expect("accepted");
+        set(&mut rig, FILLED, filled(change)).unwrap_or_else(|error| {
+            let again = rig.device.hello(3);
+            panic!(
+                "change {change}: {error}; {} operations; {again:?}\n{}",
+                operations(&rig) - before,
+                rig.log()
+            )
+        });
         let count = operations(&rig) - before;
         // Turning over to an empty sector takes a few more stores; moving records to make room takes many.
         if count > usual.saturating_mul(3) {
@@ -228,7 +256,7 @@ fn a_cut_within_a_change_that_erases_a_sector_loses_nothing() {
             rig.bench
                 .visit(move |visit| visit.cut_flash(at, number))
                 .expect("the bench runs");
-            let _ = set(&mut rig, FILLED, last);
+            begin(&rig, FILLED, last);
             power_cycle(&mut rig);
             let found = get(&mut rig, FILLED);
             let before = filled(change - 1);

@@ -9,7 +9,7 @@ use crate::{
         Snapshot, TELEMETRY_CHANGED, TELEMETRY_MS, UART_ERRORS, UNSENT_FRAMES, send_if_free,
     },
     image, panic, stepgen,
-    storage::{Failed, RECORD, Store},
+    storage::{Failed, Store},
 };
 use core::sync::atomic::Ordering;
 use embassy_futures::select::{Either3, select3};
@@ -98,20 +98,15 @@ impl Control {
             image_hash,
         } = start;
         let (mut values, mut name) = (Values::DEFAULT, String::new());
-        let (mut buffer, mut readable) = ([0; RECORD], true);
-        for number in (0..SettingKey::ALL.len() as u8).chain([NAME_RECORD]) {
-            match store.load(number, &mut buffer) {
-                Ok(Some(text)) if number == NAME_RECORD => {
-                    let text = core::str::from_utf8(text).unwrap_or_default();
-                    name = text.try_into().unwrap_or_default();
-                }
-                Ok(Some(record)) => values.load(number, record),
-                Ok(None) => {}
-                Err(Failed) => readable = false,
+        let loaded = store.load(|number, record| match number {
+            NAME_RECORD => {
+                let text = core::str::from_utf8(record).unwrap_or_default();
+                name = text.try_into().unwrap_or_default();
             }
-        }
+            _ => values.load(number, record),
+        });
         // A cut of the power within a reset to the defaults may leave values that do not go together.
-        let settings = Settings::new(&values).ok().filter(|_| readable);
+        let settings = Settings::new(&values).ok().filter(|_| loaded.is_ok());
         let unusable = settings.is_none();
         if unusable {
             values = Values::DEFAULT;
