@@ -377,6 +377,7 @@ fn random_sequences_break_no_rule() {
 /// As many as fit into five minutes, other ones than above.
 #[test]
 #[ignore = "takes five minutes"]
+#[expect(clippy::print_stdout, reason = "how many fitted is worth knowing")]
 fn random_sequences_for_five_minutes_break_no_rule() {
     let start = Instant::now();
     let mut count = 0;
