@@ -276,7 +276,8 @@ fn a_stop_during_a_hold_wins() {
 
 #[test]
 fn whatever_cuts_a_held_run_ends_it() {
-    let faults: [(fn(&mut Rig), RigFault); 3] = [
+    type Mishap = fn(&mut Rig);
+    let faults: [(Mishap, RigFault); 3] = [
         (Rig::press, RigFault::EStopLoop),
         (
             |rig| rig.command(Command::EStop).unwrap(),

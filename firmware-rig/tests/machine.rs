@@ -702,7 +702,7 @@ mod table {
         StopHoldOut,
         StopHoldBack,
         StopHoldMet,
-        HeldAtStart,
+        HeldFirst,
         HeldOut,
         HeldBack,
         HeldMet,
@@ -737,7 +737,7 @@ mod table {
         StopHoldOut,
         StopHoldBack,
         StopHoldMet,
-        HeldAtStart,
+        HeldFirst,
         HeldOut,
         HeldBack,
         HeldMet,
@@ -943,6 +943,9 @@ mod table {
         ..CLOSED
     };
 
+    /// A start, and what leads to it from the one before.
+    type Phase = (Start, fn(&mut Way));
+
     /// A machine on its way, with nothing that it says.
     struct Way(Machine);
 
@@ -973,7 +976,7 @@ mod table {
 
         /// From on the flag up to the beginning of a phase, to its edge, or to the end.
         fn home(&mut self, start: Start) {
-            let phases: [(Start, fn(&mut Self)); 8] = [
+            let phases: [Phase; 8] = [
                 (Clear, |way| way.command(Command::Home, ON_FLAG)),
                 (Seek, |way| way.off_the_flag(20)),
                 (SeekFound, |way| way.flag(true, 10)),
@@ -1047,13 +1050,13 @@ mod table {
                     _ => {}
                 }
             }
-            Away | Finish | StopRun | StopHoldOut | HeldAtStart | HeldOut | FaultedHeld => {
+            Away | Finish | StopRun | StopHoldOut | HeldFirst | HeldOut | FaultedHeld => {
                 way.home(Ready);
                 way.command(run, ON_FLAG);
                 match start {
                     StopRun => way.command(Command::Stop, ON_FLAG),
                     StopHoldOut => way.command(Command::Hold, ON_FLAG),
-                    HeldAtStart => way.hold(0),
+                    HeldFirst => way.hold(0),
                     HeldOut | FaultedHeld => way.hold(4_000),
                     _ => {}
                 }
@@ -1136,7 +1139,7 @@ mod table {
     ];
     const READY: &[Start] = &[Ready, ReadyOut];
     const RUNNING: &[Start] = &[Away, Back, BackMet, Finish];
-    const HELD: &[Start] = &[HeldAtStart, HeldOut, HeldBack, HeldMet];
+    const HELD: &[Start] = &[HeldFirst, HeldOut, HeldBack, HeldMet];
     const MOVING: &[Start] = &[Moving, Jogging];
     const STOPPING: &[Start] = &[
         StopHoming,
@@ -1297,7 +1300,7 @@ mod table {
         (&[Panicked], &[Hold], "Faulted: RigFaulted(Panic)"),
         (HELD, &[Resume], "Running Start Resumed 0..104000"),
         (
-            &[HeldAtStart],
+            &[HeldFirst],
             &[ResumeElsewhere],
             "ReadBack { commanded: 0, counted: 1 }: RigFaulted(ReadBack { commanded: 0, counted: 1 })",
         ),
