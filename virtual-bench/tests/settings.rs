@@ -29,7 +29,8 @@ fn begin(rig: &RigRun, key: SettingKey, value: u32) {
     let header = Header {
         kind: Kind::Request,
         session: rig.device.identity().expect("a session").session,
-        seq: 60_000,
+        // Ahead of the client's own numbers, and not so far that it would count as behind.
+        seq: 20_000,
     };
     let frame = encode(header, &Setting { key, value }.into_request()).expect("it fits");
     let mut link = VirtualLink::new(&rig.bench, "a second hand on the line");
@@ -38,9 +39,10 @@ fn begin(rig: &RigRun, key: SettingKey, value: u32) {
         rig.bench.advance_us(50_000).expect("the bench runs");
         let cut = rig.bench.visit(|visit| visit.flash_is_cut());
         if cut.expect("the bench runs") {
-            break;
+            return;
         }
     }
+    panic!("the operation was never reached\n{}", rig.log());
 }
 
 fn power_cycle(rig: &mut RigRun) {
@@ -178,10 +180,6 @@ fn cut_within_a_change(
         })
         .expect("the bench runs");
     begin(rig, key, wanted);
-    let cut = rig
-        .bench
-        .visit(|visit| visit.flash_is_cut())
-        .expect("the bench runs");
     power_cycle(rig);
     let found = get(rig, key);
     assert!(
@@ -189,7 +187,6 @@ fn cut_within_a_change(
         "store {number} cut {at:?}: {found} is neither {value} nor {wanted}\n{}",
         rig.log()
     );
-    assert!(cut || found == wanted, "store {number} {at:?}");
     *(if found == wanted { new } else { old }) += 1;
     // Nothing else has changed, and the store still works.
     assert_eq!(get(rig, SettingKey::SeekUmS), 20_000);
@@ -281,10 +278,8 @@ fn a_cut_within_a_change_that_erases_a_sector_loses_nothing() {
             assert_eq!(get(&mut rig, FILLED), 999, "{number} {at:?}");
         }
     }
-    println!(
-        "{count} operations of change {change}: {old} times the old value, {new} times the new one"
-    );
-    assert!(old > 0);
+    // The new value is written after everything else, and its very last operation makes it count.
+    assert!(old > 0, "{count} operations: {old} old, {new} new");
 }
 
 #[test]

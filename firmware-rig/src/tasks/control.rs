@@ -124,7 +124,8 @@ impl Control {
             underruns: 0,
             round: Instant::now(),
             late_us: 0,
-            button_rounds: 0,
+            // A button that is down at the start has to be let go first.
+            button_rounds: BUTTON_ROUNDS,
         };
         control.emit(What::Booted(reset_cause));
         if unusable {
