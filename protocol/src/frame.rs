@@ -1,5 +1,6 @@
 //! The frame: encoding, decoding and the deframer that finds frames in a stream.
 
+use postcard::ser_flavors::Flavor;
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Largest body in bytes; see the test `every_message_fits`.
@@ -95,22 +96,66 @@ pub struct TooLong;
 /// # Errors
 /// [`TooLong`] if the body exceeds [`MAX_BODY`].
 pub fn encode<T: Serialize>(header: Header, body: &T) -> Result<Encoded, TooLong> {
-    let mut raw = [0u8; MAX_RAW];
     let [low, high] = header.seq.to_le_bytes();
-    raw[..HEAD].copy_from_slice(&[header.kind as u8, header.session, low, high]);
-    let body_len = postcard::to_slice(body, &mut raw[HEAD..HEAD + MAX_BODY])
-        .map_err(|_| TooLong)?
-        .len();
-    let end = HEAD + body_len;
-    let crc = CRC32C.checksum(&raw[..end]);
-    raw[end..end + CRC].copy_from_slice(&crc.to_le_bytes());
+    let mut raw = Raw::default();
+    for byte in [header.kind as u8, header.session, low, high] {
+        raw.put(byte);
+    }
+    postcard::serialize_with_flavor(body, &mut raw).map_err(|_| TooLong)?;
+    raw.close()
+}
 
-    let mut frame = Encoded::new();
-    frame.resize_default(MAX_FRAME).map_err(|_| TooLong)?;
-    let coded = cobs::try_encode(&raw[..end + CRC], &mut frame[1..]).map_err(|_| TooLong)?;
-    frame.truncate(coded + 2);
-    frame[coded + 1] = 0;
-    Ok(frame)
+/// A frame before COBS.
+///
+/// As postcard's output it never fails: what does not fit is remembered and judged once, at the end. With an
+/// output that can fail every field of every message would be followed by a check, 3 KB of flash in all.
+#[derive(Default)]
+struct Raw {
+    bytes: heapless::Vec<u8, MAX_RAW>,
+    too_long: bool,
+}
+
+impl Raw {
+    #[inline(never)]
+    fn put(&mut self, byte: u8) {
+        self.too_long |= self.bytes.push(byte).is_err();
+    }
+
+    /// Adds the CRC and codes the whole.
+    fn close(mut self) -> Result<Encoded, TooLong> {
+        for byte in CRC32C.checksum(&self.bytes).to_le_bytes() {
+            self.put(byte);
+        }
+        if self.too_long {
+            return Err(TooLong);
+        }
+        let mut frame = Encoded::new();
+        frame.resize_default(MAX_FRAME).map_err(|_| TooLong)?;
+        let coded = cobs::try_encode(&self.bytes, &mut frame[1..]).map_err(|_| TooLong)?;
+        frame.truncate(coded + 2);
+        frame[coded + 1] = 0;
+        Ok(frame)
+    }
+}
+
+impl Flavor for &mut Raw {
+    type Output = ();
+
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        self.put(byte);
+        Ok(())
+    }
+
+    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
+        for byte in bytes {
+            self.put(*byte);
+        }
+        Ok(())
+    }
+
+    fn finalize(self) -> postcard::Result<()> {
+        Ok(())
+    }
 }
 
 /// Finds frames in a stream of bytes. Whatever came before, the first undamaged frame is found.
