@@ -2,11 +2,13 @@
 
 mod common;
 
-use common::{execute, homed, paper, rig_with};
+use common::{Recorder, execute, home_quickly, homed, paper, quick, rig_with};
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
-    rig::{RigFault, RigState, Run, RunTiming},
+    rig::{RigFault, RigState, Run, RunOutcome, RunTiming},
+    settings::SettingKey,
     system::ResetCause,
+    table::Telemetry,
 };
 use virtual_bench::faults::When;
 use virtual_bench::plants::contact::Bounce;
@@ -61,34 +63,115 @@ fn a_power_cut_moves_nothing_and_forgets_the_position() {
     });
 }
 
+/// Steps lost away from home and towards it: up to the limit the run goes on and tells how many, beyond it the run
+/// ends at the flag.
 #[test]
-fn lost_steps_end_the_run_at_the_flag() {
-    let mut rig = homed();
-    rig.look(|rig| {
-        let edge = rig.edges().len() as u64 + 5_000;
-        rig.plan(When::Edge(edge), Action::LoseSteps(16));
-    });
-    let accepted = rig.device.run(short(2)).expect("the run is accepted");
-    let ended = rig.device.wait_run(&accepted, &mut Unobserved);
-    let status = rig.device.rig_status().expect("a status");
-    let Some(RigFault::LostSteps { residual_steps }) = status.fault else {
-        panic!("{ended:?} {status:?}")
-    };
-    assert_eq!(residual_steps.abs(), 16);
-    assert_eq!(rig.look(|rig| rig.lost()), 16);
+fn lost_steps_are_counted_and_beyond_the_limit_end_the_run() {
+    let limit = u64::from(SettingKey::LedgerLimitSteps.range().default);
+    let mut rig = rig_with(RigOptions::default());
+    home_quickly(&mut rig);
+    rig.device.set_telemetry(5).expect("telemetry");
+    rig.home();
+    for lost in [1, 2, limit - 1, limit, limit + 1, 16, 64] {
+        for homewards in [false, true] {
+            lose(&mut rig, lost, homewards, lost > limit);
+        }
+    }
+    rig.check_clean(0);
 }
 
-#[test]
-fn a_cut_jumper_is_found_by_the_read_back() {
-    let mut rig = homed();
-    rig.look(|rig| rig.act(Action::Jumper(false), 0));
-    let accepted = rig.device.run(short(1)).expect("the run is accepted");
-    let ended = rig.device.wait_run(&accepted, &mut Unobserved);
-    let status = rig.device.rig_status().expect("a status");
-    assert!(
-        matches!(status.fault, Some(RigFault::ReadBack { counted: 0, .. })),
-        "{ended:?} {status:?}"
+/// One run of two cycles with `lost` steps missing from its first one; the rig is homed before and after.
+fn lose(rig: &mut common::RigRun, lost: u64, homewards: bool, beyond: bool) {
+    const STROKE: u64 = 3_200;
+    // At 20 mm/s: control's period of 10 ms, and the way of the stop at 1 m/s2.
+    const STOP: i64 = 160 + 160 + 5;
+    let what = format!("{lost} lost, homewards: {homewards}");
+    let place = 1_000 + if homewards { STROKE } else { 0 };
+    let before = rig.look(move |rig| {
+        let edge = rig.edges().len() as u64 + place;
+        rig.plan(When::Edge(edge), Action::LoseSteps(lost));
+        rig.lost()
+    });
+    // Short of its count on the way out, the carriage meets the flag early; on the way back, late.
+    let residual = lost as i32 * if homewards { -1 } else { 1 };
+    let (_, record) = execute(rig, quick(2, 4_000, 20_000, 500_000));
+    let status = rig.device.rig_status().expect(&what);
+    let mut recorder = Recorder::default();
+    rig.device.idle(20_000, &mut recorder).expect(&what);
+    let Some(Telemetry::Rig(telemetry)) = recorder.samples.last() else {
+        panic!("{what}: no telemetry");
+    };
+    assert_eq!(
+        (record.worst_residual_steps, telemetry.residual_steps),
+        (residual, residual),
+        "{what}"
     );
+    assert_eq!(rig.look(|rig| rig.lost()) - before, lost, "{what}");
+    if beyond {
+        let fault = RigFault::LostSteps {
+            residual_steps: residual,
+        };
+        assert_eq!(
+            (status.fault, status.homed, record.outcome, record.strokes),
+            (Some(fault), false, RunOutcome::Faulted(fault), 1),
+            "{what}"
+        );
+        let past_the_flag = 800 - rig.carriage();
+        assert!(
+            (0..=STOP).contains(&past_the_flag),
+            "{what}: it went {past_the_flag} steps past the flag"
+        );
+        rig.device.acknowledge().expect(&what);
+        return rig.home();
+    }
+    assert_eq!(
+        (status.fault, record.outcome, record.strokes),
+        (None, RunOutcome::Complete, 4),
+        "{what}"
+    );
+    assert_eq!(
+        (record.counted_edges, rig.carriage()),
+        (4 * STROKE, i64::from(-residual)),
+        "{what}"
+    );
+    // Homing finds the reference displaced by as much, and mends it.
+    let accepted = rig.device.home().expect(&what);
+    let homed = rig.device.wait_homing(&accepted, &mut Unobserved);
+    let homed = homed.expect(&what);
+    assert_eq!((homed.shift_steps, rig.carriage()), (residual, 0), "{what}");
+}
+
+/// The jumper is cut at rest or with an edge, on the way out and on the way back, where the flag is met at the wrong
+/// count before the stroke ends: the stroke in which steps went uncounted is the last.
+#[test]
+fn a_cut_jumper_is_found_within_one_stroke() {
+    const STROKE: u64 = 8_000;
+    for (cut, counted) in [(0, 0), (5_000, 4_999), (11_000, 5_001)] {
+        let mut rig = homed();
+        let first = rig.edge_count() as u64;
+        rig.look(move |rig| match cut {
+            0 => rig.act(Action::Jumper(false), 0),
+            _ => rig.plan(When::Edge(first + cut), Action::Jumper(false)),
+        });
+        let (_, record) = execute(&mut rig, short(2));
+        let status = rig.device.rig_status().expect("a status");
+        let fault = RigFault::ReadBack {
+            commanded: rig.carriage() as i32,
+            counted,
+        };
+        assert_eq!(
+            (status.fault, status.homed, record.outcome),
+            (Some(fault), false, RunOutcome::Faulted(fault)),
+            "cut at edge {cut}"
+        );
+        let edges = rig.edge_count() as u64 - first;
+        let stroke_ends = (cut / STROKE + 1) * STROKE;
+        assert!(
+            edges <= stroke_ends,
+            "cut at edge {cut}, stopped at edge {edges}"
+        );
+        rig.check_clean(0);
+    }
 }
 
 #[test]
