@@ -64,6 +64,10 @@ impl BusReport {
         let machine = session.board();
         let absent = machine.absent().iter();
         gaps.extend(absent.map(|address| format!("the STM32F411 has nothing at {address:#010x}")));
+        let foreign = machine.flash_foreign().iter();
+        gaps.extend(foreign.map(|address| {
+            format!("the flash was changed at {address:#010x}, outside the settings' sectors")
+        }));
         if machine.flash_refused() > 0 {
             gaps.push(format!(
                 "{} stores into a flash that was not ready for them",

@@ -34,7 +34,7 @@ use crate::serial::{Serial, Wire};
 pub use timer::OutputEdge;
 
 pub use array::CutAt;
-use array::{Array, Touched};
+use array::{Array, BUSY, Touched};
 use exti::{Exti, Syscfg};
 use timer::Watched;
 
@@ -48,6 +48,8 @@ const USART2: usize = 1;
 const AF_SERIAL: u8 = 7;
 /// High-speed clock that the ST-LINK of the board feeds in, Hz (UM1724 section 7.7.1).
 const HSE_HZ: u64 = 8_000_000;
+/// Time that a store into the flash takes (DS10314 table 47, typical), ns.
+const STORE_NS: u64 = 16_000;
 /// Supply, mV.
 const SUPPLY_MV: u32 = 3300;
 
@@ -99,8 +101,8 @@ pub trait Wiring: fmt::Debug + Send + 'static {
     /// The chip was reset or powered up: nothing drives any pin any more.
     fn restarted(&mut self);
 
-    /// An erase of the flash began. On the chip it stops every instruction fetch until it ends.
-    fn erase_began(&mut self, at_ns: u64);
+    /// A store into the flash or an erase began: no instruction is executed until it ends.
+    fn flash_began(&mut self);
 }
 
 /// The chip's pins for the length of one look.
@@ -495,6 +497,10 @@ pub struct Machine<W> {
     shell: Shell,
     options: ChipOptions,
     array: Array,
+    /// The flash is busy with a store until then.
+    storing_until: VirtualNanos,
+    /// The core waits for the flash.
+    stalled: bool,
     /// Code overwritten from outside: address and what was there.
     overwritten: Vec<(u64, u64)>,
     absent: Vec<u64>,
@@ -519,6 +525,8 @@ impl<W: Wiring> Machine<W> {
             shell: Shell { bus },
             options,
             array: Array::default(),
+            storing_until: VirtualNanos(0),
+            stalled: false,
             overwritten: Vec::new(),
             absent: Vec::new(),
             flash_refused: 0,
@@ -550,6 +558,11 @@ impl<W: Wiring> Machine<W> {
     /// Stores into the flash which the chip would have refused.
     pub(crate) fn flash_refused(&self) -> u64 {
         self.flash_refused
+    }
+
+    /// Where the image changed flash that is not the settings'.
+    pub(crate) fn flash_foreign(&self) -> &[u64] {
+        self.array.foreign()
     }
 
     /// Stores into the flash and erases since power-up.
@@ -591,7 +604,25 @@ impl<W: Wiring> Machine<W> {
         )
     }
 
-    fn accessed(&mut self, access: &Access, value: u64, host: &mut dyn Host) {
+    /// The code lies in the flash: nothing is fetched while that is busy (RM0383 section 3.5). Time, peripherals and
+    /// DMA go on.
+    fn stall(&mut self, host: &mut dyn Host) {
+        self.stalled = true;
+        host.hold(true);
+        self.wiring().flash_began();
+    }
+
+    /// Lets the core go on once the flash is ready again.
+    fn unstall(&mut self, at: VirtualNanos, host: &mut dyn Host) {
+        let busy = self.control_and_status().1 & BUSY != 0 || at < self.storing_until;
+        if self.stalled && !busy {
+            self.array.finish(host);
+            self.stalled = false;
+            host.hold(false);
+        }
+    }
+
+    fn accessed(&mut self, access: &Access, host: &mut dyn Host) {
         if map::absent(access.address)
             && self.absent.len() < 64
             && !self.absent.contains(&access.address)
@@ -599,12 +630,17 @@ impl<W: Wiring> Machine<W> {
             self.absent.push(access.address);
         }
         let registers = self.control_and_status();
-        match self.array.settled(access, value, registers, host) {
+        let now = access.virtual_time;
+        match self.array.settled(access, registers, host) {
             Touched::Nothing => {}
-            Touched::EraseBegan => {
-                let at_ns = self.chip.epoch_ns + access.virtual_time.0;
-                self.wiring().erase_began(at_ns);
+            Touched::Stored => {
+                self.storing_until = VirtualNanos(now.0 + STORE_NS);
+                let exti = self.chip.slots.exti;
+                let bus = self.chip.part.bus_mut();
+                bus.drive(now, exti).1.schedule(self.storing_until);
+                self.stall(host);
             }
+            Touched::EraseBegan => self.stall(host),
             Touched::Refused => self.flash_refused += 1,
         }
         if access.kind == AccessKind::Write && moves_pins(access.address) {
@@ -627,8 +663,11 @@ pub(crate) fn settled<W: Wiring>(
 ) {
     let machine = session.board_mut();
     match settled {
-        Settled::Access { access, value } => machine.accessed(&access, value, host),
-        Settled::Stop(stop) => machine.chip.look_between(stop.at),
+        Settled::Access { access, .. } => machine.accessed(&access, host),
+        Settled::Stop(stop) => {
+            machine.unstall(stop.at, host);
+            machine.chip.look_between(stop.at);
+        }
         _ => {}
     }
 }
@@ -638,6 +677,9 @@ pub(crate) fn restarted<W: Wiring>(session: &mut Session<Machine<W>>, host: &mut
     let machine = session.board_mut();
     machine.array.cut(host);
     machine.mend(host);
+    machine.storing_until = VirtualNanos(0);
+    machine.stalled = false;
+    host.hold(false);
 }
 
 /// The whole flash.

@@ -103,6 +103,7 @@ impl CapsuleRun {
             .expect("the bench runs")
             .check(0)
             .unwrap_or_else(|why| panic!("{why}\n{}", self.log()));
+        assert_eq!(self.look(|capsule| capsule.flash_moving()), 0);
     }
 }
 

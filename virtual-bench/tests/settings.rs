@@ -10,7 +10,7 @@ use protocol::{
     rig::{RigEvent, RigState},
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::What,
-    table::Command,
+    table::{Command, Request},
 };
 use virtual_bench::{emulator::CutAt, link::VirtualLink};
 
@@ -25,14 +25,14 @@ fn set(rig: &mut RigRun, key: SettingKey, value: u32) -> Result<Setting, ClientE
 }
 
 /// Sends the request and lets it be carried out, to its end or to the cut.
-fn begin(rig: &RigRun, key: SettingKey, value: u32) {
+fn begin(rig: &RigRun, request: Request) {
     let header = Header {
         kind: Kind::Request,
         session: rig.device.identity().expect("a session").session,
         // Ahead of the client's own numbers, and not so far that it would count as behind.
         seq: 20_000,
     };
-    let frame = encode(header, &Setting { key, value }.into_request()).expect("it fits");
+    let frame = encode(header, &request).expect("it fits");
     let mut link = VirtualLink::new(&rig.bench, "a second hand on the line");
     link.send(&frame).expect("the bench runs");
     for _ in 0..20 {
@@ -179,7 +179,8 @@ fn cut_within_a_change(
             visit.cut_flash(at, done + number);
         })
         .expect("the bench runs");
-    begin(rig, key, wanted);
+    let change = Setting { key, value: wanted };
+    begin(rig, change.into_request());
     power_cycle(rig);
     let found = get(rig, key);
     assert!(
@@ -195,91 +196,116 @@ fn cut_within_a_change(
     *value = wanted + 1;
 }
 
-/// The change number `changes` of one key on a new rig is the first that erases a sector.
-fn until_a_sector_is_full(stop_before: Option<u32>) -> (RigRun, u32, u64) {
+/// A name that takes as much flash as any record can.
+fn long_name(number: u32) -> Name {
+    let name = format!("{number:024}").as_str().try_into();
+    Name {
+        name: name.expect("it has 24 bytes"),
+    }
+}
+
+fn name(rig: &mut RigRun) -> Name {
+    rig.device.call(GetName).expect("a name")
+}
+
+fn flash(rig: &RigRun) -> Vec<u8> {
+    rig.bench
+        .visit(|visit| visit.flash())
+        .expect("the bench runs")
+}
+
+/// Settings set once at the start, before everything else.
+const KEPT: [(SettingKey, u32); 2] = [
+    (SettingKey::SeekUmS, 15_000),
+    (SettingKey::LocateUmS, 1_500),
+];
+
+/// Names a rig until that erases a sector for the `erasures`th time: the flash before the last naming, its number
+/// and how many operations it took.
+fn until_a_sector_is_erased(erasures: u32) -> (Vec<u8>, u32, u64) {
     let mut rig = rig();
-    for (key, value) in [
-        (SettingKey::SeekUmS, 15_000),
-        (SettingKey::LocateUmS, 1_500),
-    ] {
+    for (key, value) in KEPT {
         set(&mut rig, key, value).expect("accepted");
     }
-    let mut usual = u64::MAX;
-    for change in 0..5_000 {
-        if stop_before == Some(change) {
-            return (rig, change, 0);
+    let mut before = flash(&rig);
+    let mut found = 0;
+    for number in 1..5_000 {
+        let operations_before = operations(&rig);
+        let given = rig.device.call(long_name(number));
+        given.unwrap_or_else(|error| panic!("name {number}: {error}\n{}", rig.log()));
+        let after = flash(&rig);
+        // A store only clears bits; only an erasure sets them.
+        if before.iter().zip(&after).any(|(old, new)| new & !old != 0) {
+            found += 1;
+            if found == erasures {
+                return (before, number, operations(&rig) - operations_before);
+            }
         }
-        let before = operations(&rig);
-        set(&mut rig, FILLED, filled(change)).unwrap_or_else(|error| {
-            let again = rig.device.hello(3);
-            panic!(
-                "change {change}: {error}; {} operations; {again:?}\n{}",
-                operations(&rig) - before,
-                rig.log()
-            )
-        });
-        let count = operations(&rig) - before;
-        // Turning over to an empty sector takes a few more stores; moving records to make room takes many.
-        if count > usual.saturating_mul(3) {
-            return (rig, change, count);
-        }
-        usual = usual.min(count);
+        before = after;
     }
-    panic!("no sector was ever erased");
+    panic!("no sector was erased");
 }
 
-const FILLED: SettingKey = SettingKey::PullOffUm;
-
-fn filled(change: u32) -> u32 {
-    1_000 + change
-}
-
-/// The change that erases a sector and moves what is still needed, its supply cut within each of its operations.
+/// The naming that erases a sector, its supply cut within each of its operations. What was set once, long ago, is
+/// still there: by the second erasure, its first record is gone for good.
 #[test]
 fn a_cut_within_a_change_that_erases_a_sector_loses_nothing() {
-    let (mut rig, change, count) = until_a_sector_is_full(None);
-    let last = filled(change);
-    power_cycle(&mut rig);
-    assert_eq!(get(&mut rig, FILLED), last);
-    let (rig, ..) = until_a_sector_is_full(Some(change));
-    let flash = rig
-        .bench
-        .visit(|visit| visit.flash())
-        .expect("the bench runs");
-    let (mut old, mut new) = (0, 0);
-    for number in 0..count {
-        for at in [CutAt::Before, CutAt::Within] {
+    let (flash, number, count) = until_a_sector_is_erased(2);
+    let (old, new) = (long_name(number - 1), long_name(number));
+    let (mut olds, mut news) = (0, 0);
+    for operation in 0..count {
+        for at in [CutAt::Before, CutAt::Within, CutAt::After] {
             let mut rig = common::rig_from_flash(flash.clone());
             rig.bench
-                .visit(move |visit| visit.cut_flash(at, number))
+                .visit(move |visit| visit.cut_flash(at, operation))
                 .expect("the bench runs");
-            begin(&rig, FILLED, last);
+            begin(&rig, new.clone().into_request());
             power_cycle(&mut rig);
-            let found = get(&mut rig, FILLED);
-            let before = filled(change - 1);
+            let found = name(&mut rig);
             assert!(
-                found == before || found == last,
-                "operation {number} of {count} cut {at:?}: {found} is neither {before} nor {last}\n{}",
+                found == old || found == new,
+                "operation {operation} of {count} cut {at:?}: {found:?}\n{}",
                 rig.log()
             );
-            *(if found == last { &mut new } else { &mut old }) += 1;
-            assert_eq!(
-                get(&mut rig, SettingKey::SeekUmS),
-                15_000,
-                "{number} {at:?}"
-            );
-            assert_eq!(
-                get(&mut rig, SettingKey::LocateUmS),
-                1_500,
-                "{number} {at:?}"
-            );
-            set(&mut rig, FILLED, 999).expect("it still can be set");
+            *(if found == new { &mut news } else { &mut olds }) += 1;
+            for (key, value) in KEPT {
+                assert_eq!(get(&mut rig, key), value, "{operation} {at:?}");
+            }
+            set(&mut rig, SettingKey::PullOffUm, 999).expect("it still can be set");
             power_cycle(&mut rig);
-            assert_eq!(get(&mut rig, FILLED), 999, "{number} {at:?}");
+            assert_eq!(get(&mut rig, SettingKey::PullOffUm), 999);
+            assert_eq!(name(&mut rig), found);
         }
     }
-    // The new value is written after everything else, and its very last operation makes it count.
-    assert!(old > 0, "{count} operations: {old} old, {new} new");
+    assert!(olds > 0 && news > 0, "{olds} old, {news} new");
+}
+
+/// An erasure that was cut off can leave a sector's first and last words blank and not what lies between.
+#[test]
+fn a_sector_that_only_looks_blank_is_erased_before_it_is_used() {
+    const SECTOR: usize = 16 * 1024;
+    let (flash, number, _) = until_a_sector_is_erased(1);
+    let mut tried = 0;
+    for sector in 1..=3 {
+        let mut flash = flash.clone();
+        let words = &mut flash[sector * SECTOR..(sector + 1) * SECTOR];
+        // The one in use is the one whose last word is still blank.
+        if words[..4] != [0xFF; 4] && words[SECTOR - 4..] == [0xFF; 4] {
+            continue;
+        }
+        words[..4].fill(0xFF);
+        words[SECTOR - 4..].fill(0xFF);
+        for word in words.chunks_exact_mut(8) {
+            word[1] &= 0x5A;
+        }
+        let mut rig = common::rig_from_flash(flash);
+        assert_eq!(name(&mut rig), long_name(number - 1), "sector {sector}");
+        rig.device.call(long_name(number)).expect("accepted");
+        power_cycle(&mut rig);
+        assert_eq!(name(&mut rig), long_name(number), "sector {sector}");
+        tried += 1;
+    }
+    assert_eq!(tried, 2);
 }
 
 #[test]

@@ -127,8 +127,8 @@ impl Wiring for CapsuleBoard {
         }
     }
 
-    fn erase_began(&mut self, _at_ns: u64) {
-        self.capsule.erase_began();
+    fn flash_began(&mut self) {
+        self.capsule.flash_began();
     }
 }
 

@@ -157,8 +157,8 @@ impl Wiring for RigBoard {
         }
     }
 
-    fn erase_began(&mut self, at_ns: u64) {
-        self.rig.erase_began(at_ns);
+    fn flash_began(&mut self) {
+        self.rig.flash_began();
     }
 }
 

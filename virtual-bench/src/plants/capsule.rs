@@ -124,7 +124,7 @@ pub struct Capsule {
     energy_j: f64,
     peak_force_n: f64,
     extremes_mm: (f64, f64),
-    erase_moving: u64,
+    flash_moving: u64,
     faults: Faults<Action>,
 }
 
@@ -149,7 +149,7 @@ impl Capsule {
             energy_j: 0.0,
             peak_force_n: 0.0,
             extremes_mm: (options.wound_mm, options.wound_mm),
-            erase_moving: 0,
+            flash_moving: 0,
             faults: Faults::default(),
         }
     }
@@ -213,10 +213,10 @@ impl Capsule {
         self.speed != 0.0
     }
 
-    /// Flash erases begun while the motor turned.
+    /// Stores into the flash and erases begun while the motor turned.
     #[must_use]
-    pub fn erase_moving(&self) -> u64 {
-        self.erase_moving
+    pub fn flash_moving(&self) -> u64 {
+        self.flash_moving
     }
 
     /// Voltage at the current amplifier's output, mV.
@@ -373,9 +373,9 @@ impl Capsule {
         }
     }
 
-    /// The chip began to erase flash.
-    pub fn erase_began(&mut self) {
-        self.erase_moving += u64::from(self.speed != 0.0);
+    /// The chip began to store into its flash or to erase it.
+    pub fn flash_began(&mut self) {
+        self.flash_moving += u64::from(self.speed != 0.0);
     }
 }
 

@@ -26,6 +26,9 @@ impl DriverTiming {
     };
 }
 
+/// Steps closer together than this are of one movement, ns.
+const MOVING_NS: u64 = 10_000_000;
+
 /// What the rig is.
 #[derive(Clone, Copy, Debug)]
 pub struct RigOptions {
@@ -105,8 +108,8 @@ pub struct Violations {
     pub disabled: u64,
     /// Steps lost at the ends of travel.
     pub stalled: u64,
-    /// Flash erases begun within 10 ms after a step: on the chip they stall every instruction.
-    pub erase_moving: u64,
+    /// Steps less than 10 ms apart with a store into the flash or an erase between them: those stall every instruction.
+    pub flash_moving: u64,
 }
 
 /// The rig.
@@ -120,6 +123,8 @@ pub struct Rig {
     rose_ns: Option<u64>,
     fell_ns: Option<u64>,
     turned_ns: Option<u64>,
+    /// A store into the flash or an erase has begun since the last step.
+    flash_began: bool,
     lose: u64,
     lost: u64,
     cut_pulses: u64,
@@ -150,6 +155,7 @@ impl Rig {
             rose_ns: None,
             fell_ns: None,
             turned_ns: None,
+            flash_began: false,
             lose: 0,
             lost: 0,
             cut_pulses: 0,
@@ -352,6 +358,8 @@ impl Rig {
         let since = |event: Option<u64>| event.map_or(u64::MAX, |event| at_ns - event);
         self.violations.short_low += u64::from(since(self.fell_ns) < pulse_ns);
         self.violations.dir_setup += u64::from(since(self.turned_ns) < dir_ns);
+        let moving = since(self.rose_ns) < MOVING_NS;
+        self.violations.flash_moving += u64::from(std::mem::take(&mut self.flash_began) && moving);
         self.rose_ns = Some(at_ns);
         let away = self.away;
         self.edges.push(StepEdge { at_ns, away });
@@ -399,12 +407,9 @@ impl Rig {
         self.syncs.push(at_ns);
     }
 
-    /// The chip began to erase flash.
-    pub fn erase_began(&mut self, at_ns: u64) {
-        const MOVING_NS: u64 = 10_000_000;
-        if self.rose_ns.is_some_and(|rose| at_ns - rose < MOVING_NS) {
-            self.violations.erase_moving += 1;
-        }
+    /// The chip began to store into its flash or to erase it.
+    pub fn flash_began(&mut self) {
+        self.flash_began = true;
     }
 }
 
@@ -455,6 +460,21 @@ mod tests {
             ..Violations::default()
         };
         assert_eq!(rig.violations(), expected);
+    }
+
+    #[test]
+    fn flash_may_be_changed_at_rest_only() {
+        let mut rig = Rig::new(RigOptions::default());
+        rig.set_enabled(true);
+        rig.flash_began();
+        pulses(&mut rig, 1_000_000, 2);
+        rig.flash_began();
+        assert_eq!(rig.violations().flash_moving, 0);
+        pulses(&mut rig, 1_020_000 + MOVING_NS, 1);
+        assert_eq!(rig.violations().flash_moving, 0);
+        rig.flash_began();
+        pulses(&mut rig, 1_030_000 + MOVING_NS, 2);
+        assert_eq!(rig.violations().flash_moving, 1);
     }
 
     #[test]
