@@ -80,6 +80,57 @@ impl Values {
     }
 }
 
+/// How many records ago each number was written last.
+///
+/// The log drops its oldest sector when it needs room. What is younger than a sector's worth of records is never
+/// in there, so whatever becomes older than [`Ages::OLDEST`] is written again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ages {
+    records: u32,
+    /// The count of records at the last one of each number; 0 is never.
+    last: [u32; Self::NUMBERS],
+}
+
+impl Ages {
+    /// Settings and the name.
+    pub const NUMBERS: usize = SettingKey::ALL.len() + 1;
+    /// The age at which a record is written again.
+    pub const OLDEST: u32 = 256;
+
+    /// Those of an empty log.
+    pub const fn new() -> Self {
+        Self {
+            records: 0,
+            last: [0; Self::NUMBERS],
+        }
+    }
+
+    /// Counts a record. A number that this firmware does not know ages and is lost.
+    pub fn wrote(&mut self, number: u8) {
+        self.records += 1;
+        let slot = match number {
+            NAME_RECORD => Self::NUMBERS - 1,
+            number => usize::from(number),
+        };
+        if let Some(last) = self.last.get_mut(slot) {
+            *last = self.records;
+        }
+    }
+
+    /// A number whose last record is too old.
+    pub fn overdue(&self) -> Option<u8> {
+        let too_old = |last: &u32| *last != 0 && self.records - last > Self::OLDEST;
+        let slot = self.last.iter().position(too_old)?;
+        Some(SettingKey::ALL.get(slot).map_or(NAME_RECORD, |key| *key as u8))
+    }
+}
+
+impl Default for Ages {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 /// Settings of a rig. Lengths in um, speeds in um/s, accelerations in um/s2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {

@@ -2,7 +2,10 @@
 //!
 //! A write keeps the processor from fetching instructions for 16 us typically, an erasure for up to 500 ms (STM32F411
 //! datasheet, flash memory programming; x32).
-//! A cut of the power at any instant leaves the old value or the new one (`sequential-storage`).
+//! A cut of the power at any instant leaves the old value or the new one (`sequential-storage`). Its queue is used,
+//! not its map: on a full sector the map searches all records for each of them, six seconds in which the watchdog
+//! bites, and its answer to that, a cache, and the map itself take 6 KB more flash. A full queue drops its oldest
+//! sector, so what is still needed is written again long before.
 
 use core::ops::Range;
 use embassy_futures::block_on;
@@ -12,21 +15,37 @@ use embassy_stm32::{
 };
 use embedded_storage::nor_flash::{NorFlash as _, ReadNorFlash as _};
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
-use protocol::settings::SettingKey;
+use firmware_rig::settings::Ages;
 use sequential_storage::{
-    cache::{Cache, Uncached, key_pointers::ArrayKeyPointers},
-    map::{MapConfig, MapStorage},
+    cache::{Cache, Uncached},
+    queue::{QueueConfig, QueueStorage},
 };
 
 /// Offsets in flash, as in `memory.x`.
 const SECTORS: Range<u32> = 0x4000..0x1_0000;
-/// The longest record, its key included, in whole words.
-const RECORD: usize = 32;
-/// Number of the record that mending writes; it means nothing.
-const MENDED_RECORD: u8 = 0xF1;
+/// Bytes of each.
+const SECTOR: u32 = 16 * 1024;
+/// The longest record, its number included, in whole words.
+const RECORD: usize = 28;
+/// At least so many records fit into a sector: each has 8 bytes of head, the sector two marks of a word.
+const IN_A_SECTOR: u32 = (SECTOR - 8) / (RECORD as u32 + 8);
+const _: () = assert!(Ages::OLDEST + Ages::NUMBERS as u32 <= IN_A_SECTOR);
 
 /// The blocking driver of the first four sectors as an asynchronous one that never waits.
 struct Flash(Bank1Region1<'static, Blocking>);
+
+impl Flash {
+    fn is_blank(&mut self, sector: u32) -> Result<bool, Error> {
+        let mut word = [0; 4];
+        for offset in (sector..sector + SECTOR).step_by(word.len()) {
+            self.0.read(offset, &mut word)?;
+            if word != [0xFF; 4] {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+}
 
 impl ErrorType for Flash {
     type Error = Error;
@@ -46,7 +65,7 @@ impl ReadNorFlash for Flash {
 
 impl NorFlash for Flash {
     const WRITE_SIZE: usize = 4;
-    const ERASE_SIZE: usize = 16 * 1024;
+    const ERASE_SIZE: usize = SECTOR as usize;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
         // Nobody else can for as long as it takes.
@@ -63,69 +82,80 @@ impl NorFlash for Flash {
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
+        // The first word of a sector is written when it comes into use. An erasure that was cut off may have left
+        // both of the words by which the log knows a blank sector, and not what lies between.
+        if offset % SECTOR == 0 && !self.is_blank(offset)? {
+            self.erase(offset, offset + SECTOR).await?;
+        }
         self.0.write(offset, bytes)
     }
 }
 
-/// Where each record lies. Without it, making room in a full sector searches both others for each of its eight
-/// hundred records: six seconds, in which the watchdog bites.
-type Pointers = Cache<Uncached, Uncached, ArrayKeyPointers<u8, KEYS>, u8>;
-/// Settings, the name, and the one that mending writes.
-const KEYS: usize = SettingKey::ALL.len() + 2;
-
-/// The records.
+/// The settings' log: a record is a number and its content, the last one of a number counts.
 pub struct Store {
-    map: MapStorage<u8, Flash, Pointers>,
+    log: QueueStorage<Flash, Cache<Uncached, Uncached, Uncached>>,
+    ages: Ages,
 }
 
 /// The flash refused to be written or is worn out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Failed;
 
+impl From<sequential_storage::Error<Error>> for Failed {
+    fn from(_: sequential_storage::Error<Error>) -> Self {
+        Self
+    }
+}
+
 impl Store {
     /// The store of this chip; one exists.
     pub fn new(sectors: Bank1Region1<'static, Blocking>) -> Self {
         Self {
-            map: MapStorage::new(
+            log: QueueStorage::new(
                 Flash(sectors),
-                const { MapConfig::new(SECTORS) },
-                Cache::new(Uncached, Uncached, ArrayKeyPointers::new()),
+                const { QueueConfig::new(SECTORS) },
+                Cache::new_uncached(),
             ),
+            ages: Ages::new(),
         }
     }
 
-    /// Calls `record` with key and content of every record, older ones first: the last of a key counts.
+    /// Calls `record` with number and content of every record, older ones first.
     ///
     /// # Errors
     /// The sectors cannot be read as records; what was read before stands.
     pub fn load(&mut self, mut record: impl FnMut(u8, &[u8])) -> Result<(), Failed> {
-        self.read(&mut record).or_else(|Failed| {
-            // An erasure was cut off: writing mends that, reading everything does not (sequential-storage 8.0.2).
-            self.save(MENDED_RECORD, &[])?;
-            self.read(&mut record)
+        let mut buffer = [0; RECORD];
+        block_on(async {
+            let mut records = self.log.iter().await?;
+            while let Some(entry) = records.next(&mut buffer).await? {
+                if let [number, content @ ..] = &*entry {
+                    self.ages.wrote(*number);
+                    record(*number, content);
+                }
+            }
+            Ok(())
         })
     }
 
-    #[inline(never)]
-    fn read(&mut self, record: &mut dyn FnMut(u8, &[u8])) -> Result<(), Failed> {
-        let mut buffer = [0; RECORD];
-        let read = async {
-            let mut records = self.map.fetch_all_items(&mut buffer).await?;
-            while let Some((key, content)) = records.next::<&[u8]>(&mut buffer).await? {
-                record(key, content);
-            }
-            Ok(())
-        };
-        block_on(read).map_err(|_: sequential_storage::Error<Error>| Failed)
-    }
-
     /// Writes a record. Stops the processor for up to a second: only while nothing moves.
+    /// [`Store::overdue`] has to be asked after each.
     ///
     /// # Errors
     /// The record is not written; the old one counts.
-    #[inline(never)]
-    pub fn save(&mut self, key: u8, content: &[u8]) -> Result<(), Failed> {
-        let mut buffer = [0; RECORD];
-        block_on(self.map.store_item(&mut buffer, &key, &content)).map_err(|_| Failed)
+    pub fn save(&mut self, number: u8, content: &[u8]) -> Result<(), Failed> {
+        let mut record = heapless::Vec::<u8, RECORD>::new();
+        let fits = record.push(number).is_ok() && record.extend_from_slice(content).is_ok();
+        if !fits {
+            return Err(Failed);
+        }
+        block_on(self.log.push(&record, true))?;
+        self.ages.wrote(number);
+        Ok(())
+    }
+
+    /// Number of a record that has to be written again before others.
+    pub fn overdue(&self) -> Option<u8> {
+        self.ages.overdue()
     }
 }

@@ -5,7 +5,7 @@ mod carriage;
 use carriage::Rig;
 use firmware_rig::{
     machine::Command,
-    settings::{Settings, Values},
+    settings::{Ages, NAME_RECORD, Settings, Values},
 };
 use motion::{axis::Axis, run::Limits};
 use proptest::prelude::*;
@@ -204,7 +204,7 @@ fn records_that_do_not_fit_are_ignored() {
         (stroke, &Values::record(130_001)),
         (stroke, &Values::record(0)),
         (count, &fine),
-        (firmware_rig::settings::NAME_RECORD, &fine),
+        (NAME_RECORD, &fine),
         (u8::MAX, &fine),
     ];
     for (number, record) in records {
@@ -344,4 +344,52 @@ proptest! {
             }
         }
     }
+}
+
+proptest! {
+    /// Whatever is written and however often the rig starts anew: the last record of each number is young.
+    #[test]
+    fn nothing_that_is_needed_grows_old(
+        writes in prop::collection::vec((0..SettingKey::ALL.len() as u8 + 2, 1..400_u32), 1..40),
+    ) {
+        let mut log = Vec::new();
+        let mut ages = Ages::new();
+        let mut used = std::collections::BTreeSet::new();
+        for (number, times) in writes {
+            let number = match usize::from(number).checked_sub(SettingKey::ALL.len()) {
+                None => number,
+                Some(0) => NAME_RECORD,
+                Some(_) => {
+                    // A start: the log is read again, without the sectors that were dropped.
+                    let from = log.len().saturating_sub(500);
+                    ages = Ages::new();
+                    log[from..].iter().for_each(|number| ages.wrote(*number));
+                    continue;
+                }
+            };
+            for _ in 0..times {
+                while let Some(overdue) = ages.overdue() {
+                    ages.wrote(overdue);
+                    log.push(overdue);
+                }
+                ages.wrote(number);
+                log.push(number);
+                used.insert(number);
+                let young = log.len().saturating_sub(Ages::OLDEST as usize + Ages::NUMBERS + 1);
+                for number in &used {
+                    prop_assert!(log[young..].contains(number), "{number} of {}", log.len());
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_number_of_another_firmware_does_not_count() {
+    let mut ages = Ages::new();
+    ages.wrote(200);
+    for _ in 0..1000 {
+        ages.wrote(0);
+    }
+    assert_eq!(ages.overdue(), None);
 }

@@ -218,23 +218,23 @@ impl Control {
                 settings,
             } => {
                 let record = Values::record(setting.value);
-                self.store.save(setting.key as u8, &record)?;
+                self.save(setting.key as u8, &record)?;
                 self.values = values;
                 self.machine.set_settings(settings);
                 self.emit(What::Rig(RigEvent::SettingChanged(setting.key)));
             }
             Change::Name(name) => {
-                self.store.save(NAME_RECORD, name.as_bytes())?;
+                self.save(NAME_RECORD, name.as_bytes())?;
                 self.name = name;
             }
             Change::Reset => {
                 for key in SettingKey::ALL {
                     let default = key.range().default;
                     if self.values.get(key) != default {
-                        self.store.save(key as u8, &Values::record(default))?;
+                        self.save(key as u8, &Values::record(default))?;
                     }
                 }
-                self.store.save(NAME_RECORD, &[])?;
+                self.save(NAME_RECORD, &[])?;
                 self.name.clear();
                 self.values = Values::DEFAULT;
                 self.machine.set_settings(Settings::REFERENCE);
@@ -243,6 +243,20 @@ impl Control {
         }
         self.apply();
         Ok(())
+    }
+
+    /// Writes a record, and again before it those that would be dropped some day.
+    fn save(&mut self, number: u8, content: &[u8]) -> Result<(), Failed> {
+        while let Some(number) = self.store.overdue() {
+            match SettingKey::from_number(number) {
+                Some(key) => {
+                    let record = Values::record(self.values.get(key));
+                    self.store.save(number, &record)?;
+                }
+                None => self.store.save(number, self.name.as_bytes())?,
+            }
+        }
+        self.store.save(number, content)
     }
 
     fn health(&self) -> RigHealth {
