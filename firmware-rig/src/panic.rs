@@ -7,7 +7,7 @@
 
 use crate::board;
 use core::{
-    panic::PanicInfo,
+    panic::{Location, PanicInfo},
     ptr::{addr_of_mut, read_volatile, write_volatile},
 };
 use cortex_m_rt::{ExceptionFrame, exception};
@@ -146,19 +146,25 @@ impl Text {
     }
 }
 
+/// Inlined, the optimiser sees that the message is never read: its text and the formatting machinery then stay out of
+/// the image, 1.6 KB. The place tells which check it was.
+// rustc warns that the hint is ignored; it is not, as the image's size shows.
+#[allow(unused_attributes)]
+#[inline(always)]
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
+    die_at(info.location())
+}
+
+#[inline(never)]
+fn die_at(place: Option<&Location<'_>>) -> ! {
     board::outputs_off();
-    // The place comes first: what is too long is cut off.
-    let mut text = Text::new("");
-    if let Some(place) = info.location() {
+    let mut text = Text::new("panic at ");
+    if let Some(place) = place {
         text.push(place.file());
         text.push(":");
         text.push_number(place.line(), 10);
-        text.push(": ");
     }
-    // A message with arguments needs the formatting machinery; the place tells enough.
-    text.push(info.message().as_str().unwrap_or("panic"));
     die(&text)
 }
 
