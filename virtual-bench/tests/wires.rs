@@ -137,9 +137,11 @@ fn a_cut_wire_of_the_far_limit_stops_what_moves_away() {
     let expected = RunOutcome::Faulted(RigFault::FarLimit);
     assert_eq!(record.outcome, expected);
     assert!(after <= 4, "{after} steps after the limit");
-    // Homing keeps next to the flag and needs no far limit; a run does. At home the flag is open as well.
+    // Homing meets the flag while the limit is open, and a carriage is never at both ends.
     rig.device.acknowledge().expect("at rest it is no cause");
-    rig.home();
+    homing_ends_with(&mut rig, Switch::Far, RigFault::BothSwitchesOpen);
+    acts(&rig, Action::Stick(Switch::Far, Some(true)));
+    idle(&mut rig, 50_000);
     let edges = rig.edge_count();
     refused(
         rig.device.run(quick(1, 5_000, 40_000, 500_000)),
