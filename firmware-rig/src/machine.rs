@@ -305,7 +305,7 @@ impl Machine {
         self.settings = settings;
         if !same {
             self.homed = false;
-            if self.state == State::Ready {
+            if matches!(self.state, State::Ready) {
                 self.state = State::Unhomed;
             }
         }
@@ -423,7 +423,7 @@ impl Machine {
 
     fn refuse_unless_ready(&self, inputs: RigInputs) -> Result<(), Refusal> {
         self.refuse_unless_at_rest(inputs)?;
-        if self.state == State::Ready {
+        if matches!(self.state, State::Ready) {
             Ok(())
         } else {
             Err(Refusal::NotHomed)
@@ -887,7 +887,7 @@ impl Machine {
         let residual = count - self.settings.flag_steps();
         let lost = residual.unsigned_abs() > self.settings.ledger_limit_steps;
         // At rest it opens a moment late at the most; elsewhere it was a hand.
-        if lost && self.state == State::Held {
+        if lost && matches!(self.state, State::Held) {
             return;
         }
         course.flag_met = true;
