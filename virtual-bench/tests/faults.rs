@@ -2,11 +2,13 @@
 
 mod common;
 
-use common::{Recorder, execute, home_quickly, homed, paper, quick, rig_with};
+use common::{
+    Dice, Recorder, execute, home_quickly, homed, paper, quick, rig_from_flash, rig_with,
+};
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     rig::{RigFault, RigState, Run, RunOutcome, RunTiming},
-    settings::SettingKey,
+    settings::{GetSetting, Setting, SettingKey},
     system::ResetCause,
     table::Telemetry,
 };
@@ -200,6 +202,50 @@ fn a_bouncing_flag_is_homed_on_and_a_dead_one_is_not() {
         .expect("the bench runs")
         .check(0)
         .expect("nothing odd was touched");
+}
+
+/// Settings that are no settings: the rig starts with the defaults, and the first change erases, with the core
+/// standing still meanwhile.
+#[test]
+fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
+    const SETTINGS: std::ops::Range<usize> = 0x4000..0x1_0000;
+    const ERASE_NS: u64 = 250_000_000;
+    let mut flash = rig_with(RigOptions::default())
+        .bench
+        .visit(|visit| visit.flash())
+        .expect("the bench runs");
+    let mut dice = Dice(0xF1A5_4005);
+    flash[SETTINGS].fill_with(|| dice.roll(0..256) as u8);
+    let mut rig = rig_from_flash(flash);
+    for key in SettingKey::ALL {
+        let found = rig.device.call(GetSetting { key }).expect("it answers");
+        assert_eq!(found.value, key.range().default, "{}", key.name());
+    }
+    let clock = |rig: &common::RigRun| {
+        let instructions = rig.bench.visit(|visit| visit.instructions());
+        (rig.bench.now_ns(), instructions.expect("the bench runs"))
+    };
+    let (key, value) = (SettingKey::SeekUmS, 15_000);
+    let before = clock(&rig);
+    rig.device.call(Setting { key, value }).expect("accepted");
+    let after = clock(&rig);
+    let (ns, instructions) = (after.0 - before.0, after.1 - before.1);
+    assert!(
+        ns >= ERASE_NS,
+        "changed within {ns} ns, and nothing was erased"
+    );
+    // A core that polled would execute 65 in a microsecond.
+    assert!(
+        instructions < ns / 1_000 * 65 / 4,
+        "{instructions} instructions in {ns} ns"
+    );
+    rig.bench.power_cycle(1_000_000).expect("the bench runs");
+    rig.bench.advance_us(300_000).expect("the bench runs");
+    rig.device.hello(9).expect("it answers again");
+    let kept = rig.device.call(GetSetting { key }).expect("it answers");
+    assert_eq!(kept.value, value);
+    rig.home();
+    rig.check_clean(0);
 }
 
 #[test]
