@@ -363,6 +363,7 @@ impl Control {
             stop_accel,
             pulse_ticks: settings.pulse_ticks,
         });
+        MOTION_WAKE.signal(());
     }
 
     fn emit(&mut self, what: What) {

@@ -12,7 +12,7 @@ use firmware_rig::{
     machine::{Event, PathEnd, PathReport},
     periods::{Item, Periods},
 };
-use motion::axis::Direction;
+use motion::axis::{Acceleration, Direction};
 
 /// Time that is kept prepared in the ring: what a stop has to wait for before it takes effect.
 const LEAD_TICKS: u32 = 800_000;
@@ -26,11 +26,35 @@ const SHORT_ROUND: Duration = Duration::from_micros(100);
 /// Highest task priority. Idle: every 100 ms. Moving: every 2 ms at the latest.
 #[embassy_executor::task]
 pub async fn motion(mut generator: StepGen) -> ! {
+    let mut work = None::<Execution>;
+    let mut ended = None;
     loop {
         check_in(Client::Motion);
-        if let Ok(order) = with_timeout(CHECK_IN, ORDERS.wait()).await {
-            let (end, report) = execute(&mut generator, order).await;
-            NOTICES.send(Event::PathEnded(end, report)).await;
+        let wait = match &work {
+            None if ended.is_none() => CHECK_IN,
+            Some(work) if work.filling == Filling::Full => ROUND,
+            _ => SHORT_ROUND,
+        };
+        // Either way there is something to do.
+        let _ = with_timeout(wait, MOTION_WAKE.wait()).await;
+        if let Some(present) = &mut work {
+            ended = present.advance(&mut generator);
+            if ended.is_some() {
+                work = None;
+            }
+        } else if ended.is_none()
+            && let Some(order) = ORDERS.try_take()
+        {
+            match Execution::begin(&mut generator, order) {
+                Ok(begun) => work = Some(begun),
+                Err(end) => ended = Some(end),
+            }
+        }
+        if let Some(event) = ended.take()
+            && NOTICES.try_send(event).is_err()
+        {
+            // Control is behind, and has to know: in the next round.
+            ended = Some(event);
         }
     }
 }
@@ -48,19 +72,104 @@ enum Filling {
     Failed(PathEnd),
 }
 
-struct Execution<'a> {
-    generator: &'a mut StepGen,
+/// A path on its way to the pins.
+struct Execution {
     periods: Periods,
+    stop_accel: Acceleration,
     /// Number of the period with the last pulse.
     last_pulse: u32,
     filling: Filling,
+    min_queue: i32,
+    stopped: bool,
 }
 
-impl Execution<'_> {
-    fn fill(&mut self) {
+impl Execution {
+    /// # Errors
+    /// The notice of its end: there is nothing to step, or the E-stop's loop is open.
+    fn begin(generator: &mut StepGen, order: Order) -> Result<Self, Event> {
+        CUT.store(false, Ordering::Release);
+        STOP.store(false, Ordering::Release);
+        STROKE.store(order.path.first_stroke(), Ordering::Relaxed);
+        generator.clear(order.pulse_ticks);
+        board::enable_driver();
+        let Some(periods) = Periods::new(order.path, stepgen::counted(), order.window) else {
+            let position = stepgen::counted();
+            let report = PathReport {
+                commanded: position,
+                counted: position,
+                ..PathReport::default()
+            };
+            return Err(Event::PathEnded(PathEnd::Complete, report));
+        };
+        stepgen::set_direction(periods.direction() == Direction::Away);
+        let mut work = Self {
+            periods,
+            stop_accel: order.stop_accel,
+            last_pulse: 0,
+            filling: Filling::Full,
+            min_queue: i32::MAX,
+            stopped: false,
+        };
+        work.fill(generator);
+        match generator.start() {
+            Ok(()) => Ok(work),
+            Err(stepgen::LoopOpen) => {
+                let _ = NOTICES.try_send(Event::LoopOpened);
+                Err(work.end(generator, PathEnd::Cut))
+            }
+        }
+    }
+
+    /// One round; the notice of the end when it is over.
+    fn advance(&mut self, generator: &mut StepGen) -> Option<Event> {
+        generator.update();
+        if self.filling == Filling::Full {
+            self.min_queue = self.min_queue.min(generator.queue());
+        }
+        if CUT.load(Ordering::Acquire) {
+            return Some(self.end(generator, PathEnd::Cut));
+        }
+        if STOP.swap(false, Ordering::AcqRel) {
+            self.stopped = true;
+            self.periods.stop(self.stop_accel);
+            if let Filling::Turn { .. } = self.filling {
+                self.filling = Filling::Full; // the next stroke does not come
+            }
+        }
+        self.fill(generator);
+        COMMANDED.store(self.periods.position(), Ordering::Relaxed);
+        // The zero slot behind the last period.
+        let played = generator.queue() <= -2;
+        let end = match self.filling {
+            Filling::Failed(end) => {
+                board::cut_pulses();
+                end
+            }
+            Filling::Done if played && self.stopped => PathEnd::Stopped,
+            Filling::Done if played => PathEnd::Complete,
+            // It was reached with periods still to come.
+            Filling::Full | Filling::Turn { .. } if played => PathEnd::Underrun,
+            _ => return None,
+        };
+        Some(self.end(generator, end))
+    }
+
+    fn end(&self, generator: &mut StepGen, end: PathEnd) -> Event {
+        generator.halt();
+        let report = PathReport {
+            commanded: self.periods.position(),
+            counted: stepgen::counted(),
+            last_tick: self.periods.last_step(),
+            min_queue: self.min_queue.clamp(0, i32::from(u16::MAX)) as u16,
+        };
+        COMMANDED.store(report.commanded, Ordering::Relaxed);
+        Event::PathEnded(end, report)
+    }
+
+    fn fill(&mut self, generator: &mut StepGen) {
         loop {
             if let Filling::Turn { completed, next } = self.filling {
-                if !self.generator.has_played(self.last_pulse) {
+                if !generator.has_played(self.last_pulse) {
                     return;
                 }
                 self.turn(completed, next);
@@ -68,15 +177,15 @@ impl Execution<'_> {
                 return;
             }
             self.filling = Filling::Full;
-            let enough = self.generator.lead() >= LEAD_TICKS && self.generator.queue() >= MIN_QUEUE;
-            if enough || !self.generator.has_room() {
+            let enough = generator.lead() >= LEAD_TICKS && generator.queue() >= MIN_QUEUE;
+            if enough || !generator.has_room() {
                 return;
             }
             self.filling = match self.periods.next_item() {
-                Item::Period(period) => match self.generator.push(period) {
+                Item::Period(period) => match generator.push(period) {
                     Ok(()) => {
                         if period.pulse {
-                            self.last_pulse = self.generator.pushed();
+                            self.last_pulse = generator.pushed();
                         }
                         Filling::Full
                     }
@@ -100,97 +209,4 @@ impl Execution<'_> {
         stepgen::set_direction(next == Direction::Away);
         STROKE.store(completed + 1, Ordering::Relaxed);
     }
-
-    fn report(&self, min_queue: i32) -> PathReport {
-        PathReport {
-            commanded: self.periods.position(),
-            counted: stepgen::counted(),
-            last_tick: self.periods.last_step(),
-            min_queue: min_queue.clamp(0, i32::from(u16::MAX)) as u16,
-        }
-    }
-}
-
-async fn execute(generator: &mut StepGen, order: Order) -> (PathEnd, PathReport) {
-    CUT.store(false, Ordering::Release);
-    STOP.store(false, Ordering::Release);
-    STROKE.store(order.path.first_stroke(), Ordering::Relaxed);
-    generator.clear(order.pulse_ticks);
-    board::enable_driver();
-    let Some(periods) = Periods::new(order.path, stepgen::counted(), order.window) else {
-        let position = stepgen::counted();
-        return (
-            PathEnd::Complete,
-            PathReport {
-                commanded: position,
-                counted: position,
-                ..PathReport::default()
-            },
-        );
-    };
-    stepgen::set_direction(periods.direction() == Direction::Away);
-    let mut min_queue = i32::MAX;
-    let mut stopped = false;
-    let mut work = Execution {
-        generator,
-        periods,
-        last_pulse: 0,
-        filling: Filling::Full,
-    };
-    work.fill();
-    let mut end = match work.generator.start() {
-        Ok(()) => None,
-        Err(stepgen::LoopOpen) => {
-            let _ = NOTICES.try_send(Event::LoopOpened);
-            Some(PathEnd::Cut)
-        }
-    };
-    while end.is_none() {
-        let wait = if work.filling == Filling::Full {
-            ROUND
-        } else {
-            SHORT_ROUND
-        };
-        // Either way there is something to do.
-        let _ = with_timeout(wait, MOTION_WAKE.wait()).await;
-        check_in(Client::Motion);
-        work.generator.update();
-        if work.filling == Filling::Full {
-            min_queue = min_queue.min(work.generator.queue());
-        }
-        if CUT.load(Ordering::Acquire) {
-            end = Some(PathEnd::Cut);
-            break;
-        }
-        if STOP.swap(false, Ordering::AcqRel) {
-            stopped = true;
-            work.periods.stop(order.stop_accel);
-            if let Filling::Turn { .. } = work.filling {
-                work.filling = Filling::Full; // the next stroke does not come
-            }
-        }
-        work.fill();
-        COMMANDED.store(work.periods.position(), Ordering::Relaxed);
-        end = match work.filling {
-            Filling::Failed(end) => {
-                board::cut_pulses();
-                Some(end)
-            }
-            Filling::Done if work.generator.queue() <= -2 => Some(if stopped {
-                PathEnd::Stopped
-            } else {
-                PathEnd::Complete
-            }),
-            // The zero slot was reached with periods still to come.
-            _ if work.filling != Filling::Done && work.generator.queue() <= -2 => {
-                Some(PathEnd::Underrun)
-            }
-            _ => None,
-        };
-    }
-    work.generator.halt();
-    let report = work.report(min_queue);
-    COMMANDED.store(report.commanded, Ordering::Relaxed);
-    // Whoever asked for a stop after the end has what they wanted.
-    (end.unwrap_or(PathEnd::Cut), report)
 }
