@@ -51,7 +51,7 @@ pub struct Snapshot {
 /// Fed by interrupts and motion, drained by control.
 pub static NOTICES: Channel<Raw, Event, 16> = Channel::new();
 /// Fed by link, drained by control; answered through [`REPLIES`].
-pub static REQUESTS: Channel<Raw, Inbound, 1> = Channel::new();
+pub static REQUESTS: Signal<Raw, Inbound> = Signal::new();
 /// Fed by control, drained by link.
 pub static REPLIES: Signal<Raw, Reply> = Signal::new();
 /// Fed by control, drained by motion.

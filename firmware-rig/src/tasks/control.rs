@@ -73,7 +73,7 @@ pub async fn control(start: Start) -> ! {
     loop {
         check_in(Client::Control);
         control.publish();
-        match select3(NOTICES.receive(), REQUESTS.receive(), ticker.next()).await {
+        match select3(NOTICES.receive(), REQUESTS.wait(), ticker.next()).await {
             Either3::First(event) => control.event(event),
             Either3::Second(Inbound::Request(request)) => {
                 let reply = control.request(request);

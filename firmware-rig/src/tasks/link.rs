@@ -130,8 +130,8 @@ async fn serve(frame: &Frame<'_>, session: &mut Session, identity: &Identity) {
     let frame = match answer {
         Answer::Reply(reply) => reply_frame(header, &reply),
         Answer::Ask(inbound) => {
-            REPLIES.reset();
-            REQUESTS.send(inbound).await;
+            // Control has answered everything before it: nothing is overwritten.
+            REQUESTS.signal(inbound);
             reply_frame(header, &REPLIES.wait().await)
         }
         Answer::Frame(frame) => Some(frame),

@@ -8,8 +8,7 @@ use crate::{
     stepgen,
 };
 use core::sync::atomic::Ordering;
-use embassy_futures::select::{Either, select};
-use embassy_time::{Duration, Instant, Timer};
+use embassy_time::{Duration, Instant, with_deadline};
 use motion::{axis::Axis, units::Steps};
 use protocol::{
     frame::{Header, Kind, encode},
@@ -25,16 +24,11 @@ pub async fn telemetry() -> ! {
     let mut last = (Instant::now(), stepgen::counted());
     loop {
         let period = TELEMETRY_MS.load(Ordering::Relaxed);
-        if period == 0 {
-            TELEMETRY_CHANGED.wait().await;
-            next = Instant::now();
-            continue;
-        }
-        next = next
-            .checked_add(Duration::from_millis(u64::from(period)))
-            .unwrap_or(next)
-            .max(Instant::now());
-        if let Either::Second(()) = select(Timer::at(next), TELEMETRY_CHANGED.wait()).await {
+        next = match period {
+            0 => Instant::MAX,
+            _ => (next + Duration::from_millis(u64::from(period))).max(Instant::now()),
+        };
+        if with_deadline(next, TELEMETRY_CHANGED.wait()).await.is_ok() {
             next = Instant::now();
             continue;
         }
