@@ -322,10 +322,12 @@ fn conduct<W: Wiring>(
     if let Some(flash) = &options.flash {
         images = vec![whole_flash(flash.clone())?];
     }
+    let mut gaps = Vec::new();
     loop {
         let epoch_ns = conductor.epoch_ns;
         let serial = Arc::clone(&conductor.serial);
-        let machine = Machine::new(wiring, options.chip, serial, epoch_ns).map_err(text)?;
+        let mut machine = Machine::new(wiring, options.chip, serial, epoch_ns).map_err(text)?;
+        machine.set_earlier(gaps);
         let session = Session::new(Box::new(machine), 0, VirtualNanos(0)).map_err(text)?;
         let mut finished = emulator::run(session, &Start::new(&images), conductor).map_err(text)?;
         if let Some(error) = finished.session.take_error() {
@@ -339,6 +341,7 @@ fn conduct<W: Wiring>(
             return Err("the board was lost".into());
         };
         wiring = kept;
+        gaps = BusReport::of(&finished.session).gaps;
         images = vec![whole_flash(flash)?];
         conductor.epoch_ns = back_ns;
         conductor.until_ns = back_ns;

@@ -17,9 +17,9 @@ const ALLOWED: [(u64, u64, &str); 1] = [(
 /// The gaps which a firmware met.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BusReport {
-    /// One line per gap.
+    /// One line per gap, in the machine's whole life.
     pub gaps: Vec<String>,
-    /// Resets so far, in order: instant in ns since power-up, and cause.
+    /// Resets since power-up, in order: instant in ns since power-up, and cause.
     pub resets: Vec<(u64, String)>,
 }
 
@@ -30,7 +30,8 @@ impl BusReport {
                 .iter()
                 .any(|&(first, past, _)| (first..past).contains(&address))
         };
-        let mut gaps = Vec::new();
+        let machine = session.board();
+        let mut gaps = machine.earlier().to_vec();
         let unmapped = session.unmapped();
         let unmapped = unmapped.iter().filter(|gap| !allowed(gap.address));
         gaps.extend(unmapped.map(ToString::to_string));
@@ -61,7 +62,6 @@ impl BusReport {
                 .told()
                 .map(|told| format!("{} {}: {}", told.instance, told.register, told.reason)),
         );
-        let machine = session.board();
         let absent = machine.absent().iter();
         gaps.extend(absent.map(|address| format!("the STM32F411 has nothing at {address:#010x}")));
         let foreign = machine.flash_foreign().iter();
@@ -74,6 +74,8 @@ impl BusReport {
                 machine.flash_refused()
             ));
         }
+        let mut seen = std::collections::HashSet::new();
+        gaps.retain(|gap| seen.insert(gap.clone()));
         let resets = session.resets().iter();
         Self {
             gaps,

@@ -505,6 +505,8 @@ pub struct Machine<W> {
     overwritten: Vec<(u64, u64)>,
     absent: Vec<u64>,
     flash_refused: u64,
+    /// Gaps that were met before the supply was last cut.
+    earlier: Vec<String>,
 }
 
 /// A machine's runs start from reset or from its flash, never from a snapshot.
@@ -530,6 +532,7 @@ impl<W: Wiring> Machine<W> {
             overwritten: Vec::new(),
             absent: Vec::new(),
             flash_refused: 0,
+            earlier: Vec::new(),
         })
     }
 
@@ -548,6 +551,15 @@ impl<W: Wiring> Machine<W> {
     /// Shows the pins to the board, after it was changed from outside.
     pub(crate) fn refresh(&mut self, at: VirtualNanos) {
         self.chip.look_between(at);
+    }
+
+    /// Gaps that were met before the supply was last cut, see [`crate::bus::BusReport`].
+    pub(crate) fn earlier(&self) -> &[String] {
+        &self.earlier
+    }
+
+    pub(crate) fn set_earlier(&mut self, gaps: Vec<String>) {
+        self.earlier = gaps;
     }
 
     /// Peripheral addresses touched that an STM32F411 does not have.
