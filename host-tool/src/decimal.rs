@@ -65,7 +65,7 @@ pub fn parse(text: &str, decimals: u32, max: u64) -> Result<u64, DecimalError> {
 }
 
 /// Millimetres, millimetres per second or per second squared, kept in thousandths: um, um/s, um/s2.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Milli(pub u32);
 
 impl FromStr for Milli {
@@ -79,7 +79,7 @@ impl FromStr for Milli {
 }
 
 /// Seconds of a dwell or delay, kept in us; at most 71 minutes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ShortSeconds(pub u32);
 
 impl FromStr for ShortSeconds {

@@ -2,15 +2,9 @@
 
 mod machine;
 
-use std::sync::{Arc, Mutex};
-
 use assert_cmd::Command;
-use host_tool::cli::run_on;
-use host_tool::connector::{Candidate, Connector};
-use host_tool::link::address::Address;
-use host_tool::link::{Link, OpenError};
-use jiff::Timestamp;
-use machine::{Log, Script, link};
+use machine::Script;
+use machine::tool::{Memory, ready};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;
 
@@ -142,75 +136,6 @@ fn help_completions_and_manual_are_there() {
     assert!(code == 0 && out.starts_with(".ie"), "{out}");
 }
 
-/// Machines in memory instead of ports.
-struct Memory {
-    scripts: Vec<Script>,
-    logs: Mutex<Vec<Arc<Mutex<Log>>>>,
-}
-
-impl Memory {
-    fn with(scripts: Vec<Script>) -> Self {
-        Self {
-            scripts,
-            logs: Mutex::new(vec![]),
-        }
-    }
-
-    /// Runs a command line; exit code, output, errors.
-    fn run(&self, args: &[&str]) -> (u8, String, String) {
-        let args = std::iter::once("retrograde").chain(args.iter().copied());
-        let (mut out, mut err) = (vec![], vec![]);
-        let code = run_on(args.map(Into::into), self, &mut out, &mut err, false);
-        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
-        (code, text(out), text(err))
-    }
-
-    fn heard(&self) -> Vec<&'static str> {
-        let logs = self.logs.lock().expect("logs");
-        logs.iter()
-            .flat_map(|log| log.lock().expect("log").heard.clone())
-            .collect()
-    }
-}
-
-impl Connector for Memory {
-    fn open(&self, _: DeviceKind, address: &Address, _: u32) -> Result<Box<dyn Link>, OpenError> {
-        let Address::Serial(index) = address else {
-            panic!("only the test's own places");
-        };
-        let script = &self.scripts[index.parse::<usize>().expect("a number")];
-        let (link, log) = link(script.clone());
-        self.logs.lock().expect("logs").push(log);
-        Ok(link)
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        (0..self.scripts.len())
-            .map(|index| Candidate {
-                address: Address::Serial(index.to_string()),
-                kind: None,
-                description: "memory".to_owned(),
-                may_ask: true,
-            })
-            .collect()
-    }
-
-    fn nonce(&self) -> u32 {
-        1
-    }
-
-    fn now(&self) -> Timestamp {
-        Timestamp::UNIX_EPOCH
-    }
-}
-
-fn ready(kind: DeviceKind) -> Script {
-    Script {
-        ready: true,
-        ..Script::new(kind)
-    }
-}
-
 #[test]
 fn machines_are_found_by_asking_and_each_command_takes_the_right_one() {
     let both = Memory::with(vec![ready(DeviceKind::Capsule), ready(DeviceKind::Rig)]);
@@ -256,6 +181,16 @@ fn none_wrong_or_several_are_listed_and_refused_before_anything_moves() {
         assert!(err.contains(says), "{err}");
         assert!(!memory.heard().contains(&"Home"));
     }
+}
+
+#[test]
+fn every_line_of_a_help_is_indented() {
+    let capsule = Memory::with(vec![ready(DeviceKind::Capsule)]);
+    let (_, _, err) = capsule.run(&["--rig", "0", "home"]);
+    let help = err.split_once("\n  help: ").expect("a help").1;
+    let mut more = help.trim_end().lines().skip(1);
+    assert!(more.clone().count() > 0, "{err}");
+    assert!(more.all(|line| line.starts_with("        ")), "{err}");
 }
 
 #[test]

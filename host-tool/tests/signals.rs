@@ -44,25 +44,29 @@ fn serve(script: Script) -> (String, Arc<Mutex<Log>>) {
     (address, log)
 }
 
-/// Starts a run of 40 s, waits until it moves, sends `signals`; returns exit code, how long the end took, what the
-/// machine was told.
-fn run_and_signal(signals: &[&str]) -> (Option<i32>, Duration, Vec<Urgent>) {
+/// Starts a command, waits until the rig has executed `request` and 0.4 s more, sends `signals`; returns exit code,
+/// standard error, how long the end took, what the machine was told.
+fn signalled(
+    args: &[&str],
+    request: &str,
+    signals: &[&str],
+) -> (Option<i32>, String, Duration, Vec<Urgent>) {
     let mut script = Script::new(DeviceKind::Rig);
     script.ready = true;
     let (address, log) = serve(script);
-    let folder = tempfile::tempdir().expect("folder");
-    let mut tool = Command::new(env!("CARGO_BIN_EXE_retrograde"))
-        .args(["run", "--rig", &address, "--out"])
-        .arg(folder.path())
+    let tool = Command::new(env!("CARGO_BIN_EXE_retrograde"))
+        .args(["--rig", &address])
+        .args(args)
+        .stdin(Stdio::null())
         .stdout(Stdio::null())
-        .stderr(Stdio::null())
+        .stderr(Stdio::piped())
         .spawn()
         .expect("starts");
     let begin = Instant::now();
-    while !log.lock().expect("log").executed.contains(&"Run") {
+    while !log.lock().expect("log").executed.contains(&request) {
         assert!(
             begin.elapsed() < Duration::from_secs(20),
-            "the run did not begin"
+            "{request} did not begin"
         );
         thread::sleep(Duration::from_millis(5));
     }
@@ -76,7 +80,7 @@ fn run_and_signal(signals: &[&str]) -> (Option<i32>, Duration, Vec<Urgent>) {
         assert!(sent.expect("kill").success());
         thread::sleep(Duration::from_millis(1));
     }
-    let status = tool.wait().expect("ends");
+    let output = tool.wait_with_output().expect("ends");
     let took = asked.elapsed();
     let urgent = log
         .lock()
@@ -85,14 +89,35 @@ fn run_and_signal(signals: &[&str]) -> (Option<i32>, Duration, Vec<Urgent>) {
         .iter()
         .map(|urgent| urgent.0)
         .collect();
-    (status.code(), took, urgent)
+    let err = String::from_utf8_lossy(&output.stderr).into_owned();
+    (output.status.code(), err, took, urgent)
 }
 
 #[test]
 fn each_of_the_three_signals_is_a_controlled_stop() {
+    let folder = tempfile::tempdir().expect("folder");
+    let run = ["run", "--out", folder.path().to_str().expect("UTF-8")];
     for signal in ["-INT", "-TERM", "-HUP"] {
-        let (code, took, urgent) = run_and_signal(&[signal]);
-        assert_eq!((code, urgent), (Some(130), vec![Urgent::Stop]), "{signal}");
+        let (code, err, took, urgent) = signalled(&run, "Run", &[signal]);
+        assert_eq!(
+            (code, urgent),
+            (Some(130), vec![Urgent::Stop]),
+            "{signal}: {err}"
+        );
         assert!(took < Duration::from_secs(2), "{signal}: {took:?}");
+    }
+}
+
+#[test]
+fn a_jog_or_a_move_that_the_operator_stops_says_so() {
+    for (args, request) in [
+        (&["jog", "away", "--for-s", "60"][..], "Jog"),
+        (&["move", "130", "--speed-mm-s", "5"], "MoveTo"),
+    ] {
+        let (code, err, took, urgent) = signalled(args, request, &["-INT"]);
+        assert_eq!(code, Some(130), "{args:?}: {err}");
+        assert_eq!(urgent.first(), Some(&Urgent::Stop), "{args:?}");
+        assert!(err.contains("stopped"), "{args:?}: {err}");
+        assert!(took < Duration::from_secs(2), "{args:?}: {took:?}");
     }
 }

@@ -8,7 +8,7 @@ use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 
 use crate::cli::science::{DesignArgs, SimulateArgs};
-use crate::decimal::{Milli, Seconds, ShortSeconds};
+use crate::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
 use crate::link::address::Address;
 use crate::link::serial::DEFAULT_BAUD;
 
@@ -172,7 +172,8 @@ pub struct JogArgs {
         long,
         value_name = "S",
         default_value = "1",
-        allow_negative_numbers = true
+        allow_negative_numbers = true,
+        value_parser = above_zero::<ShortSeconds>
     )]
     pub for_s: ShortSeconds,
 }
@@ -284,6 +285,7 @@ pub struct Waves {
         long,
         value_name = "N",
         allow_negative_numbers = true,
+        value_parser = above_zero::<Milli>,
         conflicts_with_all = ["duration_s", "speed_mm_s"]
     )]
     pub waves_per_minute: Option<Milli>,
@@ -366,7 +368,6 @@ impl Waves {
             total_us,
             accel_um_s2,
         };
-        let per_minute = self.waves_per_minute.filter(|waves| waves.0 > 0);
         let timing = match self.speed_mm_s {
             _ if self.preset == Some(Preset::Paper) => total(cycles * PAPER_CYCLE_US),
             _ if self.preset == Some(Preset::Wave) => RunTiming::Speeds {
@@ -374,10 +375,10 @@ impl Waves {
                 return_um_s: WAVE_UM_S,
                 accel_um_s2,
             },
-            // In thousandths per minute; rounded up: no faster than asked for. None at all is refused as too short.
-            _ if self.waves_per_minute.is_some() => total(per_minute.map_or(0, |waves| {
-                (cycles * 60_000_000_000).div_ceil(waves.0.into())
-            })),
+            // In thousandths per minute; rounded up: no faster than asked for.
+            _ if let Some(waves) = self.waves_per_minute => {
+                total((cycles * 60_000_000_000).div_ceil(u64::from(waves.0).max(1)))
+            }
             Some(forward) => RunTiming::Speeds {
                 forward_um_s: forward.0,
                 return_um_s: self.return_speed_mm_s.unwrap_or(forward).0,
@@ -401,6 +402,20 @@ impl Waves {
             },
         }
     }
+}
+
+/// A number that means nothing at 0.
+fn above_zero<T>(text: &str) -> Result<T, String>
+where
+    T: std::str::FromStr<Err = DecimalError> + Default + PartialEq,
+{
+    let value: T = text
+        .parse()
+        .map_err(|error: DecimalError| error.to_string())?;
+    if value == T::default() {
+        return Err("use a number above 0".to_owned());
+    }
+    Ok(value)
 }
 
 /// 0 passes here: the planner's refusal says more.

@@ -137,6 +137,15 @@ pub enum Failure {
         /// Why.
         io: io::Error,
     },
+    /// Refused by this program's own check, or found to be too late.
+    #[error("{why}")]
+    #[diagnostic(code(retrograde::refused), help("{help}"))]
+    Refused {
+        /// Why.
+        why: String,
+        /// What to do.
+        help: String,
+    },
     /// A file or an argument that cannot be used.
     #[error("{why}")]
     #[diagnostic(code(retrograde::input), help("{help}"))]
@@ -203,7 +212,7 @@ impl Failure {
             Self::Experiment(ExperimentError::Incomplete { status, .. })
             | Self::Ended { status, .. } => status_code(*status),
             Self::Input { .. } | Self::Range(_) => USAGE,
-            Self::Run(_) | Self::Axis(_) => REFUSED,
+            Self::Run(_) | Self::Axis(_) | Self::Refused { .. } => REFUSED,
             Self::Experiment(ExperimentError::Record(_))
             | Self::Report(_)
             | Self::Figure(_)
@@ -235,7 +244,7 @@ impl Failure {
             .unwrap_or_default();
         let help = self
             .help()
-            .map(|help| format!("\n  help: {help}"))
+            .map(|help| format!("\n  help: {}", help.to_string().replace('\n', "\n        ")))
             .unwrap_or_default();
         format!("error{code}: {self}{help}")
     }

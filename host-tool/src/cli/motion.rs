@@ -1,14 +1,17 @@
 //! Commands that move the rig outside a recorded run, or hold one: hold, resume, jog, move, health.
 
-use protocol::rig::{self, RigHealth, RigStatus, Sense};
-use protocol::system::DeviceKind;
+use protocol::rig::{self, RigHealth, RigState, RigStatus, Sense};
+use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 
 use crate::cli::args::{JogArgs, MoveArgs, Way};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
+use crate::client::{Device, Unobserved};
 use crate::decimal;
+use crate::error::ClientError;
+use crate::trial::Status;
 
 /// A jog is renewed this often; the default dead-man time is 300 ms.
 const RENEW_US: u64 = 100_000;
@@ -17,6 +20,18 @@ pub(crate) fn hold(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value
     let mut rig = finder.connect(DeviceKind::Rig)?;
     rig.call(rig::Hold)?;
     let status = rig.wait_rest()?;
+    if status.state != RigState::Held {
+        return Err(match Status::from(rig.run_record()?.outcome) {
+            Status::Complete => Failure::Refused {
+                why: "too late, the run is complete".to_owned(),
+                help: format!(
+                    "nothing is held; the rig stands at {} mm",
+                    millimetres(&status)
+                ),
+            },
+            ending => ended("the run", ending, &status, None),
+        });
+    }
     screen.say(&format!(
         "Held at {} mm; `retrograde resume` goes on, `retrograde stop` ends the run.",
         millimetres(&status)
@@ -50,18 +65,33 @@ pub(crate) fn jog(
     };
     let end_us = rig.now_us().saturating_add(args.for_s.0.into());
     rig.call(jog)?;
-    while rig.now_us() < end_us {
+    let mut early = false;
+    while !early && rig.now_us() < end_us {
         let left_us = end_us - rig.now_us();
-        rig.idle(left_us.min(RENEW_US), &mut crate::client::Unobserved)?;
-        if rig.rig_status()?.state != rig::RigState::Moving {
-            break; // the end of the stroke
-        }
-        if rig.now_us() < end_us {
-            rig.call(jog)?;
+        rig.idle(left_us.min(RENEW_US), &mut Unobserved)?;
+        early = rig.rig_status()?.state != RigState::Moving;
+        if !early && rig.now_us() < end_us {
+            early = match rig.call(jog) {
+                Ok(_) => false,
+                // It ended just now; the status says how.
+                Err(ClientError::Refused { .. }) => true,
+                Err(error) => return Err(error.into()),
+            };
         }
     }
-    rig.urgent(protocol::system::Urgent::Stop)?;
+    rig.urgent(Urgent::Stop)?;
     let status = rig.wait_rest()?;
+    let step_um = status.lead_um.div_ceil(status.steps_per_rev.max(1));
+    let at_the_end = match jog.sense {
+        Sense::Away => {
+            i64::from(status.position_um) > i64::from(status.stroke_um) - i64::from(step_um)
+        }
+        Sense::Home => i64::from(status.position_um) < i64::from(step_um),
+    };
+    let as_asked = rig.interrupted().is_none() && (!early || at_the_end);
+    if status.fault.is_some() || !as_asked {
+        return Err(cut_short("the jog", &rig, &status));
+    }
     screen.say(&format!("Stands at {} mm.", millimetres(&status)));
     Ok(json!({ "status": status }))
 }
@@ -83,16 +113,48 @@ pub(crate) fn move_to(
         decimal::write(accepted.stroke.peak_um_s.into(), 3),
     ));
     let status = rig.wait_rest()?;
-    if let Some(fault) = status.fault {
-        return Err(crate::error::ClientError::Refused {
-            place: rig.place(),
-            request: "MoveTo",
-            refusal: protocol::error::Refusal::RigFaulted(fault),
-        }
-        .into());
+    if status.fault.is_some() || status.position_steps != accepted.to_steps {
+        return Err(cut_short("the move", &rig, &status));
     }
     screen.say(&format!("Stands at {} mm.", millimetres(&status)));
     Ok(json!({ "accepted": accepted, "status": status }))
+}
+
+/// A motion that began and did not come to its end.
+fn cut_short(action: &'static str, rig: &Device, status: &RigStatus) -> Failure {
+    let (ending, reason) = match (status.fault, rig.interrupted()) {
+        (Some(_), _) => (Status::Faulted, None),
+        (None, Some(_)) => (Status::Stopped, None),
+        (None, None) => (
+            Status::Stopped,
+            Some("by the start button, or because the rig did not hear this tool in time"),
+        ),
+    };
+    ended(action, ending, status, reason)
+}
+
+fn ended(
+    action: &'static str,
+    ending: Status,
+    status: &RigStatus,
+    reason: Option<&str>,
+) -> Failure {
+    let place = millimetres(status);
+    Failure::Ended {
+        action,
+        status: ending,
+        reason: status
+            .fault
+            .map(|fault| fault.to_string())
+            .or(reason.map(str::to_owned)),
+        help: if status.fault.is_some() {
+            format!(
+                "the carriage stands at {place} mm by the step counter; `retrograde ack rig`, then `retrograde home`"
+            )
+        } else {
+            format!("the carriage stands at {place} mm")
+        },
+    }
 }
 
 fn millimetres(status: &RigStatus) -> String {

@@ -2,6 +2,8 @@
 //! behaviour to be homed, run, folded, stopped and reset.
 #![allow(dead_code, missing_docs, unreachable_pub)]
 
+pub mod tool;
+
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard};
 
@@ -16,10 +18,11 @@ use protocol::error::{Field, Refusal};
 use protocol::events::EventRing;
 use protocol::frame::{Deframer, Header, Kind, encode};
 use protocol::rig::{
-    HomeAccepted, RigEvent, RigFault, RigInputs, RigState, RigStatus, RigTelemetry, Run,
-    RunAccepted, RunOutcome, RunRecord,
+    HomeAccepted, MoveAccepted, RigEvent, RigFault, RigInputs, RigState, RigStatus, RigTelemetry,
+    Run, RunAccepted, RunOutcome, RunRecord, Sense, Stroke,
 };
 use protocol::session::{Decision, Session};
+use protocol::settings::{MAX_NAME, Name, Setting, SettingKey, SettingRule};
 use protocol::system::{
     BuildProfile, DeviceKind, Done, Event, Identity, LastWords, ResetCause, Revision, Urgent, What,
 };
@@ -30,6 +33,9 @@ const LATENCY_US: u64 = 2_000;
 const HOMING_US: u64 = 3_000_000;
 const ACTUATION_US: u64 = 4_000_000;
 const LINK_TIMEOUT_US: u64 = 1_000_000;
+const BRAKING_US: u64 = 100_000;
+const DEAD_MAN_US: u64 = 300_000;
+const STROKE_STEPS: i32 = 104_000;
 const CLOSED: RigInputs = RigInputs {
     home_flag: false,
     far_limit: false,
@@ -56,6 +62,16 @@ pub struct Script {
     pub never_ends: bool,
     /// Homed or referenced from the start.
     pub ready: bool,
+    /// The E-stop loop opens.
+    pub fault_at_us: Option<u64>,
+    /// The run that is to be held is complete before the carriage stands.
+    pub completes_while_braking: bool,
+    /// A run goes on already.
+    pub running: Option<Run>,
+    /// The rig refuses to change this setting: its storage fails.
+    pub broken_setting: Option<SettingKey>,
+    /// So many changes of settings succeed, then the storage fails for good.
+    pub writes_left: Option<u32>,
 }
 
 impl Script {
@@ -72,6 +88,11 @@ impl Script {
             reset_at_us: None,
             never_ends: false,
             ready: false,
+            fault_at_us: None,
+            completes_while_braking: false,
+            running: None,
+            broken_setting: None,
+            writes_left: None,
         }
     }
 }
@@ -85,6 +106,15 @@ pub struct Log {
     /// Names of all request frames that arrived, and `Urgent`.
     pub heard: Vec<&'static str>,
     pub urgent: Vec<(Urgent, u64)>,
+    /// What the rig's settings and name are now.
+    pub settings: Vec<u32>,
+    pub name: String,
+}
+
+impl Log {
+    pub fn setting(&self, key: SettingKey) -> u32 {
+        self.settings[key as usize]
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,6 +132,22 @@ enum Motion {
         kind: ActuationKind,
         start_us: u64,
     },
+    /// Jog or move; a jog ends at `dead_us`.
+    Moving {
+        from: i32,
+        to: i32,
+        start_us: u64,
+        end_us: u64,
+        dead_us: u64,
+    },
+}
+
+/// A hold of the run that goes on: its clock stands still.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Hold {
+    None,
+    Braking { since_us: u64 },
+    Held { since_us: u64 },
 }
 
 pub struct Machine {
@@ -116,11 +162,18 @@ pub struct Machine {
     now_us: u64,
     heard_us: u64,
     motion: Motion,
+    hold: Hold,
+    /// Where the carriage rests.
+    place: i32,
+    settings: Vec<u32>,
+    name: heapless::String<MAX_NAME>,
     homed: bool,
     referenced: bool,
     fault: Option<RigFault>,
     thread_um: i32,
     record: RunRecord,
+    /// When the run was accepted.
+    accepted_us: u64,
     actuation: ActuationRecord,
     telemetry_us: u64,
     next_telemetry_us: u64,
@@ -151,6 +204,10 @@ impl Machine {
             now_us: 0,
             heard_us: 0,
             motion: Motion::Rest,
+            hold: Hold::None,
+            place: 0,
+            settings: SettingKey::ALL.map(|key| key.range().default).to_vec(),
+            name: heapless::String::new(),
             homed: script.ready,
             referenced: script.ready,
             fault: None,
@@ -171,6 +228,7 @@ impl Machine {
                 holds: 0,
                 image_hash: 0,
             },
+            accepted_us: 0,
             actuation: ActuationRecord {
                 actuation: 0,
                 kind: ActuationKind::Reference,
@@ -189,6 +247,10 @@ impl Machine {
             script,
         };
         machine.event(0, What::Booted(ResetCause::PowerOn));
+        machine.show_settings();
+        if let Some(run) = machine.script.running.take() {
+            machine.start(run).expect("a possible run");
+        }
         machine
     }
 
@@ -251,6 +313,7 @@ impl Machine {
         self.deframer = Deframer::new();
         self.ring = EventRing::new();
         self.motion = Motion::Rest;
+        self.hold = Hold::None;
         self.homed = false;
         self.next_telemetry_us = u64::MAX;
         self.event(self.now_us, What::Booted(ResetCause::Watchdog));
@@ -259,7 +322,12 @@ impl Machine {
     /// When something happens next without a frame from the host.
     fn next_change_us(&self) -> u64 {
         let motion_us = match self.motion {
+            _ if let Hold::Braking { since_us } = self.hold => since_us + BRAKING_US,
+            _ if matches!(self.hold, Hold::Held { .. }) => u64::MAX,
             Motion::Rest => u64::MAX,
+            Motion::Moving {
+                end_us, dead_us, ..
+            } => end_us.min(dead_us),
             Motion::Homing { end_us } => end_us,
             Motion::Running {
                 accepted,
@@ -272,6 +340,7 @@ impl Machine {
             Motion::Actuating { start_us, .. } => start_us + ACTUATION_US,
         };
         let silence_us = match self.motion {
+            _ if matches!(self.hold, Hold::Held { .. }) => u64::MAX,
             Motion::Rest => u64::MAX,
             _ => self.heard_us + LINK_TIMEOUT_US + 1,
         };
@@ -279,6 +348,7 @@ impl Machine {
             .min(silence_us)
             .min(self.next_telemetry_us)
             .min(self.script.reset_at_us.unwrap_or(u64::MAX))
+            .min(self.script.fault_at_us.unwrap_or(u64::MAX))
     }
 
     /// Lives until `now_us`.
@@ -300,6 +370,14 @@ impl Machine {
             self.script.reset_at_us = None;
             return self.reset();
         }
+        if self
+            .script
+            .fault_at_us
+            .is_some_and(|time| time <= self.now_us)
+        {
+            self.script.fault_at_us = None;
+            return self.latch(RigFault::EStopLoop);
+        }
         if self.now_us >= self.next_telemetry_us {
             self.next_telemetry_us += self.telemetry_us;
             let session = self.session.number();
@@ -308,12 +386,36 @@ impl Machine {
             self.telemetry_seq = seq.wrapping_add(1);
             self.send(Kind::Telemetry, session, seq, &sample);
         }
-        if self.motion != Motion::Rest && self.now_us > self.heard_us + LINK_TIMEOUT_US {
+        let held = matches!(self.hold, Hold::Held { .. });
+        if self.motion != Motion::Rest && !held && self.now_us > self.heard_us + LINK_TIMEOUT_US {
             self.event(self.now_us, What::LinkLost);
             return self.end(RunOutcome::LinkLost, ActuationOutcome::LinkLost);
         }
+        if let Hold::Braking { since_us } = self.hold {
+            if since_us + BRAKING_US <= self.now_us {
+                if self.script.completes_while_braking {
+                    return self.end(RunOutcome::Complete, ActuationOutcome::None);
+                }
+                self.hold = Hold::Held { since_us };
+                let position_steps = self.position_steps();
+                self.rig_event(RigEvent::Held { position_steps });
+            }
+            return;
+        }
+        if held {
+            return;
+        }
         match self.motion {
+            Motion::Moving {
+                end_us, dead_us, ..
+            } if end_us.min(dead_us) <= self.now_us => {
+                self.place = self.position_steps();
+                self.motion = Motion::Rest;
+                let position_steps = self.place;
+                self.rig_event(RigEvent::Moved { position_steps });
+            }
             Motion::Homing { end_us } if end_us <= self.now_us => {
+                self.place = 0;
                 self.motion = Motion::Rest;
                 self.homed = true;
                 self.rig_event(RigEvent::Homed {
@@ -353,10 +455,26 @@ impl Machine {
         }
     }
 
+    /// As the firmware: the first cause stays, the position is lost.
+    fn latch(&mut self, fault: RigFault) {
+        self.end(RunOutcome::Faulted(fault), ActuationOutcome::Stopped);
+        self.fault = Some(fault);
+        self.homed = false;
+        self.rig_event(RigEvent::Faulted(fault));
+    }
+
     fn end(&mut self, run: RunOutcome, actuation: ActuationOutcome) {
+        self.place = match run {
+            RunOutcome::Complete => 0,
+            _ => self.position_steps(),
+        };
+        self.hold = Hold::None;
         match std::mem::replace(&mut self.motion, Motion::Rest) {
             Motion::Rest => {}
-            Motion::Homing { .. } => self.rig_event(RigEvent::Stopped { position_steps: 5 }),
+            Motion::Homing { .. } | Motion::Moving { .. } => {
+                let position_steps = self.place;
+                self.rig_event(RigEvent::Stopped { position_steps });
+            }
             Motion::Running { .. } => {
                 self.record.outcome = run;
                 let number = self.record.run;
@@ -389,18 +507,32 @@ impl Machine {
     }
 
     fn position_steps(&self) -> i32 {
+        if let Motion::Moving {
+            from,
+            to,
+            start_us,
+            end_us,
+            ..
+        } = self.motion
+        {
+            let part = self.now_us.min(end_us) - start_us;
+            let way = i64::from(to - from) * part as i64 / (end_us - start_us) as i64;
+            return from + way as i32;
+        }
         let Motion::Running {
             accepted,
             start_us,
             stroke,
         } = self.motion
         else {
-            return 0;
+            return self.place;
         };
         let stroke_us = accepted.forward.duration_ticks / 100;
-        let into = self
-            .now_us
-            .saturating_sub(start_us + u64::from(stroke) * stroke_us);
+        let now_us = match self.hold {
+            Hold::None => self.now_us,
+            Hold::Braking { since_us } | Hold::Held { since_us } => since_us,
+        };
+        let into = now_us.saturating_sub(start_us + u64::from(stroke) * stroke_us);
         let done = (u64::from(accepted.forward.steps) * into.min(stroke_us) / stroke_us) as i32;
         if stroke.is_multiple_of(2) {
             done
@@ -412,7 +544,10 @@ impl Machine {
     fn rig_state(&self) -> RigState {
         match self.motion {
             _ if self.fault.is_some() => RigState::Faulted,
+            _ if matches!(self.hold, Hold::Braking { .. }) => RigState::Stopping,
+            _ if matches!(self.hold, Hold::Held { .. }) => RigState::Held,
             Motion::Homing { .. } => RigState::Homing,
+            Motion::Moving { .. } => RigState::Moving,
             Motion::Running { .. } => RigState::Running,
             _ if self.homed => RigState::Ready,
             _ => RigState::Unhomed,
@@ -490,7 +625,9 @@ impl Machine {
                 stroke: self.record.strokes,
                 strokes: 10,
                 elapsed_us: match self.motion {
-                    Motion::Running { start_us, .. } => self.now_us.saturating_sub(start_us),
+                    Motion::Running { .. } if self.hold == Hold::None => {
+                        self.now_us - self.accepted_us
+                    }
                     _ => 0,
                 },
                 needs_acknowledge: false,
@@ -510,6 +647,68 @@ impl Machine {
             }
             Request::Run(run) if rig => Response::Run(self.start(run)?),
             Request::GetRunRecord(_) if rig => Response::GetRunRecord(self.record),
+            Request::Hold(_) if rig => {
+                self.healthy()?;
+                if !matches!(self.motion, Motion::Running { .. }) || self.hold != Hold::None {
+                    return Err(Refusal::NothingToHold);
+                }
+                self.hold = Hold::Braking {
+                    since_us: self.now_us,
+                };
+                Response::Hold(Done)
+            }
+            Request::Resume(_) if rig => {
+                self.healthy()?;
+                let Hold::Held { since_us } = self.hold else {
+                    return Err(Refusal::NothingToResume);
+                };
+                self.hold = Hold::None;
+                self.record.holds += 1;
+                if let Motion::Running { start_us, .. } = &mut self.motion {
+                    *start_us += self.now_us - since_us;
+                }
+                self.rig_event(RigEvent::Resumed);
+                Response::Resume(Done)
+            }
+            Request::Jog(jog) if rig => {
+                self.healthy()?;
+                let until_us = self.now_us + DEAD_MAN_US;
+                if let Motion::Moving { dead_us, .. } = &mut self.motion {
+                    *dead_us = until_us;
+                } else {
+                    let to = match jog.sense {
+                        Sense::Away => STROKE_STEPS,
+                        Sense::Home => 0,
+                    };
+                    self.set_off(to, jog.speed_um_s, until_us)?;
+                }
+                Response::Jog(Done)
+            }
+            Request::MoveTo(to) if rig => {
+                self.healthy()?;
+                Response::MoveTo(self.set_off(
+                    to.position_um as i32 * 4 / 5,
+                    to.speed_um_s,
+                    u64::MAX,
+                )?)
+            }
+            Request::GetSetting(get) if rig => Response::GetSetting(Setting {
+                key: get.key,
+                value: self.settings[get.key as usize],
+            }),
+            Request::SetSetting(setting) if rig => Response::SetSetting(self.set(setting)?),
+            Request::GetName(_) if rig => Response::GetName(Name {
+                name: self.name.clone(),
+            }),
+            Request::SetName(name) if rig => {
+                self.write()?;
+                self.name = name.name.clone();
+                Response::SetName(name)
+            }
+            Request::FactoryReset(_) if rig => {
+                self.settings = SettingKey::ALL.map(|key| key.range().default).to_vec();
+                Response::FactoryReset(Done)
+            }
             Request::GetCapsuleStatus(_) if !rig => Response::GetCapsuleStatus(CapsuleStatus {
                 time_us: self.now_us,
                 state: self.capsule_state(),
@@ -529,6 +728,85 @@ impl Machine {
             Request::GetActuationRecord(_) if !rig => Response::GetActuationRecord(self.actuation),
             _ => return Err(Refusal::WrongDevice),
         })
+    }
+
+    fn healthy(&self) -> Result<(), Refusal> {
+        self.fault
+            .map_or(Ok(()), |fault| Err(Refusal::RigFaulted(fault)))
+    }
+
+    fn set_off(&mut self, to: i32, speed_um_s: u32, dead_us: u64) -> Result<MoveAccepted, Refusal> {
+        if !self.homed {
+            return Err(Refusal::NotHomed);
+        }
+        if self.motion != Motion::Rest {
+            return Err(Refusal::RigBusy(self.rig_state()));
+        }
+        let from = self.place;
+        let steps = to.abs_diff(from);
+        if steps == 0 {
+            return Err(Refusal::AlreadyThere);
+        }
+        let duration_us = u64::from(steps) * 1_250_000 / u64::from(speed_um_s);
+        self.motion = Motion::Moving {
+            from,
+            to,
+            start_us: self.now_us,
+            end_us: self.now_us + duration_us,
+            dead_us,
+        };
+        Ok(MoveAccepted {
+            from_steps: from,
+            to_steps: to,
+            stroke: Stroke {
+                steps,
+                duration_ticks: duration_us * 100,
+                ramp_ticks: 1,
+                peak_um_s: speed_um_s,
+                accel_um_s2: 200_000,
+            },
+        })
+    }
+
+    fn write(&mut self) -> Result<(), Refusal> {
+        match &mut self.script.writes_left {
+            Some(0) => Err(Refusal::StorageFailed),
+            Some(left) => {
+                *left -= 1;
+                Ok(())
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Two of the firmware's rules, one of them between settings.
+    fn set(&mut self, setting: Setting) -> Result<Setting, Refusal> {
+        let Setting { key, value } = setting;
+        let refused = |rule| Err(Refusal::SettingRule { key, rule });
+        if self.motion != Motion::Rest {
+            return Err(Refusal::RigBusy(self.rig_state()));
+        }
+        let mut wanted = self.settings.clone();
+        wanted[key as usize] = value;
+        let of = |key: SettingKey| wanted[key as usize];
+        if !of(SettingKey::Microsteps).is_power_of_two() {
+            return refused(SettingRule::Microsteps);
+        }
+        if of(SettingKey::FlagUm) + of(SettingKey::PullOffUm) > of(SettingKey::StrokeUm) {
+            return refused(SettingRule::FlagWithinStroke);
+        }
+        if self.script.broken_setting == Some(key) {
+            return Err(Refusal::StorageFailed);
+        }
+        self.write()?;
+        self.settings = wanted;
+        Ok(setting)
+    }
+
+    fn show_settings(&self) {
+        let mut log = self.log();
+        log.settings.clone_from(&self.settings);
+        log.name = self.name.as_str().to_owned();
     }
 
     fn actuate(&mut self, kind: ActuationKind) -> Result<ActuationAccepted, Refusal> {
@@ -592,6 +870,7 @@ impl Machine {
             edges: summary.achieved.edges,
             plan_hash: plan.hash(),
         };
+        self.accepted_us = self.now_us;
         self.motion = Motion::Running {
             accepted,
             start_us: self.now_us,
@@ -604,11 +883,10 @@ impl Machine {
     fn urgent(&mut self, urgent: Urgent) {
         let now_us = self.now_us;
         self.log().urgent.push((urgent, now_us));
-        self.end(RunOutcome::Stopped, ActuationOutcome::Stopped);
         if urgent == Urgent::EStop && self.script.kind == DeviceKind::Rig {
-            self.fault = Some(RigFault::EStopFrame);
-            self.homed = false;
-            self.rig_event(RigEvent::Faulted(RigFault::EStopFrame));
+            self.latch(RigFault::EStopFrame);
+        } else {
+            self.end(RunOutcome::Stopped, ActuationOutcome::Stopped);
         }
     }
 
@@ -669,7 +947,9 @@ impl Machine {
             }
             Decision::Execute { request, ticket } => {
                 self.log().executed.push(request.row().name);
-                let answer = match self.execute(request) {
+                let executed = self.execute(request);
+                self.show_settings();
+                let answer = match executed {
                     Ok(response) => Reply::Accepted(response),
                     Err(refusal) => Reply::Refused(refusal),
                 };

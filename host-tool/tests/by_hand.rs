@@ -1,0 +1,138 @@
+//! Hold, resume, jog and move: what they say is what happened.
+
+mod machine;
+
+use host_tool::experiment::PAPER_RUN;
+use machine::Script;
+use machine::tool::{Memory, ready};
+use protocol::system::DeviceKind;
+use serde_json::Value;
+
+/// A rig in the middle of the paper's run.
+fn running() -> Script {
+    Script {
+        running: Some(PAPER_RUN),
+        ..ready(DeviceKind::Rig)
+    }
+}
+
+/// Exit code, JSON object, text on standard error.
+fn json(script: Script, args: &[&str]) -> (u8, Value, String) {
+    let memory = Memory::with(vec![script]);
+    let (code, out, err) = memory.run(&[&["--json", "--rig", "0"], args].concat());
+    (code, serde_json::from_str(&out).expect("one object"), err)
+}
+
+#[test]
+fn a_hold_is_reported_when_the_carriage_stands_within_the_run() {
+    let (code, json, err) = json(running(), &["hold"]);
+    assert_eq!(code, 0, "{err}");
+    assert_eq!(json["held"], true);
+    assert_eq!(json["status"]["state"], "Held");
+}
+
+#[test]
+fn a_hold_that_came_too_late_is_no_hold() {
+    let late = Script {
+        completes_while_braking: true,
+        ..running()
+    };
+    let (code, json, err) = json(late, &["hold"]);
+    assert_eq!(code, 3, "{err}");
+    assert!(err.contains("too late, the run is complete"), "{err}");
+    assert_eq!(json["ok"], false);
+    assert_eq!(json["held"], Value::Null);
+}
+
+#[test]
+fn a_fault_while_a_hold_brakes_is_reported_as_that() {
+    let faulty = Script {
+        fault_at_us: Some(60_000),
+        ..running()
+    };
+    let (code, json, err) = json(faulty, &["hold"]);
+    assert_eq!(code, 6, "{err}");
+    assert!(
+        err.contains("the run ended by a fault: the E-stop"),
+        "{err}"
+    );
+    assert_eq!(json["held"], Value::Null);
+}
+
+#[test]
+fn a_jog_that_a_fault_ends_is_no_success() {
+    for fault_at_us in [150_000, 200_000, 210_000, 500_000] {
+        let faulty = Script {
+            fault_at_us: Some(fault_at_us),
+            ..ready(DeviceKind::Rig)
+        };
+        let (code, json, err) = json(faulty, &["jog", "away", "--for-s", "1"]);
+        assert_eq!(code, 6, "{fault_at_us}: {err}");
+        assert!(
+            err.contains("the jog ended by a fault: the E-stop"),
+            "{fault_at_us}: {err}"
+        );
+        assert!(err.contains(" mm"), "where it stands: {err}");
+        assert_eq!(json["ok"], false);
+    }
+}
+
+#[test]
+fn a_jog_ends_in_time_or_at_the_end_of_the_stroke() {
+    let (code, ends, err) = json(ready(DeviceKind::Rig), &["jog", "away", "--for-s", "2"]);
+    assert_eq!(code, 0, "{err}");
+    let um = ends["status"]["position_um"].as_i64().expect("a number");
+    assert!(um.abs_diff(10_000) < 200, "{um}");
+    let line = &["jog", "away", "--for-s", "9", "--speed-mm-s", "40"];
+    let (code, ends, err) = json(ready(DeviceKind::Rig), line);
+    assert_eq!(code, 0, "{err}");
+    assert_eq!(ends["status"]["position_um"], 130_000);
+}
+
+#[test]
+fn a_move_that_a_fault_ends_has_moved() {
+    let faulty = Script {
+        fault_at_us: Some(500_000),
+        ..ready(DeviceKind::Rig)
+    };
+    let (code, _, err) = json(faulty, &["move", "60"]);
+    assert_eq!(code, 6, "{err}");
+    assert!(
+        err.contains("the move ended by a fault: the E-stop"),
+        "{err}"
+    );
+    assert!(
+        err.contains("stands at 9.") && !err.contains("nothing was moved"),
+        "{err}"
+    );
+    // One that is there before does not begin at all.
+    let faulted = Script {
+        fault_at_us: Some(1),
+        ..ready(DeviceKind::Rig)
+    };
+    let (code, _, err) = json(faulted, &["move", "60"]);
+    assert_eq!(code, 3, "{err}");
+    assert!(err.contains("nothing was moved"), "{err}");
+}
+
+#[test]
+fn a_jog_of_no_time_is_refused_before_a_port_is_opened() {
+    let memory = Memory::with(vec![ready(DeviceKind::Rig)]);
+    for time in ["0", "0.000"] {
+        let (code, _, err) = memory.run(&["--rig", "0", "jog", "away", "--for-s", time]);
+        assert_eq!(code, 2, "{err}");
+        assert!(err.contains("use a number above 0"), "{err}");
+    }
+    assert!(memory.heard().is_empty());
+}
+
+#[test]
+fn no_waves_per_minute_are_no_run() {
+    let memory = Memory::with(vec![ready(DeviceKind::Rig)]);
+    for command in ["run", "plan"] {
+        let (code, _, err) = memory.run(&[command, "--waves-per-minute", "0"]);
+        assert_eq!(code, 2, "{err}");
+        assert!(err.contains("use a number above 0"), "{err}");
+    }
+    assert!(memory.heard().is_empty());
+}

@@ -1,0 +1,82 @@
+//! The command line over machines in memory, in this process.
+
+use std::sync::{Arc, Mutex};
+
+use host_tool::cli::run_on;
+use host_tool::connector::{Candidate, Connector};
+use host_tool::link::address::Address;
+use host_tool::link::{Link, OpenError};
+use jiff::Timestamp;
+use protocol::system::DeviceKind;
+
+use super::{Log, Script, link};
+
+/// Machines in memory instead of ports.
+pub struct Memory {
+    scripts: Vec<Script>,
+    pub logs: Mutex<Vec<Arc<Mutex<Log>>>>,
+}
+
+impl Memory {
+    pub fn with(scripts: Vec<Script>) -> Self {
+        Self {
+            scripts,
+            logs: Mutex::new(vec![]),
+        }
+    }
+
+    /// Runs a command line; exit code, output, errors.
+    pub fn run(&self, args: &[&str]) -> (u8, String, String) {
+        let args = std::iter::once("retrograde").chain(args.iter().copied());
+        let (mut out, mut err) = (vec![], vec![]);
+        let code = run_on(args.map(Into::into), self, &mut out, &mut err, false);
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
+        (code, text(out), text(err))
+    }
+
+    pub fn heard(&self) -> Vec<&'static str> {
+        let logs = self.logs.lock().expect("logs");
+        logs.iter()
+            .flat_map(|log| log.lock().expect("log").heard.clone())
+            .collect()
+    }
+}
+
+impl Connector for Memory {
+    fn open(&self, _: DeviceKind, address: &Address, _: u32) -> Result<Box<dyn Link>, OpenError> {
+        let Address::Serial(index) = address else {
+            panic!("only the test's own places");
+        };
+        let script = &self.scripts[index.parse::<usize>().expect("a number")];
+        let (link, log) = link(script.clone());
+        self.logs.lock().expect("logs").push(log);
+        Ok(link)
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        (0..self.scripts.len())
+            .map(|index| Candidate {
+                address: Address::Serial(index.to_string()),
+                kind: None,
+                description: "memory".to_owned(),
+                may_ask: true,
+            })
+            .collect()
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+/// Homed or referenced already.
+pub fn ready(kind: DeviceKind) -> Script {
+    Script {
+        ready: true,
+        ..Script::new(kind)
+    }
+}
