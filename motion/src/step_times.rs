@@ -16,6 +16,7 @@
 use crate::axis::Acceleration;
 use crate::trapezoid::StrokeProfile;
 use crate::units::{Steps, Ticks};
+use crate::wide::isqrt;
 
 /// Up to this step of a ramp, counted from rest, the square root is taken.
 const WARM_UP: u32 = 32;
@@ -261,7 +262,7 @@ impl Ramp {
         let (whole, part) = (square / n, u64::from(k) * (square % n));
         let (x, fraction) = (u64::from(k) * whole + part / n, part % n);
         // x <= t^2 < 2^62.
-        let tick = (4 * x + 4 * fraction / n).isqrt().div_ceil(2);
+        let tick = isqrt(4 * x + 4 * fraction / n).div_ceil(2);
         self.rest = n as i64 * (x as i64 - (tick * tick) as i64 + tick as i64) + fraction as i64
             - i64::from(self.steps.div_ceil(4));
         self.k = k;

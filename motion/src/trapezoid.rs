@@ -15,7 +15,7 @@ use core::fmt;
 
 use crate::axis::{Acceleration, Axis, Speed};
 use crate::units::{Steps, TICK_HZ, Ticks};
-use crate::wide::div_ceil;
+use crate::wide::{div_ceil, isqrt};
 
 /// The most steps of one stroke. The finest axis has 26.6 M in 130 mm.
 pub const MAX_STEPS: Steps = Steps(1 << 25);
@@ -197,7 +197,7 @@ impl StrokeProfile {
             Ticks((n * self.ramp_ticks + 2 * span + n) / (2 * n))
         } else {
             // The square is below 2^62 for every profile that is accepted.
-            Ticks((4 * self.square() / n).isqrt().div_ceil(2))
+            Ticks(isqrt(4 * self.square() / n).div_ceil(2))
         }
     }
 
