@@ -6,6 +6,7 @@ pub mod failure;
 mod finding;
 mod flash;
 mod interrupt;
+mod keyboard;
 pub mod machines;
 mod motion;
 mod offline;
@@ -14,7 +15,7 @@ mod screen;
 mod settings;
 
 use std::ffi::OsString;
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, BufRead, IsTerminal, Write};
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -32,17 +33,35 @@ use crate::connector::Connector;
 pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) -> ExitCode {
     let (mut out, mut err) = (io::stdout(), io::stderr());
     let terminal = err.is_terminal();
-    ExitCode::from(run_on(args, connector, &mut out, &mut err, terminal))
+    let keyboard = keyboard::standard();
+    ExitCode::from(run_at(
+        args, connector, &mut out, &mut err, terminal, keyboard,
+    ))
 }
 
-/// Runs one command line on other streams; `terminal` allows a progress bar on standard error. Returns the exit
-/// code.
+/// Runs one command line on other streams, without a keyboard; `terminal` allows a progress bar on standard error.
+/// Returns the exit code.
 pub fn run_on(
     args: impl IntoIterator<Item = OsString>,
     connector: &dyn Connector,
     out: &mut dyn Write,
     err: &mut dyn Write,
     terminal: bool,
+) -> u8 {
+    run_at(args, connector, out, err, terminal, None)
+}
+
+/// What a person types, line by line.
+pub type Keyboard = Box<dyn BufRead + Send>;
+
+/// As [`run_on`], and with a person at `keyboard` who can be asked and who holds and resumes a run.
+pub fn run_at(
+    args: impl IntoIterator<Item = OsString>,
+    connector: &dyn Connector,
+    out: &mut dyn Write,
+    err: &mut dyn Write,
+    terminal: bool,
+    keyboard: Option<Keyboard>,
 ) -> u8 {
     let cli = match Cli::try_parse_from(args) {
         Ok(cli) => cli,
@@ -62,6 +81,7 @@ pub fn run_on(
         err,
         json: cli.json,
         terminal,
+        keyboard: keyboard.filter(|_| !cli.json),
     };
     let result = carry_out(&cli, connector, &mut screen);
     screen.finish(result)

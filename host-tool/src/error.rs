@@ -67,9 +67,9 @@ pub enum ClientError {
         found: Box<Identity>,
     },
 
-    /// The device understood the request and refused it; nothing moved.
+    /// The device understood the request and refused it; nothing moved, nothing changed.
     #[error("{place} refused {request}: {refusal}")]
-    #[diagnostic(code(retrograde::refused), help("nothing was moved"))]
+    #[diagnostic(code(retrograde::refused), help("{}", unharmed(request)))]
     Refused {
         /// What the link leads to.
         place: String,
@@ -213,6 +213,14 @@ fn mismatch_text(place: &str, found: &Identity) -> String {
         VERSION.major,
         VERSION.minor,
     )
+}
+
+/// What a refused request has not done.
+fn unharmed(request: &str) -> &'static str {
+    match request {
+        "SetSetting" | "SetName" | "FactoryReset" => "nothing was changed",
+        _ => "nothing was moved",
+    }
 }
 
 fn homing_failure(fault: Option<RigFault>) -> String {

@@ -113,14 +113,18 @@ pub enum SettingsCommand {
         /// Its name.
         key: Key,
         /// Its value, a whole number in the unit of its name.
-        value: u32,
+        #[arg(allow_negative_numbers = true)]
+        value: String,
     },
     /// Write all to a JSON file.
     Export {
         /// The file.
         file: PathBuf,
+        /// Replace a file that is there.
+        #[arg(long)]
+        force: bool,
     },
-    /// Set all from a JSON file that `export` wrote.
+    /// Set all from a JSON file that `export` wrote, or none.
     Import {
         /// The file.
         file: PathBuf,
@@ -131,7 +135,11 @@ pub enum SettingsCommand {
         name: Option<String>,
     },
     /// Set all to their defaults, the name too.
-    Reset,
+    Reset {
+        /// Do not ask.
+        #[arg(long)]
+        yes: bool,
+    },
 }
 
 /// A setting by name.

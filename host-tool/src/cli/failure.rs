@@ -155,6 +155,19 @@ pub enum Failure {
         /// What to do.
         help: String,
     },
+    /// An import of settings that the rig refused, or that broke off.
+    #[error("{}: {setting}: {cause}; {}", file.display(), aftermath(changed))]
+    #[diagnostic(code(retrograde::import), help("{}", way_back(changed)))]
+    Import {
+        /// The file.
+        file: PathBuf,
+        /// What could not be set.
+        setting: &'static str,
+        /// Why.
+        cause: Box<ClientError>,
+        /// What could not be put back; none if all is as before.
+        changed: Vec<String>,
+    },
     /// Flashing.
     #[error("{why}")]
     #[diagnostic(code(retrograde::flash), help("{help}"))]
@@ -188,6 +201,24 @@ fn way_out(error: &RunError) -> String {
     }
 }
 
+fn aftermath(changed: &[String]) -> String {
+    if changed.is_empty() {
+        return "all settings are as before".to_owned();
+    }
+    format!(
+        "it could not be undone, so that these are changed now: {}",
+        changed.join(", ")
+    )
+}
+
+fn way_back(changed: &[String]) -> &'static str {
+    if changed.is_empty() {
+        "correct the file; `retrograde info rig` shows whether the rig has to be homed again"
+    } else {
+        "`retrograde settings list` shows what is in force; set it by hand, or import a good file"
+    }
+}
+
 fn ended(status: Status) -> &'static str {
     match status {
         Status::Complete => "is complete",
@@ -211,6 +242,13 @@ impl Failure {
             Self::Experiment(ExperimentError::Client(error)) => client_code(error),
             Self::Experiment(ExperimentError::Incomplete { status, .. })
             | Self::Ended { status, .. } => status_code(*status),
+            Self::Import { cause, changed, .. } => {
+                if changed.is_empty() {
+                    client_code(cause)
+                } else {
+                    UNKNOWN
+                }
+            }
             Self::Input { .. } | Self::Range(_) => USAGE,
             Self::Run(_) | Self::Axis(_) | Self::Refused { .. } => REFUSED,
             Self::Experiment(ExperimentError::Record(_))

@@ -4,6 +4,7 @@ use std::io::Write;
 
 use serde_json::Value;
 
+use crate::cli::Keyboard;
 use crate::cli::failure::{DONE, Failure};
 use crate::progress::Live;
 
@@ -14,6 +15,8 @@ pub(crate) struct Screen<'a> {
     pub(crate) json: bool,
     /// Standard error is a terminal, so that a bar may be drawn.
     pub(crate) terminal: bool,
+    /// There is a person at it, who wants no JSON.
+    pub(crate) keyboard: Option<Keyboard>,
 }
 
 impl Screen<'_> {
@@ -24,6 +27,22 @@ impl Screen<'_> {
     /// Says what goes on. A closed pipe must not stop the supervision of a machine.
     pub(crate) fn say(&mut self, text: &str) {
         let _ = writeln!(self.stream(), "{text}");
+    }
+
+    /// Says something to the person that is no result.
+    pub(crate) fn hint(&mut self, text: &str) {
+        let _ = writeln!(self.err, "{text}");
+    }
+
+    /// Whether the person answers with yes; without a person it is no.
+    pub(crate) fn confirms(&mut self, question: &str) -> bool {
+        let Some(keyboard) = &mut self.keyboard else {
+            return false;
+        };
+        let _ = writeln!(self.err, "{question} Type yes and Enter.");
+        let mut answer = String::new();
+        keyboard.read_line(&mut answer).is_ok()
+            && ["y", "yes"].contains(&answer.trim().to_lowercase().as_str())
     }
 
     /// Shows an action that goes on.

@@ -1,12 +1,15 @@
 //! Commands for the rig's settings and its name. Nothing is written to flash while something moves.
 
+mod import;
+
 use std::collections::BTreeMap;
-use std::fs;
+use std::fs::OpenOptions;
+use std::io::{ErrorKind, Write};
 use std::path::Path;
 
 use protocol::settings::{FactoryReset, GetName, GetSetting, MAX_NAME, Name, Setting, SettingKey};
 use protocol::system::DeviceKind;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::cli::args::SettingsCommand;
@@ -14,10 +17,9 @@ use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
 use crate::client::Device;
-use crate::error::ClientError;
 
 /// Settings as a file.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Serialize)]
 struct Exported {
     name: String,
     settings: BTreeMap<String, u32>,
@@ -29,68 +31,98 @@ pub(crate) fn settings(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     // What is wrong with the words is said before a machine is looked for.
-    let imported = match command {
-        SettingsCommand::Import { file } => Some(read(file)?),
-        _ => None,
-    };
-    let mut rig = finder.connect(DeviceKind::Rig)?;
     match command {
-        SettingsCommand::List => list(&mut rig, screen),
+        SettingsCommand::List => list(&mut finder.connect(DeviceKind::Rig)?, screen),
         SettingsCommand::Get { key } => {
+            let mut rig = finder.connect(DeviceKind::Rig)?;
             let value = rig.call(GetSetting { key: key.0 })?.value;
             screen.say(&value.to_string());
             Ok(json!({ key.0.name(): value }))
         }
         SettingsCommand::Set { key, value } => {
-            let setting = Setting {
-                key: key.0,
-                value: *value,
-            };
-            let set = rig.call(setting)?;
+            let (key, value) = (key.0, value_of(key.0, value)?);
+            let set = finder
+                .connect(DeviceKind::Rig)?
+                .call(Setting { key, value })?;
             screen.say(&format!("{} = {}", set.key.name(), set.value));
             Ok(json!({ set.key.name(): set.value }))
         }
-        SettingsCommand::Export { file } => {
-            let exported = exported(&mut rig)?;
-            let text = serde_json::to_string_pretty(&exported).unwrap_or_default() + "\n";
-            fs::write(file, text).map_err(|io| Failure::File {
-                path: file.clone(),
-                io,
-            })?;
-            screen.say(&format!(
-                "{} settings in {}",
-                exported.settings.len(),
-                file.display()
-            ));
-            Ok(json!(exported))
-        }
-        SettingsCommand::Import { .. } => {
-            let (name, wanted) = imported.unwrap_or_default();
-            let changed = import(&mut rig, &wanted)?;
-            if rig.call(GetName)?.name != name {
-                rig.call(Name { name })?;
-            }
+        SettingsCommand::Export { file, force } => export(file, *force, finder, screen),
+        SettingsCommand::Import { file } => {
+            let wanted = import::read(file)?;
+            let mut rig = finder.connect(DeviceKind::Rig)?;
+            let changed = import::import(&mut rig, file, wanted)?;
             screen.say(&format!("{changed} settings changed"));
             Ok(json!({ "changed": changed }))
         }
         SettingsCommand::Name { name: None } => {
-            let name = rig.call(GetName)?.name;
+            let name = finder.connect(DeviceKind::Rig)?.call(GetName)?.name;
             screen.say(&name);
             Ok(json!({ "name": name.as_str() }))
         }
         SettingsCommand::Name { name: Some(name) } => {
-            let name = rig.call(Name {
-                name: checked_name(name)?,
+            let name = checked_name(name).map_err(|why| Failure::Input {
+                why,
+                help: "use letters, digits and spaces".to_owned(),
             })?;
+            let name = finder.connect(DeviceKind::Rig)?.call(Name { name })?;
             screen.say(&name.name);
             Ok(json!({ "name": name.name.as_str() }))
         }
-        SettingsCommand::Reset => {
-            rig.call(FactoryReset)?;
+        SettingsCommand::Reset { yes } => {
+            let question =
+                "All settings of the rig go back to their defaults, and its name is removed.";
+            if !yes && !screen.confirms(question) {
+                return Err(Failure::Refused {
+                    why: "a reset was not confirmed; nothing was changed".to_owned(),
+                    help: "`retrograde settings export FILE` keeps what is there; then `retrograde settings reset --yes`".to_owned(),
+                });
+            }
+            finder.connect(DeviceKind::Rig)?.call(FactoryReset)?;
             screen.say("all settings and the name are at their defaults");
             Ok(json!({ "reset": true }))
         }
     }
+}
+
+fn export(
+    file: &Path,
+    force: bool,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let exists = || Failure::Refused {
+        why: format!("{} exists already", file.display()),
+        help: "choose another name, or replace it with `--force`".to_owned(),
+    };
+    if !force && file.exists() {
+        return Err(exists());
+    }
+    let exported = exported(&mut finder.connect(DeviceKind::Rig)?)?;
+    let text = serde_json::to_string_pretty(&exported).unwrap_or_default() + "\n";
+    let mut options = OpenOptions::new();
+    options.write(true);
+    if force {
+        options.create(true).truncate(true);
+    } else {
+        options.create_new(true);
+    }
+    let written = options
+        .open(file)
+        .and_then(|mut open| open.write_all(text.as_bytes()));
+    written.map_err(|io| match io.kind() {
+        ErrorKind::AlreadyExists => exists(),
+        _ => Failure::File {
+            path: file.to_owned(),
+            io,
+        },
+    })?;
+    screen.say(&format!(
+        "{} settings in {}",
+        exported.settings.len(),
+        file.display()
+    ));
+    Ok(json!(exported))
 }
 
 fn list(rig: &mut Device, screen: &mut Screen<'_>) -> Result<Value, Failure> {
@@ -125,67 +157,42 @@ fn exported(rig: &mut Device) -> Result<Exported, Failure> {
     Ok(Exported { name, settings })
 }
 
-type Wanted = (heapless::String<MAX_NAME>, Vec<Setting>);
-
-fn read(file: &Path) -> Result<Wanted, Failure> {
-    let text = fs::read_to_string(file).map_err(|io| Failure::Input {
-        why: format!("{}: {io}", file.display()),
-        help: "give a file that `retrograde settings export` wrote".to_owned(),
-    })?;
-    let exported: Exported = serde_json::from_str(&text).map_err(|error| Failure::Input {
-        why: format!("{}: {error}", file.display()),
-        help: "give a file that `retrograde settings export` wrote".to_owned(),
-    })?;
-    let wanted = exported.settings.iter().map(|(name, value)| {
-        let key = key_of(name).map_err(|why| Failure::Input {
-            why: format!("{}: {why}", file.display()),
-            help: "remove the line, or use the host tool that wrote it".to_owned(),
-        })?;
-        Ok(Setting { key, value: *value })
-    });
-    Ok((
-        checked_name(&exported.name)?,
-        wanted.collect::<Result<_, Failure>>()?,
-    ))
+/// A value within the range of its setting.
+///
+/// # Errors
+/// [`Failure::Input`] if it is no whole number, [`Failure::Refused`] if it is out of range.
+fn value_of(key: SettingKey, text: &str) -> Result<u32, Failure> {
+    let range = key.range();
+    let (name, min, max) = (key.name(), range.min, range.max);
+    if text.is_empty() || !text.bytes().all(|byte| byte.is_ascii_digit()) {
+        let unit = match key.unit() {
+            "1" => String::new(),
+            unit => format!(" {unit}"),
+        };
+        return Err(Failure::Input {
+            why: format!(
+                "{name} cannot be {text}: settings are whole numbers in the unit of their name, {min} to {max}{unit} here"
+            ),
+            help: "nothing was sent; `retrograde settings list` shows all with unit and range"
+                .to_owned(),
+        });
+    }
+    text.parse()
+        .ok()
+        .filter(|value| (min..=max).contains(value))
+        .ok_or_else(|| Failure::Refused {
+            why: format!("{name} is {text}, allowed is {min} to {max}"),
+            help: "nothing was sent".to_owned(),
+        })
 }
 
-/// Each value is checked against the others at every moment: what is refused is tried again after the rest, as
-/// long as that helps.
-fn import(rig: &mut Device, wanted: &[Setting]) -> Result<usize, Failure> {
-    let mut left = vec![];
-    for setting in wanted {
-        if rig.call(GetSetting { key: setting.key })?.value != setting.value {
-            left.push(*setting);
-        }
+/// A name that fits into the rig and onto a terminal.
+fn checked_name(name: &str) -> Result<heapless::String<MAX_NAME>, String> {
+    if name.contains(char::is_control) {
+        return Err("the name has a control character".to_owned());
     }
-    let changed = left.len();
-    while !left.is_empty() {
-        let mut refused = vec![];
-        let mut why = None;
-        let before = left.len();
-        for setting in left {
-            match rig.call(setting) {
-                Ok(_) => {}
-                Err(error @ ClientError::Refused { .. }) => {
-                    refused.push(setting);
-                    why = Some(error);
-                }
-                Err(error) => return Err(error.into()),
-            }
-        }
-        if let Some(error) = why.filter(|_| refused.len() == before) {
-            return Err(error.into());
-        }
-        left = refused;
-    }
-    Ok(changed)
-}
-
-fn checked_name(name: &str) -> Result<heapless::String<MAX_NAME>, Failure> {
-    name.try_into().map_err(|_| Failure::Input {
-        why: format!("the name has {} bytes", name.len()),
-        help: format!("use at most {MAX_NAME} bytes"),
-    })
+    name.try_into()
+        .map_err(|_| format!("the name has {} bytes, {MAX_NAME} are allowed", name.len()))
 }
 
 /// The key with this name.

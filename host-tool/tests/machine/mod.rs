@@ -68,8 +68,8 @@ pub struct Script {
     pub completes_while_braking: bool,
     /// A run goes on already.
     pub running: Option<Run>,
-    /// The rig refuses to change this setting: its storage fails.
-    pub broken_setting: Option<SettingKey>,
+    /// The rig cannot store a name.
+    pub broken_name: bool,
     /// So many changes of settings succeed, then the storage fails for good.
     pub writes_left: Option<u32>,
 }
@@ -91,7 +91,7 @@ impl Script {
             fault_at_us: None,
             completes_while_braking: false,
             running: None,
-            broken_setting: None,
+            broken_name: false,
             writes_left: None,
         }
     }
@@ -701,6 +701,9 @@ impl Machine {
                 name: self.name.clone(),
             }),
             Request::SetName(name) if rig => {
+                if self.script.broken_name {
+                    return Err(Refusal::StorageFailed);
+                }
                 self.write()?;
                 self.name = name.name.clone();
                 Response::SetName(name)
@@ -794,9 +797,6 @@ impl Machine {
         }
         if of(SettingKey::FlagUm) + of(SettingKey::PullOffUm) > of(SettingKey::StrokeUm) {
             return refused(SettingRule::FlagWithinStroke);
-        }
-        if self.script.broken_setting == Some(key) {
-            return Err(Refusal::StorageFailed);
         }
         self.write()?;
         self.settings = wanted;

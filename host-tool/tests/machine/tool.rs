@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use host_tool::cli::run_on;
+use host_tool::cli::{Keyboard, run_at};
 use host_tool::connector::{Candidate, Connector};
 use host_tool::link::address::Address;
 use host_tool::link::{Link, OpenError};
@@ -25,11 +25,27 @@ impl Memory {
         }
     }
 
-    /// Runs a command line; exit code, output, errors.
+    /// Runs a command line without a keyboard; exit code, output, errors.
     pub fn run(&self, args: &[&str]) -> (u8, String, String) {
+        self.run_with(args, None)
+    }
+
+    /// Runs a command line at whose keyboard this is typed.
+    pub fn run_typed(&self, args: &[&str], typed: &'static str) -> (u8, String, String) {
+        self.run_with(args, Some(Box::new(typed.as_bytes())))
+    }
+
+    fn run_with(&self, args: &[&str], keyboard: Option<Keyboard>) -> (u8, String, String) {
         let args = std::iter::once("retrograde").chain(args.iter().copied());
         let (mut out, mut err) = (vec![], vec![]);
-        let code = run_on(args.map(Into::into), self, &mut out, &mut err, false);
+        let code = run_at(
+            args.map(Into::into),
+            self,
+            &mut out,
+            &mut err,
+            false,
+            keyboard,
+        );
         let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
         (code, text(out), text(err))
     }

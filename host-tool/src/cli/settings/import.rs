@@ -1,0 +1,210 @@
+//! Settings from a file: all of them or none. The file is checked as a whole first. What values have to keep together
+//! only the rig knows: if it refuses one, those before it are put back.
+
+use std::collections::BTreeSet;
+use std::fmt;
+use std::fs;
+use std::path::Path;
+
+use protocol::settings::{GetName, GetSetting, MAX_NAME, Name, Setting};
+use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
+use serde_json::Value;
+
+use crate::cli::failure::Failure;
+use crate::cli::settings::{checked_name, key_of, value_of};
+use crate::client::Device;
+use crate::error::ClientError;
+
+/// The file. Unknown and repeated fields are errors.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    name: Value,
+    settings: Pairs,
+}
+
+/// The members of an object, repeated ones too, which a map would swallow.
+struct Pairs(Vec<(String, Value)>);
+
+impl<'de> Deserialize<'de> for Pairs {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Members;
+        impl<'de> Visitor<'de> for Members {
+            type Value = Pairs;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("the object `settings` of names and whole numbers")
+            }
+            fn visit_map<M: MapAccess<'de>>(self, mut map: M) -> Result<Pairs, M::Error> {
+                let mut pairs = vec![];
+                while let Some(pair) = map.next_entry()? {
+                    pairs.push(pair);
+                }
+                Ok(Pairs(pairs))
+            }
+        }
+        deserializer.deserialize_map(Members)
+    }
+}
+
+/// What a file asks for.
+pub(super) struct Wanted {
+    name: heapless::String<MAX_NAME>,
+    settings: Vec<Setting>,
+}
+
+/// Reads and checks a file.
+///
+/// # Errors
+/// [`Failure::Input`] with all that is wrong with it.
+pub(super) fn read(file: &Path) -> Result<Wanted, Failure> {
+    let unusable = |why: String, help: &str| Failure::Input {
+        why: format!("{}: {why}", file.display()),
+        help: format!("nothing was sent; {help}"),
+    };
+    let written = "give a file that `retrograde settings export` wrote";
+    let text = fs::read_to_string(file).map_err(|io| unusable(io.to_string(), written))?;
+    let parsed: File =
+        serde_json::from_str(&text).map_err(|error| unusable(error.to_string(), written))?;
+    let mut wrong = vec![];
+    let name = match &parsed.name {
+        Value::String(name) => checked_name(name),
+        other => Err(format!("name: {other} is no text")),
+    };
+    let name = name.unwrap_or_else(|why| {
+        wrong.push(why);
+        heapless::String::new()
+    });
+    let mut settings = vec![];
+    let mut names = BTreeSet::new();
+    for (name, value) in &parsed.settings.0 {
+        if !names.insert(name) {
+            wrong.push(format!("{name} is there twice"));
+        }
+        match key_of(name) {
+            Ok(key) => match value_of(key, &value.to_string()) {
+                Ok(value) => settings.push(Setting { key, value }),
+                Err(failure) => wrong.push(failure.to_string()),
+            },
+            Err(why) => wrong.push(why),
+        }
+    }
+    if wrong.is_empty() {
+        Ok(Wanted { name, settings })
+    } else {
+        Err(unusable(
+            wrong.join("; "),
+            "correct the file, or use the host tool that wrote it",
+        ))
+    }
+}
+
+/// A setting or the name, with a value.
+enum Entry {
+    Setting(Setting),
+    Name(heapless::String<MAX_NAME>),
+}
+
+impl Entry {
+    fn name(&self) -> &'static str {
+        match self {
+            Self::Setting(setting) => setting.key.name(),
+            Self::Name(_) => "name",
+        }
+    }
+
+    fn write(&self, rig: &mut Device) -> Result<(), ClientError> {
+        match self {
+            Self::Setting(setting) => rig.call(*setting).map(drop),
+            Self::Name(name) => rig.call(Name { name: name.clone() }).map(drop),
+        }
+    }
+}
+
+impl fmt::Display for Entry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Setting(setting) => write!(f, "{}", setting.value),
+            Self::Name(name) => write!(f, "{name:?}"),
+        }
+    }
+}
+
+struct Change {
+    from: Entry,
+    to: Entry,
+}
+
+/// Sets what differs; returns how many settings did.
+///
+/// # Errors
+/// [`Failure::Import`]: everything is as before, or it says what is not.
+pub(super) fn import(rig: &mut Device, file: &Path, wanted: Wanted) -> Result<usize, Failure> {
+    let mut changes = vec![];
+    for to in wanted.settings {
+        let from = rig.call(GetSetting { key: to.key })?;
+        if from != to {
+            let (from, to) = (Entry::Setting(from), Entry::Setting(to));
+            changes.push(Change { from, to });
+        }
+    }
+    let count = changes.len();
+    let name = rig.call(GetName)?.name;
+    if name != wanted.name {
+        let (from, to) = (Entry::Name(name), Entry::Name(wanted.name));
+        changes.push(Change { from, to });
+    }
+    let mut done = vec![];
+    match apply(rig, changes, &mut done) {
+        Ok(()) => Ok(count),
+        Err((setting, cause)) => Err(Failure::Import {
+            file: file.to_owned(),
+            setting,
+            cause: Box::new(cause),
+            changed: put_back(rig, done),
+        }),
+    }
+}
+
+/// Each value is checked against the others at every moment: what is refused is tried again after the rest, as
+/// long as that helps.
+fn apply(
+    rig: &mut Device,
+    mut left: Vec<Change>,
+    done: &mut Vec<Change>,
+) -> Result<(), (&'static str, ClientError)> {
+    while !left.is_empty() {
+        let (count, mut refused, mut why) = (left.len(), vec![], None);
+        for change in left {
+            let name = change.to.name();
+            match change.to.write(rig) {
+                Ok(()) => done.push(change),
+                Err(error @ ClientError::Refused { .. }) => {
+                    refused.push(change);
+                    why.get_or_insert((name, error));
+                }
+                Err(error) => {
+                    // It may have been carried out.
+                    done.push(change);
+                    return Err((name, error));
+                }
+            }
+        }
+        if let Some(why) = why.filter(|_| refused.len() == count) {
+            return Err(why);
+        }
+        left = refused;
+    }
+    Ok(())
+}
+
+/// Backwards, so that the values go together at every moment, as they did on the way. Returns what is still changed.
+fn put_back(rig: &mut Device, done: Vec<Change>) -> Vec<String> {
+    let mut changed = vec![];
+    for Change { from, to } in done.into_iter().rev() {
+        if from.write(rig).is_err() {
+            changed.push(format!("{} from {from} to {to}", to.name()));
+        }
+    }
+    changed.reverse();
+    changed
+}
