@@ -121,7 +121,11 @@ impl Ages {
     pub fn overdue(&self) -> Option<u8> {
         let too_old = |last: &u32| *last != 0 && self.records - last > Self::OLDEST;
         let slot = self.last.iter().position(too_old)?;
-        Some(SettingKey::ALL.get(slot).map_or(NAME_RECORD, |key| *key as u8))
+        Some(
+            SettingKey::ALL
+                .get(slot)
+                .map_or(NAME_RECORD, |key| *key as u8),
+        )
     }
 }
 
