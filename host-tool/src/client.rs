@@ -12,7 +12,7 @@ use protocol::capsule::{
     self, ActuationAccepted, ActuationRecord, CapsuleEvent, CapsuleState, CapsuleStatus,
 };
 use protocol::client::{Client, Output, Poll};
-use protocol::error::WireError;
+use protocol::error::{Refusal, WireError};
 use protocol::rig::{self, HomeAccepted, RigEvent, RigState, RigStatus, RunAccepted, RunRecord};
 use protocol::system::{
     Acknowledge, DeviceKind, Event, Events, GetEvents, GetLastWords, Identity, KeepAlive,
@@ -38,6 +38,19 @@ const OVERDUE_US: u64 = 3_000_000;
 /// Asked at least every 20 ms of link time: what the operator wants stopped now. The answer is a level, not an
 /// edge: once an urgent stop was wanted it stays wanted, and may only grow into an emergency stop.
 pub type Interrupt = Arc<dyn Fn() -> Option<Urgent> + Send + Sync>;
+
+/// What the operator may want of a run that goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// Hold it.
+    Hold,
+    /// Go on with it.
+    Resume,
+}
+
+/// Asked at least every 20 ms of link time while something is waited for. Each answer is sent once; the device
+/// decides about it.
+pub type Pacer = Box<dyn FnMut() -> Option<Pace> + Send>;
 
 /// An action that was accepted and has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,7 +79,7 @@ pub enum Progress {
     },
     /// A run.
     Run {
-        /// Since the first stroke's start.
+        /// Of its own time: what it was held for is left out.
         elapsed_us: u64,
         /// Of the whole run.
         total_us: u64,
@@ -76,6 +89,8 @@ pub enum Progress {
         strokes: u32,
         /// Position by the read-back counter.
         position_um: i32,
+        /// It stands there, held.
+        held: bool,
     },
     /// Referencing, folding or unfolding.
     Actuation {
@@ -108,6 +123,10 @@ pub trait Observer {
     fn progress(&mut self, progress: &Progress) {
         let _ = progress;
     }
+    /// The device refused what the [`Pacer`] wanted; what is waited for goes on.
+    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
+        let _ = (pace, refusal);
+    }
 }
 
 /// Two observers of the same action.
@@ -129,6 +148,10 @@ impl Observer for Both<'_> {
     fn progress(&mut self, progress: &Progress) {
         self.0.progress(progress);
         self.1.progress(progress);
+    }
+    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
+        self.0.refused(pace, refusal);
+        self.1.refused(pace, refusal);
     }
 }
 
@@ -154,6 +177,8 @@ enum Course {
     Goes,
     /// Held: its time stands still.
     Stands,
+    /// It was held and takes so much longer than announced, us.
+    Longer(u64),
     Over,
 }
 
@@ -176,6 +201,7 @@ pub struct Device {
     client: Client,
     identity: Option<Identity>,
     interrupt: Option<Interrupt>,
+    pacer: Option<Pacer>,
     /// The strongest urgent stop asked for by the interrupt so far.
     interrupted: Option<Urgent>,
     urgent_pending: bool,
@@ -203,6 +229,7 @@ impl Device {
             client: Client::new(),
             identity: None,
             interrupt: None,
+            pacer: None,
             interrupted: None,
             urgent_pending: false,
             commanding: false,
@@ -300,6 +327,11 @@ impl Device {
     /// From now on `interrupt` is asked while waiting for bytes, and what it wants is sent ahead of everything.
     pub fn set_interrupt(&mut self, interrupt: Interrupt) {
         self.interrupt = Some(interrupt);
+    }
+
+    /// From now on `pacer` is asked while something is waited for.
+    pub fn set_pacer(&mut self, pacer: Pacer) {
+        self.pacer = Some(pacer);
     }
 
     /// What the interrupt has asked for so far.
@@ -530,20 +562,39 @@ impl Device {
     ) -> Result<RunRecord, ClientError> {
         observer.begun(&Begun::Run(*accepted));
         let total_us = accepted.total_ticks.div_ceil(100);
+        // Braking and setting off again cost no more than the ramps of a stroke.
+        let detour_us = accepted.forward.ramp_ticks.max(accepted.back.ramp_ticks) * 2 / 100;
+        let (mut elapsed_us, mut stood_us, mut held_us) = (0, 0, None);
         self.wait("the run", total_us, observer, |device, event, observer| {
             if let Some(event) = event {
-                return Ok(Course::from(matches!(
-                    event.what,
-                    What::Rig(RigEvent::RunEnded { run, .. }) if run == accepted.run
-                )));
+                return Ok(match event.what {
+                    What::Rig(RigEvent::RunEnded { run, .. }) if run == accepted.run => {
+                        Course::Over
+                    }
+                    What::Rig(RigEvent::Held { .. }) => {
+                        held_us = Some(event.time_us);
+                        Course::Goes
+                    }
+                    What::Rig(RigEvent::Resumed) => {
+                        stood_us += held_us
+                            .take()
+                            .map_or(0, |since_us| event.time_us.saturating_sub(since_us));
+                        Course::Longer(detour_us)
+                    }
+                    _ => Course::Goes,
+                });
             }
             let status = device.rig_status()?;
+            if status.state == RigState::Running && held_us.is_none() {
+                elapsed_us = status.elapsed_us.saturating_sub(stood_us);
+            }
             observer.progress(&Progress::Run {
-                elapsed_us: status.elapsed_us,
+                elapsed_us,
                 total_us,
                 stroke: status.stroke,
                 strokes: u32::from(accepted.requested.cycles) * 2,
                 position_um: status.position_um,
+                held: status.state == RigState::Held,
             });
             Ok(match status.state {
                 RigState::Running | RigState::Stopping => Course::Goes,
@@ -641,7 +692,7 @@ impl Device {
     ) -> Result<(), ClientError> {
         let start_us = self.now_us();
         let mut limit_us = at_most_us.saturating_add(OVERDUE_US);
-        let mut next_status_us = start_us.saturating_add(KEEP_ALIVE_US);
+        let mut asked_us = start_us;
         let mut over = false;
         loop {
             if !self.early.is_empty() {
@@ -649,25 +700,30 @@ impl Device {
             }
             while let Some(event) = self.events.pop_front() {
                 observer.event(&event);
-                over |= ended(self, Some(&event), observer)?.into() == Course::Over;
+                match ended(self, Some(&event), observer)?.into() {
+                    Course::Over => over = true,
+                    Course::Longer(us) => limit_us = limit_us.saturating_add(us),
+                    Course::Goes | Course::Stands => {}
+                }
             }
             self.hand_out_telemetry(observer);
             if over {
                 return Ok(());
             }
+            self.pace(observer)?;
             let now_us = self.now_us();
-            if now_us >= next_status_us {
-                next_status_us = now_us.saturating_add(KEEP_ALIVE_US);
-                let course = ended(self, None, observer)?.into();
-                if course == Course::Stands {
-                    limit_us = limit_us.saturating_add(KEEP_ALIVE_US);
+            if now_us >= asked_us.saturating_add(KEEP_ALIVE_US) {
+                match ended(self, None, observer)?.into() {
+                    Course::Over => {
+                        // At rest: whatever event has not come by now was lost on the way.
+                        over = true;
+                        self.fetch_events()?;
+                        continue;
+                    }
+                    Course::Stands => limit_us = limit_us.saturating_add(now_us - asked_us),
+                    Course::Goes | Course::Longer(_) => {}
                 }
-                if course == Course::Over {
-                    // At rest: whatever event has not come by now was lost on the way.
-                    over = true;
-                    self.fetch_events()?;
-                    continue;
-                }
+                asked_us = now_us;
                 if now_us - start_us > limit_us {
                     self.urgent(Urgent::Stop)?;
                     return Err(ClientError::Overdue {
@@ -677,7 +733,26 @@ impl Device {
                     });
                 }
             }
-            self.step(next_status_us)?;
+            self.step(asked_us.saturating_add(KEEP_ALIVE_US))?;
+        }
+    }
+
+    /// Carries out what the operator wants next. Once a stop was asked for nothing else counts.
+    fn pace(&mut self, observer: &mut dyn Observer) -> Result<(), ClientError> {
+        let Some(pace) = self.pacer.as_mut().and_then(|pacer| pacer()) else {
+            return Ok(());
+        };
+        let answer = match pace {
+            Pace::Hold => self.call(rig::Hold),
+            Pace::Resume => self.call(rig::Resume),
+        };
+        match answer {
+            Ok(_) | Err(ClientError::Interrupted { .. }) => Ok(()),
+            Err(ClientError::Refused { refusal, .. }) => {
+                observer.refused(pace, &refusal);
+                Ok(())
+            }
+            Err(error) => Err(error),
         }
     }
 
@@ -767,9 +842,12 @@ impl Device {
         if self.client.request(request).is_err() {
             return Err(self.session_lost());
         }
-        self.commanding = command;
+        // After a stop these two start nothing: the run that they are about is over.
+        let harmless = matches!(request, Request::Hold(_) | Request::Resume(_));
+        let abandonable = command && !harmless;
+        self.commanding = abandonable;
         let answer = self.answer();
-        let abandoned = command && !std::mem::take(&mut self.commanding);
+        let abandoned = abandonable && !std::mem::take(&mut self.commanding);
         match answer? {
             _ if abandoned => Err(ClientError::Interrupted {
                 request: request_name,

@@ -4,10 +4,11 @@ use std::io::Write;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use protocol::capsule::CapsuleEvent;
+use protocol::error::Refusal;
 use protocol::rig::{RigEvent, RunTiming};
 use protocol::system::{Event, What};
 
-use crate::client::{Begun, Observer, Progress, homing_limit_us};
+use crate::client::{Begun, Observer, Pace, Progress, homing_limit_us};
 use crate::decimal;
 
 /// Between two plain lines, in the machine's time.
@@ -19,6 +20,8 @@ pub struct Live<'a> {
     terminal: bool,
     bar: Option<ProgressBar>,
     next_line_us: u64,
+    /// The run stood still when it was last seen.
+    held: bool,
 }
 
 impl<'a> Live<'a> {
@@ -29,6 +32,7 @@ impl<'a> Live<'a> {
             terminal,
             bar: None,
             next_line_us: 0,
+            held: false,
         }
     }
 
@@ -80,9 +84,14 @@ impl Observer for Live<'_> {
         match event.what {
             What::Rig(RigEvent::Faulted(fault)) => self.line(&format!("  fault: {fault}")),
             What::Capsule(CapsuleEvent::Faulted(fault)) => self.line(&format!("  fault: {fault}")),
+            What::Rig(RigEvent::Resumed) => self.line("  goes on"),
             What::LinkLost => self.line("  the device heard nothing for too long"),
             _ => {}
         }
+    }
+
+    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
+        self.line(&refused_text(pace, refusal));
     }
 
     fn progress(&mut self, progress: &Progress) {
@@ -105,7 +114,18 @@ impl Observer for Live<'_> {
                 stroke,
                 strokes,
                 position_um,
+                held,
             } => {
+                let begins = !std::mem::replace(&mut self.held, held);
+                if held {
+                    let message = format!("held at {} mm", decimal::fixed(position_um.into(), 3));
+                    if self.terminal {
+                        self.show(elapsed_us, total_us, &message);
+                    } else if begins {
+                        self.line(&format!("  {message}"));
+                    }
+                    return;
+                }
                 let message = format!(
                     "{} s of {} s, stroke {} of {strokes}, {} mm, {} s left",
                     tenths(elapsed_us),
@@ -132,6 +152,15 @@ impl Observer for Live<'_> {
             }
         }
     }
+}
+
+/// What was refused, and why.
+fn refused_text(pace: Pace, refusal: &Refusal) -> String {
+    let what = match pace {
+        Pace::Hold => "not held",
+        Pace::Resume => "not resumed",
+    };
+    format!("  {what}: {refusal}")
 }
 
 /// What was begun, and how long it takes.

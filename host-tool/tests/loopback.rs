@@ -5,7 +5,7 @@ mod machine;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use host_tool::client::{Begun, Device, Observer, Progress, Unobserved};
+use host_tool::client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
 use host_tool::error::ClientError;
 use host_tool::experiment::PAPER_RUN;
 use host_tool::link::Link;
@@ -33,6 +33,7 @@ struct Seen {
     telemetry: u32,
     missed: u32,
     progress: Vec<Progress>,
+    refused: Vec<(Pace, Refusal)>,
 }
 
 impl Observer for Seen {
@@ -48,6 +49,9 @@ impl Observer for Seen {
     }
     fn progress(&mut self, progress: &Progress) {
         self.progress.push(*progress);
+    }
+    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
+        self.refused.push((pace, *refusal));
     }
 }
 
@@ -405,6 +409,138 @@ fn the_device_is_the_authority_on_the_stroke() {
     ));
     assert_eq!(rig.rig_status().expect("status").state, RigState::Ready);
     assert_eq!(count(&log.lock().expect("log").executed, "Run"), 1);
+}
+
+/// What the operator wants, each at its time on the machine's clock.
+fn wishes(log: &Arc<std::sync::Mutex<machine::Log>>, wishes: &[(u64, Pace)]) -> Pacer {
+    let clock = Arc::clone(log);
+    let mut wishes = wishes.to_vec().into_iter().peekable();
+    Box::new(move || {
+        let now_us = clock.lock().expect("log").now_us;
+        wishes
+            .next_if(|(time_us, _)| *time_us <= now_us)
+            .map(|(_, pace)| pace)
+    })
+}
+
+#[test]
+fn a_run_is_held_and_resumed_by_the_one_who_waits_for_it() {
+    let (mut rig, log) = homed_rig(Script::new(DeviceKind::Rig));
+    let accepted = rig.run(SHORT_RUN).expect("accepted");
+    let begin_us = rig.now_us();
+    let hold_us = begin_us + 1_500_000;
+    // Much longer than the run may be late: what stands still is not overdue, and the rig does hear from us.
+    let resume_us = hold_us + 600_000_000;
+    rig.set_pacer(wishes(
+        &log,
+        &[(hold_us, Pace::Hold), (resume_us, Pace::Resume)],
+    ));
+    let mut seen = Seen::default();
+    let record = rig.wait_run(&accepted, &mut seen).expect("ends");
+    assert_eq!((record.outcome, record.holds), (RunOutcome::Complete, 1));
+    assert!(seen.refused.is_empty());
+    let (mut last_us, mut held) = (0, vec![]);
+    for progress in &seen.progress {
+        let Progress::Run {
+            elapsed_us,
+            total_us,
+            held: stands,
+            position_um,
+            ..
+        } = *progress
+        else {
+            panic!("{progress:?}");
+        };
+        assert!(
+            (last_us..=total_us).contains(&elapsed_us),
+            "the pause is not the run's time: {last_us}, {elapsed_us}"
+        );
+        last_us = elapsed_us;
+        if stands {
+            held.push((elapsed_us, position_um));
+        }
+    }
+    assert!(last_us > 3_500_000, "{last_us}");
+    assert!(held.len() > 2_000, "{}", held.len());
+    assert!(held.iter().all(|at| *at == held[0]), "{:?}", held[0]);
+    assert!(held[0].1 > 0);
+    let log = log.lock().expect("log");
+    assert_eq!(
+        (count(&log.executed, "Hold"), count(&log.executed, "Resume")),
+        (1, 1)
+    );
+    assert!(log.urgent.is_empty());
+}
+
+#[test]
+fn a_resumed_run_that_does_not_end_is_stopped_all_the_same() {
+    let mut script = Script::new(DeviceKind::Rig);
+    script.never_ends = true;
+    let (mut rig, log) = homed_rig(script);
+    let accepted = rig.run(SHORT_RUN).expect("accepted");
+    let begin_us = rig.now_us();
+    rig.set_pacer(wishes(
+        &log,
+        &[
+            (begin_us + 1_000_000, Pace::Hold),
+            (begin_us + 61_000_000, Pace::Resume),
+        ],
+    ));
+    let error = rig
+        .wait_run(&accepted, &mut Unobserved)
+        .expect_err("overdue");
+    assert!(matches!(error, ClientError::Overdue { .. }), "{error:?}");
+    let late_us = rig.now_us() - begin_us;
+    assert!((66_500_000..70_000_000).contains(&late_us), "{late_us}");
+}
+
+#[test]
+fn a_hold_that_is_refused_ends_no_wait() {
+    let (mut rig, log) = homed_rig(Script::new(DeviceKind::Rig));
+    let accepted = rig.run(SHORT_RUN).expect("accepted");
+    let begin_us = rig.now_us();
+    rig.set_pacer(wishes(&log, &[(begin_us + 500_000, Pace::Resume)]));
+    let mut seen = Seen::default();
+    let record = rig.wait_run(&accepted, &mut seen).expect("ends");
+    assert_eq!(record.outcome, RunOutcome::Complete);
+    assert_eq!(seen.refused, [(Pace::Resume, Refusal::NothingToResume)]);
+}
+
+#[test]
+fn a_stop_overtakes_a_hold_and_the_run_is_recorded_as_stopped() {
+    // The hold is not heard, and the stop comes while it is still waited for.
+    let mut script = Script::new(DeviceKind::Rig);
+    script.deaf_to = vec![("Hold", 2)];
+    let (mut rig, log) = homed_rig(script);
+    let accepted = rig.run(SHORT_RUN).expect("accepted");
+    let wish_us = rig.now_us() + 1_000_000;
+    rig.set_pacer(wishes(&log, &[(wish_us, Pace::Hold)]));
+    let clock = Arc::clone(&log);
+    rig.set_interrupt(Arc::new(move || {
+        (clock.lock().expect("log").now_us >= wish_us + 50_000).then_some(Urgent::Stop)
+    }));
+    let mut seen = Seen::default();
+    let record = rig.wait_run(&accepted, &mut seen).expect("ends");
+    assert_eq!(record.outcome, RunOutcome::Stopped);
+    let urgent = log.lock().expect("log").urgent.clone();
+    assert_eq!(urgent.len(), 1);
+    let late_us = urgent[0].1 - wish_us - 50_000;
+    assert!(late_us <= 20_000, "{late_us} us late");
+}
+
+#[test]
+fn a_held_run_is_stopped_by_the_operator() {
+    let (mut rig, log) = homed_rig(Script::new(DeviceKind::Rig));
+    let accepted = rig.run(SHORT_RUN).expect("accepted");
+    let begin_us = rig.now_us();
+    rig.set_pacer(wishes(&log, &[(begin_us + 1_000_000, Pace::Hold)]));
+    let clock = Arc::clone(&log);
+    rig.set_interrupt(Arc::new(move || {
+        (clock.lock().expect("log").now_us >= begin_us + 20_000_000).then_some(Urgent::Stop)
+    }));
+    let record = rig.wait_run(&accepted, &mut Unobserved).expect("ends");
+    assert_eq!(record.outcome, RunOutcome::Stopped);
+    assert!(rig.now_us() - begin_us < 20_500_000);
 }
 
 #[test]

@@ -1,15 +1,17 @@
-//! The real program on TCP in real time, and what the operator's keyboard does to it.
+//! The program on TCP in real time, and what the operator's keyboard does to it.
 #![cfg(unix)]
 
 mod machine;
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::{BufReader, ErrorKind, Read, Write};
 use std::net::TcpListener;
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use host_tool::cli::run_at;
+use host_tool::connector::Ports;
 use host_tool::link::memory::Peer;
 use machine::{Log, Machine, Script};
 use protocol::system::{DeviceKind, Urgent};
@@ -120,4 +122,65 @@ fn a_jog_or_a_move_that_the_operator_stops_says_so() {
         assert!(err.contains("stopped"), "{args:?}: {err}");
         assert!(took < Duration::from_secs(2), "{args:?}: {took:?}");
     }
+}
+
+/// A keyboard on which each line is typed so long after the one before.
+struct Slow(std::vec::IntoIter<(u64, &'static str)>);
+
+impl Read for Slow {
+    fn read(&mut self, into: &mut [u8]) -> std::io::Result<usize> {
+        let Some((ms, line)) = self.0.next() else {
+            return Ok(0);
+        };
+        thread::sleep(Duration::from_millis(ms));
+        into[..line.len()].copy_from_slice(line.as_bytes());
+        Ok(line.len())
+    }
+}
+
+#[test]
+fn a_key_holds_the_run_and_another_resumes_it() {
+    let mut script = Script::new(DeviceKind::Rig);
+    script.ready = true;
+    let (address, log) = serve(script);
+    let folder = tempfile::tempdir().expect("folder");
+    let line = [
+        "retrograde",
+        "--rig",
+        &address,
+        "run",
+        "--cycles",
+        "1",
+        "--stroke-mm",
+        "10",
+        "--duration-s",
+        "2",
+        "--out",
+        folder.path().to_str().expect("UTF-8"),
+    ];
+    let typed = vec![(700, "h\n"), (1_500, "what\n"), (10, "r\n")];
+    let keyboard = Box::new(BufReader::new(Slow(typed.into_iter())));
+    let (mut out, mut err) = (vec![], vec![]);
+    let begin = Instant::now();
+    let code = run_at(
+        line.map(Into::into),
+        &Ports,
+        &mut out,
+        &mut err,
+        false,
+        Some(keyboard),
+    );
+    let (out, err) = (
+        String::from_utf8_lossy(&out).into_owned(),
+        String::from_utf8_lossy(&err).into_owned(),
+    );
+    assert_eq!(code, 0, "{out}{err}");
+    assert!(begin.elapsed() > Duration::from_millis(3_300), "{out}");
+    assert_eq!(err.lines().count(), 1, "{err}");
+    assert!(err.contains("h and Enter"), "{err}");
+    assert_eq!(out.matches("  held at ").count(), 1, "{out}");
+    assert_eq!(out.matches("  goes on").count(), 1, "{out}");
+    let log = log.lock().expect("log");
+    let count = |name| log.executed.iter().filter(|seen| **seen == name).count();
+    assert_eq!((count("Hold"), count("Resume")), (1, 1));
 }

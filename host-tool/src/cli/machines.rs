@@ -8,6 +8,7 @@ use serde_json::{Map, Value, json};
 use crate::cli::args::{RecordArgs, RunArgs, Which};
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, line};
+use crate::cli::keyboard;
 use crate::cli::screen::Screen;
 use crate::client::matches;
 use crate::decimal;
@@ -157,6 +158,10 @@ pub(crate) fn run(
     let request = args.waves.request(args.on_link_loss);
     plan::check(&request)?;
     let mut rig = finder.connect(DeviceKind::Rig)?;
+    if let Some(keyboard) = screen.keyboard.take() {
+        screen.hint(keyboard::HINT);
+        rig.set_pacer(keyboard::pacer(keyboard));
+    }
     let recording = recording(&args.record, "run", finder);
     let trial = experiment::run(&mut rig, request, &recording, &mut screen.live())?;
     screen.say(&format!(
