@@ -412,9 +412,9 @@ fn the_device_is_the_authority_on_the_stroke() {
 }
 
 /// What the operator wants, each at its time on the machine's clock.
-fn wishes(log: &Arc<std::sync::Mutex<machine::Log>>, wishes: &[(u64, Pace)]) -> Pacer {
+fn wishes(log: &Arc<std::sync::Mutex<machine::Log>>, wishes: Vec<(u64, Pace)>) -> Pacer {
     let clock = Arc::clone(log);
-    let mut wishes = wishes.to_vec().into_iter().peekable();
+    let mut wishes = wishes.into_iter().peekable();
     Box::new(move || {
         let now_us = clock.lock().expect("log").now_us;
         wishes
@@ -433,7 +433,7 @@ fn a_run_is_held_and_resumed_by_the_one_who_waits_for_it() {
     let resume_us = hold_us + 600_000_000;
     rig.set_pacer(wishes(
         &log,
-        &[(hold_us, Pace::Hold), (resume_us, Pace::Resume)],
+        vec![(hold_us, Pace::Hold), (resume_us, Pace::Resume)],
     ));
     let mut seen = Seen::default();
     let record = rig.wait_run(&accepted, &mut seen).expect("ends");
@@ -481,7 +481,7 @@ fn a_resumed_run_that_does_not_end_is_stopped_all_the_same() {
     let begin_us = rig.now_us();
     rig.set_pacer(wishes(
         &log,
-        &[
+        vec![
             (begin_us + 1_000_000, Pace::Hold),
             (begin_us + 61_000_000, Pace::Resume),
         ],
@@ -499,7 +499,7 @@ fn a_hold_that_is_refused_ends_no_wait() {
     let (mut rig, log) = homed_rig(Script::new(DeviceKind::Rig));
     let accepted = rig.run(SHORT_RUN).expect("accepted");
     let begin_us = rig.now_us();
-    rig.set_pacer(wishes(&log, &[(begin_us + 500_000, Pace::Resume)]));
+    rig.set_pacer(wishes(&log, vec![(begin_us + 500_000, Pace::Resume)]));
     let mut seen = Seen::default();
     let record = rig.wait_run(&accepted, &mut seen).expect("ends");
     assert_eq!(record.outcome, RunOutcome::Complete);
@@ -514,7 +514,7 @@ fn a_stop_overtakes_a_hold_and_the_run_is_recorded_as_stopped() {
     let (mut rig, log) = homed_rig(script);
     let accepted = rig.run(SHORT_RUN).expect("accepted");
     let wish_us = rig.now_us() + 1_000_000;
-    rig.set_pacer(wishes(&log, &[(wish_us, Pace::Hold)]));
+    rig.set_pacer(wishes(&log, vec![(wish_us, Pace::Hold)]));
     let clock = Arc::clone(&log);
     rig.set_interrupt(Arc::new(move || {
         (clock.lock().expect("log").now_us >= wish_us + 50_000).then_some(Urgent::Stop)
@@ -533,7 +533,7 @@ fn a_held_run_is_stopped_by_the_operator() {
     let (mut rig, log) = homed_rig(Script::new(DeviceKind::Rig));
     let accepted = rig.run(SHORT_RUN).expect("accepted");
     let begin_us = rig.now_us();
-    rig.set_pacer(wishes(&log, &[(begin_us + 1_000_000, Pace::Hold)]));
+    rig.set_pacer(wishes(&log, vec![(begin_us + 1_000_000, Pace::Hold)]));
     let clock = Arc::clone(&log);
     rig.set_interrupt(Arc::new(move || {
         (clock.lock().expect("log").now_us >= begin_us + 20_000_000).then_some(Urgent::Stop)
