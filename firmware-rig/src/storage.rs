@@ -68,17 +68,20 @@ impl NorFlash for Flash {
     const ERASE_SIZE: usize = SECTOR as usize;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
-        // Nobody else can for as long as it takes.
-        pac::IWDG
-            .kr()
-            .write(|w| w.set_key(pac::iwdg::vals::Key::RESET));
-        // The driver leaves the parallelism at x8, with which an erasure takes up to 800 ms instead of 500 ms.
-        pac::FLASH.keyr().write_value(0x4567_0123);
-        pac::FLASH.keyr().write_value(0xCDEF_89AB);
-        pac::FLASH
-            .cr()
-            .modify(|w| w.set_psize(pac::flash::vals::Psize::PSIZE32));
-        self.0.erase(from, to)
+        for sector in (from..to).step_by(SECTOR as usize) {
+            // Nobody else can for as long as it takes.
+            pac::IWDG
+                .kr()
+                .write(|w| w.set_key(pac::iwdg::vals::Key::RESET));
+            // The driver leaves the parallelism at x8, with which an erasure takes up to 800 ms instead of 500 ms.
+            pac::FLASH.keyr().write_value(0x4567_0123);
+            pac::FLASH.keyr().write_value(0xCDEF_89AB);
+            pac::FLASH
+                .cr()
+                .modify(|w| w.set_psize(pac::flash::vals::Psize::PSIZE32));
+            self.0.erase(sector, sector + SECTOR)?;
+        }
+        Ok(())
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
@@ -151,6 +154,17 @@ impl Store {
         }
         block_on(self.log.push(&record, true))?;
         self.ages.wrote(number);
+        Ok(())
+    }
+
+    /// Erases everything. Only where nothing can be read or written any more: a cut of the power in between could
+    /// bring older values back.
+    ///
+    /// # Errors
+    /// The flash is worn out.
+    pub fn erase(&mut self) -> Result<(), Failed> {
+        block_on(self.log.erase_all())?;
+        self.ages = Ages::new();
         Ok(())
     }
 

@@ -320,7 +320,7 @@ impl fmt::Display for Refusal {
             Refusal::SettingRule { key, rule } => {
                 write!(f, "{} cannot have this value: {}", key.name(), rule.text())
             }
-            Refusal::StorageFailed => f.write_str("the flash could not be written; the old value stands. Try again; if it happens twice, replace the board"),
+            Refusal::StorageFailed => f.write_str("the flash could not be written; the old value stands. Try again; if it happens twice, set everything back to the defaults; if that fails too, replace the board"),
             Refusal::NothingToHold => f.write_str("no run is going on that could be held"),
             Refusal::NothingToResume => f.write_str("no run is held"),
         }

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use crate::layout::{Budget, Layout};
 use crate::process::{Failure, Result, root, run};
-use crate::toolchain::{TARGET, find};
+use crate::toolchain::{self, TARGET};
 
 /// An image and the memory it may take.
 struct Image {
@@ -37,7 +37,7 @@ const IMAGES: [Image; 2] = [
 /// # Errors
 /// No compiler, a compile error, or an image that may not be flashed.
 pub(crate) fn build() -> Result<()> {
-    let toolchain = find()?;
+    let toolchain = toolchain::find()?;
     println!("Images: {toolchain}.");
     let mut cargo = toolchain.cargo("build");
     for_both(&mut cargo);
@@ -50,21 +50,29 @@ pub(crate) fn build() -> Result<()> {
 /// # Errors
 /// As [`build`]; no such machine, no `probe-rs`, or no board.
 pub(crate) fn flash(machine: &str) -> Result<()> {
-    let name = format!("firmware-{machine}");
-    let Some(image) = IMAGES.iter().find(|image| image.name == name) else {
-        let what = format!("there is no image for `{machine}`");
-        return Err(Failure::new(
-            what,
-            "`cargo xtask flash rig` or `cargo xtask flash capsule`",
-        ));
-    };
+    let path = find(machine)?;
     build()?;
     run(
         Command::new("probe-rs")
             .args(["run", "--chip", "STM32F411RETx"])
-            .arg(path_of(image)),
+            .arg(path),
         "install probe-rs (https://probe.rs), connect the board by USB; `probe-rs list` shows it",
     )
+}
+
+/// Where the image of a machine lies, or will lie.
+///
+/// # Errors
+/// No such machine.
+pub(crate) fn find(machine: &str) -> Result<PathBuf> {
+    let name = format!("firmware-{machine}");
+    match IMAGES.iter().find(|image| image.name == name) {
+        Some(image) => Ok(path_of(image)),
+        None => Err(Failure::new(
+            format!("there is no machine `{machine}`"),
+            "it is `rig` or `capsule`",
+        )),
+    }
 }
 
 /// Lints both images as they are compiled for the chip.
@@ -72,7 +80,7 @@ pub(crate) fn flash(machine: &str) -> Result<()> {
 /// # Errors
 /// No compiler, or a warning.
 pub(crate) fn lint() -> Result<()> {
-    let toolchain = find()?;
+    let toolchain = toolchain::find()?;
     let mut cargo = toolchain.cargo("clippy");
     for_both(&mut cargo);
     cargo.args(["--", "-D", "warnings"]);

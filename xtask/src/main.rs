@@ -8,6 +8,7 @@
 //! | `bench.rs` | starts the virtual bench |
 //! | `images.rs` | builds both ARM images |
 //! | `layout.rs` | reads an image and judges its addresses and sizes |
+//! | `places.rs` | names the places in the source behind the addresses of last words |
 //! | `toolchain.rs` | finds a compiler for the STM32 |
 //! | `debian.rs` | one such compiler, from Debian packages |
 //! | `process.rs` | children and their environment |
@@ -22,6 +23,7 @@ mod checks;
 mod debian;
 mod images;
 mod layout;
+mod places;
 mod process;
 mod steps;
 mod toolchain;
@@ -41,6 +43,8 @@ cargo xtask <command>
 
   images [--check]  build both images, check their layout and sizes (--check: only check)
   flash MACHINE     build both images, flash `rig` or `capsule` with probe-rs, show its log
+  where MACHINE WORD...
+                    places in the source of the addresses in a machine's last words (just paste them)
   bench [OPTIONS]   measure the images on the virtual bench
   setup             find or install a compiler for the STM32, and nothing else
   help              this text
@@ -64,6 +68,9 @@ fn main() -> ExitCode {
         ("images", []) => images::build(),
         ("images", [flag]) if flag == "--check" => images::check(),
         ("flash", [machine]) => images::flash(machine),
+        ("where", [machine, words @ ..]) if !words.is_empty() => {
+            images::find(machine).and_then(|image| places::print(&image, words))
+        }
         ("setup", []) => toolchain::find().map(|found| println!("Ready: {found}")),
         ("help" | "--help" | "-h", _) => {
             print!("{HELP}");

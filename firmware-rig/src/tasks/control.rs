@@ -228,13 +228,10 @@ impl Control {
                 self.name = name;
             }
             Change::Reset => {
-                for key in SettingKey::ALL {
-                    let default = key.range().default;
-                    if self.values.get(key) != default {
-                        self.save(key as u8, &Values::record(default))?;
-                    }
+                if self.save_defaults().is_err() {
+                    // The flash holds something that is no log.
+                    self.store.erase()?;
                 }
-                self.save(NAME_RECORD, &[])?;
                 self.name.clear();
                 self.values = Values::DEFAULT;
                 self.machine.set_settings(Settings::REFERENCE);
@@ -243,6 +240,16 @@ impl Control {
         }
         self.apply();
         Ok(())
+    }
+
+    fn save_defaults(&mut self) -> Result<(), Failed> {
+        for key in SettingKey::ALL {
+            let default = key.range().default;
+            if self.values.get(key) != default {
+                self.save(key as u8, &Values::record(default))?;
+            }
+        }
+        self.save(NAME_RECORD, &[])
     }
 
     /// Writes a record, and again before it those that would be dropped some day.
