@@ -45,7 +45,8 @@ pub enum Command {
     Info(Which),
     /// Find the rig's position: two passes over the home flag, then to 0.
     Home,
-    /// Run the waves: cycles of out and home, recorded. The rig must be homed.
+    /// Run the waves: cycles of out and home, recorded. The rig must be homed. At a terminal h and Enter holds, r and
+    /// Enter goes on.
     Run(Box<RunArgs>),
     /// Stop: the rig decelerates and keeps its position, the capsule's worm holds.
     Stop(Which),
@@ -63,7 +64,7 @@ pub enum Command {
     Fold(RecordArgs),
     /// Unfold the capsule's origami, recorded.
     Unfold(RecordArgs),
-    /// Hold the run that is going on: decelerate, keep the position, ready to go on.
+    /// Hold a run that needs no host: decelerate, keep the position, ready to go on.
     Hold,
     /// Go on with a held run, exactly as planned.
     Resume,
