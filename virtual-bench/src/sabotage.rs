@@ -1,4 +1,4 @@
-//! Makes one task of the firmware hang, or fault, at its next check-in with the watchdog.
+//! Makes one task of the firmware hang, fault or panic at its next check-in with the watchdog.
 //!
 //! The image is not built for this. As a debugger would, the bench overwrites the beginning of the firmware's
 //! `check_in` with a branch to unused flash; there a substitute does the same for every client but one. A reset mends
@@ -15,6 +15,8 @@ pub enum Deed {
     Hang,
     /// Jumps to where no memory is.
     Fault,
+    /// Panics.
+    Panic,
 }
 
 /// Where [`Deed::Fault`] jumps to: the external memory that the chip does not have (RM0383 section 2.3).
@@ -56,9 +58,14 @@ impl Sabotage {
             }
         };
         let (check_in, check_ins) = (address("8check_in")?, address("9CHECK_INS")?);
+        let deed = match deed {
+            Deed::Hang => vec![0xE7FE], // b .
+            Deed::Fault => jump(NOWHERE),
+            Deed::Panic => jump(address("9panic_fmt")?),
+        };
         Ok(Self {
             code: [
-                (UNUSED.into(), substitute(client, deed, check_ins)),
+                (UNUSED.into(), substitute(client, &deed, check_ins)),
                 (check_in.into(), branch(check_in, UNUSED).to_vec()),
             ],
         })
@@ -71,14 +78,10 @@ impl Sabotage {
 }
 
 /// `check_in` with a deed: r0 is the client; r1 to r3 are the callee's (AAPCS32 section 6.1.1).
-fn substitute(client: u8, deed: Deed, check_ins: u32) -> Vec<u16> {
-    let deed = match deed {
-        Deed::Hang => vec![0xE7FE],                                     // b .
-        Deed::Fault => [&load_r1(NOWHERE | 1)[..], &[0x4708]].concat(), // bx r1
-    };
+fn substitute(client: u8, deed: &[u16], check_ins: u32) -> Vec<u16> {
     let past = deed.len() as u16 - 1;
     let mut code = vec![0x2800 | u16::from(client), 0xD100 | past]; // cmp r0, #client; bne past the deed
-    code.extend(deed);
+    code.extend_from_slice(deed);
     code.extend(load_r1(check_ins));
     code.extend([0xE8D1, 0x2F4F]); // ldrexb r2, [r1]
     code.push(0x4302); // orrs r2, r0
@@ -86,6 +89,11 @@ fn substitute(client: u8, deed: Deed, check_ins: u32) -> Vec<u16> {
     code.extend([0x2B00, 0xD1F8]); // cmp r3, #0; bne to the ldrexb
     code.push(0x4770); // bx lr
     code
+}
+
+/// bx r1, with the return address of `check_in` still in lr.
+fn jump(to: u32) -> Vec<u16> {
+    [&load_r1(to | 1)[..], &[0x4708]].concat()
 }
 
 /// movw r1, #low; movt r1, #high (Armv7-M ARM A7.7.76 T3, A7.7.79).
@@ -129,8 +137,8 @@ mod tests {
 
     #[test]
     fn the_substitute_skips_the_deed_of_the_others() {
-        for deed in [Deed::Hang, Deed::Fault] {
-            let code = substitute(2, deed, 0x2000_0434);
+        for deed in [vec![0xE7FE], jump(NOWHERE)] {
+            let code = substitute(2, &deed, 0x2000_0434);
             let past = 2 + usize::from(code[1] & 0xFF) + 1;
             assert_eq!(code[past..past + 4], load_r1(0x2000_0434));
             assert!(code.len() * 2 <= 0x100);

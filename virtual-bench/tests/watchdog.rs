@@ -131,6 +131,41 @@ fn a_processor_fault_switches_off_at_once_and_leaves_its_words() {
     }
 }
 
+/// As a processor fault; the words name the callers, innermost first, and so who panicked.
+#[test]
+fn a_panic_switches_off_at_once_and_leaves_its_callers() {
+    let mut told = std::collections::BTreeSet::new();
+    for (client, name) in CLIENTS {
+        for moving in [false, true] {
+            let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
+            let mut ended = sabotaged(client, Deed::Panic, moving, cause, fault);
+            let took_ns = ended.reset_ns - ended.armed_ns;
+            assert!(took_ns <= 101_000_000, "{name}: reset after {took_ns} ns");
+            let words = ended.rig.device.last_words().expect("they are kept");
+            let callers = words.strip_prefix("panic, called from 0x");
+            let callers = callers.unwrap_or_else(|| panic!("{name}: {words:?}"));
+            let callers: Vec<u32> = callers
+                .split(" 0x")
+                .map(|number| u32::from_str_radix(number, 16).expect("an address"))
+                .collect();
+            // The handler's caller, the task, the executor, and where the executor runs.
+            assert!(callers.len() >= 4, "{name}: {words:?}");
+            let code = 0x0801_0000..0x0808_0000;
+            // What an interrupt returns to (Armv7-M ARM B1.5.8), where its handler's frame meets the interrupted one.
+            let exception = 0xFFFF_FFE0..=0xFFFF_FFFE;
+            assert!(
+                callers
+                    .iter()
+                    .all(|caller| code.contains(caller) || exception.contains(caller)),
+                "{name}: {words:?}"
+            );
+            told.insert((name, callers[1]));
+            mended(ended);
+        }
+    }
+    assert_eq!(told.len(), CLIENTS.len(), "each at one place: {told:x?}");
+}
+
 /// The substitute of the code is harmless for everybody but the client that it is made for.
 #[test]
 fn a_client_that_does_not_exist_changes_nothing() {

@@ -33,6 +33,11 @@ pub(crate) fn print(image: &Path, words: &[String]) -> Result<()> {
     );
     for address in addresses {
         println!("{address:#010x}");
+        // Armv7-M ARM B1.5.8.
+        if (0xFFFF_FFE0..=0xFFFF_FFFF).contains(&address) {
+            println!("    an interrupt; what follows was interrupted");
+            continue;
+        }
         let mut frames = loader
             .find_frames(address.saturating_sub(1))
             .map_err(|reason| unreadable(&reason))?;
