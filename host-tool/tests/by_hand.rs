@@ -116,6 +116,27 @@ fn a_move_that_a_fault_ends_has_moved() {
 }
 
 #[test]
+fn what_somebody_else_stopped_is_no_success() {
+    for line in [&["jog", "away", "--for-s", "2"][..], &["move", "60"]] {
+        let pressed = Script {
+            button_at_us: Some(460_000),
+            ..ready(DeviceKind::Rig)
+        };
+        let (code, _, err) = json(pressed, line);
+        assert_eq!(code, 130, "{err}");
+        assert!(err.contains("the start button"), "{err}");
+        assert!(err.contains("the carriage stands at "), "{err}");
+    }
+    let held = Script {
+        button_at_us: Some(60_000),
+        ..running()
+    };
+    let (code, _, err) = json(held, &["hold"]);
+    assert_eq!(code, 130, "{err}");
+    assert!(err.contains("the run was stopped"), "{err}");
+}
+
+#[test]
 fn a_jog_of_no_time_is_refused_before_a_port_is_opened() {
     let memory = Memory::with(vec![ready(DeviceKind::Rig)]);
     for time in ["0", "0.000"] {

@@ -64,6 +64,8 @@ pub struct Script {
     pub ready: bool,
     /// The E-stop loop opens.
     pub fault_at_us: Option<u64>,
+    /// The start button is pressed while something moves.
+    pub button_at_us: Option<u64>,
     /// The run that is to be held is complete before the carriage stands.
     pub completes_while_braking: bool,
     /// A run goes on already.
@@ -89,6 +91,7 @@ impl Script {
             never_ends: false,
             ready: false,
             fault_at_us: None,
+            button_at_us: None,
             completes_while_braking: false,
             running: None,
             broken_name: false,
@@ -349,6 +352,7 @@ impl Machine {
             .min(self.next_telemetry_us)
             .min(self.script.reset_at_us.unwrap_or(u64::MAX))
             .min(self.script.fault_at_us.unwrap_or(u64::MAX))
+            .min(self.script.button_at_us.unwrap_or(u64::MAX))
     }
 
     /// Lives until `now_us`.
@@ -377,6 +381,14 @@ impl Machine {
         {
             self.script.fault_at_us = None;
             return self.latch(RigFault::EStopLoop);
+        }
+        if self
+            .script
+            .button_at_us
+            .is_some_and(|time| time <= self.now_us)
+        {
+            self.script.button_at_us = None;
+            return self.end(RunOutcome::Stopped, ActuationOutcome::Stopped);
         }
         if self.now_us >= self.next_telemetry_us {
             self.next_telemetry_us += self.telemetry_us;
