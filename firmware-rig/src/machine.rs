@@ -242,6 +242,8 @@ pub struct Machine {
     started_us: u64,
     /// Positions of the last report: by the generator, by the counter.
     last: (i32, i32),
+    /// Until then a jog is the renewal of one that was stopped, and starts nothing.
+    jog_stopped_until_us: u64,
 }
 
 const NO_RUN: RunRecord = RunRecord {
@@ -277,6 +279,7 @@ impl Machine {
             residual: 0,
             started_us: 0,
             last: (0, 0),
+            jog_stopped_until_us: 0,
         }
     }
 
@@ -683,6 +686,9 @@ impl Machine {
             return Ok(());
         }
         self.refuse_unless_ready(inputs)?;
+        if now_us < self.jog_stopped_until_us {
+            return Err(Refusal::RigBusy(RigState::Stopping));
+        }
         let target = match direction {
             Direction::Away => self.settings.axis.far(),
             Direction::Home => self.settings.axis.home(),
@@ -748,7 +754,10 @@ impl Machine {
         match self.state {
             State::Homing(_) => self.stop_then(Then::Unhomed, actions),
             State::Running => self.stop_then(Then::Ready(outcome), actions),
-            State::Moving { .. } => self.stop_then(Then::Moved, actions),
+            State::Moving { jog } => {
+                self.jog_stopped_until_us = jog.map_or(0, |(.., until)| until);
+                self.stop_then(Then::Moved, actions);
+            }
             // It stands already; its run is over.
             State::Held => {
                 self.end_run(outcome, actions);
@@ -776,9 +785,9 @@ impl Machine {
             return Err(Refusal::NothingToAcknowledge);
         };
         let present = match fault {
-            RigFault::EStopLoop => inputs.estop_loop,
-            RigFault::BothSwitchesOpen => inputs.home_flag && inputs.far_limit,
-            _ => false,
+            RigFault::EStopLoop if inputs.estop_loop => true,
+            // Whatever it was: no carriage is at both ends, the switches' cable is unplugged.
+            _ => inputs.home_flag && inputs.far_limit,
         };
         // Its report must not be taken for that of the next path.
         if present || self.path {

@@ -100,6 +100,34 @@ mod jogging {
         }
     }
 
+    /// A renewal that was on its way when the jog was stopped does not start it again: only one that comes when the
+    /// jog would have ended by itself does.
+    #[test]
+    fn a_stopped_jog_is_not_started_again_by_its_renewal() {
+        for stop in [Command::Stop, Command::Button(None)] {
+            let mut rig = rig_at(40_000);
+            rig.command(jog(Direction::Away, 10_000)).unwrap();
+            run_for(&mut rig, 100 * MS);
+            let renewed = rig.now;
+            rig.command(jog(Direction::Away, 10_000)).unwrap();
+            rig.command(stop).unwrap();
+            rig.finish();
+            assert_eq!(rig.machine.state(), RigState::Ready);
+            let (place, busy) = (rig.place, Err(Refusal::RigBusy(RigState::Stopping)));
+            assert!(rig.now < renewed + 299 * MS);
+            for direction in [Direction::Away, Direction::Home] {
+                assert_eq!(rig.command(jog(direction, 10_000)), busy);
+            }
+            rig.now = renewed + 299 * MS;
+            assert_eq!(rig.command(jog(Direction::Away, 10_000)), busy);
+            assert_eq!(rig.place, place);
+            rig.now = renewed + 301 * MS;
+            rig.command(jog(Direction::Away, 10_000)).unwrap();
+            run_for(&mut rig, 100 * MS);
+            assert!(rig.place > place);
+        }
+    }
+
     /// To turn round or to change the speed it has to come to rest first: release, then jog again.
     #[test]
     fn another_jog_is_refused_while_it_moves() {

@@ -120,6 +120,13 @@ impl Execution {
         }
     }
 
+    /// More steps have not been counted than wait in the ring. A stop follows, and then the positions at rest tell.
+    fn misses_edges(&self, generator: &StepGen) -> bool {
+        // Two periods are on their way from the ring to the pin.
+        let waiting = (generator.queue() + 2).unsigned_abs();
+        self.periods.position().abs_diff(stepgen::counted()) > waiting
+    }
+
     /// One round; the notice of the end when it is over.
     fn advance(&mut self, generator: &mut StepGen) -> Option<Event> {
         generator.update();
@@ -129,7 +136,7 @@ impl Execution {
         if CUT.load(Ordering::Acquire) {
             return Some(self.end(generator, PathEnd::Cut));
         }
-        if STOP.swap(false, Ordering::AcqRel) {
+        if STOP.swap(false, Ordering::AcqRel) || (!self.stopped && self.misses_edges(generator)) {
             self.stopped = true;
             self.periods.stop(self.stop_accel);
             if let Filling::Turn { .. } = self.filling {
