@@ -261,6 +261,8 @@ fn run(
                 (row4("residual at the home flag", "", "", done(&|e| format!("{} steps at worst", e.worst_residual_steps))))
                 (row4("shortest queue of the step generator", "", "", done(&|e| e.min_queue.to_string())))
                 (row4("filtered pulses on the switches", "", "", done(&|e| e.glitches.to_string())))
+                (row4("holds", "", "", done(&|e| e.holds.to_string())))
+                (row4("fingerprint of the image", "", "", done(&|e| e.image_hash.clone())))
                 (row4("when the host falls silent", match requested.link_loss { LinkLossPolicy::Stop => "stop", LinkLossPolicy::Finish => "finish" }, "", ""))
             }
         }

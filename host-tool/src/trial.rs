@@ -188,6 +188,10 @@ pub struct Executed {
     pub min_queue: u16,
     /// False pulses on the limit inputs.
     pub glitches: u32,
+    /// How often it was held.
+    pub holds: u32,
+    /// Fingerprint of the firmware's image, 8 hex digits, as `retrograde health` shows it.
+    pub image_hash: String,
 }
 
 impl From<&RunRecord> for Executed {
@@ -204,6 +208,8 @@ impl From<&RunRecord> for Executed {
             worst_residual_steps: record.worst_residual_steps,
             min_queue: record.min_queue,
             glitches: record.glitches,
+            holds: record.holds,
+            image_hash: format!("{:08x}", record.image_hash),
         }
     }
 }
