@@ -192,7 +192,7 @@ impl Iterator for Callers {
     fn next(&mut self) -> Option<u32> {
         const RAM: core::ops::Range<u32> = 0x2000_0000..0x2001_FFF8;
         self.left = self.left.checked_sub(1)?;
-        if !RAM.contains(&self.frame) || self.frame % 4 != 0 {
+        if !RAM.contains(&self.frame) || !self.frame.is_multiple_of(4) {
             return None;
         }
         // SAFETY: two aligned words within the RAM; whatever they hold is only printed or checked as an address.

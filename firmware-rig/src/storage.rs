@@ -87,7 +87,7 @@ impl NorFlash for Flash {
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
         // The first word of a sector is written when it comes into use. An erasure that was cut off may have left
         // both of the words by which the log knows a blank sector, and not what lies between.
-        if offset % SECTOR == 0 && !self.is_blank(offset)? {
+        if offset.is_multiple_of(SECTOR) && !self.is_blank(offset)? {
             self.erase(offset, offset + SECTOR).await?;
         }
         self.0.write(offset, bytes)

@@ -5,7 +5,7 @@ use std::time::Instant;
 use host_tool::client::{Device, Unobserved};
 use host_tool::error::ClientError;
 use host_tool::experiment::PAPER_RUN;
-use protocol::rig::{Run as RunRequest, RunTiming};
+use protocol::rig::{GetRigHealth, Run as RunRequest, RunTiming};
 use protocol::system::{DeviceKind, Urgent};
 
 use crate::bench::{Bench, BenchError, BenchOptions};
@@ -136,6 +136,18 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
         "longest deviation of an edge",
         format!("{:.2} ns", verdict.worst.0),
         "<= 10 ns; Klipper 25 us",
+    );
+
+    let health = rig.device.call(GetRigHealth)?;
+    line(
+        "longest delay of control, homing and one cycle",
+        format!("{} us", health.control_late_us),
+        "its round is 10 ms",
+    );
+    line(
+        "stack used, of",
+        format!("{} of {} bytes", health.stack_used, health.stack_size),
+        "",
     );
 
     // The far limit opens in mid-stroke.
