@@ -1,5 +1,7 @@
 //! The host tool's way to the machines on the bench: `--rig virtual` and `--capsule virtual`.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use host_tool::connector::{Candidate, Connector, Ports};
 use host_tool::link::address::Address;
 use host_tool::link::{Link, OpenError};
@@ -12,8 +14,11 @@ use crate::plants::capsule::CapsuleOptions;
 use crate::plants::rig::RigOptions;
 
 /// Powers a machine up when its link is opened; all other addresses are the real world's.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct BenchPorts;
+#[derive(Debug, Default)]
+pub struct BenchPorts {
+    /// The present link leads elsewhere.
+    elsewhere: AtomicBool,
+}
 
 impl Connector for BenchPorts {
     fn open(
@@ -22,7 +27,9 @@ impl Connector for BenchPorts {
         address: &Address,
         baud: u32,
     ) -> Result<Box<dyn Link>, OpenError> {
-        if *address != Address::Virtual {
+        let elsewhere = *address != Address::Virtual;
+        self.elsewhere.store(elsewhere, Ordering::Relaxed);
+        if elsewhere {
             return Ports.open(kind, address, baud);
         }
         let opened: Result<Box<dyn Link>, _> = match kind {
@@ -42,12 +49,31 @@ impl Connector for BenchPorts {
         Ports.candidates()
     }
 
-    /// Always the same: what happens on the bench does not depend on chance.
+    /// Of a machine on the bench always the same: what happens there does not depend on chance.
     fn nonce(&self) -> u32 {
-        1
+        if self.elsewhere.load(Ordering::Relaxed) {
+            Ports.nonce()
+        } else {
+            1
+        }
     }
 
     fn now(&self) -> Timestamp {
         Timestamp::now()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A machine that stays alive between two commands would take an equal nonce for a repetition of the first.
+    #[test]
+    fn only_a_fresh_machine_gets_the_fixed_nonce() {
+        let ports = BenchPorts::default();
+        assert_eq!((ports.nonce(), ports.nonce()), (1, 1));
+        let nobody = "tcp:127.0.0.1:1".parse().expect("an address");
+        assert!(ports.open(DeviceKind::Rig, &nobody, 115_200).is_err());
+        assert_ne!(ports.nonce(), ports.nonce());
     }
 }

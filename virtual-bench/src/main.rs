@@ -64,7 +64,10 @@ fn main() -> ExitCode {
         }
         Command::Retrograde(arguments) => {
             let program = OsString::from("virtual-bench");
-            return host_tool::cli::run([program].into_iter().chain(arguments), &BenchPorts);
+            return host_tool::cli::run(
+                [program].into_iter().chain(arguments),
+                &BenchPorts::default(),
+            );
         }
     };
     match result {

@@ -25,6 +25,19 @@ pub(crate) fn run_command(command: &str, options: &[String]) -> Result<()> {
     )
 }
 
+/// Measures what the models of the paper cost on this computer.
+///
+/// # Errors
+/// It does not build.
+pub(crate) fn models() -> Result<()> {
+    let mut cargo = host_cargo("run");
+    cargo.args(["--quiet", "--release", "--package", "locomotion"]);
+    run(
+        cargo.args(["--example", "cost"]),
+        "mend what the compiler reports above",
+    )
+}
+
 /// Tests the images: every test of the bench, in release because the emulator is slow without.
 ///
 /// # Errors

@@ -45,7 +45,7 @@ cargo xtask <command>
   flash MACHINE     build both images, flash `rig` or `capsule` with probe-rs, show its log
   where MACHINE WORD...
                     places in the source of the addresses in a machine's last words (just paste them)
-  bench [OPTIONS]   measure the images on the virtual bench
+  bench [OPTIONS]   measure the images on the virtual bench, and what the paper's models cost
   setup             find or install a compiler for the STM32, and nothing else
   help              this text
 
@@ -61,7 +61,9 @@ fn main() -> ExitCode {
     };
     let outcome = match (command, rest) {
         ("demo", options) => images::build().and_then(|()| bench::run_command("demo", options)),
-        ("bench", options) => images::build().and_then(|()| bench::run_command("bench", options)),
+        ("bench", options) => images::build()
+            .and_then(|()| bench::run_command("bench", options))
+            .and_then(|()| bench::models()),
         ("test", []) => return checks::test(),
         ("lint", []) => return checks::lint(),
         ("ci", []) => return checks::ci(),

@@ -107,19 +107,20 @@ impl RigRun {
             .collect()
     }
 
-    /// Nothing was touched that does not exist, no driver rule was broken.
+    /// Nothing was touched that does not exist, no driver rule was broken but by a reset: each may have cut the pulse
+    /// that was just going out.
     pub fn check_clean(&self, resets: usize) {
         self.bench
             .bus()
             .expect("the bench runs")
             .check(resets)
             .unwrap_or_else(|why| panic!("{why}\n{}", self.log()));
-        assert_eq!(
-            self.look(|rig| rig.violations()),
-            Violations::default(),
-            "{}",
-            self.log()
-        );
+        let found = self.look(|rig| rig.violations());
+        let excused = Violations {
+            short_high: found.short_high.min(resets as u64),
+            ..Violations::default()
+        };
+        assert_eq!(found, excused, "{}", self.log());
     }
 }
 

@@ -1,0 +1,72 @@
+//! The highest step rate that the settings allow, with everything else going on.
+
+mod common;
+
+use common::{LIMIT_NS, RigRun, paper, rig_with};
+use protocol::{
+    rig::{GetRigHealth, Run, RunTiming},
+    settings::{Setting, SettingKey},
+};
+use virtual_bench::{
+    plants::rig::RigOptions,
+    verdicts::{self, Stroke, Verdict},
+};
+
+fn set(rig: &mut RigRun, key: SettingKey, value: u32) {
+    rig.device.call(Setting { key, value }).expect("accepted");
+}
+
+/// 1/32 microsteps at 156.2 mm/s are 249.9 kHz; telemetry at 200 Hz meanwhile.
+#[test]
+fn the_highest_step_rate_is_sustained() {
+    const STEPS_PER_MM: i64 = 1_600;
+    const STROKE_US: u64 = 462_230;
+    /// Strokes as quick as these end too soon after their last step for DIR to change: some rest is asked for.
+    const DWELL_US: u32 = 1_000;
+    let default = RigOptions::default();
+    let scale = STEPS_PER_MM / default.steps_per_mm;
+    let mut rig = rig_with(RigOptions {
+        steps_per_mm: STEPS_PER_MM,
+        flag: default.flag * scale,
+        limit: default.limit * scale,
+        stops: (default.stops.0 * scale, default.stops.1 * scale),
+        ..default
+    });
+    set(&mut rig, SettingKey::Microsteps, 32);
+    set(&mut rig, SettingKey::MaxSpeedUmS, 156_250);
+    rig.home();
+    rig.device.set_telemetry(5).expect("telemetry");
+    let first = rig.edge_count();
+    let (accepted, record) = common::execute(
+        &mut rig,
+        Run {
+            stroke_um: 60_000,
+            timing: RunTiming::Total {
+                total_us: 2 * STROKE_US + u64::from(DWELL_US),
+                accel_um_s2: 2_000_000,
+            },
+            far_dwell_us: DWELL_US,
+            ..paper(1)
+        },
+    );
+    let stroke = Stroke::within(96_000, STROKE_US * 100, 2_000 * STEPS_PER_MM as u64);
+    let stroke = stroke.expect("feasible");
+    let exact = verdicts::Run {
+        cycles: 1,
+        forward: stroke,
+        back: stroke,
+        far_dwell_ticks: u64::from(DWELL_US) * 100,
+        ..verdicts::Run::paper()
+    };
+    assert!(
+        accepted.forward.peak_um_s > 156_150,
+        "{} um/s",
+        accepted.forward.peak_um_s
+    );
+    Verdict::of(&exact, &rig.edges(first))
+        .check(LIMIT_NS)
+        .unwrap_or_else(|why| panic!("{why}\n{record:?}\n{}", rig.log()));
+    let health = rig.device.call(GetRigHealth).expect("it answers");
+    assert_eq!(health.underruns, 0, "{health:?}");
+    rig.check_clean(0);
+}
