@@ -5,8 +5,11 @@ use std::time::Instant;
 use host_tool::client::{Device, Unobserved};
 use host_tool::error::ClientError;
 use host_tool::experiment::PAPER_RUN;
+use host_tool::link::Link as _;
+use protocol::frame::{Header, Kind, encode};
 use protocol::rig::{GetRigHealth, Run as RunRequest, RunTiming};
 use protocol::system::{DeviceKind, Urgent};
+use protocol::table::Request;
 
 use crate::bench::{Bench, BenchError, BenchOptions};
 use crate::boards::rig::{self, RigBoard};
@@ -72,6 +75,42 @@ impl Homed {
         );
         let seconds = (after.1 - before.1) as f64 * 1e-9;
         Ok((after.0 - before.0) as f64 / (seconds * self.ips as f64))
+    }
+
+    /// The longest time without a sleep while `us` pass, to 10 us: no task takes longer, whatever interrupts it.
+    fn longest_awake_us(&mut self, us: u64) -> Result<u64, FigureError> {
+        const STEP_US: u64 = 10;
+        // The odd instruction may fall on the other side of a step's end.
+        let awake = self.ips * STEP_US / 1_000_000 * 49 / 50;
+        let (mut longest, mut present) = (0, 0);
+        let mut before = self.bench.visit(|visit| visit.instructions())?;
+        for _ in 0..us / STEP_US {
+            self.bench.advance_us(STEP_US)?;
+            let now = self.bench.visit(|visit| visit.instructions())?;
+            present = if now - before >= awake {
+                present + STEP_US
+            } else {
+                0
+            };
+            longest = longest.max(present);
+            before = now;
+        }
+        Ok(longest)
+    }
+
+    /// Puts a request on the wire and does not wait for its answer.
+    fn send(&mut self, request: &Request) -> Result<(), FigureError> {
+        let header = Header {
+            kind: Kind::Request,
+            session: self.device.identity().map_or(0, |it| it.session),
+            // Ahead of the client's own numbers, and not so far that it would count as behind.
+            seq: 20_000,
+        };
+        if let Ok(frame) = encode(header, request) {
+            let mut link = VirtualLink::new(&self.bench, "virtual rig");
+            link.send(&frame).map_err(ClientError::from)?;
+        }
+        Ok(())
     }
 
     fn edges(&self) -> Result<(usize, u64), FigureError> {
@@ -148,6 +187,34 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
         "stack used, of",
         format!("{} of {} bytes", health.stack_used, health.stack_size),
         "",
+    );
+
+    let mut awake = homed(65_000_000)?;
+    awake.device.set_telemetry(5)?;
+    let at_rest = awake.longest_awake_us(200_000)?;
+    awake.send(&Request::Run(ONE_CYCLE))?;
+    let begun = awake.longest_awake_us(50_000)?;
+    awake.bench.advance_us(1_000_000)?;
+    let stepping = awake.longest_awake_us(200_000)?;
+    let moved = awake.edges()?.0 > 10_000;
+    line(
+        "longest time awake, telemetry at 200 Hz: at rest",
+        format!("{at_rest} us"),
+        "",
+    );
+    line(
+        "    a run is asked for, solved, begun, answered",
+        format!("{begun} us"),
+        "",
+    );
+    line(
+        "    at 28.5 kHz",
+        if moved {
+            format!("{stepping} us")
+        } else {
+            "it did not move".into()
+        },
+        "the ring holds 4,500 us",
     );
 
     // The far limit opens in mid-stroke.
