@@ -60,6 +60,12 @@ pub(crate) fn info(
         if !last_words.is_empty() {
             screen.say(&format!("  last words: {last_words}"));
         }
+        if last_words.contains(" 0x") {
+            screen.say(&format!(
+                "  places in the source: `cargo xtask where {} \"{last_words}\"`, built from this firmware's commit",
+                identity::kind_name(kind)
+            ));
+        }
         let status = if !matches(&identity) {
             screen.say(&format!(
                 "  {}",
