@@ -1,5 +1,7 @@
 //! Things that go wrong, at an exact step edge or instant.
 
+use std::collections::BTreeMap;
+
 /// When a fault happens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum When {
@@ -12,13 +14,15 @@ pub enum When {
 /// Faults that wait for their moment.
 #[derive(Clone, Debug)]
 pub struct Faults<A> {
-    waiting: Vec<(When, A)>,
+    at: BTreeMap<u64, Vec<A>>,
+    edge: BTreeMap<u64, Vec<A>>,
 }
 
 impl<A> Default for Faults<A> {
     fn default() -> Self {
         Self {
-            waiting: Vec::new(),
+            at: BTreeMap::new(),
+            edge: BTreeMap::new(),
         }
     }
 }
@@ -26,35 +30,33 @@ impl<A> Default for Faults<A> {
 impl<A> Faults<A> {
     /// Plans `action`.
     pub fn plan(&mut self, when: When, action: A) {
-        self.waiting.push((when, action));
+        let (waiting, moment) = match when {
+            When::At(at) => (&mut self.at, at),
+            When::Edge(number) => (&mut self.edge, number),
+        };
+        waiting.entry(moment).or_default().push(action);
     }
 
     /// Takes what is due with edge `number`, in the order planned.
     pub fn due_at_edge(&mut self, number: u64) -> Vec<A> {
-        self.take(|when| when == When::Edge(number))
+        self.edge.remove(&number).unwrap_or_default()
     }
 
-    /// Takes what is due by `now_ns`, in the order planned.
+    /// Takes what is due by `now_ns`, the earliest first.
     pub fn due_by(&mut self, now_ns: u64) -> Vec<A> {
-        self.take(|when| matches!(when, When::At(at) if at <= now_ns))
+        let mut due = Vec::new();
+        while let Some(first) = self.at.first_entry()
+            && *first.key() <= now_ns
+        {
+            due.extend(first.remove());
+        }
+        due
     }
 
     /// The earliest instant at which anything is due.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {
-        let instants = self.waiting.iter().filter_map(|(when, _)| match when {
-            When::At(at) => Some(*at),
-            When::Edge(_) => None,
-        });
-        instants.min()
-    }
-
-    fn take(&mut self, due: impl Fn(When) -> bool) -> Vec<A> {
-        if self.waiting.is_empty() {
-            return Vec::new();
-        }
-        let taken = self.waiting.extract_if(.., |(when, _)| due(*when));
-        taken.map(|(_, action)| action).collect()
+        self.at.first_key_value().map(|(at, _)| *at)
     }
 }
 
@@ -71,7 +73,7 @@ mod tests {
         assert_eq!(faults.next_ns(), Some(20));
         assert!(faults.due_at_edge(2).is_empty());
         assert!(faults.due_by(19).is_empty());
-        assert_eq!(faults.due_by(50), ['b', 'a']);
+        assert_eq!(faults.due_by(50), ['a', 'b']);
         assert_eq!(faults.due_at_edge(3), ['c']);
         assert!(faults.due_at_edge(3).is_empty());
         assert_eq!(faults.next_ns(), None);

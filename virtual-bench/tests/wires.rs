@@ -203,15 +203,13 @@ fn an_unplugged_cable_ends_a_run() {
         let after = rig.edge_count() as u64 - edges - within;
         assert!(after <= at_most, "edge {within}: {after} steps more");
         // Nothing can be started before the cable is plugged in.
-        rig.device.acknowledge().expect("it names another cause");
-        refused(
-            rig.device.home(),
-            Refusal::RigFaulted(RigFault::BothSwitchesOpen),
-        );
+        refused(rig.device.acknowledge(), Refusal::CauseStillPresent);
+        refused(rig.device.home(), Refusal::RigFaulted(fault));
         for switch in [Switch::Home, Switch::Far] {
             acts(&rig, Action::Stick(switch, None));
         }
         idle(&mut rig, 50_000);
+        rig.device.acknowledge().expect("it is plugged in");
         rig.home();
         rig.check_clean(0);
     }
