@@ -5,7 +5,7 @@ mod machine;
 use host_tool::experiment::PAPER_RUN;
 use machine::Script;
 use machine::tool::{Memory, ready};
-use protocol::system::DeviceKind;
+use protocol::{settings::SettingKey, system::DeviceKind};
 use serde_json::Value;
 
 /// A rig in the middle of the paper's run.
@@ -87,6 +87,19 @@ fn a_jog_ends_in_time_or_at_the_end_of_the_stroke() {
     let (code, ends, err) = json(ready(DeviceKind::Rig), line);
     assert_eq!(code, 0, "{err}");
     assert_eq!(ends["status"]["position_um"], 130_000);
+}
+
+/// The rig's own dead-man time is what a jog is renewed by.
+#[test]
+fn a_jog_goes_on_with_the_shortest_dead_man_time() {
+    let quick = Script {
+        settings: vec![(SettingKey::DeadManMs, 50)],
+        ..ready(DeviceKind::Rig)
+    };
+    let (code, ends, err) = json(quick, &["jog", "away", "--for-s", "1"]);
+    assert_eq!(code, 0, "{err}");
+    let um = ends["status"]["position_um"].as_i64().expect("a number");
+    assert!(um.abs_diff(5_000) < 200, "{um}");
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Commands that move the rig outside a recorded run, or hold one: hold, resume, jog, move, health.
 
 use protocol::rig::{self, RigHealth, RigState, RigStatus, Sense};
+use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 
@@ -13,7 +14,7 @@ use crate::decimal;
 use crate::error::ClientError;
 use crate::trial::Status;
 
-/// A jog is renewed this often; the default dead-man time is 300 ms.
+/// A jog is renewed this often, or three times within the rig's dead-man time.
 const RENEW_US: u64 = 100_000;
 
 pub(crate) fn hold(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
@@ -63,12 +64,16 @@ pub(crate) fn jog(
         },
         speed_um_s: args.speed_mm_s.0,
     };
+    let dead_man = rig.call(GetSetting {
+        key: SettingKey::DeadManMs,
+    })?;
+    let renew_us = RENEW_US.min(u64::from(dead_man.value) * 1_000 / 3);
     let end_us = rig.now_us().saturating_add(args.for_s.0.into());
     rig.call(jog)?;
     let mut early = false;
     while !early && rig.now_us() < end_us {
         let left_us = end_us - rig.now_us();
-        rig.idle(left_us.min(RENEW_US), &mut Unobserved)?;
+        rig.idle(left_us.min(renew_us), &mut Unobserved)?;
         early = rig.rig_status()?.state != RigState::Moving;
         if !early && rig.now_us() < end_us {
             early = match rig.call(jog) {

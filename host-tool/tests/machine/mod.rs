@@ -34,7 +34,6 @@ const HOMING_US: u64 = 3_000_000;
 const ACTUATION_US: u64 = 4_000_000;
 const LINK_TIMEOUT_US: u64 = 1_000_000;
 const BRAKING_US: u64 = 100_000;
-const DEAD_MAN_US: u64 = 300_000;
 const STROKE_STEPS: i32 = 104_000;
 const CLOSED: RigInputs = RigInputs {
     home_flag: false,
@@ -74,6 +73,8 @@ pub struct Script {
     pub broken_name: bool,
     /// So many changes of settings succeed, then the storage fails for good.
     pub writes_left: Option<u32>,
+    /// Settings that are not the defaults.
+    pub settings: Vec<(SettingKey, u32)>,
 }
 
 impl Script {
@@ -96,6 +97,7 @@ impl Script {
             running: None,
             broken_name: false,
             writes_left: None,
+            settings: vec![],
         }
     }
 }
@@ -209,7 +211,12 @@ impl Machine {
             motion: Motion::Rest,
             hold: Hold::None,
             place: 0,
-            settings: SettingKey::ALL.map(|key| key.range().default).to_vec(),
+            settings: SettingKey::ALL
+                .map(|key| {
+                    let set = script.settings.iter().find(|(set, _)| *set == key);
+                    set.map_or(key.range().default, |(_, value)| *value)
+                })
+                .to_vec(),
             name: heapless::String::new(),
             homed: script.ready,
             referenced: script.ready,
@@ -684,7 +691,8 @@ impl Machine {
             }
             Request::Jog(jog) if rig => {
                 self.healthy()?;
-                let until_us = self.now_us + DEAD_MAN_US;
+                let dead_man_ms = self.settings[SettingKey::DeadManMs as usize];
+                let until_us = self.now_us + u64::from(dead_man_ms) * 1_000;
                 if let Motion::Moving { dead_us, .. } = &mut self.motion {
                     *dead_us = until_us;
                 } else {
