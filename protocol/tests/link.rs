@@ -1,131 +1,18 @@
-//! What a bad line can do: damage, garbage, repetition, resets. The real client against the real session.
+//! What a bad line can do: damage, repetition, late replies, resets. The real client against the real session.
 
 #[allow(missing_docs, dead_code, unreachable_pub)]
 mod exemplars;
+#[allow(dead_code, unreachable_pub)]
+mod parties;
 
-use proptest::prelude::*;
+use parties::{Device, Noise};
 use protocol::{
     client::{ATTEMPTS, Client, Output, Poll, RETRY_AFTER_US},
     error::{Refusal, WireError},
     frame::{Deframer, Encoded, Header, Kind, encode},
-    session::{Decision, Session},
-    system::{
-        BuildProfile, DeviceKind, Done, Hello, Identity, ResetCause, Revision, SetTelemetry,
-        Urgent, Version,
-    },
+    system::{Hello, SetTelemetry, Urgent, Version},
     table::{Reply, Request, Response, Retry, SCHEMA_KEY, TABLE},
 };
-
-/// Deterministic noise.
-struct Noise(u64);
-impl Noise {
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
-    }
-    /// True once in `n` on average.
-    fn one_in(&mut self, n: u64) -> bool {
-        self.next().is_multiple_of(n)
-    }
-}
-
-/// The device of these tests: counts what it executes.
-struct Device {
-    deframer: Deframer,
-    session: Session,
-    executed: Vec<u16>,
-    stops: u32,
-    boots: u32,
-}
-
-impl Device {
-    fn new() -> Self {
-        Self {
-            deframer: Deframer::new(),
-            session: Session::new(1),
-            executed: vec![],
-            stops: 0,
-            boots: 1,
-        }
-    }
-
-    fn reset(&mut self) {
-        self.boots += 1;
-        self.session = Session::new(self.boots);
-        self.deframer = Deframer::new();
-    }
-
-    fn identity(&self, session: u8) -> Identity {
-        Identity {
-            device: DeviceKind::Rig,
-            protocol: protocol::VERSION,
-            schema_key: SCHEMA_KEY,
-            uid: [0; 12],
-            revision: Revision {
-                commit: 1,
-                dirty: false,
-            },
-            profile: BuildProfile::Firmware,
-            boot_id: self.boots,
-            reset_cause: ResetCause::Pin,
-            session,
-        }
-    }
-
-    fn receive(&mut self, byte: u8) -> Option<Encoded> {
-        let frame = self.deframer.push(byte)?;
-        let reply = |session, seq, reply: &Reply| {
-            encode(
-                Header {
-                    kind: Kind::Reply,
-                    session,
-                    seq,
-                },
-                reply,
-            )
-            .ok()
-        };
-        match self.session.receive(&frame) {
-            Decision::Greet { session, seq } => reply(
-                session,
-                seq,
-                &Reply::Accepted(Response::Hello(self.identity(session))),
-            ),
-            Decision::Execute { request, ticket } => {
-                let response = match request {
-                    Request::SetTelemetry(set) => {
-                        self.executed.push(set.period_ms);
-                        Response::SetTelemetry(set)
-                    }
-                    _ => Response::KeepAlive(Done),
-                };
-                let frame = reply(ticket.session, ticket.seq, &Reply::Accepted(response))?;
-                self.session.remember(ticket, &frame);
-                Some(frame)
-            }
-            Decision::Urgent {
-                urgent,
-                session,
-                seq,
-            } => {
-                self.stops += 1;
-                reply(session, seq, &Reply::Urgent(urgent))
-            }
-            Decision::Resend(frame) => Some(frame),
-            Decision::Refuse { refusal, ticket } => {
-                reply(ticket.session, ticket.seq, &Reply::Refused(refusal))
-            }
-            Decision::Reject {
-                error,
-                session,
-                seq,
-            } => reply(session, seq, &Reply::Wire(error)),
-            Decision::Ignore => None,
-        }
-    }
-}
 
 /// A line in virtual time that flips bits.
 struct Line {
@@ -283,100 +170,6 @@ fn no_command_of_a_million_is_executed_twice() {
         for seed in 1..=100 {
             executed_once(10_000, flip_one_in, 5, 100, seed);
         }
-    }
-}
-
-#[test]
-fn a_frame_after_garbage_is_found() {
-    let mut noise = Noise(4711);
-    let frame = encode(
-        Header {
-            kind: Kind::Request,
-            session: 1,
-            seq: 7,
-        },
-        &exemplars::requests()[8],
-    )
-    .unwrap();
-    let mut deframer = Deframer::new();
-    for trial in 0..20_000 {
-        for _ in 0..noise.next() % 300 {
-            deframer.push(noise.next() as u8);
-        }
-        let found = frame
-            .iter()
-            .filter(|byte| deframer.push(**byte).is_some())
-            .count();
-        assert_eq!(found, 1, "trial {trial}");
-    }
-}
-
-#[test]
-fn no_damaged_frame_is_accepted() {
-    let mut noise = Noise(815);
-    let good = encode(
-        Header {
-            kind: Kind::Request,
-            session: 1,
-            seq: 7,
-        },
-        &exemplars::requests()[8],
-    )
-    .unwrap();
-    for trial in 0..50_000 {
-        let mut bytes = good.clone();
-        for _ in 0..=noise.next() % 4 {
-            let at = noise.next() as usize % bytes.len();
-            bytes[at] ^= 1 << (noise.next() % 8);
-        }
-        let mut deframer = Deframer::new();
-        let found = bytes.iter().any(|byte| deframer.push(*byte).is_some());
-        assert!(
-            !found || bytes == good || bytes[0] != 0,
-            "trial {trial}: {bytes:02x?}"
-        );
-    }
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 512, failure_persistence: None, ..ProptestConfig::default() })]
-
-    #[test]
-    fn any_bytes_are_survived(bytes in proptest::collection::vec(any::<u8>(), 0..2_000)) {
-        let mut device = Device::new();
-        let mut client = Client::new();
-        for byte in bytes {
-            device.receive(byte);
-            client.receive(byte);
-        }
-        prop_assert!(device.executed.is_empty());
-    }
-
-    /// Frames with a good CRC and any body: nothing panics, and nothing runs without a session.
-    #[test]
-    fn any_body_is_survived(body in proptest::collection::vec(any::<u8>(), 0..150), kind in 1..=5_u8, session in any::<u8>()) {
-        let kind = [Kind::Request, Kind::Reply, Kind::Urgent, Kind::Telemetry, Kind::Event][usize::from(kind) - 1];
-        let frame = encode(Header { kind, session, seq: 3 }, &Raw(body)).unwrap();
-        let mut device = Device::new();
-        let mut client = Client::new();
-        for byte in &frame {
-            device.receive(*byte);
-            client.receive(*byte);
-        }
-        prop_assert!(device.executed.is_empty());
-    }
-}
-
-/// Bytes without a length in front of them.
-struct Raw(Vec<u8>);
-impl serde::Serialize for Raw {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        use serde::ser::SerializeTuple;
-        let mut tuple = serializer.serialize_tuple(self.0.len())?;
-        self.0
-            .iter()
-            .try_for_each(|byte| tuple.serialize_element(byte))?;
-        tuple.end()
     }
 }
 

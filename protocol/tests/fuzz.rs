@@ -1,0 +1,272 @@
+//! What arrives may be anything: noise, damaged frames, frames with a good CRC and nonsense in them.
+//!
+//! The long ones run in `cargo xtask ci`, or by `cargo test --release -p protocol -- --ignored`.
+
+#[allow(missing_docs, dead_code, unreachable_pub)]
+mod exemplars;
+#[allow(dead_code, unreachable_pub)]
+mod parties;
+
+use parties::{Device, Noise};
+use proptest::prelude::*;
+use protocol::{
+    client::Client,
+    frame::{Deframer, Encoded, Header, Kind, encode},
+    system::{Hello, SetTelemetry, Urgent},
+    table::{Request, SCHEMA_KEY},
+};
+use serde::Serialize;
+
+const KINDS: [Kind; 5] = [
+    Kind::Request,
+    Kind::Reply,
+    Kind::Urgent,
+    Kind::Telemetry,
+    Kind::Event,
+];
+
+fn frame<T: Serialize>(kind: Kind, session: u8, seq: u16, body: &T) -> Encoded {
+    encode(Header { kind, session, seq }, body).expect("it fits")
+}
+
+/// Bytes without a length in front of them.
+struct Raw(Vec<u8>);
+impl Serialize for Raw {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        use serde::ser::SerializeTuple;
+        let mut tuple = serializer.serialize_tuple(self.0.len())?;
+        self.0
+            .iter()
+            .try_for_each(|byte| tuple.serialize_element(byte))?;
+        tuple.end()
+    }
+}
+
+/// Kind and body of every exemplar.
+fn messages() -> Vec<(Kind, Vec<u8>)> {
+    fn bodies<T: Serialize>(kind: Kind, messages: &[T]) -> Vec<(Kind, Vec<u8>)> {
+        let body = |message| (kind, postcard::to_stdvec(message).expect("it is finite"));
+        messages.iter().map(body).collect()
+    }
+    [
+        bodies(Kind::Request, &exemplars::requests()),
+        bodies(Kind::Reply, &exemplars::replies()),
+        bodies(Kind::Urgent, &[Urgent::Stop, Urgent::EStop]),
+        bodies(Kind::Telemetry, &exemplars::telemetry()),
+        bodies(Kind::Event, &exemplars::events()),
+    ]
+    .concat()
+}
+
+/// Device and client, both in the middle of something: whatever can be taken is looked at.
+struct Pair {
+    client: Client,
+    device: Device,
+    session: u8,
+    nonce: u32,
+}
+
+impl Pair {
+    fn new() -> Self {
+        let mut pair = Self {
+            client: Client::new(),
+            device: Device::new(),
+            session: 0,
+            nonce: 0,
+        };
+        pair.client.hello(0).expect("nothing is pending");
+        pair.greet();
+        pair
+    }
+
+    fn hear(&mut self, bytes: &[u8]) -> Vec<Encoded> {
+        let mut replies = Vec::new();
+        for &byte in bytes {
+            replies.extend(self.device.receive(byte));
+            self.client.receive(byte);
+        }
+        replies
+    }
+
+    /// Begins a session.
+    fn greet(&mut self) {
+        self.nonce += 1;
+        let hello = Request::Hello(Hello {
+            protocol: protocol::VERSION,
+            schema_key: SCHEMA_KEY,
+            nonce: self.nonce,
+        });
+        // What came before may have been a frame but for its end.
+        self.hear(&[0]);
+        let replies = self.hear(&frame(Kind::Request, 0, 1, &hello));
+        let [reply] = &replies[..] else {
+            panic!("{} replies to a greeting", replies.len());
+        };
+        let mut deframer = Deframer::new();
+        let session = reply
+            .iter()
+            .find_map(|&byte| deframer.push(byte).map(|frame| frame.header.session));
+        self.session = session.expect("a whole frame");
+    }
+
+    /// A command still gets through, once.
+    fn check(&mut self) {
+        self.greet();
+        let before = self.device.executed.len();
+        let command = Request::SetTelemetry(SetTelemetry { period_ms: 50 });
+        let command = frame(Kind::Request, self.session, 2, &command);
+        self.hear(&command);
+        self.hear(&command);
+        assert_eq!(self.device.executed.len(), before + 1);
+    }
+}
+
+/// One to four of the things that a bad line, a bad program or bad luck do to bytes.
+fn spoil(noise: &mut Noise, bytes: &mut Vec<u8>) {
+    for _ in 0..=noise.next() % 4 {
+        let at = noise.next() as usize % bytes.len().max(1);
+        match noise.next() % 7 {
+            0 | 1 if !bytes.is_empty() => bytes[at] ^= 1 << (noise.next() % 8),
+            2 if !bytes.is_empty() => bytes[at] = noise.next() as u8,
+            3 => bytes.insert(at.min(bytes.len()), noise.next() as u8),
+            4 if !bytes.is_empty() => drop(bytes.remove(at)),
+            5 => bytes.truncate(at),
+            // What a varint or a length takes for large.
+            6 if !bytes.is_empty() => bytes[at] = 0xFF,
+            _ => {}
+        }
+    }
+}
+
+/// Frames that were spoilt on the wire: none is taken for another one, and the next good one is found.
+fn spoilt_frames(runs: u32, seed: u64) {
+    let mut noise = Noise(seed | 1);
+    let mut pair = Pair::new();
+    let frames: Vec<_> = messages()
+        .into_iter()
+        .map(|(kind, body)| frame(kind, pair.session, 0x1234, &Raw(body)))
+        .collect();
+    let mut deframer = Deframer::new();
+    for run in 0..runs {
+        let good = &frames[noise.next() as usize % frames.len()];
+        let mut bytes = good.to_vec();
+        spoil(&mut noise, &mut bytes);
+        deframer.push(0);
+        for &byte in bytes.iter().chain(&[0]) {
+            if let Some(found) = deframer.push(byte) {
+                let again = frame(
+                    found.header.kind,
+                    found.header.session,
+                    found.header.seq,
+                    &Raw(found.body().to_vec()),
+                );
+                assert_eq!(&again, good, "run {run}: {bytes:02x?}");
+            }
+        }
+        pair.hear(&bytes);
+        if run % 1_000 == 0 {
+            pair.check();
+        }
+    }
+}
+
+/// Frames whose content was spoilt before its CRC was taken, in any session and with any number.
+fn spoilt_bodies(runs: u32, seed: u64) {
+    let mut noise = Noise(seed | 1);
+    let mut pair = Pair::new();
+    let messages = messages();
+    for run in 0..runs {
+        let (kind, body) = &messages[noise.next() as usize % messages.len()];
+        let mut body = body.clone();
+        spoil(&mut noise, &mut body);
+        body.truncate(protocol::frame::MAX_BODY);
+        let kind = match noise.next() % 16 {
+            0 => KINDS[noise.next() as usize % KINDS.len()],
+            _ => *kind,
+        };
+        let session = match noise.next() % 4 {
+            0 => noise.next() as u8,
+            _ => pair.session,
+        };
+        let sent = frame(kind, session, noise.next() as u16, &Raw(body));
+        pair.hear(&sent);
+        if run % 1_000 == 0 {
+            pair.check();
+        }
+    }
+}
+
+/// Noise of any length, then a frame: it is found, always.
+fn frames_after_garbage(runs: u32, seed: u64) {
+    let mut noise = Noise(seed | 1);
+    let good = frame(Kind::Request, 1, 7, &exemplars::requests()[8]);
+    let mut deframer = Deframer::new();
+    for run in 0..runs {
+        for _ in 0..noise.next() % 300 {
+            deframer.push(noise.next() as u8);
+        }
+        let found = good.iter().filter(|&&b| deframer.push(b).is_some()).count();
+        assert_eq!(found, 1, "run {run}");
+    }
+}
+
+#[test]
+fn a_frame_after_garbage_is_found() {
+    frames_after_garbage(20_000, 4711);
+}
+
+#[test]
+fn no_spoilt_frame_is_accepted() {
+    spoilt_frames(50_000, 815);
+}
+
+#[test]
+fn spoilt_bodies_are_survived() {
+    spoilt_bodies(20_000, 816);
+}
+
+#[test]
+#[ignore = "minutes in a debug build"]
+fn a_frame_after_garbage_is_found_a_million_times() {
+    frames_after_garbage(1_000_000, 4712);
+}
+
+#[test]
+#[ignore = "minutes in a debug build"]
+fn none_of_ten_million_spoilt_frames_is_accepted() {
+    spoilt_frames(10_000_000, 817);
+}
+
+#[test]
+#[ignore = "minutes in a debug build"]
+fn ten_million_spoilt_bodies_are_survived() {
+    spoilt_bodies(10_000_000, 818);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 512, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn any_bytes_are_survived(bytes in proptest::collection::vec(any::<u8>(), 0..2_000)) {
+        let mut device = Device::new();
+        let mut client = Client::new();
+        for byte in bytes {
+            device.receive(byte);
+            client.receive(byte);
+        }
+        prop_assert!(device.executed.is_empty());
+    }
+
+    /// Frames with a good CRC and any body: nothing panics, and nothing runs without a session.
+    #[test]
+    fn any_body_is_survived(body in proptest::collection::vec(any::<u8>(), 0..150), kind in 0..5_usize, session in any::<u8>()) {
+        let sent = frame(KINDS[kind], session, 3, &Raw(body));
+        let mut device = Device::new();
+        let mut client = Client::new();
+        for byte in &sent {
+            device.receive(*byte);
+            client.receive(*byte);
+        }
+        prop_assert!(device.executed.is_empty());
+    }
+}
