@@ -20,13 +20,17 @@ const MIN_PIECE: u64 = 32_768;
 const LAST_PULSE: u64 = 1_000;
 /// Blank period after the very last pulse, 10 us.
 const TAIL: u64 = 1_000;
+/// Rounds are repeated for 1 ms at most: what is handed out can no longer be stopped.
+const MAX_REPEATED: u32 = 100_000;
 
-/// One round of the step timer.
+/// Equal rounds of the step timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Period {
-    /// Length, 2..=[`MAX_PERIOD`].
+    /// Length of a round, 2..=[`MAX_PERIOD`].
     pub ticks: u32,
-    /// A step pulse at its start.
+    /// Rounds after the first one.
+    pub repeats: u8,
+    /// A step pulse at the start of each.
     pub pulse: bool,
     /// A sync pulse at its start: the first step of a stroke.
     pub sync: bool,
@@ -126,7 +130,6 @@ enum After {
 pub struct Periods {
     path: Path,
     stroke: u32,
-    start: u64,
     times: StepTimes,
     direction: Direction,
     /// Everything before this tick has been handed out.
@@ -157,7 +160,6 @@ impl Periods {
         Some(Self {
             path,
             stroke,
-            start,
             times,
             direction,
             cursor: 0,
@@ -223,27 +225,24 @@ impl Periods {
     pub fn next_item(&mut self) -> Item {
         loop {
             if self.gap > 0 {
-                return Item::Period(self.period());
+                return Item::Period(self.piece());
             }
             match self.after {
                 After::Pulse => {
-                    let step = if self.direction == Direction::Away {
-                        1
-                    } else {
-                        -1
-                    };
-                    let inside = self
-                        .position
-                        .checked_add(step)
-                        .filter(|next| (self.window.0..=self.window.1).contains(next));
-                    let Some(next) = inside else {
+                    let Some(next) = self.next_position() else {
                         self.after = After::Guarded;
                         return Item::Guard;
                     };
                     self.position = next;
                     self.last_step = self.cursor;
+                    if self.times.next().is_none() {
+                        self.plan_turn();
+                    } else if !self.sync && self.times.interval().0 <= u64::from(MAX_PERIOD) {
+                        return Item::Period(self.steps());
+                    } else {
+                        self.gap = self.times.interval().0;
+                    }
                     self.pulse = true;
-                    self.plan_next();
                 }
                 After::Turn => {
                     let completed = self.stroke - 1;
@@ -264,12 +263,42 @@ impl Periods {
         }
     }
 
-    fn plan_next(&mut self) {
-        if let Some(tick) = self.times.next() {
-            self.gap = self.start + tick - self.cursor;
-            self.after = After::Pulse;
-            return;
+    /// Where the next step leads, if that is inside the window.
+    fn next_position(&self) -> Option<i32> {
+        let step = match self.direction {
+            Direction::Away => 1,
+            Direction::Home => -1,
+        };
+        let next = self.position.checked_add(step)?;
+        (self.window.0..=self.window.1)
+            .contains(&next)
+            .then_some(next)
+    }
+
+    /// The pulse at the cursor, with those that follow it at the same distance, inside the window.
+    fn steps(&mut self) -> Period {
+        let interval = self.times.interval().0;
+        let (edge, step) = match self.direction {
+            Direction::Away => (self.window.1, 1),
+            Direction::Home => (self.window.0, -1),
+        };
+        let most = (MAX_REPEATED / interval as u32).min(u32::from(u8::MAX));
+        let repeats = self.times.repeat(most.min(self.position.abs_diff(edge)));
+        if repeats > 0 {
+            self.position += repeats as i32 * step;
+            self.last_step += u64::from(repeats) * interval;
         }
+        self.cursor = self.last_step + interval;
+        Period {
+            ticks: interval as u32,
+            repeats: repeats as u8,
+            pulse: true,
+            sync: false,
+        }
+    }
+
+    /// What follows the last pulse of a stroke, which is at the cursor.
+    fn plan_turn(&mut self) {
         self.short = true;
         let next = if self.stopping {
             None
@@ -286,11 +315,11 @@ impl Periods {
         let first = times.next().unwrap_or(0);
         self.gap = start + first - self.cursor;
         self.after = After::Turn;
-        (self.stroke, self.start, self.direction, self.times) =
-            (self.stroke + 1, start, direction, times);
+        (self.stroke, self.direction, self.times) = (self.stroke + 1, direction, times);
     }
 
-    fn period(&mut self) -> Period {
+    /// The next piece of a gap, with the pulse at its start if there is one.
+    fn piece(&mut self) -> Period {
         let turn_pending = self.after == After::Turn;
         let ticks = if self.short {
             LAST_PULSE.min(self.gap)
@@ -302,6 +331,7 @@ impl Periods {
         };
         let period = Period {
             ticks: ticks as u32,
+            repeats: 0,
             pulse: self.pulse,
             sync: self.pulse && self.sync,
         };

@@ -1,9 +1,10 @@
 //! The step generator: TIM1 pulses whose periods DMA takes from a ring, and TIM2 which counts them at the pin.
 //!
-//! Each ring slot is one period of TIM1, five half-words in register order {ARR, RCR, CCR1, CCR2, CCR3}, written
-//! through TIM1_DMAR at every update event (RM0383 section 12.3.20). PWM mode 1 puts the pulse at the start of a period;
-//! CCR1 makes the sync pulse in the same way, so both have no latency at all. Everything is preloaded: while
-//! period j plays, period j+1 sits in the preload registers and period j+2 is fetched at the next update.
+//! Each ring slot is one period of TIM1, or as many equal ones as its repetition counter is told, five half-words in
+//! register order {ARR, RCR, CCR1, CCR2, CCR3}, written through TIM1_DMAR at every update event (RM0383 sections
+//! 12.3.3 and 12.3.20). PWM mode 1 puts the pulse at the start of a period; CCR1 makes the sync pulse in the same way, so
+//! both have no latency at all. Everything is preloaded: while slot j plays, slot j+1 sits in the preload
+//! registers and slot j+2 is fetched at the next update.
 //!
 //! The slot after the last written one is always zero. A zero period blocks the counter with the output low
 //! (ARR = 0, RM0383 section 12.4.12): end marker, underrun guard and clean stop in one. However late the
@@ -22,7 +23,7 @@ use embassy_stm32::{
 };
 use firmware_rig::{machine::Event, periods::Period};
 
-/// Slots of the ring. At 28.5 kHz it holds 4.3 ms.
+/// Slots of the ring. At 28.5 kHz and no two periods alike it holds 4.3 ms.
 const SLOTS: usize = 128;
 const WORDS: usize = 5;
 const RING_WORDS: u32 = (SLOTS * WORDS) as u32;
@@ -50,17 +51,25 @@ pub struct Underrun;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LoopOpen;
 
+/// How far a path has come; both wrap.
+#[derive(Clone, Copy, Default)]
+struct Mark {
+    ticks: u32,
+    pulses: u32,
+}
+
 /// The generator; one exists.
 pub struct StepGen {
-    /// Periods pushed since [`StepGen::clear`]; wraps in runs of many hours.
+    /// Slots filled since [`StepGen::clear`]; wraps in runs of many hours.
     pushed: u32,
-    /// Periods that DMA has fetched; exceeds `pushed` by one while the last one plays, by two when halted.
+    /// Slots that DMA has fetched; exceeds `pushed` by one while the last one plays, by two when halted.
     fetched: u32,
     /// Slot that DMA reads next, when `fetched` was last updated.
     read_slot: u32,
-    /// End of each slot's period on the path's time line (low 32 bits).
-    ends: [u32; SLOTS],
-    end: u32,
+    /// The path up to the end of each slot.
+    marks: [Mark; SLOTS],
+    /// The path up to the last slot that was filled.
+    end: Mark,
     running: bool,
     /// Width of a step pulse: a setting, no less than the driver's minimum (DRV8825: 1.9 us).
     pulse_ticks: u16,
@@ -107,8 +116,8 @@ impl StepGen {
             pushed: 0,
             fetched: 0,
             read_slot: 0,
-            ends: [0; SLOTS],
-            end: 0,
+            marks: [Mark::default(); SLOTS],
+            end: Mark::default(),
             running: false,
             pulse_ticks: 0,
         }
@@ -119,12 +128,14 @@ impl StepGen {
         self.halt();
         self.pulse_ticks = pulse_ticks;
         for slot in 0..SLOTS {
-            write_slot(slot, 0, 0, 0);
+            end_slot(slot);
+            self.marks[slot] = Mark::default();
         }
         DMA2.st(STREAM)
             .ndtr()
             .write(|w| w.set_ndt(RING_WORDS as u16));
-        (self.pushed, self.fetched, self.read_slot, self.end) = (0, 0, 0, 0);
+        (self.pushed, self.fetched, self.read_slot) = (0, 0, 0);
+        self.end = Mark::default();
     }
 
     /// Appends a period.
@@ -141,16 +152,28 @@ impl StepGen {
         } else {
             0
         };
+        let rounds = u32::from(period.repeats) + 1;
         let pulse = if period.pulse { self.pulse_ticks } else { 0 };
-        write_slot((slot + 1) % SLOTS, 0, 0, 0);
-        write_slot(slot, (period.ticks - 1) as u16, sync as u16, pulse);
+        end_slot(slot + 1);
+        write_slot(
+            slot,
+            [
+                (period.ticks - 1) as u16,
+                period.repeats.into(),
+                sync as u16,
+                pulse,
+            ],
+        );
         self.update();
         self.pushed = self.pushed.wrapping_add(1);
         if self.running && self.queue() < 1 {
             return Err(Underrun);
         }
-        self.end = self.end.wrapping_add(period.ticks);
-        self.ends[slot] = self.end;
+        self.end.ticks = self.end.ticks.wrapping_add(period.ticks * rounds);
+        if period.pulse {
+            self.end.pulses = self.end.pulses.wrapping_add(rounds);
+        }
+        self.marks[slot] = self.end;
         Ok(())
     }
 
@@ -159,31 +182,33 @@ impl StepGen {
         self.queue() < MAX_QUEUE
     }
 
-    /// Periods that wait in the ring; -1 while the last one plays, -2 when halted.
+    /// Slots that wait in the ring; -1 while the last one plays, -2 when halted.
     pub fn queue(&self) -> i32 {
         self.pushed.wrapping_sub(self.fetched) as i32
     }
 
-    /// Ticks from the period that plays now to the end of the queue.
+    /// Ticks from the slot that plays now to the end of the queue.
     pub fn lead(&self) -> u32 {
-        if self.fetched < 2 && !self.running {
-            return self.end; // not started
-        }
-        let playing = self.fetched.wrapping_sub(2);
         if self.queue() < 0 {
             return 0;
         }
-        self.end.wrapping_sub(self.ends[playing as usize % SLOTS])
+        self.end.ticks.wrapping_sub(self.mark(2).ticks)
     }
 
-    /// Number of periods pushed so far.
-    pub fn pushed(&self) -> u32 {
-        self.pushed
+    /// Pulses that have not left for certain: those of the slot that plays now, and of all behind it.
+    pub fn waiting_pulses(&self) -> u32 {
+        let left = if self.fetched > 2 {
+            self.mark(3).pulses
+        } else {
+            0
+        };
+        self.end.pulses.wrapping_sub(left)
     }
 
-    /// The period with this number (from 1, as [`StepGen::pushed`] after its push) has been played.
-    pub fn has_played(&self, number: u32) -> bool {
-        self.fetched.wrapping_sub(number) as i32 >= 2
+    /// The path up to the end of the slot so many before the one that DMA reads next: 2 is the one that plays.
+    /// Before the first slot these are the ring's last ones, which are not filled so early.
+    fn mark(&self, before: u32) -> Mark {
+        self.marks[self.fetched.wrapping_sub(before) as usize % SLOTS]
     }
 
     /// Reads the progress of DMA. To be called at least once per round of the ring.
@@ -258,24 +283,41 @@ impl StepGen {
     }
 }
 
-/// Writes the words of a slot that are ever other than zero: no repetition (RCR), no second channel (CCR2).
-fn write_slot(slot: usize, arr: u16, sync: u16, pulse: u16) {
-    let slots = RING.0.get().cast::<[u16; WORDS]>();
-    // SAFETY: `slot` % SLOTS lies inside the ring; volatile, because DMA reads it.
+/// Makes a slot the end of the queue. The counter has to stop before the outputs lose their pulses.
+#[inline]
+fn end_slot(slot: usize) {
+    let words = words(slot);
+    // SAFETY: as in `write_slot`.
     unsafe {
-        let words = slots.add(slot % SLOTS).cast::<u16>();
-        // ARR goes to zero first and to its value last: a half-written slot that the reader takes all the same
-        // stops the counter.
-        if arr == 0 {
-            words.write_volatile(0);
-        }
-        words.add(2).write_volatile(sync);
-        words.add(4).write_volatile(pulse);
-        if arr != 0 {
-            words.write_volatile(arr);
-        }
+        words.write_volatile(0);
+        words.add(1).write_volatile(0);
+        words.add(2).write_volatile(0);
+        words.add(4).write_volatile(0);
     }
     compiler_fence(Ordering::SeqCst);
+}
+
+/// Fills a slot that is the end of the queue: ARR, RCR, CCR1, CCR3; there is no second channel (CCR2).
+#[inline]
+fn write_slot(slot: usize, [arr, rcr, sync, pulse]: [u16; 4]) {
+    let words = words(slot);
+    // SAFETY: the five words of a slot lie inside the ring; volatile, because DMA reads them.
+    unsafe {
+        words.add(1).write_volatile(rcr);
+        words.add(2).write_volatile(sync);
+        words.add(4).write_volatile(pulse);
+        // ARR comes to its value last: a half-written slot that the reader takes all the same stops the counter.
+        words.write_volatile(arr);
+    }
+    compiler_fence(Ordering::SeqCst);
+}
+
+/// The first word of a slot, which may be one beyond the last and then is the first again.
+#[inline]
+fn words(slot: usize) -> *mut u16 {
+    let slots = RING.0.get().cast::<[u16; WORDS]>();
+    // SAFETY: `slot % SLOTS` lies inside the ring.
+    unsafe { slots.add(slot % SLOTS).cast::<u16>() }
 }
 
 /// Position by the read-back counter, steps.

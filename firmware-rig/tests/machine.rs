@@ -247,11 +247,11 @@ mod running {
         RigEvent::RunEnded { run: 1, outcome }
     }
 
-    /// The pulses that went out are in the record, however the run ended.
+    /// The pulses that were handed out and that went out are in the record, however the run ended.
     fn assert_record(rig: &Rig, outcome: RunOutcome, strokes: u32) {
         let record = rig.machine.record();
         assert_eq!(record.outcome, outcome);
-        assert_eq!(record.commanded_edges, rig.pulses);
+        assert_eq!(record.commanded_edges, rig.pulses + rig.cut);
         assert_eq!(record.counted_edges, rig.pulses);
         assert_eq!(record.strokes, strokes);
         assert_eq!(record.min_queue, 60);

@@ -173,6 +173,22 @@ impl StepTimes {
         self.ramp.seed(steps);
     }
 
+    /// Takes the further steps of the cruise, at most `most`, that are the last interval apart; their number. A
+    /// ramp has none, and [`StepTimes::next`] would yield the same ticks.
+    pub fn repeat(&mut self, most: u32) -> u32 {
+        if self.phase != Phase::Cruise {
+            return 0;
+        }
+        let ahead = self.cruise.ahead(self.interval);
+        let taken = ahead.min(most).min(self.phase_end - self.emitted);
+        if taken > 0 {
+            self.cruise.repeat(self.interval, taken);
+            self.emitted += taken;
+            self.tick = self.cruise.tick;
+        }
+        taken
+    }
+
     /// The next phase that has steps; none at rest.
     #[inline(never)]
     fn turn(&mut self) -> Option<()> {
@@ -376,5 +392,30 @@ impl Cruise {
         }
         self.tick += u64::from(interval);
         self.tick
+    }
+
+    /// Steps to come, before the first that is not this interval apart.
+    #[inline]
+    fn ahead(&self, interval: u32) -> u32 {
+        // Each step adds the slope to what is left over; a longer one takes a whole tick off it.
+        if interval == self.interval {
+            let room = self.double - 1 - self.carry;
+            room.checked_div(self.slope).unwrap_or(u32::MAX)
+        } else if interval == self.interval + 1 {
+            self.carry / (self.double - self.slope)
+        } else {
+            0
+        }
+    }
+
+    /// Takes so many of them.
+    #[inline]
+    fn repeat(&mut self, interval: u32, count: u32) {
+        self.tick += u64::from(count) * u64::from(interval);
+        if interval == self.interval {
+            self.carry += count * self.slope;
+        } else {
+            self.carry -= count * (self.double - self.slope);
+        }
     }
 }

@@ -96,6 +96,36 @@ proptest! {
         prop_assert_eq!(first, Some(profile.first_interval().0));
     }
 
+    /// Taken together or one by one, the steps are the same; none of the cruise that could be taken is left.
+    #[test]
+    fn repeated_steps_are_those_that_would_follow(
+        profile in profiles(5_000), limits in prop::collection::vec(prop_oneof![0_u32..10, Just(u32::MAX)], 1..20),
+    ) {
+        let (mut times, mut single) = (StepTimes::new(profile), StepTimes::new(profile));
+        let ramp = profile.ramp_steps().0;
+        let cruise = ramp + 1..profile.steps().0 - ramp;
+        for &most in limits.iter().cycle() {
+            let Some(tick) = times.next() else { break };
+            prop_assert_eq!(single.next(), Some(tick));
+            let interval = times.interval();
+            let mut expected = 0;
+            while expected < most && cruise.contains(&single.emitted().0) && cruise.contains(&(single.emitted().0 + 1)) {
+                let mut ahead = single.clone();
+                ahead.next();
+                if ahead.interval() != interval {
+                    break;
+                }
+                (single, expected) = (ahead, expected + 1);
+            }
+            prop_assert_eq!(times.repeat(most), expected);
+            prop_assert_eq!(times.tick(), single.tick());
+            prop_assert_eq!(times.interval(), interval);
+            prop_assert_eq!(times.emitted(), single.emitted());
+        }
+        prop_assert_eq!(single.next(), None);
+        prop_assert_eq!(times.tick(), profile.duration());
+    }
+
     /// Long strokes on fine axes: the bounds of the hot path, sampled.
     #[test]
     fn long_strokes_stay_exact(profile in profiles(60_000), stride in 500_usize..1_500) {

@@ -148,7 +148,8 @@ fn lose(rig: &mut common::RigRun, lost: u64, homewards: bool, beyond: bool) {
 /// carriage is stopped, and the fault names both counts.
 #[test]
 fn a_cut_jumper_is_found_within_a_few_hundred_steps() {
-    // A ring of 128 periods that are not counted, another until the stop takes effect, and 80 steps of braking.
+    // At 14 kHz 8 ms of prepared steps, and what the last entry of the ring repeats, go out before one is missed; as
+    // many before the stop takes effect; the rest is braking.
     const NOTICED: u64 = 128 + 128 + 80;
     for (cut, counted) in [(0, 0), (5_000, 4_999), (11_000, 5_001)] {
         let mut rig = homed();

@@ -234,9 +234,10 @@ fn homing_right_after_a_fault_is_not_ended_by_its_late_event() {
 
 #[test]
 fn an_estop_frame_ends_the_pulses_within_2_ms() {
+    const TRIALS: usize = 10;
     let mut dice = Dice(0x5EED_0002);
     let mut rig = homed();
-    for trial in 0..10 {
+    for trial in 0..TRIALS {
         rig.device.run(paper(1)).expect("the run is accepted");
         rig.device
             .idle(dice.roll(10_000..7_500_000), &mut Unobserved)
@@ -256,7 +257,8 @@ fn an_estop_frame_ends_the_pulses_within_2_ms() {
         rig.device.acknowledge().expect("the cause is gone");
         rig.home();
     }
-    rig.check_clean(0);
+    // At once is in mid-pulse now and then.
+    rig.check_clean_but(0, TRIALS);
 }
 
 #[test]

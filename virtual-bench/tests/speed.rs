@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{LIMIT_NS, RigRun, paper, rig_with};
+use common::{LIMIT_NS, RigRun, homed, paper, rig_with};
 use protocol::{
     rig::{GetRigHealth, Run, RunTiming},
     settings::{Setting, SettingKey},
@@ -68,5 +68,33 @@ fn the_highest_step_rate_is_sustained() {
         .unwrap_or_else(|why| panic!("{why}\n{record:?}\n{}", rig.log()));
     let health = rig.device.call(GetRigHealth).expect("it answers");
     assert_eq!(health.underruns, 0, "{health:?}");
+    rig.check_clean(0);
+}
+
+/// Equal periods share an entry of the ring. At 3502.493 ticks per step in cruise hardly two neighbours are equal.
+#[test]
+fn steps_that_share_no_entry_are_exact_too() {
+    let mut rig = homed();
+    let first = rig.edge_count();
+    let (_, record) = common::execute(
+        &mut rig,
+        Run {
+            timing: RunTiming::Total {
+                total_us: 8_000_000,
+                accel_um_s2: 99_855,
+            },
+            ..paper(1)
+        },
+    );
+    let stroke = Stroke::within(104_000, 400_000_000, 79_884).expect("feasible");
+    let exact = verdicts::Run {
+        cycles: 1,
+        forward: stroke,
+        back: stroke,
+        ..verdicts::Run::paper()
+    };
+    Verdict::of(&exact, &rig.edges(first))
+        .check(LIMIT_NS)
+        .unwrap_or_else(|why| panic!("{why}\n{record:?}\n{}", rig.log()));
     rig.check_clean(0);
 }

@@ -76,8 +76,6 @@ enum Filling {
 struct Execution {
     periods: Periods,
     stop_accel: Acceleration,
-    /// Number of the period with the last pulse.
-    last_pulse: u32,
     filling: Filling,
     min_queue: i32,
     stopped: bool,
@@ -105,7 +103,6 @@ impl Execution {
         let mut work = Self {
             periods,
             stop_accel: order.stop_accel,
-            last_pulse: 0,
             filling: Filling::Full,
             min_queue: i32::MAX,
             stopped: false,
@@ -122,9 +119,8 @@ impl Execution {
 
     /// More steps have not been counted than wait in the ring. A stop follows, and then the positions at rest tell.
     fn misses_edges(&self, generator: &StepGen) -> bool {
-        // Two periods are on their way from the ring to the pin.
-        let waiting = (generator.queue() + 2).unsigned_abs();
-        self.periods.position().abs_diff(stepgen::counted()) > waiting
+        let missed = self.periods.position().abs_diff(stepgen::counted());
+        missed > generator.waiting_pulses()
     }
 
     /// One round; the notice of the end when it is over.
@@ -175,33 +171,37 @@ impl Execution {
 
     fn fill(&mut self, generator: &mut StepGen) {
         loop {
-            if let Filling::Turn { completed, next } = self.filling {
-                if !generator.has_played(self.last_pulse) {
-                    return;
+            match self.filling {
+                Filling::Full => {}
+                Filling::Turn { completed, next } if generator.waiting_pulses() == 0 => {
+                    self.turn(completed, next);
                 }
-                self.turn(completed, next);
-            } else if matches!(self.filling, Filling::Done | Filling::Failed(_)) {
+                Filling::Turn { .. } | Filling::Done | Filling::Failed(_) => return,
+            }
+            self.filling = self.top_up(generator);
+            if self.filling == Filling::Full {
                 return;
             }
-            self.filling = Filling::Full;
+        }
+    }
+
+    /// Until the ring is full or something else is to be done.
+    fn top_up(&mut self, generator: &mut StepGen) -> Filling {
+        loop {
             let enough = generator.lead() >= LEAD_TICKS && generator.queue() >= MIN_QUEUE;
             if enough || !generator.has_room() {
-                return;
+                return Filling::Full;
             }
-            self.filling = match self.periods.next_item() {
-                Item::Period(period) => match generator.push(period) {
-                    Ok(()) => {
-                        if period.pulse {
-                            self.last_pulse = generator.pushed();
-                        }
-                        Filling::Full
+            match self.periods.next_item() {
+                Item::Period(period) => {
+                    if generator.push(period).is_err() {
+                        return Filling::Failed(PathEnd::Underrun);
                     }
-                    Err(stepgen::Underrun) => Filling::Failed(PathEnd::Underrun),
-                },
-                Item::Turn { completed, next } => Filling::Turn { completed, next },
-                Item::End => Filling::Done,
-                Item::Guard => Filling::Failed(PathEnd::Guard),
-            };
+                }
+                Item::Turn { completed, next } => return Filling::Turn { completed, next },
+                Item::End => return Filling::Done,
+                Item::Guard => return Filling::Failed(PathEnd::Guard),
+            }
         }
     }
 

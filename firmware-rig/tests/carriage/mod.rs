@@ -6,7 +6,7 @@
 
 use firmware_rig::{
     machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
-    periods::{Item, Periods},
+    periods::{Item, Period, Periods},
     settings::Settings,
 };
 use motion::{
@@ -44,6 +44,8 @@ pub struct Rig {
     pub slipping: u32,
     /// So many times does the flag bounce when it opens.
     pub bounces: u32,
+    /// Pulses that were handed out and cut, since the start.
+    pub cut: u64,
     /// 10 ns each, since the start.
     pub now: u64,
     /// Pulses since the start.
@@ -54,6 +56,8 @@ pub struct Rig {
     /// Windows of all paths.
     pub windows: Vec<(i32, i32)>,
     path: Option<Periods>,
+    /// Rounds of the period in progress that are still to come.
+    rounds: Option<Period>,
     stopping: bool,
     flag_open: bool,
 }
@@ -71,12 +75,14 @@ impl Rig {
             jumper_cut: false,
             slipping: 0,
             bounces: 0,
+            cut: 0,
             now: 0,
             pulses: 0,
             last_pulse: 0,
             events: Vec::new(),
             windows: Vec::new(),
             path: None,
+            rounds: None,
             stopping: false,
             flag_open: false,
         };
@@ -177,6 +183,8 @@ impl Rig {
     }
 
     fn end(&mut self, end: PathEnd) {
+        self.cut += self.handed_out();
+        self.rounds = None;
         if let Some(periods) = self.path.take() {
             let report = PathReport {
                 commanded: periods.position(),
@@ -188,14 +196,22 @@ impl Rig {
         }
     }
 
-    /// Executes the next period or turn.
+    /// Executes the next round of a period, or a turn.
     pub fn step(&mut self) {
         let Some(periods) = &mut self.path else {
             return;
         };
         let direction = periods.direction();
-        match periods.next_item() {
+        let item = match self.rounds.take() {
+            Some(period) => Item::Period(period),
+            None => periods.next_item(),
+        };
+        match item {
             Item::Period(period) => {
+                self.rounds = period
+                    .repeats
+                    .checked_sub(1)
+                    .map(|repeats| Period { repeats, ..period });
                 self.now += u64::from(period.ticks);
                 if period.pulse {
                     self.last_pulse = self.now - u64::from(period.ticks);
@@ -270,6 +286,12 @@ impl Rig {
         while self.pulses < until && self.moving() {
             self.step();
         }
+    }
+
+    /// Pulses that come whatever is ordered, unless they are cut.
+    pub fn handed_out(&self) -> u64 {
+        self.rounds
+            .map_or(0, |period| u64::from(period.repeats) + 1)
     }
 
     /// Waits so long while nothing moves, 10 ns each.
