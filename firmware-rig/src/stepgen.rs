@@ -197,12 +197,7 @@ impl StepGen {
 
     /// Pulses that have not left for certain: those of the slot that plays now, and of all behind it.
     pub fn waiting_pulses(&self) -> u32 {
-        let left = if self.fetched > 2 {
-            self.mark(3).pulses
-        } else {
-            0
-        };
-        self.end.pulses.wrapping_sub(left)
+        self.end.pulses.wrapping_sub(self.mark(3).pulses)
     }
 
     /// The path up to the end of the slot so many before the one that DMA reads next: 2 is the one that plays.

@@ -18,6 +18,12 @@ const HOST_TESTS: Step = Step {
     after: None,
     act: host_tests,
 };
+const LONG_TESTS: Step = Step {
+    name: "long tests",
+    does: "millions of random command sequences, spoilt frames, bad lines: the tests that plain `cargo test` leaves out",
+    after: None,
+    act: long_tests,
+};
 const IMAGES: Step = Step {
     name: "images",
     does: "builds both ARM images, judges addresses and sizes",
@@ -80,6 +86,7 @@ pub(crate) fn ci() -> ExitCode {
         HOST_TESTS,
         LINT_HOST,
         DOCS,
+        LONG_TESTS,
         IMAGES,
         LINT_IMAGES,
         BENCH_TESTS,
@@ -91,6 +98,16 @@ fn host_tests() -> Result<()> {
     run(
         &mut host_cargo("test"),
         "run the failing test alone: `cargo test -p PACKAGE NAME`",
+    )
+}
+
+fn long_tests() -> Result<()> {
+    let mut cargo = host_cargo("test");
+    cargo.args(["--release", "--tests"]);
+    cargo.args(["--package", "protocol", "--package", "firmware-rig"]);
+    run(
+        cargo.args(["--", "--ignored"]),
+        "run the failing test alone: `cargo test --release -p PACKAGE NAME -- --ignored`",
     )
 }
 
