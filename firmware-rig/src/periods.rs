@@ -235,7 +235,7 @@ impl Periods {
                     };
                     self.position = next;
                     self.last_step = self.cursor;
-                    if self.times.next().is_none() {
+                    if !self.times.advance() {
                         self.plan_turn();
                     } else if !self.sync && self.times.interval().0 <= u64::from(MAX_PERIOD) {
                         return Item::Period(self.steps());

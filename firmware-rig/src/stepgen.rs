@@ -207,6 +207,7 @@ impl StepGen {
     }
 
     /// Reads the progress of DMA. To be called at least once per round of the ring.
+    #[inline(always)]
     pub fn update(&mut self) {
         let left = u32::from(DMA2.st(STREAM).ndtr().read().ndt());
         let slot = (RING_WORDS - left) / WORDS as u32 % SLOTS as u32;

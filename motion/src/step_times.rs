@@ -173,6 +173,23 @@ impl StepTimes {
         self.ramp.seed(steps);
     }
 
+    /// As [`StepTimes::next`], for those who ask for tick or interval afterwards; false at rest.
+    pub fn advance(&mut self) -> bool {
+        if self.emitted == self.phase_end && self.turn().is_none() {
+            return false;
+        }
+        let tick = match self.phase {
+            Phase::Accelerate => u64::from(self.ramp.up()),
+            Phase::Cruise => self.cruise.advance(),
+            Phase::Decelerate => self.end - u64::from(self.ramp.down()),
+        };
+        self.emitted += 1;
+        // Below 2^32: no interval of a profile or a stop is as long.
+        self.interval = (tick - self.tick) as u32;
+        self.tick = tick;
+        true
+    }
+
     /// Takes the further steps of the cruise, at most `most`, that are the last interval apart; their number. A
     /// ramp has none, and [`StepTimes::next`] would yield the same ticks.
     pub fn repeat(&mut self, most: u32) -> u32 {
@@ -219,19 +236,7 @@ impl Iterator for StepTimes {
 
     #[inline]
     fn next(&mut self) -> Option<u64> {
-        if self.emitted == self.phase_end {
-            self.turn()?;
-        }
-        let tick = match self.phase {
-            Phase::Accelerate => u64::from(self.ramp.up()),
-            Phase::Cruise => self.cruise.advance(),
-            Phase::Decelerate => self.end - u64::from(self.ramp.down()),
-        };
-        self.emitted += 1;
-        // Below 2^32: no interval of a profile or a stop is as long.
-        self.interval = (tick - self.tick) as u32;
-        self.tick = tick;
-        Some(tick)
+        self.advance().then_some(self.tick)
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {
@@ -317,7 +322,7 @@ impl Ramp {
     }
 
     /// Corrects the predicted tick until it is the nearest one.
-    #[inline]
+    #[inline(always)]
     fn settle(&mut self, k: u32, mut tick: u32, change: i64) {
         let double = 2 * self.steps;
         let mut rest = self.rest + change;
