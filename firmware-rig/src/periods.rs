@@ -20,8 +20,8 @@ const MIN_PIECE: u64 = 32_768;
 const LAST_PULSE: u64 = 1_000;
 /// Blank period after the very last pulse, 10 us.
 const TAIL: u64 = 1_000;
-/// Rounds are repeated for 1 ms at most: what is handed out can no longer be stopped.
-const MAX_REPEATED: u32 = 100_000;
+/// Repeated rounds last 0.8 ms at most, together: what is handed out can no longer be stopped.
+const LONGEST_REPETITION: u32 = 80_000;
 
 /// Equal rounds of the step timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -282,7 +282,7 @@ impl Periods {
             Direction::Away => (self.window.1, 1),
             Direction::Home => (self.window.0, -1),
         };
-        let most = (MAX_REPEATED / interval as u32).min(u32::from(u8::MAX));
+        let most = (LONGEST_REPETITION / interval as u32 - 1).min(u32::from(u8::MAX));
         let repeats = self.times.repeat(most.min(self.position.abs_diff(edge)));
         if repeats > 0 {
             self.position += repeats as i32 * step;

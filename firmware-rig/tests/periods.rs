@@ -18,8 +18,8 @@ const LIMITS: Limits = Settings::REFERENCE.limits;
 /// Time that DIR has between two strokes, and what has to be queued meanwhile: 300 us.
 const TURN_TICKS: u64 = 30_000;
 
-/// What is repeated can no longer be stopped: 1 ms.
-const LONGEST_REPEATED: u64 = 100_000;
+/// What is repeated can no longer be stopped: 0.8 ms.
+const LONGEST_REPETITION: u64 = 80_000;
 
 const EVERYWHERE: (i32, i32) = (i32::MIN, i32::MAX);
 
@@ -111,7 +111,7 @@ impl Walk {
                 assert_eq!(sync, pulse && self.pulses == 0, "{item:?}");
                 assert!(repeats == 0 || pulse && !sync, "{item:?}");
                 assert!(
-                    u64::from(ticks) * u64::from(repeats) <= LONGEST_REPEATED,
+                    u64::from(ticks) * (u64::from(repeats) + 1) <= LONGEST_REPETITION,
                     "{item:?}"
                 );
                 let further = u64::from(ticks) * u64::from(repeats);

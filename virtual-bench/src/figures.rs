@@ -233,7 +233,7 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
         } else {
             "it did not move".into()
         },
-        "the ring holds 4,500 us",
+        "the ring holds 8,000 us",
     );
 
     // The far limit opens in mid-stroke.
