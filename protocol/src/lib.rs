@@ -9,7 +9,9 @@
 //! ```
 //!
 //! `body` is [postcard](https://postcard.jamesmunns.com/wire-format) of the type that `kind` names and at
-//! most [`frame::MAX_BODY`] bytes. The CRC covers everything before it. Both delimiters are sent: the leading
+//! most [`frame::MAX_BODY`] bytes. The CRC covers everything before it. A body is exactly one message, and no message
+//! is the beginning of another: that refuses what a CRC by its nature lets through, a frame that is longer by
+//! a certain byte in front of it and a certain one at its end. Both delimiters are sent: the leading
 //! one ends whatever garbage came before, so that the first good frame after a disturbance is never lost.
 //!
 //! | kind | direction | body | `seq` |
