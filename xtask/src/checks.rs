@@ -70,7 +70,7 @@ const DEMO: Step = Step {
 
 /// Every test there is, with all set-up.
 pub(crate) fn test() -> ExitCode {
-    steps::run(&[IMAGES, HOST_TESTS, BENCH_TESTS])
+    steps::run(&[IMAGES, HOST_TESTS, LONG_TESTS, BENCH_TESTS])
 }
 
 /// What can be said without running anything.

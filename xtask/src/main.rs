@@ -37,7 +37,7 @@ cargo xtask <command>
 
   demo [OPTIONS]    build both images and run the paper's experiment on the virtual bench;
                     leaves data and a report (options go to the bench: `cargo xtask demo --help`)
-  test              build both images, run the host tests and the tests of the images
+  test              build both images, run the host tests, long ones too, and the tests of the images
   lint              format, clippy for host and chip, documentation; no warning allowed
   ci                everything that has to hold before a change is merged
 
