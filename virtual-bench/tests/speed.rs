@@ -2,9 +2,10 @@
 
 mod common;
 
-use common::{LIMIT_NS, RigRun, homed, paper, rig_with};
+use common::{LIMIT_NS, RigRun, homed, paper, rig_as_quick_as};
+use host_tool::client::Unobserved;
 use protocol::{
-    rig::{GetRigHealth, Run, RunTiming},
+    rig::{GetRigHealth, RigFault, Run, RunTiming},
     settings::{Setting, SettingKey},
 };
 use virtual_bench::{
@@ -17,38 +18,40 @@ fn set(rig: &mut RigRun, key: SettingKey, value: u32) {
 }
 
 /// 1/32 microsteps at 156.2 mm/s are 249.9 kHz; telemetry at 200 Hz meanwhile.
-#[test]
-fn the_highest_step_rate_is_sustained() {
-    const STEPS_PER_MM: i64 = 1_600;
-    const STROKE_US: u64 = 462_230;
-    /// Strokes as quick as these end too soon after their last step for DIR to change: some rest is asked for.
-    const DWELL_US: u32 = 1_000;
+const STEPS_PER_MM: i64 = 1_600;
+const STROKE_US: u64 = 462_230;
+/// Strokes as quick as these end too soon after their last step for DIR to change: some rest is asked for.
+const DWELL_US: u32 = 1_000;
+
+/// A homed rig with a screw and a driver for it.
+fn quick_rig(instructions_per_second: u64) -> RigRun {
     let default = RigOptions::default();
     let scale = STEPS_PER_MM / default.steps_per_mm;
-    let mut rig = rig_with(RigOptions {
+    let options = RigOptions {
         steps_per_mm: STEPS_PER_MM,
         flag: default.flag * scale,
         limit: default.limit * scale,
         stops: (default.stops.0 * scale, default.stops.1 * scale),
         ..default
-    });
+    };
+    let mut rig = rig_as_quick_as(options, instructions_per_second);
     set(&mut rig, SettingKey::Microsteps, 32);
     set(&mut rig, SettingKey::MaxSpeedUmS, 156_250);
     rig.home();
     rig.device.set_telemetry(5).expect("telemetry");
-    let first = rig.edge_count();
-    let (accepted, record) = common::execute(
-        &mut rig,
-        Run {
-            stroke_um: 60_000,
-            timing: RunTiming::Total {
-                total_us: 2 * STROKE_US + u64::from(DWELL_US),
-                accel_um_s2: 2_000_000,
-            },
-            far_dwell_us: DWELL_US,
-            ..paper(1)
+    rig
+}
+
+fn quick_run() -> (Run, verdicts::Run) {
+    let request = Run {
+        stroke_um: 60_000,
+        timing: RunTiming::Total {
+            total_us: 2 * STROKE_US + u64::from(DWELL_US),
+            accel_um_s2: 2_000_000,
         },
-    );
+        far_dwell_us: DWELL_US,
+        ..paper(1)
+    };
     let stroke = Stroke::within(96_000, STROKE_US * 100, 2_000 * STEPS_PER_MM as u64);
     let stroke = stroke.expect("feasible");
     let exact = verdicts::Run {
@@ -58,6 +61,15 @@ fn the_highest_step_rate_is_sustained() {
         far_dwell_ticks: u64::from(DWELL_US) * 100,
         ..verdicts::Run::paper()
     };
+    (request, exact)
+}
+
+#[test]
+fn the_highest_step_rate_is_sustained() {
+    let mut rig = quick_rig(65_000_000);
+    let first = rig.edge_count();
+    let (request, exact) = quick_run();
+    let (accepted, record) = common::execute(&mut rig, request);
     assert!(
         accepted.forward.peak_um_s > 156_150,
         "{} um/s",
@@ -69,6 +81,37 @@ fn the_highest_step_rate_is_sustained() {
     let health = rig.device.call(GetRigHealth).expect("it answers");
     assert_eq!(health.underruns, 0, "{health:?}");
     rig.check_clean(0);
+}
+
+/// A processor that cannot keep up: the generator runs dry at some step of a ramp. Every edge up to there is the right
+/// one, none follows, and the position is known.
+#[test]
+fn a_ring_that_runs_dry_emits_no_wrong_edge() {
+    let mut steps = std::collections::BTreeSet::new();
+    for million in (20..50).step_by(2) {
+        let mut rig = quick_rig(million * 1_000_000);
+        let first = rig.edge_count();
+        let (request, exact) = quick_run();
+        let accepted = rig.device.run(request).expect("accepted");
+        let ended = rig.device.wait_run(&accepted, &mut Unobserved);
+        rig.bench.advance_us(300_000).expect("the bench runs");
+        let edges = rig.edges(first);
+        let verdict = Verdict::of(&exact, &edges);
+        let what = format!("{million} M/s: {ended:?}\n{verdict}\n{}", rig.log());
+        let status = rig.device.rig_status().expect(&what);
+        assert_eq!(status.fault, Some(RigFault::Underrun), "{what}");
+        assert_eq!(i64::from(status.position_steps), rig.carriage(), "{what}");
+        assert_eq!(verdict.end, rig.carriage(), "{what}");
+        assert_eq!((verdict.strokes, verdict.wrong_direction), (1, 0), "{what}");
+        assert!(verdict.edges.0 < verdict.edges.1, "{what}");
+        // The start's own resolution is an instruction.
+        let limit_ns = 10.0 + 1e3 / million as f64;
+        assert!(verdict.worst.0 <= limit_ns, "{what}");
+        steps.insert(verdict.edges.0);
+        // It stops at once, which may be in mid-pulse.
+        rig.check_clean_but(0, 1);
+    }
+    assert!(steps.len() > 10, "{steps:?}");
 }
 
 /// Equal periods share an entry of the ring. At 3502.493 ticks per step in cruise hardly two neighbours are equal.

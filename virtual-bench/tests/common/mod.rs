@@ -51,6 +51,17 @@ pub fn rig_with(options: RigOptions) -> RigRun {
     RigRun { bench, device }
 }
 
+/// The same with a processor of this speed.
+pub fn rig_as_quick_as(options: RigOptions, instructions_per_second: u64) -> RigRun {
+    let mut bench = BenchOptions::new(rig::image());
+    bench.chip.instructions_per_second = instructions_per_second;
+    let board = RigBoard::new(Rig::new(options));
+    let bench = Bench::start(board, bench).expect("the image boots");
+    let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
+    let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
+    RigRun { bench, device }
+}
+
 /// A rig whose flash holds this.
 pub fn rig_from_flash(flash: Vec<u8>) -> RigRun {
     let options = BenchOptions {
