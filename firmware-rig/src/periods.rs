@@ -1,6 +1,6 @@
 //! Turns step times into timer periods: one uninterrupted list for a whole move or run.
 //!
-//! A period is one round of the step timer; a pulse, if it has one, sits at its start. The list begins with
+//! A period is one round of the step timer, or some equal ones; a pulse, if it has one, sits at its start. The list begins with
 //! blank periods up to the first step. Between two strokes comes one [`Item::Turn`]: everything before it has
 //! to leave the pin before DIR may change, everything after it needs the new DIR. The periods of the pause are
 //! handed out before the turn, so that the time line never breaks.
@@ -327,7 +327,7 @@ impl Periods {
             // At least two blanks before a turn, so that there is time to take it.
             self.gap / 2
         } else {
-            piece(self.gap)
+            part(self.gap)
         };
         let period = Period {
             ticks: ticks as u32,
@@ -346,8 +346,8 @@ impl Periods {
     }
 }
 
-/// The next piece of a pause that may be longer than the timer can count.
-fn piece(gap: u64) -> u64 {
+/// The first part of a pause that may be longer than the timer can count.
+fn part(gap: u64) -> u64 {
     let max = u64::from(MAX_PERIOD);
     if gap <= max {
         gap
