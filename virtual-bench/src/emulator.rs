@@ -23,7 +23,7 @@ use rigless::mcu::Mcu;
 use rigless::session::Session;
 use rigless::snapshot::Store;
 use rigless::soc::stm32f427::Stm32f427;
-use rigless::soc::stm32f427::generated::{flash, gpioa};
+use rigless::soc::stm32f427::generated::{flash, gpioa, tim1};
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin as PortPin};
 use rigless::soc::stm32f427::peripherals::tim::{Advanced, General, Tim};
 use rigless::soc::stm32f427::peripherals::{ADVANCED_TIMERS, TIMERS, adc};
@@ -197,6 +197,13 @@ impl Pads<'_> {
     #[must_use]
     pub fn tim1_high(&self, channel: u8) -> bool {
         self.tim1.high(channel)
+    }
+
+    /// Whether TIM1 drives its outputs at all: BDTR.MOE (RM0383 section 12.4.18).
+    #[must_use]
+    pub fn tim1_armed(&self) -> bool {
+        let registers = self.part.bus().slots()[self.slots.tim1].registers();
+        (registers.get(tim1::Register::Bdtr) >> 15) & 1 == 1
     }
 
     /// TIM3's output `channel` now.

@@ -258,7 +258,7 @@ fn an_estop_frame_ends_the_pulses_within_2_ms() {
         rig.home();
     }
     // At once is in mid-pulse now and then.
-    rig.check_clean_but(0, TRIALS);
+    rig.check_clean_after(0, TRIALS);
 }
 
 #[test]

@@ -109,7 +109,7 @@ fn a_ring_that_runs_dry_emits_no_wrong_edge() {
         assert!(verdict.worst.0 <= limit_ns, "{what}");
         steps.insert(verdict.edges.0);
         // It stops at once, which may be in mid-pulse.
-        rig.check_clean_but(0, 1);
+        rig.check_clean_after(0, 1);
     }
     assert!(steps.len() > 10, "{steps:?}");
 }

@@ -81,6 +81,8 @@ impl RigBoard {
             return;
         }
         self.step_high = high;
+        self.rig
+            .set_armed(pads.function(STEP) == AF_TIMER && pads.tim1_armed());
         self.rig.step(high, at_ns);
         self.drive(pads);
     }

@@ -119,6 +119,7 @@ pub struct Rig {
     carriage: i64,
     away: bool,
     enabled: bool,
+    armed: bool,
     step_high: bool,
     rose_ns: Option<u64>,
     fell_ns: Option<u64>,
@@ -151,6 +152,7 @@ impl Rig {
             carriage: options.carriage,
             away: false,
             enabled: false,
+            armed: true,
             step_high: false,
             rose_ns: None,
             fell_ns: None,
@@ -230,7 +232,7 @@ impl Rig {
         self.lost
     }
 
-    /// Pulses that an E-stop cut short.
+    /// Pulses that were cut short because STEP was no longer driven.
     #[must_use]
     pub fn cut_pulses(&self) -> u64 {
         self.cut_pulses
@@ -313,6 +315,11 @@ impl Rig {
         self.enabled = enabled;
     }
 
+    /// Whether STEP is driven. A pulse that ends because it no longer is was cut, by whatever stop or reset.
+    pub fn set_armed(&mut self, armed: bool) {
+        self.armed = armed;
+    }
+
     /// DIR changed: high is away from home.
     pub fn turn(&mut self, away: bool, at_ns: u64) {
         if away == self.away {
@@ -346,7 +353,7 @@ impl Rig {
         let short = self
             .rose_ns
             .is_some_and(|rose| at_ns - rose < self.options.driver.pulse_ns);
-        if short && self.estop.is_open() {
+        if short && !self.armed {
             self.cut_pulses += 1;
         } else if short {
             self.violations.short_high += 1;
@@ -498,8 +505,19 @@ mod tests {
         assert!(!rig.is_open(Switch::EStop));
         rig.step(true, 50_000);
         assert!(rig.is_open(Switch::EStop));
+    }
+
+    #[test]
+    fn a_short_pulse_is_a_violation_unless_it_was_cut() {
+        let mut rig = Rig::new(RigOptions::default());
+        rig.set_enabled(true);
+        rig.step(true, 50_000);
         rig.step(false, 50_010);
-        assert_eq!((rig.cut_pulses(), rig.violations().short_high), (1, 0));
+        assert_eq!((rig.cut_pulses(), rig.violations().short_high), (0, 1));
+        rig.step(true, 100_000);
+        rig.set_armed(false);
+        rig.step(false, 100_010);
+        assert_eq!((rig.cut_pulses(), rig.violations().short_high), (1, 1));
     }
 
     #[test]

@@ -45,21 +45,14 @@ pub fn rig() -> RigRun {
 }
 
 pub fn rig_with(options: RigOptions) -> RigRun {
-    let bench = rig::start(options).expect("the image boots");
-    let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
-    let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
-    RigRun { bench, device }
+    start(options, BenchOptions::new(rig::image()))
 }
 
 /// The same with a processor of this speed.
 pub fn rig_as_quick_as(options: RigOptions, instructions_per_second: u64) -> RigRun {
     let mut bench = BenchOptions::new(rig::image());
     bench.chip.instructions_per_second = instructions_per_second;
-    let board = RigBoard::new(Rig::new(options));
-    let bench = Bench::start(board, bench).expect("the image boots");
-    let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
-    let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
-    RigRun { bench, device }
+    start(options, bench)
 }
 
 /// A rig whose flash holds this.
@@ -68,7 +61,11 @@ pub fn rig_from_flash(flash: Vec<u8>) -> RigRun {
         flash: Some(flash),
         ..BenchOptions::new(rig::image())
     };
-    let board = RigBoard::new(Rig::new(RigOptions::default()));
+    start(RigOptions::default(), options)
+}
+
+fn start(rig: RigOptions, options: BenchOptions) -> RigRun {
+    let board = RigBoard::new(Rig::new(rig));
     let bench = Bench::start(board, options).expect("the image boots");
     let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
     let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
@@ -118,25 +115,22 @@ impl RigRun {
             .collect()
     }
 
-    /// Nothing was touched that does not exist, no driver rule was broken but by a reset: each may have cut the pulse
-    /// that was just going out.
+    /// Nothing was touched that does not exist, no driver rule was broken; a reset may have cut the pulse that was just
+    /// going out.
     pub fn check_clean(&self, resets: usize) {
-        self.check_clean_but(resets, resets);
+        self.check_clean_after(resets, resets);
     }
 
-    /// The same where so many pulses may have been cut.
-    pub fn check_clean_but(&self, resets: usize, cut: usize) {
+    /// The same where the pulses were cut so often, by stops or resets.
+    pub fn check_clean_after(&self, resets: usize, cuts: usize) {
         self.bench
             .bus()
             .expect("the bench runs")
             .check(resets)
             .unwrap_or_else(|why| panic!("{why}\n{}", self.log()));
-        let found = self.look(|rig| rig.violations());
-        let excused = Violations {
-            short_high: found.short_high.min(cut as u64),
-            ..Violations::default()
-        };
-        assert_eq!(found, excused, "{}", self.log());
+        let (found, cut) = self.look(|rig| (rig.violations(), rig.cut_pulses()));
+        assert_eq!(found, Violations::default(), "{}", self.log());
+        assert!(cut <= cuts as u64, "{cut} pulses cut\n{}", self.log());
     }
 }
 
