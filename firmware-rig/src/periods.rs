@@ -265,11 +265,7 @@ impl Periods {
 
     /// Where the next step leads, if that is inside the window.
     fn next_position(&self) -> Option<i32> {
-        let step = match self.direction {
-            Direction::Away => 1,
-            Direction::Home => -1,
-        };
-        let next = self.position.checked_add(step)?;
+        let next = self.position.checked_add(sign(self.direction))?;
         (self.window.0..=self.window.1)
             .contains(&next)
             .then_some(next)
@@ -278,14 +274,14 @@ impl Periods {
     /// The pulse at the cursor, with those that follow it at the same distance, inside the window.
     fn steps(&mut self) -> Period {
         let interval = self.times.interval().0;
-        let (edge, step) = match self.direction {
-            Direction::Away => (self.window.1, 1),
-            Direction::Home => (self.window.0, -1),
+        let edge = match self.direction {
+            Direction::Away => self.window.1,
+            Direction::Home => self.window.0,
         };
         let most = (LONGEST_REPETITION / interval as u32 - 1).min(u32::from(u8::MAX));
         let repeats = self.times.repeat(most.min(self.position.abs_diff(edge)));
         if repeats > 0 {
-            self.position += repeats as i32 * step;
+            self.position += repeats as i32 * sign(self.direction);
             self.last_step += u64::from(repeats) * interval;
         }
         self.cursor = self.last_step + interval;
@@ -343,6 +339,14 @@ impl Periods {
         self.gap -= ticks;
         self.cursor += ticks;
         period
+    }
+}
+
+/// What a step adds to the position.
+fn sign(direction: Direction) -> i32 {
+    match direction {
+        Direction::Away => 1,
+        Direction::Home => -1,
     }
 }
 
