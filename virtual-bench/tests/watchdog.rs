@@ -110,59 +110,58 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
     }
 }
 
-/// Outputs off by the handler, reset by itself, and the place kept for whoever asks.
-#[test]
-fn a_processor_fault_switches_off_at_once_and_leaves_its_words() {
+/// Outputs off by the handler, reset by itself, and last words kept for whoever asks: of every client, at rest and within a
+/// run.
+fn last_words_of_all(deed: Deed, mut look: impl FnMut(&str, &str, &Ended)) {
     for (client, name) in CLIENTS {
         for moving in [false, true] {
             let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
-            let mut ended = sabotaged(client, Deed::Fault, moving, cause, fault);
-            // The client checks in within 100 ms; from the fault to the reset it is a few hundred instructions.
+            let mut ended = sabotaged(client, deed, moving, cause, fault);
+            // The client checks in within 100 ms; from the deed to the reset it is a few hundred instructions.
             let took_ns = ended.reset_ns - ended.armed_ns;
             assert!(took_ns <= 101_000_000, "{name}: reset after {took_ns} ns");
             let words = ended.rig.device.last_words().expect("they are kept");
-            let expected = format!("processor fault at 0x{NOWHERE:x}");
-            assert!(words.starts_with(&expected), "{name}: {words:?}");
-            // The jump into nowhere is ours; nothing else was touched.
-            let gaps = ended.rig.bench.bus().expect("the bench runs").gaps;
-            assert!(gaps.iter().all(|gap| gap.contains("60000000")), "{gaps:?}");
+            look(name, &words, &ended);
             mended(ended);
         }
     }
 }
 
-/// As a processor fault; the words name the callers, innermost first, and so who panicked.
+#[test]
+fn a_processor_fault_switches_off_at_once_and_leaves_its_words() {
+    last_words_of_all(Deed::Fault, |name, words, ended| {
+        let expected = format!("processor fault at 0x{NOWHERE:x}");
+        assert!(words.starts_with(&expected), "{name}: {words:?}");
+        // The jump into nowhere is ours; nothing else was touched.
+        let gaps = ended.rig.bench.bus().expect("the bench runs").gaps;
+        assert!(gaps.iter().all(|gap| gap.contains("60000000")), "{gaps:?}");
+    });
+}
+
+/// The words name the callers, innermost first, and so who panicked.
 #[test]
 fn a_panic_switches_off_at_once_and_leaves_its_callers() {
     let mut told = std::collections::BTreeSet::new();
-    for (client, name) in CLIENTS {
-        for moving in [false, true] {
-            let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
-            let mut ended = sabotaged(client, Deed::Panic, moving, cause, fault);
-            let took_ns = ended.reset_ns - ended.armed_ns;
-            assert!(took_ns <= 101_000_000, "{name}: reset after {took_ns} ns");
-            let words = ended.rig.device.last_words().expect("they are kept");
-            let callers = words.strip_prefix("panic, called from 0x");
-            let callers = callers.unwrap_or_else(|| panic!("{name}: {words:?}"));
-            let callers: Vec<u32> = callers
-                .split(" 0x")
-                .map(|number| u32::from_str_radix(number, 16).expect("an address"))
-                .collect();
-            // The handler's caller, the task, the executor, and where the executor runs.
-            assert!(callers.len() >= 4, "{name}: {words:?}");
-            let code = 0x0801_0000..0x0808_0000;
-            // What an interrupt returns to (Armv7-M ARM B1.5.8), where its handler's frame meets the interrupted one.
-            let exception = 0xFFFF_FFE0..=0xFFFF_FFFE;
-            assert!(
-                callers
-                    .iter()
-                    .all(|caller| code.contains(caller) || exception.contains(caller)),
-                "{name}: {words:?}"
-            );
-            told.insert((name, callers[1]));
-            mended(ended);
-        }
-    }
+    last_words_of_all(Deed::Panic, |name, words, _| {
+        let callers = words.strip_prefix("panic, called from 0x");
+        let callers = callers.unwrap_or_else(|| panic!("{name}: {words:?}"));
+        let callers: Vec<u32> = callers
+            .split(" 0x")
+            .map(|number| u32::from_str_radix(number, 16).expect("an address"))
+            .collect();
+        // The handler's caller, the task, the executor, and where the executor runs.
+        assert!(callers.len() >= 4, "{name}: {words:?}");
+        let code = 0x0801_0000..0x0808_0000;
+        // What an interrupt returns to (Armv7-M ARM B1.5.8), where its handler's frame meets the interrupted one.
+        let exception = 0xFFFF_FFE0..=0xFFFF_FFFE;
+        assert!(
+            callers
+                .iter()
+                .all(|caller| code.contains(caller) || exception.contains(caller)),
+            "{name}: {words:?}"
+        );
+        told.insert((name.to_owned(), callers[1]));
+    });
     assert_eq!(told.len(), CLIENTS.len(), "each at one place: {told:x?}");
 }
 
