@@ -67,7 +67,7 @@ fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
         rig.home();
     }
     assert!(places.len() > 150, "{} places", places.len());
-    rig.check_clean(0);
+    rig.check_clean_after(0, TRIALS as usize);
 }
 
 /// An E-stop that nobody has acknowledged is still one after a reset, released or not.

@@ -162,9 +162,10 @@ fn a_start_delay_is_part_of_the_total() {
 
 #[test]
 fn after_the_estop_no_edge_follows() {
+    const TRIALS: usize = 20;
     let mut dice = Dice(0x5EED_0001);
     let mut rig = homed();
-    for trial in 0..20 {
+    for trial in 0..TRIALS {
         let number = rig.edge_count() as u64 + dice.roll(1..208_000);
         rig.look(move |rig| rig.plan(When::Edge(number), Action::EStop(true)));
         let accepted = rig.device.run(paper(1)).expect("the run is accepted");
@@ -211,7 +212,7 @@ fn after_the_estop_no_edge_follows() {
         );
         rig.home();
     }
-    rig.check_clean(0);
+    rig.check_clean_after(0, TRIALS);
 }
 
 /// The fault's event is still on its way when the run's end is known; the next homing must not take it for its own.
