@@ -53,20 +53,20 @@ fn is_message(frame: &Frame<'_>) -> bool {
     }
 }
 
+/// Takes a frame's bytes; what `look` makes of it, if it is one.
+fn take<T>(bytes: &[u8], look: impl Fn(Frame<'_>) -> T) -> Option<T> {
+    let mut deframer = Deframer::new();
+    let mut bytes = bytes.iter();
+    bytes.find_map(|&byte| deframer.push(byte).map(&look))
+}
+
 /// Kind and body of every exemplar.
 fn messages() -> Vec<(Kind, Vec<u8>)> {
-    fn bodies<T: Serialize>(kind: Kind, messages: &[T]) -> Vec<(Kind, Vec<u8>)> {
-        let body = |message| (kind, postcard::to_stdvec(message).expect("it is finite"));
-        messages.iter().map(body).collect()
-    }
-    [
-        bodies(Kind::Request, &exemplars::requests()),
-        bodies(Kind::Reply, &exemplars::replies()),
-        bodies(Kind::Urgent, &[Urgent::Stop, Urgent::EStop]),
-        bodies(Kind::Telemetry, &exemplars::telemetry()),
-        bodies(Kind::Event, &exemplars::events()),
-    ]
-    .concat()
+    let parts = |frame: Frame<'_>| (frame.header.kind, frame.body().to_vec());
+    let frames = exemplars::frames::all().into_iter();
+    frames
+        .map(|(name, bytes)| take(&bytes, parts).expect(&name))
+        .collect()
 }
 
 /// Device and client, both in the middle of something: whatever can be taken is looked at.
@@ -113,10 +113,7 @@ impl Pair {
         let [reply] = &replies[..] else {
             panic!("{} replies to a greeting", replies.len());
         };
-        let mut deframer = Deframer::new();
-        let session = reply
-            .iter()
-            .find_map(|&byte| deframer.push(byte).map(|frame| frame.header.session));
+        let session = take(reply, |frame| frame.header.session);
         self.session = session.expect("a whole frame");
     }
 
@@ -229,12 +226,7 @@ fn frames_after_garbage(runs: u32, seed: u64) {
 fn a_byte_more_or_less_is_no_message() {
     let check = |kind, body: &[u8]| {
         let sent = frame(kind, 1, 2, &Raw(body.to_vec()));
-        let mut deframer = Deframer::new();
-        let taken = sent.iter().find_map(|&byte| {
-            let found = deframer.push(byte)?;
-            Some(is_message(&found))
-        });
-        taken.expect("its CRC is good")
+        take(&sent, |found| is_message(&found)).expect("its CRC is good")
     };
     for (kind, body) in messages() {
         assert!(check(kind, &body));
@@ -262,11 +254,7 @@ fn what_a_crc_lets_through_by_its_nature_is_no_message() {
         let mut block = vec![0; raw.len() + 2];
         let length = cobs::encode(&raw, &mut block);
         block[length] = 0;
-        let mut deframer = Deframer::new();
-        let taken = block[..=length].iter().find_map(|&byte| {
-            let found = deframer.push(byte)?;
-            Some(is_message(&found))
-        });
+        let taken = take(&block[..=length], |found| is_message(&found));
         assert_eq!(taken, Some(false), "{raw:02x?}");
     }
 }

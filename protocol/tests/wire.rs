@@ -5,86 +5,16 @@
 mod exemplars;
 
 use protocol::{
-    frame::{Deframer, Encoded, Header, Kind, MAX_BODY, encode},
+    frame::{Deframer, Kind, MAX_BODY, encode},
     system::{Event, Urgent},
     table::{Reply, Request, SCHEMA_KEY, TABLE, Telemetry},
 };
-use serde::Serialize;
-use std::{fmt::Debug, fmt::Write, fs, path::Path};
-
-fn frame<T: Serialize>(kind: Kind, body: &T) -> Encoded {
-    encode(
-        Header {
-            kind,
-            session: 0x5a,
-            seq: 0x1234,
-        },
-        body,
-    )
-    .expect("every message fits")
-}
-
-/// Name without its fields: `Rig(Homed { .. })` becomes `Rig.Homed`.
-fn name(value: &impl Debug) -> String {
-    let text = format!("{value:?}");
-    let mut name = String::new();
-    let mut words = text
-        .split(['(', ' ', ')', '{', ','])
-        .filter(|word| !word.is_empty());
-    while let Some(word) = words
-        .next()
-        .filter(|word| word.chars().all(char::is_alphanumeric))
-    {
-        if !name.is_empty() {
-            name.push('.');
-        }
-        name += word;
-        if name.matches('.').count() == 3 || word.chars().all(|c| c.is_ascii_digit()) {
-            break;
-        }
-    }
-    name
-}
-
-fn all_frames() -> Vec<(String, Encoded)> {
-    let mut frames = Vec::new();
-    for message in exemplars::requests() {
-        frames.push((
-            format!("request {}", name(&message)),
-            frame(Kind::Request, &message),
-        ));
-    }
-    for message in exemplars::replies() {
-        frames.push((
-            format!("reply {}", name(&message)),
-            frame(Kind::Reply, &message),
-        ));
-    }
-    for message in [Urgent::Stop, Urgent::EStop] {
-        frames.push((
-            format!("urgent {}", name(&message)),
-            frame(Kind::Urgent, &message),
-        ));
-    }
-    for message in exemplars::telemetry() {
-        frames.push((
-            format!("telemetry {}", name(&message)),
-            frame(Kind::Telemetry, &message),
-        ));
-    }
-    for message in exemplars::events() {
-        frames.push((
-            format!("event {}", name(&message.what)),
-            frame(Kind::Event, &message),
-        ));
-    }
-    frames
-}
+use std::{fmt::Write, fs, path::Path};
 
 #[test]
 fn golden_bytes_of_every_message() {
     let mut text = format!("schema key {SCHEMA_KEY:016x}\n");
-    for (name, frame) in all_frames() {
+    for (name, frame) in exemplars::frames::all() {
         let _ = write!(text, "{name:<48} ");
         for byte in &frame {
             let _ = write!(text, "{byte:02x}");
@@ -118,7 +48,7 @@ fn every_row_has_exemplars() {
             .any(|request| request.row().name == row.name);
         let response = exemplars::responses()
             .iter()
-            .any(|response| name(response).starts_with(row.name));
+            .any(|response| exemplars::frames::name(response).starts_with(row.name));
         assert!(request && response, "{} has no exemplar", row.name);
     }
 }
@@ -137,7 +67,7 @@ fn every_message_fits() {
 
 #[test]
 fn every_frame_comes_back() {
-    for (name, bytes) in all_frames() {
+    for (name, bytes) in exemplars::frames::all() {
         let mut deframer = Deframer::new();
         let (last, before) = bytes.split_last().unwrap();
         for byte in before {
@@ -159,23 +89,4 @@ fn every_frame_comes_back() {
         };
         assert_eq!(again.unwrap(), bytes, "{name}");
     }
-}
-
-#[test]
-fn trailing_bytes_are_not_a_message() {
-    let frame_bytes = encode(
-        Header {
-            kind: Kind::Request,
-            session: 1,
-            seq: 2,
-        },
-        &(exemplars::requests()[1].clone(), 0_u8),
-    );
-    let mut deframer = Deframer::new();
-    let bytes = frame_bytes.unwrap();
-    let (last, before) = bytes.split_last().unwrap();
-    before
-        .iter()
-        .for_each(|byte| assert!(deframer.push(*byte).is_none()));
-    assert_eq!(deframer.push(*last).unwrap().decode::<Request>(), None);
 }

@@ -1,5 +1,7 @@
 //! One exemplar of every message, with every field away from its default.
 
+pub mod frames;
+
 use heapless::Vec;
 use protocol::{capsule::*, error::*, rig::*, settings::*, system::*, table::*};
 
