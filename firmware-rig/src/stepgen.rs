@@ -207,6 +207,7 @@ impl StepGen {
     }
 
     /// Reads the progress of DMA. To be called at least once per round of the ring.
+    // Once per step: no call, although the image is optimised for size.
     #[inline(always)]
     pub fn update(&mut self) {
         let left = u32::from(DMA2.st(STREAM).ndtr().read().ndt());

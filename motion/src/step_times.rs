@@ -322,6 +322,7 @@ impl Ramp {
     }
 
     /// Corrects the predicted tick until it is the nearest one.
+    // Once per step: no call, although the image is optimised for size.
     #[inline(always)]
     fn settle(&mut self, k: u32, mut tick: u32, change: i64) {
         let double = 2 * self.steps;

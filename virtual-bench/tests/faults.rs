@@ -178,6 +178,37 @@ fn a_cut_jumper_is_found_within_a_few_hundred_steps() {
     }
 }
 
+/// At the speed of the paper's cruise the prepared steps, a round of the task and the prepared steps again, 20 ms in all,
+/// may pass before the brakes come on.
+#[test]
+fn a_cut_jumper_brakes_the_papers_run_within_20_ms() {
+    const CUT: usize = 50_000;
+    const CRUISE_NS: u64 = 35_040;
+    let mut rig = homed();
+    let first = rig.edge_count();
+    rig.look(move |rig| {
+        let edge = When::Edge((first + CUT) as u64);
+        rig.plan(edge, Action::Jumper(false));
+    });
+    let (_, record) = execute(&mut rig, paper(1));
+    assert!(matches!(
+        record.outcome,
+        RunOutcome::Faulted(RigFault::ReadBack { .. })
+    ));
+    let edges: Vec<u64> = rig.edges(first).iter().map(|edge| edge.at_ns).collect();
+    let after = &edges[CUT - 1..];
+    let braking = after
+        .windows(2)
+        .find(|pair| pair[1] - pair[0] > CRUISE_NS)
+        .expect("it stops before the end");
+    let waited_ns = braking[0] - after[0];
+    assert!(waited_ns <= 20_000_000, "{waited_ns} ns");
+    // Then 0.64 mm from 35.7 mm/s: 510 steps and what is rounded up.
+    let braked = edges.len() - edges.partition_point(|&at| at <= braking[0]);
+    assert!(braked <= 511, "{braked} steps");
+    rig.check_clean(0);
+}
+
 #[test]
 fn a_bouncing_flag_is_homed_on_and_a_dead_one_is_not() {
     let options = RigOptions {
