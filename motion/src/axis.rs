@@ -4,11 +4,29 @@
 
 use core::fmt;
 
-use crate::units::{Micrometres, Nanometres, Steps, TICK_HZ};
+use crate::units::{Micrometres, Nanometres, StepPosition, Steps, TICK_HZ, Window};
 use crate::wide::{div_ceil, div_nearest};
 
 /// The longest stroke that can be configured: the paper's, 130 mm.
 pub const MAX_STROKE: Micrometres = Micrometres(130_000);
+
+/// Shortest and longest lead of a screw, um per turn.
+const LEADS_UM: (u32, u32) = (500, 50_000);
+/// Most full steps of a motor per turn.
+const MAX_FULL_STEPS: u16 = 400;
+/// Most microsteps per full step.
+const MAX_MICROSTEPS: u16 = 256;
+
+/// Steps of the longest stroke on the finest axis: 26.6 M.
+pub const MAX_STROKE_STEPS: Steps = {
+    let steps_per_rev = MAX_FULL_STEPS as u64 * MAX_MICROSTEPS as u64;
+    let steps = MAX_STROKE.0 as u64 * steps_per_rev / LEADS_UM.0 as u64;
+    assert!(
+        steps <= i32::MAX as u64,
+        "every position of every axis fits i32"
+    );
+    Steps(steps as u32)
+};
 
 /// One linear axis: lead screw, stepper, driver's microsteps and the configured stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,13 +65,13 @@ impl Axis {
         microsteps: u16,
         stroke_um: u32,
     ) -> Result<Self, AxisError> {
-        if lead_um < 500 || lead_um > 50_000 {
+        if lead_um < LEADS_UM.0 || lead_um > LEADS_UM.1 {
             return Err(AxisError::Lead { lead_um });
         }
-        if full_steps_per_rev != 200 && full_steps_per_rev != 400 {
+        if full_steps_per_rev != 200 && full_steps_per_rev != MAX_FULL_STEPS {
             return Err(AxisError::FullSteps { full_steps_per_rev });
         }
-        if !microsteps.is_power_of_two() || microsteps > 256 {
+        if !microsteps.is_power_of_two() || microsteps > MAX_MICROSTEPS {
             return Err(AxisError::Microsteps { microsteps });
         }
         if stroke_um == 0 || stroke_um > MAX_STROKE.0 {
@@ -107,13 +125,18 @@ impl Axis {
         self.full_steps_per_rev as u32 * self.microsteps as u32
     }
 
-    /// The last step inside the configured stroke.
+    /// The last step inside the configured stroke, at most [`MAX_STROKE_STEPS`].
     #[must_use]
     pub const fn stroke_steps(&self) -> Steps {
-        match self.steps_within(Micrometres(self.stroke_um)) {
-            Some(steps) => steps,
-            // 130,000 um at 102,400 steps per 500 um are 26.6 M steps.
-            None => Steps(u32::MAX),
+        Steps(self.whole_steps(Micrometres(self.stroke_um)) as u32)
+    }
+
+    /// All positions of the configured stroke, home and far end included.
+    #[must_use]
+    pub const fn stroke_window(&self) -> Window {
+        Window {
+            first: self.home().signed(),
+            last: self.far().signed(),
         }
     }
 
@@ -121,11 +144,15 @@ impl Axis {
     /// [`Axis::length_of`] tells what was achieved. None above `u32::MAX` steps.
     #[must_use]
     pub const fn steps_within(&self, length: Micrometres) -> Option<Steps> {
-        let steps = length.0 as u64 * self.ratio.steps as u64 / self.ratio.um as u64;
+        let steps = self.whole_steps(length);
         if steps > u32::MAX as u64 {
             return None;
         }
         Some(Steps(steps as u32))
+    }
+
+    const fn whole_steps(&self, length: Micrometres) -> u64 {
+        length.0 as u64 * self.ratio.steps as u64 / self.ratio.um as u64
     }
 
     /// The length of a number of steps, to the nearest nanometre.
@@ -260,15 +287,23 @@ impl Position {
         Steps(self.steps)
     }
 
+    /// The same position on the counter's scale.
+    #[must_use]
+    pub const fn signed(self) -> StepPosition {
+        // At most MAX_STROKE_STEPS, which fits.
+        StepPosition(self.steps as i32)
+    }
+
     /// Which way and how far `to` is from here; none if it is here.
     #[must_use]
-    pub fn way_to(self, to: Self) -> Option<(Direction, Steps)> {
-        let distance = Steps(self.steps.abs_diff(to.steps));
-        match self.steps.cmp(&to.steps) {
-            core::cmp::Ordering::Less => Some((Direction::Away, distance)),
-            core::cmp::Ordering::Greater => Some((Direction::Home, distance)),
-            core::cmp::Ordering::Equal => None,
-        }
+    pub const fn way_to(self, to: Self) -> Option<(Direction, Steps)> {
+        self.signed().way_to(to.signed())
+    }
+}
+
+impl From<Position> for StepPosition {
+    fn from(position: Position) -> Self {
+        position.signed()
     }
 }
 
@@ -280,6 +315,60 @@ pub enum Direction {
     Away,
     /// Toward home: to the right, positions shrink. The return stroke.
     Home,
+}
+
+impl Direction {
+    /// What one step adds to a position: +1 away from home, -1 toward home.
+    #[must_use]
+    pub const fn sign(self) -> i32 {
+        match self {
+            Self::Away => 1,
+            Self::Home => -1,
+        }
+    }
+}
+
+impl StepPosition {
+    /// The position `by` steps further in `direction`; none if it does not fit `i32`.
+    #[must_use]
+    pub const fn moved(self, direction: Direction, by: Steps) -> Option<Self> {
+        let moved = match direction {
+            Direction::Away => self.0.checked_add_unsigned(by.0),
+            Direction::Home => self.0.checked_sub_unsigned(by.0),
+        };
+        match moved {
+            Some(steps) => Some(Self(steps)),
+            None => None,
+        }
+    }
+
+    /// Which way and how far `to` is from here; none if it is here.
+    #[must_use]
+    pub const fn way_to(self, to: Self) -> Option<(Direction, Steps)> {
+        let direction = if self.0 < to.0 {
+            Direction::Away
+        } else if self.0 > to.0 {
+            Direction::Home
+        } else {
+            return None;
+        };
+        Some((direction, self.distance_to(to)))
+    }
+}
+
+impl Window {
+    /// Steps that can be made from `position` in `direction` without leaving the window; 0 from
+    /// its edge and from everywhere outside.
+    #[must_use]
+    pub const fn room(&self, position: StepPosition, direction: Direction) -> Steps {
+        if !self.contains(position) {
+            return Steps(0);
+        }
+        match direction {
+            Direction::Away => position.distance_to(self.last),
+            Direction::Home => position.distance_to(self.first),
+        }
+    }
 }
 
 /// A speed above zero on an axis, exact.

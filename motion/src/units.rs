@@ -13,6 +13,24 @@ pub const TICKS_PER_US: u64 = TICK_HZ / 1_000_000;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Steps(pub u32);
 
+/// A carriage position in microsteps as a counter holds it: 0 is home, positive is away from home.
+///
+/// Unlike [`crate::axis::Position`] it may lie outside the stroke, and before homing it means
+/// nothing at all. Methods that take a direction stand beside [`crate::axis::Direction`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct StepPosition(pub i32);
+
+/// Positions from `first` to `last`, both included. With `first` above `last` it is empty.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Window {
+    /// The position nearest to home.
+    pub first: StepPosition,
+    /// The position farthest from home.
+    pub last: StepPosition,
+}
+
 /// A length in micrometres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -27,6 +45,44 @@ pub struct Nanometres(pub u64);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Ticks(pub u64);
+
+impl StepPosition {
+    /// The zero of the counter.
+    pub const HOME: Self = Self(0);
+
+    /// Steps from `other` to here, positive if here is farther from home.
+    ///
+    /// Wraps if the two are 2^31 steps apart or more. No axis gets there: its stroke holds fewer
+    /// than 2^25 steps, and at 1 MHz, the highest step rate, 2^31 steps take 35 minutes one way.
+    #[must_use]
+    pub const fn since(self, other: Self) -> i32 {
+        self.0.wrapping_sub(other.0)
+    }
+
+    /// Steps between the two, exact for any two positions.
+    #[must_use]
+    pub const fn distance_to(self, other: Self) -> Steps {
+        Steps(self.0.abs_diff(other.0))
+    }
+}
+
+impl Window {
+    /// From one position to the other, in either order.
+    #[must_use]
+    pub const fn between(a: StepPosition, b: StepPosition) -> Self {
+        if a.0 <= b.0 {
+            Self { first: a, last: b }
+        } else {
+            Self { first: b, last: a }
+        }
+    }
+
+    /// Whether the position is inside; both ends are.
+    #[must_use]
+    pub const fn contains(&self, position: StepPosition) -> bool {
+        self.first.0 <= position.0 && position.0 <= self.last.0
+    }
+}
 
 impl Nanometres {
     /// To the nearest micrometre, half upward.
@@ -56,6 +112,13 @@ impl Ticks {
 impl fmt::Display for Steps {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} steps", self.0)
+    }
+}
+
+/// As `step -3`.
+impl fmt::Display for StepPosition {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "step {}", self.0)
     }
 }
 
