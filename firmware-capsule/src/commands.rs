@@ -1,39 +1,54 @@
 //! Requests to replies: the only place where the protocol's messages meet the state machine.
 
 use crate::fold::{Actions, Capsule, Command, Drive, Event};
+use device::{
+    common::{About, asked_telemetry_ms},
+    settings::Values,
+};
 use protocol::{
     capsule::{ActuationAccepted, ActuationKind, CapsuleFault, CapsuleStatus, CapsuleTelemetry},
-    error::{Field, Refusal},
-    events::EventRing,
-    system::{Done, LastWords, SetTelemetry, Urgent},
+    error::Refusal,
+    settings::{MAX_NAME, Setting, SettingKey, SettingRule},
+    system::{Done, Urgent},
     table::{Reply, Request, Response},
 };
 
-/// Shortest and longest telemetry interval.
-pub const TELEMETRY_MS: (u16, u16) = (5, 1_000);
+/// The settings that a capsule has.
+pub const SETTINGS: [SettingKey; 2] = [SettingKey::LinkTimeoutMs, SettingKey::TelemetryMs];
 
 /// What a request may need to know.
 pub struct Context<'a> {
     /// Device time.
     pub now_us: u64,
-    /// Events so far.
-    pub ring: &'a EventRing,
-    /// Text of the last panic or processor fault.
-    pub last_words: &'a str,
+    /// What common requests are answered from.
+    pub about: About<'a>,
 }
 
 /// What the caller has to do besides the machine's actions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Effect {
     /// Nothing.
     None,
-    /// Change the telemetry interval; 0 = off.
+    /// Change the interval of telemetry.
     Telemetry {
-        /// In ms.
+        /// In ms; 0 = none.
         period_ms: u16,
     },
     /// Record that a fault was acknowledged.
     Acknowledged,
+    /// Write this to flash; then it is in force.
+    Store(Change),
+}
+
+/// A change of the settings.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// One value.
+    Value(Setting),
+    /// The capsule's name.
+    Name(heapless::String<MAX_NAME>),
+    /// The defaults of all values and of the name.
+    Reset,
 }
 
 /// Outcome of a request.
@@ -72,10 +87,9 @@ pub fn execute(request: Request, capsule: &mut Capsule, context: &Context<'_>) -
         }
         (None, _) => Reply::Accepted(Response::Acknowledge(Done)),
     };
-    let effect = if command == Command::Acknowledge && actions.refusal.is_none() {
-        Effect::Acknowledged
-    } else {
-        Effect::None
+    let effect = match command {
+        Command::Acknowledge if actions.refusal.is_none() => Effect::Acknowledged,
+        _ => Effect::None,
     };
     Executed {
         reply,
@@ -85,62 +99,69 @@ pub fn execute(request: Request, capsule: &mut Capsule, context: &Context<'_>) -
 }
 
 fn answer(query: Request, capsule: &Capsule, context: &Context<'_>) -> Executed {
-    let mut effect = Effect::None;
-    let response = match query {
-        Request::KeepAlive(_) => Ok(Response::KeepAlive(Done)),
-        Request::GetLastWords(_) => Ok(Response::GetLastWords(LastWords {
-            text: context.last_words.try_into().unwrap_or_default(),
-        })),
-        Request::SetTelemetry(SetTelemetry { period_ms }) => {
-            telemetry_interval(period_ms).map(|()| {
-                effect = Effect::Telemetry { period_ms };
-                Response::SetTelemetry(SetTelemetry { period_ms })
-            })
-        }
-        Request::GetEvents(get) => Ok(Response::GetEvents(context.ring.since(get.from))),
-        Request::GetCapsuleStatus(_) => {
-            Ok(Response::GetCapsuleStatus(status(capsule, context.now_us)))
-        }
-        Request::GetActuationRecord(_) => Ok(Response::GetActuationRecord(*capsule.record())),
-        // A Hello is answered by the session.
-        Request::Hello(_)
-        | Request::GetRigStatus(_)
-        | Request::Home(_)
-        | Request::Run(_)
-        | Request::GetRunRecord(_)
-        | Request::Hold(_)
-        | Request::Resume(_)
-        | Request::Jog(_)
-        | Request::MoveTo(_)
-        | Request::GetSetting(_)
-        | Request::SetSetting(_)
-        | Request::FactoryReset(_)
-        | Request::GetName(_)
-        | Request::SetName(_)
-        | Request::GetRigHealth(_)
-        | Request::Reference(_)
-        | Request::Fold(_)
-        | Request::Unfold(_)
-        | Request::Acknowledge(_) => Err(Refusal::WrongDevice),
+    let (reply, effect) = match respond(query, capsule, context) {
+        Ok((response, effect)) => (Reply::Accepted(response), effect),
+        Err(refusal) => (Reply::Refused(refusal), Effect::None),
     };
     Executed {
-        reply: response.map_or_else(Reply::Refused, Reply::Accepted),
+        reply,
         actions: None,
         effect,
     }
 }
 
-fn telemetry_interval(period_ms: u16) -> Result<(), Refusal> {
-    let (min, max) = TELEMETRY_MS;
-    if period_ms == 0 || (min..=max).contains(&period_ms) {
-        return Ok(());
+fn respond(
+    query: Request,
+    capsule: &Capsule,
+    context: &Context<'_>,
+) -> Result<(Response, Effect), Refusal> {
+    if let Some(answer) = context.about.answer(&query) {
+        let response = answer?;
+        let effect = asked_telemetry_ms(&response)
+            .map_or(Effect::None, |period_ms| Effect::Telemetry { period_ms });
+        return Ok((response, effect));
     }
-    Err(Refusal::OutOfRange {
-        field: Field::PeriodMs,
-        requested: u64::from(period_ms),
-        min: u64::from(min),
-        max: u64::from(max),
-    })
+    // No task runs during an erase: not while the motor turns or brakes.
+    let at_rest = || match capsule.drive() {
+        Drive::Off if !capsule.is_moving() => Ok(()),
+        _ => Err(Refusal::CapsuleBusy(capsule.state())),
+    };
+    let response = match query {
+        Request::GetCapsuleStatus(_) => Response::GetCapsuleStatus(status(capsule, context.now_us)),
+        Request::GetActuationRecord(_) => Response::GetActuationRecord(*capsule.record()),
+        Request::SetSetting(setting) => {
+            at_rest()?;
+            let key = setting.key;
+            context.about.has(key)?;
+            let values = context.about.values.with(key, setting.value)?;
+            rule(&values).map_err(|rule| Refusal::SettingRule { key, rule })?;
+            let effect = Effect::Store(Change::Value(setting));
+            return Ok((Response::SetSetting(setting), effect));
+        }
+        Request::FactoryReset(_) => {
+            at_rest()?;
+            return Ok((Response::FactoryReset(Done), Effect::Store(Change::Reset)));
+        }
+        Request::SetName(name) => {
+            at_rest()?;
+            let effect = Effect::Store(Change::Name(name.name.clone()));
+            return Ok((Response::SetName(name), effect));
+        }
+        // The rig's; the others have been answered above, and a Hello by the session.
+        _ => return Err(Refusal::WrongDevice),
+    };
+    Ok((response, Effect::None))
+}
+
+/// The rule that a capsule's settings keep.
+///
+/// # Errors
+/// They do not.
+pub fn rule(values: &Values) -> Result<(), SettingRule> {
+    match values.get(SettingKey::TelemetryMs) {
+        1..=4 => Err(SettingRule::TelemetryInterval),
+        _ => Ok(()),
+    }
 }
 
 /// Carries out an urgent stop.

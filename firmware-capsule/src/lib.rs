@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod commands;
+pub mod control;
 pub mod detect;
 pub mod fold;
 pub mod mechanics;

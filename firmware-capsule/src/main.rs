@@ -4,29 +4,18 @@
 
 #[cfg(target_os = "none")]
 mod board;
-#[cfg(target_os = "none")]
-mod channels;
-#[cfg(target_os = "none")]
-mod panic;
-#[cfg(target_os = "none")]
-mod tasks;
-#[cfg(target_os = "none")]
-mod watchdog;
 
 #[cfg(target_os = "none")]
 mod start {
-    use crate::{board, panic, tasks, watchdog};
+    use crate::board::{pins, tasks};
     use defmt_rtt as _;
+    use device::{
+        chip::{retained, start},
+        identity::{identity, reset_cause},
+    };
     use embassy_executor::{InterruptExecutor, Spawner};
     use embassy_stm32::interrupt;
-    use firmware_capsule::fold::Capsule;
-    use protocol::{
-        VERSION,
-        capsule::CapsuleFault,
-        system::{BuildProfile, DeviceKind, Identity, ResetCause, Revision},
-        table::SCHEMA_KEY,
-    };
-    use static_cell::StaticCell;
+    use protocol::system::DeviceKind;
 
     static MOTOR_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 
@@ -39,53 +28,20 @@ mod start {
 
     #[embassy_executor::main]
     async fn main(spawner: Spawner) {
-        let (boot_id, last_words) = panic::start();
-        let board = board::init();
-        let reset_cause = match (&last_words, board::reset_cause()) {
-            (Some(_), ResetCause::Software) => ResetCause::Panic,
-            (_, cause) => cause,
-        };
-        let fault = match reset_cause {
-            ResetCause::Panic => Some(CapsuleFault::Panic),
-            ResetCause::Watchdog => Some(CapsuleFault::Watchdog),
-            _ => None,
-        };
-        let identity = Identity {
-            device: DeviceKind::Capsule,
-            protocol: VERSION,
-            schema_key: SCHEMA_KEY,
-            uid: board::uid(),
-            revision: Revision {
-                commit: u32::from_str_radix(env!("RETROGRADE_COMMIT"), 16).unwrap_or(0),
-                dirty: matches!(env!("RETROGRADE_DIRTY").as_bytes(), b"1"),
-            },
-            profile: if cfg!(debug_assertions) {
-                BuildProfile::Debug
-            } else {
-                BuildProfile::Firmware
-            },
-            boot_id,
-            reset_cause,
-            session: 0,
-        };
-        defmt::info!("{}", identity);
-        let start = tasks::control::Start {
-            capsule: Capsule::new(fault),
-            reset_cause,
-            last_words: last_words.unwrap_or_default(),
-        };
-
-        static RECEIVE_BUFFER: StaticCell<[u8; 512]> = StaticCell::new();
-        let (transmitter, receiver) = board.uart.split();
-        let receiver = receiver.into_ring_buffered(RECEIVE_BUFFER.init([0; 512]));
+        let left = retained::start();
+        let board = pins::init();
+        let cause = reset_cause(start::reset_cause(), left.last_words.is_some());
+        let identity = identity(DeviceKind::Capsule, start::uid(), left.boot_id, cause);
+        defmt::info!("capsule, start {=u32}, {}", left.boot_id, cause);
+        let (transmitter, receiver) = board.serial;
 
         let motor_spawner = MOTOR_EXECUTOR.start(interrupt::SPI5);
-        motor_spawner.spawn(defmt::unwrap!(tasks::motor::motor(board.drive_train)));
-        spawner.spawn(defmt::unwrap!(tasks::control::control(start)));
-        spawner.spawn(defmt::unwrap!(tasks::link::transmit(transmitter)));
-        spawner.spawn(defmt::unwrap!(tasks::link::receive(receiver, identity)));
-        spawner.spawn(defmt::unwrap!(tasks::telemetry::telemetry()));
-        spawner.spawn(defmt::unwrap!(watchdog::watchdog(board.watchdog)));
+        motor_spawner.spawn(defmt::unwrap!(tasks::motor(board.drive_train)));
+        spawner.spawn(defmt::unwrap!(tasks::control(board.sectors, left, cause)));
+        spawner.spawn(defmt::unwrap!(tasks::transmit(transmitter)));
+        spawner.spawn(defmt::unwrap!(tasks::receive(receiver, identity)));
+        spawner.spawn(defmt::unwrap!(tasks::telemetry()));
+        spawner.spawn(defmt::unwrap!(tasks::watchdog(board.watchdog)));
     }
 }
 

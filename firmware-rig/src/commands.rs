@@ -1,45 +1,31 @@
-//! Requests to replies: the only place where the protocol meets motion and the state machine.
+//! Requests to replies: from the protocol's words to the state machine's, and back.
 
 use crate::{
-    machine::{Actions, Command, Machine},
-    settings::{Settings, Values},
+    machine::{Actions, Command, Event, Machine, Now},
+    settings::Settings,
 };
-use motion::{
-    axis::{Axis, Direction},
-    run::{MAX_CYCLES, RunError, RunPlan, RunRequest, Timing},
-    trapezoid::StrokeProfile,
-    units::{Micrometres, TICK_HZ},
+use device::{
+    common::{About, asked_telemetry_ms},
+    settings::Values,
 };
+use motion::{run::RunPlan, units::Micrometres};
 use protocol::{
     error::{Field, Refusal},
-    events::EventRing,
-    rig::{
-        self, LinkLossPolicy, RigFault, RigHealth, RigInputs, RigStatus, RunAccepted, RunTiming,
-        Sense, Stroke,
-    },
-    settings::{GetSetting, MAX_NAME, Name, Setting, SettingKey},
-    system::{Done, LastWords, SetTelemetry},
+    rig::{self, LinkLossPolicy, RigFault, RigHealth, RigStatus, RunTiming},
+    settings::{MAX_NAME, Setting, SettingKey},
+    system::Done,
     table::{Reply, Request, Response},
 };
 
 /// What a request may need to know.
+#[derive(Debug)]
 pub struct Context<'a> {
-    /// Device time.
-    pub now_us: u64,
-    /// Position by the read-back counter.
-    pub position: i32,
-    /// Inputs.
-    pub inputs: RigInputs,
+    /// Time, position and inputs.
+    pub now: Now,
     /// Stroke in progress.
     pub stroke: u32,
-    /// Events so far.
-    pub ring: &'a EventRing,
-    /// Text of the last panic or processor fault.
-    pub last_words: &'a str,
-    /// Settings, value by value.
-    pub values: &'a Values,
-    /// The rig's name.
-    pub name: &'a str,
+    /// What common requests are answered from.
+    pub about: About<'a>,
     /// Counters, when they are asked for.
     pub health: Option<RigHealth>,
 }
@@ -51,9 +37,9 @@ pub struct Context<'a> {
 pub enum Effect {
     /// Nothing.
     None,
-    /// Change the telemetry interval; 0 = off.
+    /// Change the interval of telemetry.
     Telemetry {
-        /// In ms.
+        /// In ms; 0 = none.
         period_ms: u16,
     },
     /// Record that a fault was acknowledged.
@@ -71,9 +57,7 @@ pub enum Change {
     Value {
         /// The value as accepted.
         setting: Setting,
-        /// All values.
-        values: Values,
-        /// What they give.
+        /// The settings with it.
         settings: Settings,
     },
     /// The rig's name.
@@ -82,16 +66,28 @@ pub enum Change {
     Reset,
 }
 
+/// Outcome of a request.
+#[derive(Clone, Debug)]
+pub struct Executed {
+    /// To the host.
+    pub reply: Reply,
+    /// From the machine.
+    pub actions: Actions,
+    /// The rest.
+    pub effect: Effect,
+}
+
 /// Carries out one request.
-pub fn execute(
-    request: Request,
-    machine: &mut Machine,
-    context: &Context<'_>,
-    actions: &mut Actions,
-) -> (Reply, Effect) {
-    match respond(request, machine, context, actions) {
+pub fn execute(request: Request, machine: &mut Machine, context: &Context<'_>) -> Executed {
+    let mut actions = Actions::default();
+    let (reply, effect) = match respond(request, machine, context, &mut actions) {
         Ok((response, effect)) => (Reply::Accepted(response), effect),
         Err(refusal) => (Reply::Refused(refusal), Effect::None),
+    };
+    Executed {
+        reply,
+        actions,
+        effect,
     }
 }
 
@@ -101,28 +97,17 @@ fn respond(
     context: &Context<'_>,
     actions: &mut Actions,
 ) -> Result<(Response, Effect), Refusal> {
+    if let Some(answer) = context.about.answer(&request) {
+        let response = answer?;
+        let effect = asked_telemetry_ms(&response)
+            .map_or(Effect::None, |period_ms| Effect::Telemetry { period_ms });
+        return Ok((response, effect));
+    }
     let mut command = |machine: &mut Machine, command| {
-        machine.command(
-            context.now_us,
-            command,
-            context.position,
-            context.inputs,
-            actions,
-        )
+        *actions = machine.step(&context.now, Event::Command(command));
+        actions.refusal.map_or(Ok(()), Err)
     };
     let response = match request {
-        Request::KeepAlive(_) => Response::KeepAlive(Done),
-        Request::GetLastWords(_) => Response::GetLastWords(LastWords {
-            text: context.last_words.try_into().unwrap_or_default(),
-        }),
-        Request::SetTelemetry(SetTelemetry { period_ms }) => {
-            if period_ms != 0 {
-                in_range(Field::PeriodMs, period_ms, 5, 1000)?;
-            }
-            let response = Response::SetTelemetry(SetTelemetry { period_ms });
-            return Ok((response, Effect::Telemetry { period_ms }));
-        }
-        Request::GetEvents(get) => Response::GetEvents(context.ring.since(get.from)),
         Request::Acknowledge(_) => {
             command(machine, Command::Acknowledge)?;
             return Ok((Response::Acknowledge(Done), Effect::Acknowledged));
@@ -139,14 +124,10 @@ fn respond(
         }
         Request::Run(requested) => {
             let plan = solve(&requested, machine)?;
-            command(
-                machine,
-                Command::Run {
-                    plan,
-                    link_loss: requested.link_loss,
-                },
-            )?;
-            Response::Run(accepted(machine, requested, &plan))
+            let link_loss = requested.link_loss;
+            command(machine, Command::Run { plan, link_loss })?;
+            let (run, axis) = (machine.record().run, &machine.settings().axis);
+            Response::Run(planning::accepted(run, requested, &plan, axis))
         }
         Request::GetRunRecord(_) => Response::GetRunRecord(*machine.record()),
         Request::Hold(_) => {
@@ -158,56 +139,46 @@ fn respond(
             Response::Resume(Done)
         }
         Request::Jog(rig::Jog { sense, speed_um_s }) => {
-            let direction = match sense {
-                Sense::Away => Direction::Away,
-                Sense::Home => Direction::Home,
-            };
+            let direction = planning::direction(sense);
             let speed = machine.settings().speed(speed_um_s)?;
             command(machine, Command::Jog { direction, speed })?;
             Response::Jog(Done)
         }
         Request::MoveTo(requested) => {
             let settings = machine.settings();
-            let axis = &settings.axis;
-            let (position_um, max) = (requested.position_um, axis.stroke().0);
-            in_range(Field::PositionUm, position_um, 0, max.into())?;
+            let position_um = requested.position_um;
+            let target = settings.axis.position_um(Micrometres(position_um));
+            let target = target.map_err(|_| Refusal::OutOfRange {
+                field: Field::PositionUm,
+                requested: position_um.into(),
+                min: 0,
+                max: settings.axis.stroke().0.into(),
+            })?;
             let speed = settings.speed(requested.speed_um_s)?;
-            let target = axis
-                .position_um(Micrometres(position_um))
-                .map_err(|_| Refusal::AlreadyThere)?;
             command(machine, Command::MoveTo { target, speed })?;
             // The same that the machine has just ordered.
             let settings = machine.settings();
-            let from_steps = context.position;
-            let to_steps = i32::try_from(target.steps().0).unwrap_or(i32::MAX);
-            let profile = settings.move_profile(to_steps - from_steps, speed)?;
+            let (from, to) = (context.now.position, target.signed());
+            let profile = settings.move_profile(from.distance_to(to), speed)?;
             Response::MoveTo(rig::MoveAccepted {
-                from_steps,
-                to_steps,
-                stroke: stroke(&settings.axis, &profile),
+                from_steps: from.0,
+                to_steps: to.0,
+                stroke: planning::stroke(&profile, &settings.axis),
             })
         }
-        Request::GetSetting(GetSetting { key }) => Response::GetSetting(Setting {
-            key,
-            value: context.values.get(key),
-        }),
         Request::SetSetting(setting) => {
             machine.may_change_settings()?;
-            let (values, settings) = context.values.with(setting.key, setting.value)?;
-            let change = Change::Value {
-                setting,
-                values,
-                settings,
-            };
+            let values = context.about.values.with(setting.key, setting.value)?;
+            let key = setting.key;
+            let settings =
+                Settings::new(&values).map_err(|rule| Refusal::SettingRule { key, rule })?;
+            let change = Change::Value { setting, settings };
             return Ok((Response::SetSetting(setting), Effect::Store(change)));
         }
         Request::FactoryReset(_) => {
             machine.may_change_settings()?;
             return Ok((Response::FactoryReset(Done), Effect::Store(Change::Reset)));
         }
-        Request::GetName(_) => Response::GetName(Name {
-            name: context.name.try_into().unwrap_or_default(),
-        }),
         Request::SetName(name) => {
             machine.may_change_settings()?;
             let change = Change::Name(name.name.clone());
@@ -216,28 +187,15 @@ fn respond(
         Request::GetRigHealth(_) => {
             Response::GetRigHealth(context.health.ok_or(Refusal::WrongDevice)?)
         }
-        Request::Hello(_)
-        | Request::GetCapsuleStatus(_)
-        | Request::Reference(_)
-        | Request::Fold(_)
-        | Request::Unfold(_)
-        | Request::GetActuationRecord(_) => return Err(Refusal::WrongDevice),
+        // The capsule's; the others have been answered above, and a Hello by the session.
+        _ => return Err(Refusal::WrongDevice),
     };
     Ok((response, Effect::None))
 }
 
 /// The start button was pressed: what [`Command::Button`] says, with the run that the settings describe.
 ///
-/// # Errors
-/// The refusal; nothing moves.
-pub fn press_button(
-    machine: &mut Machine,
-    values: &Values,
-    now_us: u64,
-    position: i32,
-    inputs: RigInputs,
-    actions: &mut Actions,
-) -> Result<(), Refusal> {
+pub fn press_button(machine: &mut Machine, values: &Values, now: &Now) -> Actions {
     let run = rig::Run {
         // The range of the setting fits.
         cycles: values.get(SettingKey::ButtonCycles) as u16,
@@ -252,37 +210,23 @@ pub fn press_button(
         link_loss: LinkLossPolicy::Finish,
     };
     let plan = solve(&run, machine).ok();
-    machine.command(now_us, Command::Button(plan), position, inputs, actions)
-}
-
-fn in_range(field: Field, requested: impl Into<u64>, min: u64, max: u64) -> Result<(), Refusal> {
-    let requested = requested.into();
-    if (min..=max).contains(&requested) {
-        Ok(())
-    } else {
-        Err(Refusal::OutOfRange {
-            field,
-            requested,
-            min,
-            max,
-        })
-    }
+    machine.step(now, Event::Command(Command::Button(plan)))
 }
 
 fn status(machine: &Machine, context: &Context<'_>) -> RigStatus {
     let axis = &machine.settings().axis;
     let running = machine.state() == rig::RigState::Running;
     RigStatus {
-        time_us: context.now_us,
+        time_us: context.now.time_us,
         state: machine.state(),
         fault: machine.fault(),
         homed: machine.homed(),
-        position_steps: context.position,
-        position_um: machine.settings().um(context.position),
+        position_steps: context.now.position.0,
+        position_um: machine.settings().um(context.now.position),
         stroke_um: axis.stroke().0,
         steps_per_rev: axis.steps_per_rev(),
         lead_um: axis.lead().0,
-        inputs: context.inputs,
+        inputs: context.now.inputs,
         run: machine.record().run,
         stroke: if running {
             context.stroke
@@ -291,7 +235,7 @@ fn status(machine: &Machine, context: &Context<'_>) -> RigStatus {
         },
         strokes: machine.strokes(),
         elapsed_us: if running {
-            context.now_us.saturating_sub(machine.started_us())
+            context.now.time_us.saturating_sub(machine.started_us())
         } else {
             0
         },
@@ -301,143 +245,6 @@ fn status(machine: &Machine, context: &Context<'_>) -> RigStatus {
 
 /// Solves a run exactly, or says why not.
 fn solve(run: &rig::Run, machine: &Machine) -> Result<RunPlan, Refusal> {
-    let settings = machine.settings();
-    let timing = match run.timing {
-        RunTiming::Total {
-            total_us,
-            accel_um_s2,
-        } => Timing::Total {
-            total_us,
-            accel_um_s2,
-        },
-        RunTiming::Speeds {
-            forward_um_s,
-            return_um_s,
-            accel_um_s2,
-        } => Timing::Speeds {
-            forward_um_s,
-            return_um_s,
-            accel_um_s2,
-        },
-    };
-    let request = RunRequest {
-        cycles: run.cycles,
-        stroke_um: run.stroke_um,
-        timing,
-        far_dwell_us: run.far_dwell_us,
-        home_dwell_us: run.home_dwell_us,
-        start_delay_us: run.start_delay_us,
-    };
-    RunPlan::solve(&settings.axis, &settings.limits, &request)
-        .map_err(|error| refusal(&error, run, settings))
-}
-
-fn accepted(machine: &Machine, requested: rig::Run, plan: &RunPlan) -> RunAccepted {
-    let axis = &machine.settings().axis;
-    RunAccepted {
-        run: machine.record().run,
-        requested,
-        forward: stroke(axis, plan.forward()),
-        back: stroke(axis, plan.return_()),
-        total_ticks: plan.total().0,
-        edges: plan.edges(),
-        plan_hash: plan.hash(),
-    }
-}
-
-fn stroke(axis: &Axis, profile: &StrokeProfile) -> Stroke {
-    Stroke {
-        steps: profile.steps().0,
-        duration_ticks: profile.duration().0,
-        ramp_ticks: profile.ramp().0,
-        peak_um_s: profile.peak_um_s(axis),
-        accel_um_s2: profile.accel_um_s2(axis),
-    }
-}
-
-/// The wire's words for what the solver found.
-fn refusal(error: &RunError, run: &rig::Run, settings: &Settings) -> Refusal {
-    let (axis, limits) = (&settings.axis, &settings.limits);
-    let out_of_range = |field, requested: u64, min, max| Refusal::OutOfRange {
-        field,
-        requested,
-        min,
-        max,
-    };
-    match *error {
-        RunError::Cycles { cycles } => {
-            out_of_range(Field::Cycles, cycles.into(), 1, MAX_CYCLES.into())
-        }
-        RunError::Stroke { .. } | RunError::StrokeBelowOneStep { .. } => {
-            // The shortest stroke is one step, in whole micrometres.
-            let min = u64::from(axis.lead().0).div_ceil(u64::from(axis.steps_per_rev()));
-            out_of_range(
-                Field::StrokeUm,
-                run.stroke_um.into(),
-                min,
-                axis.stroke().0.into(),
-            )
-        }
-        RunError::AccelerationAboveLimit {
-            accel_um_s2,
-            max_um_s2,
-        } => out_of_range(Field::AccelUmS2, accel_um_s2.into(), 1, max_um_s2.into()),
-        RunError::SpeedAboveLimit {
-            speed_um_s,
-            max_um_s,
-        } => Refusal::SpeedLimit {
-            needed_um_s: speed_um_s.into(),
-            max_um_s: max_um_s.into(),
-        },
-        RunError::PeakAboveLimit {
-            peak_um_s,
-            max_um_s,
-            ..
-        } => Refusal::SpeedLimit {
-            needed_um_s: peak_um_s.into(),
-            max_um_s: max_um_s.into(),
-        },
-        RunError::TotalTooShort {
-            minimal_total_us,
-            minimal_accel_um_s2,
-        } => Refusal::TooFast {
-            requested_us: match run.timing {
-                RunTiming::Total { total_us, .. } => total_us,
-                RunTiming::Speeds { .. } => 0,
-            },
-            min_us: minimal_total_us,
-            // None: dwells use up all the time, and no acceleration would do.
-            min_accel_um_s2: minimal_accel_um_s2.unwrap_or(u64::MAX),
-        },
-        RunError::StepRate {
-            interval,
-            min_interval,
-            ..
-        } => Refusal::StepRateLimit {
-            needed_hz: TICK_HZ / interval.0.max(1),
-            max_hz: TICK_HZ / min_interval.0.max(1),
-        },
-        RunError::Turnaround {
-            before,
-            minimal_dwell_us,
-            ..
-        } => {
-            let (field, requested) = match before {
-                Direction::Home => (Field::FarDwellUs, run.far_dwell_us),
-                Direction::Away => (Field::HomeDwellUs, run.home_dwell_us),
-            };
-            out_of_range(field, requested.into(), minimal_dwell_us, u32::MAX.into())
-        }
-        // Zero, for nothing else is no speed or no acceleration.
-        RunError::Rate(_) => match run.timing {
-            RunTiming::Speeds {
-                forward_um_s: 0, ..
-            } => out_of_range(Field::ForwardUmS, 0, 1, limits.max_speed_um_s.into()),
-            RunTiming::Speeds { return_um_s: 0, .. } => {
-                out_of_range(Field::ReturnUmS, 0, 1, limits.max_speed_um_s.into())
-            }
-            _ => out_of_range(Field::AccelUmS2, 0, 1, limits.max_accel_um_s2.into()),
-        },
-        RunError::TooLong | RunError::Profile(_) => Refusal::TooSlow,
-    }
+    let Settings { axis, limits, .. } = machine.settings();
+    planning::solve(run, axis, limits).map_err(|error| planning::refusal(&error, run, axis, limits))
 }

@@ -10,6 +10,7 @@ use motion::{
     run::RunPlan,
     step_times::StepTimes,
     trapezoid::StrokeProfile,
+    units::{StepPosition, Steps, Window},
 };
 
 /// Longest period of the 16-bit step timer.
@@ -20,7 +21,7 @@ const MIN_PIECE: u64 = 32_768;
 const LAST_PULSE: u64 = 1_000;
 /// Blank period after the very last pulse, 10 us.
 const TAIL: u64 = 1_000;
-/// Repeated rounds last 0.8 ms at most, together: what is handed out can no longer be stopped.
+/// Repeated rounds last 0.8 ms at most, together: queued periods cannot be recalled.
 const LONGEST_REPETITION: u32 = 80_000;
 
 /// Equal rounds of the step timer.
@@ -143,16 +144,16 @@ pub struct Periods {
     /// The next period is the last pulse of a stroke: keep it short.
     short: bool,
     stopping: bool,
-    position: i32,
+    position: StepPosition,
     last_step: u64,
-    window: (i32, i32),
+    window: Window,
 }
 
 impl Periods {
     /// The periods of `path`, begun at `position`; no step outside `window` (both ends allowed) will be
     /// handed out, whatever the path says.
     /// A path without strokes has none.
-    pub fn new(path: Path, position: i32, window: (i32, i32)) -> Option<Self> {
+    pub fn new(path: Path, position: StepPosition, window: Window) -> Option<Self> {
         let stroke = path.first_stroke();
         let (start, profile, direction) = path.stroke(stroke)?;
         let mut times = StepTimes::new(profile);
@@ -181,7 +182,7 @@ impl Periods {
     }
 
     /// Position after everything handed out so far.
-    pub fn position(&self) -> i32 {
+    pub fn position(&self) -> StepPosition {
         self.position
     }
 
@@ -264,24 +265,20 @@ impl Periods {
     }
 
     /// Where the next step leads, if that is inside the window.
-    fn next_position(&self) -> Option<i32> {
-        let next = self.position.checked_add(sign(self.direction))?;
-        (self.window.0..=self.window.1)
-            .contains(&next)
-            .then_some(next)
+    fn next_position(&self) -> Option<StepPosition> {
+        let next = self.position.moved(self.direction, Steps(1))?;
+        self.window.contains(next).then_some(next)
     }
 
     /// The pulse at the cursor, with those that follow it at the same distance, inside the window.
     fn steps(&mut self) -> Period {
         let interval = self.times.interval().0;
-        let edge = match self.direction {
-            Direction::Away => self.window.1,
-            Direction::Home => self.window.0,
-        };
+        let room = self.window.room(self.position, self.direction).0;
         let most = (LONGEST_REPETITION / interval as u32 - 1).min(u32::from(u8::MAX));
-        let repeats = self.times.repeat(most.min(self.position.abs_diff(edge)));
+        let repeats = self.times.repeat(most.min(room));
         if repeats > 0 {
-            self.position += repeats as i32 * sign(self.direction);
+            // Inside the window, so within the range of positions.
+            self.position.0 += repeats as i32 * self.direction.sign();
             self.last_step += u64::from(repeats) * interval;
         }
         self.cursor = self.last_step + interval;
@@ -339,14 +336,6 @@ impl Periods {
         self.gap -= ticks;
         self.cursor += ticks;
         period
-    }
-}
-
-/// What a step adds to the position.
-fn sign(direction: Direction) -> i32 {
-    match direction {
-        Direction::Away => 1,
-        Direction::Home => -1,
     }
 }
 

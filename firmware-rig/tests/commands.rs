@@ -63,7 +63,7 @@ fn send(rig: &mut Rig, request: Request) -> (Reply, Effect, usize) {
     ring.record(7, What::Booted(ResetCause::PowerOn));
     let context = Context {
         now_us: 1_234,
-        position: rig.counted,
+        position: rig.ring.counted,
         inputs: rig.inputs(),
         stroke: 3,
         ring: &ring,
@@ -376,7 +376,7 @@ fn a_move_to_where_the_counter_stands_needs_a_position() {
         (RigState::Faulted, Refusal::RigFaulted(RigFault::EStopLoop)),
     ] {
         let mut rig = rig_in(state);
-        rig.counted = 0;
+        rig.ring.counted = 0;
         assert_eq!(refusal(&mut rig, request()), expected);
     }
 }
@@ -733,7 +733,7 @@ fn a_latched_fault_is_named_with_its_remedy() {
 fn a_run_starts_at_home_only() {
     let mut rig = rig_in(RigState::Stopping);
     rig.finish();
-    let position_um = rig.counted * 5 / 4;
+    let position_um = rig.ring.counted * 5 / 4;
     assert!(position_um > 0);
     let Refusal::NotAtHome { position_um: um } = refusal(&mut rig, Request::Run(PAPER)) else {
         panic!("not refused for its position")
@@ -751,7 +751,7 @@ fn status(rig: &mut Rig) -> RigStatus {
 #[test]
 fn status_shows_the_machine() {
     let mut rig = Rig::homed(SETTINGS);
-    rig.counted = -801;
+    rig.ring.counted = -801;
     assert_eq!(
         status(&mut rig),
         RigStatus {

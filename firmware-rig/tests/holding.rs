@@ -54,7 +54,7 @@ fn stand(rig: &mut Rig) {
 fn assert_complete(rig: &Rig, plan: &RunPlan, holds: u32) {
     assert_eq!(rig.fault(), None);
     assert_eq!(rig.machine.state(), RigState::Ready);
-    assert_eq!((rig.place, rig.counted), (0, 0));
+    assert_eq!((rig.place, rig.ring.counted), (0, 0));
     assert_eq!(rig.pulses, plan.edges());
     let record = rig.machine.record();
     assert_eq!(record.outcome, RunOutcome::Complete);
@@ -125,9 +125,9 @@ fn a_run_held_anywhere_completes_as_planned() {
                 assert_eq!(rig.command(Command::Resume), Err(Refusal::NothingToResume));
                 continue;
             }
-            let position_steps = rig.counted;
+            let position_steps = rig.ring.counted;
             assert_eq!(rig.events.last(), Some(&RigEvent::Held { position_steps }));
-            assert_eq!(rig.place, rig.counted);
+            assert_eq!(rig.place, rig.ring.counted);
             held_at_an_end += u32::from(rig.pulses.is_multiple_of(STROKE));
             stand(&mut rig);
             rig.command(Command::Resume).unwrap();
@@ -245,7 +245,7 @@ fn a_held_run_can_be_given_up() {
     hold(&mut rig);
     rig.events.clear();
     rig.command(Command::Stop).unwrap();
-    let (position_steps, outcome) = (rig.counted, RunOutcome::Stopped);
+    let (position_steps, outcome) = (rig.ring.counted, RunOutcome::Stopped);
     assert_eq!(
         rig.events,
         [
@@ -264,7 +264,7 @@ fn a_held_run_can_be_given_up() {
 fn a_stop_during_a_hold_wins() {
     let mut rig = started(slow());
     rig.pulses(2_000);
-    let begun = rig.pulses + rig.handed_out();
+    let begun = rig.pulses + rig.queued();
     rig.command(Command::Hold).unwrap();
     rig.pulses(20);
     rig.command(Command::Stop).unwrap();
@@ -348,9 +348,9 @@ fn a_count_that_changed_during_the_hold_is_a_fault() {
     let mut rig = started(slow());
     rig.pulses(2_000);
     hold(&mut rig);
-    let commanded = rig.counted;
-    rig.counted += 1;
-    let counted = rig.counted;
+    let commanded = rig.ring.counted;
+    rig.ring.counted += 1;
+    let counted = rig.ring.counted;
     let fault = RigFault::ReadBack { commanded, counted };
     assert_eq!(
         rig.command(Command::Resume),
@@ -404,7 +404,7 @@ fn a_flag_that_is_not_met_after_a_hold_is_lost_steps() {
         let stroke = rig.machine.settings().steps(stroke_um) as u64;
         rig.pulses(2 * stroke - 800 - early);
         hold(&mut rig);
-        let held_at = rig.counted;
+        let held_at = rig.ring.counted;
         let opened = held_at <= flag;
         seen.insert(held_at);
         rig.command(Command::Resume).unwrap();
@@ -434,7 +434,7 @@ fn a_flag_that_opens_at_rest_is_met() {
         let mut rig = started(plan(&SETTINGS, 1, 5_000, 20_000));
         rig.pulses(STROKE + 3_000);
         hold(&mut rig);
-        assert!(rig.counted > 805);
+        assert!(rig.ring.counted > 805);
         rig.event(Event::FlagEdge {
             opening: true,
             count,

@@ -37,7 +37,7 @@ mod homing {
             let rig = home_from(place, |_| ());
             assert_eq!(rig.machine.state(), RigState::Ready, "{place}");
             assert!(rig.machine.homed());
-            assert_eq!((rig.place, rig.counted), (0, 0), "{place}");
+            assert_eq!((rig.place, rig.ring.counted), (0, 0), "{place}");
             let homed = RigEvent::Homed {
                 repeat_steps: 0,
                 shift_steps: 0,
@@ -60,7 +60,7 @@ mod homing {
             shift_steps: -3,
         };
         assert_eq!(rig.events, [homed]);
-        assert_eq!((rig.place, rig.counted), (0, 0));
+        assert_eq!((rig.place, rig.ring.counted), (0, 0));
     }
 
     #[test]
@@ -126,7 +126,7 @@ mod homing {
         }
         rig.event(Event::FlagEdge {
             opening: true,
-            count: rig.counted,
+            count: rig.ring.counted,
         });
         rig.finish();
         assert_eq!(rig.fault(), Some(RigFault::FlagStuck));
@@ -173,7 +173,7 @@ mod homing {
     fn a_stop_in_each_phase_leaves_it_unhomed() {
         for rig in in_each_phase(|rig| rig.command(Command::Stop).unwrap()) {
             assert_eq!(rig.machine.state(), RigState::Unhomed);
-            let position_steps = rig.counted;
+            let position_steps = rig.ring.counted;
             assert_eq!(rig.events, [RigEvent::Stopped { position_steps }]);
         }
     }
@@ -251,7 +251,7 @@ mod running {
     fn assert_record(rig: &Rig, outcome: RunOutcome, strokes: u32) {
         let record = rig.machine.record();
         assert_eq!(record.outcome, outcome);
-        assert_eq!(record.commanded_edges, rig.pulses + rig.cut);
+        assert_eq!(record.commanded_edges, rig.pulses + rig.ring.cut);
         assert_eq!(record.counted_edges, rig.pulses);
         assert_eq!(record.strokes, strokes);
         assert_eq!(record.min_queue, 60);
@@ -343,8 +343,8 @@ mod running {
             rig.finish();
             assert_eq!(rig.machine.state(), RigState::Ready);
             assert!(rig.machine.homed());
-            assert_eq!(rig.place, rig.counted);
-            let position_steps = rig.counted;
+            assert_eq!(rig.place, rig.ring.counted);
+            let position_steps = rig.ring.counted;
             assert_eq!(rig.events.pop(), Some(RigEvent::Stopped { position_steps }));
             assert_eq!(rig.events.pop(), Some(ended(RunOutcome::Stopped)));
             assert_record(&rig, RunOutcome::Stopped, rig.events.len() as u32);
@@ -369,7 +369,7 @@ mod running {
         let mut actions = Actions::new();
         let command = Command::Stop;
         rig.machine
-            .command(0, command, rig.counted, CLOSED, &mut actions)
+            .command(0, command, rig.ring.counted, CLOSED, &mut actions)
             .unwrap();
         // The generator has not heard of it yet.
         rig.pulses(20);
@@ -396,7 +396,7 @@ mod running {
         rig.event(Event::LinkSilent);
         rig.finish();
         assert_eq!(rig.machine.state(), RigState::Ready);
-        assert_eq!(rig.place, rig.counted);
+        assert_eq!(rig.place, rig.ring.counted);
         assert_record(&rig, RunOutcome::LinkLost, 1);
 
         let mut rig = started(LinkLossPolicy::Finish);
@@ -436,7 +436,7 @@ mod running {
             rig.pulses(pulses);
             let strokes = rig.events.len() as u32;
             rig.press();
-            assert_eq!((rig.pulses, rig.place), (pulses, rig.counted));
+            assert_eq!((rig.pulses, rig.place), (pulses, rig.ring.counted));
             assert_record(&rig, RunOutcome::Faulted(RigFault::EStopLoop), strokes);
             assert_latched(rig, RigFault::EStopLoop);
 
@@ -606,7 +606,7 @@ mod running {
             rig.command(run(&small(), 5, 20_000, LinkLossPolicy::Stop))
                 .unwrap();
             rig.finish();
-            assert_eq!((rig.place, rig.counted), (0, 0));
+            assert_eq!((rig.place, rig.ring.counted), (0, 0));
             assert_eq!(rig.machine.record().worst_residual_steps, 0);
         }
         assert_eq!(rig.machine.record().run, 100);

@@ -36,7 +36,7 @@ fn rig_at(steps: u32) -> Rig {
         rig.command(move_to(steps, 40_000)).unwrap();
         rig.finish();
     }
-    assert_eq!((rig.place, rig.counted), (steps as i32, steps as i32));
+    assert_eq!((rig.place, rig.ring.counted), (steps as i32, steps as i32));
     rig.events.clear();
     rig.windows.clear();
     rig
@@ -69,7 +69,7 @@ mod jogging {
         let (last, place) = (rig.now - 250 * MS, rig.place);
         rig.finish();
         assert_eq!(rig.machine.state(), RigState::Ready);
-        let position_steps = rig.counted;
+        let position_steps = rig.ring.counted;
         assert_eq!(rig.events, [RigEvent::Stopped { position_steps }]);
         // Noticed within control's 10 ms; 10 mm/s and 1,000 mm/s2 take 10 ms and 40 steps to rest.
         let end = rig.last_pulse - last;
@@ -175,7 +175,7 @@ mod moves {
         let mut from = 0_i32;
         for to in [1, 0, 104_000, 2, 800, 799, 50_000, 0] {
             for speed in [500, 49_000] {
-                if rig.counted == to {
+                if rig.ring.counted == to {
                     continue;
                 }
                 if from.abs_diff(to) > 10_000 && speed == 500 {
@@ -184,7 +184,7 @@ mod moves {
                 rig.command(move_to(to as u32, speed)).unwrap();
                 assert_eq!(rig.machine.state(), RigState::Moving);
                 rig.finish();
-                assert_eq!((rig.place, rig.counted), (to, to));
+                assert_eq!((rig.place, rig.ring.counted), (to, to));
                 let position_steps = to;
                 assert_eq!(rig.events.pop(), Some(RigEvent::Moved { position_steps }));
                 assert_eq!(rig.windows.pop(), Some((from.min(to), from.max(to))));
@@ -209,14 +209,14 @@ mod moves {
                 let mut rig = rig_at(0);
                 rig.command(command).unwrap();
                 rig.pulses(1_000);
-                let prepared = 1 + rig.handed_out() as i32;
+                let prepared = 1 + rig.queued() as i32;
                 stop(&mut rig);
                 assert_eq!(rig.machine.state(), RigState::Stopping);
                 rig.finish();
                 assert_eq!(rig.machine.state(), RigState::Ready);
                 assert!(rig.machine.homed());
                 assert_eq!(rig.place, 1_000 + prepared + 40, "and what was prepared");
-                let position_steps = rig.counted;
+                let position_steps = rig.ring.counted;
                 assert_eq!(rig.events, [RigEvent::Stopped { position_steps }]);
                 // No run, no record.
                 assert_eq!(rig.machine.record().outcome, RunOutcome::None);
@@ -339,7 +339,7 @@ mod button {
             &mut rig.machine,
             values,
             now_us,
-            rig.counted,
+            rig.ring.counted,
             inputs,
             &mut actions,
         );

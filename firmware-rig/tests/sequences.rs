@@ -504,7 +504,7 @@ mod executed {
                             ends.held += u64::from(record.holds > 0);
                             assert_eq!(record.commanded_edges, edges, "held or not");
                             assert_eq!(record.counted_edges, edges);
-                            assert_eq!(rig.counted, 0);
+                            assert_eq!(rig.ring.counted, 0);
                         }
                     }
                     RigEvent::Moved { .. } => ends.moves += 1,
@@ -516,7 +516,7 @@ mod executed {
             let begun = before != RigState::Homing && rig.machine.state() == RigState::Homing;
             sound = (sound || begun) && !mishap;
             if rig.machine.homed() && sound {
-                assert_eq!(rig.place, rig.counted);
+                assert_eq!(rig.place, rig.ring.counted);
                 assert!((0..=80).contains(&rig.place));
             }
         }

@@ -1,22 +1,26 @@
 //! A carriage on its screw: carries out what the machine orders, pulse by pulse in virtual time, and answers with
-//! the events that the switches, the read-back counter and the step generator would raise.
+//! the events that the switches and the read-back counter would raise. The real execution fills its step ring.
 
 // Each test file uses a part of it.
 #![allow(dead_code)]
 
+pub mod ring;
+
 use firmware_rig::{
-    machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
-    periods::{Item, Period, Periods},
+    execution::{Mailbox, Motion, Order, Pace},
+    machine::{Action, Actions, Command, Event, Machine, Now},
     settings::Settings,
 };
 use motion::{
     axis::Direction,
     run::{RunPlan, RunRequest, Timing},
+    units::{StepPosition, Window},
 };
 use protocol::{
     error::Refusal,
     rig::{LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState},
 };
+use ring::{Ahead, Slots};
 
 /// All switches closed.
 pub const CLOSED: RigInputs = RigInputs {
@@ -25,13 +29,62 @@ pub const CLOSED: RigInputs = RigInputs {
     estop_loop: false,
 };
 
-/// The rig: machine, carriage, faults.
+/// What the machine is told of a carriage at rest.
+pub fn now(time_us: u64, position: i32, inputs: RigInputs) -> Now {
+    Now {
+        time_us,
+        position: StepPosition(position),
+        inputs,
+        glitches: 0,
+    }
+}
+
+/// What motion and control say to each other.
+#[derive(Debug, Default)]
+pub struct Mail {
+    order: Option<Order>,
+    stop: bool,
+    cut: bool,
+    notices: Vec<Event>,
+    pub stroke: u32,
+    pub commanded: i32,
+}
+
+impl Mailbox for Mail {
+    fn take_order(&mut self) -> Option<Order> {
+        let order = self.order.take()?;
+        (self.stop, self.cut) = (false, false);
+        Some(order)
+    }
+
+    fn is_cut(&self) -> bool {
+        self.cut
+    }
+
+    fn take_stop(&mut self) -> bool {
+        std::mem::take(&mut self.stop)
+    }
+
+    fn notify(&mut self, event: Event) -> bool {
+        self.notices.push(event);
+        true
+    }
+
+    fn show(&mut self, stroke: u32, commanded: StepPosition) {
+        (self.stroke, self.commanded) = (stroke, commanded.0);
+    }
+}
+
+/// The rig: machine, execution, carriage, faults.
 pub struct Rig {
     pub machine: Machine,
+    motion: Motion,
+    pub mail: Mail,
+    pub ring: Slots,
+    /// When motion looks after the ring next, 10 ns each.
+    next_round: u64,
     /// Where the carriage is, steps from where the reference lies.
     pub place: i32,
-    /// The read-back counter.
-    pub counted: i32,
     /// The home flag reads this, whatever the carriage does.
     pub stuck_flag: Option<bool>,
     /// The far limit reads open.
@@ -44,8 +97,6 @@ pub struct Rig {
     pub slipping: u32,
     /// So many times does the flag bounce when it opens.
     pub bounces: u32,
-    /// Pulses that were handed out and cut, since the start.
-    pub cut: u64,
     /// 10 ns each, since the start.
     pub now: u64,
     /// Pulses since the start.
@@ -55,10 +106,6 @@ pub struct Rig {
     pub events: Vec<RigEvent>,
     /// Windows of all paths.
     pub windows: Vec<(i32, i32)>,
-    path: Option<Periods>,
-    /// Rounds of the period in progress that are still to come.
-    rounds: Option<Period>,
-    stopping: bool,
     flag_open: bool,
 }
 
@@ -66,24 +113,23 @@ impl Rig {
     /// A rig after power-on with its carriage at `place`.
     pub fn new(settings: Settings, place: i32) -> Self {
         let mut rig = Self {
-            machine: Machine::new(settings, None),
+            machine: Machine::new(settings, None, 0),
+            motion: Motion::new(),
+            mail: Mail::default(),
+            ring: Slots::new(),
+            next_round: 0,
             place,
-            counted: 0,
             stuck_flag: None,
             far_wire_cut: false,
             pressed: false,
             jumper_cut: false,
             slipping: 0,
             bounces: 0,
-            cut: 0,
             now: 0,
             pulses: 0,
             last_pulse: 0,
             events: Vec::new(),
             windows: Vec::new(),
-            path: None,
-            rounds: None,
-            stopping: false,
             flag_open: false,
         };
         rig.flag_open = rig.inputs().home_flag;
@@ -92,15 +138,27 @@ impl Rig {
 
     /// The same, homed.
     pub fn homed(settings: Settings) -> Self {
-        let mut rig = Self::new(settings, settings.flag_steps() + 10);
+        Self::homed_with(settings, Ahead::Nothing)
+    }
+
+    /// The same with a ring that queues ahead.
+    pub fn homed_with(settings: Settings, ahead: Ahead) -> Self {
+        let mut rig = Self::new(settings, settings.flag.0 + 10);
+        rig.ring.ahead = ahead;
         rig.command(Command::Home).unwrap();
         rig.finish();
         assert_eq!(rig.machine.state(), RigState::Ready);
-        assert_eq!((rig.place, rig.counted), (0, 0));
+        assert_eq!((rig.place, rig.ring.counted), (0, 0));
         rig.events.clear();
         rig.windows.clear();
         rig.pulses = 0;
+        rig.ring.cut = 0;
         rig
+    }
+
+    /// The read-back counter.
+    pub fn counted(&self) -> i32 {
+        self.ring.counted
     }
 
     fn stroke(&self) -> i32 {
@@ -109,147 +167,155 @@ impl Rig {
 
     /// The end of travel, on either side, lies half an overtravel behind the stroke.
     fn beyond_end(&self) -> bool {
-        let settings = self.machine.settings();
-        let margin = settings.steps(settings.overtravel_um) / 2;
+        let margin = self.machine.settings().overtravel.0 as i32 / 2;
         self.place < -margin || self.place > self.stroke() + margin
     }
 
     pub fn inputs(&self) -> RigInputs {
-        let flag = self.place <= self.machine.settings().flag_steps();
+        let settings = self.machine.settings();
+        let flag = self.place <= settings.flag.0;
+        // A millimetre behind the stroke.
+        let limit =
+            self.stroke() + (settings.axis.steps_per_rev() * 1_000 / settings.axis.lead().0) as i32;
         RigInputs {
             home_flag: self.stuck_flag.unwrap_or(flag),
-            far_limit: self.far_wire_cut
-                || self.place > self.stroke() + self.machine.settings().steps(1_000),
+            far_limit: self.far_wire_cut || self.place > limit,
             estop_loop: self.pressed || self.beyond_end(),
         }
     }
 
+    fn now(&self) -> Now {
+        now(self.now / 100, self.ring.counted, self.inputs())
+    }
+
     /// A command; only an accepted one has actions.
     pub fn command(&mut self, command: Command) -> Result<(), Refusal> {
-        let mut actions = Actions::new();
-        let (now_us, inputs) = (self.now / 100, self.inputs());
-        let result = self
-            .machine
-            .command(now_us, command, self.counted, inputs, &mut actions);
-        if result.is_err() {
+        let now = self.now();
+        let actions = self.machine.step(&now, Event::Command(command));
+        let refusal = actions.refusal;
+        if refusal.is_some() {
             // A resume looks first whether the carriage is where it was held.
             let found = command == Command::Resume && self.machine.state() == RigState::Faulted;
-            assert!(actions.is_empty() || found);
+            assert!(actions.list.is_empty() || found);
         }
         self.perform(actions);
-        result
+        refusal.map_or(Ok(()), Err)
     }
 
     pub fn event(&mut self, event: Event) {
-        let actions = self.machine.event(event, self.inputs());
+        let now = self.now();
+        let actions = self.machine.step(&now, event);
         self.perform(actions);
     }
 
-    /// The host falls silent, or the button is pressed.
+    /// The E-stop is pressed: the hardware cuts the pulses.
     pub fn press(&mut self) {
         self.pressed = true;
+        self.cut();
         self.event(Event::LoopOpened);
     }
 
     pub fn moving(&self) -> bool {
-        self.path.is_some()
+        self.motion.pace() != Pace::Idle || self.mail.order.is_some()
+    }
+
+    fn cut(&mut self) {
+        self.ring.armed = false;
+        self.mail.cut = true;
+        self.next_round = self.now;
     }
 
     pub fn perform(&mut self, actions: Actions) {
-        for action in actions {
+        for action in actions.list {
             match action {
                 Action::Start { path, window } => {
-                    assert!(self.path.is_none(), "a path while another one is executed");
-                    self.windows.push(window);
-                    self.path = Periods::new(path, self.counted, window);
-                    self.stopping = false;
-                }
-                Action::StopPath => {
+                    assert!(!self.moving(), "a path while another one is executed");
+                    let Window { first, last } = window;
+                    self.windows.push((first.0, last.0));
                     let settings = self.machine.settings();
-                    let stop = settings.axis.acceleration(settings.stop_accel_um_s2);
-                    if let Some(periods) = &mut self.path {
-                        periods.stop(stop.unwrap());
-                        self.stopping = true;
+                    self.mail.order = Some(Order {
+                        path,
+                        window,
+                        stop_accel: settings.stop_accel,
+                        pulse_ticks: settings.pulse_ticks,
+                    });
+                    self.next_round = self.now;
+                    if self.ring.ahead == Ahead::Nothing {
+                        self.round();
                     }
                 }
-                Action::Cut => self.end(PathEnd::Cut),
+                Action::StopPath => {
+                    self.mail.stop = true;
+                    self.next_round = self.now;
+                }
+                Action::Cut => {
+                    self.cut();
+                    if self.ring.ahead == Ahead::Nothing && self.moving() {
+                        self.round();
+                    }
+                }
                 Action::SetPosition(position) => {
-                    assert!(self.path.is_none());
-                    self.counted = position;
+                    assert!(!self.moving());
+                    self.ring.counted = position.0;
                 }
                 Action::Emit(event) => self.events.push(event),
             }
         }
     }
 
-    fn end(&mut self, end: PathEnd) {
-        self.cut += self.handed_out();
-        self.rounds = None;
-        if let Some(periods) = self.path.take() {
-            let report = PathReport {
-                commanded: periods.position(),
-                counted: self.counted,
-                last_tick: periods.last_step(),
-                min_queue: 60,
+    /// A round of motion, and what control hears of it.
+    fn round(&mut self) {
+        self.ring.loop_open = self.inputs().estop_loop;
+        self.motion.round(&mut self.ring, &mut self.mail);
+        self.next_round = self.now
+            + match self.motion.pace() {
+                Pace::Idle => u64::from(u32::MAX),
+                Pace::Filled => 200_000,
+                Pace::Waiting => 10_000,
             };
-            self.event(Event::PathEnded(end, report));
+        for notice in std::mem::take(&mut self.mail.notices) {
+            self.event(notice);
         }
     }
 
-    /// Executes the next round of a period, or a turn.
+    /// Lets motion look after the ring if that is due, then plays a round of it.
     pub fn step(&mut self) {
-        let Some(periods) = &mut self.path else {
+        let due = match self.ring.ahead {
+            Ahead::Nothing => self.ring.is_empty() || self.mail.cut,
+            Ahead::Slots => self.now >= self.next_round,
+        };
+        if due {
+            self.round();
+        }
+        let direction = self.ring.direction;
+        let start = self.now;
+        let Some((ticks, pulse)) = self.ring.play() else {
+            if self.ring.ahead == Ahead::Slots && self.moving() {
+                self.now = self.next_round;
+            }
             return;
         };
-        let direction = periods.direction();
-        let item = match self.rounds.take() {
-            Some(period) => Item::Period(period),
-            None => periods.next_item(),
-        };
-        match item {
-            Item::Period(period) => {
-                self.rounds = period
-                    .repeats
-                    .checked_sub(1)
-                    .map(|repeats| Period { repeats, ..period });
-                self.now += u64::from(period.ticks);
-                if period.pulse {
-                    self.last_pulse = self.now - u64::from(period.ticks);
-                    self.pulse(direction);
-                }
-                let round = 1_000_000; // 10 ms, as control's
-                if self.now / round != (self.now - u64::from(period.ticks)) / round {
-                    let now_us = self.now / 100;
-                    self.event(Event::Tick { now_us });
-                }
-            }
-            Item::Turn { completed, .. } => {
-                let (commanded, counted) = (periods.position(), self.counted);
-                self.event(Event::StrokeDone {
-                    stroke: completed,
-                    commanded,
-                    counted,
-                });
-            }
-            Item::End => self.end(if self.stopping {
-                PathEnd::Stopped
-            } else {
-                PathEnd::Complete
-            }),
-            Item::Guard => self.end(PathEnd::Guard),
+        self.now += u64::from(ticks);
+        if pulse {
+            self.last_pulse = start;
+            self.pulse(direction);
+        }
+        let round = 1_000_000; // 10 ms, as control's
+        if self.now / round != start / round {
+            self.event(Event::Tick);
         }
     }
 
     fn pulse(&mut self, direction: Direction) {
         let before = self.inputs();
-        let step = if direction == Direction::Away { 1 } else { -1 };
+        let step = direction.sign();
         assert!(matches!(
             self.machine.state(),
             RigState::Homing | RigState::Running | RigState::Moving | RigState::Stopping
         ));
         self.pulses += 1;
         if !self.jumper_cut {
-            self.counted += step;
+            self.ring.counted += step;
         }
         if self.slipping > 0 {
             self.slipping -= 1;
@@ -257,26 +323,29 @@ impl Rig {
             self.place += step;
         }
         if self.machine.homed() && !self.jumper_cut {
-            assert!((0..=self.stroke()).contains(&self.counted));
+            assert!((0..=self.stroke()).contains(&self.ring.counted));
         }
         let inputs = self.inputs();
         if inputs.estop_loop && !before.estop_loop {
+            self.cut();
             self.event(Event::LoopOpened);
         }
         if inputs.far_limit && !before.far_limit && direction == Direction::Away {
+            self.cut();
             self.event(Event::FarLimit);
         }
         if inputs.home_flag != self.flag_open {
             self.flag_open = inputs.home_flag;
-            self.flag_edge(inputs.home_flag, self.counted);
+            self.flag_edge(inputs.home_flag, self.ring.counted);
             for bounce in 1..=self.bounces as i32 {
-                self.flag_edge(!inputs.home_flag, self.counted + bounce * 20 * step);
-                self.flag_edge(inputs.home_flag, self.counted + bounce * 40 * step);
+                self.flag_edge(!inputs.home_flag, self.ring.counted + bounce * 20 * step);
+                self.flag_edge(inputs.home_flag, self.ring.counted + bounce * 40 * step);
             }
         }
     }
 
     fn flag_edge(&mut self, opening: bool, count: i32) {
+        let count = StepPosition(count);
         self.event(Event::FlagEdge { opening, count });
     }
 
@@ -289,17 +358,15 @@ impl Rig {
     }
 
     /// Pulses that come whatever is ordered, unless they are cut.
-    pub fn handed_out(&self) -> u64 {
-        self.rounds
-            .map_or(0, |period| u64::from(period.repeats) + 1)
+    pub fn queued(&self) -> u64 {
+        self.ring.rounds_left()
     }
 
     /// Waits so long while nothing moves, 10 ns each.
     pub fn wait(&mut self, ticks: u64) {
         assert!(!self.moving());
         self.now += ticks;
-        let now_us = self.now / 100;
-        self.event(Event::Tick { now_us });
+        self.event(Event::Tick);
     }
 
     /// Executes until nothing moves.

@@ -1,0 +1,14 @@
+//! How an image is linked; the build script of both.
+
+pub fn print() {
+    println!("cargo:rerun-if-changed=build.rs");
+    println!("cargo:rerun-if-changed=../memory.x");
+    println!("cargo:rerun-if-changed=../device/link_arguments.rs");
+    // Link arguments live here and not in `rustflags`, which vanish when RUSTFLAGS is set: the link would then
+    // succeed without a vector table. `--icf` keeps equal functions once.
+    if std::env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
+        for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x", "--icf=all"] {
+            println!("cargo:rustc-link-arg-bins={argument}");
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! Who has checked in since the watchdog was last fed.
+
+use core::sync::atomic::{AtomicU8, Ordering};
+
+/// A task that the watchdog waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Client {
+    /// Drives the motor.
+    Motion = 1,
+    /// Reads the serial port.
+    Link = 2,
+    /// Runs the state machine.
+    Control = 4,
+}
+
+/// Longest time between two check-ins of a client, ms.
+pub const CHECK_IN_MS: u64 = 100;
+
+const EVERYBODY: u8 = Client::Motion as u8 | Client::Link as u8 | Client::Control as u8;
+
+/// One bit per client.
+#[derive(Debug, Default)]
+pub struct CheckIns(AtomicU8);
+
+impl CheckIns {
+    /// Nobody has checked in.
+    pub const fn new() -> Self {
+        Self(AtomicU8::new(0))
+    }
+
+    /// Notes that a client is alive.
+    pub fn note(&self, client: Client) {
+        self.0.fetch_or(client as u8, Ordering::Relaxed);
+    }
+
+    /// Everybody has checked in since this was last true. Then all have to check in again.
+    pub fn complete(&self) -> bool {
+        let complete = self.0.load(Ordering::Relaxed) == EVERYBODY;
+        if complete {
+            self.0.store(0, Ordering::Relaxed);
+        }
+        complete
+    }
+}

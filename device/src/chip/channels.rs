@@ -1,0 +1,49 @@
+//! What the tasks of both images share; each image adds its own in its `channels.rs`.
+
+use crate::{check_in::CheckIns, service::Inbound};
+use core::sync::atomic::{AtomicU8, AtomicU16, AtomicU32, Ordering};
+use embassy_sync::{
+    blocking_mutex::raw::CriticalSectionRawMutex as Raw, channel::Channel, signal::Signal,
+};
+use protocol::{frame::Encoded, table::Reply};
+
+/// Fed by link, drained by control; answered through [`REPLIES`].
+pub static REQUESTS: Signal<Raw, Inbound> = Signal::new();
+/// Fed by control, drained by link.
+pub static REPLIES: Signal<Raw, Reply> = Signal::new();
+/// Fed by control, link and telemetry, drained by transmit.
+pub static OUTBOUND: Channel<Raw, Encoded, 4> = Channel::new();
+/// Interval of telemetry in ms, 0 = none. Set by control, read by telemetry.
+pub static TELEMETRY_MS: AtomicU16 = AtomicU16::new(0);
+/// Wakes telemetry after a change of its interval.
+pub static TELEMETRY_CHANGED: Signal<Raw, ()> = Signal::new();
+/// Present session, for frames that nobody asked for. Set by link.
+pub static SESSION: AtomicU8 = AtomicU8::new(0);
+/// Low 32 bits of the time of the last good frame, us. Set by link, read by control.
+pub static LAST_FRAME_US: AtomicU32 = AtomicU32::new(0);
+/// Receptions that failed. Set by link.
+pub static UART_ERRORS: AtomicU32 = AtomicU32::new(0);
+/// Blocks of bytes that were no good frames. Set by link.
+pub static BAD_FRAMES: AtomicU32 = AtomicU32::new(0);
+/// Frames that found the line busy. Set by their senders.
+pub static UNSENT_FRAMES: AtomicU32 = AtomicU32::new(0);
+/// Who is alive. Set by the clients, cleared by the watchdog's task.
+pub static CHECK_INS: CheckIns = CheckIns::new();
+
+/// Sends a frame that nobody waits for, unless the line is busy.
+pub fn send_if_free(frame: Encoded) {
+    if OUTBOUND.try_send(frame).is_err() {
+        UNSENT_FRAMES.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Sets the interval of telemetry, ms; 0 = none.
+pub fn set_telemetry(period_ms: u16) {
+    TELEMETRY_MS.store(period_ms, Ordering::Relaxed);
+    TELEMETRY_CHANGED.signal(());
+}
+
+/// How long the host has been silent at the time `now_us`, us. Right up to 71 minutes, then it begins again.
+pub fn silence_us(now_us: u64) -> u32 {
+    (now_us as u32).wrapping_sub(LAST_FRAME_US.load(Ordering::Relaxed))
+}

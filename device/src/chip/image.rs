@@ -1,0 +1,40 @@
+//! What the linker knows: the fingerprint of the image in flash and the use of the stack.
+
+use core::ptr::{addr_of, read_volatile};
+
+/// With this `cortex-m-rt` paints the stack at the start (feature `paint-stack`).
+const PAINT: u32 = 0xCCCC_CCCC;
+
+unsafe extern "C" {
+    static __stext: u32;
+    static __sidata: u32;
+    static __sdata: u32;
+    static __edata: u32;
+    static _stack_start: u32;
+    static _stack_end: u32;
+}
+
+/// The words between two of the linker's symbols.
+fn words(from: *const u32, to: *const u32) -> impl Iterator<Item = u32> {
+    let count = (to as usize).saturating_sub(from as usize) / 4;
+    // SAFETY: the linker script puts both ends, word-aligned, into the same memory; volatile, for the stack is in use.
+    (0..count).map(move |index| unsafe { read_volatile(from.add(index)) })
+}
+
+/// FNV-1a, 32 bits, over code, constants and initial values as 32-bit words.
+pub fn hash() -> u32 {
+    let start = addr_of!(__stext);
+    let data = addr_of!(__edata) as usize - addr_of!(__sdata) as usize;
+    let end = addr_of!(__sidata).wrapping_byte_add(data);
+    words(start, end).fold(0x811C_9DC5, |hash: u32, word| {
+        (hash ^ word).wrapping_mul(0x0100_0193)
+    })
+}
+
+/// Size of the stack, and how much of it has been used at most, bytes.
+pub fn stack() -> (u32, u32) {
+    let (bottom, top) = (addr_of!(_stack_end), addr_of!(_stack_start));
+    let untouched = words(bottom, top).take_while(|word| *word == PAINT).count() as u32 * 4;
+    let size = (top as u32).saturating_sub(bottom as u32);
+    (size, size.saturating_sub(untouched))
+}

@@ -1,0 +1,104 @@
+//! Panic and processor faults: outputs off, last words kept over the reset, reset.
+
+use super::retained::Ram;
+use crate::{last_words::Draft, retained::keep_last_words};
+use core::{arch::asm, ptr::read_volatile};
+use cortex_m_rt::ExceptionFrame;
+
+/// Defines the handlers of an image: for a panic, for a failed check of defmt and for a processor fault. Each calls
+/// `$outputs_off`, the image's safe state, before anything else.
+#[macro_export]
+macro_rules! last_resort {
+    ($outputs_off:path) => {
+        /// Message and place are not used: inlined, the optimiser sees that nobody reads them, and 9.5 KB of texts, places
+        /// and formatting stay out of the image. The callers tell as much, see `cargo xtask where`.
+        // rustc warns that the hint is ignored; it is not, as the image's size shows.
+        #[allow(unused_attributes)]
+        #[inline(always)]
+        #[panic_handler]
+        fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+            $outputs_off();
+            $crate::chip::last_resort::die_with_callers()
+        }
+
+        /// `defmt::panic!` has printed its message; it must not format it a second time.
+        #[defmt::panic_handler]
+        fn defmt_panic() -> ! {
+            $outputs_off();
+            $crate::chip::last_resort::die_of_a_failed_check()
+        }
+
+        #[cortex_m_rt::exception]
+        unsafe fn HardFault(frame: &cortex_m_rt::ExceptionFrame) -> ! {
+            $outputs_off();
+            $crate::chip::last_resort::die_of_a_fault(frame)
+        }
+    };
+}
+
+fn die(words: &Draft) -> ! {
+    keep_last_words(&mut Ram, words.bytes());
+    defmt::error!("{=[u8]:a}", words.bytes());
+    cortex_m::peripheral::SCB::sys_reset()
+}
+
+/// A panic. The outputs are off.
+#[inline(never)]
+pub fn die_with_callers() -> ! {
+    let mut words = Draft::new("panic, called from");
+    for caller in Callers::new() {
+        words.push(" ");
+        words.push_address(caller);
+    }
+    die(&words)
+}
+
+/// A failed check of defmt. The outputs are off.
+pub fn die_of_a_failed_check() -> ! {
+    die(&Draft::new("a check failed; its text is in the debug log"))
+}
+
+/// A processor fault. The outputs are off.
+pub fn die_of_a_fault(frame: &ExceptionFrame) -> ! {
+    let mut words = Draft::new("processor fault at ");
+    words.push_address(frame.pc());
+    words.push(", called from ");
+    words.push_address(frame.lr());
+    die(&words)
+}
+
+/// Return addresses, innermost first, as many as the last words hold.
+///
+/// rustc keeps frame pointers on this target: r7 points to a pair of words, the caller's r7 and the return address.
+struct Callers {
+    frame: u32,
+    left: u8,
+}
+
+impl Callers {
+    #[inline(always)]
+    fn new() -> Self {
+        let frame;
+        // SAFETY: reads a register.
+        unsafe { asm!("mov {}, r7", out(reg) frame, options(nomem, nostack, preserves_flags)) };
+        Self { frame, left: 9 }
+    }
+}
+
+impl Iterator for Callers {
+    type Item = u32;
+
+    fn next(&mut self) -> Option<u32> {
+        const RAM: core::ops::Range<u32> = 0x2000_0000..0x2001_FFF8;
+        self.left = self.left.checked_sub(1)?;
+        if !RAM.contains(&self.frame) || !self.frame.is_multiple_of(4) {
+            return None;
+        }
+        // SAFETY: two aligned words within the RAM; whatever they hold is only printed or checked as an address.
+        let [outer, caller] = unsafe { read_volatile(self.frame as *const [u32; 2]) };
+        // The stack grows downward: outer frames lie above. Anything else is no frame, and the last one.
+        self.frame = if outer > self.frame { outer } else { 0 };
+        // Bit 0 says "Thumb".
+        Some(caller & !1)
+    }
+}

@@ -1,0 +1,74 @@
+//! The serial link: bytes to the service, its questions to control, frames to the port.
+
+use super::{
+    channels::{BAD_FRAMES, LAST_FRAME_US, OUTBOUND, REPLIES, REQUESTS, SESSION, UART_ERRORS},
+    watchdog::{CHECK_IN, check_in},
+};
+use crate::{
+    check_in::Client,
+    service::{Inbound, Incoming, Service},
+};
+use core::sync::atomic::Ordering;
+use embassy_stm32::{
+    mode::Async,
+    usart::{RingBufferedUartRx, UartTx},
+};
+use embassy_time::{Instant, with_timeout};
+use protocol::system::{Identity, Urgent};
+
+/// Sends what the other tasks have queued, one frame after the other.
+pub async fn transmit(mut uart: UartTx<'static, Async>) -> ! {
+    loop {
+        let frame = OUTBOUND.receive().await;
+        if uart.write(&frame).await.is_err() {
+            defmt::warn!("transmit error");
+        }
+    }
+}
+
+/// Reads the port; at least every 100 ms. `at_once` is what an urgent stop does before control hears of it.
+pub async fn receive(
+    mut uart: RingBufferedUartRx<'static>,
+    identity: Identity,
+    at_once: impl Fn(Urgent),
+) -> ! {
+    let mut service = Service::new(identity);
+    let mut buffer = [0_u8; 64];
+    loop {
+        check_in(Client::Link);
+        let count = match with_timeout(CHECK_IN, uart.read(&mut buffer)).await {
+            Ok(Ok(count)) => count,
+            Ok(Err(error)) => {
+                // Noise, framing, overrun: the CRC finds the damaged frame, the host repeats it.
+                defmt::debug!("receive error {}", error);
+                UART_ERRORS.fetch_add(1, Ordering::Relaxed);
+                0
+            }
+            Err(_) => 0,
+        };
+        BAD_FRAMES.store(service.bad_frames(), Ordering::Relaxed);
+        for byte in &buffer[..count] {
+            let Some(incoming) = service.receive(*byte) else {
+                continue;
+            };
+            LAST_FRAME_US.store(Instant::now().as_micros() as u32, Ordering::Relaxed);
+            SESSION.store(service.session(), Ordering::Relaxed);
+            // One way out: each `await` is a copy of the state, so there are few.
+            let frame = match incoming {
+                Incoming::Send(frame) => Some(frame),
+                Incoming::Ask(inbound, to) => {
+                    if let Inbound::Urgent(urgent) = inbound {
+                        at_once(urgent);
+                    }
+                    // Control has answered everything before it: nothing is overwritten.
+                    REQUESTS.signal(inbound);
+                    service.answer(to, &REPLIES.wait().await)
+                }
+                Incoming::Ignore => None,
+            };
+            if let Some(frame) = frame {
+                OUTBOUND.send(frame).await;
+            }
+        }
+    }
+}

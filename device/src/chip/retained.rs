@@ -1,0 +1,40 @@
+//! The kilobyte of RAM that survives a reset; see [`crate::retained`] for what is in it.
+
+use crate::retained::{EStop, Left, WORDS, Words};
+use core::ptr::{addr_of_mut, read_volatile, write_volatile};
+
+unsafe extern "C" {
+    static mut _last_words_start: [u32; WORDS];
+}
+
+/// The words at the address that `memory.x` keeps free.
+pub(super) struct Ram;
+
+impl Words for Ram {
+    #[inline(never)]
+    fn get(&self, index: usize) -> u32 {
+        // SAFETY: the linker script reserves a kilobyte at this address for nothing else; any bit pattern is a number.
+        unsafe { read_volatile(addr_of_mut!(_last_words_start).cast::<u32>().add(index)) }
+    }
+
+    #[inline(never)]
+    fn set(&mut self, index: usize, value: u32) {
+        // SAFETY: as in `get`; callers are start-up, one task, or a panic, of which there is one at a time.
+        unsafe {
+            write_volatile(
+                addr_of_mut!(_last_words_start).cast::<u32>().add(index),
+                value,
+            )
+        }
+    }
+}
+
+/// Takes what the previous start left. Once, before anything else.
+pub fn start() -> Left {
+    crate::retained::start(&mut Ram)
+}
+
+/// Keeps an E-stop over a reset, or forgets it. Only by the task that owns the state machine.
+pub fn keep_latched(estop: Option<EStop>) {
+    crate::retained::keep_latched(&mut Ram, estop);
+}

@@ -1,0 +1,102 @@
+//! The chip at its start: clocks, time base, identity, serial port, watchdog.
+
+use embassy_stm32::{
+    Config, Peri, bind_interrupts, dma,
+    interrupt::{self, InterruptExt, Priority},
+    mode::Async,
+    pac, peripherals,
+    usart::{self, RingBufferedUartRx, Uart, UartTx},
+    wdg::IndependentWatchdog,
+};
+use protocol::system::ResetCause;
+use static_cell::StaticCell;
+
+bind_interrupts!(struct Interrupts {
+    USART2 => usart::InterruptHandler<peripherals::USART2>;
+    DMA1_STREAM5 => dma::InterruptHandler<peripherals::DMA1_CH5>;
+    DMA1_STREAM6 => dma::InterruptHandler<peripherals::DMA1_CH6>;
+});
+
+/// Speed of the serial port, baud.
+const BAUD: u32 = 115_200;
+
+/// Longer than the longest erasure of a settings sector, 500 ms, in which no task runs.
+const WATCHDOG_US: u32 = 800_000;
+
+/// Starts the HAL. Its time driver would count a compare flag that is raised at its initialisation as half a
+/// period, 65 ms, and the clock could step back later: the flag is cleared before the first interrupt can see it.
+pub fn init_clearing_stale_tim5(config: Config) -> embassy_stm32::Peripherals {
+    cortex_m::interrupt::free(|_| {
+        let peripherals = embassy_stm32::init(config);
+        pac::TIM5.sr().write_value(pac::timer::regs::SrGp16(0));
+        cortex_m::peripheral::NVIC::unpend(pac::Interrupt::TIM5);
+        peripherals
+    })
+}
+
+/// Why the chip was reset; clears the flags (RM0383 section 6.3.21).
+pub fn reset_cause() -> ResetCause {
+    let csr = pac::RCC.csr().read();
+    pac::RCC.csr().modify(|w| w.set_rmvf(true));
+    if csr.wdgrstf() {
+        ResetCause::Watchdog
+    } else if csr.porrstf() || csr.borrstf() {
+        ResetCause::PowerOn
+    } else if csr.sftrstf() {
+        ResetCause::Software
+    } else {
+        ResetCause::Pin
+    }
+}
+
+/// The chip's unique number (RM0383 section 24.1).
+pub fn uid() -> [u8; 12] {
+    embassy_stm32::uid::uid()
+}
+
+/// What the serial port needs.
+pub struct SerialPins {
+    /// USART2.
+    pub usart: Peri<'static, peripherals::USART2>,
+    /// Receives.
+    pub pa3: Peri<'static, peripherals::PA3>,
+    /// Transmits.
+    pub pa2: Peri<'static, peripherals::PA2>,
+    /// DMA1 stream 6, transmits.
+    pub transmit_dma: Peri<'static, peripherals::DMA1_CH6>,
+    /// DMA1 stream 5, receives.
+    pub receive_dma: Peri<'static, peripherals::DMA1_CH5>,
+}
+
+/// Opens the serial port, and sets priorities: the time base at 2, the port below everything else at 7.
+pub fn open_serial(pins: SerialPins) -> (UartTx<'static, Async>, RingBufferedUartRx<'static>) {
+    static RECEIVE_BUFFER: StaticCell<[u8; 512]> = StaticCell::new();
+    interrupt::TIM5.set_priority(Priority::P2);
+    interrupt::USART2.set_priority(Priority::P7);
+    interrupt::DMA1_STREAM5.set_priority(Priority::P7);
+    interrupt::DMA1_STREAM6.set_priority(Priority::P7);
+    let mut config = usart::Config::default();
+    config.baudrate = BAUD;
+    let uart = Uart::new(
+        pins.usart,
+        pins.pa3,
+        pins.pa2,
+        pins.transmit_dma,
+        pins.receive_dma,
+        Interrupts,
+        config,
+    );
+    let Ok(uart) = uart else {
+        defmt::panic!("USART2: the clock does not divide to the baud rate")
+    };
+    let (transmitter, receiver) = uart.split();
+    let receiver = receiver.into_ring_buffered(RECEIVE_BUFFER.init([0; 512]));
+    (transmitter, receiver)
+}
+
+/// The watchdog, not yet started.
+pub fn watchdog(
+    iwdg: Peri<'static, peripherals::IWDG>,
+) -> IndependentWatchdog<'static, peripherals::IWDG> {
+    IndependentWatchdog::new(iwdg, WATCHDOG_US)
+}

@@ -1,0 +1,39 @@
+//! Sends a sample at the interval that the host asked for.
+
+use super::channels::{SESSION, TELEMETRY_CHANGED, TELEMETRY_MS, send_if_free};
+use core::sync::atomic::Ordering;
+use embassy_time::{Duration, Instant, with_deadline};
+use protocol::{
+    frame::{Header, Kind, encode},
+    table::Telemetry,
+};
+
+/// Sends what `sample` makes, for ever; nothing where it makes nothing. A sample that finds the line busy is dropped,
+/// and the sequence number of the next one shows the gap.
+pub async fn run(mut sample: impl FnMut(Instant) -> Option<Telemetry>) -> ! {
+    let mut seq = 0_u16;
+    let mut next = Instant::now();
+    loop {
+        let period = TELEMETRY_MS.load(Ordering::Relaxed);
+        next = match period {
+            0 => Instant::MAX,
+            _ => (next + Duration::from_millis(u64::from(period))).max(Instant::now()),
+        };
+        if with_deadline(next, TELEMETRY_CHANGED.wait()).await.is_ok() {
+            next = Instant::now();
+            continue;
+        }
+        let Some(sample) = sample(Instant::now()) else {
+            continue;
+        };
+        let header = Header {
+            kind: Kind::Telemetry,
+            session: SESSION.load(Ordering::Relaxed),
+            seq,
+        };
+        seq = seq.wrapping_add(1);
+        if let Ok(frame) = encode(header, &sample) {
+            send_if_free(frame);
+        }
+    }
+}

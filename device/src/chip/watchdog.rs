@@ -1,0 +1,34 @@
+//! Feeds the watchdog only when motion, link and control have all checked in.
+
+use super::channels::CHECK_INS;
+use crate::check_in::{CHECK_IN_MS, Client};
+use embassy_stm32::{peripherals, wdg::IndependentWatchdog};
+use embassy_time::{Duration, Ticker};
+
+/// How often each client checks in at least.
+pub const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
+
+/// Five rounds fit into the watchdog's 800 ms.
+const ROUND: Duration = Duration::from_millis(150);
+
+/// To be called in every round of a client's loop. Not inlined: the virtual bench lets tasks hang here.
+#[inline(never)]
+pub fn check_in(client: Client) {
+    CHECK_INS.note(client);
+}
+
+/// Starts the watchdog and feeds it for ever; calls `each_round` every 150 ms.
+pub async fn run(
+    mut watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
+    mut each_round: impl FnMut(),
+) -> ! {
+    watchdog.unleash();
+    let mut ticker = Ticker::every(ROUND);
+    loop {
+        ticker.next().await;
+        if CHECK_INS.complete() {
+            watchdog.pet();
+        }
+        each_round();
+    }
+}

@@ -1,0 +1,93 @@
+//! Requests that both machines answer alike.
+
+use crate::{outbox::Outbox, settings::Values};
+use protocol::{
+    error::{Field, Refusal},
+    settings::{GetSetting, Name, Setting, SettingKey},
+    system::{Done, LastWords, SetTelemetry},
+    table::{Request, Response},
+};
+
+/// Shortest and longest interval of telemetry, ms.
+pub const TELEMETRY_MS: (u16, u16) = (5, 1_000);
+
+/// What the common requests are answered from.
+#[derive(Clone, Copy, Debug)]
+pub struct About<'a> {
+    /// Events so far.
+    pub outbox: &'a Outbox,
+    /// Text of the last panic or processor fault.
+    pub last_words: &'a str,
+    /// Settings in force.
+    pub values: &'a Values,
+    /// Those that this device has.
+    pub keys: &'static [SettingKey],
+    /// The device's name.
+    pub name: &'a str,
+}
+
+impl About<'_> {
+    /// Answers a request that changes nothing but the interval of telemetry, which the caller sets; none if the
+    /// request is not a common one.
+    ///
+    /// # Errors
+    /// An interval out of range, a setting that this device does not have.
+    pub fn answer(&self, request: &Request) -> Option<Result<Response, Refusal>> {
+        Some(Ok(match request {
+            Request::KeepAlive(_) => Response::KeepAlive(Done),
+            Request::GetLastWords(_) => Response::GetLastWords(LastWords {
+                text: self.last_words.try_into().unwrap_or_default(),
+            }),
+            Request::SetTelemetry(set) => match telemetry_interval(set.period_ms) {
+                Ok(()) => Response::SetTelemetry(*set),
+                Err(refusal) => return Some(Err(refusal)),
+            },
+            Request::GetEvents(get) => Response::GetEvents(self.outbox.since(get.from)),
+            Request::GetSetting(GetSetting { key }) => match self.has(*key) {
+                Ok(()) => Response::GetSetting(Setting {
+                    key: *key,
+                    value: self.values.get(*key),
+                }),
+                Err(refusal) => return Some(Err(refusal)),
+            },
+            Request::GetName(_) => Response::GetName(Name {
+                name: self.name.try_into().unwrap_or_default(),
+            }),
+            _ => return None,
+        }))
+    }
+
+    /// Whether this device has a setting.
+    ///
+    /// # Errors
+    /// It has not.
+    pub fn has(&self, key: SettingKey) -> Result<(), Refusal> {
+        if self.keys.contains(&key) {
+            Ok(())
+        } else {
+            Err(Refusal::WrongDevice)
+        }
+    }
+}
+
+fn telemetry_interval(period_ms: u16) -> Result<(), Refusal> {
+    let (min, max) = TELEMETRY_MS;
+    if period_ms == 0 || (min..=max).contains(&period_ms) {
+        return Ok(());
+    }
+    Err(Refusal::OutOfRange {
+        field: Field::PeriodMs,
+        requested: period_ms.into(),
+        min: min.into(),
+        max: max.into(),
+    })
+}
+
+/// The interval of telemetry that an accepted request asks for, ms; 0 = none.
+#[must_use]
+pub fn asked_telemetry_ms(response: &Response) -> Option<u16> {
+    match response {
+        Response::SetTelemetry(SetTelemetry { period_ms }) => Some(*period_ms),
+        _ => None,
+    }
+}

@@ -1,0 +1,50 @@
+//! What a device says of itself.
+
+use protocol::{
+    VERSION,
+    system::{BuildProfile, DeviceKind, Identity, ResetCause, Revision},
+    table::SCHEMA_KEY,
+};
+
+/// As `build.rs` found it.
+const REVISION: Revision = Revision {
+    commit: match u32::from_str_radix(env!("RETROGRADE_COMMIT"), 16) {
+        Ok(commit) => commit,
+        Err(_) => 0,
+    },
+    dirty: matches!(env!("RETROGRADE_DIRTY").as_bytes(), b"1"),
+};
+
+/// The identity of this image on this chip; the session is filled in when it is issued.
+#[must_use]
+pub fn identity(
+    device: DeviceKind,
+    uid: [u8; 12],
+    boot_id: u32,
+    reset_cause: ResetCause,
+) -> Identity {
+    Identity {
+        device,
+        protocol: VERSION,
+        schema_key: SCHEMA_KEY,
+        uid,
+        revision: REVISION,
+        profile: if cfg!(debug_assertions) {
+            BuildProfile::Debug
+        } else {
+            BuildProfile::Firmware
+        },
+        boot_id,
+        reset_cause,
+        session: 0,
+    }
+}
+
+/// Why the device started, when last words tell more than the chip's flags: it resets itself after a panic.
+#[must_use]
+pub fn reset_cause(by_flags: ResetCause, has_last_words: bool) -> ResetCause {
+    match by_flags {
+        ResetCause::Software if has_last_words => ResetCause::Panic,
+        cause => cause,
+    }
+}

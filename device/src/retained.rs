@@ -1,0 +1,108 @@
+//! What survives a reset: the number of starts, a latched E-stop, the last words.
+//!
+//! It lies in the kilobyte of RAM that `memory.x` leaves out of data and stack. After a power cut that RAM holds
+//! anything, so everything in it is marked by a magic number, and the last words carry a checksum.
+
+use crate::last_words::{LONGEST, LastWords};
+use heapless::String;
+
+/// Words of RAM that keep their content over a reset; any bit pattern is valid.
+pub trait Words {
+    /// Reads a word.
+    fn get(&self, index: usize) -> u32;
+    /// Writes a word.
+    fn set(&mut self, index: usize, value: u32);
+}
+
+/// How many words are used.
+pub const WORDS: usize = TEXT + LONGEST;
+
+const MAGIC: u32 = 0x5245_5430;
+const LATCHED_LOOP: u32 = MAGIC ^ 1;
+const LATCHED_FRAME: u32 = MAGIC ^ 2;
+
+// Indices.
+const BOOT_MAGIC: usize = 0;
+const BOOT_ID: usize = 1;
+const LATCHED: usize = 2;
+const TEXT_MAGIC: usize = 3;
+const LENGTH: usize = 4;
+const CHECK: usize = 5;
+const TEXT: usize = 6;
+
+/// An emergency stop that stays latched over a reset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EStop {
+    /// The E-stop loop opened.
+    Loop,
+    /// By an urgent frame of the host.
+    Frame,
+}
+
+/// What the previous start left.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Left {
+    /// Number of this start, from 1 after the supply was switched on.
+    pub boot_id: u32,
+    /// Text of a panic or processor fault; told once.
+    pub last_words: Option<LastWords>,
+    /// An E-stop that nobody has acknowledged.
+    pub latched: Option<EStop>,
+}
+
+/// Takes what the previous start left, and counts this one.
+pub fn start(words: &mut impl Words) -> Left {
+    let boot_id = if words.get(BOOT_MAGIC) == MAGIC {
+        words.get(BOOT_ID).wrapping_add(1)
+    } else {
+        words.set(LATCHED, 0);
+        1
+    };
+    let length = (words.get(LENGTH) as usize).min(LONGEST);
+    let told = words.get(TEXT_MAGIC) == MAGIC && words.get(CHECK) == check(words, length);
+    let last_words = told.then(|| {
+        let text = (0..length).map(|index| words.get(TEXT + index) as u8 & 0x7F);
+        String::from_utf8(text.collect()).unwrap_or_default()
+    });
+    words.set(BOOT_MAGIC, MAGIC);
+    words.set(BOOT_ID, boot_id);
+    words.set(TEXT_MAGIC, 0);
+    let latched = match words.get(LATCHED) {
+        LATCHED_LOOP => Some(EStop::Loop),
+        LATCHED_FRAME => Some(EStop::Frame),
+        _ => None,
+    };
+    Left {
+        boot_id,
+        last_words,
+        latched,
+    }
+}
+
+/// Keeps an E-stop over a reset, or forgets it.
+pub fn keep_latched(words: &mut impl Words, estop: Option<EStop>) {
+    let word = match estop {
+        Some(EStop::Loop) => LATCHED_LOOP,
+        Some(EStop::Frame) => LATCHED_FRAME,
+        None => 0,
+    };
+    words.set(LATCHED, word);
+}
+
+/// Keeps the last words for the next start.
+pub fn keep_last_words(words: &mut impl Words, text: &[u8]) {
+    let text = &text[..text.len().min(LONGEST)];
+    for (index, byte) in text.iter().enumerate() {
+        words.set(TEXT + index, u32::from(*byte));
+    }
+    words.set(LENGTH, text.len() as u32);
+    words.set(CHECK, check(words, text.len()));
+    words.set(TEXT_MAGIC, MAGIC);
+}
+
+/// Checksum of the text; one letter per word.
+fn check(words: &impl Words, length: usize) -> u32 {
+    (0..length).fold(MAGIC ^ length as u32, |sum, index| {
+        sum.rotate_left(5) ^ words.get(TEXT + index)
+    })
+}

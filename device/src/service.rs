@@ -1,0 +1,145 @@
+//! The device's end of the link without its wires: bytes in, frames and questions to the state machine out.
+
+use protocol::{
+    frame::{Deframer, Encoded, Frame, Header, Kind, encode},
+    session::{Decision, Session, Ticket},
+    system::{Identity, Urgent},
+    table::{Reply, Request, Response},
+};
+
+/// A question to the state machine's owner.
+// One exists at a time, in a signal.
+#[allow(clippy::large_enum_variant)]
+#[derive(Clone, Debug, PartialEq)]
+pub enum Inbound {
+    /// Of the session.
+    Request(Request),
+    /// A stop; valid at any time.
+    Urgent(Urgent),
+}
+
+/// What a good frame asks for.
+// One exists at a time, on the stack.
+#[allow(clippy::large_enum_variant)]
+#[derive(Debug, PartialEq)]
+pub enum Incoming {
+    /// Send this.
+    Send(Encoded),
+    /// Have this carried out, then send [`Service::answer`].
+    Ask(Inbound, Return),
+    /// Nothing: not addressed to a device.
+    Ignore,
+}
+
+/// Where an answer goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Return {
+    session: u8,
+    seq: u16,
+    ticket: Option<Ticket>,
+}
+
+/// The device's end.
+#[derive(Debug)]
+pub struct Service {
+    deframer: Deframer,
+    session: Session,
+    identity: Identity,
+}
+
+impl Service {
+    /// No session yet. `identity` is complete but for the session.
+    #[must_use]
+    pub const fn new(identity: Identity) -> Self {
+        Self {
+            deframer: Deframer::new(),
+            session: Session::new(identity.boot_id),
+            identity,
+        }
+    }
+
+    /// Blocks of bytes that were no good frames, since the start.
+    pub fn bad_frames(&self) -> u32 {
+        self.deframer.rejected()
+    }
+
+    /// Number of the session for frames that nobody asked for; 0 before the first.
+    pub fn session(&self) -> u8 {
+        self.session.number()
+    }
+
+    /// Takes a byte; something comes back when it completes a good frame.
+    pub fn receive(&mut self, byte: u8) -> Option<Incoming> {
+        let frame = self.deframer.push(byte)?;
+        Some(serve(&mut self.session, &self.identity, &frame))
+    }
+
+    /// The frame of a reply, kept for the case that its request is repeated.
+    pub fn answer(&mut self, to: Return, reply: &Reply) -> Option<Encoded> {
+        answer(&mut self.session, to, reply)
+    }
+}
+
+fn serve(session: &mut Session, identity: &Identity, frame: &Frame<'_>) -> Incoming {
+    let (to, reply) = match session.receive(frame) {
+        Decision::Greet {
+            session: number,
+            seq,
+        } => {
+            let identity = Identity {
+                session: number,
+                ..*identity
+            };
+            let reply = Reply::Accepted(Response::Hello(identity));
+            (once(number, seq), reply)
+        }
+        Decision::Execute { request, ticket } => {
+            return Incoming::Ask(Inbound::Request(request), remembered(ticket));
+        }
+        Decision::Urgent {
+            urgent,
+            session,
+            seq,
+        } => return Incoming::Ask(Inbound::Urgent(urgent), once(session, seq)),
+        Decision::Resend(frame) => return Incoming::Send(frame),
+        Decision::Refuse { refusal, ticket } => (remembered(ticket), Reply::Refused(refusal)),
+        Decision::Reject {
+            error,
+            session,
+            seq,
+        } => (once(session, seq), Reply::Wire(error)),
+        Decision::Ignore => return Incoming::Ignore,
+    };
+    answer(session, to, &reply).map_or(Incoming::Ignore, Incoming::Send)
+}
+
+fn once(session: u8, seq: u16) -> Return {
+    Return {
+        session,
+        seq,
+        ticket: None,
+    }
+}
+
+fn remembered(ticket: Ticket) -> Return {
+    Return {
+        session: ticket.session,
+        seq: ticket.seq,
+        ticket: Some(ticket),
+    }
+}
+
+/// Not inlined: one copy of the whole encoder.
+#[inline(never)]
+fn answer(session: &mut Session, to: Return, reply: &Reply) -> Option<Encoded> {
+    let header = Header {
+        kind: Kind::Reply,
+        session: to.session,
+        seq: to.seq,
+    };
+    let frame = encode(header, reply).ok()?;
+    if let Some(ticket) = to.ticket {
+        session.remember(ticket, &frame);
+    }
+    Some(frame)
+}

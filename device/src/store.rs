@@ -1,0 +1,213 @@
+//! A log of numbered records in flash: the last record of a number counts.
+//!
+//! A cut of the power at any instant leaves the old record or the new one (`sequential-storage`). Its queue is used,
+//! not its map: on a full sector the map searches all records for each of them, six seconds in which the watchdog
+//! bites, and its answer to that, a cache, and the map itself take 6 KB more flash. A full queue drops its oldest
+//! sector, so a record that is still needed is written again long before.
+
+use core::ops::Range;
+use embassy_futures::block_on;
+use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+use protocol::settings::SettingKey;
+use sequential_storage::{
+    cache::{Cache, Uncached},
+    queue::{QueueConfig, QueueStorage},
+};
+
+/// Offsets of the sectors in flash, as in `memory.x`: sectors 1 to 3.
+pub const SECTORS: Range<u32> = 0x4000..0x1_0000;
+/// Bytes of each.
+pub const SECTOR: u32 = 16 * 1024;
+/// Number of the name's record; settings have theirs from 0.
+pub const NAME_RECORD: u8 = 0xF0;
+/// The longest record, its number included, in whole words.
+const RECORD: usize = 28;
+/// At least so many records fit into a sector: each has 8 bytes of head, the sector two marks of a word.
+const IN_A_SECTOR: u32 = (SECTOR - 8) / (RECORD as u32 + 8);
+const _: () = assert!(Ages::OLDEST + Ages::NUMBERS as u32 <= IN_A_SECTOR);
+
+/// How many records ago each number was written last.
+///
+/// The log drops its oldest sector when it needs room. What is younger than a sector's worth of records is never
+/// in there, so whatever becomes older than [`Ages::OLDEST`] is written again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ages {
+    records: u32,
+    /// The count of records at the last one of each number; 0 is never.
+    last: [u32; Self::NUMBERS],
+}
+
+impl Ages {
+    /// Settings and the name.
+    pub const NUMBERS: usize = SettingKey::ALL.len() + 1;
+    /// The age at which a record is written again.
+    pub const OLDEST: u32 = 256;
+
+    /// Those of an empty log.
+    pub const fn new() -> Self {
+        Self {
+            records: 0,
+            last: [0; Self::NUMBERS],
+        }
+    }
+
+    /// Counts a record. A number that this firmware does not know ages and is lost.
+    pub fn wrote(&mut self, number: u8) {
+        self.records += 1;
+        let slot = match number {
+            NAME_RECORD => Self::NUMBERS - 1,
+            number => usize::from(number),
+        };
+        if let Some(last) = self.last.get_mut(slot) {
+            *last = self.records;
+        }
+    }
+
+    /// A number whose last record is too old.
+    pub fn overdue(&self) -> Option<u8> {
+        let too_old = |last: &u32| *last != 0 && self.records - last > Self::OLDEST;
+        let slot = self.last.iter().position(too_old)?;
+        Some(
+            SettingKey::ALL
+                .get(slot)
+                .map_or(NAME_RECORD, |key| *key as u8),
+        )
+    }
+}
+
+impl Default for Ages {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A flash in which a sector is erased again before its first use, unless it is blank to the last word.
+#[derive(Debug)]
+struct Checked<F>(F);
+
+impl<F: NorFlash> Checked<F> {
+    async fn is_blank(&mut self, sector: u32) -> Result<bool, F::Error> {
+        let mut word = [0; 4];
+        for offset in (sector..sector + SECTOR).step_by(word.len()) {
+            self.0.read(offset, &mut word).await?;
+            if word != [0xFF; 4] {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+}
+
+impl<F: NorFlash> ErrorType for Checked<F> {
+    type Error = F::Error;
+}
+
+impl<F: NorFlash> ReadNorFlash for Checked<F> {
+    const READ_SIZE: usize = F::READ_SIZE;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), F::Error> {
+        self.0.read(offset, bytes).await
+    }
+
+    fn capacity(&self) -> usize {
+        self.0.capacity()
+    }
+}
+
+impl<F: NorFlash> NorFlash for Checked<F> {
+    const WRITE_SIZE: usize = F::WRITE_SIZE;
+    const ERASE_SIZE: usize = F::ERASE_SIZE;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), F::Error> {
+        self.0.erase(from, to).await
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), F::Error> {
+        // The first word of a sector is written when it comes into use. An erasure that was cut off may have left
+        // blank both words by which the log knows a blank sector, but not what lies between.
+        if offset.is_multiple_of(SECTOR) && !self.is_blank(offset).await? {
+            self.0.erase(offset, offset + SECTOR).await?;
+        }
+        self.0.write(offset, bytes).await
+    }
+}
+
+/// The flash refused to be written, or is worn out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StorageFailed;
+
+impl<E> From<sequential_storage::Error<E>> for StorageFailed {
+    fn from(_: sequential_storage::Error<E>) -> Self {
+        Self
+    }
+}
+
+/// The log over a flash that never really waits.
+pub struct Store<F: NorFlash> {
+    log: QueueStorage<Checked<F>, Cache<Uncached, Uncached, Uncached>>,
+    ages: Ages,
+}
+
+impl<F: NorFlash> Store<F> {
+    /// The log in [`SECTORS`] of `flash`.
+    pub fn new(flash: F) -> Self {
+        Self {
+            log: QueueStorage::new(
+                Checked(flash),
+                const { QueueConfig::new(SECTORS) },
+                Cache::new_uncached(),
+            ),
+            ages: Ages::new(),
+        }
+    }
+
+    /// Calls `record` with number and content of every record, older ones first.
+    ///
+    /// # Errors
+    /// The sectors cannot be read as records; what was read before stands.
+    pub fn load(&mut self, mut record: impl FnMut(u8, &[u8])) -> Result<(), StorageFailed> {
+        let mut buffer = [0; RECORD];
+        block_on(async {
+            let mut records = self.log.iter().await?;
+            while let Some(entry) = records.next(&mut buffer).await? {
+                if let [number, content @ ..] = &*entry {
+                    self.ages.wrote(*number);
+                    record(*number, content);
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// Writes a record. Stops the processor for up to a second: only while nothing moves.
+    /// [`Store::overdue`] has to be asked after each.
+    ///
+    /// # Errors
+    /// The record is not written; the old one counts.
+    pub fn save(&mut self, number: u8, content: &[u8]) -> Result<(), StorageFailed> {
+        let mut record = heapless::Vec::<u8, RECORD>::new();
+        let fits = record.push(number).is_ok() && record.extend_from_slice(content).is_ok();
+        if !fits {
+            return Err(StorageFailed);
+        }
+        block_on(self.log.push(&record, true))?;
+        self.ages.wrote(number);
+        Ok(())
+    }
+
+    /// Erases everything. Only where nothing can be read or written any more: a cut of the power in between could
+    /// bring older values back.
+    ///
+    /// # Errors
+    /// The flash is worn out.
+    pub fn erase(&mut self) -> Result<(), StorageFailed> {
+        block_on(self.log.erase_all())?;
+        self.ages = Ages::new();
+        Ok(())
+    }
+
+    /// Number of a record that has to be written again before others.
+    pub fn overdue(&self) -> Option<u8> {
+        self.ages.overdue()
+    }
+}

@@ -1,0 +1,297 @@
+//! Pins, clocks, timers and interrupts of the capsule; the only file that names them.
+//!
+//! | signal | pin | peripheral |
+//! |---|---|---|
+//! | bridge IN1, IN2 (DRV8833 class, IN/IN) | PB4, PB5 | TIM3_CH1, TIM3_CH2, 20 kHz |
+//! | bridge nSLEEP (low = asleep; pull-down on the board) | PB10 | |
+//! | bridge nFAULT (low = fault) | PA8 | |
+//! | encoder A, B | PA0, PA1 | TIM2 in encoder mode, 32 bit |
+//! | motor current, 1 mV per mA (0.5 ohm, gain 2) | PA4 | ADC1_IN4 |
+//! | battery through 1/2 | PB0 | ADC1_IN8 |
+//! | serial | PA2, PA3 | USART2, DMA1 streams 6 and 5 |
+//!
+//! Time driver: TIM5. Motor task: interrupt SPI5, whose peripheral is not used. Clock: the 16 MHz HSI for everything;
+//! nothing here needs more, and the idle current is what the battery pays for.
+//!
+//! | IN1 | IN2 | bridge |
+//! |---|---|---|
+//! | 0 | 0 | motor open |
+//! | 1 | 0 | winds |
+//! | 0 | 1 | pays out |
+//! | 1 | 1 | motor shorted |
+//!
+//! While driving, one input carries pulses and the other one is low: between the pulses the motor runs free. The
+//! usual alternative, shorting it between the pulses, would make the mean voltage independent of the load, but needs an
+//! inductance to carry the current over: this motor's winding forgets its current within some 10 us of the 50 us, and
+//! would brake itself with 0.3 A in every pause, all of it from the battery.
+
+#![allow(unsafe_code)]
+
+use device::chip::{
+    flash::Sectors,
+    start::{self, SerialPins},
+};
+use embassy_stm32::{
+    Config,
+    adc::AdcChannel,
+    interrupt::{self, InterruptExt, Priority},
+    mode::Async,
+    pac,
+    pac::gpio::vals::{Moder, Pupdr},
+    peripherals,
+    timer::{Ch1, Ch2, TimerPin},
+    usart::{RingBufferedUartRx, UartTx},
+    wdg::IndependentWatchdog,
+};
+use firmware_capsule::{detect::Sample, fold::Drive, mechanics::Counts};
+
+/// 16 MHz / 800 = 20 kHz.
+const PWM_TICKS: u16 = 800;
+/// Supply and reference of the ADC.
+const VDDA_MV: u32 = 3_300;
+/// Full scale of the 12-bit ADC.
+const ADC_FULL: u32 = 4_095;
+/// The battery's divider is 1/2.
+const BATTERY_RATIO: u32 = 2;
+/// Readings per sample while driving: together they take about one PWM period, so that their mean is the period's.
+const ADC_PAIRS: u32 = 5;
+/// A conversion takes 27 cycles of 8 MHz.
+const ADC_CYCLES: u32 = 54;
+/// How often to look for the end of a conversion, [`ADC_CYCLES`] apart.
+const ADC_PATIENCE: u32 = 20;
+
+const ENCODER: [usize; 2] = [0, 1];
+const IN1: usize = 4;
+const IN2: usize = 5;
+const N_SLEEP: usize = 10;
+const N_FAULT: usize = 8;
+
+/// What the tasks own.
+pub(crate) struct Board {
+    /// Link.
+    pub(crate) serial: (UartTx<'static, Async>, RingBufferedUartRx<'static>),
+    /// Motor, encoder, battery.
+    pub(crate) drive_train: DriveTrain,
+    /// Not yet started.
+    pub(crate) watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
+    /// Settings.
+    pub(crate) sectors: Sectors,
+}
+
+/// Clocks, pins and interrupts. The bridge stays asleep.
+pub(crate) fn init() -> Board {
+    // Default clocks: HSI, no PLL. 16 MHz / 115200 baud is 138.9: 0.08 % off, and the HSI 1 % at most at 25 C.
+    let p = start::init_clearing_stale_tim5(Config::default());
+
+    pac::RCC.ahb1enr().modify(|w| {
+        w.set_gpioaen(true);
+        w.set_gpioben(true);
+    });
+    pac::RCC.apb1enr().modify(|w| {
+        w.set_tim2en(true);
+        w.set_tim3en(true);
+    });
+    pac::RCC.apb2enr().modify(|w| w.set_adc1en(true));
+    outputs_off();
+    pac::GPIOB
+        .moder()
+        .modify(|w| w.set_moder(N_SLEEP, Moder::OUTPUT));
+    pac::GPIOA
+        .pupdr()
+        .modify(|w| w.set_pupdr(N_FAULT, Pupdr::PULL_UP));
+
+    // The pin traits of the HAL prove the pairings and know the alternate functions.
+    let encoder_functions = [
+        TimerPin::<peripherals::TIM2, Ch1>::af_num(&*p.PA0),
+        TimerPin::<peripherals::TIM2, Ch2>::af_num(&*p.PA1),
+    ];
+    let bridge_functions = [
+        TimerPin::<peripherals::TIM3, Ch1>::af_num(&*p.PB4),
+        TimerPin::<peripherals::TIM3, Ch2>::af_num(&*p.PB5),
+    ];
+    for (pin, function) in ENCODER.into_iter().zip(encoder_functions) {
+        alternate_function(pac::GPIOA, pin, function);
+        pac::GPIOA
+            .moder()
+            .modify(|w| w.set_moder(pin, Moder::ALTERNATE));
+    }
+    for (pin, function) in [IN1, IN2].into_iter().zip(bridge_functions) {
+        alternate_function(pac::GPIOB, pin, function);
+    }
+    // Sets the pins to analogue as well.
+    let current = AdcChannel::<peripherals::ADC1>::degrade_adc(p.PA4).get_hw_channel();
+    let battery = AdcChannel::<peripherals::ADC1>::degrade_adc(p.PB0).get_hw_channel();
+    configure_encoder();
+    configure_pwm();
+    configure_adc(current, battery);
+
+    // The motor's control runs above the serial port (7), the time base above both (2).
+    interrupt::SPI5.set_priority(Priority::P6);
+    Board {
+        serial: start::open_serial(SerialPins {
+            usart: p.USART2,
+            pa3: p.PA3,
+            pa2: p.PA2,
+            transmit_dma: p.DMA1_CH6,
+            receive_dma: p.DMA1_CH5,
+        }),
+        drive_train: DriveTrain {
+            current,
+            battery,
+            battery_mv: 0,
+        },
+        watchdog: start::watchdog(p.IWDG),
+        sectors: Sectors::new(p.FLASH),
+    }
+}
+
+fn alternate_function(port: pac::gpio::Gpio, pin: usize, function: u8) {
+    port.afr(pin / 8).modify(|w| w.set_afr(pin % 8, function));
+}
+
+/// Counts all four edges of A and B, over the full 32 bits (RM0383 section 13.3.12). The inputs are filtered over
+/// 8 clocks, 0.5 us; the motor's fastest edges are 57 us apart.
+fn configure_encoder() {
+    use pac::timer::vals::{CcmrInputCcs, FilterValue, Sms};
+    for pin in ENCODER {
+        pac::GPIOA
+            .pupdr()
+            .modify(|w| w.set_pupdr(pin, Pupdr::PULL_UP));
+    }
+    pac::TIM2.ccmr_input(0).modify(|w| {
+        for channel in [0, 1] {
+            w.set_ccs(channel, CcmrInputCcs::TI4);
+            w.set_icf(channel, FilterValue::FCK_INT_N8);
+        }
+    });
+    pac::TIM2.smcr().modify(|w| w.set_sms(Sms::ENCODER_MODE_3));
+    pac::TIM2.arr().write_value(u32::MAX);
+    pac::TIM2.cr1().modify(|w| w.set_cen(true));
+}
+
+fn configure_pwm() {
+    use pac::timer::vals::Ocm;
+    pac::TIM3.psc().write_value(0);
+    pac::TIM3.arr().write(|w| w.set_arr(PWM_TICKS - 1));
+    pac::TIM3.ccmr_output(0).modify(|w| {
+        for channel in [0, 1] {
+            w.set_ocm(channel, Ocm::PWM_MODE1);
+            w.set_ocpe(channel, true); // a new duty begins with a period
+        }
+    });
+    pac::TIM3.ccer().modify(|w| {
+        w.set_cce(0, true);
+        w.set_cce(1, true);
+    });
+}
+
+/// 8 MHz, 15 cycles of sampling and 12 of conversion. Switched on only for a reading at rest.
+fn configure_adc(current: u8, battery: u8) {
+    use pac::{adc::vals::SampleTime, adccommon::vals::Adcpre};
+    pac::ADC1_COMMON
+        .ccr()
+        .modify(|w| w.set_adcpre(Adcpre::DIV2));
+    pac::ADC1.smpr2().modify(|w| {
+        for channel in [current, battery] {
+            w.set_smp(usize::from(channel), SampleTime::CYCLES15);
+        }
+    });
+}
+
+/// Bridge asleep, motor open. Registers only: callable from anywhere, also from a panic or a processor fault.
+pub(crate) fn outputs_off() {
+    pac::GPIOB.bsrr().write(|w| {
+        w.set_br(N_SLEEP, true);
+        w.set_br(IN1, true);
+        w.set_br(IN2, true);
+    });
+    pac::GPIOB.moder().modify(|w| {
+        w.set_moder(IN1, Moder::OUTPUT);
+        w.set_moder(IN2, Moder::OUTPUT);
+    });
+    pac::TIM3.cr1().modify(|w| w.set_cen(false));
+}
+
+/// Motor, encoder, current and battery.
+pub(crate) struct DriveTrain {
+    current: u8,
+    battery: u8,
+    battery_mv: u16,
+}
+
+impl DriveTrain {
+    /// Sets the bridge. The duty comes from the last battery reading.
+    pub(crate) fn set(&mut self, drive: Drive) {
+        let (in1, in2) = match drive {
+            Drive::Off => return outputs_off(),
+            Drive::Brake => (PWM_TICKS, PWM_TICKS),
+            Drive::Millivolts(millivolts) if millivolts >= 0 => (self.pulse(millivolts), 0),
+            Drive::Millivolts(millivolts) => (0, self.pulse(millivolts)),
+        };
+        pac::TIM3.ccr(0).write(|w| w.set_ccr(in1));
+        pac::TIM3.ccr(1).write(|w| w.set_ccr(in2));
+        if !pac::TIM3.cr1().read().cen() {
+            pac::TIM3.egr().write(|w| w.set_ug(true));
+            pac::TIM3.cr1().modify(|w| w.set_cen(true));
+            pac::GPIOB.moder().modify(|w| {
+                w.set_moder(IN1, Moder::ALTERNATE);
+                w.set_moder(IN2, Moder::ALTERNATE);
+            });
+            pac::GPIOB.bsrr().write(|w| w.set_bs(N_SLEEP, true));
+        }
+    }
+
+    /// Length of the pulse that is this share of the battery. No battery reading: no drive.
+    fn pulse(&self, millivolts: i16) -> u16 {
+        let full = u32::from(PWM_TICKS);
+        let ticks = u32::from(millivolts.unsigned_abs()) * full;
+        let ticks = ticks.checked_div(u32::from(self.battery_mv));
+        ticks.map_or(0, |ticks| ticks.min(full) as u16)
+    }
+
+    /// Reads everything. nFAULT means nothing while the bridge sleeps.
+    pub(crate) fn sample(&mut self) -> Sample {
+        pac::ADC1.cr2().modify(|w| w.set_adon(true));
+        // 3 us to power up (DS9716 section 6.3.20).
+        cortex_m::asm::delay(48);
+        let awake = pac::TIM3.cr1().read().cen();
+        let pairs = if awake { ADC_PAIRS } else { 1 };
+        let (mut current, mut battery) = (0, 0);
+        for _ in 0..pairs {
+            current += u32::from(convert(self.current));
+            battery += u32::from(convert(self.battery));
+        }
+        if !awake {
+            pac::ADC1.cr2().modify(|w| w.set_adon(false));
+        }
+        let battery_mv = millivolts(battery, pairs) * BATTERY_RATIO;
+        let current_ma = millivolts(current, pairs); // 1 mV per mA
+        self.battery_mv = u16::try_from(battery_mv).unwrap_or(u16::MAX);
+        Sample {
+            counts: Counts(pac::TIM2.cnt().read() as i32),
+            current_ma: u16::try_from(current_ma).unwrap_or(u16::MAX),
+            battery_mv: self.battery_mv,
+            driver_fault: awake
+                && pac::GPIOA.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW,
+        }
+    }
+}
+
+fn convert(channel: u8) -> u16 {
+    pac::ADC1.sqr3().write(|w| w.set_sq(0, channel));
+    pac::ADC1.sr().modify(|w| w.set_eoc(false));
+    pac::ADC1.cr2().modify(|w| w.set_swstart(true));
+    for _ in 0..ADC_PATIENCE {
+        cortex_m::asm::delay(ADC_CYCLES);
+        if pac::ADC1.sr().read().eoc() {
+            return pac::ADC1.dr().read().data();
+        }
+    }
+    // Blind, with a motor running: outputs off, reset.
+    panic!("the ADC does not finish a conversion")
+}
+
+/// Mean of `count` readings, rounded down.
+fn millivolts(sum: u32, count: u32) -> u32 {
+    sum * VDDA_MV / (ADC_FULL * count)
+}

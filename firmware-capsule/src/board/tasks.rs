@@ -1,0 +1,178 @@
+//! The tasks; the table in this package's README says how often each runs and why.
+
+use super::{
+    channels::{ORDER, ORDER_CHANGED, Order, READINGS, Reading, SNAPSHOT},
+    pins::DriveTrain,
+};
+use core::sync::atomic::Ordering;
+use device::{
+    check_in::Client,
+    chip::{
+        channels::{REPLIES, REQUESTS, SESSION, send_if_free, set_telemetry, silence_us},
+        flash::Sectors,
+        link, retained, telemetry,
+        watchdog::{self, CHECK_IN, check_in},
+    },
+    retained::{EStop, Left},
+};
+use embassy_futures::select::{Either3, select, select3};
+use embassy_stm32::{
+    mode::Async,
+    peripherals,
+    usart::{RingBufferedUartRx, UartTx},
+    wdg::IndependentWatchdog,
+};
+use embassy_time::{Duration, Instant, Timer};
+use firmware_capsule::{
+    control::{self, Control},
+    fold::Drive,
+};
+use protocol::{
+    capsule::CapsuleTelemetry,
+    frame::Encoded,
+    system::{Identity, ResetCause, What},
+    table::Telemetry,
+};
+
+/// Readings while the bridge is awake.
+const PERIOD: Duration = Duration::from_millis(1);
+/// Control confirms with every reading; twenty missed ones, and the motor is braked.
+const STALE_US: u64 = 20_000;
+
+/// Sets the bridge and reads the sensors: every 1 ms while the bridge is awake, else every 100 ms; at once after a new
+/// order. Runs in an interrupt, above everything but the time base, because the current limits count on its period.
+/// Decides nothing but one thing: it brakes if control stops confirming the order.
+#[embassy_executor::task]
+pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
+    let mut next = Instant::now();
+    let mut stale = false;
+    loop {
+        check_in(Client::Motion);
+        let sample = drive_train.sample();
+        let now = Instant::now();
+        READINGS.signal(Reading {
+            at_us: now.as_micros(),
+            sample,
+        });
+        let order = ORDER.lock(|order| order.get());
+        let age_us = now.as_micros().saturating_sub(order.confirmed_us);
+        let was_stale = core::mem::replace(
+            &mut stale,
+            age_us > STALE_US && matches!(order.drive, Drive::Millivolts(_)),
+        );
+        let drive = if stale { Drive::Brake } else { order.drive };
+        drive_train.set(drive);
+        if stale && !was_stale {
+            defmt::error!("control is silent: motor braked");
+        }
+        next = if drive == Drive::Off {
+            now + CHECK_IN
+        } else {
+            // On the grid of the period, but after a rest on a new one.
+            (next + PERIOD).clamp(now, now + PERIOD)
+        };
+        // Either way there is something to do.
+        let _ = select(Timer::at(next), ORDER_CHANGED.wait()).await;
+        let order = ORDER.lock(|order| order.get());
+        if !stale {
+            drive_train.set(order.drive);
+        }
+    }
+}
+
+/// At every reading (1 ms while moving, else 100 ms) and at every request.
+#[embassy_executor::task]
+pub(crate) async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
+    let mut control = Control::new(Capsule, sectors, left, cause);
+    loop {
+        check_in(Client::Control);
+        match select3(REQUESTS.wait(), READINGS.wait(), Timer::after(CHECK_IN)).await {
+            Either3::First(inbound) => REPLIES.signal(control.answer(inbound)),
+            Either3::Second(reading) => control.read(reading.at_us, reading.sample),
+            // Motor is silent; the watchdog will see to it.
+            Either3::Third(()) => {}
+        }
+    }
+}
+
+/// The rest of the capsule, as control sees it.
+struct Capsule;
+
+impl control::Capsule for Capsule {
+    fn now_us(&self) -> u64 {
+        Instant::now().as_micros()
+    }
+
+    fn silence_us(&self) -> u32 {
+        silence_us(self.now_us())
+    }
+
+    fn session(&self) -> u8 {
+        SESSION.load(Ordering::Relaxed)
+    }
+
+    fn drive(&mut self, drive: Drive) {
+        let confirmed_us = self.now_us();
+        let before = ORDER.lock(|order| {
+            order.replace(Order {
+                drive,
+                confirmed_us,
+            })
+        });
+        if before.drive != drive {
+            ORDER_CHANGED.signal(());
+        }
+    }
+
+    fn show(&mut self, telemetry: CapsuleTelemetry) {
+        SNAPSHOT.lock(|snapshot| snapshot.set(Some(telemetry)));
+    }
+
+    fn set_telemetry(&mut self, period_ms: u16) {
+        set_telemetry(period_ms);
+    }
+
+    fn keep_latched(&mut self, estop: Option<EStop>) {
+        retained::keep_latched(estop);
+    }
+
+    fn tell(&mut self, what: &What, frame: Option<Encoded>) {
+        if let What::Capsule(event) = what {
+            defmt::info!("{}", event);
+        }
+        if let Some(frame) = frame {
+            send_if_free(frame);
+        }
+    }
+}
+
+/// Sends what the other tasks have queued.
+#[embassy_executor::task]
+pub(crate) async fn transmit(uart: UartTx<'static, Async>) -> ! {
+    link::transmit(uart).await
+}
+
+/// When bytes have come, and at least every 100 ms. An urgent stop has no shorter way than through control.
+#[embassy_executor::task]
+pub(crate) async fn receive(uart: RingBufferedUartRx<'static>, identity: Identity) -> ! {
+    link::receive(uart, identity, |_| ()).await
+}
+
+/// As often as the host asked for.
+#[embassy_executor::task]
+pub(crate) async fn telemetry() -> ! {
+    telemetry::run(|now| {
+        let snapshot = SNAPSHOT.lock(|snapshot| snapshot.get())?;
+        Some(Telemetry::Capsule(CapsuleTelemetry {
+            time_us: now.as_micros(),
+            ..snapshot
+        }))
+    })
+    .await
+}
+
+/// Every 150 ms.
+#[embassy_executor::task]
+pub(crate) async fn watchdog(watchdog: IndependentWatchdog<'static, peripherals::IWDG>) -> ! {
+    watchdog::run(watchdog, || ()).await
+}

@@ -1,0 +1,171 @@
+//! Everything that control decides: readings, requests and the clock in; drive, replies and events out. Pure: the rest
+//! of the capsule is a trait, so that the host tests run what the control task runs.
+
+use crate::{
+    commands::{self, Change, Context, Effect},
+    detect::Sample,
+    fold::{self, Actions, Drive, Event},
+};
+use device::{
+    common::About,
+    last_words::LastWords,
+    outbox::Outbox,
+    retained::{EStop, Left},
+    service::Inbound,
+    settings::SettingsStore,
+    store::StorageFailed,
+};
+use embedded_storage_async::nor_flash::NorFlash;
+use protocol::{
+    capsule::{CapsuleEvent, CapsuleFault, CapsuleTelemetry},
+    error::Refusal,
+    frame::Encoded,
+    settings::SettingKey,
+    system::{ResetCause, What},
+    table::{Reply, Request},
+};
+
+/// The rest of the capsule, as control sees it.
+pub trait Capsule {
+    /// Device time.
+    fn now_us(&self) -> u64;
+    /// How long the host has been silent.
+    fn silence_us(&self) -> u32;
+    /// Session for frames that nobody asked for; 0 = nobody listens.
+    fn session(&self) -> u8;
+    /// Sets the bridge, or confirms what it is set to.
+    fn drive(&mut self, drive: Drive);
+    /// Shows this to telemetry.
+    fn show(&mut self, telemetry: CapsuleTelemetry);
+    /// Sets the interval of telemetry, ms; 0 = none.
+    fn set_telemetry(&mut self, period_ms: u16);
+    /// Keeps an E-stop over a reset, or forgets it.
+    fn keep_latched(&mut self, estop: Option<EStop>);
+    /// Something happened: logs it and sends its frame, if there is one and the line is free.
+    fn tell(&mut self, what: &What, frame: Option<Encoded>);
+}
+
+/// Owns the state machine, the settings and the events.
+pub struct Control<C: Capsule, F: NorFlash> {
+    capsule: C,
+    machine: fold::Capsule,
+    settings: SettingsStore<F>,
+    outbox: Outbox,
+    last_words: LastWords,
+}
+
+impl<C: Capsule, F: NorFlash> Control<C, F> {
+    /// Control after a start, from what the previous one left and what is in flash.
+    pub fn new(capsule: C, flash: F, left: Left, reset_cause: ResetCause) -> Self {
+        let fault = match (reset_cause, left.latched) {
+            (ResetCause::Panic, _) => Some(CapsuleFault::Panic),
+            (ResetCause::Watchdog, _) => Some(CapsuleFault::Watchdog),
+            (_, Some(_)) => Some(CapsuleFault::EStopFrame),
+            (_, None) => None,
+        };
+        let (settings, _) = SettingsStore::load(flash, |values| commands::rule(values).is_ok());
+        let period_ms = settings.values().get(SettingKey::TelemetryMs) as u16;
+        let mut control = Self {
+            capsule,
+            machine: fold::Capsule::new(fault),
+            settings,
+            outbox: Outbox::new(),
+            last_words: left.last_words.unwrap_or_default(),
+        };
+        control.emit(What::Booted(reset_cause));
+        control.capsule.set_telemetry(period_ms);
+        control
+    }
+
+    /// The rest of the capsule.
+    pub fn capsule(&mut self) -> &mut C {
+        &mut self.capsule
+    }
+
+    /// Takes a reading.
+    pub fn read(&mut self, at_us: u64, sample: Sample) {
+        let actions = self.machine.step(at_us, Event::Sample(sample));
+        self.perform(&actions);
+        self.watch_link();
+    }
+
+    /// Answers a question of the link.
+    pub fn answer(&mut self, inbound: Inbound) -> Reply {
+        match inbound {
+            Inbound::Request(request) => self.request(request),
+            Inbound::Urgent(urgent) => {
+                let now_us = self.capsule.now_us();
+                let actions = commands::urgent(urgent, &mut self.machine, now_us);
+                self.perform(&actions);
+                Reply::Urgent(urgent)
+            }
+        }
+    }
+
+    fn request(&mut self, request: Request) -> Reply {
+        let context = Context {
+            now_us: self.capsule.now_us(),
+            about: About {
+                outbox: &self.outbox,
+                last_words: &self.last_words,
+                values: self.settings.values(),
+                keys: &commands::SETTINGS,
+                name: self.settings.name(),
+            },
+        };
+        let executed = commands::execute(request, &mut self.machine, &context);
+        if let Some(actions) = &executed.actions {
+            self.perform(actions);
+        }
+        match executed.effect {
+            Effect::None => {}
+            Effect::Telemetry { period_ms } => self.capsule.set_telemetry(period_ms),
+            Effect::Acknowledged => {
+                self.capsule.keep_latched(None);
+                self.emit(What::Acknowledged);
+            }
+            Effect::Store(change) => {
+                if self.change(change).is_err() {
+                    return Reply::Refused(Refusal::StorageFailed);
+                }
+            }
+        }
+        executed.reply
+    }
+
+    fn change(&mut self, change: Change) -> Result<(), StorageFailed> {
+        match change {
+            Change::Value(setting) => self.settings.set(setting.key, setting.value),
+            Change::Name(name) => self.settings.set_name(name),
+            Change::Reset => self.settings.reset(),
+        }
+    }
+
+    fn watch_link(&mut self) {
+        let timeout_ms = self.settings.values().get(SettingKey::LinkTimeoutMs);
+        if self.machine.is_moving() && self.capsule.silence_us() > timeout_ms * 1_000 {
+            self.emit(What::LinkLost);
+            let actions = self.machine.step(self.capsule.now_us(), Event::LinkSilent);
+            self.perform(&actions);
+        }
+    }
+
+    fn perform(&mut self, actions: &Actions) {
+        self.capsule.drive(actions.drive);
+        let telemetry = commands::telemetry(&self.machine, self.capsule.now_us());
+        self.capsule.show(telemetry);
+        for event in &actions.events {
+            if let CapsuleEvent::Faulted(fault) = event {
+                let estop = matches!(fault, CapsuleFault::EStopFrame);
+                self.capsule.keep_latched(estop.then_some(EStop::Frame));
+            }
+            self.emit(What::Capsule(*event));
+        }
+    }
+
+    fn emit(&mut self, what: What) {
+        let (now_us, session) = (self.capsule.now_us(), self.capsule.session());
+        let frame = self.outbox.record(now_us, what, session);
+        self.capsule.tell(&what, frame);
+    }
+}

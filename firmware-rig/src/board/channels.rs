@@ -1,0 +1,114 @@
+//! Everything that the rig's tasks and interrupts share beyond `device::chip::channels`; the only global state.
+
+use core::{
+    cell::Cell,
+    sync::atomic::{AtomicBool, AtomicI32, AtomicU32, Ordering},
+};
+use embassy_sync::{
+    blocking_mutex::{Mutex, raw::CriticalSectionRawMutex as Raw},
+    channel::Channel,
+    signal::Signal,
+};
+use embassy_time::Instant;
+use firmware_rig::{
+    control::Snapshot,
+    execution::{Mailbox, Order},
+    machine::Event,
+};
+use motion::units::StepPosition;
+use protocol::settings::SettingKey;
+
+/// Fed by interrupts and motion, drained by control.
+pub static NOTICES: Channel<Raw, Event, 16> = Channel::new();
+/// Fed by control, drained by motion.
+pub static ORDERS: Signal<Raw, Order> = Signal::new();
+/// Decelerate. Fed by control, drained by motion.
+pub static STOP: AtomicBool = AtomicBool::new(false);
+/// The pulses of the present path were cut. Set by interrupts, link and control; cleared by motion at a start.
+pub static CUT: AtomicBool = AtomicBool::new(false);
+/// Wakes motion: the ring has room, or something is wanted.
+pub static MOTION_WAKE: Signal<Raw, ()> = Signal::new();
+/// Set by control, read by telemetry and the LED.
+pub static SNAPSHOT: Mutex<Raw, Cell<Snapshot>> = Mutex::new(Cell::new(Snapshot::START));
+/// Position by the generator, steps. Set by motion.
+pub static COMMANDED: AtomicI32 = AtomicI32::new(0);
+/// Stroke in progress, from 0. Set by motion.
+pub static STROKE: AtomicU32 = AtomicU32::new(0);
+/// False pulses on home flag and far limit. Set by the switch interrupt.
+pub static GLITCHES: [Glitches; 2] = [const { Glitches::new() }; 2];
+/// How long a switch must keep its level, us. Set by control, read by the switch interrupt.
+pub static SWITCH_FILTER_US: AtomicU32 = AtomicU32::new(SettingKey::SwitchFilterUs.range().default);
+/// Filtered state of the home flag. Set at the start and by the switch interrupt.
+pub static HOME_FLAG_OPEN: AtomicBool = AtomicBool::new(false);
+
+/// False pulses on one switch, and when the last one was.
+pub struct Glitches {
+    count: AtomicU32,
+    last_us: AtomicU32,
+}
+
+impl Glitches {
+    const fn new() -> Self {
+        Self {
+            count: AtomicU32::new(0),
+            last_us: AtomicU32::new(0),
+        }
+    }
+
+    /// One more.
+    pub fn add(&self) {
+        self.count.fetch_add(1, Ordering::Relaxed);
+        let now = Instant::now().as_micros() as u32;
+        self.last_us.store(now, Ordering::Relaxed);
+    }
+
+    /// As on the wire.
+    pub fn get(&self) -> protocol::rig::Glitches {
+        protocol::rig::Glitches {
+            count: self.count.load(Ordering::Relaxed),
+            last_us: self.last_us.load(Ordering::Relaxed),
+        }
+    }
+}
+
+/// Tells motion that the pulses were cut.
+pub fn wake_after_cut() {
+    CUT.store(true, Ordering::Release);
+    MOTION_WAKE.signal(());
+}
+
+/// Tells motion and control that the pulses were cut.
+pub fn pulses_were_cut(why: Event) {
+    wake_after_cut();
+    // 16 notices cannot pile up within control's 10 ms; and if one did get lost, the path's end says that it was cut.
+    let _ = NOTICES.try_send(why);
+}
+
+/// Motion's end of these channels.
+pub struct MotionMailbox;
+
+impl Mailbox for MotionMailbox {
+    fn take_order(&mut self) -> Option<Order> {
+        let order = ORDERS.try_take()?;
+        CUT.store(false, Ordering::Release);
+        STOP.store(false, Ordering::Release);
+        Some(order)
+    }
+
+    fn is_cut(&self) -> bool {
+        CUT.load(Ordering::Acquire)
+    }
+
+    fn take_stop(&mut self) -> bool {
+        STOP.swap(false, Ordering::AcqRel)
+    }
+
+    fn notify(&mut self, event: Event) -> bool {
+        NOTICES.try_send(event).is_ok()
+    }
+
+    fn show(&mut self, stroke: u32, commanded: StepPosition) {
+        STROKE.store(stroke, Ordering::Relaxed);
+        COMMANDED.store(commanded.0, Ordering::Relaxed);
+    }
+}

@@ -1,0 +1,221 @@
+//! Pins, clocks, timers and interrupts of the rig; the only file that names them.
+//!
+//! | signal | pin | peripheral |
+//! |---|---|---|
+//! | STEP | PA10 | TIM1_CH3, AF1 |
+//! | stroke sync | PA8 | TIM1_CH1, AF1 |
+//! | E-stop loop, normally closed to ground | PA6 | TIM1_BKIN, AF1 |
+//! | step read-back | PA0 | TIM2_ETR, AF1 |
+//! | DIR (high = away from home) | PB4 | |
+//! | EN (low = driver on) | PA9 | |
+//! | home flag, normally closed to ground | PC7 | EXTI7 |
+//! | far limit, normally closed to ground | PB6 | EXTI6 |
+//! | status LED | PA5 | |
+//! | start button, low = pressed | PC13 | |
+//! | serial | PA2, PA3 | USART2, DMA1 streams 6 and 5 |
+//!
+//! Step timer: TIM1 with DMA2 stream 5 channel 6 (RM0383 table 28). Time driver: TIM5. All inputs have pull-ups:
+//! an open contact and a cut wire read the same, high.
+
+#![allow(unsafe_code)]
+
+use device::chip::{
+    flash::Sectors,
+    start::{self, SerialPins},
+};
+use embassy_stm32::{
+    Config,
+    gpio::{Level, Output, Speed},
+    interrupt::{self, InterruptExt, Priority},
+    mode::Async,
+    pac, peripherals, rcc,
+    time::Hertz,
+    usart::{RingBufferedUartRx, UartTx},
+    wdg::IndependentWatchdog,
+};
+use motion::axis::Direction;
+use protocol::rig::RigInputs;
+
+/// AF1 carries TIM1 and TIM2 on every pin used here (DS9716 table 9).
+const AF_TIMER: u8 = 1;
+
+/// What the tasks own.
+pub struct Board {
+    /// Link.
+    pub serial: (UartTx<'static, Async>, RingBufferedUartRx<'static>),
+    /// Status LED.
+    pub led: Output<'static>,
+    /// Not yet started.
+    pub watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
+    /// Settings.
+    pub sectors: Sectors,
+}
+
+/// Clocks, pins and interrupts. The driver stays off and no output is armed.
+pub fn init() -> Board {
+    let p = start::init_clearing_stale_tim5(clocks());
+    enable_peripherals();
+    outputs_off();
+    configure_pins();
+    configure_priorities();
+    Board {
+        serial: start::open_serial(SerialPins {
+            usart: p.USART2,
+            pa3: p.PA3,
+            pa2: p.PA2,
+            transmit_dma: p.DMA1_CH6,
+            receive_dma: p.DMA1_CH5,
+        }),
+        led: Output::new(p.PA5, Level::Low, Speed::Low),
+        watchdog: start::watchdog(p.IWDG),
+        sectors: Sectors::new(p.FLASH),
+    }
+}
+
+/// 8 MHz from the ST-LINK (or a crystal) through the PLL to 100 MHz; both timer clocks are 100 MHz.
+fn clocks() -> Config {
+    use rcc::{
+        AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllSource,
+        Sysclk,
+    };
+    let mut config = Config::default();
+    config.rcc.hse = Some(Hse {
+        freq: Hertz(8_000_000),
+        mode: HseMode::Bypass,
+    });
+    config.rcc.pll_src = PllSource::HSE;
+    // 8 MHz / 4 * 100 / 2 = 100 MHz; VCO 200 MHz (RM0383 section 6.3.2: 100..432 MHz).
+    config.rcc.pll = Some(Pll {
+        prediv: PllPreDiv::DIV4,
+        mul: PllMul::MUL100,
+        divp: Some(PllPDiv::DIV2),
+        divq: None,
+        divr: None,
+    });
+    config.rcc.sys = Sysclk::PLL1_P;
+    config.rcc.ahb_pre = AHBPrescaler::DIV1;
+    config.rcc.apb1_pre = APBPrescaler::DIV2; // 50 MHz; timers run at twice that
+    config.rcc.apb2_pre = APBPrescaler::DIV1; // 100 MHz
+    config
+}
+
+/// What the HAL does not drive for us.
+fn enable_peripherals() {
+    pac::RCC.ahb1enr().modify(|w| {
+        w.set_gpioaen(true);
+        w.set_gpioben(true);
+        w.set_gpiocen(true);
+        w.set_dma2en(true);
+    });
+    pac::RCC.apb1enr().modify(|w| w.set_tim2en(true));
+    pac::RCC.apb2enr().modify(|w| {
+        w.set_tim1en(true);
+        w.set_syscfgen(true);
+    });
+}
+
+fn configure_pins() {
+    use pac::gpio::vals::{Moder, Ospeedr, Pupdr};
+    // Outputs first get their level, then their mode: EN high = driver off.
+    pac::GPIOA.bsrr().write(|w| w.set_bs(9, true));
+    pac::GPIOA.moder().modify(|w| w.set_moder(9, Moder::OUTPUT));
+    pac::GPIOB.moder().modify(|w| w.set_moder(4, Moder::OUTPUT));
+    for (port, pin) in [(pac::GPIOC, 7), (pac::GPIOB, 6), (pac::GPIOC, 13)] {
+        port.pupdr().modify(|w| w.set_pupdr(pin, Pupdr::PULL_UP));
+        port.moder().modify(|w| w.set_moder(pin, Moder::INPUT));
+    }
+    pac::GPIOA.pupdr().modify(|w| {
+        w.set_pupdr(6, Pupdr::PULL_UP);
+        w.set_pupdr(0, Pupdr::PULL_DOWN);
+        // STEP and sync rest low while the timer does not drive them.
+        w.set_pupdr(10, Pupdr::PULL_DOWN);
+        w.set_pupdr(8, Pupdr::PULL_DOWN);
+    });
+    for pin in [0, 6, 8, 10] {
+        pac::GPIOA
+            .afr(pin / 8)
+            .modify(|w| w.set_afr(pin % 8, AF_TIMER));
+        pac::GPIOA
+            .ospeedr()
+            .modify(|w| w.set_ospeedr(pin, Ospeedr::HIGH_SPEED));
+        pac::GPIOA
+            .moder()
+            .modify(|w| w.set_moder(pin, Moder::ALTERNATE));
+    }
+    // EXTI7 from port C, EXTI6 from port B, both edges.
+    pac::SYSCFG.exticr(1).modify(|w| {
+        w.set_exti(3, 2);
+        w.set_exti(2, 1);
+    });
+    for line in [HOME_LINE, FAR_LINE] {
+        pac::EXTI.rtsr(0).modify(|w| w.set_line(line, true));
+        pac::EXTI.ftsr(0).modify(|w| w.set_line(line, true));
+        pac::EXTI.pr(0).write(|w| w.set_line(line, true));
+        pac::EXTI.imr(0).modify(|w| w.set_line(line, true));
+    }
+}
+
+/// EXTI line of the home flag.
+pub const HOME_LINE: usize = 7;
+/// EXTI line of the far limit.
+pub const FAR_LINE: usize = 6;
+
+/// The break before everything; then the time base at 2 (the switch filter reads it), the switches, the step ring's
+/// producer. The serial port is below at 7.
+fn configure_priorities() {
+    interrupt::TIM1_BRK_TIM9.set_priority(Priority::P1);
+    interrupt::EXTI9_5.set_priority(Priority::P3);
+    interrupt::DMA2_STREAM5.set_priority(Priority::P4);
+    interrupt::SPI5.set_priority(Priority::P6);
+    // SAFETY: the handlers are in `switches.rs` and `step_generator.rs`; nothing they use is initialised later than this.
+    unsafe {
+        interrupt::EXTI9_5.enable();
+    }
+}
+
+/// No pulse, driver off. Registers only: callable from anywhere, also from a panic or a processor fault.
+pub fn outputs_off() {
+    pac::TIM1.bdtr().modify(|w| w.set_moe(false));
+    pac::GPIOA.bsrr().write(|w| w.set_bs(9, true));
+}
+
+/// No further pulse, from this instruction on; the driver keeps holding. Registers only.
+pub fn cut_pulses() {
+    pac::TIM1.bdtr().modify(|w| w.set_moe(false));
+}
+
+/// Driver on: the motor holds.
+pub fn enable_driver() {
+    pac::GPIOA.bsrr().write(|w| w.set_br(9, true));
+}
+
+/// Sets DIR.
+pub fn set_direction(direction: Direction) {
+    pac::GPIOB.bsrr().write(|w| match direction {
+        Direction::Away => w.set_bs(4, true),
+        Direction::Home => w.set_br(4, true),
+    });
+}
+
+/// DIR as it is set.
+pub fn direction() -> Direction {
+    match pac::GPIOB.odr().read().odr(4) {
+        pac::gpio::vals::Odr::HIGH => Direction::Away,
+        pac::gpio::vals::Odr::LOW => Direction::Home,
+    }
+}
+
+/// The inputs now, not filtered; true = open.
+pub fn inputs() -> RigInputs {
+    let high = |idr: pac::gpio::vals::Idr| idr == pac::gpio::vals::Idr::HIGH;
+    RigInputs {
+        home_flag: high(pac::GPIOC.idr().read().idr(7)),
+        far_limit: high(pac::GPIOB.idr().read().idr(6)),
+        estop_loop: high(pac::GPIOA.idr().read().idr(6)),
+    }
+}
+
+/// The start button is down, not filtered.
+pub fn button_is_down() -> bool {
+    pac::GPIOC.idr().read().idr(13) == pac::gpio::vals::Idr::LOW
+}

@@ -1,0 +1,366 @@
+//! The step generator: TIM1 pulses whose periods DMA takes from a ring, and TIM2 which counts them at the pin.
+//!
+//! Each ring slot is one period of TIM1, or as many equal ones as its repetition counter is told, five half-words in
+//! register order {ARR, RCR, CCR1, CCR2, CCR3}, written through TIM1_DMAR at every update event (RM0383 sections
+//! 12.3.3 and 12.3.20). PWM mode 1 puts the pulse at the start of a period; CCR1 makes the sync pulse in the same way, so
+//! both have no latency at all. Everything is preloaded: while slot j plays, slot j+1 sits in the preload
+//! registers and slot j+2 is fetched at the next update.
+//!
+//! The slot after the last written one is always zero. A zero period blocks the counter with the output low
+//! (ARR = 0, RM0383 section 12.4.12): end marker, underrun guard and clean stop in one. However late the
+//! producer is, no pulse is ever repeated, doubled or misplaced; the generator only stops.
+
+#![allow(unsafe_code)]
+
+use super::{channels, pins};
+use core::{
+    cell::UnsafeCell,
+    sync::atomic::{Ordering, compiler_fence},
+};
+use embassy_stm32::{
+    interrupt::{self, InterruptExt},
+    pac::{self, DMA2, TIM1, TIM2},
+};
+use firmware_rig::{
+    execution::{LoopOpen, Ring, Underrun},
+    machine::Event,
+    periods::Period,
+};
+use motion::{axis::Direction, units::StepPosition};
+
+/// Slots of the ring. At 28.5 kHz and no two periods alike it holds 4.3 ms.
+const SLOTS: usize = 128;
+const WORDS: usize = 5;
+const RING_WORDS: u32 = (SLOTS * WORDS) as u32;
+/// Never more than this many periods wait in the ring; the rest keeps the zero slot away from the reader.
+const MAX_QUEUE: i32 = SLOTS as i32 - 4;
+/// Width of the sync pulse, 50 us, or as long as the period.
+const SYNC_TICKS: u32 = 5_000;
+const STREAM: usize = 5;
+/// TIM1_UP (RM0383 table 28).
+const DMA_CHANNEL: u8 = 6;
+/// DCR.DBA of ARR: register offset 0x2C / 4.
+const DBA_ARR: u8 = 11;
+
+#[repr(C, align(4))]
+struct Slots(UnsafeCell<[[u16; WORDS]; SLOTS]>);
+// SAFETY: written only by the one `StepGenerator` with volatile stores; the other reader is the DMA controller.
+unsafe impl Sync for Slots {}
+static RING: Slots = Slots(UnsafeCell::new([[0; WORDS]; SLOTS]));
+
+/// How far a path has come; both wrap.
+#[derive(Clone, Copy, Default)]
+struct Mark {
+    ticks: u32,
+    pulses: u32,
+}
+
+/// The generator; one exists.
+pub struct StepGenerator {
+    /// Slots filled since [`Ring::clear`]; wraps in runs of many hours.
+    pushed: u32,
+    /// Slots that DMA has fetched; exceeds `pushed` by one while the last one plays, by two when halted.
+    fetched: u32,
+    /// Slot that DMA reads next, when `fetched` was last updated.
+    read_slot: u32,
+    /// The path up to the end of each slot.
+    marks: [Mark; SLOTS],
+    /// The path up to the last slot that was filled.
+    end: Mark,
+    running: bool,
+    /// Width of a step pulse: a setting, no less than the driver's minimum (DRV8825: 1.9 us).
+    pulse_ticks: u16,
+}
+
+impl StepGenerator {
+    /// Sets up TIM1, its DMA stream and TIM2. Outputs stay off.
+    pub fn new() -> Self {
+        TIM1.psc().write_value(0);
+        TIM1.cr1().write(|w| w.set_arpe(true));
+        for channel in [0, 2] {
+            TIM1.ccmr_output(channel / 2).modify(|w| {
+                w.set_ocm(channel % 2, pac::timer::vals::Ocm::PWM_MODE1);
+                w.set_ocpe(channel % 2, true);
+            });
+            TIM1.ccer().modify(|w| w.set_cce(channel, true));
+        }
+        TIM1.bdtr().write(|w| {
+            w.set_ossi(pac::timer::vals::Ossi::IDLE_LEVEL); // MOE = 0 drives the idle level, low
+            w.set_bke(0, true);
+            w.set_bkp(0, pac::timer::vals::Bkp::ACTIVE_HIGH); // the loop is closed to ground: high = open = break
+        });
+        TIM1.dcr().write(|w| {
+            w.set_dba(DBA_ARR);
+            w.set_dbl(WORDS as u8 - 1);
+        });
+
+        let stream = DMA2.st(STREAM);
+        stream.par().write_value(TIM1.dmar().as_ptr() as u32);
+        stream.m0ar().write_value(RING.0.get() as u32);
+
+        // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.4, external clock mode 2).
+        TIM2.arr().write_value(u32::MAX);
+        TIM2.smcr().write(|w| w.set_ece(true));
+        TIM2.egr().write(|w| w.set_ug(true));
+        TIM2.cr1().modify(|w| w.set_cen(true));
+
+        // SAFETY: both handlers are below; they touch registers and channels only.
+        unsafe {
+            interrupt::DMA2_STREAM5.enable();
+            interrupt::TIM1_BRK_TIM9.enable();
+        }
+        Self {
+            pushed: 0,
+            fetched: 0,
+            read_slot: 0,
+            marks: [Mark::default(); SLOTS],
+            end: Mark::default(),
+            running: false,
+            pulse_ticks: 0,
+        }
+    }
+
+    /// Slots that wait in the ring; -1 while the last one plays, -2 when nothing plays any more.
+    fn queue(&self) -> i32 {
+        self.pushed.wrapping_sub(self.fetched) as i32
+    }
+
+    /// The path up to the end of the slot so many before the one that DMA reads next: 2 is the one that plays.
+    /// Before the first slot these are the ring's last ones, which are not filled so early.
+    fn mark(&self, before: u32) -> Mark {
+        self.marks[self.fetched.wrapping_sub(before) as usize % SLOTS]
+    }
+}
+
+impl Ring for StepGenerator {
+    fn clear(&mut self, pulse_ticks: u16) {
+        self.halt();
+        self.pulse_ticks = pulse_ticks;
+        for slot in 0..SLOTS {
+            end_slot(slot);
+            self.marks[slot] = Mark::default();
+        }
+        DMA2.st(STREAM)
+            .ndtr()
+            .write(|w| w.set_ndt(RING_WORDS as u16));
+        (self.pushed, self.fetched, self.read_slot) = (0, 0, 0);
+        self.end = Mark::default();
+    }
+
+    fn push(&mut self, period: Period) -> Result<(), Underrun> {
+        if self.running && self.queue() < 2 {
+            return Err(Underrun);
+        }
+        let slot = self.pushed as usize % SLOTS;
+        let sync = if period.sync {
+            SYNC_TICKS.min(period.ticks - 1)
+        } else {
+            0
+        };
+        let rounds = u32::from(period.repeats) + 1;
+        let pulse = if period.pulse { self.pulse_ticks } else { 0 };
+        end_slot(slot + 1);
+        write_slot(
+            slot,
+            [
+                (period.ticks - 1) as u16,
+                period.repeats.into(),
+                sync as u16,
+                pulse,
+            ],
+        );
+        self.update();
+        self.pushed = self.pushed.wrapping_add(1);
+        if self.running && self.queue() < 1 {
+            return Err(Underrun);
+        }
+        self.end.ticks = self.end.ticks.wrapping_add(period.ticks * rounds);
+        if period.pulse {
+            self.end.pulses = self.end.pulses.wrapping_add(rounds);
+        }
+        self.marks[slot] = self.end;
+        Ok(())
+    }
+
+    fn has_room(&self) -> bool {
+        self.queue() < MAX_QUEUE
+    }
+
+    fn waiting(&self) -> u32 {
+        self.queue().max(0).unsigned_abs()
+    }
+
+    fn has_played_out(&self) -> bool {
+        self.queue() <= -2
+    }
+
+    fn lead(&self) -> u32 {
+        if self.queue() < 0 {
+            return 0;
+        }
+        self.end.ticks.wrapping_sub(self.mark(2).ticks)
+    }
+
+    fn waiting_pulses(&self) -> u32 {
+        self.end.pulses.wrapping_sub(self.mark(3).pulses)
+    }
+
+    // At least once per round of the ring. Once per step: no call, although the image is optimised for size.
+    #[inline(always)]
+    fn update(&mut self) {
+        let left = u32::from(DMA2.st(STREAM).ndtr().read().ndt());
+        let slot = (RING_WORDS - left) / WORDS as u32 % SLOTS as u32;
+        let fetched = slot.wrapping_sub(self.read_slot) % SLOTS as u32;
+        self.fetched = self.fetched.wrapping_add(fetched);
+        self.read_slot = slot;
+    }
+
+    fn start(&mut self) -> Result<(), LoopOpen> {
+        let stream = DMA2.st(STREAM);
+        DMA2.ifcr(STREAM / 4).write(|w| {
+            w.set_htif(STREAM % 4, true);
+            w.set_tcif(STREAM % 4, true);
+            w.set_teif(STREAM % 4, true);
+            w.set_dmeif(STREAM % 4, true);
+            w.set_feif(STREAM % 4, true);
+        });
+        stream.cr().write(|w| {
+            w.set_chsel(DMA_CHANNEL);
+            w.set_dir(pac::dma::vals::Dir::MEMORY_TO_PERIPHERAL);
+            w.set_circ(true);
+            w.set_minc(true);
+            w.set_psize(pac::dma::vals::Size::BITS16);
+            w.set_msize(pac::dma::vals::Size::BITS16);
+            w.set_pl(pac::dma::vals::Pl::VERY_HIGH);
+            w.set_htie(true);
+            w.set_tcie(true);
+        });
+        compiler_fence(Ordering::SeqCst);
+        stream.cr().modify(|w| w.set_en(true));
+        TIM1.dier().write(|w| w.set_ude(true));
+        // The first update brings period 0 into the preload registers, the second one makes it active.
+        for fetched in 1..=2 {
+            TIM1.egr().write(|w| w.set_ug(true));
+            for _ in 0..1_000 {
+                self.update();
+                if self.fetched >= fetched {
+                    break;
+                }
+            }
+        }
+        TIM1.sr().write_value(pac::timer::regs::SrAdv(0));
+        TIM1.dier().write(|w| {
+            w.set_ude(true);
+            w.set_bie(true);
+        });
+        TIM1.bdtr().modify(|w| w.set_moe(true));
+        if !TIM1.bdtr().read().moe() {
+            self.halt();
+            return Err(LoopOpen);
+        }
+        TIM1.cr1().modify(|w| w.set_cen(true));
+        self.running = true;
+        Ok(())
+    }
+
+    fn halt(&mut self) {
+        pins::cut_pulses();
+        TIM1.cr1().modify(|w| w.set_cen(false));
+        TIM1.dier().write(|_| ());
+        DMA2.st(STREAM).cr().modify(|w| w.set_en(false));
+        while DMA2.st(STREAM).cr().read().en() {}
+        self.running = false;
+    }
+
+    fn cut(&mut self) {
+        pins::cut_pulses();
+    }
+
+    fn enable_driver(&mut self) {
+        pins::enable_driver();
+    }
+
+    fn set_direction(&mut self, direction: Direction) {
+        pins::set_direction(direction);
+        TIM2.cr1().modify(|w| {
+            w.set_dir(match direction {
+                Direction::Away => pac::timer::vals::Dir::UP,
+                Direction::Home => pac::timer::vals::Dir::DOWN,
+            })
+        });
+    }
+
+    fn counted(&self) -> StepPosition {
+        counted()
+    }
+}
+
+/// Makes a slot the end of the queue. The counter has to stop before the outputs lose their pulses.
+#[inline]
+fn end_slot(slot: usize) {
+    let words = words(slot);
+    // SAFETY: as in `write_slot`.
+    unsafe {
+        words.write_volatile(0);
+        words.add(1).write_volatile(0);
+        words.add(2).write_volatile(0);
+        words.add(4).write_volatile(0);
+    }
+    compiler_fence(Ordering::SeqCst);
+}
+
+/// Fills a slot that is the end of the queue: ARR, RCR, CCR1, CCR3; there is no second channel (CCR2).
+#[inline]
+fn write_slot(slot: usize, [arr, rcr, sync, pulse]: [u16; 4]) {
+    let words = words(slot);
+    // SAFETY: the five words of a slot lie inside the ring; volatile, because DMA reads them.
+    unsafe {
+        words.add(1).write_volatile(rcr);
+        words.add(2).write_volatile(sync);
+        words.add(4).write_volatile(pulse);
+        // ARR comes to its value last: a half-written slot that the reader takes all the same stops the counter.
+        words.write_volatile(arr);
+    }
+    compiler_fence(Ordering::SeqCst);
+}
+
+/// The first word of a slot, which may be one beyond the last and then is the first again.
+#[inline]
+fn words(slot: usize) -> *mut u16 {
+    let slots = RING.0.get().cast::<[u16; WORDS]>();
+    // SAFETY: `slot % SLOTS` lies inside the ring.
+    unsafe { slots.add(slot % SLOTS).cast::<u16>() }
+}
+
+/// Position by the read-back counter.
+pub fn counted() -> StepPosition {
+    StepPosition(TIM2.cnt().read() as i32)
+}
+
+/// Sets the read-back counter. Only while no pulse can come.
+pub fn set_counted(position: StepPosition) {
+    TIM2.cnt().write_value(position.0 as u32);
+}
+
+#[pac::interrupt]
+fn DMA2_STREAM5() {
+    DMA2.ifcr(STREAM / 4).write(|w| {
+        w.set_htif(STREAM % 4, true);
+        w.set_tcif(STREAM % 4, true);
+    });
+    channels::MOTION_WAKE.signal(());
+}
+
+/// The E-stop loop opened; the hardware has already cleared MOE.
+#[pac::interrupt]
+fn TIM1_BRK_TIM9() {
+    // The flag cannot be cleared while the loop is open: no more interrupts until the next start.
+    TIM1.dier().modify(|w| w.set_bie(false));
+    TIM1.sr().modify(|w| w.set_bif(0, false));
+    channels::pulses_were_cut(Event::LoopOpened);
+}
+
+/// Pulses can leave the pin.
+pub fn is_armed() -> bool {
+    TIM1.bdtr().read().moe()
+}

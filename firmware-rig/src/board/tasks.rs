@@ -1,0 +1,249 @@
+//! The tasks: each waits at one place. Who runs at which priority is the table in this package's README.
+
+use super::{
+    channels::{
+        COMMANDED, GLITCHES, HOME_FLAG_OPEN, MOTION_WAKE, MotionMailbox, NOTICES, ORDERS, SNAPSHOT,
+        STOP, STROKE, SWITCH_FILTER_US, wake_after_cut,
+    },
+    pins,
+    step_generator::{self, StepGenerator},
+};
+use core::sync::atomic::Ordering;
+use device::{
+    check_in::Client,
+    chip::{
+        channels::{
+            BAD_FRAMES, REPLIES, REQUESTS, SESSION, UART_ERRORS, UNSENT_FRAMES, send_if_free,
+            set_telemetry, silence_us,
+        },
+        flash::Sectors,
+        image, link, retained, telemetry,
+        watchdog::{self, CHECK_IN, check_in},
+    },
+    retained::{EStop, Left},
+};
+use embassy_futures::select::{Either3, select3};
+use embassy_stm32::{
+    gpio::Output,
+    mode::Async,
+    peripherals,
+    usart::{RingBufferedUartRx, UartTx},
+    wdg::IndependentWatchdog,
+};
+use embassy_time::{Duration, Instant, Ticker, with_timeout};
+use firmware_rig::{
+    control::{self, Control, ROUND_US},
+    execution::{Motion, Order, Pace},
+    machine::Now,
+};
+use motion::{
+    axis::Axis,
+    units::{StepPosition, Steps},
+};
+use protocol::{
+    frame::Encoded,
+    rig::{RigHealth, RigInputs, RigState, RigTelemetry},
+    system::{Identity, ResetCause, Urgent, What},
+    table::Telemetry,
+};
+
+/// Highest task priority. Idle: every 100 ms. Moving: every 2 ms at the latest, for slow motion; else the ring wakes
+/// it twice a round. While a turn or the end is awaited: every 0.1 ms.
+#[embassy_executor::task]
+pub async fn motion(mut generator: StepGenerator) -> ! {
+    let mut motion = Motion::new();
+    loop {
+        check_in(Client::Motion);
+        let wait = match motion.pace() {
+            Pace::Idle => CHECK_IN,
+            Pace::Filled => Duration::from_millis(2),
+            Pace::Waiting => Duration::from_micros(100),
+        };
+        // Either way there is something to do.
+        let _ = with_timeout(wait, MOTION_WAKE.wait()).await;
+        motion.round(&mut generator, &mut MotionMailbox);
+    }
+}
+
+/// Every 10 ms and at every notice or request.
+#[embassy_executor::task]
+pub async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
+    let mut control = Control::new(Rig, sectors, left, cause, image::hash());
+    let mut ticker = Ticker::every(Duration::from_micros(ROUND_US));
+    loop {
+        check_in(Client::Control);
+        SNAPSHOT.lock(|snapshot| snapshot.set(control.snapshot()));
+        match select3(NOTICES.receive(), REQUESTS.wait(), ticker.next()).await {
+            Either3::First(event) => control.event(event),
+            Either3::Second(inbound) => REPLIES.signal(control.answer(inbound)),
+            Either3::Third(()) => control.tick(),
+        }
+    }
+}
+
+/// The rest of the rig, as control sees it.
+pub struct Rig;
+
+impl control::Rig for Rig {
+    fn now(&self) -> Now {
+        let glitches = GLITCHES.each_ref().map(|switch| switch.get().count);
+        Now {
+            time_us: Instant::now().as_micros(),
+            position: step_generator::counted(),
+            // The home flag as filtered: one glitch must not choose how homing begins.
+            inputs: RigInputs {
+                home_flag: HOME_FLAG_OPEN.load(Ordering::Relaxed),
+                ..pins::inputs()
+            },
+            glitches: glitches[0].wrapping_add(glitches[1]),
+        }
+    }
+
+    fn button_is_down(&self) -> bool {
+        pins::button_is_down()
+    }
+
+    fn stroke(&self) -> u32 {
+        STROKE.load(Ordering::Relaxed)
+    }
+
+    fn silence_us(&self) -> u32 {
+        silence_us(Instant::now().as_micros())
+    }
+
+    fn session(&self) -> u8 {
+        SESSION.load(Ordering::Relaxed)
+    }
+
+    fn health(&self) -> RigHealth {
+        let (stack_size, stack_used) = image::stack();
+        RigHealth {
+            home_flag: GLITCHES[0].get(),
+            far_limit: GLITCHES[1].get(),
+            uart_errors: UART_ERRORS.load(Ordering::Relaxed),
+            bad_frames: BAD_FRAMES.load(Ordering::Relaxed),
+            unsent_frames: UNSENT_FRAMES.load(Ordering::Relaxed),
+            stack_used,
+            stack_size,
+            underruns: 0,
+            control_late_us: 0,
+            image_hash: 0,
+        }
+    }
+
+    fn start(&mut self, order: Order) {
+        ORDERS.signal(order);
+        MOTION_WAKE.signal(());
+    }
+
+    fn stop_path(&mut self) {
+        STOP.store(true, Ordering::Release);
+        MOTION_WAKE.signal(());
+    }
+
+    fn cut(&mut self) {
+        pins::cut_pulses();
+        wake_after_cut();
+    }
+
+    fn set_position(&mut self, position: StepPosition) {
+        step_generator::set_counted(position);
+    }
+
+    fn set_telemetry(&mut self, period_ms: u16) {
+        set_telemetry(period_ms);
+    }
+
+    fn set_switch_filter(&mut self, filter_us: u32) {
+        SWITCH_FILTER_US.store(filter_us, Ordering::Relaxed);
+    }
+
+    fn keep_latched(&mut self, estop: Option<EStop>) {
+        retained::keep_latched(estop);
+    }
+
+    fn tell(&mut self, what: &What, frame: Option<Encoded>) {
+        if let What::Rig(event) = what {
+            defmt::info!("{}", event);
+        }
+        if let Some(frame) = frame {
+            send_if_free(frame);
+        }
+    }
+}
+
+/// Sends what the other tasks have queued.
+#[embassy_executor::task]
+pub async fn transmit(uart: UartTx<'static, Async>) -> ! {
+    link::transmit(uart).await
+}
+
+/// Reads the port; at least every 100 ms.
+#[embassy_executor::task]
+pub async fn receive(uart: RingBufferedUartRx<'static>, identity: Identity) -> ! {
+    // The pulses end before control latches the fault.
+    let at_once = |urgent| {
+        if urgent == Urgent::EStop {
+            pins::cut_pulses();
+            wake_after_cut();
+        }
+    };
+    link::receive(uart, identity, at_once).await
+}
+
+/// Lowest priority, as often as the host asked for.
+#[embassy_executor::task]
+pub async fn telemetry() -> ! {
+    let mut last = (Instant::now(), step_generator::counted());
+    telemetry::run(|now| {
+        let (before, from) = last;
+        let position = step_generator::counted();
+        last = (now, position);
+        let snapshot = SNAPSHOT.lock(|snapshot| snapshot.get());
+        let elapsed_us = now.saturating_duration_since(before).as_micros();
+        Some(Telemetry::Rig(RigTelemetry {
+            time_us: now.as_micros(),
+            state: snapshot.state,
+            position_steps: position.0,
+            commanded_steps: COMMANDED.load(Ordering::Relaxed),
+            speed_um_s: speed_um_s(&snapshot.axis, position.since(from), elapsed_us),
+            stroke: STROKE.load(Ordering::Relaxed),
+            residual_steps: snapshot.residual_steps,
+            inputs: pins::inputs(),
+        }))
+    })
+    .await
+}
+
+fn speed_um_s(axis: &Axis, steps: i32, time_us: u64) -> i32 {
+    let nm = axis.length_of(Steps(steps.unsigned_abs())).0;
+    let speed = nm.saturating_mul(1_000) / time_us.max(1);
+    let speed = i32::try_from(speed).unwrap_or(i32::MAX);
+    if steps < 0 { -speed } else { speed }
+}
+
+/// Every 150 ms; also shows the state on the LED.
+#[embassy_executor::task]
+pub async fn watchdog(
+    watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
+    mut led: Output<'static>,
+) -> ! {
+    let mut round = 0_u8;
+    let show_state = || {
+        round = (round + 1) % 8;
+        let state = SNAPSHOT.lock(|snapshot| snapshot.get().state);
+        led.set_level((pattern(state) >> round & 1 == 1).into());
+    };
+    watchdog::run(watchdog, show_state).await
+}
+
+/// One bit per round, 1 = lit; eight rounds are 1.2 s.
+fn pattern(state: RigState) -> u8 {
+    match state {
+        RigState::Ready => 0b1111_1111,
+        RigState::Unhomed => 0b0000_1111,
+        RigState::Held => 0b0000_0101,
+        RigState::Homing | RigState::Running | RigState::Moving | RigState::Stopping => 0b0111_1111,
+        RigState::Faulted => 0b0101_0101,
+    }
+}

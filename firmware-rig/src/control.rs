@@ -1,0 +1,333 @@
+//! Everything that control decides: requests, notices, button and clock in; orders, replies and events out. Pure: the
+//! rest of the rig is a trait, so that the host tests run what the control task runs.
+
+use crate::{
+    commands::{Change, Context, Effect, execute, press_button},
+    execution::Order,
+    machine::{Action, Actions, Command, Event, Machine, Now, PathEnd},
+    periods::Path,
+    settings::Settings,
+};
+use device::{
+    common::About,
+    last_words::LastWords,
+    outbox::Outbox,
+    retained::{EStop, Left},
+    service::Inbound,
+    settings::{SettingsStore, Values},
+    store::StorageFailed,
+};
+use embedded_storage_async::nor_flash::NorFlash;
+use motion::{
+    axis::Axis,
+    units::{StepPosition, Window},
+};
+use protocol::{
+    error::Refusal,
+    frame::Encoded,
+    rig::{RigEvent, RigFault, RigHealth, RigState},
+    settings::SettingKey,
+    system::{ResetCause, Urgent, What},
+    table::{Reply, Request},
+};
+
+/// How often [`Control::tick`] has to be called.
+pub const ROUND_US: u64 = 10_000;
+/// So many rounds must the start button be down.
+const BUTTON_ROUNDS: u8 = 3;
+
+/// The rest of the rig, as control sees it.
+pub trait Rig {
+    /// Time, position and inputs.
+    fn now(&self) -> Now;
+    /// The start button is down, not filtered.
+    fn button_is_down(&self) -> bool;
+    /// Stroke in progress, from 0.
+    fn stroke(&self) -> u32;
+    /// How long the host has been silent.
+    fn silence_us(&self) -> u32;
+    /// Session for frames that nobody asked for; 0 = nobody listens.
+    fn session(&self) -> u8;
+    /// Counters of line, switches and stack; the others are control's.
+    fn health(&self) -> RigHealth;
+    /// Executes a path.
+    fn start(&mut self, order: Order);
+    /// Decelerates to rest.
+    fn stop_path(&mut self);
+    /// No further pulse.
+    fn cut(&mut self);
+    /// Sets the read-back counter. Only while no pulse can come.
+    fn set_position(&mut self, position: StepPosition);
+    /// Sets the interval of telemetry, ms; 0 = none.
+    fn set_telemetry(&mut self, period_ms: u16);
+    /// Sets how long a switch must keep its level, us.
+    fn set_switch_filter(&mut self, filter_us: u32);
+    /// Keeps an E-stop over a reset, or forgets it.
+    fn keep_latched(&mut self, estop: Option<EStop>);
+    /// Something happened: logs it and sends its frame, if there is one and the line is free.
+    fn tell(&mut self, what: &What, frame: Option<Encoded>);
+}
+
+/// What telemetry and the LED show of the state machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Snapshot {
+    /// State.
+    pub state: RigState,
+    /// Residual of the ledger, steps.
+    pub residual_steps: i32,
+    /// Steps per length.
+    pub axis: Axis,
+}
+
+impl Snapshot {
+    /// Before control has begun.
+    pub const START: Self = Self {
+        state: RigState::Unhomed,
+        residual_steps: 0,
+        axis: Axis::REFERENCE,
+    };
+}
+
+/// Owns the state machine, the settings and the events.
+pub struct Control<R: Rig, F: NorFlash> {
+    rig: R,
+    machine: Machine,
+    settings: SettingsStore<F>,
+    outbox: Outbox,
+    last_words: LastWords,
+    image_hash: u32,
+    underruns: u32,
+    /// When the last round was due, and by how much one was late at most.
+    round_us: u64,
+    late_us: u32,
+    button_rounds: u8,
+}
+
+impl<R: Rig, F: NorFlash> Control<R, F> {
+    /// Control after a start, from what the previous one left and what is in flash.
+    pub fn new(rig: R, flash: F, left: Left, reset_cause: ResetCause, image_hash: u32) -> Self {
+        let fault = match (reset_cause, left.latched) {
+            (ResetCause::Panic, _) => Some(RigFault::Panic),
+            (ResetCause::Watchdog, _) => Some(RigFault::Watchdog),
+            (_, Some(EStop::Loop)) => Some(RigFault::EStopLoop),
+            (_, Some(EStop::Frame)) => Some(RigFault::EStopFrame),
+            (_, None) => None,
+        };
+        let (store, usable) = SettingsStore::load(flash, |values| Settings::new(values).is_ok());
+        let settings = Settings::new(store.values()).unwrap_or(Settings::REFERENCE);
+        let round_us = rig.now().time_us;
+        let mut control = Self {
+            rig,
+            machine: Machine::new(settings, fault, image_hash),
+            settings: store,
+            outbox: Outbox::new(),
+            last_words: left.last_words.unwrap_or_default(),
+            image_hash,
+            underruns: 0,
+            round_us,
+            late_us: 0,
+            // A button that is down at the start has to be let go first.
+            button_rounds: BUTTON_ROUNDS,
+        };
+        control.emit(What::Booted(reset_cause));
+        if !usable {
+            control.emit(What::Rig(RigEvent::SettingsUnusable));
+        }
+        control.apply_settings();
+        let period_ms = control.values().get(SettingKey::TelemetryMs) as u16;
+        control.rig.set_telemetry(period_ms);
+        control
+    }
+
+    /// What telemetry and the LED show.
+    pub fn snapshot(&self) -> Snapshot {
+        Snapshot {
+            state: self.machine.state(),
+            residual_steps: self.machine.residual(),
+            axis: self.machine.settings().axis,
+        }
+    }
+
+    /// The rest of the rig.
+    pub fn rig(&mut self) -> &mut R {
+        &mut self.rig
+    }
+
+    fn values(&self) -> &Values {
+        self.settings.values()
+    }
+
+    /// Hands their settings to the others.
+    fn apply_settings(&mut self) {
+        let filter_us = self.values().get(SettingKey::SwitchFilterUs);
+        self.rig.set_switch_filter(filter_us);
+    }
+
+    /// Takes a notice of the motion task or of an interrupt.
+    pub fn event(&mut self, event: Event) {
+        if let Event::PathEnded(PathEnd::Underrun, _) = event {
+            self.underruns = self.underruns.saturating_add(1);
+        }
+        let now = self.rig.now();
+        let actions = self.machine.step(&now, event);
+        self.perform(actions);
+    }
+
+    /// Answers a question of the link.
+    pub fn answer(&mut self, inbound: Inbound) -> Reply {
+        match inbound {
+            Inbound::Request(request) => self.request(request),
+            Inbound::Urgent(urgent) => {
+                self.event(Event::Command(match urgent {
+                    Urgent::Stop => Command::Stop,
+                    Urgent::EStop => Command::EStop,
+                }));
+                Reply::Urgent(urgent)
+            }
+        }
+    }
+
+    fn request(&mut self, request: Request) -> Reply {
+        let context = Context {
+            now: self.rig.now(),
+            stroke: self.rig.stroke(),
+            about: About {
+                outbox: &self.outbox,
+                last_words: &self.last_words,
+                values: self.settings.values(),
+                keys: &SettingKey::ALL,
+                name: self.settings.name(),
+            },
+            health: matches!(request, Request::GetRigHealth(_)).then(|| self.health()),
+        };
+        let executed = execute(request, &mut self.machine, &context);
+        let mut reply = executed.reply;
+        match executed.effect {
+            Effect::None => {}
+            Effect::Telemetry { period_ms } => self.rig.set_telemetry(period_ms),
+            Effect::Acknowledged => {
+                self.rig.keep_latched(None);
+                self.emit(What::Acknowledged);
+            }
+            Effect::Store(change) => {
+                if self.change(change).is_err() {
+                    reply = Reply::Refused(Refusal::StorageFailed);
+                }
+            }
+        }
+        self.perform(executed.actions);
+        reply
+    }
+
+    /// Flash first: what is in force is what the next start will find.
+    fn change(&mut self, change: Change) -> Result<(), StorageFailed> {
+        match change {
+            Change::Value { setting, settings } => {
+                self.settings.set(setting.key, setting.value)?;
+                self.machine.set_settings(settings);
+                self.emit(What::Rig(RigEvent::SettingChanged(setting.key)));
+            }
+            Change::Name(name) => self.settings.set_name(name)?,
+            Change::Reset => {
+                self.settings.reset()?;
+                self.machine.set_settings(Settings::REFERENCE);
+                self.emit(What::Rig(RigEvent::SettingsReset));
+            }
+        }
+        self.apply_settings();
+        Ok(())
+    }
+
+    fn health(&self) -> RigHealth {
+        RigHealth {
+            underruns: self.underruns,
+            control_late_us: self.late_us,
+            image_hash: self.image_hash,
+            ..self.rig.health()
+        }
+    }
+
+    /// Every 10 ms: button, time-outs, the E-stop loop at rest.
+    pub fn tick(&mut self) {
+        let now = self.rig.now();
+        self.round_us += ROUND_US;
+        let late_us = now.time_us.saturating_sub(self.round_us);
+        self.late_us = self.late_us.max(late_us as u32);
+        if !self.rig.button_is_down() {
+            self.button_rounds = 0;
+        } else if self.button_rounds < BUTTON_ROUNDS {
+            self.button_rounds += 1;
+            if self.button_rounds == BUTTON_ROUNDS {
+                self.press_button();
+            }
+        }
+        self.event(Event::Tick);
+        // The break interrupt reports an opening while pulses are armed; this one reports it at rest.
+        if self.rig.now().inputs.estop_loop && self.machine.state() != RigState::Faulted {
+            self.event(Event::LoopOpened);
+        }
+        self.watch_link();
+    }
+
+    fn press_button(&mut self) {
+        let now = self.rig.now();
+        let actions = press_button(&mut self.machine, self.settings.values(), &now);
+        let refused = actions.refusal.is_some();
+        self.perform(actions);
+        if refused {
+            self.emit(What::Rig(RigEvent::ButtonIgnored));
+        }
+    }
+
+    fn watch_link(&mut self) {
+        let before = self.machine.state();
+        let moving = matches!(
+            before,
+            RigState::Homing | RigState::Running | RigState::Moving
+        );
+        let timeout_us = self.machine.settings().link_timeout_us;
+        if moving && u64::from(self.rig.silence_us()) > timeout_us {
+            self.event(Event::LinkSilent);
+            if self.machine.state() != before {
+                self.emit(What::LinkLost);
+            }
+        }
+    }
+
+    fn perform(&mut self, actions: Actions) {
+        for action in actions.list {
+            match action {
+                Action::Start { path, window } => self.start(path, window),
+                Action::StopPath => self.rig.stop_path(),
+                Action::Cut => self.rig.cut(),
+                Action::SetPosition(position) => self.rig.set_position(position),
+                Action::Emit(event) => {
+                    if let RigEvent::Faulted(fault) = event {
+                        self.rig.keep_latched(match fault {
+                            RigFault::EStopLoop => Some(EStop::Loop),
+                            RigFault::EStopFrame => Some(EStop::Frame),
+                            _ => None,
+                        });
+                    }
+                    self.emit(What::Rig(event));
+                }
+            }
+        }
+    }
+
+    fn start(&mut self, path: Path, window: Window) {
+        let settings = self.machine.settings();
+        self.rig.start(Order {
+            path,
+            window,
+            stop_accel: settings.stop_accel,
+            pulse_ticks: settings.pulse_ticks,
+        });
+    }
+
+    fn emit(&mut self, what: What) {
+        let (now, session) = (self.rig.now(), self.rig.session());
+        let frame = self.outbox.record(now.time_us, what, session);
+        self.rig.tell(&what, frame);
+    }
+}

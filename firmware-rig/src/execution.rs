@@ -1,0 +1,338 @@
+//! Executes paths: keeps the step ring filled, turns DIR between strokes, stops, reports ends. Pure: the ring and the
+//! other tasks are traits, so that the host tests run what the motion task runs.
+
+use crate::{
+    machine::{Event, PathEnd, PathReport},
+    periods::{Item, Path, Period, Periods},
+};
+use motion::{
+    axis::{Acceleration, Direction},
+    units::{StepPosition, Window},
+};
+
+/// Time that is kept prepared in the ring: what a stop has to wait for before it takes effect. 8 ms.
+pub const LEAD_TICKS: u32 = 800_000;
+/// Few, long periods must not let the ring run short.
+const MIN_QUEUE: u32 = 8;
+
+/// The ring is too nearly dry to append a period for certain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Underrun;
+
+/// The E-stop loop is open: the outputs cannot be armed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LoopOpen;
+
+/// The step generator: a ring of periods that plays by itself, and the counter of the edges that left.
+pub trait Ring {
+    /// Halts, and empties the ring for a new path with step pulses of this width.
+    fn clear(&mut self, pulse_ticks: u16);
+
+    /// Appends a period.
+    ///
+    /// # Errors
+    /// The reader is so near that the period might not be taken as a whole.
+    fn push(&mut self, period: Period) -> Result<(), Underrun>;
+
+    /// There is room for another period.
+    fn has_room(&self) -> bool;
+
+    /// Periods that wait, without the one that plays and the one that is prepared to play next.
+    fn waiting(&self) -> u32;
+
+    /// Ticks from the start of the period that plays to the end of the last one.
+    fn lead(&self) -> u32;
+
+    /// Pulses that have not left for certain: those of the period that plays, and of all behind it.
+    fn waiting_pulses(&self) -> u32;
+
+    /// The last period has ended, and nothing can come any more.
+    fn has_played_out(&self) -> bool;
+
+    /// Looks how far the ring has played. The other questions are answered from this look.
+    fn update(&mut self);
+
+    /// Arms the outputs and starts to play.
+    ///
+    /// # Errors
+    /// The E-stop loop is open; nothing was started.
+    fn start(&mut self) -> Result<(), LoopOpen>;
+
+    /// No further pulse; the motor holds.
+    fn cut(&mut self);
+
+    /// [`Ring::cut`], and the ring stands still.
+    fn halt(&mut self);
+
+    /// Switches the driver on.
+    fn enable_driver(&mut self);
+
+    /// Sets DIR and the counter's direction together. Only while no pulse can come.
+    fn set_direction(&mut self, direction: Direction);
+
+    /// Position by the counter of the edges that left.
+    fn counted(&self) -> StepPosition;
+}
+
+/// The other tasks, as execution sees them.
+pub trait Mailbox {
+    /// Takes the next path to execute. Stops and cuts that came before are over.
+    fn take_order(&mut self) -> Option<Order>;
+
+    /// Somebody cut the pulses of the present path.
+    fn is_cut(&self) -> bool;
+
+    /// Takes a wish to decelerate.
+    fn take_stop(&mut self) -> bool;
+
+    /// Tells control; false if it cannot take more now.
+    fn notify(&mut self, event: Event) -> bool;
+
+    /// Shows stroke and position of the present path to whoever wants to know.
+    fn show(&mut self, stroke: u32, commanded: StepPosition);
+}
+
+/// A path, and how to execute it.
+#[derive(Clone, Debug)]
+pub struct Order {
+    /// The path.
+    pub path: Path,
+    /// Allowed positions.
+    pub window: Window,
+    /// Deceleration of a stop.
+    pub stop_accel: Acceleration,
+    /// Width of a step pulse.
+    pub pulse_ticks: u16,
+}
+
+/// How soon the next round has to come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// Nothing to do.
+    Idle,
+    /// The ring is full.
+    Filled,
+    /// A turn, the end or an answer is awaited.
+    Waiting,
+}
+
+/// What the motion task does.
+#[derive(Debug, Default)]
+pub struct Motion {
+    execution: Option<Execution>,
+    /// An end that control could not take yet.
+    untold: Option<Event>,
+}
+
+impl Motion {
+    /// Nothing to do.
+    pub const fn new() -> Self {
+        Self {
+            execution: None,
+            untold: None,
+        }
+    }
+
+    /// How soon the next round has to come.
+    pub fn pace(&self) -> Pace {
+        match &self.execution {
+            None if self.untold.is_none() => Pace::Idle,
+            Some(execution) if execution.filling == Filling::Full => Pace::Filled,
+            _ => Pace::Waiting,
+        }
+    }
+
+    /// One round.
+    pub fn round(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) {
+        if let Some(execution) = &mut self.execution {
+            self.untold = execution.advance(ring, mailbox);
+            if self.untold.is_some() {
+                self.execution = None;
+            }
+        } else if self.untold.is_none()
+            && let Some(order) = mailbox.take_order()
+        {
+            match Execution::begin(ring, mailbox, order) {
+                Ok(begun) => self.execution = Some(begun),
+                Err(end) => self.untold = Some(end),
+            }
+        }
+        if let Some(event) = self.untold.take()
+            && !mailbox.notify(event)
+        {
+            // Control is behind, and has to know: in the next round.
+            self.untold = Some(event);
+        }
+    }
+}
+
+/// Why the ring is not being filled.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Filling {
+    /// It is full.
+    Full,
+    /// The last pulse of a stroke has to leave the pin first.
+    Turn { completed: u32, next: Direction },
+    /// Everything is queued.
+    Done,
+    /// Nothing more may be queued.
+    Failed(PathEnd),
+}
+
+/// A path on its way to the pins.
+#[derive(Debug)]
+struct Execution {
+    periods: Periods,
+    stop_accel: Acceleration,
+    /// Stroke whose pulses leave.
+    stroke: u32,
+    filling: Filling,
+    min_queue: Option<u16>,
+    stopped: bool,
+}
+
+impl Execution {
+    /// # Errors
+    /// The notice of its end: there is nothing to step, or the E-stop loop is open.
+    fn begin(
+        ring: &mut impl Ring,
+        mailbox: &mut impl Mailbox,
+        order: Order,
+    ) -> Result<Self, Event> {
+        let stroke = order.path.first_stroke();
+        ring.clear(order.pulse_ticks);
+        ring.enable_driver();
+        let position = ring.counted();
+        mailbox.show(stroke, position);
+        let Some(periods) = Periods::new(order.path, position, order.window) else {
+            let report = PathReport {
+                commanded: position,
+                counted: position,
+                ..PathReport::default()
+            };
+            return Err(Event::PathEnded(PathEnd::Complete, report));
+        };
+        ring.set_direction(periods.direction());
+        let mut execution = Self {
+            periods,
+            stop_accel: order.stop_accel,
+            stroke,
+            filling: Filling::Full,
+            min_queue: None,
+            stopped: false,
+        };
+        execution.fill(ring, mailbox);
+        match ring.start() {
+            Ok(()) => Ok(execution),
+            Err(LoopOpen) => {
+                let _ = mailbox.notify(Event::LoopOpened);
+                Err(execution.end(ring, mailbox, PathEnd::Cut))
+            }
+        }
+    }
+
+    /// One round; the notice of the end when it is over.
+    fn advance(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) -> Option<Event> {
+        ring.update();
+        if self.filling == Filling::Full {
+            let waiting = ring.waiting() as u16; // the ring holds fewer than that by far
+            self.min_queue = Some(self.min_queue.map_or(waiting, |least| least.min(waiting)));
+        }
+        if mailbox.is_cut() {
+            return Some(self.end(ring, mailbox, PathEnd::Cut));
+        }
+        if mailbox.take_stop() || (!self.stopped && self.misses_edges(ring)) {
+            self.stopped = true;
+            self.periods.stop(self.stop_accel);
+            if let Filling::Turn { .. } = self.filling {
+                self.filling = Filling::Full; // the next stroke does not come
+            }
+        }
+        self.fill(ring, mailbox);
+        mailbox.show(self.stroke, self.periods.position());
+        let played_out = ring.has_played_out();
+        let end = match self.filling {
+            Filling::Failed(end) => {
+                ring.cut();
+                end
+            }
+            Filling::Done if played_out && self.stopped => PathEnd::Stopped,
+            Filling::Done if played_out => PathEnd::Complete,
+            // It played out with periods still to come.
+            Filling::Full | Filling::Turn { .. } if played_out => PathEnd::Underrun,
+            _ => return None,
+        };
+        Some(self.end(ring, mailbox, end))
+    }
+
+    /// More steps have not been counted than wait in the ring. A stop follows, and then the positions at rest tell.
+    fn misses_edges(&self, ring: &impl Ring) -> bool {
+        let missed = self.periods.position().distance_to(ring.counted());
+        missed.0 > ring.waiting_pulses()
+    }
+
+    fn end(&self, ring: &mut impl Ring, mailbox: &mut impl Mailbox, end: PathEnd) -> Event {
+        ring.halt();
+        let report = PathReport {
+            commanded: self.periods.position(),
+            counted: ring.counted(),
+            last_tick: self.periods.last_step(),
+            min_queue: self.min_queue,
+        };
+        mailbox.show(self.stroke, report.commanded);
+        Event::PathEnded(end, report)
+    }
+
+    fn fill(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) {
+        loop {
+            match self.filling {
+                Filling::Full => {}
+                Filling::Turn { completed, next } if ring.waiting_pulses() == 0 => {
+                    self.turn(ring, mailbox, completed, next);
+                }
+                Filling::Turn { .. } | Filling::Done | Filling::Failed(_) => return,
+            }
+            self.filling = self.top_up(ring);
+            if self.filling == Filling::Full {
+                return;
+            }
+        }
+    }
+
+    /// Until the ring is full or something else is to be done.
+    fn top_up(&mut self, ring: &mut impl Ring) -> Filling {
+        loop {
+            let enough = ring.lead() >= LEAD_TICKS && ring.waiting() >= MIN_QUEUE;
+            if enough || !ring.has_room() {
+                return Filling::Full;
+            }
+            match self.periods.next_item() {
+                Item::Period(period) => {
+                    if ring.push(period).is_err() {
+                        return Filling::Failed(PathEnd::Underrun);
+                    }
+                }
+                Item::Turn { completed, next } => return Filling::Turn { completed, next },
+                Item::End => return Filling::Done,
+                Item::Guard => return Filling::Failed(PathEnd::Guard),
+            }
+        }
+    }
+
+    /// All pulses of a stroke have left: the counter must show them, and DIR may change.
+    fn turn(
+        &mut self,
+        ring: &mut impl Ring,
+        mailbox: &mut impl Mailbox,
+        completed: u32,
+        next: Direction,
+    ) {
+        let _ = mailbox.notify(Event::StrokeDone {
+            stroke: completed,
+            commanded: self.periods.position(),
+            counted: ring.counted(),
+        });
+        ring.set_direction(next);
+        self.stroke = completed + 1;
+    }
+}

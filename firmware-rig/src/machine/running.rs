@@ -1,0 +1,315 @@
+//! Runs: start, hold, resume, the ledger of the home flag, the record.
+
+use super::{Actions, Machine, Now, PathEnd, PathReport, State, Then, read_back};
+use crate::periods::Path;
+use motion::{
+    axis::Direction,
+    run::RunPlan,
+    units::{StepPosition, Steps},
+};
+use protocol::{
+    error::Refusal,
+    rig::{LinkLossPolicy, RigEvent, RigFault, RunOutcome, RunRecord},
+};
+
+pub(super) const NO_RUN: RunRecord = RunRecord {
+    run: 0,
+    outcome: RunOutcome::None,
+    strokes: 0,
+    commanded_edges: 0,
+    counted_edges: 0,
+    ticks: 0,
+    plan_hash: 0,
+    min_steps: 0,
+    max_steps: 0,
+    worst_residual_steps: 0,
+    min_queue: 0,
+    glitches: 0,
+    holds: 0,
+    image_hash: 0,
+};
+
+/// The run that is going on or held.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ActiveRun {
+    plan: RunPlan,
+    pub(super) link_loss: LinkLossPolicy,
+    /// Stroke in progress, from 0.
+    stroke: u32,
+    /// The flag has opened in this stroke. Only the first edge counts: contacts bounce.
+    flag_met: bool,
+}
+
+impl ActiveRun {
+    fn begin_stroke(&mut self, stroke: u32) {
+        (self.stroke, self.flag_met) = (stroke, false);
+    }
+
+    fn goes_home(&self) -> bool {
+        self.plan.direction(self.stroke) == Some(Direction::Home)
+    }
+
+    /// Steps left of the stroke in progress, from a position within it.
+    fn left(&self, position: StepPosition) -> Option<Steps> {
+        let steps = self.plan.stroke(self.stroke)?.steps().0;
+        let from_home = position.max(StepPosition::HOME);
+        let from_home = from_home.distance_to(StepPosition::HOME).0;
+        Some(Steps(match self.plan.direction(self.stroke)? {
+            Direction::Away => steps.saturating_sub(from_home),
+            Direction::Home => from_home.min(steps),
+        }))
+    }
+}
+
+impl Machine {
+    pub(super) fn start_run(
+        &mut self,
+        now: &Now,
+        plan: RunPlan,
+        link_loss: LinkLossPolicy,
+        actions: &mut Actions,
+    ) -> Result<(), Refusal> {
+        self.refuse_unless_ready(&now.inputs)?;
+        if now.position != StepPosition::HOME {
+            return Err(Refusal::NotAtHome {
+                position_um: self.settings.um(now.position),
+            });
+        }
+        if now.inputs.far_limit {
+            return Err(Refusal::RigFaulted(RigFault::FarLimit));
+        }
+        let run = self.record.run + 1;
+        self.record = RunRecord {
+            run,
+            outcome: RunOutcome::Running,
+            plan_hash: plan.hash(),
+            image_hash: self.image_hash,
+            ..NO_RUN
+        };
+        self.strokes = plan.strokes();
+        self.residual = 0;
+        self.last = (StepPosition::HOME, StepPosition::HOME);
+        self.started_us = now.time_us;
+        self.glitches_at_start = now.glitches;
+        self.run = Some(ActiveRun {
+            plan,
+            link_loss,
+            stroke: 0,
+            flag_met: false,
+        });
+        self.run_path(Path::Run(plan), actions);
+        actions.emit(RigEvent::RunStarted { run });
+        Ok(())
+    }
+
+    /// Starts a path of the run, within the configured stroke.
+    fn run_path(&mut self, path: Path, actions: &mut Actions) {
+        self.state = State::Running;
+        self.recording = true;
+        let window = self.settings.axis.stroke_window();
+        self.start_path(path, window, actions);
+    }
+
+    pub(super) fn hold(&mut self, actions: &mut Actions) -> Result<(), Refusal> {
+        match self.state {
+            State::Running => {
+                self.stop_then(Then::Held, actions);
+                Ok(())
+            }
+            State::Faulted(fault) => Err(Refusal::RigFaulted(fault)),
+            _ => Err(Refusal::NothingToHold),
+        }
+    }
+
+    pub(super) fn resume(&mut self, now: &Now, actions: &mut Actions) -> Result<(), Refusal> {
+        let (State::Held, Some(run)) = (self.state, self.run) else {
+            return Err(match self.state {
+                State::Faulted(fault) => Refusal::RigFaulted(fault),
+                _ => Refusal::NothingToResume,
+            });
+        };
+        if now.inputs.estop_loop {
+            return Err(Refusal::RigFaulted(RigFault::EStopLoop));
+        }
+        if now.inputs.far_limit {
+            return Err(Refusal::RigFaulted(RigFault::FarLimit));
+        }
+        if now.position != self.last.1 {
+            let fault = read_back(self.last.1, now.position);
+            self.latch(fault, actions);
+            return Err(Refusal::RigFaulted(fault));
+        }
+        let (Some(profile), Some(left)) = (run.plan.stroke(run.stroke), run.left(now.position))
+        else {
+            return Err(Refusal::NothingToResume);
+        };
+        let first = if left == profile.steps() {
+            *profile
+        } else {
+            profile.resumed(left).map_err(|_| Refusal::TooSlow)?
+        };
+        let path = Path::Rest {
+            plan: run.plan,
+            stroke: run.stroke,
+            first,
+        };
+        self.run_path(path, actions);
+        actions.emit(RigEvent::Resumed);
+        Ok(())
+    }
+
+    pub(super) fn end_run(&mut self, outcome: RunOutcome, actions: &mut Actions) {
+        if self.record.outcome == RunOutcome::Running {
+            self.record.outcome = outcome;
+            let run = self.record.run;
+            actions.emit(RigEvent::RunEnded { run, outcome });
+        }
+    }
+
+    /// The flag opens on the way home: the same edge in the same direction as in homing.
+    pub(super) fn ledger(&mut self, count: StepPosition, actions: &mut Actions) {
+        let Some(run) = &mut self.run else {
+            return;
+        };
+        if run.flag_met || !run.goes_home() {
+            return;
+        }
+        let residual = count.since(self.settings.flag);
+        let lost = residual.unsigned_abs() > self.settings.ledger_limit_steps;
+        // At rest the flag may open a moment late. Far from its edge, someone moved the carriage.
+        if lost && matches!(self.state, State::Held) {
+            return;
+        }
+        run.flag_met = true;
+        self.residual = residual;
+        if residual.abs() > self.record.worst_residual_steps.abs() {
+            self.record.worst_residual_steps = residual;
+        }
+        if lost {
+            let fault = RigFault::LostSteps {
+                residual_steps: residual,
+            };
+            self.stop_then(Then::Faulted(fault), actions);
+        }
+    }
+
+    pub(super) fn stroke_done(
+        &mut self,
+        stroke: u32,
+        commanded: StepPosition,
+        counted: StepPosition,
+        actions: &mut Actions,
+    ) {
+        if !self.recording {
+            return;
+        }
+        let missed = self.missed_flag(counted);
+        self.record.strokes = stroke + 1;
+        self.track(commanded, counted);
+        // Stopping: the stroke was complete before the stop reached the generator.
+        let (State::Running | State::Stopping(_), Some(run)) = (self.state, &mut self.run) else {
+            return;
+        };
+        run.begin_stroke(stroke + 1);
+        if commanded != counted {
+            return self.latch(read_back(commanded, counted), actions);
+        }
+        if let Some(fault) = missed {
+            return self.latch(fault, actions);
+        }
+        self.emit_stroke_done(stroke, actions);
+    }
+
+    fn emit_stroke_done(&self, stroke: u32, actions: &mut Actions) {
+        let residual_steps = self.residual;
+        actions.emit(RigEvent::StrokeDone {
+            stroke,
+            residual_steps,
+        });
+    }
+
+    /// At the end of a stroke towards home that began beyond the flag, the flag has to be open. If it is not, the
+    /// carriage is at least as far off as from here to the flag's edge.
+    pub(super) fn missed_flag(&self, counted: StepPosition) -> Option<RigFault> {
+        let flag = self.settings.flag;
+        let from = flag.distance_to(StepPosition::HOME).0;
+        let from = from.saturating_add(self.settings.ledger_limit_steps);
+        let on_the_way_home = self.run.is_some_and(|run| {
+            run.plan.forward().steps().0 > from && !run.flag_met && run.goes_home()
+        });
+        let running = matches!(self.state, State::Running | State::Stopping(Then::Held));
+        (running && on_the_way_home).then(|| RigFault::LostSteps {
+            residual_steps: counted.since(flag),
+        })
+    }
+
+    /// Adds the way since the last report to the run's record. Positions are reported at the ends of strokes,
+    /// where they are extreme.
+    fn track(&mut self, commanded: StepPosition, counted: StepPosition) {
+        let record = &mut self.record;
+        record.min_steps = record.min_steps.min(commanded.0);
+        record.max_steps = record.max_steps.max(commanded.0);
+        record.commanded_edges += u64::from(commanded.distance_to(self.last.0).0);
+        record.counted_edges += u64::from(counted.distance_to(self.last.1).0);
+        self.last = (commanded, counted);
+    }
+
+    /// Adds a path that has ended to the record of the run it belongs to.
+    pub(super) fn record_path(&mut self, report: &PathReport) {
+        if !core::mem::take(&mut self.recording) {
+            return;
+        }
+        self.record.ticks += report.last_tick;
+        // A path that was queued as a whole never left the ring short: the record says 65535.
+        let min_queue = report.min_queue.unwrap_or(u16::MAX);
+        self.record.min_queue = if self.record.holds == 0 {
+            min_queue
+        } else {
+            self.record.min_queue.min(min_queue)
+        };
+        self.track(report.commanded, report.counted);
+    }
+
+    /// The carriage stands within its run.
+    pub(super) fn held(
+        &mut self,
+        end: PathEnd,
+        position: StepPosition,
+        missed: Option<RigFault>,
+        actions: &mut Actions,
+    ) {
+        let flag = self.settings.flag;
+        let limit = self.settings.ledger_limit_steps;
+        let behind_the_flag = position < flag && position.distance_to(flag).0 > limit;
+        let stroke_complete = self
+            .run
+            .is_some_and(|run| run.left(position) == Some(Steps(0)));
+        if let Some(fault) = missed.filter(|_| stroke_complete || behind_the_flag) {
+            return self.latch(fault, actions);
+        }
+        if end == PathEnd::Complete || self.record.strokes == self.strokes {
+            return self.complete(actions);
+        }
+        if stroke_complete && let Some(run) = &mut self.run {
+            let stroke = run.stroke;
+            run.begin_stroke(stroke + 1);
+            if stroke + 1 == self.strokes {
+                return self.complete(actions);
+            }
+            self.record.strokes = stroke + 1;
+            self.emit_stroke_done(stroke, actions);
+        }
+        self.record.holds += 1;
+        self.state = State::Held;
+        actions.emit(RigEvent::Held {
+            position_steps: position.0,
+        });
+    }
+
+    pub(super) fn complete(&mut self, actions: &mut Actions) {
+        self.record.strokes = self.strokes;
+        self.emit_stroke_done(self.strokes.saturating_sub(1), actions);
+        self.end_run(RunOutcome::Complete, actions);
+        self.state = State::Ready;
+    }
+}
