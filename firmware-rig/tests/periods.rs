@@ -1,4 +1,4 @@
-//! The list of timer periods against the step times that it is made of.
+//! Timer periods against the step times that they are made of.
 
 use firmware_rig::{
     periods::{Item, MAX_PERIOD, Path, Period, Periods},
@@ -9,19 +9,26 @@ use motion::{
     run::{Limits, RunPlan, RunRequest, Timing},
     step_times::StepTimes,
     trapezoid::StrokeProfile,
-    units::{Steps, Ticks},
+    units::{StepPosition, Steps, Ticks, Window},
 };
 use proptest::prelude::*;
 
 const LIMITS: Limits = Settings::REFERENCE.limits;
 
-/// Time that DIR has between two strokes, and what has to be queued meanwhile: 300 us.
+/// Time for DIR to change between two strokes and for the ring to be filled again: 300 us.
 const TURN_TICKS: u64 = 30_000;
 
-/// What is repeated can no longer be stopped: 0.8 ms.
+/// Repeated rounds cannot be recalled: 0.8 ms of them at most.
 const LONGEST_REPETITION: u64 = 80_000;
 
-const EVERYWHERE: (i32, i32) = (i32::MIN, i32::MAX);
+const EVERYWHERE: Window = window(i32::MIN, i32::MAX);
+
+const fn window(first: i32, last: i32) -> Window {
+    Window {
+        first: StepPosition(first),
+        last: StepPosition(last),
+    }
+}
 
 /// Start, profile and direction of each stroke.
 type Strokes = Vec<(u64, StrokeProfile, Direction)>;
@@ -40,7 +47,7 @@ fn strokes(path: &Path) -> Strokes {
     match path {
         Path::Move { profile, direction } => vec![(0, *profile, *direction)],
         Path::Run(plan) => planned(plan),
-        // What is left of the stroke at once; all later ones as far behind its end as planned.
+        // The rest of the stroke begins at once; later strokes keep their distance from its end.
         Path::Rest {
             plan,
             stroke,
@@ -65,29 +72,22 @@ fn first_stroke(path: &Path) -> usize {
     }
 }
 
-fn sign(direction: Direction) -> i32 {
-    match direction {
-        Direction::Away => 1,
-        Direction::Home => -1,
-    }
-}
-
 /// Walks a list and checks what holds for every list: lengths, cursor, position, sync.
 struct Walk {
     periods: Periods,
     /// Ticks before what comes next.
     tick: u64,
     position: i32,
-    window: (i32, i32),
+    window: Window,
     /// Pulses of the stroke in progress.
     pulses: u32,
     last_pulse: u64,
 }
 
 impl Walk {
-    fn new(path: &Path, position: i32, window: (i32, i32)) -> Self {
+    fn new(path: &Path, position: i32, window: Window) -> Self {
         Self {
-            periods: Periods::new(path.clone(), position, window).unwrap(),
+            periods: Periods::new(path.clone(), StepPosition(position), window).unwrap(),
             tick: 0,
             position,
             window,
@@ -116,8 +116,8 @@ impl Walk {
                 );
                 let further = u64::from(ticks) * u64::from(repeats);
                 if pulse {
-                    self.position += sign(direction) * (1 + i32::from(repeats));
-                    assert!(self.position >= self.window.0 && self.position <= self.window.1);
+                    self.position += direction.sign() * (1 + i32::from(repeats));
+                    assert!(self.window.contains(StepPosition(self.position)));
                     self.pulses += 1 + u32::from(repeats);
                     self.last_pulse = self.tick + further;
                 }
@@ -128,7 +128,7 @@ impl Walk {
             Item::End => assert_eq!(self.periods.last_step(), self.last_pulse),
             Item::Guard => {}
         }
-        assert_eq!(self.periods.position(), self.position);
+        assert_eq!(self.periods.position(), StepPosition(self.position));
         item
     }
 
@@ -357,26 +357,26 @@ proptest! {
     }
 
     #[test]
-    fn nothing_is_handed_out_beyond_the_window(
+    fn no_step_leaves_the_window(
         path in any_path(),
         below in 0..700_i32,
         above in 0..700_i32,
         position in prop_oneof![Just(0), Just(i32::MIN), Just(i32::MAX)],
         deceleration in any_deceleration(),
     ) {
-        let window = (position.saturating_sub(below), position.saturating_add(above));
+        let (first, last) = (position.saturating_sub(below), position.saturating_add(above));
         // Where the path would lead, and at which pulse it leaves the window.
         let mut at = i64::from(position);
         let mut allowed = 0;
         let leaves = strokes(&path).iter().any(|(_, profile, direction)| {
             (0..profile.steps().0).any(|_| {
-                at += i64::from(sign(*direction));
-                let outside = at < i64::from(window.0) || at > i64::from(window.1);
+                at += i64::from(direction.sign());
+                let outside = at < i64::from(first) || at > i64::from(last);
                 allowed += u32::from(!outside);
                 outside
             })
         });
-        let mut walk = Walk::new(&path, position, window);
+        let mut walk = Walk::new(&path, position, window(first, last));
         let mut pulses = 0;
         let end = loop {
             match walk.next() {
@@ -393,7 +393,7 @@ proptest! {
     }
 }
 
-/// What the machine orders after a hold: the stroke that was not complete, with what is left of it.
+/// What the machine orders after a hold: the rest of the stroke that was not complete.
 fn rest_of(plan: &RunPlan, stroke: u32, position: i32) -> Option<Path> {
     let steps = plan.stroke(stroke)?.steps().0;
     let left = match plan.direction(stroke)? {
@@ -432,7 +432,7 @@ proptest! {
         let (mut position, mut stroke, mut positions) = (0, 0, Vec::new());
         let mut holds = holds.into_iter();
         while let Some(piece) = path.take() {
-            let mut walk = Walk::new(&piece, position, (0, last));
+            let mut walk = Walk::new(&piece, position, window(0, last));
             stroke = first_stroke(&piece) as u32;
             let mut items = holds.next();
             let mut before = None;
@@ -452,7 +452,7 @@ proptest! {
                             prop_assert!(interval + 1 >= peak, "{interval} {peak}");
                         }
                         before = Some(walk.last_pulse);
-                        let back = sign(plan.direction(stroke).unwrap());
+                        let back = plan.direction(stroke).unwrap().sign();
                         positions.extend((0..=i32::from(repeats)).rev().map(|more| walk.position - more * back));
                     }
                     Item::Period(_) => {}
@@ -478,7 +478,7 @@ proptest! {
     }
 }
 
-/// A pause of any length is cut into pieces of which none is short, and none lasts too long.
+/// A pause of any length is cut into pieces, none too short and none too long.
 #[test]
 fn pieces_of_a_pause_are_long() {
     for ticks in (400..70_000).chain(98_000..99_000).chain(131_000..197_000) {
@@ -487,7 +487,7 @@ fn pieces_of_a_pause_are_long() {
             profile,
             direction: Direction::Away,
         };
-        let mut walk = Walk::new(&path, 0, (0, 1));
+        let mut walk = Walk::new(&path, 0, window(0, 1));
         loop {
             match walk.next() {
                 Item::Period(Period {
@@ -522,7 +522,7 @@ fn the_papers_run_is_1040000_pulses_in_forty_seconds() {
     let plan = RunPlan::solve(&settings.axis, &settings.limits, &request).unwrap();
     let path = Path::Run(plan);
     assert_eq!(check_whole(&path, LIMITS.min_interval_ticks), 1_040_000);
-    let mut walk = Walk::new(&path, 0, (0, 104_000));
+    let mut walk = Walk::new(&path, 0, window(0, 104_000));
     let mut items = 0;
     while walk.next() != Item::End {
         items += 1;
@@ -534,8 +534,8 @@ fn the_papers_run_is_1040000_pulses_in_forty_seconds() {
     assert_eq!(walk.position, 0);
 }
 
-/// In a dwell, and before the first step, a stop ends the path without another pulse; its last step is the last
-/// one that was handed out.
+/// In a dwell, and before the first step, a stop ends the path without another pulse; its last step is the last that was
+/// queued.
 #[test]
 fn a_stop_at_rest_emits_nothing() {
     let settings = Settings::REFERENCE;
@@ -555,7 +555,7 @@ fn a_stop_at_rest_emits_nothing() {
     let deceleration = settings.axis.acceleration(1_000).unwrap();
     for (pulses, position) in [(0, 0), (80, 80), (160, 0), (240, 80), (320, 0)] {
         for blanks in 0..3 {
-            let mut walk = Walk::new(&Path::Run(plan), 0, (0, 80));
+            let mut walk = Walk::new(&Path::Run(plan), 0, window(0, 80));
             let mut seen = 0;
             while seen < pulses {
                 if let Item::Period(Period {
@@ -579,7 +579,7 @@ fn a_stop_at_rest_emits_nothing() {
         }
     }
     // After the turn, when the first step of the next stroke is due at once.
-    let mut walk = Walk::new(&Path::Run(plan), 0, (0, 80));
+    let mut walk = Walk::new(&Path::Run(plan), 0, window(0, 80));
     while !matches!(walk.next(), Item::Turn { .. }) {}
     walk.periods.stop(deceleration);
     assert_eq!(walk.blanks().2, Item::End);
