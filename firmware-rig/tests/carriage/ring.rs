@@ -134,7 +134,8 @@ impl Slots {
         }
     }
 
-    fn pulses_left(&self) -> u64 {
+    /// Pulses that are queued and have not left.
+    pub fn pulses_left(&self) -> u64 {
         let begun = match self.periods.front() {
             Some(period) if period.pulse => self.begun,
             _ => 0,
