@@ -11,7 +11,6 @@ pub mod chip;
 pub mod common;
 pub mod identity;
 pub mod last_words;
-pub mod outbox;
 pub mod retained;
 pub mod service;
 pub mod settings;

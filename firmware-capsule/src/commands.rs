@@ -110,13 +110,13 @@ fn answer(query: Request, capsule: &Capsule, context: &Context<'_>) -> Executed 
     }
 }
 
+#[inline(never)]
 fn respond(
     query: Request,
     capsule: &Capsule,
     context: &Context<'_>,
 ) -> Result<(Response, Effect), Refusal> {
-    if let Some(answer) = context.about.answer(&query) {
-        let response = answer?;
+    if let Some(response) = context.about.answer(&query)? {
         let effect = asked_telemetry_ms(&response)
             .map_or(Effect::None, |period_ms| Effect::Telemetry { period_ms });
         return Ok((response, effect));

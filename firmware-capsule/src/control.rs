@@ -9,7 +9,6 @@ use crate::{
 use device::{
     common::About,
     last_words::LastWords,
-    outbox::Outbox,
     retained::{EStop, Left},
     service::Inbound,
     settings::SettingsStore,
@@ -19,9 +18,9 @@ use embedded_storage_async::nor_flash::NorFlash;
 use protocol::{
     capsule::{CapsuleEvent, CapsuleFault, CapsuleTelemetry},
     error::Refusal,
-    frame::Encoded,
+    events::EventRing,
     settings::SettingKey,
-    system::{ResetCause, What},
+    system::{self, ResetCause, What},
     table::{Reply, Request},
 };
 
@@ -31,8 +30,6 @@ pub trait Capsule {
     fn now_us(&self) -> u64;
     /// How long the host has been silent.
     fn silence_us(&self) -> u32;
-    /// Session for frames that nobody asked for; 0 = nobody listens.
-    fn session(&self) -> u8;
     /// Sets the bridge, or confirms what it is set to.
     fn drive(&mut self, drive: Drive);
     /// Shows this to telemetry.
@@ -41,8 +38,8 @@ pub trait Capsule {
     fn set_telemetry(&mut self, period_ms: u16);
     /// Keeps an E-stop over a reset, or forgets it.
     fn keep_latched(&mut self, estop: Option<EStop>);
-    /// Something happened: logs it and sends its frame, if there is one and the line is free.
-    fn tell(&mut self, what: &What, frame: Option<Encoded>);
+    /// Logs an event, and sends it to whoever listens.
+    fn tell(&mut self, event: &system::Event);
 }
 
 /// Owns the state machine, the settings and the events.
@@ -50,7 +47,7 @@ pub struct Control<C: Capsule, F: NorFlash> {
     capsule: C,
     machine: fold::Capsule,
     settings: SettingsStore<F>,
-    outbox: Outbox,
+    events: EventRing,
     last_words: LastWords,
 }
 
@@ -69,7 +66,7 @@ impl<C: Capsule, F: NorFlash> Control<C, F> {
             capsule,
             machine: fold::Capsule::new(fault),
             settings,
-            outbox: Outbox::new(),
+            events: EventRing::new(),
             last_words: left.last_words.unwrap_or_default(),
         };
         control.emit(What::Booted(reset_cause));
@@ -90,6 +87,7 @@ impl<C: Capsule, F: NorFlash> Control<C, F> {
     }
 
     /// Answers a question of the link.
+    #[inline(never)]
     pub fn answer(&mut self, inbound: Inbound) -> Reply {
         match inbound {
             Inbound::Request(request) => self.request(request),
@@ -102,11 +100,12 @@ impl<C: Capsule, F: NorFlash> Control<C, F> {
         }
     }
 
+    #[inline(never)]
     fn request(&mut self, request: Request) -> Reply {
         let context = Context {
             now_us: self.capsule.now_us(),
             about: About {
-                outbox: &self.outbox,
+                events: &self.events,
                 last_words: &self.last_words,
                 values: self.settings.values(),
                 keys: &commands::SETTINGS,
@@ -164,8 +163,7 @@ impl<C: Capsule, F: NorFlash> Control<C, F> {
     }
 
     fn emit(&mut self, what: What) {
-        let (now_us, session) = (self.capsule.now_us(), self.capsule.session());
-        let frame = self.outbox.record(now_us, what, session);
-        self.capsule.tell(&what, frame);
+        let event = self.events.record(self.capsule.now_us(), what);
+        self.capsule.tell(&event);
     }
 }

@@ -91,14 +91,14 @@ pub fn execute(request: Request, machine: &mut Machine, context: &Context<'_>) -
     }
 }
 
+#[inline(never)]
 fn respond(
     request: Request,
     machine: &mut Machine,
     context: &Context<'_>,
     actions: &mut Actions,
 ) -> Result<(Response, Effect), Refusal> {
-    if let Some(answer) = context.about.answer(&request) {
-        let response = answer?;
+    if let Some(response) = context.about.answer(&request)? {
         let effect = asked_telemetry_ms(&response)
             .map_or(Effect::None, |period_ms| Effect::Telemetry { period_ms });
         return Ok((response, effect));

@@ -108,6 +108,8 @@ impl Session {
     }
 
     /// Decides about one frame.
+    // Not inlined: one copy of the decoder of all requests.
+    #[inline(never)]
     pub fn receive(&mut self, frame: &Frame<'_>) -> Decision {
         let (session, seq) = (frame.header.session, frame.header.seq);
         match frame.header.kind {

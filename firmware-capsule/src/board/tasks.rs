@@ -4,11 +4,10 @@ use super::{
     channels::{ORDER, ORDER_CHANGED, Order, READINGS, Reading, SNAPSHOT},
     pins::DriveTrain,
 };
-use core::sync::atomic::Ordering;
 use device::{
     check_in::Client,
     chip::{
-        channels::{REPLIES, REQUESTS, SESSION, send_if_free, set_telemetry, silence_us},
+        channels::{REPLIES, REQUESTS, send_event, set_telemetry, silence_us},
         flash::Sectors,
         link, retained, telemetry,
         watchdog::{self, CHECK_IN, check_in},
@@ -29,8 +28,7 @@ use firmware_capsule::{
 };
 use protocol::{
     capsule::CapsuleTelemetry,
-    frame::Encoded,
-    system::{Identity, ResetCause, What},
+    system::{Event, Identity, ResetCause, What},
     table::Telemetry,
 };
 
@@ -107,10 +105,6 @@ impl control::Capsule for Capsule {
         silence_us(self.now_us())
     }
 
-    fn session(&self) -> u8 {
-        SESSION.load(Ordering::Relaxed)
-    }
-
     fn drive(&mut self, drive: Drive) {
         let confirmed_us = self.now_us();
         let before = ORDER.lock(|order| {
@@ -136,13 +130,11 @@ impl control::Capsule for Capsule {
         retained::keep_latched(estop);
     }
 
-    fn tell(&mut self, what: &What, frame: Option<Encoded>) {
-        if let What::Capsule(event) = what {
+    fn tell(&mut self, event: &Event) {
+        if let What::Capsule(event) = event.what {
             defmt::info!("{}", event);
         }
-        if let Some(frame) = frame {
-            send_if_free(frame);
-        }
+        send_event(event);
     }
 }
 
