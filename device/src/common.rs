@@ -1,10 +1,8 @@
 //! Requests that both machines answer alike.
 
-use crate::settings::Values;
 use protocol::{
     error::{Field, Refusal},
     events::EventRing,
-    settings::{GetSetting, Name, Setting, SettingKey},
     system::{Done, LastWords, SetTelemetry},
     table::{Request, Response},
 };
@@ -19,12 +17,6 @@ pub struct About<'a> {
     pub events: &'a EventRing,
     /// Text of the last panic or processor fault.
     pub last_words: &'a str,
-    /// Settings in force.
-    pub values: &'a Values,
-    /// Those that this device has.
-    pub keys: &'static [SettingKey],
-    /// The device's name.
-    pub name: &'a str,
 }
 
 impl About<'_> {
@@ -32,7 +24,7 @@ impl About<'_> {
     /// request is not a common one.
     ///
     /// # Errors
-    /// An interval out of range, a setting that this device does not have.
+    /// An interval out of range.
     pub fn answer(&self, request: &Request) -> Result<Option<Response>, Refusal> {
         Ok(Some(match request {
             Request::KeepAlive(_) => Response::KeepAlive(Done),
@@ -44,30 +36,8 @@ impl About<'_> {
                 Response::SetTelemetry(*set)
             }
             Request::GetEvents(get) => Response::GetEvents(self.events.since(get.from)),
-            Request::GetSetting(GetSetting { key }) => {
-                self.has(*key)?;
-                Response::GetSetting(Setting {
-                    key: *key,
-                    value: self.values.get(*key),
-                })
-            }
-            Request::GetName(_) => Response::GetName(Name {
-                name: self.name.try_into().unwrap_or_default(),
-            }),
             _ => return Ok(None),
         }))
-    }
-
-    /// Whether this device has a setting.
-    ///
-    /// # Errors
-    /// It has not.
-    pub fn has(&self, key: SettingKey) -> Result<(), Refusal> {
-        if self.keys.contains(&key) {
-            Ok(())
-        } else {
-            Err(Refusal::WrongDevice)
-        }
     }
 }
 

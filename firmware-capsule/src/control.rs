@@ -2,7 +2,7 @@
 //! of the capsule is a trait, so that the host tests run what the control task runs.
 
 use crate::{
-    commands::{self, Change, Context, Effect},
+    commands::{self, Context, Effect},
     detect::Sample,
     fold::{self, Actions, Drive, Event},
 };
@@ -11,18 +11,16 @@ use device::{
     last_words::LastWords,
     retained::{EStop, Left},
     service::Inbound,
-    settings::SettingsStore,
-    store::StorageFailed,
 };
-use embedded_storage_async::nor_flash::NorFlash;
 use protocol::{
     capsule::{CapsuleEvent, CapsuleFault, CapsuleTelemetry},
-    error::Refusal,
     events::EventRing,
-    settings::SettingKey,
     system::{self, ResetCause, What},
     table::{Reply, Request},
 };
+
+/// A moving capsule stops when no good frame has come for this long.
+const LINK_TIMEOUT_US: u32 = 1_000_000;
 
 /// The rest of the capsule, as control sees it.
 pub trait Capsule {
@@ -42,35 +40,30 @@ pub trait Capsule {
     fn tell(&mut self, event: &system::Event);
 }
 
-/// Owns the state machine, the settings and the events.
-pub struct Control<C: Capsule, F: NorFlash> {
+/// Owns the state machine and the events.
+pub struct Control<C: Capsule> {
     capsule: C,
     machine: fold::Capsule,
-    settings: SettingsStore<F>,
     events: EventRing,
     last_words: LastWords,
 }
 
-impl<C: Capsule, F: NorFlash> Control<C, F> {
-    /// Control after a start, from what the previous one left and what is in flash.
-    pub fn new(capsule: C, flash: F, left: Left, reset_cause: ResetCause) -> Self {
+impl<C: Capsule> Control<C> {
+    /// Control after a start, from what the previous one left.
+    pub fn new(capsule: C, left: Left, reset_cause: ResetCause) -> Self {
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(CapsuleFault::Panic),
             (ResetCause::Watchdog, _) => Some(CapsuleFault::Watchdog),
             (_, Some(_)) => Some(CapsuleFault::EStopFrame),
             (_, None) => None,
         };
-        let (settings, _) = SettingsStore::load(flash, |values| commands::rule(values).is_ok());
-        let period_ms = settings.values().get(SettingKey::TelemetryMs) as u16;
         let mut control = Self {
             capsule,
             machine: fold::Capsule::new(fault),
-            settings,
             events: EventRing::new(),
             last_words: left.last_words.unwrap_or_default(),
         };
         control.emit(What::Booted(reset_cause));
-        control.capsule.set_telemetry(period_ms);
         control
     }
 
@@ -107,9 +100,6 @@ impl<C: Capsule, F: NorFlash> Control<C, F> {
             about: About {
                 events: &self.events,
                 last_words: &self.last_words,
-                values: self.settings.values(),
-                keys: &commands::SETTINGS,
-                name: self.settings.name(),
             },
         };
         let executed = commands::execute(request, &mut self.machine, &context);
@@ -123,26 +113,12 @@ impl<C: Capsule, F: NorFlash> Control<C, F> {
                 self.capsule.keep_latched(None);
                 self.emit(What::Acknowledged);
             }
-            Effect::Store(change) => {
-                if self.change(change).is_err() {
-                    return Reply::Refused(Refusal::StorageFailed);
-                }
-            }
         }
         executed.reply
     }
 
-    fn change(&mut self, change: Change) -> Result<(), StorageFailed> {
-        match change {
-            Change::Value(setting) => self.settings.set(setting.key, setting.value),
-            Change::Name(name) => self.settings.set_name(name),
-            Change::Reset => self.settings.reset(),
-        }
-    }
-
     fn watch_link(&mut self) {
-        let timeout_ms = self.settings.values().get(SettingKey::LinkTimeoutMs);
-        if self.machine.is_moving() && self.capsule.silence_us() > timeout_ms * 1_000 {
+        if self.machine.is_moving() && self.capsule.silence_us() > LINK_TIMEOUT_US {
             self.emit(What::LinkLost);
             let actions = self.machine.step(self.capsule.now_us(), Event::LinkSilent);
             self.perform(&actions);

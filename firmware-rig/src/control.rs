@@ -193,10 +193,9 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
             about: About {
                 events: &self.events,
                 last_words: &self.last_words,
-                values: self.settings.values(),
-                keys: &SettingKey::ALL,
-                name: self.settings.name(),
             },
+            values: self.settings.values(),
+            name: self.settings.name(),
             health: matches!(request, Request::GetRigHealth(_)).then(|| self.health()),
         };
         let executed = execute(request, &mut self.machine, &context);

@@ -8,7 +8,6 @@ use device::{
     check_in::Client,
     chip::{
         channels::{REPLIES, REQUESTS, send_event, set_telemetry, silence_us},
-        flash::Sectors,
         link, retained, telemetry,
         watchdog::{self, CHECK_IN, check_in},
     },
@@ -80,8 +79,8 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
 
 /// At every reading (1 ms while moving, else 100 ms) and at every request.
 #[embassy_executor::task]
-pub(crate) async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
-    let mut control = Control::new(Capsule, sectors, left, cause);
+pub(crate) async fn control(left: Left, cause: ResetCause) -> ! {
+    let mut control = Control::new(Capsule, left, cause);
     loop {
         check_in(Client::Control);
         match select3(REQUESTS.wait(), READINGS.wait(), Timer::after(CHECK_IN)).await {

@@ -13,8 +13,8 @@ use device::{
     check_in::Client,
     chip::{
         channels::{
-            BAD_FRAMES, REPLIES, REQUESTS, UART_ERRORS, UNSENT_FRAMES, send_event,
-            set_telemetry, silence_us,
+            BAD_FRAMES, REPLIES, REQUESTS, UART_ERRORS, UNSENT_FRAMES, send_event, set_telemetry,
+            silence_us,
         },
         flash::Sectors,
         image, link, retained, telemetry,
