@@ -1,7 +1,7 @@
 //! Step times and stops against the definition, on random axes and strokes.
 
 use motion::axis::Axis;
-use motion::step_times::StepTimes;
+use motion::step_times::{StepTimes, Stop};
 use motion::trapezoid::{MAX_INTERVAL, MIN_INTERVAL, StrokeError, StrokeProfile};
 use motion::units::{Steps, TICK_HZ, Ticks};
 use num_bigint::BigInt;
@@ -72,6 +72,81 @@ fn is_nearest(p: &StrokeProfile, k: u32, tick: u64) -> bool {
     }
 }
 
+/// A place in a stroke: the phase, and how far into it in thousandths.
+#[derive(Clone, Copy, Debug)]
+struct Place(usize, u32);
+
+fn places() -> impl Strategy<Value = Place> {
+    (
+        0_usize..3,
+        prop_oneof![4 => 0_u32..=1_000, 1 => Just(0), 1 => Just(1_000)],
+    )
+        .prop_map(|(phase, share)| Place(phase, share))
+}
+
+impl Place {
+    /// The step at this place: in the first ramp, the cruise or the last ramp, ends included.
+    fn step(self, profile: &StrokeProfile) -> u32 {
+        let (n, ramp) = (profile.steps().0, profile.ramp_steps().0);
+        let ends = [0, ramp, n - ramp, n];
+        let (first, last) = (ends[self.0], ends[self.0 + 1]);
+        first + (u64::from(last - first) * u64::from(self.1) / 1_000) as u32
+    }
+}
+
+/// A deceleration: um/s^2, or sixteenths of what the stroke itself accelerates with.
+#[derive(Clone, Copy, Debug)]
+enum Hardness {
+    Absolute(u32),
+    Relative(u32),
+}
+
+fn hardnesses() -> impl Strategy<Value = Hardness> {
+    prop_oneof![
+        octaves(10, 26).prop_map(Hardness::Absolute),
+        octaves(1, 10).prop_map(Hardness::Relative),
+        Just(Hardness::Absolute(1)),
+    ]
+}
+
+impl Hardness {
+    fn um_s2(self, profile: &StrokeProfile, axis: &Axis) -> u32 {
+        match self {
+            Self::Absolute(um_s2) => um_s2,
+            Self::Relative(share) => {
+                let um_s2 = u64::from(profile.accel_um_s2(axis)) * u64::from(share) / 16;
+                u32::try_from(um_s2).unwrap_or(u32::MAX).max(1)
+            }
+        }
+    }
+}
+
+/// Whether a stop in `steps` from `interval` is this long before rest with `j` steps to go:
+/// u^2 = 4 d^2 m j, to the nearest tick.
+fn is_braking(steps: u32, interval: u64, j: u32, from_rest: u64) -> bool {
+    let exact = BigInt::from(16) * interval * interval * steps * j;
+    let twice = 2 * BigInt::from(from_rest);
+    let (low, high): (BigInt, BigInt) = (&twice - 1, &twice + 1);
+    (from_rest == 0 || &low * &low <= exact) && exact <= &high * &high
+}
+
+/// The steps in which a speed of one step per `interval` comes to rest: v^2 / 2a, at least one, and in
+/// less than 2^31 ticks. None at rest.
+fn expected_steps(axis: &Axis, um_s2: u32, interval: u64) -> u32 {
+    if interval == 0 {
+        return 0;
+    }
+    let speed = BigInt::from(TICK_HZ) * TICK_HZ * axis.lead().0;
+    let braking = BigInt::from(2 * u64::from(um_s2)) * interval * interval * axis.steps_per_rev();
+    let wanted: BigInt = (speed + &braking - 1) / braking;
+    let longest = ((1 << 31) - 1) / (2 * interval);
+    wanted
+        .min(longest.into())
+        .try_into()
+        .unwrap_or(u32::MAX)
+        .max(1)
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(1_000))]
 
@@ -134,62 +209,44 @@ proptest! {
         }
     }
 
+    /// A stop takes the fewest steps that its deceleration allows, every edge at its nearest tick, or it
+    /// leaves the stroke's own final ramp as it is.
     #[test]
-    fn a_stop_rests_on_a_whole_step_inside_the_stroke(
-        axis in axes(),
-        profile in profiles(20_000),
-        share in 0_u32..=1_000,
-        um_s2 in octaves(10, 26),
+    fn a_stop_brakes_in_the_fewest_steps(
+        axis in axes(), profile in profiles(20_000), place in places(), hardness in hardnesses(),
     ) {
-        let n = profile.steps().0;
-        let at = (u64::from(n) * u64::from(share) / 1_000) as u32;
-        let deceleration = axis.acceleration(um_s2).unwrap();
+        let (n, at) = (profile.steps().0, place.step(&profile));
+        let um_s2 = hardness.um_s2(&profile, &axis);
         let mut times = StepTimes::new(profile);
-        let natural: Vec<u64> = times.clone().collect();
-        if at > 0 {
-            times.nth(at as usize - 1);
-        }
-        let (speed_interval, start) = (times.interval().0, times.tick().0);
-        let stop = times.stop(deceleration);
-        let braking: Vec<u64> = times.clone().collect();
+        times.by_ref().take(at as usize).for_each(drop);
+        let (interval, start) = (times.interval().0, times.tick().0);
+        let planned = times.clone();
+        let stop = times.stop(axis.acceleration(um_s2).unwrap());
 
-        prop_assert_eq!(braking.len(), stop.steps.0 as usize);
-        prop_assert!(at + stop.steps.0 <= n);
-        prop_assert_eq!(times.left_out(), Steps(n - at - stop.steps.0));
-        prop_assert_eq!(braking.last().copied().unwrap_or(start), if at == 0 { 0 } else { stop.rest.0 });
-        if braking != natural[at as usize..] {
-            // One ramp to rest: v = 1/d, 2 m d ticks for m steps, intervals never shrink by more
-            // than the rounding of the ticks.
-            let m = u64::from(stop.steps.0);
-            prop_assert_eq!(stop.rest.0 - start, 2 * m * speed_interval);
-            let mut before = (start, speed_interval);
-            for &tick in &braking {
-                let interval = tick - before.0;
-                prop_assert!(interval + 1 >= before.1, "{interval} after {}", before.1);
-                before = (tick, interval);
+        let steps = expected_steps(&axis, um_s2, interval).min(n - at);
+        let on_the_final_ramp = at >= n - profile.ramp_steps().0 && at > profile.ramp_steps().0;
+        prop_assert_eq!(times.remaining(), stop.steps);
+        prop_assert_eq!(times.rest(), stop.rest);
+        if at == n || on_the_final_ramp && steps == n - at {
+            prop_assert_eq!(stop, Stop { steps: Steps(n - at), rest: profile.duration() });
+            prop_assert_eq!(times.left_out(), Steps(0));
+            prop_assert!(times.eq(planned), "the final ramp is not the planned one");
+        } else {
+            let rest = start + 2 * u64::from(steps) * interval;
+            prop_assert_eq!(stop, Stop { steps: Steps(steps), rest: Ticks(rest) });
+            prop_assert_eq!(times.left_out(), Steps(n - at - steps));
+            let mut before = start;
+            for j in (0..steps).rev() {
+                let tick = times.next().unwrap();
+                prop_assert!(is_braking(steps, interval, j, rest - tick), "{j} before rest at {tick}");
+                // No step comes faster than the speed at which the stop began.
+                prop_assert!(tick - before >= interval);
+                prop_assert_eq!(times.interval(), Ticks(tick - before));
+                prop_assert_eq!(times.repeat(u32::MAX), 0);
+                before = tick;
             }
-            if let Some(first) = braking.first() {
-                prop_assert!(first - start >= speed_interval);
-            }
-            // u_j^2 = 4 m d^2 j, nearest tick.
-            for (i, &tick) in braking.iter().enumerate() {
-                let j = BigInt::from(m) - (i + 1);
-                let twice = 2 * BigInt::from(stop.rest.0 - tick);
-                let exact = BigInt::from(16 * m) * speed_interval * speed_interval * j;
-                let below: BigInt = &twice - 1;
-                let low = below.max(BigInt::from(0));
-                let high: BigInt = twice + 1;
-                prop_assert!(&low * &low <= exact && exact <= &high * &high);
-            }
-            // v^2 / 2m at most the deceleration, in um/s^2, unless the end of the stroke or
-            // the longest stop is nearer; and not a step more than that needs.
-            let demand = |m: u64| BigInt::from(TICK_HZ) * TICK_HZ * axis.lead().0
-                <= BigInt::from(2 * m) * speed_interval * speed_interval
-                    * axis.steps_per_rev() * um_s2;
-            let at_end = at + stop.steps.0 == n;
-            let longest = 2 * (m + 1) * speed_interval >= 1 << 31;
-            prop_assert!(m == 0 || demand(m) || at_end || longest);
-            prop_assert!(m <= 1 || !demand(m - 1));
+            prop_assert_eq!(before, rest);
+            prop_assert_eq!(times.next(), None);
         }
     }
 
