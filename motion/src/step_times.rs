@@ -143,13 +143,12 @@ impl StepTimes {
         let remaining = self.last - self.emitted;
         if self.interval == 0 {
             self.brake(0);
-        } else if remaining > 0 {
+        } else {
             let wanted = deceleration.steps_to_rest(self.interval);
+            // At least 1 while steps remain: until then no interval is longer than MAX_INTERVAL.
             let longest = (LONGEST_STOP - 1) / (2 * u64::from(self.interval));
-            let steps = wanted
-                .min(u128::from(remaining))
-                .min(u128::from(longest))
-                .max(1) as u32;
+            let steps = wanted.min(u128::from(remaining)).min(u128::from(longest)) as u32;
+            // Also after the last step, where nothing remains.
             let soon_at_rest = self.phase == Phase::Decelerate && remaining <= steps;
             if !soon_at_rest {
                 self.brake(steps);
@@ -198,11 +197,9 @@ impl StepTimes {
         }
         let ahead = self.cruise.ahead(self.interval);
         let taken = ahead.min(most).min(self.phase_end - self.emitted);
-        if taken > 0 {
-            self.cruise.repeat(self.interval, taken);
-            self.emitted += taken;
-            self.tick = self.cruise.tick;
-        }
+        self.cruise.repeat(self.interval, taken);
+        self.emitted += taken;
+        self.tick = self.cruise.tick;
         taken
     }
 
@@ -291,16 +288,22 @@ impl Ramp {
         self.interval = UNHURRIED;
     }
 
+    /// Whether step `k` can be predicted from the last interval. Elsewhere there is time for a square root.
+    #[inline(always)]
+    fn predictable(&self, k: u32) -> bool {
+        k > WARM_UP && self.interval < UNHURRIED
+    }
+
     #[inline]
     fn up(&mut self) -> u32 {
         let before = self.tick;
         let k = self.k + 1;
-        if k <= WARM_UP || self.interval >= UNHURRIED {
-            self.seed(k);
-        } else {
-            let interval = self.interval - 2 * self.interval / (4 * k - 3);
+        if self.predictable(k) {
+            let interval = shorter(self.interval, k);
             let passed = product(interval, 2 * before + interval - 1);
             self.settle(k, before + interval, self.square - self.times_steps(passed));
+        } else {
+            self.seed(k);
         }
         self.interval = self.tick - before;
         self.tick
@@ -310,12 +313,12 @@ impl Ramp {
     fn down(&mut self) -> u32 {
         let before = self.tick;
         let k = self.k - 1;
-        if k <= WARM_UP || self.interval >= UNHURRIED {
-            self.seed(k);
-        } else {
-            let interval = self.interval + 2 * self.interval / (4 * k + 3);
+        if self.predictable(k) {
+            let interval = longer(self.interval, k);
             let passed = product(interval, 2 * before - interval - 1);
             self.settle(k, before - interval, self.times_steps(passed) - self.square);
+        } else {
+            self.seed(k);
         }
         self.interval = before - self.tick;
         self.tick
@@ -327,7 +330,7 @@ impl Ramp {
     fn settle(&mut self, k: u32, mut tick: u32, change: i64) {
         let double = 2 * self.steps;
         let mut rest = self.rest + change;
-        while rest < 0 {
+        while rest.is_negative() {
             tick -= 1;
             rest += product(double, tick) as i64;
         }
@@ -350,6 +353,18 @@ impl Ramp {
     fn times_steps(&self, passed: u64) -> i64 {
         u64::from(self.steps).wrapping_mul(passed) as i64
     }
+}
+
+/// The interval that ends with step `k` of a ramp up, from the one before it: a tick or two off at most.
+#[inline(always)]
+fn shorter(interval: u32, k: u32) -> u32 {
+    interval - 2 * interval / (4 * k - 3)
+}
+
+/// The interval that ends with step `k` of a ramp down, from the one before it.
+#[inline(always)]
+fn longer(interval: u32, k: u32) -> u32 {
+    interval + 2 * interval / (4 * k + 3)
 }
 
 #[inline]
@@ -423,5 +438,127 @@ impl Cruise {
         } else {
             self.carry -= count * (self.double - self.slope);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A ramp within the bounds of [`Ramp`], its tick of step 1 from 2^7 on, and the last step it can reach.
+    fn ramps() -> impl Strategy<Value = (Ramp, u32)> {
+        (0_u32..25, 14_u32..56, any::<u32>(), any::<u64>()).prop_map(|(n_bits, bits, n, square)| {
+            let n = (1 << n_bits) + n % (1 << n_bits);
+            // N / n is from 2^bits to 2^(bits + 1), and N is below 2^62.
+            let bits = bits.min(60 - n_bits);
+            let c = (1 << bits) + square % (1 << bits);
+            let square = u64::from(n) * c + square % u64::from(n);
+            let last = (((1_u64 << 62) - 1) / (c + 1)).min(1 << 25) as u32;
+            (Ramp::new(n, square), last)
+        })
+    }
+
+    /// The remainder is the one of its definition and in its range: the tick is the nearest one.
+    fn is_exact(ramp: &Ramp) -> bool {
+        let (n, t) = (i128::from(ramp.steps), i128::from(ramp.tick));
+        let rest = i128::from(ramp.k) * i128::from(ramp.square) - n * (t * t - t) - (n + 3) / 4;
+        i128::from(ramp.rest) == rest && (ramp.k == 0 || (0..2 * n * t).contains(&rest))
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2_000))]
+
+        /// From any step of any ramp: by square root, then up and down again.
+        #[test]
+        fn a_ramp_is_exact_from_wherever_it_starts((mut ramp, last) in ramps(), share in 0_u32..=1_000) {
+            let k = (u64::from(last) * u64::from(share) / 1_000) as u32;
+            ramp.seed(k);
+            prop_assert_eq!((ramp.k, ramp.interval), (k, UNHURRIED));
+            prop_assert!(k == 0 || is_exact(&ramp), "{ramp:?}");
+            let up = 50.min(last - k);
+            let mut ticks = std::vec![ramp.tick];
+            for step in k + 1..=k + up {
+                let before = ramp.tick;
+                prop_assert_eq!(ramp.up(), ramp.tick);
+                prop_assert_eq!((ramp.k, ramp.interval), (step, ramp.tick - before));
+                prop_assert!(is_exact(&ramp), "{ramp:?}");
+                ticks.push(ramp.tick);
+            }
+            ramp.seed(k + up);
+            for expected in ticks.into_iter().rev().skip(1) {
+                let (before, step) = (ramp.tick, ramp.k - 1);
+                prop_assert_eq!(ramp.down(), expected);
+                prop_assert_eq!((ramp.k, ramp.interval), (step, before - ramp.tick));
+                prop_assert!(step == 0 || is_exact(&ramp), "{ramp:?}");
+            }
+        }
+    }
+
+    /// The prediction is cheaper than a square root only while it is off by a tick or two.
+    #[test]
+    fn a_prediction_leaves_next_to_nothing_to_correct() {
+        let mut predicted = 0;
+        let mut check = |before: &Ramp, after: &Ramp, prediction: fn(u32, u32) -> u32| {
+            if before.predictable(after.k) {
+                predicted += 1;
+                let interval = prediction(before.interval, after.k);
+                assert!(interval.abs_diff(after.interval) <= 2, "{before:?}");
+            }
+        };
+        // Tick of the first step: the interval falls below 655 us within the first 33 steps, or as late as step 5,800.
+        for first in [1_000_u64, 30_000, 700_000, 745_000, 1_000_000, 10_000_000] {
+            for n in [1, 3, 1_000] {
+                let mut ramp = Ramp::new(n, u64::from(n) * first * first + u64::from(n) / 2);
+                for _ in 0..7_000 {
+                    let before = ramp.clone();
+                    ramp.up();
+                    check(&before, &ramp, shorter);
+                }
+                ramp.seed(7_000);
+                for _ in 1..7_000 {
+                    let before = ramp.clone();
+                    ramp.down();
+                    check(&before, &ramp, longer);
+                }
+            }
+        }
+        assert!(predicted > 100_000);
+    }
+
+    #[test]
+    fn the_first_steps_and_slow_ones_take_the_square_root() {
+        let at = |k: u32, interval: u32| {
+            let mut ramp = Ramp::new(1_000, 1 << 40);
+            ramp.interval = interval;
+            ramp.predictable(k)
+        };
+        assert!(at(33, 65_535));
+        assert!(!at(32, 65_535));
+        assert!(!at(33, 65_536));
+        assert!(!at(32, 65_536));
+    }
+
+    /// With n = 4 and N = m^2, step k = j^2 is at m j / 2: for odd m and j exactly between two ticks.
+    #[test]
+    fn half_a_tick_is_rounded_up() {
+        let mut predicted = 0;
+        for m in [100_001_u32, 1_000_001, 3_333_333] {
+            for j in (7..99).step_by(2) {
+                let (k, expected) = (j * j, (u64::from(m * j).div_ceil(2)) as u32);
+                let mut ramp = Ramp::new(4, u64::from(m).pow(2));
+                ramp.seed(k);
+                assert_eq!(ramp.tick, expected);
+                ramp.seed(k - 2);
+                ramp.up();
+                predicted += u32::from(ramp.predictable(k));
+                assert_eq!(ramp.up(), expected);
+                ramp.seed(k + 2);
+                ramp.down();
+                assert_eq!(ramp.down(), expected);
+            }
+        }
+        assert!(predicted > 100);
     }
 }
