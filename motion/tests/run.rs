@@ -1,9 +1,9 @@
-//! The run solver and the axis: sums, boundaries, refusals.
+//! The run solver: sums, boundaries, refusals.
 
 use motion::axis::{Axis, AxisError, Direction};
 use motion::run::{Limits, RunError, RunPlan, RunRequest, Timing};
 use motion::step_times::StepTimes;
-use motion::units::{Micrometres, Nanometres, Steps, Ticks};
+use motion::units::{Micrometres, Ticks};
 use proptest::prelude::*;
 
 const LIMITS: Limits = Limits {
@@ -203,41 +203,6 @@ proptest! {
             (Err(other), _) => prop_assert!(false, "{other}"),
         }
     }
-
-    #[test]
-    fn a_position_is_never_outside_the_stroke(
-        stroke in 100_u32..=130_000, lead in 500_u32..=50_000, power in 0_u32..=8,
-        start in any::<u32>(), moves in prop::collection::vec((any::<bool>(), any::<u32>(), 0_u32..32), 1..40),
-    ) {
-        let Ok(axis) = Axis::new(lead, 200, 1 << power, stroke) else { return Ok(()) };
-        let last = axis.stroke_steps();
-        prop_assert!(axis.length_of(last).0 <= u64::from(stroke) * 1_000);
-        prop_assert!(axis.length_of(Steps(last.0 + 1)).0 >= u64::from(stroke) * 1_000);
-        prop_assert_eq!(axis.position(Steps(start)).is_ok(), start <= last.0);
-        prop_assert_eq!(axis.position_um(Micrometres(start)).is_ok(), start <= stroke);
-        let mut at = axis.home();
-        for (away, distance, shift) in moves {
-            let distance = distance >> shift;
-            let (direction, wanted) = if away {
-                (Direction::Away, i64::from(at.steps().0) + i64::from(distance))
-            } else {
-                (Direction::Home, i64::from(at.steps().0) - i64::from(distance))
-            };
-            match axis.offset(at, direction, Steps(distance)) {
-                Ok(there) => {
-                    prop_assert_eq!(i64::from(there.steps().0), wanted);
-                    let way = (distance > 0).then_some((direction, Steps(distance)));
-                    prop_assert_eq!(at.way_to(there), way);
-                    at = there;
-                }
-                Err(outside) => {
-                    prop_assert_eq!(outside.wanted, wanted);
-                    prop_assert!(wanted < 0 || wanted > i64::from(last.0));
-                }
-            }
-            prop_assert!(at <= axis.far());
-        }
-    }
 }
 
 #[test]
@@ -336,30 +301,6 @@ fn the_step_rate_and_the_turn_are_limits_of_their_own() {
     };
     assert!(turn(minimal_dwell_us as u32, 1_050).is_ok());
     assert!(turn(minimal_dwell_us as u32 - 1, 1_050).is_err());
-}
-
-#[test]
-fn steps_and_lengths_of_the_reference_axis() {
-    let axis = Axis::REFERENCE;
-    assert_eq!(axis.steps_per_rev(), 3_200);
-    assert_eq!(axis.stroke_steps(), Steps(104_000));
-    assert_eq!(axis.steps_within(Micrometres(2)), Some(Steps(1)));
-    assert_eq!(axis.length_of(Steps(1)), Nanometres(1_250));
-    assert_eq!(axis.length_of(Steps(1)).to_um(), 1);
-    assert_eq!(axis.length_of(Steps(104_000)).to_um(), 130_000);
-    for (lead, full, micro, stroke) in [
-        (499, 200, 16, 1_000),
-        (50_001, 200, 16, 1_000),
-        (4_000, 300, 16, 1_000),
-        (4_000, 200, 12, 1_000),
-        (4_000, 200, 512, 1_000),
-        (4_000, 200, 0, 1_000),
-        (4_000, 200, 16, 0),
-        (4_000, 200, 16, 130_001),
-        (50_000, 200, 1, 249),
-    ] {
-        assert!(Axis::new(lead, full, micro, stroke).is_err());
-    }
 }
 
 /// Every step of a run with uneven strokes is later than the one before, across the turns, and
