@@ -20,15 +20,14 @@ fn octaves(low: u32, high: u32) -> impl Strategy<Value = u32> {
 
 /// Profiles of every kind: from parts, from speed, from duration; slow, fast, short, long.
 fn profiles(max_steps: u32) -> impl Strategy<Value = StrokeProfile> {
-    let steps = || 1..=max_steps;
-    let parts = (steps(), octaves(6, 20), 1_u32..=1_000_000).prop_filter_map(
-        "refused",
-        |(n, interval, share)| {
+    let steps = || prop_oneof![3 => 1..=max_steps, 1 => 1_u32..=20];
+    let shares = prop_oneof![1_u32..=1_000_000, octaves(0, 19), Just(1_000_000)];
+    let parts =
+        (steps(), octaves(6, 20), shares).prop_filter_map("refused", |(n, interval, share)| {
             let t = u64::from(n) * u64::from(interval);
             let r = (t / 2 * u64::from(share) / 1_000_000).max(1);
             StrokeProfile::from_parts(Steps(n), Ticks(t), Ticks(r)).ok()
-        },
-    );
+        });
     let speeds = (axes(), steps(), octaves(6, 18), octaves(8, 24)).prop_filter_map(
         "refused",
         |(axis, n, speed, accel)| {
@@ -161,6 +160,7 @@ proptest! {
             prop_assert_eq!(times.remaining(), Steps(profile.steps().0 - k));
             prop_assert_eq!(times.tick(), Ticks(tick));
             prop_assert_eq!(times.interval(), Ticks(tick - before));
+            prop_assert_eq!(times.len(), (profile.steps().0 - k) as usize);
             prop_assert!(times.interval() >= profile.min_interval());
             prop_assert!(times.interval() <= MAX_INTERVAL);
             first.get_or_insert(tick);
@@ -267,19 +267,41 @@ proptest! {
         prop_assert_eq!(times.count(), stop.steps.0 as usize);
     }
 
-    /// Speed and acceleration of the rest of a stroke are at most the stroke's own, exactly, and
-    /// the rest is not slower than one tick in each of its two parts.
+    /// The rest of a stroke neither exceeds its speed nor its acceleration, and one tick less would.
     #[test]
-    fn a_resumed_stroke_keeps_speed_and_acceleration(profile in profiles(20_000), left in 1_u32..20_000) {
-        if let Ok(rest) = profile.resumed(Steps(left)) {
-            let (n, t, r) = integers(&profile);
-            let (m, u, q) = integers(&rest);
-            prop_assert!(&m * (&t - &r) <= &n * (&u - &q));
-            prop_assert!(&m * &r * (&t - &r) <= &n * &q * (&u - &q));
-            if left == profile.steps().0 {
-                prop_assert!(rest.duration() <= profile.duration());
-            }
+    fn a_resumed_stroke_is_the_shortest_within_its_limits(profile in profiles(20_000), share in 0_u32..=1_000) {
+        let left = (profile.steps().0 * share / 1_000).max(1);
+        let rest = profile.resumed(Steps(left)).unwrap();
+        prop_assert_eq!(rest.steps(), Steps(left));
+        let (n, t, r) = integers(&profile);
+        let (m, u, q) = integers(&rest);
+        let slow_enough = |u: &BigInt, q: &BigInt| &m * (&t - &r) <= &n * (u - q);
+        let gentle_enough = |u: &BigInt, q: &BigInt| &m * &r * (&t - &r) <= &n * q * (u - q);
+        prop_assert!(slow_enough(&u, &q) && gentle_enough(&u, &q));
+        // The longest ramp for one tick less that is still slow enough: none is gentler.
+        let shorter: BigInt = &u - 1;
+        let span: BigInt = (&m * (&t - &r) + &n - 1) / &n;
+        let ramp = BigInt::min(&shorter / 2, &shorter - span);
+        prop_assert!(ramp < BigInt::from(1) || !gentle_enough(&shorter, &ramp));
+        if left == profile.steps().0 {
+            prop_assert!(rest.duration() <= profile.duration());
         }
+    }
+
+    /// Peak speed and acceleration as they are told: the exact ones, to the nearest integer.
+    #[test]
+    fn what_was_achieved_is_told_to_the_nearest_integer(axis in axes(), profile in profiles(60_000)) {
+        let (n, t, r) = integers(&profile);
+        let nearest = |told: u32, numerator: BigInt, denominator: BigInt| {
+            let (numerator, denominator) = (numerator * axis.lead().0, denominator * axis.steps_per_rev());
+            let error: BigInt = 2 * (BigInt::from(told) * &denominator - &numerator);
+            let half = -&denominator < error && error <= denominator;
+            let too_much = numerator >= denominator * u32::MAX;
+            if told == u32::MAX { half || too_much } else { half }
+        };
+        let peak: BigInt = &n * TICK_HZ;
+        prop_assert!(nearest(profile.peak_um_s(&axis), peak.clone(), &t - &r));
+        prop_assert!(nearest(profile.accel_um_s2(&axis), peak * TICK_HZ, &r * (&t - &r)));
     }
 
     #[test]
@@ -301,6 +323,11 @@ proptest! {
                 prop_assert!(r == 1 || !gentle_enough(n, t, r - 1, u64::from(um_s2)));
             }
             Err(StrokeError::Infeasible { minimal_duration, minimal_accel_um_s2 }) => {
+                prop_assert!(minimal_duration > wanted);
+                prop_assert!(minimal_accel_um_s2 > u64::from(um_s2));
+                let at_least = StrokeProfile::from_duration(Steps(n), minimal_duration, acceleration);
+                let infeasible = matches!(at_least, Err(StrokeError::Infeasible { .. }));
+                prop_assert!(!infeasible, "{at_least:?}");
                 let half = |t: u64| t / 2;
                 let (t, least) = (minimal_duration.0, minimal_accel_um_s2);
                 prop_assert!(gentle_enough(n, t, half(t), u64::from(um_s2)));
@@ -387,44 +414,176 @@ fn a_triangle_uses_the_acceleration_up() {
     assert_eq!(triangle.peak_um_s(&axis), 50_000);
 }
 
+/// The paper's stroke in 4 s as a triangle: 2 s up and 2 s down at 32.5 mm/s^2 exactly.
+#[test]
+fn the_least_acceleration_for_a_duration_is_a_triangle() {
+    let axis = Axis::REFERENCE;
+    let stroke = |um_s2| {
+        let acceleration = axis.acceleration(um_s2).unwrap();
+        StrokeProfile::from_duration(Steps(104_000), Ticks(4 * TICK_HZ), acceleration)
+    };
+    let triangle = stroke(32_500).unwrap();
+    assert_eq!(triangle.ramp(), Ticks(2 * TICK_HZ));
+    assert_eq!(triangle.span(), Ticks(2 * TICK_HZ));
+    assert_eq!(triangle.ramp_steps(), Steps(52_000));
+    assert_eq!(triangle.accel_um_s2(&axis), 32_500);
+    assert_eq!(
+        stroke(32_499),
+        Err(StrokeError::Infeasible {
+            minimal_duration: Ticks(400_006_154),
+            minimal_accel_um_s2: 32_500
+        })
+    );
+}
+
+/// A stop from an interval of 2^16 ticks: 2^14 steps would last 2^31 ticks, one too many.
+#[test]
+fn the_longest_stop_is_less_than_21_5_seconds() {
+    let steps = 40_000;
+    let profile = StrokeProfile::from_parts(
+        Steps(steps),
+        Ticks(u64::from(steps) * 65_536 + 65_536),
+        Ticks(65_536),
+    )
+    .unwrap();
+    let mut times = StepTimes::new(profile);
+    times.by_ref().take(1_000).for_each(drop);
+    assert_eq!(times.interval(), Ticks(65_536));
+    let start = times.tick().0;
+    let stop = times.stop(Axis::REFERENCE.acceleration(1).unwrap());
+    assert_eq!(stop.steps, Steps((1 << 14) - 1));
+    assert_eq!(stop.rest, Ticks(start + (1 << 31) - (1 << 17)));
+    assert_eq!(times.last(), Some(stop.rest.0));
+}
+
+fn parts(n: u32, t: u64, r: u64) -> Result<StrokeProfile, StrokeError> {
+    StrokeProfile::from_parts(Steps(n), Ticks(t), Ticks(r))
+}
+
+/// Each bound: what is just within, just beyond, and what the refusal names.
 #[test]
 fn the_bounds_refuse_what_they_say() {
-    let parts = |n, t, r| StrokeProfile::from_parts(Steps(n), Ticks(t), Ticks(r));
+    let too_slow = |t: u64| Err(StrokeError::TooSlow { duration: Ticks(t) });
+    let bad_ramp = |t: u64, r: u64| {
+        Err(StrokeError::Ramp {
+            duration: Ticks(t),
+            ramp: Ticks(r),
+        })
+    };
     assert_eq!(parts(0, 100, 10), Err(StrokeError::NoSteps));
-    assert!(matches!(
-        parts(1 << 26, 1 << 40, 10),
-        Err(StrokeError::TooManySteps { .. })
-    ));
-    assert!(matches!(
-        parts(10, 10_000, 0),
-        Err(StrokeError::Ramp { .. })
-    ));
-    assert!(matches!(
-        parts(10, 10_001, 5_001),
-        Err(StrokeError::Ramp { .. })
-    ));
+    let most = 1 << 25;
+    assert!(parts(most, u64::from(most) * 128, 1_000).is_ok());
+    assert_eq!(
+        parts(most + 1, 1 << 40, 10),
+        Err(StrokeError::TooManySteps { steps: most + 1 })
+    );
+    assert_eq!(parts(10, 10_000, 0), bad_ramp(10_000, 0));
+    assert_eq!(parts(10, 10_001, 5_001), bad_ramp(10_001, 5_001));
     assert!(parts(10, 10_001, 5_000).is_ok());
     // 1 MHz is allowed, and no more.
     assert!(parts(1_000, 100_500, 500).is_ok());
-    assert!(matches!(
+    assert_eq!(
         parts(1_000, 100_499, 500),
-        Err(StrokeError::TooFast { .. })
-    ));
-    // A triangle of 2^31.5 ticks and a single step of 2^30 are the slowest.
+        Err(StrokeError::TooFast {
+            interval: Ticks(99)
+        })
+    );
+    // 2 r (T - r) of 2^62: a triangle of 2^31.5 ticks.
     assert!(parts(100_000, 3_037_000_498, 1_518_500_249).is_ok());
-    assert!(matches!(
+    assert_eq!(
         parts(100_000, 3_037_000_500, 1_518_500_250),
-        Err(StrokeError::TooSlow { .. })
-    ));
+        too_slow(3_037_000_500)
+    );
+    // 2 n T of 2^60.
+    assert!(parts(most, (1 << 34) - 1, 100_000_000).is_ok());
+    assert_eq!(parts(most, 1 << 34, 100_000_000), too_slow(1 << 34));
+    // A single step of 2^30 ticks.
     assert!(parts(1, (1 << 30) - 1, 1_000).is_ok());
-    assert!(matches!(
-        parts(1, 1 << 30, 1_000),
-        Err(StrokeError::TooSlow { .. })
-    ));
-    assert!(matches!(
+    assert_eq!(parts(1, 1 << 30, 1_000), too_slow(1 << 30));
+    assert_eq!(
         parts(u32::MAX >> 7, u64::MAX, u64::MAX / 2),
+        too_slow(u64::MAX)
+    );
+}
+
+#[test]
+fn constructors_refuse_moves_that_are_none_or_too_long() {
+    let axis = Axis::REFERENCE;
+    let (speed, acceleration) = (
+        axis.speed(1_000).unwrap(),
+        axis.acceleration(100_000).unwrap(),
+    );
+    let profile = StrokeProfile::from_speed(Steps(1_000), speed, acceleration).unwrap();
+    for (steps, refusal) in [
+        (0, StrokeError::NoSteps),
+        (
+            (1 << 25) + 1,
+            StrokeError::TooManySteps {
+                steps: (1 << 25) + 1,
+            },
+        ),
+    ] {
+        let steps = Steps(steps);
+        let hour = Ticks(3_600 * TICK_HZ);
+        assert_eq!(
+            StrokeProfile::from_duration(steps, hour, acceleration),
+            Err(refusal)
+        );
+        assert_eq!(
+            StrokeProfile::from_speed(steps, speed, acceleration),
+            Err(refusal)
+        );
+        assert_eq!(profile.resumed(steps), Err(refusal));
+    }
+    // Both steps are as slow as a step may be: one of them alone, from rest to rest, is slower.
+    let slowest = parts(2, (1 << 31) - 2, (1 << 30) - 1).unwrap();
+    assert!(slowest.resumed(Steps(2)).is_ok());
+    assert!(matches!(
+        slowest.resumed(Steps(1)),
         Err(StrokeError::TooSlow { .. })
     ));
+}
+
+#[test]
+fn a_refused_stroke_says_what_to_do() {
+    for (error, text) in [
+        (
+            StrokeError::NoSteps,
+            "the move is shorter than one step: make it longer",
+        ),
+        (
+            StrokeError::TooManySteps { steps: 33_554_433 },
+            "33554433 steps in one stroke are more than 33554432: use fewer microsteps",
+        ),
+        (
+            StrokeError::Ramp {
+                duration: Ticks(100_000_000),
+                ramp: Ticks(60_000_000),
+            },
+            "a ramp of 0.60000000 s does not fit a stroke of 1.00000000 s: use more than zero and at most half",
+        ),
+        (
+            StrokeError::TooFast {
+                interval: Ticks(99),
+            },
+            "steps would be 99 ticks apart, less than 100: go slower or use fewer microsteps",
+        ),
+        (
+            StrokeError::TooSlow {
+                duration: Ticks(3_037_000_500),
+            },
+            "a stroke of 30.37000500 s is too slow for exact step times: use more speed, more acceleration or finer microsteps",
+        ),
+        (
+            StrokeError::Infeasible {
+                minimal_duration: Ticks(400_006_154),
+                minimal_accel_um_s2: 32_500,
+            },
+            "too little time: allow at least 4.00006154 s for the stroke, or accelerate with at least 32500 um/s^2",
+        ),
+    ] {
+        assert_eq!(error.to_string(), text);
+    }
 }
 
 /// Profiles close to each bound: where sums are largest.
