@@ -46,28 +46,30 @@ fn integers(p: &StrokeProfile) -> (BigInt, BigInt, BigInt) {
 }
 
 /// Whether the edge is within half a tick of the definition, by comparing squares: no root is
-/// taken and no division made, so that nothing is shared with the code under test.
+/// taken and no division made, so that nothing is shared with the code under test. Below 2^125.
 fn is_nearest(p: &StrokeProfile, k: u32, tick: u64) -> bool {
-    let (n, t, r) = integers(p);
-    let square: BigInt = 2 * &r * (&t - &r);
-    let limit = &n * &r * &r;
-    let within = |j: BigInt, from_rest: BigInt| {
+    let (n, t, r) = (
+        i128::from(p.steps().0),
+        i128::from(p.duration().0),
+        i128::from(p.ramp().0),
+    );
+    let square = 2 * r * (t - r);
+    let limit = n * r * r;
+    let within = |j: i128, from_rest: i128| {
         // (2 u - 1)^2 n <= 4 j N <= (2 u + 1)^2 n
-        let exact = 4 * j * &square;
-        let low: BigInt = 2 * &from_rest - 1;
-        let high: BigInt = 2 * &from_rest + 1;
-        (low.sign() == num_bigint::Sign::Minus || &low * &low * &n <= exact)
-            && exact <= &high * &high * &n
+        let exact = 4 * j * square;
+        let (low, high) = (2 * from_rest - 1, 2 * from_rest + 1);
+        (low < 0 || low * low * n <= exact) && exact <= high * high * n
     };
-    let (k, tick) = (BigInt::from(k), BigInt::from(tick));
-    let j: BigInt = &n - &k;
-    if &k * &square <= limit {
+    let (k, tick) = (i128::from(k), i128::from(tick));
+    let j = n - k;
+    if k * square <= limit {
         within(k, tick)
-    } else if &j * &square <= limit {
+    } else if j * square <= limit {
         tick <= t && within(j, t - tick)
     } else {
-        let error: BigInt = 2 * &n * tick - (&n * &r + 2 * k * (t - r));
-        error.magnitude() <= n.magnitude()
+        let error = 2 * n * tick - (n * r + 2 * k * (t - r));
+        error.abs() <= n
     }
 }
 
@@ -123,10 +125,9 @@ impl Hardness {
 /// Whether a stop in `steps` from `interval` is this long before rest with `j` steps to go:
 /// u^2 = 4 d^2 m j, to the nearest tick.
 fn is_braking(steps: u32, interval: u64, j: u32, from_rest: u64) -> bool {
-    let exact = BigInt::from(16) * interval * interval * steps * j;
-    let twice = 2 * BigInt::from(from_rest);
-    let (low, high): (BigInt, BigInt) = (&twice - 1, &twice + 1);
-    (from_rest == 0 || &low * &low <= exact) && exact <= &high * &high
+    let exact = 16 * u128::from(interval * interval) * u128::from(steps) * u128::from(j);
+    let twice = 2 * u128::from(from_rest);
+    (from_rest == 0 || (twice - 1) * (twice - 1) <= exact) && exact <= (twice + 1) * (twice + 1)
 }
 
 /// The steps in which a speed of one step per `interval` comes to rest: v^2 / 2a, at least one, and in
