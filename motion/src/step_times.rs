@@ -7,47 +7,47 @@
 //! 0 <= s < 2 n t    with    s = k N - n (t^2 - t) - ceil(n / 4)
 //! ```
 //!
-//! Each step adds N, predicts the interval from the last one (D - 2 D / (4 k - 3), a predictor
-//! only) and corrects the tick by one while s is out of range. So no error is ever carried on.
-//! The deceleration is the same sequence run downward, counted back from the end. The cruise is
-//! Bresenham's line with denominator 2 n. Where steps are far apart, or the predictor is still
-//! poor, there is time for a square root.
+//! Each step adds N, predicts its interval from the last interval D as D - 2 D / (4 k - 3), and
+//! then corrects the tick by one while s is out of range. So no error accumulates. The
+//! deceleration is the same sequence run downward, counted back from the end. The cruise is
+//! Bresenham's line with denominator 2 n. A square root replaces the prediction near rest, where
+//! it is poor, and where steps are so far apart that there is time for it.
 
 use crate::axis::Acceleration;
 use crate::trapezoid::StrokeProfile;
 use crate::units::{Steps, Ticks};
 use crate::wide::isqrt;
 
-/// Up to this step of a ramp, counted from rest, the square root is taken.
+/// Steps of a ramp up to this one, counted from rest, take a square root.
 const WARM_UP: u32 = 32;
 
-/// From this interval on, 655 us, the square root is taken.
+/// After an interval of this many ticks (655 us) or more, a step takes a square root.
 const UNHURRIED: u32 = 1 << 16;
 
-/// A stop takes less than this, 21.5 s, whatever deceleration is asked for.
+/// A stop takes fewer ticks than this (21.5 s), however low its deceleration.
 const LONGEST_STOP: u64 = 1 << 31;
 
 /// Iterator over the tick of each step, 1..=n, counted from the start of the stroke.
 ///
-/// It can be stopped at any step with [`StepTimes::stop`] and then yields the steps of the
-/// braking ramp. It never yields more steps than its profile has.
+/// After any step, [`StepTimes::stop`] replaces the rest by a braking ramp. There are never more
+/// steps than the profile has.
 #[derive(Clone, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct StepTimes {
     phase: Phase,
     /// Steps emitted so far.
     emitted: u32,
-    /// The phase ends when so many steps are emitted.
+    /// Steps emitted at the end of the phase.
     phase_end: u32,
-    /// The interval that ended with the last step.
+    /// Ticks between the last two steps.
     interval: u32,
     /// The tick of the last step.
     tick: u64,
     ramp: Ramp,
     cruise: Cruise,
-    /// Number of the last step: the profile's, or where the stop comes to rest.
+    /// Steps emitted at rest: the profile's, or fewer after a stop.
     last: u32,
-    /// The tick of the last step, from which the deceleration is counted back.
+    /// The tick of rest, from which the deceleration is counted back.
     end: u64,
     profile: StrokeProfile,
 }
@@ -60,13 +60,13 @@ enum Phase {
     Decelerate,
 }
 
-/// How a stop will go.
+/// What a stop still takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Stop {
     /// Steps still to come.
     pub steps: Steps,
-    /// The tick of the last of them, counted from the start of the stroke.
+    /// The tick of the final step, counted from the start of the stroke.
     pub rest: Ticks,
 }
 
@@ -100,8 +100,8 @@ impl StepTimes {
         Steps(self.last - self.emitted)
     }
 
-    /// Steps of the profile that will not be emitted: 0, unless it was stopped. To go on, make a
-    /// stroke of them with [`StrokeProfile::resumed`].
+    /// Steps of the profile that a stop leaves out; 0 without a stop.
+    /// [`StrokeProfile::resumed`] makes a stroke of them.
     #[must_use]
     pub fn left_out(&self) -> Steps {
         Steps(self.profile.steps().0 - self.last)
@@ -113,7 +113,7 @@ impl StepTimes {
         Ticks(self.tick)
     }
 
-    /// The ticks between the last step and its predecessor (or the start); 0 before the first.
+    /// Ticks between the last two steps, or from the start to the first step; 0 before the first.
     #[must_use]
     pub const fn interval(&self) -> Ticks {
         Ticks(self.interval as u64)
@@ -131,24 +131,24 @@ impl StepTimes {
         &self.profile
     }
 
-    /// Brakes from the speed of the last step to rest on a whole step, with at most the given
-    /// deceleration; from then on the iterator yields the steps of the braking ramp.
+    /// Brakes from the speed of the last step to rest on a whole step, with at most this
+    /// deceleration. The iterator then yields the steps of the braking ramp.
     ///
     /// From an interval d the ramp takes m = ceil(v^2 / 2a) steps and 2 m d ticks, so that its
-    /// first interval is not shorter than d. Where the stroke's own deceleration comes to rest as
-    /// soon, it is finished as planned. Two things make a stop harder than asked for, and
-    /// the answer shows both: it never goes beyond the stroke, and it never takes 21.5 s or more.
-    /// Before the first step there is nothing to brake and no step follows.
+    /// first interval is not shorter than d. If the stroke's own final ramp needs no more steps
+    /// than that, the stroke ends as planned. A stop is harder than requested where it would leave
+    /// the stroke or take 21.5 s or more; the result shows it. Before the first step there is
+    /// nothing to brake, and no step follows.
     pub fn stop(&mut self, deceleration: Acceleration) -> Stop {
         let remaining = self.last - self.emitted;
         if self.interval == 0 {
             self.brake(0);
         } else {
             let wanted = deceleration.steps_to_rest(self.interval);
-            // At least 1 while steps remain: until then no interval is longer than MAX_INTERVAL.
+            // At least 1 while steps remain: only the last interval exceeds MAX_INTERVAL.
             let longest = (LONGEST_STOP - 1) / (2 * u64::from(self.interval));
             let steps = wanted.min(u128::from(remaining)).min(u128::from(longest)) as u32;
-            // Also after the last step, where nothing remains.
+            // Also true after the last step, where none remain.
             let soon_at_rest = self.phase == Phase::Decelerate && remaining <= steps;
             if !soon_at_rest {
                 self.brake(steps);
@@ -160,7 +160,8 @@ impl StepTimes {
         }
     }
 
-    /// A ramp down of `steps` from the last interval: u_j = 2 d sqrt(j steps).
+    /// Starts a ramp down of `steps` from the last interval d: with j steps to go it is
+    /// 2 d sqrt(j steps) before rest.
     fn brake(&mut self, steps: u32) {
         let interval = u64::from(self.interval);
         let ticks = 2 * u64::from(steps) * interval;
@@ -172,7 +173,8 @@ impl StepTimes {
         self.ramp.seed(steps);
     }
 
-    /// As [`StepTimes::next`], for those who ask for tick or interval afterwards; false at rest.
+    /// Takes the next step, whose [`StepTimes::tick`] and [`StepTimes::interval`] can then be read;
+    /// false at rest.
     pub fn advance(&mut self) -> bool {
         if self.emitted == self.phase_end && self.turn().is_none() {
             return false;
@@ -183,27 +185,29 @@ impl StepTimes {
             Phase::Decelerate => self.end - u64::from(self.ramp.down()),
         };
         self.emitted += 1;
-        // Below 2^32: no interval of a profile or a stop is as long.
+        // Fits: no interval of a profile or a stop is 2^32 ticks.
         self.interval = (tick - self.tick) as u32;
         self.tick = tick;
         true
     }
 
-    /// Takes the further steps of the cruise, at most `most`, that are the last interval apart; their number. A
-    /// ramp has none, and [`StepTimes::next`] would yield the same ticks.
+    /// Takes the next steps of the cruise, `most` at most, while they are as far apart as the last
+    /// two, and returns how many. [`StepTimes::next`] would yield the same ticks. 0 in a ramp.
     pub fn repeat(&mut self, most: u32) -> u32 {
         if self.phase != Phase::Cruise {
             return 0;
         }
         let ahead = self.cruise.ahead(self.interval);
         let taken = ahead.min(most).min(self.phase_end - self.emitted);
-        self.cruise.repeat(self.interval, taken);
-        self.emitted += taken;
-        self.tick = self.cruise.tick;
+        if taken != 0 {
+            self.cruise.repeat(self.interval, taken);
+            self.emitted += taken;
+            self.tick = self.cruise.tick;
+        }
         taken
     }
 
-    /// The next phase that has steps; none at rest.
+    /// Enters the next phase that has steps; `None` at rest.
     #[inline(never)]
     fn turn(&mut self) -> Option<()> {
         while self.emitted == self.phase_end {
@@ -211,8 +215,8 @@ impl StepTimes {
                 Phase::Accelerate => {
                     self.phase = Phase::Cruise;
                     self.cruise = Cruise::new(&self.profile, self.emitted);
-                    // Step n - ramp_steps is the first of the deceleration: both ramps have
-                    // the same number of steps, and the last step ends exactly at T.
+                    // Step n - ramp_steps is the first of the deceleration, the last one is
+                    // exactly at T.
                     let down = self.last - self.profile.ramp_steps().0;
                     self.phase_end = (down - 1).max(self.emitted);
                 }
@@ -245,7 +249,7 @@ impl Iterator for StepTimes {
 impl ExactSizeIterator for StepTimes {}
 impl core::iter::FusedIterator for StepTimes {}
 
-/// t_k = sqrt(k N / n), nearest tick, one step up or down at a time.
+/// The nearest tick to t_k = sqrt(k N / n), one step up or down at a time.
 ///
 /// Bounds, from [`StrokeProfile::from_parts`]: N < 2^62, 2 n t < 2^60, t < 2^31, n <= 2^25; so
 /// N + 2 n t and the products below fit `i64`.
@@ -257,7 +261,7 @@ struct Ramp {
     tick: u32,
     interval: u32,
     square: i64,
-    /// The remainder s of the module's text.
+    /// The remainder s, see the module's documentation.
     rest: i64,
 }
 
@@ -273,7 +277,8 @@ impl Ramp {
         }
     }
 
-    /// To step `k` by a square root; the next step takes one, too.
+    /// Goes to step `k` by a square root. Without an interval to predict from, the next step takes
+    /// one, too.
     #[inline(never)]
     fn seed(&mut self, k: u32) {
         let (n, square) = (u64::from(self.steps), self.square as u64);
@@ -288,7 +293,7 @@ impl Ramp {
         self.interval = UNHURRIED;
     }
 
-    /// Whether step `k` can be predicted from the last interval. Elsewhere there is time for a square root.
+    /// Whether step `k` is predicted from the last interval; otherwise it takes a square root.
     #[inline(always)]
     fn predictable(&self, k: u32) -> bool {
         k > WARM_UP && self.interval < UNHURRIED
@@ -325,7 +330,7 @@ impl Ramp {
     }
 
     /// Corrects the predicted tick until it is the nearest one.
-    // Once per step: no call, although the image is optimised for size.
+    // Runs once per step: inline, although the image is optimised for size.
     #[inline(always)]
     fn settle(&mut self, k: u32, mut tick: u32, change: i64) {
         let double = 2 * self.steps;
@@ -347,8 +352,8 @@ impl Ramp {
         self.rest = rest;
     }
 
-    /// `steps * passed`, which is within a few 2 n t of N. Wrapping only names what the bounds
-    /// exclude: a checked 64-bit product would cost more than the rest of the step.
+    /// `steps * passed`, which is within a few 2 n t of N and fits. It wraps only to save the check:
+    /// a checked 64-bit product would cost more than the rest of the step.
     #[inline]
     fn times_steps(&self, passed: u64) -> i64 {
         u64::from(self.steps).wrapping_mul(passed) as i64
@@ -372,30 +377,30 @@ fn product(a: u32, b: u32) -> u64 {
     u64::from(a) * u64::from(b)
 }
 
-/// 2 n t_k = n r + 2 k (T - r), nearest tick: a line in integers.
+/// The nearest tick to t_k with 2 n t_k = n r + 2 k (T - r): a line in integers.
 #[derive(Clone, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Cruise {
     tick: u64,
     /// Whole ticks per step.
     interval: u32,
-    /// What is left per step, in 1 / (2 n) tick.
+    /// Fraction of a tick per step, in 1 / (2 n).
     slope: u32,
-    /// What is left over so far, below 2 n.
+    /// Fraction of a tick carried over to the next step, in 1 / (2 n).
     carry: u32,
     /// 2 n.
     double: u32,
 }
 
 impl Cruise {
-    /// The line at step `k`, which is not emitted again.
+    /// The line after step `k`, which has been emitted.
     fn new(profile: &StrokeProfile, k: u32) -> Self {
         let n = u64::from(profile.steps().0);
         let span = profile.span().0;
         let line = n * profile.ramp().0 + 2 * u64::from(k) * span + n;
         Self {
             tick: line / (2 * n),
-            // Above MAX_INTERVAL only where no step is in cruise.
+            // Above MAX_INTERVAL only if no step is in cruise.
             interval: u32::try_from(span / n).unwrap_or(u32::MAX),
             slope: (2 * (span % n)) as u32,
             carry: (line % (2 * n)) as u32,
@@ -415,10 +420,10 @@ impl Cruise {
         self.tick
     }
 
-    /// Steps to come, before the first that is not this interval apart.
+    /// How many of the next steps are this interval apart, up to the first that is not.
     #[inline]
     fn ahead(&self, interval: u32) -> u32 {
-        // Each step adds the slope to what is left over; a longer one takes a whole tick off it.
+        // Each step adds the slope to the carry; a step one tick longer takes 2 n off it.
         if interval == self.interval {
             let room = self.double - 1 - self.carry;
             room.checked_div(self.slope).unwrap_or(u32::MAX)
@@ -429,7 +434,7 @@ impl Cruise {
         }
     }
 
-    /// Takes so many of them.
+    /// Takes `count` steps of this interval.
     #[inline]
     fn repeat(&mut self, interval: u32, count: u32) {
         self.tick += u64::from(count) * u64::from(interval);

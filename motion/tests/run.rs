@@ -50,7 +50,7 @@ fn the_papers_run_is_forty_seconds_to_the_tick() {
     assert_eq!(plan.stroke_start(10), None);
 }
 
-/// FNV-1a written out here once more, over the bytes that the documentation names.
+/// FNV-1a, written out again, over the bytes that the documentation names.
 #[test]
 fn the_hash_is_fnv_of_the_integers() {
     let plan = solve(&PAPER).unwrap();
@@ -131,7 +131,7 @@ const fn unlimited() -> Limits {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
-    /// A plan adds up when it is walked stroke by stroke; a refusal names the exact boundary.
+    /// A plan adds up stroke by stroke; a refusal names the exact limit.
     #[test]
     fn a_run_is_exact_or_refused_at_the_boundary(request in requests()) {
         let axis = Axis::REFERENCE;
@@ -377,9 +377,9 @@ fn an_acceleration_is_suggested_only_where_it_helps() {
     }
 }
 
-/// The speed that a refusal names is slow enough for the driver.
+/// The speed that a refusal suggests is slow enough for the driver, and no slower than need be.
 #[test]
-fn the_step_rate_has_a_speed() {
+fn a_step_rate_above_the_limit_names_a_speed() {
     let (axis, driver) = (
         Axis::REFERENCE,
         Limits {
@@ -402,9 +402,9 @@ fn the_step_rate_has_a_speed() {
     assert!(run(max_um_s as u32 + 1).is_err());
 }
 
-/// The dwell that a refusal names is the shortest that suffices, at both turns.
+/// The dwell that a refusal suggests is the shortest that suffices, at both turns.
 #[test]
-fn a_turn_takes_its_time() {
+fn a_turn_needs_a_dwell() {
     let first = solve(&PAPER).unwrap().forward().first_interval().0;
     let run = |cycles, far_dwell_us, home_dwell_us, extra| {
         let limits = Limits {

@@ -18,7 +18,7 @@ fn octaves(low: u32, high: u32) -> impl Strategy<Value = u32> {
     (low..high).prop_flat_map(|bits| (1_u32 << bits)..(2_u32 << bits))
 }
 
-/// Profiles of every kind: from parts, from speed, from duration; slow, fast, short, long.
+/// Profiles of every kind: from parts and from speeds; slow, fast, short, long.
 fn profiles(max_steps: u32) -> impl Strategy<Value = StrokeProfile> {
     let steps = || prop_oneof![3 => 1..=max_steps, 1 => 1_u32..=20];
     let shares = prop_oneof![1_u32..=1_000_000, octaves(0, 19), Just(1_000_000)];
@@ -97,20 +97,20 @@ impl Place {
 
 /// A deceleration: um/s^2, or sixteenths of what the stroke itself accelerates with.
 #[derive(Clone, Copy, Debug)]
-enum Hardness {
+enum Deceleration {
     Absolute(u32),
     Relative(u32),
 }
 
-fn hardnesses() -> impl Strategy<Value = Hardness> {
+fn decelerations() -> impl Strategy<Value = Deceleration> {
     prop_oneof![
-        octaves(10, 26).prop_map(Hardness::Absolute),
-        octaves(1, 10).prop_map(Hardness::Relative),
-        Just(Hardness::Absolute(1)),
+        octaves(10, 26).prop_map(Deceleration::Absolute),
+        octaves(1, 10).prop_map(Deceleration::Relative),
+        Just(Deceleration::Absolute(1)),
     ]
 }
 
-impl Hardness {
+impl Deceleration {
     fn um_s2(self, profile: &StrokeProfile, axis: &Axis) -> u32 {
         match self {
             Self::Absolute(um_s2) => um_s2,
@@ -172,7 +172,7 @@ proptest! {
         prop_assert_eq!(first, Some(profile.first_interval().0));
     }
 
-    /// Taken together or one by one, the steps are the same; none of the cruise that could be taken is left.
+    /// Steps taken together are those taken one by one, and `repeat` leaves out none that it could take.
     #[test]
     fn repeated_steps_are_those_that_would_follow(
         profile in profiles(5_000), limits in prop::collection::vec(prop_oneof![0_u32..10, Just(u32::MAX)], 1..20),
@@ -202,7 +202,7 @@ proptest! {
         prop_assert_eq!(times.tick(), profile.duration());
     }
 
-    /// Long strokes on fine axes: the bounds of the hot path, sampled.
+    /// Samples of long strokes on fine axes.
     #[test]
     fn long_strokes_stay_exact(profile in profiles(60_000), stride in 500_usize..1_500) {
         for (k, tick) in (1..).zip(StepTimes::new(profile)).step_by(stride) {
@@ -214,10 +214,10 @@ proptest! {
     /// leaves the stroke's own final ramp as it is.
     #[test]
     fn a_stop_brakes_in_the_fewest_steps(
-        axis in axes(), profile in profiles(20_000), place in places(), hardness in hardnesses(),
+        axis in axes(), profile in profiles(20_000), place in places(), deceleration in decelerations(),
     ) {
         let (n, at) = (profile.steps().0, place.step(&profile));
-        let um_s2 = hardness.um_s2(&profile, &axis);
+        let um_s2 = deceleration.um_s2(&profile, &axis);
         let mut times = StepTimes::new(profile);
         times.by_ref().take(at as usize).for_each(drop);
         let (interval, start) = (times.interval().0, times.tick().0);
@@ -251,7 +251,7 @@ proptest! {
         }
     }
 
-    /// A second stop while braking never lengthens the way, and a harder one shortens it.
+    /// A second stop while braking never lengthens the way.
     #[test]
     fn stopping_again_never_goes_further(
         axis in axes(), profile in profiles(5_000), share in 1_u32..1_000,
@@ -279,7 +279,7 @@ proptest! {
         let slow_enough = |u: &BigInt, q: &BigInt| &m * (&t - &r) <= &n * (u - q);
         let gentle_enough = |u: &BigInt, q: &BigInt| &m * &r * (&t - &r) <= &n * q * (u - q);
         prop_assert!(slow_enough(&u, &q) && gentle_enough(&u, &q));
-        // The longest ramp for one tick less that is still slow enough: none is gentler.
+        // One tick less, with the gentlest ramp that still keeps the speed.
         let shorter: BigInt = &u - 1;
         let span: BigInt = (&m * (&t - &r) + &n - 1) / &n;
         let ramp = BigInt::min(&shorter / 2, &shorter - span);
@@ -289,9 +289,8 @@ proptest! {
         }
     }
 
-    /// Peak speed and acceleration as they are told: the exact ones, to the nearest integer.
     #[test]
-    fn what_was_achieved_is_told_to_the_nearest_integer(axis in axes(), profile in profiles(60_000)) {
+    fn peak_and_acceleration_are_the_nearest_integers(axis in axes(), profile in profiles(60_000)) {
         let (n, t, r) = integers(&profile);
         let nearest = |told: u32, numerator: BigInt, denominator: BigInt| {
             let (numerator, denominator) = (numerator * axis.lead().0, denominator * axis.steps_per_rev());
@@ -341,7 +340,7 @@ proptest! {
         }
     }
 
-    /// From speed: neither limit is exceeded, and one tick less would exceed one of them.
+    /// Within both limits; one tick less would exceed one of them.
     #[test]
     fn a_speed_is_the_shortest_within_both_limits(
         axis in axes(), n in 1_u32..200_000, um_s in octaves(8, 18), um_s2 in octaves(8, 24),
@@ -378,7 +377,7 @@ fn a_stop_before_the_first_step_moves_nothing() {
     assert_eq!(times.left_out(), Steps(100));
 }
 
-/// On the stroke's own final ramp, a deceleration that would not be at rest earlier changes nothing.
+/// On the stroke's own final ramp, a deceleration that needs as many steps or more changes nothing.
 #[test]
 fn a_gentle_stop_on_the_final_ramp_finishes_the_stroke_as_planned() {
     let axis = Axis::REFERENCE;
@@ -536,7 +535,7 @@ fn constructors_refuse_moves_that_are_none_or_too_long() {
         );
         assert_eq!(profile.resumed(steps), Err(refusal));
     }
-    // Both steps are as slow as a step may be: one of them alone, from rest to rest, is slower.
+    // Two steps, both as slow as a step may be. One alone, from rest to rest, would be slower.
     let slowest = parts(2, (1 << 31) - 2, (1 << 30) - 1).unwrap();
     assert!(slowest.resumed(Steps(2)).is_ok());
     assert!(matches!(
@@ -587,7 +586,7 @@ fn a_refused_stroke_says_what_to_do() {
     }
 }
 
-/// Profiles close to each bound: where sums are largest.
+/// Profiles close to each bound, where sums are largest.
 #[test]
 fn the_extremes_do_not_overflow() {
     for (n, t, r) in [
