@@ -35,7 +35,7 @@
 //! - Enum variants are index-coded: append only, never reorder, never reuse.
 //! - [`table::SCHEMA_KEY`] is computed from all message types at compile time. Same major version and same
 //!   key: everything works. Any difference: the device only identifies itself, reports its status and faults
-//!   and stops ([`table::Row::needs_match`]).
+//!   and stops ([`table::Request::needs_match`]).
 //! - A change of an existing message raises the major version; an appended row raises the minor version.
 #![no_std]
 #![forbid(unsafe_code)]

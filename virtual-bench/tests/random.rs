@@ -18,7 +18,7 @@ use protocol::{
     },
     settings::{Setting, SettingKey},
     system::{Acknowledge, SetTelemetry, Urgent},
-    table::Command,
+    table::Endpoint,
 };
 use virtual_bench::{
     link::VirtualLink,
@@ -85,7 +85,7 @@ impl Sequence {
     }
 
     /// Whether the rig accepted `command`.
-    fn asks<C: Command + std::fmt::Debug>(&mut self, command: C) -> bool {
+    fn asks<E: Endpoint + std::fmt::Debug>(&mut self, command: E) -> bool {
         self.story.push(format!("  {command:?}"));
         match self.rig.device.call(command) {
             Ok(_) => true,

@@ -939,7 +939,7 @@ impl Machine {
             Kind::Urgent => "Urgent",
             _ => frame
                 .decode::<Request>()
-                .map_or("?", |request| request.row().name),
+                .map_or("?", |request| request.name()),
         };
         let deaf = self
             .script
@@ -966,7 +966,7 @@ impl Machine {
                 reply(self, session, seq, &hello);
             }
             Decision::Execute { request, ticket } => {
-                self.log().executed.push(request.row().name);
+                self.log().executed.push(request.name());
                 let executed = self.execute(request);
                 self.show_settings();
                 let answer = match executed {

@@ -26,6 +26,9 @@ impl Noise {
 pub struct Device {
     pub deframer: Deframer,
     pub session: Session,
+    /// Requests handed in for execution.
+    pub executions: u32,
+    /// The interval of each [`Request::SetTelemetry`] that was executed.
     pub executed: Vec<u16>,
     pub stops: u32,
     pub boots: u32,
@@ -36,6 +39,7 @@ impl Device {
         Self {
             deframer: Deframer::new(),
             session: Session::new(1),
+            executions: 0,
             executed: vec![],
             stops: 0,
             boots: 1,
@@ -85,6 +89,7 @@ impl Device {
                 &Reply::Accepted(Response::Hello(self.identity(session))),
             ),
             Decision::Execute { request, ticket } => {
+                self.executions += 1;
                 let response = match request {
                     Request::SetTelemetry(set) => {
                         self.executed.push(set.period_ms);
@@ -106,7 +111,9 @@ impl Device {
             }
             Decision::Resend(frame) => Some(frame),
             Decision::Refuse { refusal, ticket } => {
-                reply(ticket.session, ticket.seq, &Reply::Refused(refusal))
+                let frame = reply(ticket.session, ticket.seq, &Reply::Refused(refusal))?;
+                self.session.remember(ticket, &frame);
+                Some(frame)
             }
             Decision::Reject {
                 error,
