@@ -208,7 +208,7 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
             speed_um_s: 1,
         }),
         Request::Jog(rig::Jog {
-            sense: rig::Sense::Away,
+            sense: rig::Direction::Away,
             speed_um_s: 1,
         }),
         Request::GetSetting(settings::GetSetting {

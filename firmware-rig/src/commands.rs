@@ -15,7 +15,7 @@ use protocol::{
     events::EventRing,
     rig::{
         self, LinkLossPolicy, RigFault, RigHealth, RigInputs, RigStatus, RunAccepted, RunTiming,
-        Sense, Stroke,
+        Stroke,
     },
     settings::{GetSetting, MAX_NAME, Name, Setting, SettingKey},
     system::{Done, LastWords, SetTelemetry},
@@ -159,8 +159,8 @@ fn respond(
         }
         Request::Jog(rig::Jog { sense, speed_um_s }) => {
             let direction = match sense {
-                Sense::Away => Direction::Away,
-                Sense::Home => Direction::Home,
+                rig::Direction::Away => Direction::Away,
+                rig::Direction::Home => Direction::Home,
             };
             let speed = machine.settings().speed(speed_um_s)?;
             command(machine, Command::Jog { direction, speed })?;

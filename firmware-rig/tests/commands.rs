@@ -16,7 +16,7 @@ use protocol::{
     events::EventRing,
     rig::{
         self, Glitches, HomeAccepted, LinkLossPolicy, MoveAccepted, RigFault, RigHealth, RigState,
-        RigStatus, Run, RunAccepted, RunOutcome, RunTiming, Sense, Stroke,
+        RigStatus, Run, RunAccepted, RunOutcome, RunTiming, Stroke,
     },
     settings::{self, FactoryReset, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{self, Done, Hello, LastWords, ResetCause, SetTelemetry, What},
@@ -147,7 +147,7 @@ const STATES: [RigState; 8] = [
 ];
 
 const JOG: rig::Jog = rig::Jog {
-    sense: Sense::Away,
+    sense: rig::Direction::Away,
     speed_um_s: 1_000,
 };
 
@@ -352,7 +352,7 @@ fn moves_and_jogs_out_of_range() {
     for speed_um_s in [0, 49_001, u32::MAX] {
         let expected = out_of_range(Field::SpeedUmS, speed_um_s.into(), 1, 49_000);
         assert_eq!(refusal(&mut rig, to(10_000, speed_um_s)), expected);
-        for sense in [Sense::Away, Sense::Home] {
+        for sense in [rig::Direction::Away, rig::Direction::Home] {
             let jog = Request::Jog(rig::Jog { sense, speed_um_s });
             assert_eq!(refusal(&mut rig, jog), expected);
         }
@@ -361,7 +361,7 @@ fn moves_and_jogs_out_of_range() {
     assert_eq!(refusal(&mut rig, to(0, 1_000)), Refusal::AlreadyThere);
     assert_eq!(refusal(&mut rig, to(1, 1_000)), Refusal::AlreadyThere);
     let home = Request::Jog(rig::Jog {
-        sense: Sense::Home,
+        sense: rig::Direction::Home,
         ..JOG
     });
     assert_eq!(refusal(&mut rig, home), Refusal::AlreadyThere);

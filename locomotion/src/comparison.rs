@@ -227,7 +227,7 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
     };
     let pass = roller::isolated_pass(fine, deepest_mm)?;
     let shallow = roller::isolated_pass(fine, INDENTATIONS_MM[0])?;
-    let mut pushed = folded::Bench::new(block, deepest_mm)?;
+    let mut pushed = folded::FoldedBody::new(block, deepest_mm)?;
     pushed.carriage_to(block.stroke_mm)?;
     let antegrade_mm = pushed.displacement_mm();
     pushed.carriage_to(0.0)?;

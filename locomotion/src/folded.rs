@@ -143,13 +143,13 @@ pub enum Contact {
 
 /// The rig with the folded body in it and the carriage at home.
 #[derive(Clone, Debug)]
-pub struct Bench {
+pub struct FoldedBody {
     params: Params,
     contact: Contact,
     tail_mm: f64,
 }
 
-impl Bench {
+impl FoldedBody {
     /// The body at `params.tail_mm`, the rollers at home, indenting by `indentation_mm`.
     ///
     /// # Errors
@@ -258,7 +258,7 @@ impl Bench {
     /// One whole cycle: to the far end and home.
     ///
     /// # Errors
-    /// None for a bench that could be made.
+    /// None for a body that could be made.
     pub fn cycle(&mut self) -> Result<(), OutOfRange> {
         self.carriage_to(self.params.stroke_mm)?;
         self.carriage_to(0.0)
@@ -298,11 +298,11 @@ fn contact(params: &Params, indentation_mm: f64) -> Contact {
 /// The paper's fold experiment: displacement of the body in mm after all cycles, + headward.
 ///
 /// # Errors
-/// As [`Bench::new`].
+/// As [`FoldedBody::new`].
 pub fn run(params: Params, indentation_mm: f64) -> Result<f64, OutOfRange> {
-    let mut bench = Bench::new(params, indentation_mm)?;
+    let mut body = FoldedBody::new(params, indentation_mm)?;
     for _ in 0..params.cycles {
-        bench.cycle()?;
+        body.cycle()?;
     }
-    Ok(bench.displacement_mm())
+    Ok(body.displacement_mm())
 }

@@ -168,7 +168,7 @@ pub fn wall_mm(peak_mm: f64, radius_mm: f64, distance_mm: f64) -> f64 {
 
 /// The rig with the unfolded body in it and the carriage at home.
 #[derive(Clone, Debug)]
-pub struct Bench {
+pub struct UnfoldedBody {
     params: Params,
     indentation_mm: f64,
     chain: Chain,
@@ -176,7 +176,7 @@ pub struct Bench {
     at: i32,
 }
 
-impl Bench {
+impl UnfoldedBody {
     /// The body at the left end, the rollers at home, indenting by `indentation_mm` (the paper's a_n).
     ///
     /// # Errors
@@ -214,14 +214,14 @@ impl Bench {
             Ends::Closed,
             "the wall moves inward, and at a = h it reaches the core",
         )?;
-        let mut bench = Self {
+        let mut body = Self {
             params,
             indentation_mm,
             chain: Chain::new(params.body)?,
             at: 0,
         };
-        bench.evaluate(0)?;
-        Ok(bench)
+        body.evaluate(0)?;
+        Ok(body)
     }
 
     /// Moves the carriage to `carriage_mm`: 0 = home = right end, positive to the left.
@@ -260,7 +260,7 @@ impl Bench {
     /// One whole cycle: to the far end and home.
     ///
     /// # Errors
-    /// None for a bench that could be made.
+    /// None for a body that could be made.
     pub fn cycle(&mut self) -> Result<(), OutOfRange> {
         self.carriage_to(self.params.stroke_mm)?;
         self.carriage_to(0.0)
@@ -271,8 +271,8 @@ impl Bench {
         self.chain.displacement_mm()
     }
 
-    /// The body, for drawing.
-    pub fn body(&self) -> &Chain {
+    /// The body's chain of contacts, for drawing.
+    pub fn chain(&self) -> &Chain {
         &self.chain
     }
 }
@@ -280,13 +280,13 @@ impl Bench {
 /// The paper's run: all cycles; displacement of the tail in mm, + headward.
 ///
 /// # Errors
-/// As [`Bench::new`].
+/// As [`UnfoldedBody::new`].
 pub fn run(params: Params, indentation_mm: f64) -> Result<f64, OutOfRange> {
-    let mut bench = Bench::new(params, indentation_mm)?;
+    let mut body = UnfoldedBody::new(params, indentation_mm)?;
     for _ in 0..params.cycles {
-        bench.cycle()?;
+        body.cycle()?;
     }
-    Ok(bench.displacement_mm())
+    Ok(body.displacement_mm())
 }
 
 /// What one roller pass in each direction does to a body that it meets relaxed and leaves relaxed.
@@ -301,13 +301,13 @@ pub struct IsolatedPass {
 /// Two isolated passes over fresh bodies, from clear of one end to clear of the other.
 ///
 /// # Errors
-/// As [`Bench::new`].
+/// As [`UnfoldedBody::new`].
 pub fn isolated_pass(params: Params, indentation_mm: f64) -> Result<IsolatedPass, OutOfRange> {
     let clear_mm = params.stroke_mm + 2.0 * params.radius_mm;
-    let mut antegrade = Bench::new(params, indentation_mm)?;
+    let mut antegrade = UnfoldedBody::new(params, indentation_mm)?;
     antegrade.carriage_to(clear_mm)?;
     // The same way back over a fresh body: the wave is brought behind it at no depth.
-    let mut returning = Bench::new(params, 0.0)?;
+    let mut returning = UnfoldedBody::new(params, 0.0)?;
     returning.carriage_to(clear_mm)?;
     returning.indentation_mm = indentation_mm;
     returning.carriage_to(0.0)?;

@@ -120,13 +120,13 @@ pub struct Hold;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Resume;
 
-/// Which way.
+/// Direction of travel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Sense {
-    /// Away from home, positions grow.
+pub enum Direction {
+    /// Away from home, to the left: positions grow.
     Away,
-    /// Towards home.
+    /// Towards home, to the right.
     Home,
 }
 
@@ -134,8 +134,8 @@ pub enum Sense {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Jog {
-    /// Which way.
-    pub sense: Sense,
+    /// Direction of travel. (The field's name is part of the schema key.)
+    pub sense: Direction,
     /// How fast.
     pub speed_um_s: u32,
 }

@@ -13,8 +13,8 @@ use common::{Dice, RigRun, home_quickly, quick, rig_with};
 use host_tool::{client::Unobserved, error::ClientError, link::Link};
 use protocol::{
     rig::{
-        Hold, Home, Jog, LinkLossPolicy, MoveTo, Resume, RigState, RigStatus, Run, RunOutcome,
-        RunTiming, Sense,
+        Direction, Hold, Home, Jog, LinkLossPolicy, MoveTo, Resume, RigState, RigStatus, Run,
+        RunOutcome, RunTiming,
     },
     settings::{Setting, SettingKey},
     system::{Acknowledge, SetTelemetry, Urgent},
@@ -166,7 +166,7 @@ impl Sequence {
             }
             5 => {
                 let jog = Jog {
-                    sense: [Sense::Away, Sense::Home][self.dice.roll(0..2) as usize],
+                    sense: [Direction::Away, Direction::Home][self.dice.roll(0..2) as usize],
                     speed_um_s: self.number(0..50_000),
                 };
                 leave(self.asks(jog), Leave::Move)
