@@ -7,7 +7,7 @@ mod exemplars;
 #[allow(dead_code, unreachable_pub)]
 mod parties;
 
-use parties::{Device, Noise};
+use parties::{Device, Noise, Raw};
 use proptest::prelude::*;
 use protocol::{
     client::Client,
@@ -27,19 +27,6 @@ const KINDS: [Kind; 5] = [
 
 fn frame<T: Serialize>(kind: Kind, session: u8, seq: u16, body: &T) -> Encoded {
     encode(Header { kind, session, seq }, body).expect("it fits")
-}
-
-/// Bytes without a length in front of them.
-struct Raw(Vec<u8>);
-impl Serialize for Raw {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        use serde::ser::SerializeTuple;
-        let mut tuple = serializer.serialize_tuple(self.0.len())?;
-        self.0
-            .iter()
-            .try_for_each(|byte| tuple.serialize_element(byte))?;
-        tuple.end()
-    }
 }
 
 /// Its body is exactly one message of its kind.

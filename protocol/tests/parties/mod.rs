@@ -1,4 +1,4 @@
-//! Who takes part in the tests of the link beside the client: noise, and a device that counts what it executes.
+//! What the tests of the link need beside the client: noise, raw bytes, and a device that counts what it executes.
 
 use protocol::{
     frame::{Deframer, Encoded, Header, Kind, encode},
@@ -19,6 +19,19 @@ impl Noise {
     /// True once in `n` on average.
     pub fn one_in(&mut self, n: u64) -> bool {
         self.next().is_multiple_of(n)
+    }
+}
+
+/// Bytes without a length in front of them.
+pub struct Raw(pub Vec<u8>);
+impl serde::Serialize for Raw {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        use serde::ser::SerializeTuple;
+        let mut tuple = serializer.serialize_tuple(self.0.len())?;
+        self.0
+            .iter()
+            .try_for_each(|byte| tuple.serialize_element(byte))?;
+        tuple.end()
     }
 }
 
