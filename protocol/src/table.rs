@@ -1,8 +1,8 @@
 //! The table of requests: one row per request with everything that both ends must agree on.
 //!
-//! The module of a request's type names the machine that serves it: `system` both, `rig` and `settings` the rig, `capsule`
-//! the capsule. The other one refuses it with [`Refusal::WrongDevice`]. While a fault is latched a machine refuses what
-//! moves ([`Changes::Pace`], [`Changes::Motion`]) and serves the rest.
+//! The module of a request's type says which machine serves it: `system` both, `rig` and `settings` the rig, `capsule`
+//! the capsule. The other machine refuses it with [`Refusal::WrongDevice`]. While a fault is latched, a machine refuses
+//! what moves it ([`Changes::Pace`], [`Changes::Motion`]) and serves the rest.
 
 use crate::{capsule, error::Refusal, error::WireError, rig, settings, system};
 use postcard_schema::Schema;
@@ -109,12 +109,12 @@ table! {
 }
 
 /// Answer to a request.
-// One reply exists at a time, on the stack, and boxes do not exist here.
+// One reply exists at a time, on the stack; there is no heap to box it on.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Reply {
-    /// Done or begun.
+    /// Carried out, or begun.
     Accepted(Response),
     /// Understood and refused; nothing moved.
     Refused(Refusal),
@@ -128,9 +128,9 @@ pub enum Reply {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Telemetry {
-    /// Of the rig.
+    /// From the rig.
     Rig(rig::RigTelemetry),
-    /// Of the capsule.
+    /// From the capsule.
     Capsule(capsule::CapsuleTelemetry),
 }
 

@@ -1,4 +1,4 @@
-//! What a bad line can do: damage, repetition, late replies, resets. The real client against the real session.
+//! What a bad line can do: corrupt, repeat, delay, and resets on top. The real client against the real session.
 
 #[allow(missing_docs, dead_code, unreachable_pub)]
 mod exemplars;
@@ -57,7 +57,7 @@ impl Line {
         output
     }
 
-    /// Runs until the pending request ends.
+    /// Runs until the pending request is answered or given up.
     fn settle(&mut self) -> Option<Output> {
         loop {
             match self.client.poll(self.now_us) {
@@ -100,7 +100,7 @@ impl Line {
     }
 }
 
-/// At most once, and never acknowledged without execution: commands with a number in them over bad lines.
+/// Numbered commands over a bad line: each is executed at most once, and none is acknowledged without execution.
 fn executed_once(commands: u16, flip_one_in: u64, late_one_in: u64, reset_one_in: u64, seed: u64) {
     let mut line = Line::new(seed, flip_one_in, late_one_in);
     line.connect();
@@ -260,7 +260,7 @@ fn reused_and_stale_numbers_are_told_apart() {
         answer(&mut line.device, session.wrapping_add(1), 30, &set(9)),
         Reply::Wire(WireError::NoSession)
     );
-    // The number wraps round.
+    // The number wraps around.
     for seq in (20..=u16::MAX).step_by(8_000).chain([u16::MAX, 0, 1]) {
         assert!(
             matches!(
