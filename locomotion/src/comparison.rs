@@ -1,4 +1,4 @@
-//! Each sentence of the paper's sections II and III that has a number or a trend, beside what the models give.
+//! Each sentence of the paper's sections II and III that states a number or a trend, beside the models' result.
 //!
 //! The rows are data for reports; [`Table`] prints them as the Markdown table of `docs/science.md`.
 
@@ -9,18 +9,18 @@ use crate::kinematics::{Design, indentation_from_calipers_mm};
 use crate::range::OutOfRange;
 use crate::{folded, roller, tube};
 
-/// What it proves if a row agrees with the paper.
+/// What it proves if a model agrees with a sentence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Evidence {
-    /// The paper's number goes into the model; the value shows that it does.
+    /// The paper's number is an input of the model; the value only shows that.
     Input,
     /// A parameter was fitted to this sentence: agreement is no evidence.
     Fitted,
-    /// Holds for every model of this class: agreement is no evidence.
+    /// True of every model of this class: agreement is no evidence.
     Built,
-    /// Follows from the equations or the models and could have come out differently.
+    /// Follows from the equations or the models, and could have come out differently.
     Outcome,
-    /// The models have no counterpart.
+    /// The models have nothing to compare.
     Outside,
 }
 
@@ -36,14 +36,14 @@ impl fmt::Display for Evidence {
     }
 }
 
-/// One sentence of the paper and what becomes of it.
+/// One sentence of the paper beside the models' result.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
     /// Section of the paper.
     pub section: &'static str,
     /// The sentence, paraphrased.
     pub sentence: &'static str,
-    /// What is compared.
+    /// The quantity that is compared.
     pub quantity: &'static str,
     /// The paper's value or trend, in its own rounding.
     pub paper: &'static str,
@@ -53,7 +53,7 @@ pub struct Row {
     pub unit: &'static str,
     /// What it proves if both values agree.
     pub evidence: Evidence,
-    /// What has to be said about it.
+    /// Comment; may be empty.
     pub remark: &'static str,
 }
 
@@ -79,7 +79,7 @@ impl fmt::Display for Row {
     }
 }
 
-/// Whole numbers as such, others with three decimals.
+/// Prints a whole number as such and any other with three decimals.
 struct Rounded(f64);
 
 impl fmt::Display for Rounded {
@@ -121,11 +121,11 @@ pub fn pressures_pa() -> impl ExactSizeIterator<Item = f64> + Clone {
     (0..11u8).map(|i| f64::from(3000 + 400 * u16::from(i)))
 }
 
-/// The indentations of the roller series, mm. The text gives only the largest, a_5; the others are assumed.
+/// The indentations of the roller series, mm. The paper gives only the largest, a_5; the others are assumed.
 pub const INDENTATIONS_MM: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.05];
 
-/// The rows, section by section: `sentence: quantity, paper's value, unit, evidence = model's value, remark;`. The model's
-/// value and the remark may be left out.
+/// The rows, section by section: `sentence: quantity, paper's value, unit, evidence = model's value, remark;`. The
+/// model's value and the remark may be left out.
 macro_rules! table {
     ($($section:literal { $(
         $sentence:literal: $quantity:literal, $paper:literal, $unit:literal,
@@ -144,7 +144,7 @@ macro_rules! table {
     };
 }
 
-/// What the model runs gave, before they are put into sentences.
+/// Results of the model runs that the rows draw on.
 struct Runs {
     /// Displacement at each pressure, friction 0.15.
     pressure_mm: [f64; 11],

@@ -1,4 +1,4 @@
-//! The comparison table: complete, and the one in the manual is the one that the code prints.
+//! The comparison table: it is complete, and the manual holds what the code prints.
 
 use locomotion::comparison::{Evidence, Table, rows};
 

@@ -24,7 +24,7 @@ fn the_default_is_the_body_folded_by_21_mm_of_thread() {
     );
 }
 
-/// 14.3 mm is what the paper's deepest wave, 5.05 mm, leaves open.
+/// The paper's deepest wave, 5.05 mm, leaves a gap of 14.3 mm.
 #[test]
 fn a_narrow_body_is_not_touched() {
     for width_mm in [4.88, 13.0, 14.29] {

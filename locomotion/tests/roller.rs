@@ -1,4 +1,4 @@
-//! The roller rig: the reference series, the carriage's freedom, and what must not matter.
+//! The roller rig: the reference series, any movement of the carriage, and what must not matter.
 
 use locomotion::roller::{PARAMETERS, Params, UnfoldedBody, isolated_pass, run};
 use proptest::prelude::*;
@@ -147,7 +147,7 @@ fn the_table_of_parameters_is_complete() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Any turning points: dividing each stretch into more calls changes no bit, and a repeated run neither.
+    /// Whatever the turning points, neither more calls on the way nor a repeated run changes a bit.
     #[test]
     fn only_the_way_counts_not_the_calls(
         turns in prop::collection::vec(0.0..130.0f64, 1..8),
