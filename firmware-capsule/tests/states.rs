@@ -16,7 +16,7 @@ use protocol::{
     events::EventRing,
     rig, settings,
     system::{Acknowledge, GetEvents, GetLastWords, KeepAlive, SetTelemetry},
-    table::{Reply, Request, Response, Served, TABLE},
+    table::{Changes, Reply, Request, Response},
 };
 
 const STATES: [CapsuleState; 8] = [
@@ -165,6 +165,26 @@ fn reply(bench: &mut Bench, request: Request) -> (Reply, Effect) {
     (executed.reply, executed.effect)
 }
 
+fn is_for_the_rig(request: &Request) -> bool {
+    matches!(
+        request,
+        Request::GetRigStatus(_)
+            | Request::Home(_)
+            | Request::Run(_)
+            | Request::GetRunRecord(_)
+            | Request::Hold(_)
+            | Request::Resume(_)
+            | Request::Jog(_)
+            | Request::MoveTo(_)
+            | Request::GetSetting(_)
+            | Request::SetSetting(_)
+            | Request::FactoryReset(_)
+            | Request::GetName(_)
+            | Request::SetName(_)
+            | Request::GetRigHealth(_)
+    )
+}
+
 #[test]
 fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
     let requests = [
@@ -188,7 +208,7 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
             speed_um_s: 1,
         }),
         Request::Jog(rig::Jog {
-            sense: rig::Sense::Away,
+            sense: rig::Direction::Away,
             speed_um_s: 1,
         }),
         Request::GetSetting(settings::GetSetting {
@@ -206,36 +226,36 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
         Request::GetRigHealth(rig::GetRigHealth),
     ];
     // Hello belongs to the session; Run differs from the other rig rows in its body only.
-    assert_eq!(requests.len() + 2, TABLE.len());
+    assert_eq!(requests.len() + 2, Request::NAMES.len());
     for state in STATES {
         let mut bench = bench_in(state);
         let before = bench.capsule.clone();
         for request in requests.clone() {
             bench.capsule = before.clone();
-            let row = request.row();
-            match reply(&mut bench, request.clone()).0 {
+            let name = request.name();
+            let (answer, effect) = reply(&mut bench, request.clone());
+            match answer {
                 Reply::Accepted(response) => {
                     let named = format!("{response:?}");
-                    assert!(named.starts_with(row.name), "{} got {named}", row.name);
-                    assert_ne!(row.served, Served::Rig);
-                    assert!(state != CapsuleState::Faulted || row.while_faulted);
+                    assert!(named.starts_with(name), "{name} got {named}");
+                    assert!(!is_for_the_rig(&request));
+                    let starts = bench.capsule.is_moving() && !before.is_moving();
+                    assert!(state != CapsuleState::Faulted || !starts);
+                    let changes = match effect {
+                        Effect::Acknowledged => Changes::Fault,
+                        _ if starts => Changes::Motion,
+                        _ => Changes::Nothing,
+                    };
+                    assert_eq!(request.changes(), changes, "{name}");
                 }
                 Reply::Refused(refusal) => {
                     assert_eq!(
                         refusal == Refusal::WrongDevice,
-                        row.served == Served::Rig,
-                        "{}",
-                        row.name
+                        is_for_the_rig(&request),
+                        "{name}"
                     );
-                    let query = row.served != Served::Rig
-                        && !matches!(
-                            request,
-                            Request::Reference(_)
-                                | Request::Fold(_)
-                                | Request::Unfold(_)
-                                | Request::Acknowledge(_)
-                        );
-                    assert!(!query, "{} refused in {state:?}", row.name);
+                    let query = request.changes() == Changes::Nothing && !is_for_the_rig(&request);
+                    assert!(!query, "{name} refused in {state:?}");
                 }
                 other => panic!("{other:?}"),
             }

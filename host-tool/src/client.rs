@@ -18,7 +18,7 @@ use protocol::system::{
     Acknowledge, DeviceKind, Event, Events, GetEvents, GetLastWords, Identity, KeepAlive,
     SetTelemetry, Urgent, What,
 };
-use protocol::table::{Command, Request, Response, Retry, SCHEMA_KEY, Telemetry};
+use protocol::table::{Changes, Endpoint, Request, Response, SCHEMA_KEY, Telemetry};
 
 use crate::error::ClientError;
 use crate::link::Link;
@@ -358,11 +358,11 @@ impl Device {
     ///
     /// # Errors
     /// [`ClientError`]; [`ClientError::OutcomeUnknown`] if a command was sent and not answered.
-    pub fn call<C: Command>(&mut self, command: C) -> Result<C::Response, ClientError> {
-        let request = command.into_request();
-        let name = request.row().name;
+    pub fn call<E: Endpoint>(&mut self, request: E) -> Result<E::Response, ClientError> {
+        let request = request.into_request();
+        let name = request.name();
         let response = self.exchange(&request)?;
-        C::from_response(response).ok_or_else(|| ClientError::WrongResponse {
+        E::from_response(response).ok_or_else(|| ClientError::WrongResponse {
             place: self.place(),
             request: name,
         })
@@ -827,10 +827,9 @@ impl Device {
     // Bytes.
 
     fn exchange(&mut self, request: &Request) -> Result<Response, ClientError> {
-        let row = request.row();
-        let (place, request_name) = (self.place(), row.name);
+        let (place, request_name, changes) = (self.place(), request.name(), request.changes());
         self.ask_interrupt();
-        let command = row.retry == Retry::Deduplicated;
+        let command = changes != Changes::Nothing;
         if command && self.interrupted.is_some() {
             while self.urgent_pending {
                 self.step(u64::MAX)?;
@@ -842,9 +841,7 @@ impl Device {
         if self.client.request(request).is_err() {
             return Err(self.session_lost());
         }
-        // After a stop these two start nothing: the run that they are about is over.
-        let harmless = matches!(request, Request::Hold(_) | Request::Resume(_));
-        let abandonable = command && !harmless;
+        let abandonable = command && changes != Changes::Pace;
         self.commanding = abandonable;
         let answer = self.answer();
         let abandoned = abandonable && !std::mem::take(&mut self.commanding);
@@ -856,6 +853,7 @@ impl Device {
             Some(Output::Refused(refusal)) => Err(ClientError::Refused {
                 place,
                 request: request_name,
+                changes,
                 refusal,
             }),
             Some(Output::Rejected(WireError::NoSession)) => Err(self.session_lost()),

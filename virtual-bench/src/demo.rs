@@ -363,14 +363,14 @@ fn print_rows(rows: &[(String, String)]) {
 fn displacement_mm(shape: Shape, edges: &EdgeLog, thread_mm: f64) -> Result<f64, OutOfRange> {
     match shape {
         Shape::Unfolded => {
-            let mut body = roller::Bench::new(roller::Params::PAPER, INDENTATION_MM)?;
+            let mut body = roller::UnfoldedBody::new(roller::Params::PAPER, INDENTATION_MM)?;
             carry(edges, |at_mm| body.carriage_to(at_mm))?;
             Ok(body.displacement_mm())
         }
         Shape::Folded => {
             let design = Design::paper_printed();
             let params = folded::Params::PAPER.folded_by(&design, thread_mm - SLACK_MM)?;
-            let mut body = folded::Bench::new(params, INDENTATION_MM)?;
+            let mut body = folded::FoldedBody::new(params, INDENTATION_MM)?;
             carry(edges, |at_mm| body.carriage_to(at_mm))?;
             Ok(body.displacement_mm())
         }

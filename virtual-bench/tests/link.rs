@@ -9,8 +9,8 @@ use host_tool::{
 };
 use protocol::{
     rig::{
-        Hold, Jog, LinkLossPolicy, MoveTo, Resume, RigFault, RigState, Run, RunOutcome, RunRecord,
-        Sense,
+        Direction, Hold, Jog, LinkLossPolicy, MoveTo, Resume, RigFault, RigState, Run, RunOutcome,
+        RunRecord,
     },
     system::{DeviceKind, Urgent},
 };
@@ -132,7 +132,7 @@ impl Before {
             }
             Self::Jogging => {
                 let jog = Jog {
-                    sense: Sense::Away,
+                    sense: Direction::Away,
                     speed_um_s: 20_000,
                 };
                 rig.device.call(jog).expect("the jog is accepted");

@@ -1,6 +1,6 @@
 //! Commands that move the rig outside a recorded run, or hold one: hold, resume, jog, move, health.
 
-use protocol::rig::{self, RigHealth, RigState, RigStatus, Sense};
+use protocol::rig::{self, Direction, RigHealth, RigState, RigStatus};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
@@ -59,8 +59,8 @@ pub(crate) fn jog(
     let mut rig = finder.connect(DeviceKind::Rig)?;
     let jog = rig::Jog {
         sense: match args.way {
-            Way::Away => Sense::Away,
-            Way::Home => Sense::Home,
+            Way::Away => Direction::Away,
+            Way::Home => Direction::Home,
         },
         speed_um_s: args.speed_mm_s.0,
     };
@@ -88,10 +88,10 @@ pub(crate) fn jog(
     let status = rig.wait_rest()?;
     let step_um = status.lead_um.div_ceil(status.steps_per_rev.max(1));
     let at_the_end = match jog.sense {
-        Sense::Away => {
+        Direction::Away => {
             i64::from(status.position_um) > i64::from(status.stroke_um) - i64::from(step_um)
         }
-        Sense::Home => i64::from(status.position_um) < i64::from(step_um),
+        Direction::Home => i64::from(status.position_um) < i64::from(step_um),
     };
     let as_asked = rig.interrupted().is_none() && (!early || at_the_end);
     if status.fault.is_some() || !as_asked {

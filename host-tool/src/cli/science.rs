@@ -370,7 +370,7 @@ fn compare(screen: &mut Screen<'_>) -> Result<Value, Failure> {
                 "paper": row.paper,
                 "model": row.model,
                 "unit": row.unit,
-                "worth": row.worth.to_string(),
+                "worth": row.evidence.to_string(),
                 "remark": row.remark,
             })
         })

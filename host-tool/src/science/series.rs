@@ -351,8 +351,8 @@ pub fn fold_test(indentation_mm: f64, thread_mm: Option<f64>) -> Result<FoldTest
         None => folded::Params::PAPER,
         Some(mm) => folded::Params::PAPER.folded_by(&unfolded.body.design, mm)?,
     };
-    let mut folded = folded::Bench::new(params, indentation_mm)?;
-    let mut other = roller::Bench::new(unfolded, indentation_mm)?;
+    let mut folded = folded::FoldedBody::new(params, indentation_mm)?;
+    let mut other = roller::UnfoldedBody::new(unfolded, indentation_mm)?;
     let rows = (params.stroke_mm / FOLD_ROW_MM).round() as u32;
     let mut course = vec![];
     for stroke in 0..params.cycles * 2 {

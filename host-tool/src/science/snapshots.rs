@@ -112,7 +112,7 @@ pub fn roller() -> Result<Strip, OutOfRange> {
     let design = params.body.design;
     let mut columns = vec![];
     for indentation_mm in INDENTATIONS_MM {
-        let mut bench = roller::Bench::new(params, indentation_mm)?;
+        let mut bench = roller::UnfoldedBody::new(params, indentation_mm)?;
         let mut column = vec![];
         let mut done = 0;
         for strokes in STROKES {
@@ -135,7 +135,7 @@ pub fn roller() -> Result<Strip, OutOfRange> {
                 wall_mm: wall(params.stroke_mm, |x| {
                     roller::wall_mm(indentation_mm, params.radius_mm, x - roller_mm)
                 }),
-                body: Body::of(&design, bench.body())?,
+                body: Body::of(&design, bench.chain())?,
                 roller_mm: Some(roller_mm),
             });
         }

@@ -140,7 +140,7 @@ pub struct Rig {
     button: bool,
     jumper: bool,
     faults: Faults<Action>,
-    tissue: Option<roller::Bench>,
+    tissue: Option<roller::UnfoldedBody>,
 }
 
 impl Rig {
@@ -180,7 +180,7 @@ impl Rig {
     /// Lays a fresh, unfolded body at the left end of an intestine that the rollers indent by `indentation_mm`.
     /// Answers whether such an indentation is possible.
     pub fn lay_body(&mut self, indentation_mm: f64) -> bool {
-        self.tissue = roller::Bench::new(Params::PAPER, indentation_mm).ok();
+        self.tissue = roller::UnfoldedBody::new(Params::PAPER, indentation_mm).ok();
         self.feed();
         self.tissue.is_some()
     }
@@ -188,7 +188,9 @@ impl Rig {
     /// How far the body has moved since it was laid, mm, headward positive.
     #[must_use]
     pub fn displacement_mm(&self) -> Option<f64> {
-        self.tissue.as_ref().map(roller::Bench::displacement_mm)
+        self.tissue
+            .as_ref()
+            .map(roller::UnfoldedBody::displacement_mm)
     }
 
     /// Position of the carriage, steps from the right end.
