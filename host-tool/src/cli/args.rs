@@ -149,8 +149,14 @@ pub struct Key(pub SettingKey);
 
 impl std::str::FromStr for Key {
     type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        crate::cli::settings::key_of(text).map(Self)
+    fn from_str(name: &str) -> Result<Self, String> {
+        SettingKey::ALL
+            .into_iter()
+            .find(|key| key.name() == name)
+            .map(Self)
+            .ok_or_else(|| {
+                format!("there is no setting `{name}`: `retrograde settings list` shows all")
+            })
     }
 }
 

@@ -194,13 +194,3 @@ fn checked_name(name: &str) -> Result<heapless::String<MAX_NAME>, String> {
     name.try_into()
         .map_err(|_| format!("the name has {} bytes, {MAX_NAME} are allowed", name.len()))
 }
-
-/// The key with this name.
-pub(crate) fn key_of(name: &str) -> Result<SettingKey, String> {
-    SettingKey::ALL
-        .into_iter()
-        .find(|key| key.name() == name)
-        .ok_or_else(|| {
-            format!("there is no setting `{name}`: `retrograde settings list` shows all")
-        })
-}

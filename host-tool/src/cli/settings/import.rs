@@ -10,8 +10,9 @@ use protocol::settings::{GetName, GetSetting, MAX_NAME, Name, Setting};
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde_json::Value;
 
+use crate::cli::args::Key;
 use crate::cli::failure::Failure;
-use crate::cli::settings::{checked_name, key_of, value_of};
+use crate::cli::settings::{checked_name, value_of};
 use crate::client::Device;
 use crate::error::ClientError;
 
@@ -80,8 +81,8 @@ pub(super) fn read(file: &Path) -> Result<Wanted, Failure> {
         if !names.insert(name) {
             wrong.push(format!("{name} is there twice"));
         }
-        match key_of(name) {
-            Ok(key) => match value_of(key, &value.to_string()) {
+        match name.parse() {
+            Ok(Key(key)) => match value_of(key, &value.to_string()) {
                 Ok(value) => settings.push(Setting { key, value }),
                 Err(failure) => wrong.push(failure.to_string()),
             },
