@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use crate::process::{Result, host_cargo, run};
-use crate::toolchain::{Version, host_rustc};
+use crate::version::{Version, host_rustc};
 
 /// The Rust its emulator asks for. It builds and runs on older ones, which its own manifest rules
 /// out; nothing but the flag on the command line lifts that.

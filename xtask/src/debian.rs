@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::process::{Failure, Result, first_line, image_cargo, root, run};
-use crate::toolchain::{OLDEST, Version};
+use crate::version::{OLDEST, Version};
 
 /// A matched set: compiler, cargo, the sources of `core`, the linter, and a linker for ARM.
 const PACKAGES: [&str; 5] = [

@@ -11,6 +11,7 @@
 //! | `places.rs` | names the places in the source behind the addresses of last words |
 //! | `toolchain.rs` | finds a compiler for the STM32 |
 //! | `debian.rs` | one such compiler, from Debian packages |
+//! | `version.rs` | versions of Rust compilers |
 //! | `process.rs` | children and their environment |
 #![forbid(unsafe_code)]
 #![allow(
@@ -27,6 +28,7 @@ mod places;
 mod process;
 mod steps;
 mod toolchain;
+mod version;
 
 use std::process::ExitCode;
 

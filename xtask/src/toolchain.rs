@@ -8,12 +8,10 @@ use std::time::Duration;
 
 use crate::debian::Debian;
 use crate::process::{Failure, Result, first_line, image_cargo, root, run_within};
+use crate::version::host_rustc;
 
 /// The Cortex-M4F with hardware floats.
 pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
-
-/// Oldest compiler that builds the workspace: `rust-version` of the root `Cargo.toml`.
-pub(crate) const OLDEST: Version = Version(1, 95);
 
 /// Long enough for 40 MB on a slow line, short enough for a firewall that swallows packets.
 const RUSTUP_LIMIT: Duration = Duration::from_secs(120);
@@ -63,30 +61,6 @@ impl fmt::Display for Toolchain {
     }
 }
 
-/// A Rust version, major and minor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Version(pub(crate) u32, pub(crate) u32);
-
-impl Version {
-    /// Asks a compiler; `None` if it does not run.
-    pub(crate) fn of(rustc: &mut Command) -> Option<Self> {
-        Self::parse(&first_line(rustc.arg("--version"))?)
-    }
-
-    /// Reads `rustc 1.95.0 (...)`.
-    fn parse(line: &str) -> Option<Self> {
-        let mut numbers = line.split_whitespace().nth(1)?.split('.');
-        let mut next = || numbers.next()?.parse().ok();
-        Some(Self(next()?, next()?))
-    }
-}
-
-impl fmt::Display for Version {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}.{}", self.0, self.1)
-    }
-}
-
 /// Where cargo keeps the sources of crates.
 fn crates() -> Vec<PathBuf> {
     let cargo_home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
@@ -98,11 +72,6 @@ fn crates() -> Vec<PathBuf> {
     std::fs::read_dir(sources)
         .map(|folders| folders.flatten().map(|folder| folder.path()).collect())
         .unwrap_or_default()
-}
-
-/// The compiler of the Rust in use.
-pub(crate) fn host_rustc() -> Command {
-    Command::new("rustc")
 }
 
 /// Finds a compiler, installing one where that is possible.
@@ -162,25 +131,5 @@ fn add_target() -> Result<()> {
             what,
             "start `cargo xtask` with rustup's cargo",
         ))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn versions_are_read_and_ordered() {
-        let read = Version::parse("rustc 1.96.0 (ac68faa20 2026-05-25) (built from a tarball)");
-        assert_eq!(read, Some(Version(1, 96)));
-        assert!(Version(1, 96) > OLDEST && Version(1, 85) < OLDEST && Version(2, 0) > OLDEST);
-        assert_eq!(Version::parse("rustc 1.97.0-nightly"), Some(Version(1, 97)));
-        assert_eq!(Version::parse("error: no default toolchain"), None);
-    }
-
-    #[test]
-    fn the_oldest_compiler_is_the_one_of_the_manifest() {
-        let manifest = std::fs::read_to_string(root().join("Cargo.toml")).unwrap();
-        assert!(manifest.contains(&format!("rust-version = \"{OLDEST}\"")));
     }
 }
