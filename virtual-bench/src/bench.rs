@@ -18,7 +18,6 @@ use rigless::time::VirtualNanos;
 use crate::bus::BusReport;
 use crate::emulator::{ChipOptions, CutAt, Machine, Wiring};
 use crate::log::{Log, Tap};
-use crate::sabotage::Sabotage;
 use crate::serial::Serial;
 
 /// Why the bench could not be set up, or stopped working.
@@ -159,12 +158,10 @@ impl<W: Wiring> Visit<'_, W> {
         self.session.board_mut().flash_is_cut()
     }
 
-    /// Lets `sabotage` take effect from the next instruction on, until the next reset.
-    pub fn sabotage(&mut self, sabotage: &Sabotage) {
-        for (address, code) in sabotage.code() {
-            let machine = self.session.board_mut();
-            machine.overwrite(*address, code, self.host);
-        }
+    /// Overwrites the code at `address` as a debugger does: from the next instruction on, until the next reset.
+    pub fn overwrite(&mut self, address: u64, code: &[u16]) {
+        let machine = self.session.board_mut();
+        machine.overwrite(address, code, self.host);
     }
 
     /// Pulls the reset pin low for an instant.

@@ -6,7 +6,8 @@
 
 use object::{Object, ObjectSymbol};
 
-use crate::bench::BenchError;
+use crate::bench::{BenchError, Visit};
+use crate::emulator::Wiring;
 
 /// What the chosen client does at its check-in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,9 +25,10 @@ pub const NOWHERE: u32 = 0x6000_0000;
 /// Where the substitute lies: the last bytes of the flash, which no image reaches.
 const UNUSED: u32 = 0x0807_FF00;
 
-/// Code to put into a machine's flash, see [`crate::bench::Visit::sabotage`].
+/// Code to put into a machine's flash.
 #[derive(Clone, Debug)]
 pub struct Sabotage {
+    /// Addresses and the half-words that go there, in order.
     code: [(u64, Vec<u16>); 2],
 }
 
@@ -71,9 +73,11 @@ impl Sabotage {
         })
     }
 
-    /// Addresses and the half-words that go there, in order.
-    pub(crate) fn code(&self) -> &[(u64, Vec<u16>)] {
-        &self.code
+    /// Takes effect from the next instruction on, until the next reset.
+    pub fn apply<W: Wiring>(&self, visit: &mut Visit<'_, W>) {
+        for (address, code) in &self.code {
+            visit.overwrite(*address, code);
+        }
     }
 }
 

@@ -41,7 +41,7 @@ fn sabotaged(client: u8, deed: Deed, moving: bool, cause: ResetCause, fault: Rig
     assert_eq!(rig.carriage() > 10_000, moving);
     let sabotage = Sabotage::new(&image(), client, deed).expect("an image with its symbols");
     rig.bench
-        .visit(move |visit| visit.sabotage(&sabotage))
+        .visit(move |visit| sabotage.apply(visit))
         .expect("the bench runs");
     let armed_ns = rig.bench.now_ns();
     rig.bench.advance_us(1_500_000).expect("the bench runs");
@@ -171,7 +171,7 @@ fn a_client_that_does_not_exist_changes_nothing() {
     let mut rig = homed();
     let sabotage = Sabotage::new(&image(), 8, Deed::Hang).expect("an image with its symbols");
     rig.bench
-        .visit(move |visit| visit.sabotage(&sabotage))
+        .visit(move |visit| sabotage.apply(visit))
         .expect("the bench runs");
     let first = rig.edge_count();
     common::execute(&mut rig, paper(1));
