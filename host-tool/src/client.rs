@@ -171,20 +171,20 @@ pub struct Homed {
     pub duration_us: u64,
 }
 
-/// How an action is getting on.
+/// State of an action that is waited for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Course {
-    Goes,
-    /// Held: its time stands still.
-    Stands,
-    /// It was held and takes so much longer than announced, us.
-    Longer(u64),
-    Over,
+enum ActionState {
+    Running,
+    /// Held: its time limit moves on.
+    Paused,
+    /// Running again after a hold, which makes it this much longer than announced, us.
+    Extended(u64),
+    Ended,
 }
 
-impl From<bool> for Course {
-    fn from(over: bool) -> Self {
-        if over { Self::Over } else { Self::Goes }
+impl From<bool> for ActionState {
+    fn from(ended: bool) -> Self {
+        if ended { Self::Ended } else { Self::Running }
     }
 }
 
@@ -569,19 +569,19 @@ impl Device {
             if let Some(event) = event {
                 return Ok(match event.what {
                     What::Rig(RigEvent::RunEnded { run, .. }) if run == accepted.run => {
-                        Course::Over
+                        ActionState::Ended
                     }
                     What::Rig(RigEvent::Held { .. }) => {
                         held_us = Some(event.time_us);
-                        Course::Goes
+                        ActionState::Running
                     }
                     What::Rig(RigEvent::Resumed) => {
                         stood_us += held_us
                             .take()
                             .map_or(0, |since_us| event.time_us.saturating_sub(since_us));
-                        Course::Longer(detour_us)
+                        ActionState::Extended(detour_us)
                     }
-                    _ => Course::Goes,
+                    _ => ActionState::Running,
                 });
             }
             let status = device.rig_status()?;
@@ -597,9 +597,9 @@ impl Device {
                 held: status.state == RigState::Held,
             });
             Ok(match status.state {
-                RigState::Running | RigState::Stopping => Course::Goes,
-                RigState::Held => Course::Stands,
-                _ => Course::Over,
+                RigState::Running | RigState::Stopping => ActionState::Running,
+                RigState::Held => ActionState::Paused,
+                _ => ActionState::Ended,
             })
         })?;
         self.run_record()
@@ -683,7 +683,7 @@ impl Device {
     /// Waits until `ended` says so. It is asked about each event, and without an event every
     /// [`KEEP_ALIVE_US`], when it asks the device for its status: that is the keep-alive, and it finds the end
     /// even if the event was lost.
-    fn wait<C: Into<Course>>(
+    fn wait<C: Into<ActionState>>(
         &mut self,
         action: &'static str,
         at_most_us: u64,
@@ -701,9 +701,9 @@ impl Device {
             while let Some(event) = self.events.pop_front() {
                 observer.event(&event);
                 match ended(self, Some(&event), observer)?.into() {
-                    Course::Over => over = true,
-                    Course::Longer(us) => limit_us = limit_us.saturating_add(us),
-                    Course::Goes | Course::Stands => {}
+                    ActionState::Ended => over = true,
+                    ActionState::Extended(us) => limit_us = limit_us.saturating_add(us),
+                    ActionState::Running | ActionState::Paused => {}
                 }
             }
             self.hand_out_telemetry(observer);
@@ -714,14 +714,14 @@ impl Device {
             let now_us = self.now_us();
             if now_us >= asked_us.saturating_add(KEEP_ALIVE_US) {
                 match ended(self, None, observer)?.into() {
-                    Course::Over => {
+                    ActionState::Ended => {
                         // At rest: whatever event has not come by now was lost on the way.
                         over = true;
                         self.fetch_events()?;
                         continue;
                     }
-                    Course::Stands => limit_us = limit_us.saturating_add(now_us - asked_us),
-                    Course::Goes | Course::Longer(_) => {}
+                    ActionState::Paused => limit_us = limit_us.saturating_add(now_us - asked_us),
+                    ActionState::Running | ActionState::Extended(_) => {}
                 }
                 asked_us = now_us;
                 if now_us - start_us > limit_us {

@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
-use protocol::rig::{LinkLossPolicy, Run, RunTiming};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::{Args, Parser, ValueEnum};
+use protocol::rig::{LinkLossPolicy, Run, RunTiming, Sense};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 
@@ -33,12 +34,12 @@ pub struct Cli {
     pub json: bool,
     /// What to do.
     #[command(subcommand)]
-    pub command: Command,
+    pub subcommand: Subcommand,
 }
 
 /// What to do.
-#[derive(Debug, Subcommand)]
-pub enum Command {
+#[derive(Debug, clap::Subcommand)]
+pub enum Subcommand {
     /// List ports and the machines at them. Moves nothing.
     Devices,
     /// Show identity, state and last fault of the machines. Moves nothing.
@@ -56,9 +57,9 @@ pub enum Command {
     Ack(Which),
     /// The capsule's own commands.
     Capsule {
-        /// Which.
+        /// What the capsule does.
         #[command(subcommand)]
-        command: CapsuleCommand,
+        subcommand: CapsuleSubcommand,
     },
     /// Fold the capsule's origami, recorded.
     Fold(RecordArgs),
@@ -78,7 +79,7 @@ pub enum Command {
     Settings {
         /// What to do with them.
         #[command(subcommand)]
-        command: SettingsCommand,
+        subcommand: SettingsSubcommand,
     },
     /// Solve a run without a rig: durations, speeds, edges as CSV, plot as SVG.
     Plan(Box<PlanArgs>),
@@ -100,8 +101,8 @@ pub enum Command {
 }
 
 /// What to do with settings.
-#[derive(Debug, Subcommand)]
-pub enum SettingsCommand {
+#[derive(Debug, clap::Subcommand)]
+pub enum SettingsSubcommand {
     /// Show all with unit and range.
     List,
     /// Show one.
@@ -160,20 +161,24 @@ impl std::str::FromStr for Key {
     }
 }
 
-/// Which way.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Way {
-    /// Away from home.
-    Away,
-    /// Towards home.
-    Home,
+/// Reads `away` or `home`.
+fn direction() -> impl TypedValueParser<Value = Sense> {
+    PossibleValuesParser::new([
+        PossibleValue::new("away").help("Away from home"),
+        PossibleValue::new("home").help("Towards home"),
+    ])
+    .map(|name| match name.as_str() {
+        "away" => Sense::Away,
+        _ => Sense::Home,
+    })
 }
 
 /// A jog.
 #[derive(Debug, Args)]
 pub struct JogArgs {
-    /// Which way.
-    pub way: Way,
+    /// Direction of travel.
+    #[arg(value_parser = direction())]
+    pub direction: Sense,
     /// Speed in mm/s.
     #[arg(
         long,
@@ -210,26 +215,26 @@ pub struct MoveArgs {
 }
 
 /// The capsule's own commands.
-#[derive(Debug, Subcommand)]
-pub enum CapsuleCommand {
+#[derive(Debug, clap::Subcommand)]
+pub enum CapsuleSubcommand {
     /// Find the thread's zero, recorded. Needed before folding.
     Reference(RecordArgs),
 }
 
 /// A machine by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Machine {
+pub enum MachineKind {
     /// The roller rig.
     Rig,
     /// The capsule.
     Capsule,
 }
 
-impl From<Machine> for DeviceKind {
-    fn from(machine: Machine) -> Self {
-        match machine {
-            Machine::Rig => Self::Rig,
-            Machine::Capsule => Self::Capsule,
+impl From<MachineKind> for DeviceKind {
+    fn from(kind: MachineKind) -> Self {
+        match kind {
+            MachineKind::Rig => Self::Rig,
+            MachineKind::Capsule => Self::Capsule,
         }
     }
 }
@@ -238,7 +243,7 @@ impl From<Machine> for DeviceKind {
 #[derive(Debug, Args)]
 pub struct Which {
     /// Only this one. Without it: those given by `--rig` and `--capsule`, else all that are found.
-    pub machine: Option<Machine>,
+    pub machine: Option<MachineKind>,
 }
 
 /// Where a trial is recorded.
@@ -477,11 +482,29 @@ pub struct ReportArgs {
 #[derive(Debug, Args)]
 pub struct FlashArgs {
     /// Which machine's image.
-    pub machine: Machine,
+    pub machine: MachineKind,
     /// The image (ELF); the one of this workspace's build unless given.
     #[arg(long, value_name = "ELF")]
     pub image: Option<PathBuf>,
     /// The debug probe, `VID:PID:SERIAL`, if several are plugged in.
     #[arg(long, value_name = "PROBE")]
     pub probe: Option<String>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_jog_goes_where_its_direction_says() {
+        let parse = |direction: &str| Cli::try_parse_from(["retrograde", "jog", direction]);
+        for (name, expected) in [("away", Sense::Away), ("home", Sense::Home)] {
+            let Ok(Subcommand::Jog(args)) = parse(name).map(|cli| cli.subcommand) else {
+                panic!("`jog {name}` is a jog");
+            };
+            assert_eq!(args.direction, expected, "{name}");
+        }
+        let refused = parse("left").expect_err("no direction").to_string();
+        assert!(refused.contains("away, home"), "{refused}");
+    }
 }

@@ -5,7 +5,7 @@ use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 
-use crate::cli::args::{JogArgs, MoveArgs, Way};
+use crate::cli::args::{JogArgs, MoveArgs};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
@@ -58,10 +58,7 @@ pub(crate) fn jog(
 ) -> Result<Value, Failure> {
     let mut rig = finder.connect(DeviceKind::Rig)?;
     let jog = rig::Jog {
-        sense: match args.way {
-            Way::Away => Sense::Away,
-            Way::Home => Sense::Home,
-        },
+        sense: args.direction,
         speed_um_s: args.speed_mm_s.0,
     };
     let dead_man = rig.call(GetSetting {
@@ -87,7 +84,7 @@ pub(crate) fn jog(
     rig.urgent(Urgent::Stop)?;
     let status = rig.wait_rest()?;
     let step_um = status.lead_um.div_ceil(status.steps_per_rev.max(1));
-    let at_the_end = match jog.sense {
+    let at_the_end = match args.direction {
         Sense::Away => {
             i64::from(status.position_um) > i64::from(status.stroke_um) - i64::from(step_um)
         }

@@ -12,7 +12,7 @@ use protocol::system::DeviceKind;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::cli::args::SettingsCommand;
+use crate::cli::args::SettingsSubcommand;
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
@@ -26,20 +26,20 @@ struct Exported {
 }
 
 pub(crate) fn settings(
-    command: &SettingsCommand,
+    subcommand: &SettingsSubcommand,
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     // What is wrong with the words is said before a machine is looked for.
-    match command {
-        SettingsCommand::List => list(&mut finder.connect(DeviceKind::Rig)?, screen),
-        SettingsCommand::Get { key } => {
+    match subcommand {
+        SettingsSubcommand::List => list(&mut finder.connect(DeviceKind::Rig)?, screen),
+        SettingsSubcommand::Get { key } => {
             let mut rig = finder.connect(DeviceKind::Rig)?;
             let value = rig.call(GetSetting { key: key.0 })?.value;
             screen.say(&value.to_string());
             Ok(json!({ key.0.name(): value }))
         }
-        SettingsCommand::Set { key, value } => {
+        SettingsSubcommand::Set { key, value } => {
             let (key, value) = (key.0, value_of(key.0, value)?);
             let set = finder
                 .connect(DeviceKind::Rig)?
@@ -47,20 +47,20 @@ pub(crate) fn settings(
             screen.say(&format!("{} = {}", set.key.name(), set.value));
             Ok(json!({ set.key.name(): set.value }))
         }
-        SettingsCommand::Export { file, force } => export(file, *force, finder, screen),
-        SettingsCommand::Import { file } => {
+        SettingsSubcommand::Export { file, force } => export(file, *force, finder, screen),
+        SettingsSubcommand::Import { file } => {
             let wanted = import::read(file)?;
             let mut rig = finder.connect(DeviceKind::Rig)?;
             let changed = import::import(&mut rig, file, wanted)?;
             screen.say(&format!("{changed} settings changed"));
             Ok(json!({ "changed": changed }))
         }
-        SettingsCommand::Name { name: None } => {
+        SettingsSubcommand::Name { name: None } => {
             let name = finder.connect(DeviceKind::Rig)?.call(GetName)?.name;
             screen.say(&name);
             Ok(json!({ "name": name.as_str() }))
         }
-        SettingsCommand::Name { name: Some(name) } => {
+        SettingsSubcommand::Name { name: Some(name) } => {
             let name = checked_name(name).map_err(|why| Failure::Input {
                 why,
                 help: "use letters, digits and spaces".to_owned(),
@@ -69,7 +69,7 @@ pub(crate) fn settings(
             screen.say(&name.name);
             Ok(json!({ "name": name.name.as_str() }))
         }
-        SettingsCommand::Reset { yes } => {
+        SettingsSubcommand::Reset { yes } => {
             let question =
                 "All settings of the rig go back to their defaults, and its name is removed.";
             if !yes && !screen.confirms(question) {
