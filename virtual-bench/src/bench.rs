@@ -16,7 +16,7 @@ use rigless::session::Session;
 use rigless::time::VirtualNanos;
 
 use crate::bus::BusReport;
-use crate::emulator::{ChipOptions, CutAt, Machine, Wiring};
+use crate::emulator::{ChipOptions, CutAt, Emulator, Wiring};
 use crate::log::{Log, Tap};
 use crate::serial::Serial;
 
@@ -94,7 +94,7 @@ pub fn images() -> PathBuf {
 
 /// What a visitor may touch while the machine stands still.
 pub struct Visit<'a, W: Wiring> {
-    session: &'a mut Session<Machine<W>>,
+    session: &'a mut Session<Emulator<W>>,
     host: &'a mut dyn Host,
     tap: &'a mut Tap,
     serial: &'a Mutex<Serial>,
@@ -160,8 +160,8 @@ impl<W: Wiring> Visit<'_, W> {
 
     /// Overwrites the code at `address` as a debugger does: from the next instruction on, until the next reset.
     pub fn overwrite(&mut self, address: u64, code: &[u16]) {
-        let machine = self.session.board_mut();
-        machine.overwrite(address, code, self.host);
+        let emulator = self.session.board_mut();
+        emulator.overwrite(address, code, self.host);
     }
 
     /// Pulls the reset pin low for an instant.
@@ -187,7 +187,7 @@ impl<W: Wiring> Visit<'_, W> {
 
 type Visitor<W> = Box<dyn FnOnce(&mut Visit<'_, W>) + Send>;
 
-enum Command<W: Wiring> {
+enum Job<W: Wiring> {
     /// Put `bytes` on the line and go on to `until_ns`, or with `eager` to the first grid instant by which the
     /// machine has sent something.
     Run {
@@ -209,7 +209,7 @@ enum Reply {
 }
 
 struct Conductor<W: Wiring> {
-    commands: Receiver<Command<W>>,
+    jobs: Receiver<Job<W>>,
     replies: Sender<Reply>,
     serial: Arc<Mutex<Serial>>,
     tap: Tap,
@@ -234,10 +234,10 @@ impl<W: Wiring> Conductor<W> {
     }
 }
 
-impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
+impl<W: Wiring> Driver<Emulator<W>> for Conductor<W> {
     fn on_settled(
         &mut self,
-        session: &mut Session<Machine<W>>,
+        session: &mut Session<Emulator<W>>,
         host: &mut dyn Host,
         settled: Settled,
     ) {
@@ -253,7 +253,7 @@ impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
 
     fn on_stop(
         &mut self,
-        session: &mut Session<Machine<W>>,
+        session: &mut Session<Emulator<W>>,
         stop: Stop,
         host: &mut dyn Host,
     ) -> Option<VirtualNanos> {
@@ -269,8 +269,8 @@ impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
         };
         self.replies.send(paused).ok()?;
         loop {
-            match self.commands.recv().ok()? {
-                Command::Run {
+            match self.jobs.recv().ok()? {
+                Job::Run {
                     until_ns,
                     eager,
                     bytes,
@@ -286,7 +286,7 @@ impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
                     }
                     return Some(self.next_instant(now_ns));
                 }
-                Command::Visit(visitor) => {
+                Job::Visit(visitor) => {
                     visitor(&mut Visit {
                         session,
                         host,
@@ -298,7 +298,7 @@ impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
                     session.board_mut().refresh(stop.at);
                     self.replies.send(Reply::Visited).ok()?;
                 }
-                Command::PowerCycle { off_ns } => {
+                Job::PowerCycle { off_ns } => {
                     let flash = crate::emulator::cut_supply(session, host);
                     self.power_cycle = Some((flash, now_ns + off_ns));
                     return None;
@@ -323,9 +323,9 @@ fn conduct<W: Wiring>(
     loop {
         let epoch_ns = conductor.epoch_ns;
         let serial = Arc::clone(&conductor.serial);
-        let mut machine = Machine::new(wiring, options.chip, serial, epoch_ns).map_err(text)?;
-        machine.set_earlier(gaps);
-        let session = Session::new(Box::new(machine), 0, VirtualNanos(0)).map_err(text)?;
+        let mut emulator = Emulator::new(wiring, options.chip, serial, epoch_ns).map_err(text)?;
+        emulator.set_earlier(gaps);
+        let session = Session::new(Box::new(emulator), 0, VirtualNanos(0)).map_err(text)?;
         let mut finished = emulator::run(session, &Start::new(&images), conductor).map_err(text)?;
         if let Some(error) = finished.session.take_error() {
             return Err(error.to_string());
@@ -362,7 +362,7 @@ fn text(error: impl std::fmt::Display) -> String {
 
 /// The client's end of the lock-step.
 pub(crate) struct Cable<W: Wiring> {
-    commands: Sender<Command<W>>,
+    jobs: Sender<Job<W>>,
     replies: Receiver<Reply>,
     now_ns: u64,
     outbox: Vec<u8>,
@@ -388,16 +388,16 @@ impl<W: Wiring> Cable<W> {
 
     pub(crate) fn run(&mut self, until_ns: u64, eager: bool) -> Result<(), BenchError> {
         let bytes = std::mem::take(&mut self.outbox);
-        self.ask(Command::Run {
+        self.ask(Job::Run {
             until_ns,
             eager,
             bytes,
         })
     }
 
-    fn ask(&mut self, command: Command<W>) -> Result<(), BenchError> {
+    fn ask(&mut self, job: Job<W>) -> Result<(), BenchError> {
         // A closed channel has its reason waiting among the replies.
-        let _ = self.commands.send(command);
+        let _ = self.jobs.send(job);
         self.answer()
     }
 
@@ -445,10 +445,10 @@ impl<W: Wiring> Bench<W> {
         };
         let tap = Tap::new(&elf).map_err(bad)?;
         let image = Image::new(&path, elf, None).map_err(|why| bad(why.to_string()))?;
-        let (commands, commanded) = channel();
+        let (jobs, queue) = channel();
         let (replying, replies) = channel();
         let conductor = Conductor {
-            commands: commanded,
+            jobs: queue,
             replies: replying.clone(),
             serial: Arc::default(),
             tap,
@@ -469,7 +469,7 @@ impl<W: Wiring> Bench<W> {
             })
             .map_err(|why| BenchError::Ended(why.to_string()))?;
         let mut cable = Cable {
-            commands,
+            jobs,
             replies,
             now_ns: 0,
             outbox: Vec::new(),
@@ -513,7 +513,7 @@ impl<W: Wiring> Bench<W> {
         let visitor: Visitor<W> = Box::new(move |visit| {
             let _ = answer.send(visitor(visit));
         });
-        self.cable().ask(Command::Visit(visitor))?;
+        self.cable().ask(Job::Visit(visitor))?;
         answered
             .recv()
             .map_err(|_| BenchError::Ended("the visit did not answer".into()))
@@ -525,7 +525,7 @@ impl<W: Wiring> Bench<W> {
     /// # Errors
     /// [`BenchError::Ended`] when the emulator has failed.
     pub fn power_cycle(&self, off_us: u64) -> Result<(), BenchError> {
-        self.cable().ask(Command::PowerCycle {
+        self.cable().ask(Job::PowerCycle {
             off_ns: off_us * 1_000,
         })
     }

@@ -5,7 +5,7 @@ use std::fmt;
 
 use rigless::session::Session;
 
-use crate::emulator::{Machine, Wiring};
+use crate::emulator::{Emulator, Wiring};
 
 /// Addresses which the firmware may touch although nothing is modelled there, each with the reason.
 const ALLOWED: [(u64, u64, &str); 1] = [(
@@ -24,14 +24,14 @@ pub struct BusReport {
 }
 
 impl BusReport {
-    pub(crate) fn of<W: Wiring>(session: &Session<Machine<W>>) -> Self {
+    pub(crate) fn of<W: Wiring>(session: &Session<Emulator<W>>) -> Self {
         let allowed = |address: u64| {
             ALLOWED
                 .iter()
                 .any(|&(first, past, _)| (first..past).contains(&address))
         };
-        let machine = session.board();
-        let mut gaps = machine.earlier().to_vec();
+        let emulator = session.board();
+        let mut gaps = emulator.earlier().to_vec();
         let unmapped = session.unmapped();
         let unmapped = unmapped.iter().filter(|gap| !allowed(gap.address));
         gaps.extend(unmapped.map(ToString::to_string));
@@ -62,16 +62,16 @@ impl BusReport {
                 .told()
                 .map(|told| format!("{} {}: {}", told.instance, told.register, told.reason)),
         );
-        let absent = machine.absent().iter();
+        let absent = emulator.absent().iter();
         gaps.extend(absent.map(|address| format!("the STM32F411 has nothing at {address:#010x}")));
-        let foreign = machine.flash_foreign().iter();
+        let foreign = emulator.flash_foreign().iter();
         gaps.extend(foreign.map(|address| {
             format!("the flash was changed at {address:#010x}, outside the settings' sectors")
         }));
-        if machine.flash_refused() > 0 {
+        if emulator.flash_refused() > 0 {
             gaps.push(format!(
                 "{} stores into a flash that was not ready for them",
-                machine.flash_refused()
+                emulator.flash_refused()
             ));
         }
         let mut seen = std::collections::HashSet::new();

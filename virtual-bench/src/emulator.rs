@@ -499,7 +499,7 @@ impl Default for ChipOptions {
 
 /// A chip on its board, as the emulator runs it.
 #[derive(Debug)]
-pub struct Machine<W> {
+pub struct Emulator<W> {
     chip: Chip<W>,
     shell: Shell,
     options: ChipOptions,
@@ -517,9 +517,9 @@ pub struct Machine<W> {
 }
 
 /// A machine's runs start from reset or from its flash, never from a snapshot.
-impl<W: Wiring> Store for Machine<W> {}
+impl<W: Wiring> Store for Emulator<W> {}
 
-impl<W: Wiring> Machine<W> {
+impl<W: Wiring> Emulator<W> {
     pub(crate) fn new(
         wiring: W,
         options: ChipOptions,
@@ -676,28 +676,28 @@ fn moves_pins(address: u64) -> bool {
 
 /// What every settled access and stop of a run does to the machine; to be called from the run's driver.
 pub(crate) fn settled<W: Wiring>(
-    session: &mut Session<Machine<W>>,
+    session: &mut Session<Emulator<W>>,
     host: &mut dyn Host,
     settled: Settled,
 ) {
-    let machine = session.board_mut();
+    let emulator = session.board_mut();
     match settled {
-        Settled::Access { access, .. } => machine.accessed(&access, host),
+        Settled::Access { access, .. } => emulator.accessed(&access, host),
         Settled::Stop(stop) => {
-            machine.unstall(stop.at, host);
-            machine.chip.look_between(stop.at);
+            emulator.unstall(stop.at, host);
+            emulator.chip.look_between(stop.at);
         }
         _ => {}
     }
 }
 
 /// The chip has restarted with its memory kept, and has not executed anything yet.
-pub(crate) fn restarted<W: Wiring>(session: &mut Session<Machine<W>>, host: &mut dyn Host) {
-    let machine = session.board_mut();
-    machine.array.cut(host);
-    machine.mend(host);
-    machine.storing_until = VirtualNanos(0);
-    machine.stalled = false;
+pub(crate) fn restarted<W: Wiring>(session: &mut Session<Emulator<W>>, host: &mut dyn Host) {
+    let emulator = session.board_mut();
+    emulator.array.cut(host);
+    emulator.mend(host);
+    emulator.storing_until = VirtualNanos(0);
+    emulator.stalled = false;
     host.hold(false);
 }
 
@@ -708,14 +708,14 @@ pub(crate) fn read_out(host: &mut dyn Host) -> Vec<u8> {
 
 /// Ends a run as a cut of the supply would; answers the flash as it is left.
 pub(crate) fn cut_supply<W: Wiring>(
-    session: &mut Session<Machine<W>>,
+    session: &mut Session<Emulator<W>>,
     host: &mut dyn Host,
 ) -> Vec<u8> {
     restarted(session, host);
     array::read_out(host)
 }
 
-impl<W: Wiring> Board for Machine<W> {
+impl<W: Wiring> Board for Emulator<W> {
     fn name(&self) -> &'static str {
         TARGET
     }

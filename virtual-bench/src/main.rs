@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::thread;
 
-use clap::{Parser, Subcommand};
+use clap::Parser;
 use jiff::Timestamp;
 use virtual_bench::bench::{Bench, BenchError};
 use virtual_bench::boards;
@@ -23,11 +23,11 @@ use virtual_bench::serve::Server;
 #[command(about, version)]
 struct Arguments {
     #[command(subcommand)]
-    command: Command,
+    subcommand: Subcommand,
 }
 
-#[derive(Subcommand)]
-enum Command {
+#[derive(clap::Subcommand)]
+enum Subcommand {
     /// Carries out the paper's experiment on both images and judges it from the pins.
     Demo {
         /// Folder for the records and the report.
@@ -51,18 +51,18 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let result = match Arguments::parse().command {
-        Command::Demo { out } => {
+    let result = match Arguments::parse().subcommand {
+        Subcommand::Demo { out } => {
             let now = Timestamp::now();
             demo::run(&DemoOptions { out, now }, std::io::stderr().is_terminal())
                 .map_err(miette::Report::from)
         }
-        Command::Bench => figures::run(&mut |line| drop(writeln!(std::io::stdout(), "{line}")))
+        Subcommand::Bench => figures::run(&mut |line| drop(writeln!(std::io::stdout(), "{line}")))
             .map_err(miette::Report::from),
-        Command::Serve { rig, capsule } => {
+        Subcommand::Serve { rig, capsule } => {
             serve(rig, capsule).map_err(|why| miette::miette!("{why}"))
         }
-        Command::Retrograde(arguments) => {
+        Subcommand::Retrograde(arguments) => {
             let program = OsString::from("virtual-bench");
             return host_tool::cli::run(
                 [program].into_iter().chain(arguments),
