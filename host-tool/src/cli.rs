@@ -1,5 +1,5 @@
-//! The command line tool: thin, over the library. [`run`] is the entry for this program and for others that bring
-//! their own [`Connector`].
+//! The command line tool, a thin layer over the library. A program that has a [`Connector`] of its own can call [`run`],
+//! too.
 
 pub mod args;
 pub mod failure;
@@ -54,7 +54,7 @@ pub fn run_on(
 /// What a person types, line by line.
 pub type Keyboard = Box<dyn BufRead + Send>;
 
-/// As [`run_on`], and with a person at `keyboard` who can be asked and who holds and resumes a run.
+/// As [`run_on`], with a person at `keyboard` who answers questions and may hold and resume a run.
 pub fn run_at(
     args: impl IntoIterator<Item = OsString>,
     connector: &dyn Connector,

@@ -18,7 +18,7 @@ use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
 use crate::client::Device;
 
-/// Settings as a file.
+/// Contents of a settings file.
 #[derive(Debug, Serialize)]
 struct Exported {
     name: String,
@@ -30,7 +30,7 @@ pub(crate) fn settings(
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    // What is wrong with the words is said before a machine is looked for.
+    // Arguments are checked before a machine is looked for.
     match subcommand {
         SettingsSubcommand::List => list(&mut finder.connect(DeviceKind::Rig)?, screen),
         SettingsSubcommand::Get { key } => {
@@ -157,10 +157,10 @@ fn exported(rig: &mut Device) -> Result<Exported, Failure> {
     Ok(Exported { name, settings })
 }
 
-/// A value within the range of its setting.
+/// Reads a value and checks it against the range of its setting.
 ///
 /// # Errors
-/// [`Failure::Input`] if it is no whole number, [`Failure::Refused`] if it is out of range.
+/// [`Failure::Input`] if it is not a whole number, [`Failure::Refused`] if it is out of range.
 fn value_of(key: SettingKey, text: &str) -> Result<u32, Failure> {
     let range = key.range();
     let (name, min, max) = (key.name(), range.min, range.max);
@@ -186,7 +186,7 @@ fn value_of(key: SettingKey, text: &str) -> Result<u32, Failure> {
         })
 }
 
-/// A name that fits into the rig and onto a terminal.
+/// Checks that a name is short enough for the rig and has no control characters.
 fn checked_name(name: &str) -> Result<heapless::String<MAX_NAME>, String> {
     if name.contains(char::is_control) {
         return Err("the name has a control character".to_owned());
