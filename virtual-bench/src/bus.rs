@@ -1,5 +1,5 @@
-//! What the firmware touched that is not there. A register without a model answers what was stored in it, and a
-//! firmware that relies on it would pass on the bench and fail on the chip; so every such touch is reported.
+//! Reports accesses to what is not there. A register without a model returns what was stored in it, so firmware that
+//! relies on one would pass on the bench and fail on the chip.
 
 use std::fmt;
 
@@ -7,17 +7,17 @@ use rigless::session::Session;
 
 use crate::emulator::{Emulator, Wiring};
 
-/// Addresses which the firmware may touch although nothing is modelled there, each with the reason.
+/// Addresses that the firmware may access although nothing is modelled there, each with the reason.
 const ALLOWED: [(u64, u64, &str); 1] = [(
     0x0800_0000,
     0x0808_0000,
-    "the flash array: stores are taken by the bench, not by the emulator's bus",
+    "the flash array: stores are handled by the bench, not by the emulator's bus",
 )];
 
-/// The gaps which a firmware met.
+/// The gaps that a firmware has found.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BusReport {
-    /// One line per gap, in the machine's whole life.
+    /// One line per gap since the first power-up.
     pub gaps: Vec<String>,
     /// Resets since power-up, in order: instant in ns since power-up, and cause.
     pub resets: Vec<(u64, String)>,
@@ -85,7 +85,7 @@ impl BusReport {
         }
     }
 
-    /// Fails when anything is missing that the firmware touched, or when it was reset other than expected.
+    /// Fails if the firmware has accessed something that is missing, or if the number of resets is not the expected one.
     ///
     /// # Errors
     /// The report as text.

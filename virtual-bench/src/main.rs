@@ -1,4 +1,4 @@
-//! `virtual-bench`: the machines without the machines.
+//! `virtual-bench`: the program.
 
 use std::ffi::OsString;
 use std::io::{IsTerminal, Write};
@@ -28,24 +28,24 @@ struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum Subcommand {
-    /// Carries out the paper's experiment on both images and judges it from the pins.
+    /// Executes the paper's experiment on both images and judges it from the pins.
     Demo {
         /// Folder for the records and the report.
         #[arg(long, value_name = "DIR", default_value = "demo-data")]
         out: PathBuf,
     },
-    /// Measures what the rig's image reaches.
+    /// Measures the performance of the rig's image.
     Bench,
-    /// Serves the machines on TCP of this computer at the pace of the wall clock, until interrupted.
+    /// Serves the machines on local TCP ports in real time, until interrupted.
     Serve {
-        /// Port of the rig; 0 takes a free one.
+        /// Port of the rig; 0 for a free one.
         #[arg(long, value_name = "PORT")]
         rig: Option<u16>,
-        /// Port of the capsule; 0 takes a free one.
+        /// Port of the capsule; 0 for a free one.
         #[arg(long, value_name = "PORT")]
         capsule: Option<u16>,
     },
-    /// Any command of the host tool, here also with `--rig virtual` and `--capsule virtual`.
+    /// Any command of the host tool, which here also takes `--rig virtual` and `--capsule virtual`.
     #[command(external_subcommand)]
     Retrograde(Vec<OsString>),
 }
