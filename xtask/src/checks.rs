@@ -1,8 +1,8 @@
 //! The steps of `cargo xtask test`, `lint` and `ci`.
 //!
-//! Everything is compiled as few times as its purposes allow: once in the dev profile for the host
-//! tests, once in release for the bench (its tests and the demo share that), once as metadata for the
-//! linter and the documentation, once for the chip.
+//! Everything is compiled as rarely as possible: once in the dev profile for the host tests, once in
+//! release for the bench (its tests and the demo share that), once as metadata for the linter and the
+//! documentation, once for the chip.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -20,13 +20,13 @@ const HOST_TESTS: Step = Step {
 };
 const LONG_TESTS: Step = Step {
     name: "long tests",
-    does: "millions of random command sequences, spoilt frames, bad lines: the tests that plain `cargo test` leaves out",
+    does: "millions of random command sequences, corrupted frames, noisy lines: the tests that plain `cargo test` leaves out",
     after: None,
     act: long_tests,
 };
 const IMAGES: Step = Step {
     name: "images",
-    does: "builds both ARM images, judges addresses and sizes",
+    does: "builds both ARM images and checks their addresses and sizes",
     after: None,
     act: images::build,
 };
@@ -39,7 +39,7 @@ const BENCH_TESTS: Step = Step {
 
 const FORMAT: Step = Step {
     name: "format",
-    does: "every file is as rustfmt writes it",
+    does: "every file is formatted by rustfmt",
     after: None,
     act: format,
 };
@@ -63,23 +63,23 @@ const DOCS: Step = Step {
 };
 const DEMO: Step = Step {
     name: "demo",
-    does: "`cargo xtask demo`, and the data and the report it leaves",
+    does: "`cargo xtask demo`, which must leave data and a report",
     after: Some("images"),
     act: demo,
 };
 
-/// Every test there is, with all set-up.
+/// Runs every test, with all set-up.
 pub(crate) fn test() -> ExitCode {
     steps::run(&[IMAGES, HOST_TESTS, LONG_TESTS, BENCH_TESTS])
 }
 
-/// What can be said without running anything.
+/// Runs the checks that execute no code of ours.
 pub(crate) fn lint() -> ExitCode {
     steps::run(&[FORMAT, LINT_HOST, DOCS, LINT_IMAGES])
 }
 
-/// Every test, and what else has to hold before a change is merged. The host tests come before
-/// anything is installed, so that they are shown to need nothing.
+/// Runs every test and every other check that has to pass before a change is merged. The host tests come
+/// before anything is installed, which shows that they need nothing.
 pub(crate) fn ci() -> ExitCode {
     steps::run(&[
         FORMAT,
@@ -121,12 +121,12 @@ fn format() -> Result<()> {
 
 fn lint_host() -> Result<()> {
     let mut cargo = host_cargo("clippy");
-    // `--locked`: a change of dependencies has to come with its Cargo.lock.
+    // `--locked`: a change of dependencies has to include Cargo.lock.
     cargo.args(["--locked", "--workspace", "--all-targets"]);
     bench::accept_this_rust(&mut cargo);
     run(
         cargo.args(["--", "-D", "warnings"]),
-        "mend what clippy reports above; if there is no such command, `rustup component add clippy`",
+        "fix what clippy reports above; if there is no such command, `rustup component add clippy`",
     )
 }
 
@@ -136,11 +136,11 @@ fn docs() -> Result<()> {
     bench::accept_this_rust(&mut cargo);
     run(
         cargo.env("RUSTDOCFLAGS", "-D warnings"),
-        "mend what rustdoc reports above",
+        "fix what rustdoc reports above",
     )
 }
 
-/// The folder the demo writes to unless told otherwise.
+/// The folder that the demo writes to by default.
 const DEMO_DATA: &str = "demo-data";
 
 fn demo() -> Result<()> {
@@ -158,14 +158,17 @@ fn demo() -> Result<()> {
             ),
             None => {
                 let what = format!("the demo left no {what} (.{ending}) in {DEMO_DATA}");
-                return Err(Failure::new(what, "see where the demo says it wrote to"));
+                return Err(Failure::new(
+                    what,
+                    "the demo says above where it has written to",
+                ));
             }
         }
     }
     Ok(())
 }
 
-/// Files below a folder that are not empty and were written at or after an instant.
+/// Files below a folder that are not empty and were written since an instant.
 fn written_since(start: SystemTime, folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {

@@ -1,4 +1,4 @@
-//! Named steps: each says in one line what it does, is timed, and ends up in a table.
+//! Named steps: each says in one line what it does, is timed, and is listed in a table at the end.
 
 use std::fmt;
 use std::process::ExitCode;
@@ -11,7 +11,7 @@ pub(crate) struct Step {
     pub(crate) name: &'static str,
     /// What it does, in a line.
     pub(crate) does: &'static str,
-    /// The name of an earlier step without which this one makes no sense.
+    /// The name of an earlier step that has to pass before this one can run.
     pub(crate) after: Option<&'static str>,
     pub(crate) act: fn() -> Result<()>,
 }
@@ -20,7 +20,7 @@ pub(crate) struct Step {
 enum Outcome {
     Passed,
     Failed,
-    /// The step it comes after did not pass; counted as failed.
+    /// The step it depends on did not pass; counts as failed.
     NotRun,
 }
 
@@ -34,8 +34,8 @@ impl fmt::Display for Outcome {
     }
 }
 
-/// Runs all steps, also after a failure, so that one run shows everything that is wrong. Ends with a
-/// table and a line `N passed, N failed`.
+/// Runs all steps, also after a failure, so that one run shows everything that is wrong. Prints a table
+/// and a line of totals at the end.
 pub(crate) fn run(steps: &[Step]) -> ExitCode {
     let start = Instant::now();
     let mut done: Vec<(&str, Outcome, Duration)> = Vec::new();
@@ -76,7 +76,7 @@ fn carry_out(step: &Step, done: &[(&str, Outcome, Duration)]) -> (Outcome, Durat
         let passed =
             |done: &(&str, Outcome, Duration)| done.0 == before && done.1 == Outcome::Passed;
         if !done.iter().any(passed) {
-            println!("error: it needs the step `{before}`, which did not pass");
+            println!("error: this needs the step `{before}`, which did not pass");
             return (Outcome::NotRun, Duration::ZERO);
         }
     }

@@ -13,12 +13,12 @@ pub(crate) const OLDEST: Version = Version(1, 95);
 pub(crate) struct Version(pub(crate) u32, pub(crate) u32);
 
 impl Version {
-    /// Asks a compiler; `None` if it does not run.
+    /// The version of a compiler; `None` if it does not run.
     pub(crate) fn of(rustc: &mut Command) -> Option<Self> {
         Self::parse(&first_line(rustc.arg("--version"))?)
     }
 
-    /// Reads `rustc 1.95.0 (...)`.
+    /// Parses `rustc 1.95.0 (...)`.
     fn parse(line: &str) -> Option<Self> {
         let mut numbers = line.split_whitespace().nth(1)?.split('.');
         let mut next = || numbers.next()?.parse().ok();
