@@ -12,61 +12,56 @@ use crate::process::{Failure, Result, host_cargo, root, run};
 use crate::steps::{self, Step};
 use crate::{bench, images};
 
-const HOST_TESTS: Step = Step {
-    name: "host tests",
-    does: "plain `cargo test`, which needs nothing installed",
-    after: None,
-    act: host_tests,
-};
-const LONG_TESTS: Step = Step {
-    name: "long tests",
-    does: "millions of random command sequences, corrupted frames, noisy lines: the tests that plain `cargo test` leaves out",
-    after: None,
-    act: long_tests,
-};
-const IMAGES: Step = Step {
-    name: "images",
-    does: "builds both ARM images and checks their addresses and sizes",
-    after: None,
-    act: images::build,
-};
-const BENCH_TESTS: Step = Step {
-    name: "bench tests",
-    does: "boots the images on the virtual bench and judges them from their pins",
-    after: Some("images"),
-    act: bench::test,
-};
+const HOST_TESTS: Step = Step::new(
+    "host tests",
+    "plain `cargo test`, which needs nothing installed",
+    host_tests,
+);
+const LONG_TESTS: Step = Step::new(
+    "long tests",
+    "millions of random command sequences, corrupted frames, noisy lines: the tests that plain `cargo test` leaves out",
+    long_tests,
+);
+const IMAGES: Step = Step::new(
+    "images",
+    "builds both ARM images and checks their addresses and sizes",
+    images::build,
+);
+const BENCH_TESTS: Step = Step::new(
+    "bench tests",
+    "boots the images on the virtual bench and judges them from their pins",
+    bench::test,
+)
+.after("images");
 
-const FORMAT: Step = Step {
-    name: "format",
-    does: "every file is formatted by rustfmt",
-    after: None,
-    act: format,
-};
-const LINT_HOST: Step = Step {
-    name: "lint host",
-    does: "clippy on every package and target of the host, no warning allowed",
-    after: None,
-    act: lint_host,
-};
-const LINT_IMAGES: Step = Step {
-    name: "lint images",
-    does: "clippy on both images as compiled for the chip, no warning allowed",
-    after: None,
-    act: images::lint,
-};
-const DOCS: Step = Step {
-    name: "docs",
-    does: "the documentation of every package, no warning allowed",
-    after: None,
-    act: docs,
-};
-const DEMO: Step = Step {
-    name: "demo",
-    does: "`cargo xtask demo`, which must leave data and a report",
-    after: Some("images"),
-    act: demo,
-};
+const FORMAT: Step = Step::new("format", "every file is formatted by rustfmt", format);
+const LINT_HOST: Step = Step::new(
+    "lint host",
+    "clippy on every package and target of the host, no warning allowed",
+    lint_host,
+);
+const LINT_IMAGES: Step = Step::new(
+    "lint images",
+    "clippy on both images as compiled for the chip, no warning allowed",
+    images::lint,
+);
+const DOCS: Step = Step::new(
+    "docs",
+    "the documentation of every package, no warning allowed",
+    docs,
+);
+const DEPENDENCIES: Step = Step::new(
+    "dependencies",
+    "cargo-deny: licenses, sources and duplicates as deny.toml allows them",
+    dependencies,
+)
+.needs("deny");
+const DEMO: Step = Step::new(
+    "demo",
+    "`cargo xtask demo`, which must leave data and a report",
+    demo,
+)
+.after("images");
 
 /// Runs every test, with all set-up.
 pub(crate) fn test() -> ExitCode {
@@ -86,6 +81,7 @@ pub(crate) fn ci() -> ExitCode {
         HOST_TESTS,
         LINT_HOST,
         DOCS,
+        DEPENDENCIES,
         LONG_TESTS,
         IMAGES,
         LINT_IMAGES,
@@ -137,6 +133,15 @@ fn docs() -> Result<()> {
     run(
         cargo.env("RUSTDOCFLAGS", "-D warnings"),
         "fix what rustdoc reports above",
+    )
+}
+
+fn dependencies() -> Result<()> {
+    let mut cargo = host_cargo("deny");
+    cargo.args(["--workspace", "--locked"]);
+    run(
+        cargo.args(["check", "bans", "licenses", "sources"]),
+        "choose another crate, or argue for an exception in deny.toml",
     )
 }
 

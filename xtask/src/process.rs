@@ -2,7 +2,7 @@
 
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -100,17 +100,25 @@ fn forget_own_package(command: &mut Command) {
 /// # Errors
 /// It cannot be started or does not end with code 0; `remedy` says what the user can do.
 pub(crate) fn run(command: &mut Command, remedy: &str) -> Result<()> {
-    println!("$ {}", spelled(command));
-    let status = command.status().map_err(|error| {
-        let what = format!("{} does not start: {error}", spelled(command));
-        Failure::new(what, remedy)
-    })?;
+    let status = status_of(command, remedy)?;
     if status.success() {
         Ok(())
     } else {
         let what = format!("{} ended with {status}", spelled(command));
         Err(Failure::new(what, remedy))
     }
+}
+
+/// As [`run`], for a command that tells its result by its exit code.
+///
+/// # Errors
+/// It cannot be started.
+pub(crate) fn status_of(command: &mut Command, remedy: &str) -> Result<ExitStatus> {
+    println!("$ {}", spelled(command));
+    command.status().map_err(|error| {
+        let what = format!("{} does not start: {error}", spelled(command));
+        Failure::new(what, remedy)
+    })
 }
 
 /// As [`run`], but kills the child if it takes longer than `limit`.
@@ -141,10 +149,23 @@ pub(crate) fn run_within(limit: Duration, command: &mut Command, remedy: &str) -
 
 /// The first line that a command prints, if it succeeds.
 pub(crate) fn first_line(command: &mut Command) -> Option<String> {
+    let text = output_of(command)?;
+    text.lines().next().map(|line| line.trim().to_owned())
+}
+
+/// Whether cargo has a subcommand of this name, built in or installed.
+pub(crate) fn installed(subcommand: &str) -> bool {
+    output_of(&mut host_cargo("--list")).is_some_and(|list| {
+        list.lines()
+            .any(|line| line.split_whitespace().next() == Some(subcommand))
+    })
+}
+
+/// What a command prints, if it succeeds.
+fn output_of(command: &mut Command) -> Option<String> {
     let output = command.stdin(Stdio::null()).stderr(Stdio::null());
     let output = output.output().ok().filter(|done| done.status.success())?;
-    let text = String::from_utf8(output.stdout).ok()?;
-    text.lines().next().map(|line| line.trim().to_owned())
+    String::from_utf8(output.stdout).ok()
 }
 
 /// The command as a person would type it in the workspace's folder: programs by name, short paths.
