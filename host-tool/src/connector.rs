@@ -26,7 +26,7 @@ pub struct Candidate {
 
 /// Opens links.
 pub trait Connector {
-    /// Opens a link to a machine; sends nothing. Never called with [`Address::Auto`].
+    /// Opens a link to a machine; sends nothing. Does not search: the caller finds the address behind [`Address::Auto`].
     ///
     /// # Errors
     /// [`OpenError`] with what to do about it.
@@ -61,7 +61,12 @@ impl Connector for Ports {
         match address {
             Address::Serial(path) => Ok(Box::new(Serial::open(path, baud)?)),
             Address::Tcp(place) => Ok(Box::new(Tcp::open(place)?)),
-            Address::Auto | Address::Virtual => Err(OpenError {
+            Address::Auto => Err(OpenError {
+                place: address.to_string(),
+                why: "it does not say where the machine is".to_owned(),
+                remedy: "give a serial port or tcp:HOST:PORT".to_owned(),
+            }),
+            Address::Virtual => Err(OpenError {
                 place: address.to_string(),
                 why: "the virtual bench is not part of this program".to_owned(),
                 remedy: "use `cargo xtask demo`, or the `virtual-bench` program, which has the same commands; it can also serve both machines on TCP".to_owned(),

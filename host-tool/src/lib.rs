@@ -1,4 +1,5 @@
-//! The client library of both machines, and the command line tool on top of it.
+//! The client library of both machines, and the command line tool on top of it. `examples/paper_run.rs` uses the
+//! library alone.
 //!
 //! * [`link`]: a byte pipe with its own clock: serial port, TCP, memory, or the virtual bench.
 //! * [`client`]: one machine: typed requests, events, telemetry, waiting, stops.
