@@ -11,7 +11,7 @@
 //! | Folding, Unfolding | Stop, link silent | Stopped |
 //! | Referencing | Stop, link silent | Unreferenced; Stopped once the zero is found |
 //! | any | EStop | Faulted |
-//! | moving | trouble | Faulted |
+//! | moving | trip | Faulted |
 //! | Faulted | Acknowledge \[cause gone\] | Stopped, or Unreferenced where the fault costs the position |
 //!
 //! The motor is driven only while referencing, folding or unfolding. Each of them ends with the motor
@@ -41,7 +41,7 @@
 //! the next unfolding pays out the shorter one of two estimates, and what remains wound is taken up by the slack.
 
 use crate::{
-    detect::{Detector, Direction, Load, Sample, Trouble},
+    detect::{Detector, Load, Sample, Spooling, Trip},
     mechanics::{
         BACK_OFF, Counts, END_WINDOW, FOLDED, LEAST_RISE, NO_LOAD_MA, SEEK_LIMIT, SOFT_MAXIMUM,
         Thread,
@@ -169,10 +169,10 @@ enum Leg {
 }
 
 impl Leg {
-    fn direction(self) -> Direction {
+    fn spooling(self) -> Spooling {
         match self {
-            Leg::Seek { .. } | Leg::Wind => Direction::Wind,
-            Leg::BackOff { .. } | Leg::PayOut => Direction::PayOut,
+            Leg::Seek { .. } | Leg::Wind => Spooling::Wind,
+            Leg::BackOff { .. } | Leg::PayOut => Spooling::PayOut,
         }
     }
 }
@@ -390,7 +390,7 @@ impl Capsule {
         self.mode = Mode::Moving(Actuation {
             kind,
             leg,
-            detector: Detector::new(leg.direction(), from_us),
+            detector: Detector::new(leg.spooling(), from_us),
             started_us: now_us,
             deadline_us: from_us.saturating_add(timeout_us),
             from_slack,
@@ -461,22 +461,22 @@ impl Capsule {
             None => Load::default(),
             Some(drive_mv) => {
                 let checked = detector.check(now_us, &self.sample, drive_mv, self.no_load_ma);
-                if detector.sees_current(now_us) {
+                if detector.sees_force(now_us) {
                     let current_ma = self.sample.current_ma;
                     self.record.end_current_ma = current_ma;
                     self.record.peak_current_ma = self.record.peak_current_ma.max(current_ma);
                 }
                 match checked {
                     Ok(load) => load,
-                    Err(trouble) => return self.trouble(now_us, trouble, actions),
+                    Err(trip) => return self.trip(now_us, trip, actions),
                 }
             }
         };
-        if detector.direction() == Direction::Wind {
+        if detector.spooling() == Spooling::Wind {
             if actuation.from_slack {
                 self.no_load_ma = detector.first_mean_ma(now_us).unwrap_or(self.no_load_ma);
             }
-            if let (0, Some(engaged)) = (self.record.engaged_um, load.engaged) {
+            if let (0, Some(engaged)) = (self.record.engaged_um, load.engaged_at) {
                 self.record.engaged_um = engaged.since(self.zero).thread().0;
             }
         }
@@ -506,23 +506,23 @@ impl Capsule {
         });
         // Past the last possible end: without load the thread is broken; with load it is longer than the count
         // says, and a new reference is the remedy.
-        let past_the_end = Step::Fault(if load.engaged.is_some() {
+        let past_the_end = Step::Fault(if load.engaged_at.is_some() {
             CapsuleFault::Timeout
         } else {
             CapsuleFault::ThreadBroken
         });
         match leg {
-            Leg::Wind if load.force && thread >= END_WINDOW && thread <= SOFT_MAXIMUM => {
+            Leg::Wind if load.end_force && thread >= END_WINDOW && thread <= SOFT_MAXIMUM => {
                 Step::Folded
             }
             Leg::Wind if thread >= SOFT_MAXIMUM => past_the_end,
-            Leg::Wind if load.force => jam,
+            Leg::Wind if load.end_force => jam,
             Leg::Wind => Step::Go,
             Leg::Seek { origin, second } => {
-                if load.force {
+                if load.end_force {
                     let rise = load
-                        .firm
-                        .map_or(Thread(0), |firm| counts.since(firm).thread());
+                        .rise_from
+                        .map_or(Thread(0), |from| counts.since(from).thread());
                     if rise >= LEAST_RISE {
                         self.set_reference(counts.back(FOLDED.counts()));
                         Step::Turn(Leg::PayOut)
@@ -540,7 +540,7 @@ impl Capsule {
                     Step::Go
                 }
             }
-            Leg::BackOff { .. } | Leg::PayOut if load.force => jam,
+            Leg::BackOff { .. } | Leg::PayOut if load.end_force => jam,
             Leg::BackOff { to, origin } => {
                 if counts.since(to).thread() <= margin {
                     Step::Turn(Leg::Seek {
@@ -571,20 +571,20 @@ impl Capsule {
         self.brake_until_us = from_us;
         if let Mode::Moving(actuation) = &mut self.mode {
             actuation.leg = leg;
-            actuation.detector = Detector::new(leg.direction(), from_us);
+            actuation.detector = Detector::new(leg.spooling(), from_us);
             actuation.from_slack = false;
         }
     }
 
-    fn trouble(&mut self, now_us: u64, trouble: Trouble, actions: &mut Actions) {
-        let fault = match trouble {
-            Trouble::Driver => CapsuleFault::DriverFault,
-            Trouble::OverCurrent { current_ma } => CapsuleFault::OverCurrent { current_ma },
-            Trouble::LowBattery { battery_mv } => CapsuleFault::LowBattery { battery_mv },
-            Trouble::Blocked => CapsuleFault::Jam {
+    fn trip(&mut self, now_us: u64, trip: Trip, actions: &mut Actions) {
+        let fault = match trip {
+            Trip::Driver => CapsuleFault::DriverFault,
+            Trip::OverCurrent { current_ma } => CapsuleFault::OverCurrent { current_ma },
+            Trip::LowBattery { battery_mv } => CapsuleFault::LowBattery { battery_mv },
+            Trip::Blocked => CapsuleFault::Jam {
                 thread_um: self.thread().0,
             },
-            Trouble::EncoderLost => CapsuleFault::EncoderLost,
+            Trip::EncoderLost => CapsuleFault::EncoderLost,
         };
         self.fail(now_us, fault, actions);
     }
@@ -648,9 +648,9 @@ impl Capsule {
                 };
                 // At most 3700: fits.
                 let millivolts = wanted_mv.min(self.sample.battery_mv) as i16;
-                Drive::Millivolts(match actuation.leg.direction() {
-                    Direction::Wind => millivolts,
-                    Direction::PayOut => -millivolts,
+                Drive::Millivolts(match actuation.leg.spooling() {
+                    Spooling::Wind => millivolts,
+                    Spooling::PayOut => -millivolts,
                 })
             }
             _ if now_us < self.brake_until_us => Drive::Brake,
