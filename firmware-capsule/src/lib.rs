@@ -6,4 +6,6 @@
 pub mod commands;
 pub mod detect;
 pub mod fold;
+pub mod leg;
 pub mod mechanics;
+mod record;

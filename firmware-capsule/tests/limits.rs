@@ -2,7 +2,8 @@
 
 use firmware_capsule::{
     detect::Sample,
-    fold::{Capsule, Command, Drive, Event, FAST_MV},
+    fold::{Capsule, Command, Drive, Event},
+    leg::FAST_MV,
     mechanics::{BACK_OFF, Counts, SEEK_LIMIT, SOFT_MAXIMUM, Thread},
 };
 use proptest::prelude::*;
