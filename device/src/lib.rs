@@ -5,7 +5,6 @@
 #![no_std]
 #![deny(unsafe_code)]
 
-pub mod check_in;
 #[cfg(target_os = "none")]
 pub mod chip;
 pub mod common;
@@ -15,3 +14,4 @@ pub mod retained;
 pub mod service;
 pub mod settings;
 pub mod store;
+pub mod supervision;

@@ -1,6 +1,6 @@
 //! What the tasks of both images share; each image adds its own in its `channels.rs`.
 
-use crate::{check_in::CheckIns, service::Inbound};
+use crate::{service::Inbound, supervision::CheckIns};
 use core::sync::atomic::{AtomicU8, AtomicU16, AtomicU32, Ordering};
 use embassy_sync::{
     blocking_mutex::raw::CriticalSectionRawMutex as Raw, channel::Channel, signal::Signal,

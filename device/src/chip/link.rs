@@ -5,8 +5,8 @@ use super::{
     watchdog::{CHECK_IN, check_in},
 };
 use crate::{
-    check_in::Client,
     service::{Inbound, Incoming, Service},
+    supervision::Client,
 };
 use core::sync::atomic::Ordering;
 use embassy_stm32::{

@@ -5,13 +5,13 @@ use super::{
     pins::DriveTrain,
 };
 use device::{
-    check_in::Client,
     chip::{
         channels::{REPLIES, REQUESTS, send_event, set_telemetry, silence_us},
         link, retained, telemetry,
         watchdog::{self, CHECK_IN, check_in},
     },
     retained::{EStop, Left},
+    supervision::Client,
 };
 use embassy_futures::select::{Either3, select, select3};
 use embassy_stm32::{

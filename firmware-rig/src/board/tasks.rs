@@ -10,7 +10,6 @@ use super::{
 };
 use core::sync::atomic::Ordering;
 use device::{
-    check_in::Client,
     chip::{
         channels::{
             BAD_FRAMES, REPLIES, REQUESTS, UART_ERRORS, UNSENT_FRAMES, send_event, set_telemetry,
@@ -21,6 +20,7 @@ use device::{
         watchdog::{self, CHECK_IN, check_in},
     },
     retained::{EStop, Left},
+    supervision::Client,
 };
 use embassy_futures::select::{Either3, select3};
 use embassy_stm32::{
