@@ -1,9 +1,8 @@
 //! Requests that both machines answer alike.
 
-use crate::{outbox::Outbox, settings::Values};
 use protocol::{
     error::{Field, Refusal},
-    settings::{GetSetting, Name, Setting, SettingKey},
+    events::EventRing,
     system::{Done, LastWords, SetTelemetry},
     table::{Request, Response},
 };
@@ -15,15 +14,9 @@ pub const TELEMETRY_MS: (u16, u16) = (5, 1_000);
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
     /// Events so far.
-    pub outbox: &'a Outbox,
+    pub events: &'a EventRing,
     /// Text of the last panic or processor fault.
     pub last_words: &'a str,
-    /// Settings in force.
-    pub values: &'a Values,
-    /// Those that this device has.
-    pub keys: &'static [SettingKey],
-    /// The device's name.
-    pub name: &'a str,
 }
 
 impl About<'_> {
@@ -31,42 +24,20 @@ impl About<'_> {
     /// request is not a common one.
     ///
     /// # Errors
-    /// An interval out of range, a setting that this device does not have.
-    pub fn answer(&self, request: &Request) -> Option<Result<Response, Refusal>> {
-        Some(Ok(match request {
+    /// An interval out of range.
+    pub fn answer(&self, request: &Request) -> Result<Option<Response>, Refusal> {
+        Ok(Some(match request {
             Request::KeepAlive(_) => Response::KeepAlive(Done),
             Request::GetLastWords(_) => Response::GetLastWords(LastWords {
                 text: self.last_words.try_into().unwrap_or_default(),
             }),
-            Request::SetTelemetry(set) => match telemetry_interval(set.period_ms) {
-                Ok(()) => Response::SetTelemetry(*set),
-                Err(refusal) => return Some(Err(refusal)),
-            },
-            Request::GetEvents(get) => Response::GetEvents(self.outbox.since(get.from)),
-            Request::GetSetting(GetSetting { key }) => match self.has(*key) {
-                Ok(()) => Response::GetSetting(Setting {
-                    key: *key,
-                    value: self.values.get(*key),
-                }),
-                Err(refusal) => return Some(Err(refusal)),
-            },
-            Request::GetName(_) => Response::GetName(Name {
-                name: self.name.try_into().unwrap_or_default(),
-            }),
-            _ => return None,
+            Request::SetTelemetry(set) => {
+                telemetry_interval(set.period_ms)?;
+                Response::SetTelemetry(*set)
+            }
+            Request::GetEvents(get) => Response::GetEvents(self.events.since(get.from)),
+            _ => return Ok(None),
         }))
-    }
-
-    /// Whether this device has a setting.
-    ///
-    /// # Errors
-    /// It has not.
-    pub fn has(&self, key: SettingKey) -> Result<(), Refusal> {
-        if self.keys.contains(&key) {
-            Ok(())
-        } else {
-            Err(Refusal::WrongDevice)
-        }
     }
 }
 

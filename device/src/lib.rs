@@ -5,14 +5,13 @@
 #![no_std]
 #![deny(unsafe_code)]
 
-pub mod check_in;
 #[cfg(target_os = "none")]
 pub mod chip;
 pub mod common;
 pub mod identity;
 pub mod last_words;
-pub mod outbox;
 pub mod retained;
 pub mod service;
 pub mod settings;
 pub mod store;
+pub mod supervision;

@@ -69,6 +69,7 @@ impl Service {
     }
 
     /// Takes a byte; something comes back when it completes a good frame.
+    #[inline(never)]
     pub fn receive(&mut self, byte: u8) -> Option<Incoming> {
         let frame = self.deframer.push(byte)?;
         Some(serve(&mut self.session, &self.identity, &frame))

@@ -1,20 +1,13 @@
 //! Requests to replies: the only place where the protocol's messages meet the state machine.
 
 use crate::fold::{Actions, Capsule, Command, Drive, Event};
-use device::{
-    common::{About, asked_telemetry_ms},
-    settings::Values,
-};
+use device::common::{About, asked_telemetry_ms};
 use protocol::{
     capsule::{ActuationAccepted, ActuationKind, CapsuleFault, CapsuleStatus, CapsuleTelemetry},
     error::Refusal,
-    settings::{MAX_NAME, Setting, SettingKey, SettingRule},
     system::{Done, Urgent},
     table::{Reply, Request, Response},
 };
-
-/// The settings that a capsule has.
-pub const SETTINGS: [SettingKey; 2] = [SettingKey::LinkTimeoutMs, SettingKey::TelemetryMs];
 
 /// What a request may need to know.
 pub struct Context<'a> {
@@ -25,7 +18,7 @@ pub struct Context<'a> {
 }
 
 /// What the caller has to do besides the machine's actions.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
     /// Nothing.
     None,
@@ -36,19 +29,6 @@ pub enum Effect {
     },
     /// Record that a fault was acknowledged.
     Acknowledged,
-    /// Write this to flash; then it is in force.
-    Store(Change),
-}
-
-/// A change of the settings.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Change {
-    /// One value.
-    Value(Setting),
-    /// The capsule's name.
-    Name(heapless::String<MAX_NAME>),
-    /// The defaults of all values and of the name.
-    Reset,
 }
 
 /// Outcome of a request.
@@ -110,58 +90,24 @@ fn answer(query: Request, capsule: &Capsule, context: &Context<'_>) -> Executed 
     }
 }
 
+#[inline(never)]
 fn respond(
     query: Request,
     capsule: &Capsule,
     context: &Context<'_>,
 ) -> Result<(Response, Effect), Refusal> {
-    if let Some(answer) = context.about.answer(&query) {
-        let response = answer?;
+    if let Some(response) = context.about.answer(&query)? {
         let effect = asked_telemetry_ms(&response)
             .map_or(Effect::None, |period_ms| Effect::Telemetry { period_ms });
         return Ok((response, effect));
     }
-    // No task runs during an erase: not while the motor turns or brakes.
-    let at_rest = || match capsule.drive() {
-        Drive::Off if !capsule.is_moving() => Ok(()),
-        _ => Err(Refusal::CapsuleBusy(capsule.state())),
-    };
     let response = match query {
         Request::GetCapsuleStatus(_) => Response::GetCapsuleStatus(status(capsule, context.now_us)),
         Request::GetActuationRecord(_) => Response::GetActuationRecord(*capsule.record()),
-        Request::SetSetting(setting) => {
-            at_rest()?;
-            let key = setting.key;
-            context.about.has(key)?;
-            let values = context.about.values.with(key, setting.value)?;
-            rule(&values).map_err(|rule| Refusal::SettingRule { key, rule })?;
-            let effect = Effect::Store(Change::Value(setting));
-            return Ok((Response::SetSetting(setting), effect));
-        }
-        Request::FactoryReset(_) => {
-            at_rest()?;
-            return Ok((Response::FactoryReset(Done), Effect::Store(Change::Reset)));
-        }
-        Request::SetName(name) => {
-            at_rest()?;
-            let effect = Effect::Store(Change::Name(name.name.clone()));
-            return Ok((Response::SetName(name), effect));
-        }
         // The rig's; the others have been answered above, and a Hello by the session.
         _ => return Err(Refusal::WrongDevice),
     };
     Ok((response, Effect::None))
-}
-
-/// The rule that a capsule's settings keep.
-///
-/// # Errors
-/// They do not.
-pub fn rule(values: &Values) -> Result<(), SettingRule> {
-    match values.get(SettingKey::TelemetryMs) {
-        1..=4 => Err(SettingRule::TelemetryInterval),
-        _ => Ok(()),
-    }
 }
 
 /// Carries out an urgent stop.

@@ -2,28 +2,25 @@
 //! of the capsule is a trait, so that the host tests run what the control task runs.
 
 use crate::{
-    commands::{self, Change, Context, Effect},
+    commands::{self, Context, Effect},
     detect::Sample,
     fold::{self, Actions, Drive, Event},
 };
 use device::{
     common::About,
     last_words::LastWords,
-    outbox::Outbox,
     retained::{EStop, Left},
     service::Inbound,
-    settings::SettingsStore,
-    store::StorageFailed,
 };
-use embedded_storage_async::nor_flash::NorFlash;
 use protocol::{
     capsule::{CapsuleEvent, CapsuleFault, CapsuleTelemetry},
-    error::Refusal,
-    frame::Encoded,
-    settings::SettingKey,
-    system::{ResetCause, What},
+    events::EventRing,
+    system::{self, ResetCause, What},
     table::{Reply, Request},
 };
+
+/// A moving capsule stops when no good frame has come for this long.
+const LINK_TIMEOUT_US: u32 = 1_000_000;
 
 /// The rest of the capsule, as control sees it.
 pub trait Capsule {
@@ -31,8 +28,6 @@ pub trait Capsule {
     fn now_us(&self) -> u64;
     /// How long the host has been silent.
     fn silence_us(&self) -> u32;
-    /// Session for frames that nobody asked for; 0 = nobody listens.
-    fn session(&self) -> u8;
     /// Sets the bridge, or confirms what it is set to.
     fn drive(&mut self, drive: Drive);
     /// Shows this to telemetry.
@@ -41,39 +36,34 @@ pub trait Capsule {
     fn set_telemetry(&mut self, period_ms: u16);
     /// Keeps an E-stop over a reset, or forgets it.
     fn keep_latched(&mut self, estop: Option<EStop>);
-    /// Something happened: logs it and sends its frame, if there is one and the line is free.
-    fn tell(&mut self, what: &What, frame: Option<Encoded>);
+    /// Logs an event, and sends it to whoever listens.
+    fn tell(&mut self, event: &system::Event);
 }
 
-/// Owns the state machine, the settings and the events.
-pub struct Control<C: Capsule, F: NorFlash> {
+/// Owns the state machine and the events.
+pub struct Control<C: Capsule> {
     capsule: C,
     machine: fold::Capsule,
-    settings: SettingsStore<F>,
-    outbox: Outbox,
+    events: EventRing,
     last_words: LastWords,
 }
 
-impl<C: Capsule, F: NorFlash> Control<C, F> {
-    /// Control after a start, from what the previous one left and what is in flash.
-    pub fn new(capsule: C, flash: F, left: Left, reset_cause: ResetCause) -> Self {
+impl<C: Capsule> Control<C> {
+    /// Control after a start, from what the previous one left.
+    pub fn new(capsule: C, left: Left, reset_cause: ResetCause) -> Self {
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(CapsuleFault::Panic),
             (ResetCause::Watchdog, _) => Some(CapsuleFault::Watchdog),
             (_, Some(_)) => Some(CapsuleFault::EStopFrame),
             (_, None) => None,
         };
-        let (settings, _) = SettingsStore::load(flash, |values| commands::rule(values).is_ok());
-        let period_ms = settings.values().get(SettingKey::TelemetryMs) as u16;
         let mut control = Self {
             capsule,
             machine: fold::Capsule::new(fault),
-            settings,
-            outbox: Outbox::new(),
+            events: EventRing::new(),
             last_words: left.last_words.unwrap_or_default(),
         };
         control.emit(What::Booted(reset_cause));
-        control.capsule.set_telemetry(period_ms);
         control
     }
 
@@ -90,6 +80,7 @@ impl<C: Capsule, F: NorFlash> Control<C, F> {
     }
 
     /// Answers a question of the link.
+    #[inline(never)]
     pub fn answer(&mut self, inbound: Inbound) -> Reply {
         match inbound {
             Inbound::Request(request) => self.request(request),
@@ -102,15 +93,13 @@ impl<C: Capsule, F: NorFlash> Control<C, F> {
         }
     }
 
+    #[inline(never)]
     fn request(&mut self, request: Request) -> Reply {
         let context = Context {
             now_us: self.capsule.now_us(),
             about: About {
-                outbox: &self.outbox,
+                events: &self.events,
                 last_words: &self.last_words,
-                values: self.settings.values(),
-                keys: &commands::SETTINGS,
-                name: self.settings.name(),
             },
         };
         let executed = commands::execute(request, &mut self.machine, &context);
@@ -124,26 +113,12 @@ impl<C: Capsule, F: NorFlash> Control<C, F> {
                 self.capsule.keep_latched(None);
                 self.emit(What::Acknowledged);
             }
-            Effect::Store(change) => {
-                if self.change(change).is_err() {
-                    return Reply::Refused(Refusal::StorageFailed);
-                }
-            }
         }
         executed.reply
     }
 
-    fn change(&mut self, change: Change) -> Result<(), StorageFailed> {
-        match change {
-            Change::Value(setting) => self.settings.set(setting.key, setting.value),
-            Change::Name(name) => self.settings.set_name(name),
-            Change::Reset => self.settings.reset(),
-        }
-    }
-
     fn watch_link(&mut self) {
-        let timeout_ms = self.settings.values().get(SettingKey::LinkTimeoutMs);
-        if self.machine.is_moving() && self.capsule.silence_us() > timeout_ms * 1_000 {
+        if self.machine.is_moving() && self.capsule.silence_us() > LINK_TIMEOUT_US {
             self.emit(What::LinkLost);
             let actions = self.machine.step(self.capsule.now_us(), Event::LinkSilent);
             self.perform(&actions);
@@ -164,8 +139,7 @@ impl<C: Capsule, F: NorFlash> Control<C, F> {
     }
 
     fn emit(&mut self, what: What) {
-        let (now_us, session) = (self.capsule.now_us(), self.capsule.session());
-        let frame = self.outbox.record(now_us, what, session);
-        self.capsule.tell(&what, frame);
+        let event = self.events.record(self.capsule.now_us(), what);
+        self.capsule.tell(&event);
     }
 }

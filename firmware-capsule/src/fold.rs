@@ -11,41 +11,20 @@
 //! | Folding, Unfolding | Stop, link silent | Stopped |
 //! | Referencing | Stop, link silent | Unreferenced; Stopped once the zero is found |
 //! | any | EStop | Faulted |
-//! | moving | trouble | Faulted |
-//! | Faulted | Acknowledge \[cause gone\] | Stopped, or Unreferenced where the fault costs the position |
+//! | moving | trip, jam, broken thread, time-out | Faulted |
+//! | Faulted | Acknowledge \[cause gone\] | Stopped, or Unreferenced if the fault costs the position |
 //!
-//! The motor is driven only while referencing, folding or unfolding. Each of them ends with the motor
-//! short-circuited for [`BRAKE_US`]: at 3.7 V it turns 270 times a second, runs on 0.1 mm of thread when
-//! braked and almost 3 mm when let go. Then the bridge sleeps; the worm holds.
+//! The motor is driven only while referencing, folding or unfolding. Each of them ends with the motor shorted for
+//! [`BRAKE_US`]: at 3.7 V it turns 270 times a second, and runs on for 0.1 mm of thread when braked, for almost 3 mm
+//! when not. Then the bridge sleeps and the worm gear holds.
 //!
-//! # How the zero is found
-//!
-//! Paying out can only be counted, not felt: behind the worm a slack thread and one that has wound
-//! itself backwards onto the spool look alike. And the force begins gently: by the beam estimate of the
-//! origami the current rises by 0.3 of the no-load current (0.2 N) only some 9 mm after the slack
-//! has ended, and where exactly depends on friction more than on the thread. So the first engagement is recorded but
-//! nothing is referred to it. The sharp mark is the other end: at [`FORCE_MA`](crate::mechanics::FORCE_MA) the force grows
-//! by about 5 N per mm, so that an error of 10 % in the current is 0.15 mm of thread. A reference run
-//! therefore winds, slowly, to the same force at the same voltage as a fold does, calls that
-//! [`FOLDED`], and pays out exactly that much: it ends unfolded, whatever the state was in which it began.
-//!
-//! An obstacle has an end force too, and taking it for the folded end would pay out past zero by all that was
-//! missing. The origami takes [`LEAST_RISE`] or more from 3 N to the end force, an obstacle almost nothing. If
-//! the rise was too short, the origami may have been folded from the beginning: then [`BACK_OFF`] is paid out and the
-//! second try decides. Only a thread that is caught within its first 4 mm is paid out too far by that, by the
-//! part of the 4 mm that was not wound; [`SEEK_LIMIT`] allows for it.
-//!
-//! # Zero after a fold
-//!
-//! A fold that ends in force beyond [`FOLDED`] takes this point as the new [`FOLDED`]; one that ends before it keeps its count. So
-//! the next unfolding pays out the shorter one of two estimates, and what remains wound is taken up by the slack.
+//! [`leg`](crate::leg) says how each motion is driven, where it ends, and how the zero is found.
 
 use crate::{
-    detect::{Detector, Direction, Load, Sample, Trouble},
-    mechanics::{
-        BACK_OFF, Counts, END_WINDOW, FOLDED, LEAST_RISE, NO_LOAD_MA, SEEK_LIMIT, SOFT_MAXIMUM,
-        Thread,
-    },
+    detect::{Detector, Load, Sample, Spooling, Trip},
+    leg::{Decision, Leg},
+    mechanics::{Counts, FOLDED, NO_LOAD_MA, Thread},
+    record::Recorder,
 };
 use protocol::{
     capsule::{
@@ -54,33 +33,24 @@ use protocol::{
     error::Refusal,
 };
 
-/// Drive of the long way.
-pub const FAST_MV: u16 = 3_700;
-/// Drive where force ends the motion: stalls at 11 N.
-pub const GENTLE_MV: u16 = 1_500;
-/// A fold is gentle from here on.
-pub const GENTLE_FROM: Thread = Thread(18_000);
-/// A paying-out is braked where the motor will run on to this distance from its end. What the prediction of the
-/// running-on is wrong by must be less: it is 0.15 mm at 20 mm/s.
-pub const STOP_MARGIN: Thread = Thread(40);
-/// Six time constants of the motor.
+/// How long the motor is shorted after a motion: six of its time constants.
 pub const BRAKE_US: u64 = 40_000;
-/// A motion is refused below this battery voltage.
+/// Below this battery voltage a motion is refused.
 pub const LEAST_BATTERY_MV: u16 = 3_000;
-/// Two slow ways up, two ways out.
+/// Two slow windings and two ways out.
 pub const REFERENCE_TIMEOUT_MS: u32 = 12_000;
-/// The model motor takes 1.6 s; an almost empty battery twice as long.
+/// The model motor takes 1.6 s, with an almost empty battery twice as long.
 pub const FOLD_TIMEOUT_MS: u32 = 4_000;
 /// The model motor takes 1.2 s.
 pub const UNFOLD_TIMEOUT_MS: u32 = 4_000;
 
-/// What the bridge does.
+/// State of the bridge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Drive {
     /// Bridge asleep.
     #[default]
     Off,
-    /// Motor short-circuited.
+    /// Motor shorted.
     Brake,
     /// Duty times battery voltage; positive winds. Never more than the battery has.
     Millivolts(i16),
@@ -114,14 +84,14 @@ pub enum Event {
     LinkSilent,
 }
 
-/// What has to be done.
+/// What the caller has to do.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Actions {
     /// Set the bridge to this.
     pub drive: Drive,
     /// Record and send these, in this order.
     pub events: heapless::Vec<CapsuleEvent, 3>,
-    /// The command was refused.
+    /// Why the command was refused, if it was.
     pub refusal: Option<Refusal>,
 }
 
@@ -132,7 +102,7 @@ impl Actions {
     }
 }
 
-// One machine exists, and boxes do not.
+// There is only one machine, and no heap for a box.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug)]
 enum Mode {
@@ -151,59 +121,28 @@ struct Actuation {
     detector: Detector,
     started_us: u64,
     deadline_us: u64,
-    /// The thread was slack at the start: the first current is the no-load current.
+    /// The thread was slack at the start, so the first mean current is the no-load current.
     from_slack: bool,
 }
 
-/// One direction of the motor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Leg {
-    /// Wind to the force, for the reference.
-    Seek { origin: Counts, second: bool },
-    /// Pay out a little, to feel the rise on the second try.
-    BackOff { to: Counts, origin: Counts },
-    /// Wind to the force, for the fold.
-    Wind,
-    /// Pay out to zero.
-    PayOut,
-}
-
-impl Leg {
-    fn direction(self) -> Direction {
-        match self {
-            Leg::Seek { .. } | Leg::Wind => Direction::Wind,
-            Leg::BackOff { .. } | Leg::PayOut => Direction::PayOut,
-        }
-    }
-}
-
-/// What a leg's sample means.
-enum Step {
-    Go,
-    Turn(Leg),
-    Folded,
-    Unfolded,
-    Fault(CapsuleFault),
-}
-
-/// The machine.
+/// The state machine.
 #[derive(Clone, Debug)]
 pub struct Capsule {
     mode: Mode,
     referenced: bool,
-    /// The encoder at thread zero.
+    /// Count at thread zero.
     zero: Counts,
     sample: Sample,
     sample_us: u64,
     drive: Drive,
     brake_until_us: u64,
     no_load_ma: u16,
-    record: ActuationRecord,
-    energy_pj: u64,
+    recorder: Recorder,
 }
 
 impl Capsule {
-    /// At the device's start: nothing is known. `fault` is that of the last start's end, if it ended badly.
+    /// At the start of the device, position unknown. `fault` is what ended the last run of the firmware, if a
+    /// fault did.
     pub fn new(fault: Option<CapsuleFault>) -> Self {
         Self {
             mode: fault.map_or(Mode::Unreferenced, Mode::Faulted),
@@ -214,23 +153,11 @@ impl Capsule {
             drive: Drive::Off,
             brake_until_us: 0,
             no_load_ma: NO_LOAD_MA,
-            record: ActuationRecord {
-                actuation: 0,
-                kind: ActuationKind::Reference,
-                outcome: ActuationOutcome::None,
-                duration_ms: 0,
-                thread_um: 0,
-                end_current_ma: 0,
-                peak_current_ma: 0,
-                engaged_um: 0,
-                energy_mj: 0,
-                min_battery_mv: 0,
-            },
-            energy_pj: 0,
+            recorder: Recorder::new(),
         }
     }
 
-    /// As the protocol names it.
+    /// The state by its name in the protocol.
     pub fn state(&self) -> CapsuleState {
         match &self.mode {
             Mode::Unreferenced => CapsuleState::Unreferenced,
@@ -264,7 +191,7 @@ impl Capsule {
         self.referenced
     }
 
-    /// Thread wound up, from the last sample; without a reference from an arbitrary zero.
+    /// Thread on the spool at the last sample. Before the first reference it counts from an arbitrary zero.
     pub fn thread(&self) -> Thread {
         self.sample.counts.since(self.zero).thread()
     }
@@ -274,17 +201,17 @@ impl Capsule {
         &self.sample
     }
 
-    /// What the bridge should do now.
+    /// The bridge's state after the last event.
     pub fn drive(&self) -> Drive {
         self.drive
     }
 
     /// The present or last actuation.
     pub fn record(&self) -> &ActuationRecord {
-        &self.record
+        self.recorder.record()
     }
 
-    /// How long the present or last kind of actuation may take.
+    /// Longest time an actuation of this kind may take.
     pub fn timeout_ms(kind: ActuationKind) -> u32 {
         match kind {
             ActuationKind::Reference => REFERENCE_TIMEOUT_MS,
@@ -297,9 +224,9 @@ impl Capsule {
     pub fn step(&mut self, now_us: u64, event: Event) -> Actions {
         let mut actions = Actions::default();
         match event {
-            Event::Sample(sample) => self.take(now_us, sample, &mut actions),
+            Event::Sample(sample) => self.on_sample(now_us, sample, &mut actions),
             Event::Command(command) => {
-                actions.refusal = self.command(now_us, command, &mut actions).err();
+                actions.refusal = self.on_command(now_us, command, &mut actions).err();
             }
             Event::LinkSilent => self.stop(now_us, ActuationOutcome::LinkLost, &mut actions),
         }
@@ -308,7 +235,7 @@ impl Capsule {
         actions
     }
 
-    fn command(
+    fn on_command(
         &mut self,
         now_us: u64,
         command: Command,
@@ -364,11 +291,7 @@ impl Capsule {
         if persists {
             return Err(Refusal::CauseStillPresent);
         }
-        self.mode = if self.referenced {
-            Mode::Stopped
-        } else {
-            Mode::Unreferenced
-        };
+        self.mode = self.resting_between_ends();
         Ok(())
     }
 
@@ -390,216 +313,130 @@ impl Capsule {
         self.mode = Mode::Moving(Actuation {
             kind,
             leg,
-            detector: Detector::new(leg.direction(), from_us),
+            detector: Detector::new(leg.spooling(), from_us),
             started_us: now_us,
             deadline_us: from_us.saturating_add(timeout_us),
             from_slack,
         });
-        self.energy_pj = 0;
-        self.record = ActuationRecord {
-            actuation: self.record.actuation.saturating_add(1),
-            kind,
-            outcome: ActuationOutcome::Running,
-            duration_ms: 0,
-            thread_um: self.thread().0,
-            end_current_ma: 0,
-            peak_current_ma: 0,
-            engaged_um: 0,
-            energy_mj: 0,
-            min_battery_mv: self.sample.battery_mv,
-        };
+        self.recorder
+            .start(kind, self.thread(), self.sample.battery_mv);
         actions.emit(CapsuleEvent::Started {
-            actuation: self.record.actuation,
+            actuation: self.record().actuation,
             kind,
         });
-        // Where there is nowhere to go, the motor is not even switched on.
+        // If the leg is already at its end, the motor is not even switched on.
         self.supervise(now_us, actions);
     }
 
-    fn take(&mut self, now_us: u64, sample: Sample, actions: &mut Actions) {
-        // The last sample before an actuation is up to 100 ms old, and nothing was driven then.
+    fn on_sample(&mut self, now_us: u64, sample: Sample, actions: &mut Actions) {
+        // The last sample before a start is up to 100 ms old, and the motor was not driven then.
         let since_us = match &self.mode {
             Mode::Moving(actuation) => self.sample_us.max(actuation.started_us),
             _ => self.sample_us,
         };
-        let elapsed_us = now_us.saturating_sub(since_us);
         if let Drive::Millivolts(_) = self.drive {
-            // mV * mA * us = pJ. All of the motor's current comes from the battery: there is none between the
-            // pulses.
-            let power = u64::from(sample.battery_mv) * u64::from(sample.current_ma);
-            self.energy_pj = self
-                .energy_pj
-                .saturating_add(power.saturating_mul(elapsed_us));
+            self.recorder
+                .add_energy(&sample, now_us.saturating_sub(since_us));
         }
         self.sample = sample;
         self.sample_us = self.sample_us.max(now_us);
         self.supervise(now_us, actions);
         if self.is_moving() || now_us < self.brake_until_us {
-            self.record.thread_um = self.thread().0;
+            self.recorder.thread(self.thread());
         }
     }
 
     /// Judges the last sample while moving.
     fn supervise(&mut self, now_us: u64, actions: &mut Actions) {
+        if let Err(fault) = self.judge(now_us, actions) {
+            self.fail(now_us, fault, actions);
+        }
+    }
+
+    fn judge(&mut self, now_us: u64, actions: &mut Actions) -> Result<(), CapsuleFault> {
         let driven_mv = match self.drive {
             Drive::Millivolts(drive_mv) => Some(drive_mv.unsigned_abs()),
             Drive::Off | Drive::Brake => None,
         };
+        let thread = self.thread();
         let Mode::Moving(actuation) = &mut self.mode else {
-            return;
+            return Ok(());
         };
         let duration_us = now_us.saturating_sub(actuation.started_us);
-        self.record.duration_ms = u32::try_from(duration_us / 1_000).unwrap_or(u32::MAX);
-        self.record.energy_mj = u32::try_from(self.energy_pj / 1_000_000_000).unwrap_or(u32::MAX);
-        self.record.min_battery_mv = self.record.min_battery_mv.min(self.sample.battery_mv);
-        if now_us < actuation.detector.from_us() {
-            return; // still braking from the motion before
-        }
+        self.recorder.update(duration_us, self.sample.battery_mv);
         let detector = &mut actuation.detector;
+        if now_us < detector.from_us() {
+            return Ok(()); // still braking from the motion before
+        }
         let load = match driven_mv {
-            // The first sample of a leg is from before its drive: only its position counts.
+            // The first sample of a leg was taken before its drive: only its position counts.
             None => Load::default(),
             Some(drive_mv) => {
-                let checked = detector.check(now_us, &self.sample, drive_mv, self.no_load_ma);
-                if detector.sees_current(now_us) {
-                    let current_ma = self.sample.current_ma;
-                    self.record.end_current_ma = current_ma;
-                    self.record.peak_current_ma = self.record.peak_current_ma.max(current_ma);
+                if detector.sees_force(now_us) {
+                    self.recorder.current(self.sample.current_ma);
                 }
-                match checked {
-                    Ok(load) => load,
-                    Err(trouble) => return self.trouble(now_us, trouble, actions),
-                }
+                detector
+                    .check(now_us, &self.sample, drive_mv, self.no_load_ma)
+                    .map_err(|trip| fault_of(trip, thread))?
             }
         };
-        if detector.direction() == Direction::Wind {
+        if detector.spooling() == Spooling::Wind {
             if actuation.from_slack {
                 self.no_load_ma = detector.first_mean_ma(now_us).unwrap_or(self.no_load_ma);
             }
-            if let (0, Some(engaged)) = (self.record.engaged_um, load.engaged) {
-                self.record.engaged_um = engaged.since(self.zero).thread().0;
+            if let Some(engaged_at) = load.engaged_at {
+                self.recorder.engaged(engaged_at.since(self.zero).thread());
             }
         }
-        let (leg, overdue) = (actuation.leg, now_us >= actuation.deadline_us);
-        let running_on = actuation.detector.stopping_distance().thread();
-        let margin = Thread(running_on.0.saturating_add(STOP_MARGIN.0));
-        match self.judge(leg, load, margin) {
-            Step::Go if overdue => self.fail(now_us, CapsuleFault::Timeout, actions),
-            Step::Go => {}
-            Step::Turn(leg) => self.turn(now_us, leg),
-            Step::Folded => {
-                if self.thread() > FOLDED {
-                    self.zero = self.sample.counts.back(FOLDED.counts());
+        let stopping = detector.stopping_distance();
+        let counts = self.sample.counts;
+        let next = match actuation.leg.decide(counts, self.zero, load, stopping)? {
+            Decision::Continue if now_us >= actuation.deadline_us => {
+                return Err(CapsuleFault::Timeout);
+            }
+            Decision::Continue => return Ok(()),
+            Decision::Reverse(leg) => leg,
+            Decision::ZeroFound(zero) => {
+                self.recorder.zero_moved(self.zero.since(zero).thread());
+                self.zero = zero;
+                self.referenced = true;
+                Leg::PayOut
+            }
+            Decision::Folded => {
+                if thread > FOLDED {
+                    self.zero = counts.back(FOLDED.counts());
                 }
                 self.end(now_us, Mode::Folded, ActuationOutcome::Complete, actions);
+                return Ok(());
             }
-            Step::Unfolded => self.end(now_us, Mode::Unfolded, ActuationOutcome::Complete, actions),
-            Step::Fault(fault) => self.fail(now_us, fault, actions),
-        }
-    }
-
-    /// Where a leg ends. `margin` is how far ahead of a counted end the brake must be applied.
-    fn judge(&mut self, leg: Leg, load: Load, margin: Thread) -> Step {
-        let (thread, counts) = (self.thread(), self.sample.counts);
-        let jam = Step::Fault(CapsuleFault::Jam {
-            thread_um: thread.0,
-        });
-        // Past the last possible end: without load the thread is broken; with load it is longer than the count
-        // says, and a new reference is the remedy.
-        let past_the_end = Step::Fault(if load.engaged.is_some() {
-            CapsuleFault::Timeout
-        } else {
-            CapsuleFault::ThreadBroken
-        });
-        match leg {
-            Leg::Wind if load.force && thread >= END_WINDOW && thread <= SOFT_MAXIMUM => {
-                Step::Folded
+            Decision::Unfolded => {
+                self.end(now_us, Mode::Unfolded, ActuationOutcome::Complete, actions);
+                return Ok(());
             }
-            Leg::Wind if thread >= SOFT_MAXIMUM => past_the_end,
-            Leg::Wind if load.force => jam,
-            Leg::Wind => Step::Go,
-            Leg::Seek { origin, second } => {
-                if load.force {
-                    let rise = load
-                        .firm
-                        .map_or(Thread(0), |firm| counts.since(firm).thread());
-                    if rise >= LEAST_RISE {
-                        self.set_reference(counts.back(FOLDED.counts()));
-                        Step::Turn(Leg::PayOut)
-                    } else if second {
-                        jam
-                    } else {
-                        Step::Turn(Leg::BackOff {
-                            to: counts.back(BACK_OFF.counts()),
-                            origin,
-                        })
-                    }
-                } else if counts.since(origin).thread() >= SEEK_LIMIT {
-                    past_the_end
-                } else {
-                    Step::Go
-                }
-            }
-            Leg::BackOff { .. } | Leg::PayOut if load.force => jam,
-            Leg::BackOff { to, origin } => {
-                if counts.since(to).thread() <= margin {
-                    Step::Turn(Leg::Seek {
-                        origin,
-                        second: true,
-                    })
-                } else {
-                    Step::Go
-                }
-            }
-            Leg::PayOut if thread <= margin => Step::Unfolded,
-            Leg::PayOut => Step::Go,
-        }
-    }
-
-    fn set_reference(&mut self, zero: Counts) {
-        // What was recorded from the old zero moves along. An engagement at exactly 0 would read as "never".
-        if self.record.engaged_um != 0 {
-            let moved = self.zero.since(zero).thread().0;
-            self.record.engaged_um = self.record.engaged_um.saturating_add(moved);
-        }
-        self.zero = zero;
-        self.referenced = true;
-    }
-
-    fn turn(&mut self, now_us: u64, leg: Leg) {
+        };
+        // The motor is braked, then driven the other way.
         let from_us = now_us.saturating_add(BRAKE_US);
         self.brake_until_us = from_us;
-        if let Mode::Moving(actuation) = &mut self.mode {
-            actuation.leg = leg;
-            actuation.detector = Detector::new(leg.direction(), from_us);
-            actuation.from_slack = false;
-        }
-    }
-
-    fn trouble(&mut self, now_us: u64, trouble: Trouble, actions: &mut Actions) {
-        let fault = match trouble {
-            Trouble::Driver => CapsuleFault::DriverFault,
-            Trouble::OverCurrent { current_ma } => CapsuleFault::OverCurrent { current_ma },
-            Trouble::LowBattery { battery_mv } => CapsuleFault::LowBattery { battery_mv },
-            Trouble::Blocked => CapsuleFault::Jam {
-                thread_um: self.thread().0,
-            },
-            Trouble::EncoderLost => CapsuleFault::EncoderLost,
-        };
-        self.fail(now_us, fault, actions);
+        actuation.leg = next;
+        actuation.detector = Detector::new(next.spooling(), from_us);
+        actuation.from_slack = false;
+        Ok(())
     }
 
     fn stop(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {
-        if !self.is_moving() {
-            return;
+        if self.is_moving() {
+            let mode = self.resting_between_ends();
+            self.end(now_us, mode, outcome, actions);
         }
-        // A reference run that has found its zero and was paying out knows where it is.
-        let mode = if self.referenced {
+    }
+
+    /// At rest with the thread anywhere. A reference run stopped after it found the zero knows its position.
+    fn resting_between_ends(&self) -> Mode {
+        if self.referenced {
             Mode::Stopped
         } else {
             Mode::Unreferenced
-        };
-        self.end(now_us, mode, outcome, actions);
+        }
     }
 
     /// Ends the motion, if there is one, and latches the fault.
@@ -608,7 +445,7 @@ impl Capsule {
         if latched == Some(fault)
             || matches!(latched, Some(CapsuleFault::Watchdog | CapsuleFault::Panic))
         {
-            return; // the failure of the last start must be acknowledged as what it is
+            return; // what ended the firmware's last run must be acknowledged under its own name
         }
         let keeps_position = matches!(
             fault,
@@ -624,15 +461,14 @@ impl Capsule {
     }
 
     fn end(&mut self, now_us: u64, mode: Mode, outcome: ActuationOutcome, actions: &mut Actions) {
-        // Nothing to brake if the motor was never switched on.
+        // Without drive there is nothing to brake.
         if matches!(self.drive, Drive::Millivolts(_)) {
             self.brake_until_us = now_us.saturating_add(BRAKE_US);
         }
         self.mode = mode;
-        self.record.outcome = outcome;
-        self.record.thread_um = self.thread().0;
+        self.recorder.end(outcome, self.thread());
         actions.emit(CapsuleEvent::Ended {
-            actuation: self.record.actuation,
+            actuation: self.record().actuation,
             outcome,
         });
     }
@@ -640,21 +476,28 @@ impl Capsule {
     fn wanted_drive(&self, now_us: u64) -> Drive {
         match &self.mode {
             Mode::Moving(actuation) if now_us >= actuation.detector.from_us() => {
-                let wanted_mv = match actuation.leg {
-                    Leg::Seek { .. } | Leg::BackOff { .. } => GENTLE_MV,
-                    Leg::Wind if self.thread() < GENTLE_FROM => FAST_MV,
-                    Leg::Wind => GENTLE_MV,
-                    Leg::PayOut => FAST_MV,
-                };
+                let wanted_mv = actuation.leg.drive_mv(self.thread());
                 // At most 3700: fits.
                 let millivolts = wanted_mv.min(self.sample.battery_mv) as i16;
-                Drive::Millivolts(match actuation.leg.direction() {
-                    Direction::Wind => millivolts,
-                    Direction::PayOut => -millivolts,
+                Drive::Millivolts(match actuation.leg.spooling() {
+                    Spooling::Wind => millivolts,
+                    Spooling::PayOut => -millivolts,
                 })
             }
             _ if now_us < self.brake_until_us => Drive::Brake,
             _ => Drive::Off,
         }
+    }
+}
+
+fn fault_of(trip: Trip, thread: Thread) -> CapsuleFault {
+    match trip {
+        Trip::Driver => CapsuleFault::DriverFault,
+        Trip::OverCurrent { current_ma } => CapsuleFault::OverCurrent { current_ma },
+        Trip::LowBattery { battery_mv } => CapsuleFault::LowBattery { battery_mv },
+        Trip::Blocked => CapsuleFault::Jam {
+            thread_um: thread.0,
+        },
+        Trip::EncoderLost => CapsuleFault::EncoderLost,
     }
 }

@@ -7,4 +7,6 @@ pub mod commands;
 pub mod control;
 pub mod detect;
 pub mod fold;
+pub mod leg;
 pub mod mechanics;
+mod record;

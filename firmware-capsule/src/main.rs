@@ -36,12 +36,12 @@ mod start {
         let (transmitter, receiver) = board.serial;
 
         let motor_spawner = MOTOR_EXECUTOR.start(interrupt::SPI5);
-        motor_spawner.spawn(defmt::unwrap!(tasks::motor(board.drive_train)));
-        spawner.spawn(defmt::unwrap!(tasks::control(board.sectors, left, cause)));
-        spawner.spawn(defmt::unwrap!(tasks::transmit(transmitter)));
-        spawner.spawn(defmt::unwrap!(tasks::receive(receiver, identity)));
-        spawner.spawn(defmt::unwrap!(tasks::telemetry()));
-        spawner.spawn(defmt::unwrap!(tasks::watchdog(board.watchdog)));
+        motor_spawner.spawn(tasks::motor(board.drive_train).unwrap());
+        spawner.spawn(tasks::control(left, cause).unwrap());
+        spawner.spawn(tasks::transmit(transmitter).unwrap());
+        spawner.spawn(tasks::receive(receiver, identity).unwrap());
+        spawner.spawn(tasks::telemetry().unwrap());
+        spawner.spawn(tasks::watchdog(board.watchdog).unwrap());
     }
 }
 

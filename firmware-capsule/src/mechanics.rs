@@ -1,41 +1,41 @@
-//! The drive train in numbers: encoder, gears, spool, thread, and what a force is as a current.
+//! The drive train in numbers: encoder, gears, spool, thread, and forces as motor currents.
 //!
 //! Model motor 0816K003SR: 5.4 ohm, 2.11 mNm/A, no-load current 16 mA. Planetary gear 4:1 (efficiency 0.8), worm
-//! 30:1 (0.315 winding; self-locking), spool radius 1.5 mm. A thread force F therefore costs, above no-load,
-//! `F * 1.5 mm / (120 * 0.8 * 0.315) / 2.11 mNm/A` = 23.5 mA per newton.
+//! 30:1 (efficiency 0.315 when winding; self-locking), spool radius 1.5 mm. Above the no-load current a thread force F
+//! thus takes `F * 1.5 mm / (120 * 0.8 * 0.315) / 2.11 mNm/A`, which is 23.5 mA per newton.
 
-/// Encoder counts, 16 lines times four edges per motor revolution; positive winds the thread up.
+/// Encoder counts: 16 lines of four edges per motor revolution. Positive winds the thread up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Counts(pub i32);
 
-/// Length of thread in um; 0 is the paid-out end, positive is wound up.
+/// Thread on the spool, um. 0 is the paid-out end, positive is wound up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Thread(pub i32);
 
 /// One count is `2 pi * 1500 um / (4 * 30 * 64)` of thread. With pi = 355/113 (8e-8 off) that is 8875/7232 um.
 const THREAD_NUMERATOR: i64 = 8875;
-/// See [`THREAD_NUMERATOR`].
+/// Denominator of the same fraction.
 const THREAD_DENOMINATOR: i64 = 7232;
 
 impl Counts {
-    /// Counts from `origin` to here; right also where the 32-bit counter wraps.
+    /// Counts from `origin` to here, also across a wrap of the 32-bit counter.
     pub const fn since(self, origin: Counts) -> Counts {
         Counts(self.0.wrapping_sub(origin.0))
     }
 
-    /// The count that lies `distance` before this one; wraps as the counter does.
+    /// The count `distance` before this one. Wraps as the counter does.
     pub const fn back(self, distance: Counts) -> Counts {
         Counts(self.0.wrapping_sub(distance.0))
     }
 
-    /// As a length of thread, rounded to the nearest um. Saturates: the whole counter range is 2.6 km of thread.
+    /// Length of thread, rounded to the nearest um. Saturates: half the counter's range is 2.6 km of thread.
     pub const fn thread(self) -> Thread {
         Thread(rescale(self.0, THREAD_NUMERATOR, THREAD_DENOMINATOR))
     }
 }
 
 impl Thread {
-    /// As encoder counts, rounded to the nearest count.
+    /// Encoder counts, rounded to the nearest count.
     pub const fn counts(self) -> Counts {
         Counts(rescale(self.0, THREAD_DENOMINATOR, THREAD_NUMERATOR))
     }
@@ -62,65 +62,105 @@ const fn rescale(value: i32, numerator: i64, denominator: i64) -> i32 {
 /// Winding resistance of the motor.
 pub const MOTOR_MILLIOHM: u32 = 5_400;
 
-/// No-load current from the data sheet; replaced by a measurement in the first fold.
+/// No-load current from the data sheet. The first fold from a slack thread replaces it with a measurement.
 pub const NO_LOAD_MA: u16 = 16;
 
-/// Slack of the paid-out thread before it pulls on the origami.
+/// Slack of the paid-out thread: this much is wound before the origami feels it.
 pub const SLACK: Thread = Thread(1_000);
 
-/// Where the thread stands when the force says "folded": 20.7 mm of travel at 6.1 N by the beam estimate, plus the
-/// slack, less 0.2 mm. The 0.2 mm put the zero inside the slack, so that an error of the estimate does not pay
-/// thread out past the end of the slack.
+/// Thread on the spool at the end force: 20.7 mm of travel at 6.1 N by the beam estimate, plus the slack, less
+/// 0.2 mm. The 0.2 mm put the zero inside the slack, so that a small error of the estimate does not pay out more
+/// thread than the slack has.
 pub const FOLDED: Thread = Thread(20_700 + SLACK.0 - 200);
 
-/// Force counts as "folded" only from here on; earlier it is an obstacle.
+/// From here on the end force means folded. Before, it is an obstacle.
 pub const END_WINDOW: Thread = Thread(20_000);
 
-/// Longest travel of the origami (its wall at the core), plus slack: the thread is never wound past this.
+/// The thread is never wound past this: longest travel of the origami (its wall meets the core), plus the slack.
 pub const SOFT_MAXIMUM: Thread = Thread(23_500 + SLACK.0);
 
-/// Longest way to the folded end from an unknown position: the soft maximum, and 4 mm that an interrupted motion
-/// may have paid out too much.
+/// Longest way to the folded end from an unknown position: the soft maximum, plus 4 mm that an interrupted back-off
+/// may have paid out too far.
 pub const SEEK_LIMIT: Thread = Thread(SOFT_MAXIMUM.0 + 4_000);
 
-/// How far a reference run pays out before its second try.
+/// How far a reference run backs off before its second try.
 pub const BACK_OFF: Thread = Thread(4_000);
 
-/// Force at the end of a fold: 160 mA is 6.1 N.
+/// Current at the end force, 6.1 N.
 pub const FORCE_MA: u16 = 160;
 
-/// Start of the rise that tells an origami from an obstacle: 87 mA is 3 N.
-pub const FIRM_MA: u16 = 87;
+/// Current at 3 N: start of the rise that tells an origami from an obstacle.
+pub const RISE_START_MA: u16 = 87;
 
-/// Thread between [`FIRM_MA`] and [`FORCE_MA`]. The origami needs 1.6 mm; half or twice the assumed stiffness
-/// still gives 1.2 to 1.9 mm. A stop or a caught thread needs almost none.
+/// Least thread wound between [`RISE_START_MA`] and [`FORCE_MA`] if it is the origami that pulls. The origami takes
+/// 1.6 mm, with half or twice the assumed stiffness still 1.2 to 1.9 mm; a hard stop or a caught thread takes almost
+/// none.
 pub const LEAST_RISE: Thread = Thread(500);
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// Thread per count: the spool's circumference over gears and encoder edges.
+    const UM_PER_COUNT: f64 = 2.0 * core::f64::consts::PI * 1_500.0 / (4.0 * 30.0) / 64.0;
+
     #[test]
     fn a_motor_revolution_winds_the_spool_by_its_share() {
-        let exact = 2.0 * core::f64::consts::PI * 1500.0 / 120.0;
         assert_eq!(Counts(64).thread(), Thread(79)); // 78.54 um
-        assert!((f64::from(Counts(64_000).thread().0) / 1000.0 - exact).abs() < 1e-3);
         assert_eq!(Counts(-64).thread(), Thread(-79));
+        let exact_um = 64_000.0 * UM_PER_COUNT;
+        assert!((f64::from(Counts(64_000).thread().0) - exact_um).abs() < 1.0);
     }
 
     #[test]
-    fn lengths_and_counts_convert_there_and_back() {
-        for um in (-30_000..30_000).step_by(7) {
-            let again = Thread(um).counts().thread();
-            assert!((again.0 - um).abs() <= 1, "{um} became {again:?}");
+    fn lengths_and_counts_are_rounded_to_the_nearest() {
+        // Over the travel of the thread both ways; 355/113 for pi is 3 nm off there.
+        for value in -30_000..=30_000 {
+            let um = f64::from(value) * UM_PER_COUNT;
+            let error = f64::from(Counts(value).thread().0) - um;
+            assert!(error.abs() < 0.504, "{value} counts: {error} um");
+            let counts = f64::from(value) / UM_PER_COUNT;
+            let error = f64::from(Thread(value).counts().0) - counts;
+            assert!(error.abs() < 0.504, "{value} um: {error} counts");
         }
+    }
+
+    #[test]
+    fn the_ends_of_the_counter_saturate() {
         assert_eq!(Counts(i32::MIN).thread(), Thread(i32::MIN));
         assert_eq!(Counts(i32::MAX).thread(), Thread(i32::MAX));
+        // The counter covers more than any length in um.
+        assert_eq!(Thread(i32::MAX).counts(), Counts(1_749_926_956));
+        assert_eq!(Thread(i32::MIN).counts(), Counts(-1_749_926_957));
     }
 
     #[test]
     fn distances_survive_the_wrap_of_the_counter() {
         assert_eq!(Counts(i32::MIN + 4).since(Counts(i32::MAX - 5)), Counts(10));
         assert_eq!(Counts(i32::MIN + 4).back(Counts(10)), Counts(i32::MAX - 5));
+        assert_eq!(Counts(7).since(Counts(-3)), Counts(10));
+        assert_eq!(Counts(7).back(Counts(10)), Counts(-3));
+    }
+
+    /// Current above no-load at a thread force: spool, gears and motor as in the data sheets.
+    fn current_ma(newton: f64) -> f64 {
+        let torque_mnm = newton * 1.5 / (120.0 * 0.8 * 0.315);
+        f64::from(NO_LOAD_MA) + torque_mnm / 2.11 * 1e3
+    }
+
+    #[test]
+    fn currents_are_the_forces_they_stand_for() {
+        assert!((f64::from(FORCE_MA) - current_ma(6.1)).abs() < 1.0);
+        assert!((f64::from(RISE_START_MA) - current_ma(3.0)).abs() < 1.0);
+    }
+
+    #[test]
+    fn the_ends_of_the_travel_are_in_order() {
+        // 20.7 mm of travel, 1.0 mm of slack, 0.2 mm of reserve in the slack.
+        assert_eq!(FOLDED, Thread(21_500));
+        assert!(END_WINDOW < FOLDED && FOLDED < SOFT_MAXIMUM);
+        // The wall stops the origami at 23.5 mm.
+        assert_eq!(SOFT_MAXIMUM, Thread(24_500));
+        assert_eq!(SEEK_LIMIT.0 - SOFT_MAXIMUM.0, BACK_OFF.0);
     }
 }

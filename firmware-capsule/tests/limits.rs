@@ -1,23 +1,27 @@
-//! Whatever it is fed, the machine never drives past zero or the soft maximum, nor at rest or in a fault.
+//! Whatever the machine is fed, it never drives past zero or the soft maximum, at rest or in a fault. Every motion
+//! ends in its time, and is reported once when it starts and once when it ends.
 
 use firmware_capsule::{
     detect::Sample,
-    fold::{Capsule, Command, Drive, Event, FAST_MV},
+    fold::{Actions, BRAKE_US, Capsule, Command, Drive, Event},
+    leg::FAST_MV,
     mechanics::{BACK_OFF, Counts, SEEK_LIMIT, SOFT_MAXIMUM, Thread},
 };
 use proptest::prelude::*;
-use protocol::capsule::{CapsuleFault, CapsuleState};
+use protocol::capsule::{
+    ActuationKind, ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState,
+};
 
 #[derive(Clone, Debug)]
 enum Input {
-    /// Some milliseconds, each with this many counts in the drive's direction.
+    /// Some milliseconds with this many counts each in the drive's direction.
     Turn {
         ms: u16,
         counts_per_ms: i32,
         current_ma: u16,
         battery_mv: u16,
     },
-    /// The encoder says anything.
+    /// The encoder jumps by this.
     Leap(i32),
     Command(Command),
     Silence,
@@ -50,7 +54,7 @@ fn input() -> impl Strategy<Value = Input> {
     ]
 }
 
-struct Judge {
+struct Monitor {
     capsule: Capsule,
     now_us: u64,
     sample: Sample,
@@ -58,10 +62,20 @@ struct Judge {
     /// Where the motor last stopped winding.
     top: Counts,
     reached: [bool; 8],
+    /// Motions reported as started so far.
+    actuations: u32,
+    /// Kind of the motion reported as started and not yet as ended, and its start.
+    running: Option<(ActuationKind, u64)>,
 }
 
-impl Judge {
+impl Monitor {
     fn give(&mut self, event: Event) -> Result<(), TestCaseError> {
+        let actions = self.step(event)?;
+        self.check_reports(&actions)?;
+        self.check_drive(actions.drive)
+    }
+
+    fn step(&mut self, event: Event) -> Result<Actions, TestCaseError> {
         let before = self.capsule.state();
         let wound = matches!(self.capsule.drive(), Drive::Millivolts(1..));
         let actions = self.capsule.step(self.now_us, event);
@@ -74,7 +88,47 @@ impl Judge {
         if wound && !matches!(actions.drive, Drive::Millivolts(1..)) {
             self.top = self.sample.counts;
         }
-        let Drive::Millivolts(millivolts) = actions.drive else {
+        if actions.refusal.is_some() {
+            prop_assert_eq!(state, before, "a refusal changes nothing");
+            prop_assert!(actions.events.is_empty());
+        }
+        Ok(actions)
+    }
+
+    fn check_reports(&mut self, actions: &Actions) -> Result<(), TestCaseError> {
+        for event in &actions.events {
+            match *event {
+                CapsuleEvent::Started { actuation, kind } => {
+                    prop_assert_eq!(self.running, None);
+                    self.actuations += 1;
+                    prop_assert_eq!(actuation, self.actuations);
+                    self.running = Some((kind, self.now_us));
+                }
+                CapsuleEvent::Ended { actuation, outcome } => {
+                    prop_assert!(self.running.take().is_some(), "ended twice");
+                    prop_assert_eq!(actuation, self.actuations);
+                    prop_assert_eq!(outcome, self.capsule.record().outcome);
+                    prop_assert!(outcome != ActuationOutcome::Running);
+                }
+                CapsuleEvent::Faulted(fault) => {
+                    prop_assert_eq!(self.capsule.fault(), Some(fault));
+                }
+            }
+        }
+        prop_assert_eq!(self.running.is_some(), self.capsule.is_moving());
+        if let Some((kind, since_us)) = self.running {
+            // The deadline counts from the end of the brake before the motion and is not judged while a reversal brakes.
+            let limit_us = u64::from(Capsule::timeout_ms(kind)) * 1_000 + 2 * BRAKE_US;
+            let record = self.capsule.record();
+            prop_assert_eq!((record.kind, record.actuation), (kind, self.actuations));
+            prop_assert!(self.now_us - since_us < limit_us, "{:?} for too long", kind);
+        }
+        Ok(())
+    }
+
+    fn check_drive(&mut self, drive: Drive) -> Result<(), TestCaseError> {
+        let state = self.capsule.state();
+        let Drive::Millivolts(millivolts) = drive else {
             return Ok(());
         };
         prop_assert!(self.capsule.is_moving(), "drives in {:?}", state);
@@ -139,20 +193,22 @@ impl Judge {
     }
 }
 
-fn judge(fault: Option<CapsuleFault>, start: i32) -> Judge {
+fn monitor(fault: Option<CapsuleFault>, start: i32) -> Monitor {
     let sample = Sample {
         counts: Counts(start),
         current_ma: 0,
         battery_mv: 3_900,
         driver_fault: false,
     };
-    Judge {
+    Monitor {
         capsule: Capsule::new(fault),
         now_us: 0,
         sample,
         seek_from: Counts(start),
         top: Counts(start),
         reached: [false; 8],
+        actuations: 0,
+        running: None,
     }
 }
 
@@ -169,18 +225,18 @@ proptest! {
         panicked in any::<bool>(),
         inputs in prop::collection::vec(input(), 1..60),
     ) {
-        let mut judge = judge(panicked.then_some(CapsuleFault::Panic), start);
-        judge.give(Event::Sample(judge.sample))?;
+        let mut monitor = monitor(panicked.then_some(CapsuleFault::Panic), start);
+        monitor.give(Event::Sample(monitor.sample))?;
         for input in inputs {
-            judge.take(input)?;
+            monitor.take(input)?;
         }
     }
 }
 
-/// The property above would be empty if the sequences never got anywhere.
+/// The property above says nothing unless the sequences get somewhere.
 #[test]
 fn the_judge_sees_every_state() {
-    let mut judge = judge(None, 0);
+    let mut monitor = monitor(None, 0);
     let turn = |ms, current_ma| Input::Turn {
         ms,
         counts_per_ms: 20,
@@ -204,7 +260,7 @@ fn the_judge_sees_every_state() {
         Input::Command(Command::EStop),
     ];
     for input in script {
-        judge.take(input).expect("the limits hold");
+        monitor.take(input).expect("the limits hold");
     }
-    assert_eq!(judge.reached, [true; 8]);
+    assert_eq!(monitor.reached, [true; 8]);
 }

@@ -1,22 +1,24 @@
-//! Every state with every event: what happens next, and that nothing else does.
+//! Every state with every event: the next state, and nothing else.
 
 #[allow(dead_code)] // the scenarios use all of it
 mod plant;
 
+use device::common::About;
 use firmware_capsule::{
     commands::{self, Context, Effect},
     fold::{Capsule, Command, Drive, Event},
 };
-use plant::{Bench, Plant};
+use plant::{Plant, Simulation};
 use protocol::{
     capsule::{
-        CapsuleFault, CapsuleState, Fold, GetActuationRecord, GetCapsuleStatus, Reference, Unfold,
+        ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState, CapsuleStatus, Fold,
+        GetActuationRecord, GetCapsuleStatus, Reference, Unfold,
     },
     error::{Field, Refusal},
     events::EventRing,
     rig, settings,
-    system::{Acknowledge, GetEvents, GetLastWords, KeepAlive, SetTelemetry},
-    table::{Reply, Request, Response, Served, TABLE},
+    system::{Acknowledge, GetEvents, GetLastWords, KeepAlive, SetTelemetry, Urgent},
+    table::{Changes, Reply, Request, Response},
 };
 
 const STATES: [CapsuleState; 8] = [
@@ -30,32 +32,32 @@ const STATES: [CapsuleState; 8] = [
     CapsuleState::Faulted,
 ];
 
-fn bench_in(state: CapsuleState) -> Bench {
-    let mut bench = match state {
-        CapsuleState::Unreferenced | CapsuleState::Referencing => Bench::new(Plant::at(0.4)),
-        _ => Bench::referenced(),
+fn sim_in(state: CapsuleState) -> Simulation {
+    let mut sim = match state {
+        CapsuleState::Unreferenced | CapsuleState::Referencing => Simulation::new(Plant::at(0.4)),
+        _ => Simulation::referenced(),
     };
     match state {
         CapsuleState::Unreferenced | CapsuleState::Unfolded => {}
-        CapsuleState::Referencing => bench.run_past(Command::Reference, 10.0),
-        CapsuleState::Folding => bench.run_past(Command::Fold, 10.0),
-        CapsuleState::Folded => bench.run(Command::Fold),
+        CapsuleState::Referencing => sim.run_past(Command::Reference, 10.0),
+        CapsuleState::Folding => sim.run_past(Command::Fold, 10.0),
+        CapsuleState::Folded => sim.run(Command::Fold),
         CapsuleState::Unfolding => {
-            bench.run(Command::Fold);
-            bench.run_past(Command::Unfold, 10.0);
+            sim.run(Command::Fold);
+            sim.run_past(Command::Unfold, 10.0);
         }
         CapsuleState::Stopped => {
-            bench.run_past(Command::Fold, 10.0);
-            bench.order(Command::Stop);
-            bench.settle();
+            sim.run_past(Command::Fold, 10.0);
+            sim.order(Command::Stop);
+            sim.settle();
         }
         CapsuleState::Faulted => {
-            bench.order(Command::EStop);
-            bench.tick();
+            sim.order(Command::EStop);
+            sim.tick();
         }
     }
-    assert_eq!(bench.capsule.state(), state);
-    bench
+    assert_eq!(sim.capsule.state(), state);
+    sim
 }
 
 /// The state after the event, or the refusal.
@@ -91,9 +93,9 @@ fn expected(state: CapsuleState, event: Event) -> Result<CapsuleState, Refusal> 
 #[test]
 fn every_state_with_every_event() {
     for state in STATES {
-        let bench = bench_in(state);
+        let sim = sim_in(state);
         let events = [
-            Event::Sample(*bench.capsule.sample()),
+            Event::Sample(*sim.capsule.sample()),
             Event::LinkSilent,
             Event::Command(Command::Reference),
             Event::Command(Command::Fold),
@@ -103,8 +105,8 @@ fn every_state_with_every_event() {
             Event::Command(Command::Acknowledge),
         ];
         for event in events {
-            let mut capsule = bench.capsule.clone();
-            let actions = capsule.step(bench.now_us, event);
+            let mut capsule = sim.capsule.clone();
+            let actions = capsule.step(sim.now_us, event);
             match expected(state, event) {
                 Ok(next) => {
                     assert_eq!(actions.refusal, None, "{state:?} {event:?}");
@@ -123,24 +125,55 @@ fn every_state_with_every_event() {
 }
 
 #[test]
+fn an_urgent_stop_acts_at_once_in_every_state() {
+    for state in STATES {
+        let sim = sim_in(state);
+        let moving = sim.capsule.is_moving();
+        for urgent in [Urgent::Stop, Urgent::EStop] {
+            let command = match urgent {
+                Urgent::Stop => Command::Stop,
+                Urgent::EStop => Command::EStop,
+            };
+            let mut capsule = sim.capsule.clone();
+            let actions = commands::urgent(urgent, &mut capsule, sim.now_us);
+            let next = expected(state, Event::Command(command)).expect("never refused");
+            assert_eq!(actions.refusal, None);
+            assert_eq!(capsule.state(), next, "{state:?} {urgent:?}");
+            let drive = if moving { Drive::Brake } else { Drive::Off };
+            assert_eq!(actions.drive, drive, "{state:?} {urgent:?}");
+            let ended = CapsuleEvent::Ended {
+                actuation: capsule.record().actuation,
+                outcome: capsule.record().outcome,
+            };
+            assert_eq!(actions.events.contains(&ended), moving);
+            let fault = (urgent == Urgent::EStop).then_some(CapsuleFault::EStopFrame);
+            if let Some(fault) = fault {
+                assert_eq!(capsule.fault(), Some(fault));
+                let outcome = ActuationOutcome::Faulted(fault);
+                assert!(!moving || capsule.record().outcome == outcome);
+            } else if moving {
+                assert_eq!(capsule.record().outcome, ActuationOutcome::Stopped);
+            }
+            assert!(fault.is_none() || !capsule.referenced());
+        }
+    }
+}
+
+#[test]
 fn after_a_failed_start_nothing_moves_until_acknowledged() {
     for fault in [CapsuleFault::Watchdog, CapsuleFault::Panic] {
-        let mut bench = Bench::new(Plant::at(0.4));
-        bench.capsule = Capsule::new(Some(fault));
-        bench.tick();
+        let mut sim = Simulation::new(Plant::at(0.4));
+        sim.capsule = Capsule::new(Some(fault));
+        sim.tick();
         for command in [Command::Reference, Command::Fold, Command::Unfold] {
-            let refusal = bench.give(Event::Command(command)).refusal;
+            let refusal = sim.give(Event::Command(command)).refusal;
             assert_eq!(refusal, Some(Refusal::AcknowledgeFirst));
         }
-        bench.order(Command::EStop);
-        assert_eq!(
-            bench.capsule.fault(),
-            Some(fault),
-            "the first cause is kept"
-        );
-        bench.order(Command::Acknowledge);
-        bench.run(Command::Reference);
-        assert_eq!(bench.capsule.state(), CapsuleState::Unfolded);
+        sim.order(Command::EStop);
+        assert_eq!(sim.capsule.fault(), Some(fault), "the first cause is kept");
+        sim.order(Command::Acknowledge);
+        sim.run(Command::Reference);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
     }
 }
 
@@ -154,15 +187,37 @@ fn nothing_starts_before_the_battery_was_measured() {
     ));
 }
 
-fn reply(bench: &mut Bench, request: Request) -> (Reply, Effect) {
+fn reply(sim: &mut Simulation, request: Request) -> (Reply, Effect) {
     let ring = EventRing::new();
     let context = Context {
-        now_us: bench.now_us,
-        ring: &ring,
-        last_words: "it ended badly",
+        now_us: sim.now_us,
+        about: About {
+            events: &ring,
+            last_words: "it ended badly",
+        },
     };
-    let executed = commands::execute(request, &mut bench.capsule, &context);
+    let executed = commands::execute(request, &mut sim.capsule, &context);
     (executed.reply, executed.effect)
+}
+
+fn is_for_the_rig(request: &Request) -> bool {
+    matches!(
+        request,
+        Request::GetRigStatus(_)
+            | Request::Home(_)
+            | Request::Run(_)
+            | Request::GetRunRecord(_)
+            | Request::Hold(_)
+            | Request::Resume(_)
+            | Request::Jog(_)
+            | Request::MoveTo(_)
+            | Request::GetSetting(_)
+            | Request::SetSetting(_)
+            | Request::FactoryReset(_)
+            | Request::GetName(_)
+            | Request::SetName(_)
+            | Request::GetRigHealth(_)
+    )
 }
 
 #[test]
@@ -188,7 +243,7 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
             speed_um_s: 1,
         }),
         Request::Jog(rig::Jog {
-            sense: rig::Sense::Away,
+            sense: rig::Direction::Away,
             speed_um_s: 1,
         }),
         Request::GetSetting(settings::GetSetting {
@@ -206,36 +261,36 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
         Request::GetRigHealth(rig::GetRigHealth),
     ];
     // Hello belongs to the session; Run differs from the other rig rows in its body only.
-    assert_eq!(requests.len() + 2, TABLE.len());
+    assert_eq!(requests.len() + 2, Request::NAMES.len());
     for state in STATES {
-        let mut bench = bench_in(state);
-        let before = bench.capsule.clone();
+        let mut sim = sim_in(state);
+        let before = sim.capsule.clone();
         for request in requests.clone() {
-            bench.capsule = before.clone();
-            let row = request.row();
-            match reply(&mut bench, request.clone()).0 {
+            sim.capsule = before.clone();
+            let name = request.name();
+            let (answer, effect) = reply(&mut sim, request.clone());
+            match answer {
                 Reply::Accepted(response) => {
                     let named = format!("{response:?}");
-                    assert!(named.starts_with(row.name), "{} got {named}", row.name);
-                    assert_ne!(row.served, Served::Rig);
-                    assert!(state != CapsuleState::Faulted || row.while_faulted);
+                    assert!(named.starts_with(name), "{name} got {named}");
+                    assert!(!is_for_the_rig(&request));
+                    let starts = sim.capsule.is_moving() && !before.is_moving();
+                    assert!(state != CapsuleState::Faulted || !starts);
+                    let changes = match effect {
+                        Effect::Acknowledged => Changes::Fault,
+                        _ if starts => Changes::Motion,
+                        _ => Changes::Nothing,
+                    };
+                    assert_eq!(request.changes(), changes, "{name}");
                 }
                 Reply::Refused(refusal) => {
                     assert_eq!(
                         refusal == Refusal::WrongDevice,
-                        row.served == Served::Rig,
-                        "{}",
-                        row.name
+                        is_for_the_rig(&request),
+                        "{name}"
                     );
-                    let query = row.served != Served::Rig
-                        && !matches!(
-                            request,
-                            Request::Reference(_)
-                                | Request::Fold(_)
-                                | Request::Unfold(_)
-                                | Request::Acknowledge(_)
-                        );
-                    assert!(!query, "{} refused in {state:?}", row.name);
+                    let query = request.changes() == Changes::Nothing && !is_for_the_rig(&request);
+                    assert!(!query, "{name} refused in {state:?}");
                 }
                 other => panic!("{other:?}"),
             }
@@ -244,22 +299,122 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
 }
 
 #[test]
+fn only_an_accepted_acknowledge_is_recorded_as_such() {
+    for state in STATES {
+        let sim = sim_in(state);
+        let requests = [
+            Request::Reference(Reference),
+            Request::Fold(Fold),
+            Request::Unfold(Unfold),
+            Request::Acknowledge(Acknowledge),
+            Request::KeepAlive(KeepAlive),
+        ];
+        for request in requests {
+            let mut sim = Simulation {
+                capsule: sim.capsule.clone(),
+                events: Vec::new(),
+                plant: Plant::at(0.0),
+                ..sim
+            };
+            let acknowledged =
+                state == CapsuleState::Faulted && matches!(request, Request::Acknowledge(_));
+            let effect = if acknowledged {
+                Effect::Acknowledged
+            } else {
+                Effect::None
+            };
+            assert_eq!(reply(&mut sim, request.clone()).1, effect, "{request:?}");
+        }
+    }
+}
+
+#[test]
+fn an_accepted_motion_tells_its_number_and_its_timeout() {
+    let cases = [
+        (CapsuleState::Unreferenced, Request::Reference(Reference), 1),
+        (CapsuleState::Unfolded, Request::Fold(Fold), 2),
+        (CapsuleState::Folded, Request::Unfold(Unfold), 3),
+    ];
+    for (state, request, number) in cases {
+        let mut sim = sim_in(state);
+        let (accepted, timeout_ms) = match reply(&mut sim, request).0 {
+            Reply::Accepted(Response::Reference(accepted)) => (accepted, 12_000),
+            Reply::Accepted(Response::Fold(accepted) | Response::Unfold(accepted)) => {
+                (accepted, 4_000)
+            }
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(
+            (accepted.actuation, accepted.timeout_ms),
+            (number, timeout_ms)
+        );
+        assert!(sim.capsule.is_moving());
+    }
+}
+
+fn status(sim: &mut Simulation) -> CapsuleStatus {
+    match reply(sim, Request::GetCapsuleStatus(GetCapsuleStatus)).0 {
+        Reply::Accepted(Response::GetCapsuleStatus(status)) => status,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn the_status_asks_for_an_acknowledge_after_a_watchdog_reset_or_a_panic_only() {
+    let cases = [
+        (Some(CapsuleFault::Watchdog), true),
+        (Some(CapsuleFault::Panic), true),
+        (Some(CapsuleFault::Timeout), false),
+        (Some(CapsuleFault::EStopFrame), false),
+        (None, false),
+    ];
+    for (fault, needs_acknowledge) in cases {
+        let mut sim = Simulation::new(Plant::at(0.4));
+        sim.capsule = Capsule::new(fault);
+        let status = status(&mut sim);
+        assert_eq!(status.fault, fault);
+        assert_eq!(status.needs_acknowledge, needs_acknowledge, "{fault:?}");
+    }
+}
+
+#[test]
 fn the_answers_say_what_they_should() {
-    let mut bench = bench_in(CapsuleState::Folding);
-    let Reply::Accepted(Response::GetCapsuleStatus(status)) =
-        reply(&mut bench, Request::GetCapsuleStatus(GetCapsuleStatus)).0
-    else {
-        panic!("no status")
-    };
+    let mut sim = sim_in(CapsuleState::Folding);
+    let status = status(&mut sim);
     assert_eq!(
         (status.state, status.referenced, status.actuation),
         (CapsuleState::Folding, true, 2)
     );
     assert!((9_500..10_200).contains(&status.thread_um), "{status:?}");
-    let telemetry = commands::telemetry(&bench.capsule, 77);
+    let sample = *sim.capsule.sample();
+    assert_eq!(status.time_us, sim.now_us);
+    assert_eq!(
+        (status.current_ma, status.battery_mv),
+        (sample.current_ma, sample.battery_mv)
+    );
+    let telemetry = commands::telemetry(&sim.capsule, 77);
     assert_eq!((telemetry.time_us, telemetry.drive_mv), (77, 3_700));
+    assert_eq!(telemetry.state, CapsuleState::Folding);
+    assert_eq!(telemetry.thread_um, status.thread_um);
+    assert_eq!(
+        (telemetry.current_ma, telemetry.battery_mv),
+        (sample.current_ma, sample.battery_mv)
+    );
+    let mut paying_out = sim_in(CapsuleState::Unfolding);
+    let drive_mv = |sim: &Simulation| commands::telemetry(&sim.capsule, 0).drive_mv;
+    assert_eq!(drive_mv(&paying_out), -3_700);
+    paying_out.order(Command::Stop);
+    assert_eq!(drive_mv(&paying_out), 0, "braked");
+    paying_out.settle();
+    assert_eq!(drive_mv(&paying_out), 0, "asleep");
 
-    let (words, _) = reply(&mut bench, Request::GetLastWords(GetLastWords));
+    let (record, _) = reply(&mut sim, Request::GetActuationRecord(GetActuationRecord));
+    assert_eq!(
+        record,
+        Reply::Accepted(Response::GetActuationRecord(*sim.capsule.record()))
+    );
+
+    let (words, _) = reply(&mut sim, Request::GetLastWords(GetLastWords));
     assert!(
         matches!(words, Reply::Accepted(Response::GetLastWords(words)) if words.text == "it ended badly")
     );
@@ -271,7 +426,7 @@ fn the_answers_say_what_they_should() {
         (1_001, false),
     ] {
         let request = Request::SetTelemetry(SetTelemetry { period_ms });
-        let (reply, effect) = reply(&mut bench, request);
+        let (reply, effect) = reply(&mut sim, request);
         if accepted {
             assert_eq!(effect, Effect::Telemetry { period_ms });
         } else {

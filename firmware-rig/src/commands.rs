@@ -12,7 +12,7 @@ use motion::{run::RunPlan, units::Micrometres};
 use protocol::{
     error::{Field, Refusal},
     rig::{self, LinkLossPolicy, RigFault, RigHealth, RigStatus, RunTiming},
-    settings::{MAX_NAME, Setting, SettingKey},
+    settings::{GetSetting, MAX_NAME, Name, Setting, SettingKey},
     system::Done,
     table::{Reply, Request, Response},
 };
@@ -26,6 +26,10 @@ pub struct Context<'a> {
     pub stroke: u32,
     /// What common requests are answered from.
     pub about: About<'a>,
+    /// Settings, value by value.
+    pub values: &'a Values,
+    /// The rig's name.
+    pub name: &'a str,
     /// Counters, when they are asked for.
     pub health: Option<RigHealth>,
 }
@@ -91,14 +95,14 @@ pub fn execute(request: Request, machine: &mut Machine, context: &Context<'_>) -
     }
 }
 
+#[inline(never)]
 fn respond(
     request: Request,
     machine: &mut Machine,
     context: &Context<'_>,
     actions: &mut Actions,
 ) -> Result<(Response, Effect), Refusal> {
-    if let Some(answer) = context.about.answer(&request) {
-        let response = answer?;
+    if let Some(response) = context.about.answer(&request)? {
         let effect = asked_telemetry_ms(&response)
             .map_or(Effect::None, |period_ms| Effect::Telemetry { period_ms });
         return Ok((response, effect));
@@ -166,9 +170,16 @@ fn respond(
                 stroke: planning::stroke(&profile, &settings.axis),
             })
         }
+        Request::GetSetting(GetSetting { key }) => Response::GetSetting(Setting {
+            key,
+            value: context.values.get(key),
+        }),
+        Request::GetName(_) => Response::GetName(Name {
+            name: context.name.try_into().unwrap_or_default(),
+        }),
         Request::SetSetting(setting) => {
             machine.may_change_settings()?;
-            let values = context.about.values.with(setting.key, setting.value)?;
+            let values = context.values.with(setting.key, setting.value)?;
             let key = setting.key;
             let settings =
                 Settings::new(&values).map_err(|rule| Refusal::SettingRule { key, rule })?;

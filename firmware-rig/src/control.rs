@@ -11,7 +11,6 @@ use crate::{
 use device::{
     common::About,
     last_words::LastWords,
-    outbox::Outbox,
     retained::{EStop, Left},
     service::Inbound,
     settings::{SettingsStore, Values},
@@ -24,10 +23,10 @@ use motion::{
 };
 use protocol::{
     error::Refusal,
-    frame::Encoded,
+    events::EventRing,
     rig::{RigEvent, RigFault, RigHealth, RigState},
     settings::SettingKey,
-    system::{ResetCause, Urgent, What},
+    system::{self, ResetCause, Urgent, What},
     table::{Reply, Request},
 };
 
@@ -46,8 +45,6 @@ pub trait Rig {
     fn stroke(&self) -> u32;
     /// How long the host has been silent.
     fn silence_us(&self) -> u32;
-    /// Session for frames that nobody asked for; 0 = nobody listens.
-    fn session(&self) -> u8;
     /// Counters of line, switches and stack; the others are control's.
     fn health(&self) -> RigHealth;
     /// Executes a path.
@@ -64,8 +61,8 @@ pub trait Rig {
     fn set_switch_filter(&mut self, filter_us: u32);
     /// Keeps an E-stop over a reset, or forgets it.
     fn keep_latched(&mut self, estop: Option<EStop>);
-    /// Something happened: logs it and sends its frame, if there is one and the line is free.
-    fn tell(&mut self, what: &What, frame: Option<Encoded>);
+    /// Logs an event, and sends it to whoever listens.
+    fn tell(&mut self, event: &system::Event);
 }
 
 /// What telemetry and the LED show of the state machine.
@@ -93,7 +90,7 @@ pub struct Control<R: Rig, F: NorFlash> {
     rig: R,
     machine: Machine,
     settings: SettingsStore<F>,
-    outbox: Outbox,
+    events: EventRing,
     last_words: LastWords,
     image_hash: u32,
     underruns: u32,
@@ -120,7 +117,7 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
             rig,
             machine: Machine::new(settings, fault, image_hash),
             settings: store,
-            outbox: Outbox::new(),
+            events: EventRing::new(),
             last_words: left.last_words.unwrap_or_default(),
             image_hash,
             underruns: 0,
@@ -174,6 +171,7 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
     }
 
     /// Answers a question of the link.
+    #[inline(never)]
     pub fn answer(&mut self, inbound: Inbound) -> Reply {
         match inbound {
             Inbound::Request(request) => self.request(request),
@@ -187,17 +185,17 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
         }
     }
 
+    #[inline(never)]
     fn request(&mut self, request: Request) -> Reply {
         let context = Context {
             now: self.rig.now(),
             stroke: self.rig.stroke(),
             about: About {
-                outbox: &self.outbox,
+                events: &self.events,
                 last_words: &self.last_words,
-                values: self.settings.values(),
-                keys: &SettingKey::ALL,
-                name: self.settings.name(),
             },
+            values: self.settings.values(),
+            name: self.settings.name(),
             health: matches!(request, Request::GetRigHealth(_)).then(|| self.health()),
         };
         let executed = execute(request, &mut self.machine, &context);
@@ -326,8 +324,7 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
     }
 
     fn emit(&mut self, what: What) {
-        let (now, session) = (self.rig.now(), self.rig.session());
-        let frame = self.outbox.record(now.time_us, what, session);
-        self.rig.tell(&what, frame);
+        let event = self.events.record(self.rig.now().time_us, what);
+        self.rig.tell(&event);
     }
 }

@@ -38,12 +38,12 @@ mod start {
         let (transmitter, receiver) = board.serial;
 
         let motion_spawner = MOTION_EXECUTOR.start(interrupt::SPI5);
-        motion_spawner.spawn(defmt::unwrap!(tasks::motion(StepGenerator::new())));
-        spawner.spawn(defmt::unwrap!(tasks::control(board.sectors, left, cause)));
-        spawner.spawn(defmt::unwrap!(tasks::transmit(transmitter)));
-        spawner.spawn(defmt::unwrap!(tasks::receive(receiver, identity)));
-        spawner.spawn(defmt::unwrap!(tasks::telemetry()));
-        spawner.spawn(defmt::unwrap!(tasks::watchdog(board.watchdog, board.led)));
+        motion_spawner.spawn(tasks::motion(StepGenerator::new()).unwrap());
+        spawner.spawn(tasks::control(board.sectors, left, cause).unwrap());
+        spawner.spawn(tasks::transmit(transmitter).unwrap());
+        spawner.spawn(tasks::receive(receiver, identity).unwrap());
+        spawner.spawn(tasks::telemetry().unwrap());
+        spawner.spawn(tasks::watchdog(board.watchdog, board.led).unwrap());
     }
 }
 

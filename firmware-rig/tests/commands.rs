@@ -16,11 +16,11 @@ use protocol::{
     error::{Field, Refusal},
     rig::{
         self, Glitches, HomeAccepted, LinkLossPolicy, MoveAccepted, RigFault, RigHealth, RigState,
-        RigStatus, Run, RunAccepted, RunOutcome, RunTiming, Sense, Stroke,
+        RigStatus, Run, RunAccepted, RunOutcome, RunTiming, Stroke,
     },
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{self, Done, Hello, LastWords, ResetCause, SetTelemetry, What},
-    table::{Reply, Request, Response, Served, TABLE},
+    table::{Changes, Reply, Request, Response},
 };
 
 const SETTINGS: Settings = Settings::REFERENCE;
@@ -155,7 +155,7 @@ const STATES: [RigState; 8] = [
 ];
 
 const JOG: rig::Jog = rig::Jog {
-    sense: Sense::Away,
+    sense: rig::Direction::Away,
     speed_um_s: 1_000,
 };
 
@@ -210,10 +210,25 @@ fn requests() -> Vec<Request> {
         Request::SetName(name("right bench")),
         Request::GetRigHealth(rig::GetRigHealth),
     ];
-    let names: Vec<_> = requests.iter().map(|request| request.row().name).collect();
-    let table: Vec<_> = TABLE.iter().map(|row| row.name).collect();
-    assert_eq!(names, table);
+    let names: Vec<_> = requests.iter().map(|request| request.name()).collect();
+    assert_eq!(names, Request::NAMES);
     requests
+}
+
+fn is_for_the_capsule(request: &Request) -> bool {
+    matches!(
+        request,
+        Request::GetCapsuleStatus(_)
+            | Request::Reference(_)
+            | Request::Fold(_)
+            | Request::Unfold(_)
+            | Request::GetActuationRecord(_)
+    )
+}
+
+/// By the protocol's table.
+fn moves(request: &Request) -> bool {
+    matches!(request.changes(), Changes::Motion | Changes::Pace)
 }
 
 /// What refuses a request in a state; none: nothing does.
@@ -223,11 +238,9 @@ fn refused_in(request: &Request, state: RigState) -> Option<Refusal> {
     match request {
         // The session answers it, and never passes it on.
         Request::Hello(_) => Some(Refusal::WrongDevice),
-        _ if request.row().served == Served::Capsule => Some(Refusal::WrongDevice),
+        _ if is_for_the_capsule(request) => Some(Refusal::WrongDevice),
         Request::Acknowledge(_) => (!faulted).then_some(Refusal::NothingToAcknowledge),
-        _ if faulted && !request.row().while_faulted => {
-            Some(Refusal::RigFaulted(RigFault::EStopLoop))
-        }
+        _ if faulted && moves(request) => Some(Refusal::RigFaulted(RigFault::EStopLoop)),
         Request::Hold(_) => (state != RigState::Running).then_some(Refusal::NothingToHold),
         Request::Resume(_) => (state != RigState::Held).then_some(Refusal::NothingToResume),
         // It renews the one that is going on.
@@ -262,16 +275,15 @@ fn expected_effect(request: &Request) -> Effect {
 #[test]
 fn every_row_in_every_state() {
     for request in requests() {
-        let row = request.row();
         for state in STATES {
             let mut rig = rig_in(state);
             if let Some(expected) = refused_in(&request, state) {
                 assert_eq!(refusal(&mut rig, request.clone()), expected, "{state:?}");
                 assert!(
                     state != RigState::Faulted
-                        || !row.while_faulted
-                        || row.name == "Hello"
-                        || row.served == Served::Capsule
+                        || moves(&request)
+                        || request.name() == "Hello"
+                        || is_for_the_capsule(&request)
                 );
                 continue;
             }
@@ -281,20 +293,21 @@ fn every_row_in_every_state() {
             };
             // The response of the same row.
             let name = format!("{response:?}");
-            assert!(name.starts_with(row.name), "{name}");
-            assert!(state != RigState::Faulted || row.while_faulted);
+            assert!(name.starts_with(request.name()), "{name}");
+            assert!(state != RigState::Faulted || !moves(&request));
             let renewed = state == RigState::Moving && matches!(request, Request::Jog(_));
-            let moves = matches!(
-                request,
-                Request::Home(_)
-                    | Request::Run(_)
-                    | Request::Hold(_)
-                    | Request::Resume(_)
-                    | Request::Jog(_)
-                    | Request::MoveTo(_)
-            );
-            assert_eq!(actions > 0, moves && !renewed);
+            assert_eq!(actions > 0, moves(&request) && !renewed);
             assert_eq!(effect, expected_effect(&request));
+            // What the protocol's table says that it changes.
+            let in_a_run = matches!(state, RigState::Running | RigState::Held);
+            let changes = match effect {
+                Effect::Acknowledged => Changes::Fault,
+                Effect::Store(_) => Changes::Flash,
+                _ if actions > 0 && in_a_run => Changes::Pace,
+                _ if actions > 0 || renewed => Changes::Motion,
+                _ => Changes::Nothing,
+            };
+            assert_eq!(request.changes(), changes);
         }
     }
 }
@@ -343,7 +356,7 @@ fn moves_and_jogs_out_of_range() {
     for speed_um_s in [0, 49_001, u32::MAX] {
         let expected = out_of_range(Field::SpeedUmS, speed_um_s.into(), 1, 49_000);
         assert_eq!(refusal(&mut rig, to(10_000, speed_um_s)), expected);
-        for sense in [Sense::Away, Sense::Home] {
+        for sense in [rig::Direction::Away, rig::Direction::Home] {
             let jog = Request::Jog(rig::Jog { sense, speed_um_s });
             assert_eq!(refusal(&mut rig, jog), expected);
         }
@@ -352,7 +365,7 @@ fn moves_and_jogs_out_of_range() {
     assert_eq!(refusal(&mut rig, to(0, 1_000)), Refusal::AlreadyThere);
     assert_eq!(refusal(&mut rig, to(1, 1_000)), Refusal::AlreadyThere);
     let home = Request::Jog(rig::Jog {
-        sense: Sense::Home,
+        sense: rig::Direction::Home,
         ..JOG
     });
     assert_eq!(refusal(&mut rig, home), Refusal::AlreadyThere);

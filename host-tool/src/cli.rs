@@ -1,5 +1,5 @@
-//! The command line tool: thin, over the library. [`run`] is the entry for this program and for others that bring
-//! their own [`Connector`].
+//! The command line tool, a thin layer over the library. A program that has a [`Connector`] of its own can call [`run`],
+//! too.
 
 pub mod args;
 pub mod failure;
@@ -23,7 +23,7 @@ use protocol::capsule::ActuationKind;
 use protocol::system::Urgent;
 use serde_json::Value;
 
-use crate::cli::args::{CapsuleCommand, Cli, Command};
+use crate::cli::args::{CapsuleSubcommand, Cli, Subcommand};
 use crate::cli::failure::{DONE, Failure, USAGE};
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
@@ -54,7 +54,7 @@ pub fn run_on(
 /// What a person types, line by line.
 pub type Keyboard = Box<dyn BufRead + Send>;
 
-/// As [`run_on`], and with a person at `keyboard` who can be asked and who holds and resumes a run.
+/// As [`run_on`], with a person at `keyboard` who answers questions and may hold and resume a run.
 pub fn run_at(
     args: impl IntoIterator<Item = OsString>,
     connector: &dyn Connector,
@@ -93,31 +93,31 @@ fn carry_out(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let finder = &Finder { cli, connector };
-    match &cli.command {
-        Command::Devices => machines::devices(finder, screen),
-        Command::Info(which) => machines::info(which, finder, screen),
-        Command::Home => machines::home(finder, screen),
-        Command::Run(args) => machines::run(args, finder, screen),
-        Command::Stop(which) => machines::stop(Urgent::Stop, which, finder, screen),
-        Command::Estop(which) => machines::stop(Urgent::EStop, which, finder, screen),
-        Command::Ack(which) => machines::acknowledge(which, finder, screen),
-        Command::Capsule {
-            command: CapsuleCommand::Reference(args),
+    match &cli.subcommand {
+        Subcommand::Devices => machines::devices(finder, screen),
+        Subcommand::Info(which) => machines::info(which, finder, screen),
+        Subcommand::Home => machines::home(finder, screen),
+        Subcommand::Run(args) => machines::run(args, finder, screen),
+        Subcommand::Stop(which) => machines::stop(Urgent::Stop, which, finder, screen),
+        Subcommand::Estop(which) => machines::stop(Urgent::EStop, which, finder, screen),
+        Subcommand::Ack(which) => machines::acknowledge(which, finder, screen),
+        Subcommand::Capsule {
+            subcommand: CapsuleSubcommand::Reference(args),
         } => machines::actuate(ActuationKind::Reference, args, finder, screen),
-        Command::Fold(args) => machines::actuate(ActuationKind::Fold, args, finder, screen),
-        Command::Unfold(args) => machines::actuate(ActuationKind::Unfold, args, finder, screen),
-        Command::Hold => motion::hold(finder, screen),
-        Command::Resume => motion::resume(finder, screen),
-        Command::Jog(args) => motion::jog(args, finder, screen),
-        Command::Move(args) => motion::move_to(args, finder, screen),
-        Command::Health => motion::health(finder, screen),
-        Command::Settings { command } => settings::settings(command, finder, screen),
-        Command::Plan(args) => offline::plan(args, screen),
-        Command::Design(args) => science::design(args, screen),
-        Command::Simulate(args) => science::simulate(args, screen),
-        Command::Report(args) => offline::report(args, screen),
-        Command::Flash(args) => flash::flash(args, screen),
-        Command::Completions { shell } => offline::completions(*shell, screen),
-        Command::Man => offline::man(screen),
+        Subcommand::Fold(args) => machines::actuate(ActuationKind::Fold, args, finder, screen),
+        Subcommand::Unfold(args) => machines::actuate(ActuationKind::Unfold, args, finder, screen),
+        Subcommand::Hold => motion::hold(finder, screen),
+        Subcommand::Resume => motion::resume(finder, screen),
+        Subcommand::Jog(args) => motion::jog(args, finder, screen),
+        Subcommand::Move(args) => motion::move_to(args, finder, screen),
+        Subcommand::Health => motion::health(finder, screen),
+        Subcommand::Settings { subcommand } => settings::settings(subcommand, finder, screen),
+        Subcommand::Plan(args) => offline::plan(args, screen),
+        Subcommand::Design(args) => science::design(args, screen),
+        Subcommand::Simulate(args) => science::simulate(args, screen),
+        Subcommand::Report(args) => offline::report(args, screen),
+        Subcommand::Flash(args) => flash::flash(args, screen),
+        Subcommand::Completions { shell } => offline::completions(*shell, screen),
+        Subcommand::Man => offline::man(screen),
     }
 }

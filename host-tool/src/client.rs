@@ -1,8 +1,8 @@
 //! The client of one machine: typed requests, events without gaps, telemetry, waiting, stopping.
 //!
-//! Retries, sequence numbers and the session are [`protocol::client::Client`]'s; the bytes and the clock are
-//! the [`Link`]'s. All times in here are on the link's clock, so that the same code runs in real and in virtual
-//! time. An urgent stop goes ahead of everything else.
+//! [`protocol::client::Client`] handles retries, sequence numbers and the session; the [`Link`] carries the bytes and
+//! has the clock. All times are on the link's clock, so that the same code runs in real and in virtual time. An urgent
+//! stop is sent ahead of everything else.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -18,38 +18,38 @@ use protocol::system::{
     Acknowledge, DeviceKind, Event, Events, GetEvents, GetLastWords, Identity, KeepAlive,
     SetTelemetry, Urgent, What,
 };
-use protocol::table::{Command, Request, Response, Retry, SCHEMA_KEY, Telemetry};
+use protocol::table::{Changes, Endpoint, Request, Response, SCHEMA_KEY, Telemetry};
 
 use crate::error::ClientError;
 use crate::link::Link;
 
-/// The host shows itself at least this often while it waits; a moving device stops after 1 s of silence.
+/// The longest time between two requests while waiting, us. A moving device stops after 1 s without one.
 pub const KEEP_ALIVE_US: u64 = 250_000;
 
-/// Between two looks at a move, us of link time.
+/// Interval between two requests for the status of a move, us.
 const POLL_US: u64 = 50_000;
 
-/// The longest wait for bytes before the [`Interrupt`] is asked again.
+/// The longest wait for bytes before the [`Interrupt`] is polled again, us.
 const SLICE_US: u64 = 20_000;
 
-/// How much later than announced an action may end before it is stopped as overdue.
+/// How much later than announced an action may end before it is stopped as overdue, us.
 const OVERDUE_US: u64 = 3_000_000;
 
-/// Asked at least every 20 ms of link time: what the operator wants stopped now. The answer is a level, not an
-/// edge: once an urgent stop was wanted it stays wanted, and may only grow into an emergency stop.
+/// Returns the stop that the operator wants; polled at least every 20 ms of link time. It is a level, not an edge: once
+/// it has returned a stop it keeps doing so, and may only escalate to an emergency stop.
 pub type Interrupt = Arc<dyn Fn() -> Option<Urgent> + Send + Sync>;
 
-/// What the operator may want of a run that goes on.
+/// What the operator may want during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
     /// Hold it.
     Hold,
-    /// Go on with it.
+    /// Resume it.
     Resume,
 }
 
-/// Asked at least every 20 ms of link time while something is waited for. Each answer is sent once; the device
-/// decides about it.
+/// Returns what the operator wants next; polled at least every 20 ms of link time while waiting. Each answer is sent
+/// once, and the device accepts or refuses it.
 pub type Pacer = Box<dyn FnMut() -> Option<Pace> + Send>;
 
 /// An action that was accepted and has begun.
@@ -65,47 +65,47 @@ pub enum Begun {
     Actuation(ActuationAccepted),
 }
 
-/// Where an action is.
+/// How far an action has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
     /// Homing.
     Homing {
-        /// Since the acceptance.
+        /// Since its acceptance, us.
         elapsed_us: u64,
-        /// It ends within this time, well or with a fault.
+        /// It ends within this time, us, successfully or with a fault.
         at_most_us: u64,
-        /// Position; means something only if the rig was homed before.
+        /// Position, um; meaningful only if the rig was homed before.
         position_um: i32,
     },
     /// A run.
     Run {
-        /// Of its own time: what it was held for is left out.
+        /// Into the run, us, without the time it was held.
         elapsed_us: u64,
-        /// Of the whole run.
+        /// Duration of the whole run, us.
         total_us: u64,
         /// Stroke in progress, from 0.
         stroke: u32,
         /// Strokes of the run.
         strokes: u32,
-        /// Position by the read-back counter.
+        /// Position by the read-back counter, um.
         position_um: i32,
-        /// It stands there, held.
+        /// It is held there.
         held: bool,
     },
     /// Referencing, folding or unfolding.
     Actuation {
-        /// Since the acceptance.
+        /// Since its acceptance, us.
         elapsed_us: u64,
-        /// It ends within this time, well or with a fault.
+        /// It ends within this time, us, successfully or with a fault.
         at_most_us: u64,
-        /// Thread wound up.
+        /// Thread wound up, um.
         thread_um: i32,
-        /// Motor current.
+        /// Motor current, mA.
         current_ma: u16,
     },
 }
 
-/// Sees what happens during a wait. Every method may be left out.
+/// Sees what happens during a wait. By default every method does nothing.
 pub trait Observer {
     /// An action has begun.
     fn begun(&mut self, begun: &Begun) {
@@ -115,21 +115,21 @@ pub trait Observer {
     fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
         let _ = (sample, missed);
     }
-    /// An event: in order, each once, fetched again where one was lost.
+    /// An event. Each comes once and in order; one that is lost on the link is fetched again.
     fn event(&mut self, event: &Event) {
         let _ = event;
     }
-    /// About four times a second.
+    /// Called about four times a second.
     fn progress(&mut self, progress: &Progress) {
         let _ = progress;
     }
-    /// The device refused what the [`Pacer`] wanted; what is waited for goes on.
+    /// The device refused what the [`Pacer`] wanted; the wait goes on.
     fn refused(&mut self, pace: Pace, refusal: &Refusal) {
         let _ = (pace, refusal);
     }
 }
 
-/// Two observers of the same action.
+/// Passes everything to two observers.
 pub struct Both<'a>(pub &'a mut dyn Observer, pub &'a mut dyn Observer);
 
 impl Observer for Both<'_> {
@@ -155,7 +155,7 @@ impl Observer for Both<'_> {
     }
 }
 
-/// Sees nothing.
+/// Ignores everything.
 #[derive(Clone, Copy, Debug)]
 pub struct Unobserved;
 impl Observer for Unobserved {}
@@ -163,28 +163,28 @@ impl Observer for Unobserved {}
 /// Result of homing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Homed {
-    /// Second pass against the first pass over the flag, steps.
+    /// Position of the flag in the second pass, relative to the first pass, steps.
     pub repeat_steps: i32,
-    /// Shift against the previous homing, steps; 0 if the position was not trusted before.
+    /// Shift of the reference since the previous homing, steps; 0 if the position was not trusted before.
     pub shift_steps: i32,
-    /// From the request's acceptance to its end.
+    /// From the acceptance of the request to the end, us.
     pub duration_us: u64,
 }
 
-/// How an action is getting on.
+/// State of an action that is waited for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Course {
-    Goes,
-    /// Held: its time stands still.
-    Stands,
-    /// It was held and takes so much longer than announced, us.
-    Longer(u64),
-    Over,
+enum ActionState {
+    Running,
+    /// Held: its time limit moves on.
+    Paused,
+    /// Running again after a hold, which makes it this much longer than announced, us.
+    Extended(u64),
+    Ended,
 }
 
-impl From<bool> for Course {
-    fn from(over: bool) -> Self {
-        if over { Self::Over } else { Self::Goes }
+impl From<bool> for ActionState {
+    fn from(ended: bool) -> Self {
+        if ended { Self::Ended } else { Self::Running }
     }
 }
 
@@ -202,21 +202,21 @@ pub struct Device {
     identity: Option<Identity>,
     interrupt: Option<Interrupt>,
     pacer: Option<Pacer>,
-    /// The strongest urgent stop asked for by the interrupt so far.
+    /// The strongest urgent stop that the interrupt has returned so far.
     interrupted: Option<Urgent>,
     urgent_pending: bool,
-    /// A command is pending that must not be sent again after a stop.
+    /// A command is pending that must not be repeated after a stop.
     commanding: bool,
-    /// Index of the next event to hand out.
+    /// Index of the next event to deliver.
     next_event: u32,
-    /// Events that came before their predecessors.
+    /// Events that arrived before an earlier one.
     early: BTreeMap<u32, Event>,
     events: VecDeque<Event>,
     lost_events: u32,
     telemetry: VecDeque<(u16, Telemetry)>,
 }
 
-/// Telemetry that nobody takes is forgotten, the oldest first.
+/// Samples that are kept until somebody takes them; beyond that the oldest are dropped.
 const TELEMETRY_INBOX: usize = 4_096;
 
 impl Device {
@@ -276,7 +276,7 @@ impl Device {
         self.identity = Some(identity);
         self.early.clear();
         if matches(&identity) {
-            // What happened before this session is not ours to report.
+            // Events from before this session are not reported.
             self.next_event = self.events(u32::MAX)?.next;
         }
         Ok(identity)
@@ -306,7 +306,7 @@ impl Device {
         Ok(())
     }
 
-    /// What the device said about itself; none before [`Device::hello`].
+    /// The device's answer to Hello; none before [`Device::hello`].
     #[must_use]
     pub fn identity(&self) -> Option<&Identity> {
         self.identity.as_ref()
@@ -324,29 +324,29 @@ impl Device {
         self.link.now_us()
     }
 
-    /// From now on `interrupt` is asked while waiting for bytes, and what it wants is sent ahead of everything.
+    /// Polls `interrupt` from now on and sends the stop it returns ahead of everything else.
     pub fn set_interrupt(&mut self, interrupt: Interrupt) {
         self.interrupt = Some(interrupt);
     }
 
-    /// From now on `pacer` is asked while something is waited for.
+    /// Polls `pacer` from now on while waiting for the end of an action.
     pub fn set_pacer(&mut self, pacer: Pacer) {
         self.pacer = Some(pacer);
     }
 
-    /// What the interrupt has asked for so far.
+    /// The strongest stop that the interrupt has returned so far.
     #[must_use]
     pub fn interrupted(&self) -> Option<Urgent> {
         self.interrupted
     }
 
-    /// Blocks of received bytes that were not good frames.
+    /// Number of received blocks of bytes that were not valid frames.
     #[must_use]
     pub fn rejected_frames(&self) -> u32 {
         self.client.rejected_frames()
     }
 
-    /// Events that had left the device's ring before they could be fetched again.
+    /// Number of events that the device had dropped before they could be fetched again.
     #[must_use]
     pub fn lost_events(&self) -> u32 {
         self.lost_events
@@ -358,17 +358,17 @@ impl Device {
     ///
     /// # Errors
     /// [`ClientError`]; [`ClientError::OutcomeUnknown`] if a command was sent and not answered.
-    pub fn call<C: Command>(&mut self, command: C) -> Result<C::Response, ClientError> {
-        let request = command.into_request();
-        let name = request.row().name;
+    pub fn call<E: Endpoint>(&mut self, request: E) -> Result<E::Response, ClientError> {
+        let request = request.into_request();
+        let name = request.name();
         let response = self.exchange(&request)?;
-        C::from_response(response).ok_or_else(|| ClientError::WrongResponse {
+        E::from_response(response).ok_or_else(|| ClientError::WrongResponse {
             place: self.place(),
             request: name,
         })
     }
 
-    /// Shows the host's presence.
+    /// Tells the device that the host is there.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -392,7 +392,7 @@ impl Device {
         self.call(SetTelemetry { period_ms }).map(|_| ())
     }
 
-    /// A piece of the device's ring of events, from an index on.
+    /// Some events from the device's ring, from index `from` on.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -400,7 +400,7 @@ impl Device {
         self.call(GetEvents { from })
     }
 
-    /// Clears a latched fault whose cause is gone. Moves nothing.
+    /// Clears a latched fault after its cause was removed. Moves nothing.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -416,7 +416,7 @@ impl Device {
         self.call(rig::GetRigStatus)
     }
 
-    /// Begins homing; [`Device::wait_homing`] sees its end.
+    /// Begins homing; [`Device::wait_homing`] waits for its end.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -424,7 +424,7 @@ impl Device {
         self.call(rig::Home)
     }
 
-    /// Begins a run; [`Device::wait_run`] sees its end. Nothing is checked here: the device is the authority.
+    /// Begins a run; [`Device::wait_run`] waits for its end. Nothing is checked here: the device decides.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -448,7 +448,7 @@ impl Device {
         self.call(capsule::GetCapsuleStatus)
     }
 
-    /// Begins to find the thread's zero; [`Device::wait_actuation`] sees its end.
+    /// Begins to find the thread's zero; [`Device::wait_actuation`] waits for its end.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -456,7 +456,7 @@ impl Device {
         self.call(capsule::Reference)
     }
 
-    /// Begins to fold; [`Device::wait_actuation`] sees its end.
+    /// Begins to fold; [`Device::wait_actuation`] waits for its end.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -464,7 +464,7 @@ impl Device {
         self.call(capsule::Fold)
     }
 
-    /// Begins to unfold; [`Device::wait_actuation`] sees its end.
+    /// Begins to unfold; [`Device::wait_actuation`] waits for its end.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -520,7 +520,7 @@ impl Device {
                         found = Some((repeat_steps, shift_steps));
                         true
                     }
-                    // It may be an older one that was still on its way: the status decides.
+                    // The event may be an older one that was still in transit, so the status decides.
                     What::Rig(RigEvent::Faulted(_) | RigEvent::Stopped { .. }) => !matches!(
                         device.rig_status()?.state,
                         RigState::Homing | RigState::Stopping
@@ -562,31 +562,31 @@ impl Device {
     ) -> Result<RunRecord, ClientError> {
         observer.begun(&Begun::Run(*accepted));
         let total_us = accepted.total_ticks.div_ceil(100);
-        // Braking and setting off again cost no more than the ramps of a stroke.
+        // Braking and accelerating again take no longer than the ramps of a stroke.
         let detour_us = accepted.forward.ramp_ticks.max(accepted.back.ramp_ticks) * 2 / 100;
-        let (mut elapsed_us, mut stood_us, mut held_us) = (0, 0, None);
+        let (mut elapsed_us, mut paused_us, mut held_since_us) = (0, 0, None);
         self.wait("the run", total_us, observer, |device, event, observer| {
             if let Some(event) = event {
                 return Ok(match event.what {
                     What::Rig(RigEvent::RunEnded { run, .. }) if run == accepted.run => {
-                        Course::Over
+                        ActionState::Ended
                     }
                     What::Rig(RigEvent::Held { .. }) => {
-                        held_us = Some(event.time_us);
-                        Course::Goes
+                        held_since_us = Some(event.time_us);
+                        ActionState::Running
                     }
                     What::Rig(RigEvent::Resumed) => {
-                        stood_us += held_us
+                        paused_us += held_since_us
                             .take()
                             .map_or(0, |since_us| event.time_us.saturating_sub(since_us));
-                        Course::Longer(detour_us)
+                        ActionState::Extended(detour_us)
                     }
-                    _ => Course::Goes,
+                    _ => ActionState::Running,
                 });
             }
             let status = device.rig_status()?;
-            if status.state == RigState::Running && held_us.is_none() {
-                elapsed_us = status.elapsed_us.saturating_sub(stood_us);
+            if status.state == RigState::Running && held_since_us.is_none() {
+                elapsed_us = status.elapsed_us.saturating_sub(paused_us);
             }
             observer.progress(&Progress::Run {
                 elapsed_us,
@@ -597,15 +597,15 @@ impl Device {
                 held: status.state == RigState::Held,
             });
             Ok(match status.state {
-                RigState::Running | RigState::Stopping => Course::Goes,
-                RigState::Held => Course::Stands,
-                _ => Course::Over,
+                RigState::Running | RigState::Stopping => ActionState::Running,
+                RigState::Held => ActionState::Paused,
+                _ => ActionState::Ended,
             })
         })?;
         self.run_record()
     }
 
-    /// Waits until nothing moves, and returns the rig's status then. A run that goes on is not waited for.
+    /// Waits for the end of a move or a stop and returns the rig's status. Does not wait for the end of a run.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -659,7 +659,7 @@ impl Device {
         self.actuation_record()
     }
 
-    /// Lets link time pass, with keep-alives; hands telemetry and events to the observer.
+    /// Waits for `duration_us` of link time with keep-alives; passes telemetry and events to the observer.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -680,15 +680,15 @@ impl Device {
         Ok(())
     }
 
-    /// Waits until `ended` says so. It is asked about each event, and without an event every
-    /// [`KEEP_ALIVE_US`], when it asks the device for its status: that is the keep-alive, and it finds the end
-    /// even if the event was lost.
-    fn wait<C: Into<Course>>(
+    /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every [`KEEP_ALIVE_US`]
+    /// without one. Then it requests the device's status, which is also the keep-alive and shows the end even if its
+    /// event was lost.
+    fn wait<C: Into<ActionState>>(
         &mut self,
         action: &'static str,
         at_most_us: u64,
         observer: &mut dyn Observer,
-        mut ended: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<C, ClientError>,
+        mut state: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<C, ClientError>,
     ) -> Result<(), ClientError> {
         let start_us = self.now_us();
         let mut limit_us = at_most_us.saturating_add(OVERDUE_US);
@@ -700,10 +700,10 @@ impl Device {
             }
             while let Some(event) = self.events.pop_front() {
                 observer.event(&event);
-                match ended(self, Some(&event), observer)?.into() {
-                    Course::Over => over = true,
-                    Course::Longer(us) => limit_us = limit_us.saturating_add(us),
-                    Course::Goes | Course::Stands => {}
+                match state(self, Some(&event), observer)?.into() {
+                    ActionState::Ended => over = true,
+                    ActionState::Extended(us) => limit_us = limit_us.saturating_add(us),
+                    ActionState::Running | ActionState::Paused => {}
                 }
             }
             self.hand_out_telemetry(observer);
@@ -713,15 +713,15 @@ impl Device {
             self.pace(observer)?;
             let now_us = self.now_us();
             if now_us >= asked_us.saturating_add(KEEP_ALIVE_US) {
-                match ended(self, None, observer)?.into() {
-                    Course::Over => {
-                        // At rest: whatever event has not come by now was lost on the way.
+                match state(self, None, observer)?.into() {
+                    ActionState::Ended => {
+                        // The action has ended: an event that has not arrived by now was lost.
                         over = true;
                         self.fetch_events()?;
                         continue;
                     }
-                    Course::Stands => limit_us = limit_us.saturating_add(now_us - asked_us),
-                    Course::Goes | Course::Longer(_) => {}
+                    ActionState::Paused => limit_us = limit_us.saturating_add(now_us - asked_us),
+                    ActionState::Running | ActionState::Extended(_) => {}
                 }
                 asked_us = now_us;
                 if now_us - start_us > limit_us {
@@ -737,7 +737,7 @@ impl Device {
         }
     }
 
-    /// Carries out what the operator wants next. Once a stop was asked for nothing else counts.
+    /// Sends what the pacer returns. After a stop it no longer matters that this is not sent.
     fn pace(&mut self, observer: &mut dyn Observer) -> Result<(), ClientError> {
         let Some(pace) = self.pacer.as_mut().and_then(|pacer| pacer()) else {
             return Ok(());
@@ -756,15 +756,15 @@ impl Device {
         }
     }
 
-    /// Telemetry that came since the last call, oldest first, each with the number of samples lost before it.
+    /// Telemetry since the last call, oldest first, each sample with the number of those lost before it.
     pub fn take_telemetry(&mut self) -> Vec<(u16, Telemetry)> {
         self.telemetry.drain(..).collect()
     }
 
-    /// Events that came since the last call, in order, none missing.
+    /// Events since the last call, in order and without gaps.
     ///
     /// # Errors
-    /// As [`Device::call`]: missing ones are fetched again.
+    /// As [`Device::call`]: missing events are fetched again.
     pub fn take_events(&mut self) -> Result<Vec<Event>, ClientError> {
         self.fetch_events()?;
         Ok(self.events.drain(..).collect())
@@ -783,7 +783,7 @@ impl Device {
         }
     }
 
-    /// Receives until a time without asking for anything.
+    /// Receives until `until_us` without a request.
     fn listen(&mut self, until_us: u64) -> Result<(), ClientError> {
         while self.now_us() < until_us {
             self.step(until_us)?;
@@ -803,7 +803,7 @@ impl Device {
         }
     }
 
-    /// Fetches all events that the device has and we have not.
+    /// Fetches all events that the device has and this client has not.
     fn fetch_events(&mut self) -> Result<(), ClientError> {
         loop {
             let from = self.next_event;
@@ -827,10 +827,9 @@ impl Device {
     // Bytes.
 
     fn exchange(&mut self, request: &Request) -> Result<Response, ClientError> {
-        let row = request.row();
-        let (place, request_name) = (self.place(), row.name);
+        let (place, request_name, changes) = (self.place(), request.name(), request.changes());
         self.ask_interrupt();
-        let command = row.retry == Retry::Deduplicated;
+        let command = changes != Changes::Nothing;
         if command && self.interrupted.is_some() {
             while self.urgent_pending {
                 self.step(u64::MAX)?;
@@ -842,9 +841,7 @@ impl Device {
         if self.client.request(request).is_err() {
             return Err(self.session_lost());
         }
-        // After a stop these two start nothing: the run that they are about is over.
-        let harmless = matches!(request, Request::Hold(_) | Request::Resume(_));
-        let abandonable = command && !harmless;
+        let abandonable = command && changes != Changes::Pace;
         self.commanding = abandonable;
         let answer = self.answer();
         let abandoned = abandonable && !std::mem::take(&mut self.commanding);
@@ -856,6 +853,7 @@ impl Device {
             Some(Output::Refused(refusal)) => Err(ClientError::Refused {
                 place,
                 request: request_name,
+                changes,
                 refusal,
             }),
             Some(Output::Rejected(WireError::NoSession)) => Err(self.session_lost()),
@@ -875,7 +873,7 @@ impl Device {
         }
     }
 
-    /// Waits for the end of the pending request; `None` if it was not answered, or abandoned for a stop.
+    /// Waits for the answer to the pending request; `None` if there was none, or if a stop has cancelled it.
     fn answer(&mut self) -> Result<Option<Output>, ClientError> {
         let commanding = self.commanding;
         loop {
@@ -891,7 +889,7 @@ impl Device {
         }
     }
 
-    /// A turn while no request is pending.
+    /// As [`Device::turn`], while no request is pending.
     fn step(&mut self, deadline_us: u64) -> Result<(), ClientError> {
         match self.turn(deadline_us)? {
             Turn::UrgentUnanswered => Err(self.stop_unconfirmed()),
@@ -899,7 +897,7 @@ impl Device {
         }
     }
 
-    /// Sends what is due, or receives for a while and no longer than to `deadline_us`.
+    /// Sends what is due, or receives for [`SLICE_US`] at most, and not beyond `deadline_us`.
     fn turn(&mut self, deadline_us: u64) -> Result<Turn, ClientError> {
         self.ask_interrupt();
         let now_us = self.link.now_us();
@@ -908,7 +906,7 @@ impl Device {
                 self.link.send(&frame)?;
                 return Ok(Turn::Nothing);
             }
-            // An urgent stop keeps the pending request waiting: this is the stop's time-out.
+            // A pending request waits until the urgent stop is done, so this time-out is the stop's.
             Poll::TimedOut if self.urgent_pending => {
                 self.urgent_pending = false;
                 return Ok(Turn::UrgentUnanswered);
@@ -934,7 +932,7 @@ impl Device {
                 Some(Output::UrgentDone(_)) => {
                     self.urgent_pending = false;
                 }
-                // One request is pending at a time, so that this is the only answer in here.
+                // Only one request is pending at a time, so there is only one answer.
                 Some(output) => turn = Turn::Answered(output),
             }
         }
@@ -951,8 +949,8 @@ impl Device {
         if let Some(urgent) = stronger {
             self.interrupted = Some(urgent);
             if std::mem::take(&mut self.commanding) {
-                // A command that is sent again after the stop would start what the operator stopped. Only a
-                // new client forgets it; the session ends with the old one, stops need none.
+                // Repeated after the stop, the command would start what the operator has just stopped. Only a new
+                // client forgets it. That also ends the session, which a stop does not need.
                 self.client = Client::new();
             }
             self.client.urgent(urgent);
@@ -973,18 +971,18 @@ impl Device {
     }
 }
 
-/// Whether the device speaks exactly the host's protocol.
+/// Whether the device speaks exactly this host's protocol.
 #[must_use]
 pub fn matches(identity: &Identity) -> bool {
     identity.protocol.major == VERSION.major && identity.schema_key == SCHEMA_KEY
 }
 
-/// Homing ends within this time: both passes over the whole allowed travel, generously.
+/// Upper limit for the duration of homing, us: both passes over the whole allowed travel, with a margin.
 #[must_use]
 pub fn homing_limit_us(accepted: &HomeAccepted) -> u64 {
     let travel_us = |um: u64, um_s: u32| um * 1_000_000 / u64::from(um_s.max(1));
     let travel_um = u64::from(accepted.max_travel_um);
-    // The slow pass covers the way from the first pass back, a small part of the travel.
+    // The slow pass only covers the distance back from the first pass, a small part of the travel.
     2 * travel_us(travel_um, accepted.seek_um_s)
         + travel_us(travel_um / 4, accepted.locate_um_s)
         + 5_000_000

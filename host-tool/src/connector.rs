@@ -1,4 +1,5 @@
-//! Where links, nonces and the time of day come from: the real world here, the virtual bench elsewhere.
+//! Where links, nonces and the time of day come from. [`Ports`] takes them from this computer; the virtual bench has a
+//! connector of its own.
 
 use std::hash::{BuildHasher, RandomState};
 
@@ -13,19 +14,19 @@ use crate::link::{Link, OpenError};
 /// A place where a machine may be.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Candidate {
-    /// Where.
+    /// Its address.
     pub address: Address,
-    /// Which machine it is known to be, before asking.
+    /// The kind of machine, if it is known without asking.
     pub kind: Option<DeviceKind>,
-    /// What is known about the place.
+    /// What the system says about the place.
     pub description: String,
-    /// Saying Hello there disturbs no foreign instrument.
+    /// Hello may be sent there without disturbing some other instrument.
     pub may_ask: bool,
 }
 
-/// Makes links.
+/// Opens links.
 pub trait Connector {
-    /// Opens a link to a machine; sends nothing. Never called with [`Address::Auto`].
+    /// Opens a link to a machine; sends nothing. Does not search: the caller finds the address behind [`Address::Auto`].
     ///
     /// # Errors
     /// [`OpenError`] with what to do about it.
@@ -36,10 +37,10 @@ pub trait Connector {
         baud: u32,
     ) -> Result<Box<dyn Link>, OpenError>;
 
-    /// Where machines may be, for `auto` and `devices`.
+    /// The places where a machine may be, for `auto` and `devices`.
     fn candidates(&self) -> Vec<Candidate>;
 
-    /// A number for the next session, other than the last one's.
+    /// A nonce for the next session, different from the last one.
     fn nonce(&self) -> u32;
 
     /// The time of day, for records.
@@ -60,7 +61,12 @@ impl Connector for Ports {
         match address {
             Address::Serial(path) => Ok(Box::new(Serial::open(path, baud)?)),
             Address::Tcp(place) => Ok(Box::new(Tcp::open(place)?)),
-            Address::Auto | Address::Virtual => Err(OpenError {
+            Address::Auto => Err(OpenError {
+                place: address.to_string(),
+                why: "it does not say where the machine is".to_owned(),
+                remedy: "give a serial port or tcp:HOST:PORT".to_owned(),
+            }),
+            Address::Virtual => Err(OpenError {
                 place: address.to_string(),
                 why: "the virtual bench is not part of this program".to_owned(),
                 remedy: "use `cargo xtask demo`, or the `virtual-bench` program, which has the same commands; it can also serve both machines on TCP".to_owned(),
@@ -81,7 +87,7 @@ impl Connector for Ports {
     }
 
     fn nonce(&self) -> u32 {
-        // The standard library's hasher keys are the one source of randomness that needs no dependency.
+        // The keys of the standard library's hasher are the only source of randomness without a dependency.
         RandomState::new().hash_one(Timestamp::now().as_nanosecond()) as u32
     }
 

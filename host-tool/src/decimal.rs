@@ -1,9 +1,9 @@
-//! Numbers as people write them, read exactly: decimal text to an integer of the smallest unit. No floats, so
-//! that there is no NaN, no infinity and no rounding.
+//! Decimal numbers as people write them, read exactly into integers of the smallest unit. Without floats there is no
+//! NaN, no infinity and no rounding.
 
 use std::str::FromStr;
 
-/// Why a text is not the number that is needed here.
+/// Why a text was not accepted as a number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DecimalError {
     /// Below zero.
@@ -29,7 +29,7 @@ pub enum DecimalError {
 /// Reads a decimal number as a multiple of `10^-decimals`, at most `max` of these.
 ///
 /// # Errors
-/// The first thing that is wrong with the text.
+/// The first error in the text.
 pub fn parse(text: &str, decimals: u32, max: u64) -> Result<u64, DecimalError> {
     let text = text.trim();
     let scale = 10_u64.pow(decimals);
@@ -117,7 +117,7 @@ pub fn write(value: u64, decimals: u32) -> String {
     }
 }
 
-/// Writes `value / 10^decimals` with all decimals, so that they show how finely it was measured.
+/// Writes `value / 10^decimals` with all decimals, so that the resolution can be seen.
 #[must_use]
 pub fn fixed(value: i64, decimals: u32) -> String {
     let sign = if value < 0 { "-" } else { "" };

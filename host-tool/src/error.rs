@@ -1,11 +1,11 @@
-//! Why a machine did not do what it was asked for: the link's end, the wire's, the device's own refusal.
+//! Why a machine did not do what was requested: an error of the link, of the wire, or the device's own refusal.
 
 use miette::Diagnostic;
 use protocol::VERSION;
 use protocol::error::{Refusal, WireError};
 use protocol::rig::RigFault;
 use protocol::system::{DeviceKind, Identity};
-use protocol::table::SCHEMA_KEY;
+use protocol::table::{Changes, SCHEMA_KEY};
 
 use crate::identity;
 use crate::link::LinkError;
@@ -13,7 +13,7 @@ use crate::link::LinkError;
 /// Why something could not be done.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum ClientError {
-    /// The bytes did not get through.
+    /// The link failed.
     #[error(transparent)]
     #[diagnostic(
         code(retrograde::link_lost),
@@ -36,7 +36,7 @@ pub enum ClientError {
         place: String,
     },
 
-    /// Another machine than the wanted one is at this place.
+    /// The machine at this place is not the wanted one.
     #[error("{place} is a {found}, not a {wanted}; nothing was moved", found = identity::kind_name(found.device), wanted = identity::kind_name(*wanted))]
     #[diagnostic(
         code(retrograde::wrong_device),
@@ -48,7 +48,7 @@ pub enum ClientError {
     WrongDevice {
         /// What the link leads to.
         place: String,
-        /// Which machine was wanted.
+        /// The wanted machine.
         wanted: DeviceKind,
         /// What answered.
         found: Box<Identity>,
@@ -69,13 +69,15 @@ pub enum ClientError {
 
     /// The device understood the request and refused it; nothing moved, nothing changed.
     #[error("{place} refused {request}: {refusal}")]
-    #[diagnostic(code(retrograde::refused), help("{}", unharmed(request)))]
+    #[diagnostic(code(retrograde::refused), help("{}", unharmed(*changes)))]
     Refused {
         /// What the link leads to.
         place: String,
         /// Name of the request.
         request: &'static str,
-        /// Why.
+        /// What it would have changed.
+        changes: Changes,
+        /// The device's reason.
         refusal: Refusal,
     },
 
@@ -87,11 +89,11 @@ pub enum ClientError {
         place: String,
         /// Name of the request.
         request: &'static str,
-        /// Why.
+        /// The device's reason.
         error: WireError,
     },
 
-    /// The session ended under way.
+    /// The device no longer accepts the session.
     #[error("{place} no longer knows this session: it was reset, or another program took it over")]
     #[diagnostic(
         code(retrograde::session_lost),
@@ -104,11 +106,11 @@ pub enum ClientError {
         place: String,
     },
 
-    /// A harmless question was not answered.
-    #[error("{place} did not answer {request}; the question changes nothing, so nothing was done")]
+    /// A request that changes nothing was not answered.
+    #[error("{place} did not answer {request}; the request changes nothing, so nothing was done")]
     #[diagnostic(
         code(retrograde::no_reply),
-        help("check cable and supply, then ask again")
+        help("check cable and supply, then try again")
     )]
     NoReply {
         /// What the link leads to.
@@ -124,7 +126,7 @@ pub enum ClientError {
     #[diagnostic(
         code(retrograde::outcome_unknown),
         help(
-            "look at the machine and at `retrograde info` before asking again; use the emergency stop if it moves"
+            "look at the machine and at `retrograde info` before trying again; use the emergency stop if it moves"
         )
     )]
     OutcomeUnknown {
@@ -147,8 +149,8 @@ pub enum ClientError {
         place: String,
     },
 
-    /// The operator stopped the machine while a command was on its way, or before.
-    #[error("stopped by the operator; {request} was not sent, or not again")]
+    /// The operator stopped the machine before or while a command was sent.
+    #[error("stopped by the operator; {request} was not sent, or not repeated")]
     #[diagnostic(
         code(retrograde::interrupted),
         help(
@@ -173,7 +175,7 @@ pub enum ClientError {
         request: &'static str,
     },
 
-    /// An action did not end when it had to; it was stopped.
+    /// An action did not end in time and was stopped.
     #[error("{action} on {place} did not end within {limit_ms} ms; a stop was sent")]
     #[diagnostic(
         code(retrograde::overdue),
@@ -182,9 +184,9 @@ pub enum ClientError {
     Overdue {
         /// What the link leads to.
         place: String,
-        /// Which.
+        /// Name of the action.
         action: &'static str,
-        /// When it had to end, after its acceptance.
+        /// Time limit from its acceptance, ms.
         limit_ms: u64,
     },
 
@@ -216,9 +218,9 @@ fn mismatch_text(place: &str, found: &Identity) -> String {
 }
 
 /// What a refused request has not done.
-fn unharmed(request: &str) -> &'static str {
-    match request {
-        "SetSetting" | "SetName" | "FactoryReset" => "nothing was changed",
+fn unharmed(changes: Changes) -> &'static str {
+    match changes {
+        Changes::Flash => "nothing was changed",
         _ => "nothing was moved",
     }
 }

@@ -1,4 +1,4 @@
-//! Recorded actions, and the paper's experiment made of them.
+//! Recorded actions, and the paper's experiment, which is a sequence of them.
 
 use std::path::PathBuf;
 
@@ -26,31 +26,31 @@ pub const PAPER_RUN: Run = Run {
     link_loss: LinkLossPolicy::Stop,
 };
 
-/// Acceleration of a run unless another is asked for.
+/// Default acceleration of a run, um/s2.
 pub const DEFAULT_ACCEL_UM_S2: u32 = 100_000;
 
-/// Telemetry interval unless another is asked for: 100 Hz, a third of 115200 baud.
+/// Default telemetry interval, ms: 100 Hz take a third of 115200 baud.
 pub const DEFAULT_TELEMETRY_MS: u16 = 10;
 
-/// Why a recorded action did not come about.
+/// Why a recorded action failed.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum ExperimentError {
-    /// The device or the way to it.
+    /// The device or the link to it.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Client(#[from] ClientError),
-    /// The record.
+    /// The record could not be written.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Record(#[from] RecordError),
-    /// A step of the experiment ended otherwise than planned, so that the rest was not begun.
+    /// A step of the experiment did not end as planned, so the remaining steps were not begun.
     #[error("{step} ended as {status:?}{}", reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
     #[diagnostic(
         code(retrograde::incomplete),
-        help("the data up to here is in {}", sidecar.display())
+        help("the data so far is in {}", sidecar.display())
     )]
     Incomplete {
-        /// Which.
+        /// Name of the step.
         step: &'static str,
         /// How it ended.
         status: Status,
@@ -61,38 +61,38 @@ pub enum ExperimentError {
     },
 }
 
-/// A run and where it is recorded.
+/// A recorded run.
 #[derive(Clone, Debug)]
 pub struct RunTrial {
     /// As planned by the rig.
     pub accepted: RunAccepted,
     /// As executed.
     pub record: RunRecord,
-    /// Everything, as in the sidecar.
+    /// Contents of the sidecar.
     pub trial: Trial,
-    /// Telemetry.
+    /// Path of the telemetry.
     pub csv: PathBuf,
-    /// Sidecar.
+    /// Path of the sidecar.
     pub sidecar: PathBuf,
 }
 
-/// An actuation and where it is recorded.
+/// A recorded actuation.
 #[derive(Clone, Debug)]
 pub struct ActuationTrial {
     /// As executed.
     pub record: ActuationRecord,
-    /// Everything, as in the sidecar.
+    /// Contents of the sidecar.
     pub trial: Trial,
-    /// Telemetry.
+    /// Path of the telemetry.
     pub csv: PathBuf,
-    /// Sidecar.
+    /// Path of the sidecar.
     pub sidecar: PathBuf,
 }
 
-/// Carries out and records one run, whatever way it ends.
+/// Executes one run and records it, however it ends.
 ///
 /// # Errors
-/// If the rig refused or was lost, or the record could not be written. Both files exist before anything moves.
+/// The rig refused or was lost, or the record could not be written. Both files exist before anything moves.
 pub fn run(
     rig: &mut Device,
     run: Run,
@@ -126,10 +126,10 @@ pub fn run(
     })
 }
 
-/// Carries out and records one actuation, whatever way it ends.
+/// Executes one actuation and records it, however it ends.
 ///
 /// # Errors
-/// If the capsule refused or was lost, or the record could not be written. Both files exist before anything moves.
+/// The capsule refused or was lost, or the record could not be written. Both files exist before anything moves.
 pub fn actuate(
     capsule: &mut Device,
     kind: ActuationKind,
@@ -165,7 +165,7 @@ pub fn actuate(
     })
 }
 
-/// Writes the end of a trial, then silences the telemetry.
+/// Writes the end of a trial, then stops the telemetry.
 fn end<T>(
     device: &mut Device,
     recorder: Recorder,
@@ -225,15 +225,15 @@ impl Shape {
     }
 }
 
-/// Sees the experiment's steps and their results. All methods but one may be left out.
+/// Sees the experiment's steps and their results. By default every method but [`Hooks::observer`] does nothing.
 pub trait Hooks {
     /// A step is about to begin.
     fn begins(&mut self, step: &str) {
         let _ = step;
     }
-    /// Watches the step that goes on.
+    /// The observer of the present step.
     fn observer(&mut self) -> &mut dyn Observer;
-    /// Who is there.
+    /// Both machines have identified themselves.
     fn identified(&mut self, rig: &Identity, capsule: &Identity) {
         let _ = (rig, capsule);
     }
@@ -245,7 +245,7 @@ pub trait Hooks {
     fn homed(&mut self, homed: &Homed) {
         let _ = homed;
     }
-    /// A run is complete: the place for a verdict and the body's displacement.
+    /// A run is complete. Its verdict and the body's displacement can be determined here.
     fn ran(&mut self, shape: Shape, trial: &RunTrial) {
         let _ = (shape, trial);
     }
@@ -302,10 +302,10 @@ impl Experiment {
 }
 
 /// The paper's experiment: identities; reference and home; run unfolded; fold; the same run folded; unfold. Each step
-/// begins only if the one before is complete. `now` is asked once per record.
+/// begins only if the one before is complete. `now` is called once per record.
 ///
 /// # Errors
-/// The first step that was refused, lost, or ended otherwise than planned.
+/// The first step that was refused, lost, or did not end as planned.
 pub fn paper(
     rig: &mut Device,
     capsule: &mut Device,

@@ -22,7 +22,7 @@ pub fn revision(revision: &Revision) -> String {
     format!("{:08x}{dirty}", revision.commit)
 }
 
-/// Why a device last started.
+/// The cause of a device's last start.
 #[must_use]
 pub const fn reset_cause(cause: ResetCause) -> &'static str {
     match cause {
@@ -34,7 +34,7 @@ pub const fn reset_cause(cause: ResetCause) -> &'static str {
     }
 }
 
-/// One line that names a device.
+/// Identifies a device in one line.
 #[must_use]
 pub fn line(identity: &Identity) -> String {
     let record = IdentityRecord::from(identity);
@@ -51,7 +51,8 @@ pub fn line(identity: &Identity) -> String {
     )
 }
 
-/// An identity as it is written to records and `--json`: 64-bit numbers as hex text, which every reader keeps whole.
+/// An identity as it is written to records and `--json`. 64-bit numbers are hex text, because many JSON readers round
+/// them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IdentityRecord {
     /// `rig` or `capsule`.
@@ -66,9 +67,9 @@ pub struct IdentityRecord {
     pub protocol: String,
     /// 16 hex digits.
     pub schema_key: String,
-    /// Counts starts of the device.
+    /// Number of the device's starts.
     pub boot_id: u32,
-    /// Why it last started.
+    /// Cause of the last start.
     pub reset_cause: String,
 }
 

@@ -1,17 +1,19 @@
-//! The client library of both machines, and the command line tool on top of it.
+//! The client library of both machines, and the command line tool on top of it. `examples/paper_run.rs` uses the
+//! library alone.
 //!
 //! * [`link`]: a byte pipe with its own clock: serial port, TCP, memory, or the virtual bench.
 //! * [`client`]: one machine: typed requests, events, telemetry, waiting, stops.
-//! * [`error`]: why something was not done, and what to do about it.
+//! * [`error`]: why a request failed, and what to do about it.
 //! * [`connector`]: where links come from.
-//! * [`decimal`]: numbers as people write them, exact.
-//! * [`trial`]: what is recorded of an action: telemetry CSV and JSON sidecar.
-//! * [`experiment`]: recorded actions, and the experiment of the paper made of them.
-//! * [`plan`]: a run before it is sent.
+//! * [`decimal`]: decimal numbers as people write them, exact.
+//! * [`trial`]: the record of an action: telemetry CSV and JSON sidecar.
+//! * [`experiment`]: recorded actions, and the paper's experiment.
+//! * [`identity`]: names of machines, images and versions.
+//! * [`plan`]: a run, calculated before it is sent.
 //! * [`report`]: recorded trials as one HTML file.
 //! * [`science`]: the paper's design, simulations and series, without a machine.
-//! * [`progress`]: what a person sees meanwhile.
-//! * [`cli`]: the command line, thin over all this.
+//! * [`progress`]: progress for people, as a bar or as lines.
+//! * [`cli`]: the command line, a thin layer over all this.
 #![forbid(unsafe_code)]
 
 pub mod cli;

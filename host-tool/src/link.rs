@@ -1,4 +1,4 @@
-//! A byte link to one machine, with its own clock: serial port, TCP, memory pipe or virtual bench.
+//! A byte link to one machine, with a clock of its own: serial port, TCP, memory pipe or virtual bench.
 //!
 //! The clock comes from the link, so that the same client runs against a port in real time and
 //! against the virtual bench in virtual time.
@@ -42,7 +42,7 @@ pub trait Link: Send {
     /// Microseconds on the link's own clock; never steps back.
     fn now_us(&self) -> u64;
 
-    /// Queues `bytes` for transmission. Returns at once; takes no link time by itself.
+    /// Queues `bytes` for transmission and returns at once, without using link time.
     ///
     /// # Errors
     /// [`LinkError::Lost`] when the other end is gone.

@@ -1,4 +1,4 @@
-//! A run before it is sent: solved with the same arithmetic as in the rig, summed up, and written out edge by edge.
+//! Plans a run before it is sent, with the same arithmetic as the rig, as a summary and edge by edge.
 
 use std::io::{self, Write};
 
@@ -14,7 +14,7 @@ use serde::Serialize;
 use crate::decimal;
 use crate::trial::{Achieved, Screw};
 
-/// Limits of the rig as it is delivered; a rig's own settings may differ and decide.
+/// Limits by the default settings. A rig applies its own settings, which may differ.
 pub const REFERENCE_LIMITS: Limits = Limits {
     max_speed_um_s: SettingKey::MaxSpeedUmS.range().default,
     max_accel_um_s2: SettingKey::MaxAccelUmS2.range().default,
@@ -22,7 +22,7 @@ pub const REFERENCE_LIMITS: Limits = Limits {
     min_turnaround_ticks: SettingKey::TurnaroundUs.range().default * TICKS_PER_US as u32,
 };
 
-/// What no rig can exceed.
+/// Limits that no rig can exceed.
 const WIDEST_LIMITS: Limits = Limits {
     max_speed_um_s: u32::MAX,
     max_accel_um_s2: u32::MAX,
@@ -30,7 +30,7 @@ const WIDEST_LIMITS: Limits = Limits {
     min_turnaround_ticks: 0,
 };
 
-/// Solves a run as the rig does. A total counts the start delay in.
+/// Solves a run as the rig does. A total duration includes the start delay.
 ///
 /// # Errors
 /// What makes the run infeasible, and what would make it feasible.
@@ -64,8 +64,8 @@ pub fn solve(run: &Run, axis: &Axis, limits: &Limits) -> Result<RunPlan, RunErro
     RunPlan::solve(axis, limits, &request)
 }
 
-/// Refuses what every rig would refuse, before a link is opened. What depends on the rig's own screw and limits
-/// is left to the rig.
+/// Refuses what every rig would refuse, before a link is opened. The rig itself checks what depends on its screw and
+/// limits.
 ///
 /// # Errors
 /// What is wrong with the request, and what to do about it.
@@ -82,14 +82,14 @@ pub fn check(run: &Run) -> Result<(), RunError> {
     }
 }
 
-/// A solved run in numbers.
+/// The numbers of a solved run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Summary {
     /// As requested.
     pub requested: Run,
-    /// Screw and stroke that it was solved for.
+    /// Screw and stroke it was solved for.
     pub screw: Screw,
-    /// As it would be executed.
+    /// As the rig would execute it.
     pub achieved: Achieved,
     /// Strokes of the run.
     pub strokes: u32,
@@ -97,10 +97,10 @@ pub struct Summary {
     pub peak_step_hz: u64,
 }
 
-/// Sums a plan up.
+/// Summarises a plan.
 #[must_use]
 pub fn summary(run: &Run, axis: &Axis, plan: &RunPlan) -> Summary {
-    let span = plan
+    let shortest = plan
         .forward()
         .min_interval()
         .min(plan.return_().min_interval());
@@ -120,7 +120,7 @@ pub fn summary(run: &Run, axis: &Axis, plan: &RunPlan) -> Summary {
             plan_hash: format!("{:016x}", plan.hash()),
         },
         strokes: plan.strokes(),
-        peak_step_hz: TICK_HZ.div_ceil(span.0.max(1)),
+        peak_step_hz: TICK_HZ.div_ceil(shortest.0.max(1)),
     }
 }
 

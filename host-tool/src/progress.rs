@@ -1,4 +1,4 @@
-//! What a person sees while something moves: a bar on a terminal, plain lines elsewhere.
+//! Progress for people: a bar on a terminal, plain lines elsewhere.
 
 use std::io::Write;
 
@@ -11,16 +11,16 @@ use protocol::system::{Event, What};
 use crate::client::{Begun, Observer, Pace, Progress, homing_limit_us};
 use crate::decimal;
 
-/// Between two plain lines, in the machine's time.
+/// Interval between two plain lines, us of the machine's time.
 const LINE_US: u64 = 5_000_000;
 
-/// Prints what goes on. All times are the machine's, so that they mean the same on the virtual bench.
+/// Prints the progress of an action. All times are the machine's, so they mean the same on the virtual bench.
 pub struct Live<'a> {
     out: &'a mut dyn Write,
     terminal: bool,
     bar: Option<ProgressBar>,
     next_line_us: u64,
-    /// The run stood still when it was last seen.
+    /// The run was held at the last report.
     held: bool,
 }
 
@@ -84,8 +84,8 @@ impl Observer for Live<'_> {
         match event.what {
             What::Rig(RigEvent::Faulted(fault)) => self.line(&format!("  fault: {fault}")),
             What::Capsule(CapsuleEvent::Faulted(fault)) => self.line(&format!("  fault: {fault}")),
-            What::Rig(RigEvent::Resumed) => self.line("  goes on"),
-            What::LinkLost => self.line("  the device heard nothing for too long"),
+            What::Rig(RigEvent::Resumed) => self.line("  resumed"),
+            What::LinkLost => self.line("  the device has not heard from the host for too long"),
             _ => {}
         }
     }
@@ -116,12 +116,12 @@ impl Observer for Live<'_> {
                 position_um,
                 held,
             } => {
-                let begins = !std::mem::replace(&mut self.held, held);
+                let held_now = !std::mem::replace(&mut self.held, held);
                 if held {
                     let message = format!("held at {} mm", decimal::fixed(position_um.into(), 3));
                     if self.terminal {
                         self.show(elapsed_us, total_us, &message);
-                    } else if begins {
+                    } else if held_now {
                         self.line(&format!("  {message}"));
                     }
                     return;
@@ -154,7 +154,7 @@ impl Observer for Live<'_> {
     }
 }
 
-/// What was refused, and why.
+/// Says what was refused, and why.
 fn refused_text(pace: Pace, refusal: &Refusal) -> String {
     let what = match pace {
         Pace::Hold => "not held",
@@ -163,7 +163,7 @@ fn refused_text(pace: Pace, refusal: &Refusal) -> String {
     format!("  {what}: {refusal}")
 }
 
-/// What was begun, and how long it takes.
+/// Says what was begun and how long it takes.
 #[must_use]
 pub fn begun_text(begun: &Begun) -> String {
     match begun {

@@ -17,10 +17,10 @@ use crate::trial::{
     Achieved, Action, CapsuleSample, Executed, RecordError, RigSample, Screw, Status, Trial,
 };
 
-/// Why there is no report.
+/// Why the report could not be written.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum ReportError {
-    /// A record could not be read, or the report not be written.
+    /// A record could not be read or the report could not be written.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Record(#[from] RecordError),
@@ -28,7 +28,7 @@ pub enum ReportError {
     #[error(transparent)]
     #[diagnostic(code(retrograde::figure))]
     Figure(#[from] FigureError),
-    /// Nothing to report on.
+    /// There are no trials.
     #[error("no trial in {path}", path = path.display())]
     #[diagnostic(
         code(retrograde::no_trials),
@@ -40,21 +40,21 @@ pub enum ReportError {
     },
 }
 
-/// A table of findings from outside the records, such as a verdict from the pins or a modelled displacement.
+/// A table of results that are not in the records, such as a verdict from the pins or a modelled displacement.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Remark {
-    /// The trial it belongs to, by its sidecar; none: the whole report.
+    /// Sidecar of the trial it belongs to; none for a remark on the whole report.
     pub sidecar: Option<PathBuf>,
     /// Heading.
     pub title: String,
-    /// What, and how much.
+    /// Names and values.
     pub rows: Vec<(String, String)>,
 }
 
-/// The sidecars among these paths; a folder stands for all in it, in the order of their start.
+/// The sidecars at these paths; a folder stands for all sidecars in it, in the order of their start.
 ///
 /// # Errors
-/// If a path cannot be read or a folder holds no trial.
+/// A path cannot be read, or a folder holds no trial.
 pub fn sidecars(paths: &[PathBuf]) -> Result<Vec<PathBuf>, ReportError> {
     let mut all = vec![];
     for path in paths {
@@ -85,7 +85,7 @@ pub fn sidecars(paths: &[PathBuf]) -> Result<Vec<PathBuf>, ReportError> {
 /// Writes the report of these sidecars.
 ///
 /// # Errors
-/// If a record cannot be read or the file not be written.
+/// A record cannot be read or the file cannot be written.
 pub fn write(sidecars: &[PathBuf], remarks: &[Remark], out: &Path) -> Result<(), ReportError> {
     let page = html(sidecars, remarks)?;
     if let Some(folder) = out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
@@ -98,7 +98,7 @@ pub fn write(sidecars: &[PathBuf], remarks: &[Remark], out: &Path) -> Result<(),
 /// The report of these sidecars as HTML.
 ///
 /// # Errors
-/// If a record cannot be read.
+/// A record cannot be read.
 pub fn html(sidecars: &[PathBuf], remarks: &[Remark]) -> Result<String, ReportError> {
     let mut trials = vec![];
     for sidecar in sidecars {
@@ -293,7 +293,7 @@ fn actuation_section(
     })
 }
 
-/// An actuation's record as rows of names and values with units.
+/// An actuation's record as names and values with units.
 #[must_use]
 pub fn actuation_rows(
     kind: ActuationKind,

@@ -1,14 +1,14 @@
-//! The paper's science on any laptop: its design in numbers and drawings, its simulations and the rig's as series.
+//! The paper's calculations, which need no machine: the design in numbers and drawings, the simulations as series.
 //!
 //! * [`values`]: lists and ranges of numbers, exact.
-//! * [`design`]: every number of one origami, and where the paper's requirements put it.
+//! * [`design`]: every number of one origami, beside the paper's requirements.
 //! * [`series`]: the paper's series and free sweeps, in parallel, in order.
 //! * [`snapshots`]: wall and body at several moments.
 //! * [`charts`]: the series as figures, beside what the paper's text says.
 //! * [`drawing`]: to scale, in millimetres.
 //! * [`table`]: the same numbers as CSV.
 //!
-//! The models are those of `locomotion`; what they are worth is in `docs/science.md`.
+//! The models are those of `locomotion`; `docs/science.md` says how far they can be trusted.
 
 pub mod charts;
 pub mod design;

@@ -1,8 +1,8 @@
 //! The record of a trial: telemetry as CSV in device time, and a JSON sidecar with everything else.
 //!
 //! Both files exist before anything moves. The CSV is flushed about four times a second, and the sidecar says
-//! `running` until the trial ended, so that after a crash of the host the data is readable and nobody takes it for complete.
-//! Numbers in the CSV come from the device alone: the same run gives the same bytes.
+//! `running` until the trial has ended: after a crash of the host the data is readable and not mistaken for complete.
+//! All numbers in the CSV come from the device, so the same run gives the same bytes.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
@@ -20,19 +20,19 @@ use crate::client::{Begun, Observer, Progress};
 use crate::decimal;
 use crate::identity::IdentityRecord;
 
-/// Format of the sidecar; raised when a field changes its meaning.
+/// Version of the sidecar's format; incremented when a field changes its meaning.
 pub const FORMAT: u32 = 1;
 
-/// A file of a trial could not be written or read.
+/// Why a file of a trial could not be written or read.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 #[error("{path}: {why}", path = path.display())]
 #[diagnostic(code(retrograde::record), help("{remedy}"))]
 pub struct RecordError {
-    /// Which file.
+    /// The file.
     pub path: PathBuf,
     /// The reason.
     pub why: String,
-    /// What to do about it.
+    /// What the user can do.
     pub remedy: &'static str,
 }
 
@@ -58,15 +58,15 @@ impl RecordError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// Not ended, or the host ended first.
+    /// Not ended yet, or the host ended before it.
     Running,
-    /// As planned.
+    /// Ended as planned.
     Complete,
-    /// On request.
+    /// Stopped on request.
     Stopped,
-    /// By the device, for the host was silent.
+    /// Stopped by the device, because the host was silent.
     LinkLost,
-    /// By a fault.
+    /// Ended by a fault.
     Faulted,
     /// The host lost the device: see `error`.
     Unknown,
@@ -96,14 +96,14 @@ impl From<ActuationOutcome> for Status {
     }
 }
 
-/// Screw and stroke of the rig that ran.
+/// Screw and stroke of the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Screw {
-    /// Travel per turn.
+    /// Travel per turn, um.
     pub lead_um: u32,
     /// Microsteps per turn.
     pub steps_per_rev: u32,
-    /// Configured stroke.
+    /// Configured stroke, um.
     pub stroke_um: u32,
 }
 
@@ -118,7 +118,7 @@ impl From<&RigStatus> for Screw {
 }
 
 impl Screw {
-    /// A position in nanometres, to the nearest.
+    /// A position in nanometres, rounded to the nearest.
     #[must_use]
     pub fn nm(&self, steps: i64) -> i64 {
         let numerator = i128::from(steps) * i128::from(self.lead_um) * 1_000;
@@ -133,7 +133,7 @@ impl Screw {
     }
 }
 
-/// What the rig said it would execute.
+/// A run as planned by the rig.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Achieved {
     /// Number of the run since the device's start.
@@ -163,7 +163,7 @@ impl From<&RunAccepted> for Achieved {
     }
 }
 
-/// What the rig recorded about the run.
+/// A run as recorded by the rig.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Executed {
     /// How it ended.
@@ -188,7 +188,7 @@ pub struct Executed {
     pub min_queue: u16,
     /// False pulses on the limit inputs.
     pub glitches: u32,
-    /// How often it was held.
+    /// Number of holds.
     pub holds: u32,
     /// Fingerprint of the firmware's image, 8 hex digits, as `retrograde health` shows it.
     pub image_hash: String,
@@ -214,30 +214,30 @@ impl From<&RunRecord> for Executed {
     }
 }
 
-/// What a trial was.
+/// What was done in a trial.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-// A few exist at a time.
+// Few exist at a time, so their size does not matter.
 #[allow(clippy::large_enum_variant)]
 pub enum Action {
     /// A run of the rig.
     Run {
         /// Screw and stroke.
         screw: Screw,
-        /// As the operator asked.
+        /// As requested by the operator.
         requested: Run,
-        /// As the rig planned; none if it refused.
+        /// As planned by the rig; none if it refused.
         achieved: Option<Achieved>,
-        /// As it went; none if the host lost the rig.
+        /// As executed; none if the host lost the rig.
         executed: Option<Executed>,
     },
     /// An actuation of the capsule.
     Actuation {
-        /// Which.
+        /// Kind of actuation.
         actuation: ActuationKind,
         /// As accepted; none if it was refused.
         accepted: Option<ActuationAccepted>,
-        /// As it went; none if the host lost the capsule.
+        /// As executed; none if the host lost the capsule.
         record: Option<ActuationRecord>,
     },
 }
@@ -251,9 +251,9 @@ pub struct Trial {
     pub status: Status,
     /// The fault or the host's error, if there was one.
     pub error: Option<String>,
-    /// RFC 3339.
+    /// Start of the trial, RFC 3339.
     pub started_utc: Timestamp,
-    /// What the operator wants to remember, such as the state of the capsule.
+    /// Note of the operator, such as the state of the capsule.
     pub note: Option<String>,
     /// Name and version of the host tool.
     pub tool: String,
@@ -273,7 +273,7 @@ pub struct Trial {
     pub missed_samples: u64,
     /// Events of the device during the trial, in order.
     pub events: Vec<Event>,
-    /// Events that could not be fetched any more.
+    /// Events that the device had dropped before they could be fetched.
     pub lost_events: u32,
 }
 
@@ -303,7 +303,7 @@ impl Trial {
     /// Reads a sidecar.
     ///
     /// # Errors
-    /// If it cannot be read or is no sidecar of this format.
+    /// It cannot be read or is not a sidecar of this format.
     pub fn read(path: &Path) -> Result<Self, RecordError> {
         let text = fs::read_to_string(path).map_err(|io| RecordError::read(path, io))?;
         let trial: Self =
@@ -315,10 +315,10 @@ impl Trial {
         Ok(trial)
     }
 
-    /// Reads the telemetry beside a sidecar. A last row that was cut by a crash is left out.
+    /// Reads the telemetry beside a sidecar. A last row that a crash has cut short is left out.
     ///
     /// # Errors
-    /// If the file cannot be read, or a row but the last is damaged.
+    /// The file cannot be read, or a row other than the last is damaged.
     pub fn samples<T: for<'de> Deserialize<'de>>(
         &self,
         sidecar: &Path,
@@ -344,21 +344,21 @@ impl Trial {
 /// A row of the rig's telemetry.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RigSample {
-    /// Device time.
+    /// Device time, us.
     pub time_us: u64,
-    /// State.
+    /// State of the machine.
     pub state: String,
-    /// Position by the read-back counter, exact to the nanometre.
+    /// Position by the read-back counter, mm, exact to the nanometre.
     pub position_mm: String,
-    /// Mean speed since the previous sample.
+    /// Mean speed since the previous sample, mm/s.
     pub speed_mm_s: String,
     /// Stroke in progress, from 0.
     pub stroke: u32,
-    /// Position by the read-back counter.
+    /// Position by the read-back counter, steps.
     pub position_steps: i32,
-    /// Position by the generator.
+    /// Position by the step generator, steps.
     pub commanded_steps: i32,
-    /// Residual of the ledger.
+    /// Residual of the position ledger, steps.
     pub residual_steps: i32,
     /// Home flag open.
     pub home_flag: bool,
@@ -373,17 +373,17 @@ pub struct RigSample {
 /// A row of the capsule's telemetry.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CapsuleSample {
-    /// Device time.
+    /// Device time, us.
     pub time_us: u64,
-    /// State.
+    /// State of the machine.
     pub state: String,
-    /// Thread wound up.
+    /// Thread wound up, um.
     pub thread_um: i32,
-    /// Motor current.
+    /// Motor current, mA.
     pub current_ma: u16,
-    /// Battery voltage.
+    /// Battery voltage, mV.
     pub battery_mv: u16,
-    /// Voltage at the motor.
+    /// Voltage at the motor, mV.
     pub drive_mv: i16,
     /// Samples lost just before this one.
     pub missed: u16,
@@ -392,33 +392,33 @@ pub struct CapsuleSample {
 /// Where and when a trial is recorded.
 #[derive(Clone, Debug)]
 pub struct Recording {
-    /// Folder; made if missing.
+    /// Folder; created if missing.
     pub folder: PathBuf,
     /// First part of the file names.
     pub stem: String,
     /// Start of the trial, in the file names and the sidecar.
     pub now: Timestamp,
-    /// What the operator wants to remember.
+    /// Note of the operator.
     pub note: Option<String>,
     /// Interval of telemetry, 5..=1000 ms.
     pub telemetry_ms: u16,
 }
 
-/// Writes the two files of one trial while it goes on.
+/// Writes the two files of one trial during the trial.
 pub struct Recorder {
     csv_path: PathBuf,
     csv: csv::Writer<File>,
     sidecar: PathBuf,
     trial: Trial,
-    /// The first thing that went wrong while observing.
+    /// The first error during the trial.
     failed: Option<RecordError>,
 }
 
 impl Recorder {
-    /// Makes both files; overwrites none.
+    /// Creates both files; overwrites none.
     ///
     /// # Errors
-    /// If they cannot be made.
+    /// They cannot be created.
     pub fn create(mut trial: Trial, recording: &Recording) -> Result<Self, RecordError> {
         let folder = &recording.folder;
         fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
@@ -453,10 +453,10 @@ impl Recorder {
         &self.csv_path
     }
 
-    /// Writes the rest: how it ended and what the device recorded.
+    /// Writes the end of the trial and the device's record of it.
     ///
     /// # Errors
-    /// The first thing that could not be written, also of those while it went on.
+    /// The first error in writing, including those during the trial.
     pub fn finish(mut self, ending: Ending, lost_events: u32) -> Result<Trial, RecordError> {
         match (&mut self.trial.action, ending) {
             (Action::Run { executed, .. }, Ending::Run(record)) => {
@@ -506,7 +506,7 @@ impl Recorder {
         }
     }
 
-    /// The old sidecar or the new one, never a half.
+    /// Replaces the sidecar by renaming: a reader finds the old one or the new one, never a part of it.
     fn write_sidecar(&self) -> Result<(), RecordError> {
         let path = &self.sidecar;
         let write = || -> io::Result<()> {
@@ -521,7 +521,7 @@ impl Recorder {
     }
 }
 
-/// How a trial ended.
+/// The end of a trial.
 #[derive(Clone, Debug)]
 pub enum Ending {
     /// With the rig's record.
@@ -590,7 +590,7 @@ impl Observer for Recorder {
     }
 }
 
-/// A CSV file that did not exist; its JSON does not exist either.
+/// Creates a CSV file under a name that neither a CSV nor a sidecar has.
 fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), RecordError> {
     for number in 1..=9_999 {
         let suffix = if number == 1 {
@@ -608,5 +608,8 @@ fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), RecordError>
             Err(io) => return Err(RecordError::write(&path, io)),
         }
     }
-    Err(RecordError::write(folder, "too many trials of this second"))
+    Err(RecordError::write(
+        folder,
+        "too many trials started in this second",
+    ))
 }

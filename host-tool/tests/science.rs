@@ -609,7 +609,7 @@ fn the_charts_have_their_axes_units_and_origins() {
         ("isolated.svg", &["antegrade (model)", "returning (model)"]),
         (
             "fold.svg",
-            &["way of the carriage / mm", "unfolded (model)"],
+            &["travel of the carriage / mm", "unfolded (model)"],
         ),
         (
             "snapshots-tube.svg",
@@ -617,7 +617,7 @@ fn the_charts_have_their_axes_units_and_origins() {
         ),
         (
             "snapshots-roller.svg",
-            &["a = 5.05 mm", "1300 mm of way", "0.15 of the wall"],
+            &["a = 5.05 mm", "1300 mm of travel", "0.15 of the wall"],
         ),
     ] {
         let svg = fs::read_to_string(folder.path().join(file)).expect(file);
@@ -649,8 +649,13 @@ fn the_snapshots_show_the_runs() {
     for (case, start, end, mm) in [
         ("7000 Pa", "0 s", "20 s", "14.452"),
         ("3000 Pa", "0 s", "20 s", "1.542"),
-        ("a = 5.05 mm", "0 mm of way", "1300 mm of way", "46.560"),
-        ("a = 1 mm", "0 mm of way", "1300 mm of way", "17.861"),
+        (
+            "a = 5.05 mm",
+            "0 mm of travel",
+            "1300 mm of travel",
+            "46.560",
+        ),
+        ("a = 1 mm", "0 mm of travel", "1300 mm of travel", "17.861"),
     ] {
         assert_eq!(format!("{:.3}", tail(case, end) - tail(case, start)), mm);
     }

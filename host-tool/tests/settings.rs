@@ -85,7 +85,7 @@ fn a_file_with_anything_wrong_is_refused_before_the_first_change() {
             r#"{"name": "", "name": "x", "settings": {}}"#,
             "duplicate field `name`",
         ),
-        (r#"{"name": 5, "settings": {}}"#, "name: 5 is no text"),
+        (r#"{"name": 5, "settings": {}}"#, "name: 5 is not text"),
         (
             r#"{"name": "a name of twenty-five bytes", "settings": {}}"#,
             "the name has 27 bytes",
@@ -100,7 +100,7 @@ fn a_file_with_anything_wrong_is_refused_before_the_first_change() {
         ),
         (
             r#"{"name": "", "settings": {"dead_man_ms": 350, "dead_man_ms": 360}}"#,
-            "dead_man_ms is there twice",
+            "dead_man_ms appears twice",
         ),
         (
             r#"{"name": "", "settings": {"dead_man_ms": 350, "lead_um": 4.5}}"#,

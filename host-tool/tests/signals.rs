@@ -180,7 +180,7 @@ fn a_key_holds_the_run_and_another_resumes_it() {
     assert_eq!(err.lines().count(), 1, "{err}");
     assert!(err.contains("h and Enter"), "{err}");
     assert_eq!(out.matches("  held at ").count(), 1, "{out}");
-    assert_eq!(out.matches("  goes on").count(), 1, "{out}");
+    assert_eq!(out.matches("  resumed").count(), 1, "{out}");
     let log = log.lock().expect("log");
     let count = |name| log.executed.iter().filter(|seen| **seen == name).count();
     assert_eq!((count("Hold"), count("Resume")), (1, 1));

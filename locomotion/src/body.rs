@@ -1,38 +1,38 @@
-//! The unfolded body as a chain of crescents with Coulomb friction, moved by a wall that comes and goes.
+//! The unfolded body as a chain of crescents with Coulomb friction, moved by a wall that presses and retreats.
 //!
-//! Quasi-static and massless: there is no time in it, only the order of the wall's shapes. For each new shape
-//! 1. each crescent feels `a_i = coupling * wall(x_i)` at the place where it was before,
-//! 2. the links take their lengths psi(a_i) from Eq. (4), which shifts each crescent by `delta_i` against the tail,
-//! 3. the whole body then moves by the one `S` with the least friction work
+//! Quasi-static and massless: time does not enter, only the order of the wall's shapes. For each new shape:
+//! 1. each crescent is indented by `a_i = coupling * wall(x_i)` at its previous place,
+//! 2. the links take their lengths psi(a_i) from Eq. (4), which shifts each crescent by `delta_i` relative to the tail,
+//! 3. the whole body moves by the `S` that costs the least friction work
 //!    `sum mu w_i [ (S + delta_i)^+ + r (-(S + delta_i))^+ ]`, `w_i = preload + mean a_i`,
-//!    where + is headward, the wings' easy direction: a weighted quantile of `-delta_i`.
+//!    where + is headward, the wings' easy direction. `S` is a weighted quantile of `-delta_i`.
 //!
-//! The friction coefficient mu multiplies every weight alike and therefore cannot change S. That independence belongs to
-//! this class of models; it is no evidence for the paper's finding.
+//! The friction coefficient mu multiplies every weight alike and therefore cannot change `S`. That independence belongs
+//! to this class of models; it is no evidence for the paper's finding.
 
 use crate::kinematics::{Design, MAX_CRESCENTS};
 use crate::range::{Ends, OutOfRange, check};
 
 const LINKS: usize = MAX_CRESCENTS as usize;
 
-/// What the body is made of. Defaults and sources: `PARAMETERS` of [`crate::roller`] and [`crate::tube`].
+/// Properties of the body. Defaults and sources: `PARAMETERS` of [`crate::roller`] and [`crate::tube`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
     /// Its geometry.
     pub design: Design<f64>,
-    /// chi: part of the wall's indentation that a crescent feels, `0..=1`.
+    /// chi: share of the wall's indentation that reaches a crescent, `0..=1`.
     pub coupling: f64,
     /// mu: friction coefficient in the easy direction, `> 0`. Common to all crescents, so it cancels.
     pub friction: f64,
     /// r: friction in the hard direction over that in the easy one, `>= 1`.
     pub friction_ratio: f64,
-    /// delta0, mm: the hold of a crescent that the wave does not touch, `>= 0`.
+    /// delta0, mm: indentation that holds a crescent even where the wave does not touch it, `>= 0`.
     pub preload_mm: f64,
     /// Where the rearmost wing's tip lies at the start, mm from the intestine's left mark.
     pub tail_mm: f64,
 }
 
-/// The body and where it is.
+/// The body and its place.
 #[derive(Clone, Debug)]
 pub struct Chain {
     params: Params,
@@ -119,7 +119,7 @@ impl Chain {
         middles
     }
 
-    /// Takes the next shape of the wall: its inward indentation in mm at a place x in mm.
+    /// Applies the next shape of the wall: its inward indentation in mm as a function of the place x in mm.
     ///
     /// # Errors
     /// A shape that is negative, NaN or would push a crescent past its core; the body then stays as it was.
@@ -137,7 +137,7 @@ impl Chain {
             }
         }
         if !changed {
-            return Ok(()); // every delta is 0, and so is S
+            return Ok(()); // every delta is 0, so `S` is 0
         }
         let middle_mm = self.middles(&link_mm);
         let mut shift = [(0.0, 0.0); LINKS];
@@ -170,7 +170,7 @@ impl Chain {
         self.core_tail_mm + self.link_mm[..self.m()].iter().sum::<f64>()
     }
 
-    /// What each crescent feels, tail first, mm.
+    /// Indentation of each crescent, tail first, mm.
     pub fn indentations_mm(&self) -> &[f64] {
         &self.indentation_mm[..self.m()]
     }
@@ -181,12 +181,12 @@ impl Chain {
     }
 }
 
-/// The S that minimises `sum w [ (S+delta)^+ + r (-(S+delta))^+ ]` over pairs `(delta, w)`.
+/// The `S` that minimises `sum w [ (S+delta)^+ + r (-(S+delta))^+ ]` over pairs `(delta, w)`.
 ///
-/// The sum is convex and bends only at `S = -delta`. Below the largest delta its slope is `-r sum(w)`; passing each
-/// bend adds `(1+r) w`; the minimum is where the slope stops being negative. Sorts the pairs by falling delta.
+/// The sum is convex in `S` and its slope changes only at `S = -delta`. The slope begins at `-r sum(w)`, and each of
+/// these points adds `(1+r) w`; the minimum is where the slope stops being negative. Sorts the pairs by falling delta.
 fn least_work_shift(pairs: &mut [(f64, f64)], ratio: f64) -> f64 {
-    // Insertion sort: few pairs, nearly sorted from the geometry, stable.
+    // Insertion sort: few pairs, nearly sorted by the geometry, and it is stable.
     for i in 1..pairs.len() {
         let mut j = i;
         while j > 0 && pairs[j].0 > pairs[j - 1].0 {
@@ -223,7 +223,7 @@ mod tests {
     }
 
     proptest! {
-        /// No bend of the work, and no point near the answer, costs less.
+        /// Neither a point where the slope changes nor a point near the answer costs less work.
         #[test]
         fn the_shift_has_the_least_work(
             pairs in prop::collection::vec((-2.0..2.0f64, 0.001..5.0f64), 1..20),
@@ -238,7 +238,7 @@ mod tests {
             }
         }
 
-        /// A body that is squeezed evenly and released is back at its length, wherever it went.
+        /// A body that is squeezed evenly and released regains its length, wherever it went.
         #[test]
         fn a_released_body_is_relaxed(a in 0.01..9.0f64) {
             let params = crate::roller::Params::PAPER.body;

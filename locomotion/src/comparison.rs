@@ -1,4 +1,4 @@
-//! Each sentence of the paper's sections II and III that has a number or a trend, beside what the models give.
+//! Each sentence of the paper's sections II and III that states a number or a trend, beside the models' result.
 //!
 //! The rows are data for reports; [`Table`] prints them as the Markdown table of `docs/science.md`.
 
@@ -9,41 +9,41 @@ use crate::kinematics::{Design, indentation_from_calipers_mm};
 use crate::range::OutOfRange;
 use crate::{folded, roller, tube};
 
-/// What the agreement of a row is worth.
+/// What it proves if a model agrees with a sentence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Worth {
-    /// The paper's number goes into the model; the value shows that it does.
+pub enum Evidence {
+    /// The paper's number is an input of the model; the value only shows that.
     Input,
     /// A parameter was fitted to this sentence: agreement is no evidence.
     Fitted,
-    /// Holds for every model of this class: agreement is no evidence.
+    /// True of every model of this class: agreement is no evidence.
     Built,
-    /// Follows from the equations or the models and could have come out differently.
-    Result,
-    /// The models have no counterpart.
+    /// Follows from the equations or the models, and could have come out differently.
+    Outcome,
+    /// The models have nothing to compare.
     Outside,
 }
 
-impl fmt::Display for Worth {
+impl fmt::Display for Evidence {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
             Self::Input => "input",
             Self::Fitted => "fitted",
             Self::Built => "built in",
-            Self::Result => "result",
+            Self::Outcome => "result",
             Self::Outside => "outside",
         })
     }
 }
 
-/// One sentence of the paper and what becomes of it.
+/// One sentence of the paper beside the models' result.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
     /// Section of the paper.
     pub section: &'static str,
     /// The sentence, paraphrased.
     pub sentence: &'static str,
-    /// What is compared.
+    /// The quantity that is compared.
     pub quantity: &'static str,
     /// The paper's value or trend, in its own rounding.
     pub paper: &'static str,
@@ -51,9 +51,9 @@ pub struct Row {
     pub model: Option<f64>,
     /// Unit of both values; empty for a pure number.
     pub unit: &'static str,
-    /// What the agreement is worth.
-    pub worth: Worth,
-    /// What has to be said about it.
+    /// What it proves if both values agree.
+    pub evidence: Evidence,
+    /// Comment; may be empty.
     pub remark: &'static str,
 }
 
@@ -65,7 +65,7 @@ impl fmt::Display for Row {
             quantity,
             paper,
             unit,
-            worth,
+            evidence,
             remark,
             ..
         } = self;
@@ -75,11 +75,11 @@ impl fmt::Display for Row {
             Some(value) => write!(f, "{}", Rounded(value + 0.0))?,
             None => write!(f, "-")?,
         }
-        write!(f, " | {unit} | {worth} | {remark} |")
+        write!(f, " | {unit} | {evidence} | {remark} |")
     }
 }
 
-/// Whole numbers as such, others with three decimals.
+/// Prints a whole number as such and any other with three decimals.
 struct Rounded(f64);
 
 impl fmt::Display for Rounded {
@@ -121,10 +121,30 @@ pub fn pressures_pa() -> impl ExactSizeIterator<Item = f64> + Clone {
     (0..11u8).map(|i| f64::from(3000 + 400 * u16::from(i)))
 }
 
-/// The indentations of the roller series, mm. The text gives only the largest, a_5; the others are assumed.
+/// The indentations of the roller series, mm. The paper gives only the largest, a_5; the others are assumed.
 pub const INDENTATIONS_MM: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.05];
 
-/// What the model runs gave, before they are put into sentences.
+/// The rows, section by section: `sentence: quantity, paper's value, unit, evidence = model's value, remark;`. The
+/// model's value and the remark may be left out.
+macro_rules! table {
+    ($($section:literal { $(
+        $sentence:literal: $quantity:literal, $paper:literal, $unit:literal,
+            $evidence:ident $(= $model:expr)? $(, $remark:literal)?;
+    )* })*) => {
+        [$($(Row {
+            section: $section,
+            sentence: $sentence,
+            quantity: $quantity,
+            paper: $paper,
+            model: None$(.or(Some($model)))?,
+            unit: $unit,
+            evidence: Evidence::$evidence,
+            remark: concat!($($remark)?),
+        }),*),*]
+    };
+}
+
+/// Results of the model runs that the rows draw on.
 struct Runs {
     /// Displacement at each pressure, friction 0.15.
     pressure_mm: [f64; 11],
@@ -176,11 +196,12 @@ impl Runs {
         })
     }
 
-    /// Steps of a series that rise, or bends of it that turn upward.
+    /// How many steps of a series rise.
     fn rising(series: &[f64]) -> f64 {
         series.windows(2).filter(|w| w[1] > w[0]).count() as f64
     }
 
+    /// How many bends of a series turn upward.
     fn convex(series: &[f64]) -> f64 {
         series
             .windows(3)
@@ -214,7 +235,6 @@ impl Runs {
 /// # Errors
 /// None for the parameters in this crate.
 pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
-    use Worth::{Built, Fitted, Input, Outside, Result as Outcome};
     let runs = Runs::new()?;
     let design = Design::paper_printed();
     let rig = roller::Params::PAPER;
@@ -227,7 +247,7 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
     };
     let pass = roller::isolated_pass(fine, deepest_mm)?;
     let shallow = roller::isolated_pass(fine, INDENTATIONS_MM[0])?;
-    let mut pushed = folded::Bench::new(block, deepest_mm)?;
+    let mut pushed = folded::FoldedBody::new(block, deepest_mm)?;
     pushed.carriage_to(block.stroke_mm)?;
     let antegrade_mm = pushed.displacement_mm();
     pushed.carriage_to(0.0)?;
@@ -257,708 +277,182 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
     body.step(|_| deepest_mm)?;
     body.step(|_| 0.0)?;
     let released_mm = body.head_mm() - body.core_tail_mm() - at_rest_mm;
-    let row = |section, sentence, quantity, paper, model, unit, worth, remark| Row {
-        section,
-        sentence,
-        quantity,
-        paper,
-        model,
-        unit,
-        worth,
-        remark,
-    };
-    Ok([
-        row(
-            "II",
-            "squeezed across, it contracts along its axis",
-            "length at a = 5.05 mm over length at rest",
-            "less than 1",
-            Some(design.length_mm(deepest_mm)? / design.length_mm(0.0)?),
-            "",
-            Outcome,
-            "the negative Poisson's ratio of the text",
-        ),
-        row(
-            "II",
-            "released, it restores the original shape",
-            "length after release less length at rest",
-            "0",
-            Some(released_mm),
-            "mm",
-            Built,
-            "an inextensible chain has no other shape",
-        ),
-        row(
-            "II",
-            "the angles act like an anisotropic friction",
-            "friction ratio r on the rig",
-            "more than 1",
-            Some(rig.body.friction_ratio),
-            "",
-            Fitted,
-            "fitted to the retrograde waves of section III; in the tube 1.222 [assumed]",
-        ),
-        row(
-            "II.A",
-            "alpha should be around 13 deg",
-            "d d0/d alpha at a = 3 mm",
-            "0 at the optimum",
-            Some(design.slope_by_alpha_mm(3.0)?),
-            "mm/rad",
-            Outcome,
-            "negative for every indentation: no optimum, the material sets the lower bound",
-        ),
-        row(
-            "II.A",
-            "alpha too large: less forward deformation",
-            "d0 at alpha = 20 deg less d0, a = 3 mm",
-            "less",
-            Some(with(20.0, 33.69, 0.2)?.shortening_per_crescent_mm(3.0)? - d0_mm),
-            "mm",
-            Outcome,
-            "",
-        ),
-        row(
-            "II.A",
-            "alpha too small: the short side deforms backward",
-            "side",
-            "-",
-            None,
-            "",
-            Outside,
-            "rigid sides",
-        ),
-        row(
-            "II.A",
-            "beta should be around 34 deg",
-            "d d0/d beta at a = 3 mm",
-            "0 at the optimum",
-            Some(design.slope_by_beta_mm(3.0)?),
-            "mm/rad",
-            Outcome,
-            "positive for every indentation: the kinematics set no upper bound",
-        ),
-        row(
-            "II.A",
-            "beta too small: less forward deformation",
-            "d0 at beta = 25 deg less d0, a = 3 mm",
-            "less",
-            Some(with(12.53, 25.0, 0.2)?.shortening_per_crescent_mm(3.0)? - d0_mm),
-            "mm",
-            Outcome,
-            "",
-        ),
-        row(
-            "II.A",
-            "beta too large: the spacing increases",
-            "phi at beta = 45 deg less phi",
-            "more",
-            Some(with(12.53, 45.0, 0.2)?.spacing_mm() - design.spacing_mm()),
-            "mm",
-            Outcome,
-            "",
-        ),
-        row(
-            "II.A",
-            "beta too large: less total displacement",
-            "displacement in 40 s with beta = 45 deg less with 33.69, a = 5.05 mm",
-            "less",
-            Some(steep_mm - runs.roller_mm[4]),
-            "mm",
-            Outcome,
-            "missed: with nine crescents either way, the longer strokes outweigh that fewer lie under a wave",
-        ),
-        row(
-            "II.A",
-            "W is roughly the intestine's diameter",
-            "W / D",
-            "about 1",
-            Some(design.width_mm() / block.intestine_mm),
-            "",
-            Input,
-            "",
-        ),
-        row(
-            "II.A",
-            "W too small: not stuck; too large: slower",
-            "width",
-            "-",
-            None,
-            "",
-            Outside,
-            "the models start from W = D",
-        ),
-        row(
-            "II.A",
-            "c should be 1/5 of M",
-            "c",
-            "1/5",
-            Some(design.core_mm()),
-            "mm",
-            Input,
-            "M is W",
-        ),
-        row(
-            "II.A",
-            "c too long: much less forward deformation",
-            "d0 at c/W = 0.4 less d0, a = 3 mm",
-            "less",
-            Some(with(12.53, 33.69, 0.4)?.shortening_per_crescent_mm(3.0)? - d0_mm),
-            "mm",
-            Outcome,
-            "a fifth less; the gap h is a quarter smaller",
-        ),
-        row(
-            "II.A",
-            "c too short: easily bent",
-            "core",
-            "-",
-            None,
-            "",
-            Outside,
-            "rigid core",
-        ),
-        row(
-            "II.A",
-            "the number m should be about 9",
-            "m",
-            "9",
-            Some(design.crescents().into()),
-            "",
-            Input,
-            "n in the words, m in Eq. (7)",
-        ),
-        row(
-            "II.A",
-            "m too small: hard to move",
-            "displacement in 40 s with m = 5 less with 9, a = 5.05 mm",
-            "less",
-            Some(few_mm - runs.roller_mm[4]),
-            "mm",
-            Outcome,
-            "fewer crescents, less of it",
-        ),
-        row(
-            "II.A",
-            "m too large: less efficient",
-            "displacement in 40 s with m = 13 less with 9, a = 5.05 mm",
-            "less",
-            Some(many_mm - runs.roller_mm[4]),
-            "mm",
-            Outcome,
-            "missed: a common friction cancels, and a longer body goes farther",
-        ),
-        row(
-            "II.A",
-            "alpha = 12.53 deg works best",
-            "alpha of tan = 2/9",
-            "12.53",
-            Some(libm::atan(2.0 / 9.0).to_degrees()),
-            "deg",
-            Outcome,
-            "the printed angle is this ratio's",
-        ),
-        row(
-            "II.A",
-            "beta = 33.69 deg works best",
-            "beta of tan = 2/3",
-            "33.69",
-            Some(libm::atan(2.0 / 3.0).to_degrees()),
-            "deg",
-            Outcome,
-            "the printed angle is this ratio's",
-        ),
-        row(
-            "II.A",
-            "the tail moves forward by d = m d0",
-            "d at a = 5.05 mm",
-            "-",
-            Some(design.shortening_mm(deepest_mm)?),
-            "mm",
-            Outcome,
-            "this is the core's shortening",
-        ),
-        row(
-            "II.A",
-            "the tail moves forward by d = m d0",
-            "overall shortening at a = 5.05 mm",
-            "-",
-            Some(design.length_mm(0.0)? - design.length_mm(deepest_mm)?),
-            "mm",
-            Outcome,
-            "less than d: the last wing lies back",
-        ),
-        row(
-            "II.A",
-            "the larger d, the stronger the mobility",
-            "rising steps of 4, a_1 to a_5",
-            "all",
-            Some(Runs::rising(&runs.roller_mm)),
-            "",
-            Outcome,
-            "on the rig; d rises with a",
-        ),
-        row(
-            "II.B",
-            "tube diameter 24.00 mm",
-            "W in the tube",
-            "24.00",
-            Some(pipe.body.design.width_mm()),
-            "mm",
-            Input,
-            "read as the inner diameter",
-        ),
-        row(
-            "II.B",
-            "tube length 84.00 mm",
-            "length",
-            "84.00",
-            Some(f64::from(pipe.segments) * pipe.segment_mm),
-            "mm",
-            Input,
-            "10 segments of 8.4 mm",
-        ),
-        row(
-            "II.B",
-            "thickness 2.40 mm, Young's modulus 1 MPa",
-            "elastic indentation per kPa",
-            "-",
-            Some(pipe.compliance_mm_per_pa() * 1000.0),
-            "mm/kPa",
-            Input,
-            "thin ring, nu = 0.49 assumed",
-        ),
-        row(
-            "II.B",
-            "density 1 g/mm^3, origami 1.4 g/mm^3",
-            "density",
-            "1; 1.4",
-            None,
-            "g/mm^3",
-            Outside,
-            "1000 times too large as printed; the models have no mass",
-        ),
-        row(
-            "II.B",
-            "viscosity 5.35 MPa s",
-            "viscosity",
-            "5.35",
-            None,
-            "MPa s",
-            Outside,
-            "the wall follows its pressure at once",
-        ),
-        row(
-            "II.B",
-            "crescents 2.00 mm wide and 0.80 mm thick",
-            "section",
-            "2.00 x 0.80",
-            None,
-            "mm",
-            Outside,
-            "rigid sides",
-        ),
-        row(
-            "II.B",
-            "shear modulus 0.6 MPa, bulk modulus 2.0 GPa",
-            "moduli",
-            "0.6; 2000",
-            None,
-            "MPa",
-            Outside,
-            "rigid sides",
-        ),
-        row(
-            "II.B",
-            "10 segments of 8.4 mm, at 1 s intervals",
-            "speed of the wave",
-            "-",
-            Some(pipe.segment_mm / pipe.delay_s),
-            "mm/s",
-            Outcome,
-            "the paper's source for the intestine: up to 10 mm/s",
-        ),
-        row(
-            "II.B",
-            "3 s of pressure: up in 1.5 s, down in 1.5 s",
-            "pulse",
-            "3",
-            Some(pipe.pulse_s),
-            "s",
-            Input,
-            "repeated every 10 s: assumed",
-        ),
-        row(
-            "II.B",
-            "4000 Pa internal pressure",
-            "4000 Pa + buckling pressure of the ring",
-            "-",
-            Some(4000.0 + ring_pa),
-            "Pa",
-            Outcome,
-            "near the 6000 Pa where the displacement becomes faster; not used in the model",
-        ),
-        row(
-            "II.B",
-            "displacement within 20 s",
-            "length of a run",
-            "20",
-            Some(pipe.duration_s),
-            "s",
-            Input,
-            "",
-        ),
-        row(
-            "II.B",
-            "friction series at 7000 Pa",
-            "peristaltic pressure",
-            "7000",
-            Some(7000.0),
-            "Pa",
-            Input,
-            "",
-        ),
-        row(
-            "II.B",
-            "friction coefficients 0.08 to 0.20, by 0.005",
-            "number of runs",
-            "25",
-            Some(frictions().len() as f64),
-            "",
-            Input,
-            "",
-        ),
-        row(
-            "II.B",
-            "pressures 3000 to 7000 Pa, by 400",
-            "number of runs",
-            "11",
-            Some(pressures_pa().len() as f64),
-            "",
-            Input,
-            "",
-        ),
-        row(
-            "II.B",
-            "pressure series at friction 0.15",
-            "friction",
-            "0.15",
-            Some(pipe.body.friction),
-            "",
-            Input,
-            "it cancels",
-        ),
-        row(
-            "II.B",
-            "from 3000 Pa the intestine indents slightly",
-            "wall at 3000 Pa",
-            "slightly",
-            Some(pipe.wall_mm(3000.0)),
-            "mm",
-            Fitted,
-            "",
-        ),
-        row(
-            "II.B",
-            "above 7000 Pa it is severely shrunk",
-            "wall at 7000 Pa",
-            "severely",
-            Some(pipe.wall_mm(7000.0)),
-            "mm",
-            Fitted,
-            "of 9.6 mm to the core; p_c = 7100 Pa",
-        ),
-        row(
-            "II.C",
-            "about 14 mm in 20 s at each friction",
-            "least over 0.08 to 0.20, 7000 Pa",
-            "about 14",
-            Some(runs.friction_mm.0),
-            "mm",
-            Fitted,
-            "the displacement is fitted",
-        ),
-        row(
-            "II.C",
-            "no obvious correlation with friction",
-            "greatest minus least, 7000 Pa",
-            "none",
-            Some(runs.friction_mm.1 - runs.friction_mm.0),
-            "mm",
-            Built,
-            "a common friction cancels",
-        ),
-        row(
-            "II.C",
-            "from about 1 mm",
-            "displacement at 3000 Pa",
-            "about 1",
-            Some(runs.pressure_mm[0]),
-            "mm",
-            Fitted,
-            "",
-        ),
-        row(
-            "II.C",
-            "to about 15 mm",
-            "displacement at 7000 Pa",
-            "about 15",
-            Some(runs.pressure_mm[10]),
-            "mm",
-            Fitted,
-            "depends on the start phase and the time step",
-        ),
-        row(
-            "II.C",
-            "significant positive curvature",
-            "upward bends of 9",
-            "all",
-            Some(Runs::convex(&runs.pressure_mm)),
-            "",
-            Fitted,
-            "ripple of nine tips on a convex trend",
-        ),
-        row(
-            "II.C",
-            "the greater the pressure, the faster",
-            "rising steps of 10",
-            "all",
-            Some(Runs::rising(&runs.pressure_mm)),
-            "",
-            Outcome,
-            "",
-        ),
-        row(
-            "II.D",
-            "printing accuracy 0.15 mm, shore hardness 95 A",
-            "fabrication",
-            "0.15",
-            None,
-            "mm",
-            Outside,
-            "exact and rigid in the models",
-        ),
-        row(
-            "III",
-            "wave displacement restricted to 130 mm",
-            "stroke",
-            "130",
-            Some(rig.stroke_mm),
-            "mm",
-            Input,
-            "",
-        ),
-        row(
-            "III",
-            "structure 24.40 mm wide, as the intestine",
-            "W on the rig",
-            "24.40",
-            Some(rig.body.design.width_mm()),
-            "mm",
-            Input,
-            "",
-        ),
-        row(
-            "III",
-            "tail at the left end, rollers at the right",
-            "tail at the start",
-            "0",
-            Some(rig.body.tail_mm),
-            "mm",
-            Input,
-            "the tip of the rearmost wing",
-        ),
-        row(
-            "III",
-            "silicone Ecoflex 00-30",
-            "shore hardness",
-            "00-30",
-            None,
-            "",
-            Outside,
-            "the wall is the rollers' arc",
-        ),
-        row(
-            "III",
-            "rollers of 40 mm diameter",
-            "diameter",
-            "40",
-            Some(2.0 * rig.radius_mm),
-            "mm",
-            Input,
-            "the wave is their arc; the silicone's own bending is left out",
-        ),
-        row(
-            "III",
-            "width D = 24.40 mm, mean of 5 places",
-            "D",
-            "24.40",
-            Some(block.intestine_mm),
-            "mm",
-            Input,
-            "",
-        ),
-        row(
-            "III",
-            "a_n = (D - i_n)/2, i_n from 5 places",
-            "a for i = 14.30 mm",
-            "5.05",
-            Some(indentation_from_calipers_mm(24.40, 14.30)?),
-            "mm",
-            Outcome,
-            "i_5 follows from a_5; a_1 to a_4 are not in the text",
-        ),
-        row(
-            "III",
-            "peristaltic indentation a_1 to a_5",
-            "number of indentations",
-            "5",
-            Some(INDENTATIONS_MM.len() as f64),
-            "",
-            Input,
-            "1, 2, 3, 4 mm [assumed] and 5.05 mm",
-        ),
-        row(
-            "III",
-            "back and forth 5 times in 40 s",
-            "mean speed of the carriage",
-            "-",
-            Some(f64::from(rig.cycles) * 2.0 * rig.stroke_mm / 40.0),
-            "mm/s",
-            Outcome,
-            "three times the intestine's wave; the models have no speed",
-        ),
-        row(
-            "III",
-            "retrograde waves hardly cause displacement",
-            "isolated return pass at 5.05 mm",
-            "hardly",
-            Some(pass.returning_mm),
-            "mm",
-            Fitted,
-            "roller step 0.1 mm; an antegrade pass gives the next row",
-        ),
-        row(
-            "III",
-            "retrograde waves hardly cause displacement",
-            "isolated return pass at 1 mm",
-            "hardly",
-            Some(shallow.returning_mm),
-            "mm",
-            Outcome,
-            "a third of the antegrade pass, 2.710 mm: at small indentations the sentence is missed",
-        ),
-        row(
-            "III",
-            "the antegrade wave moves the structure",
-            "isolated antegrade pass at 5.05 mm",
-            "-",
-            Some(pass.antegrade_mm),
-            "mm",
-            Outcome,
-            "no number in the text",
-        ),
-        row(
-            "III",
-            "10 experiments under each condition",
-            "spread",
-            "10",
-            None,
-            "",
-            Outside,
-            "the models have no scatter; a campaign repeats real trials",
-        ),
-        row(
-            "III.A",
-            "increases approximately linearly with the indentation",
-            "R^2 of a line, 5 indentations",
-            "about 1",
-            Some(runs.linearity()),
-            "",
-            Fitted,
-            "chi is fitted to this",
-        ),
-        row(
-            "III.A",
-            "increases with the indentation",
-            "displacement in 40 s at 5.05 mm",
-            "-",
-            Some(runs.roller_mm[4]),
-            "mm",
-            Outcome,
-            "a prediction: the text gives no millimetres",
-        ),
-        row(
-            "III.A",
-            "lubricated and unlubricated differ little",
-            "greatest difference, friction 0.08 and 0.20",
-            "not very different",
-            Some(runs.lubrication_mm),
-            "mm",
-            Built,
-            "a common friction cancels",
-        ),
-        row(
-            "III.A",
-            "low and high friction differ little in the simulation",
-            "greatest difference, friction 0.08 and 0.20, all pressures",
-            "no very",
-            Some(runs.tube_friction_mm),
-            "mm",
-            Built,
-            "a common friction cancels",
-        ),
-        row(
-            "III.A",
-            "faster from about 6000 Pa",
-            "mean slope 3000 to 5800 Pa",
-            "-",
-            Some(runs.slope_per_kpa(0, 7)),
-            "mm/kPa",
-            Fitted,
-            "p_c is fitted",
-        ),
-        row(
-            "III.A",
-            "faster from about 6000 Pa",
-            "mean slope 5800 to 7000 Pa",
-            "more",
-            Some(runs.slope_per_kpa(7, 10)),
-            "mm/kPa",
-            Fitted,
-            "p_c is fitted",
-        ),
-        row(
-            "III.A",
-            "folded, it moves in the opposite direction at 5.05 mm",
-            "displacement in 40 s",
-            "opposite",
-            Some(antegrade_mm),
-            "mm",
-            Outcome,
-            "21 mm of thread, laid down at mid-stroke (assumed); below 14.3 mm of width it would not be touched",
-        ),
-        row(
-            "III.A",
-            "folded, recorded within 40 s",
-            "cycles",
-            "40 s",
-            Some(f64::from(block.cycles)),
-            "",
-            Input,
-            "5 cycles of 8 s",
-        ),
-        row(
-            "III.A",
-            "the wave from left to right hardly moves it",
-            "displacement by the return stroke",
-            "hardly",
-            Some(returning_mm),
-            "mm",
-            Built,
-            "a pushed block lies ahead of the roller",
-        ),
-    ])
+    Ok(table! {
+        "II" {
+            "squeezed across, it contracts along its axis":
+                "length at a = 5.05 mm over length at rest", "less than 1", "",
+                Outcome = design.length_mm(deepest_mm)? / design.length_mm(0.0)?,
+                "the negative Poisson's ratio of the text";
+            "released, it restores the original shape":
+                "length after release less length at rest", "0", "mm", Built = released_mm,
+                "an inextensible chain has no other shape";
+            "the angles act like an anisotropic friction":
+                "friction ratio r on the rig", "more than 1", "", Fitted = rig.body.friction_ratio,
+                "fitted to the retrograde waves of section III; in the tube 1.222 [assumed]";
+        }
+        "II.A" {
+            "alpha should be around 13 deg":
+                "d d0/d alpha at a = 3 mm", "0 at the optimum", "mm/rad", Outcome = design.slope_by_alpha_mm(3.0)?,
+                "negative for every indentation: no optimum, the material sets the lower bound";
+            "alpha too large: less forward deformation":
+                "d0 at alpha = 20 deg less d0, a = 3 mm", "less", "mm",
+                Outcome = with(20.0, 33.69, 0.2)?.shortening_per_crescent_mm(3.0)? - d0_mm;
+            "alpha too small: the short side deforms backward": "side", "-", "", Outside, "rigid sides";
+            "beta should be around 34 deg":
+                "d d0/d beta at a = 3 mm", "0 at the optimum", "mm/rad", Outcome = design.slope_by_beta_mm(3.0)?,
+                "positive for every indentation: the kinematics set no upper bound";
+            "beta too small: less forward deformation":
+                "d0 at beta = 25 deg less d0, a = 3 mm", "less", "mm",
+                Outcome = with(12.53, 25.0, 0.2)?.shortening_per_crescent_mm(3.0)? - d0_mm;
+            "beta too large: the spacing increases":
+                "phi at beta = 45 deg less phi", "more", "mm",
+                Outcome = with(12.53, 45.0, 0.2)?.spacing_mm() - design.spacing_mm();
+            "beta too large: less total displacement":
+                "displacement in 40 s with beta = 45 deg less with 33.69, a = 5.05 mm", "less", "mm",
+                Outcome = steep_mm - runs.roller_mm[4],
+                "missed: with nine crescents either way, the longer strokes outweigh that fewer lie under a wave";
+            "W is roughly the intestine's diameter":
+                "W / D", "about 1", "", Input = design.width_mm() / block.intestine_mm;
+            "W too small: not stuck; too large: slower": "width", "-", "", Outside, "the models start from W = D";
+            "c should be 1/5 of M": "c", "1/5", "mm", Input = design.core_mm(), "M is W";
+            "c too long: much less forward deformation":
+                "d0 at c/W = 0.4 less d0, a = 3 mm", "less", "mm",
+                Outcome = with(12.53, 33.69, 0.4)?.shortening_per_crescent_mm(3.0)? - d0_mm,
+                "a fifth less; the gap h is a quarter smaller";
+            "c too short: easily bent": "core", "-", "", Outside, "rigid core";
+            "the number m should be about 9":
+                "m", "9", "", Input = design.crescents().into(), "n in the words, m in Eq. (7)";
+            "m too small: hard to move":
+                "displacement in 40 s with m = 5 less with 9, a = 5.05 mm", "less", "mm",
+                Outcome = few_mm - runs.roller_mm[4],
+                "fewer crescents, less of it";
+            "m too large: less efficient":
+                "displacement in 40 s with m = 13 less with 9, a = 5.05 mm", "less", "mm",
+                Outcome = many_mm - runs.roller_mm[4],
+                "missed: a common friction cancels, and a longer body goes farther";
+            "alpha = 12.53 deg works best":
+                "alpha of tan = 2/9", "12.53", "deg", Outcome = libm::atan(2.0 / 9.0).to_degrees(),
+                "the printed angle is this ratio's";
+            "beta = 33.69 deg works best":
+                "beta of tan = 2/3", "33.69", "deg", Outcome = libm::atan(2.0 / 3.0).to_degrees(),
+                "the printed angle is this ratio's";
+            "the tail moves forward by d = m d0":
+                "d at a = 5.05 mm", "-", "mm", Outcome = design.shortening_mm(deepest_mm)?,
+                "this is the core's shortening";
+            "the tail moves forward by d = m d0":
+                "overall shortening at a = 5.05 mm", "-", "mm",
+                Outcome = design.length_mm(0.0)? - design.length_mm(deepest_mm)?,
+                "less than d: the last wing lies back";
+            "the larger d, the stronger the mobility":
+                "rising steps of 4, a_1 to a_5", "all", "", Outcome = Runs::rising(&runs.roller_mm),
+                "on the rig; d rises with a";
+        }
+        "II.B" {
+            "tube diameter 24.00 mm":
+                "W in the tube", "24.00", "mm", Input = pipe.body.design.width_mm(), "read as the inner diameter";
+            "tube length 84.00 mm":
+                "length", "84.00", "mm", Input = f64::from(pipe.segments) * pipe.segment_mm, "10 segments of 8.4 mm";
+            "thickness 2.40 mm, Young's modulus 1 MPa":
+                "elastic indentation per kPa", "-", "mm/kPa", Input = pipe.compliance_mm_per_pa() * 1000.0,
+                "thin ring, nu = 0.49 assumed";
+            "density 1 g/mm^3, origami 1.4 g/mm^3":
+                "density", "1; 1.4", "g/mm^3", Outside, "1000 times too large as printed; the models have no mass";
+            "viscosity 5.35 MPa s": "viscosity", "5.35", "MPa s", Outside, "the wall follows its pressure at once";
+            "crescents 2.00 mm wide and 0.80 mm thick": "section", "2.00 x 0.80", "mm", Outside, "rigid sides";
+            "shear modulus 0.6 MPa, bulk modulus 2.0 GPa": "moduli", "0.6; 2000", "MPa", Outside, "rigid sides";
+            "10 segments of 8.4 mm, at 1 s intervals":
+                "speed of the wave", "-", "mm/s", Outcome = pipe.segment_mm / pipe.delay_s,
+                "the paper's source for the intestine: up to 10 mm/s";
+            "3 s of pressure: up in 1.5 s, down in 1.5 s":
+                "pulse", "3", "s", Input = pipe.pulse_s, "repeated every 10 s: assumed";
+            "4000 Pa internal pressure":
+                "4000 Pa + buckling pressure of the ring", "-", "Pa", Outcome = 4000.0 + ring_pa,
+                "near the 6000 Pa where the displacement becomes faster; not used in the model";
+            "displacement within 20 s": "length of a run", "20", "s", Input = pipe.duration_s;
+            "friction series at 7000 Pa": "peristaltic pressure", "7000", "Pa", Input = 7000.0;
+            "friction coefficients 0.08 to 0.20, by 0.005":
+                "number of runs", "25", "", Input = frictions().len() as f64;
+            "pressures 3000 to 7000 Pa, by 400": "number of runs", "11", "", Input = pressures_pa().len() as f64;
+            "pressure series at friction 0.15": "friction", "0.15", "", Input = pipe.body.friction, "it cancels";
+            "from 3000 Pa the intestine indents slightly":
+                "wall at 3000 Pa", "slightly", "mm", Fitted = pipe.wall_mm(3000.0);
+            "above 7000 Pa it is severely shrunk": "wall at 7000 Pa", "severely", "mm", Fitted = pipe.wall_mm(7000.0),
+                "of 9.6 mm to the core; p_c = 7100 Pa";
+        }
+        "II.C" {
+            "about 14 mm in 20 s at each friction":
+                "least over 0.08 to 0.20, 7000 Pa", "about 14", "mm", Fitted = runs.friction_mm.0,
+                "the displacement is fitted";
+            "no obvious correlation with friction":
+                "greatest minus least, 7000 Pa", "none", "mm", Built = runs.friction_mm.1 - runs.friction_mm.0,
+                "a common friction cancels";
+            "from about 1 mm": "displacement at 3000 Pa", "about 1", "mm", Fitted = runs.pressure_mm[0];
+            "to about 15 mm": "displacement at 7000 Pa", "about 15", "mm", Fitted = runs.pressure_mm[10],
+                "depends on the start phase and the time step";
+            "significant positive curvature": "upward bends of 9", "all", "", Fitted = Runs::convex(&runs.pressure_mm),
+                "ripple of nine tips on a convex trend";
+            "the greater the pressure, the faster":
+                "rising steps of 10", "all", "", Outcome = Runs::rising(&runs.pressure_mm);
+        }
+        "II.D" {
+            "printing accuracy 0.15 mm, shore hardness 95 A":
+                "fabrication", "0.15", "mm", Outside, "exact and rigid in the models";
+        }
+        "III" {
+            "wave displacement restricted to 130 mm": "stroke", "130", "mm", Input = rig.stroke_mm;
+            "structure 24.40 mm wide, as the intestine":
+                "W on the rig", "24.40", "mm", Input = rig.body.design.width_mm();
+            "tail at the left end, rollers at the right":
+                "tail at the start", "0", "mm", Input = rig.body.tail_mm, "the tip of the rearmost wing";
+            "silicone Ecoflex 00-30": "shore hardness", "00-30", "", Outside, "the wall is the rollers' arc";
+            "rollers of 40 mm diameter": "diameter", "40", "mm", Input = 2.0 * rig.radius_mm,
+                "the wave is their arc; the silicone's own bending is left out";
+            "width D = 24.40 mm, mean of 5 places": "D", "24.40", "mm", Input = block.intestine_mm;
+            "a_n = (D - i_n)/2, i_n from 5 places":
+                "a for i = 14.30 mm", "5.05", "mm", Outcome = indentation_from_calipers_mm(24.40, 14.30)?,
+                "i_5 follows from a_5; a_1 to a_4 are not in the text";
+            "peristaltic indentation a_1 to a_5":
+                "number of indentations", "5", "", Input = INDENTATIONS_MM.len() as f64,
+                "1, 2, 3, 4 mm [assumed] and 5.05 mm";
+            "back and forth 5 times in 40 s":
+                "mean speed of the carriage", "-", "mm/s", Outcome = f64::from(rig.cycles) * 2.0 * rig.stroke_mm / 40.0,
+                "three times the intestine's wave; the models have no speed";
+            "retrograde waves hardly cause displacement":
+                "isolated return pass at 5.05 mm", "hardly", "mm", Fitted = pass.returning_mm,
+                "roller step 0.1 mm; an antegrade pass gives the next row";
+            "retrograde waves hardly cause displacement":
+                "isolated return pass at 1 mm", "hardly", "mm", Outcome = shallow.returning_mm,
+                "a third of the antegrade pass, 2.710 mm: at small indentations the sentence is missed";
+            "the antegrade wave moves the structure":
+                "isolated antegrade pass at 5.05 mm", "-", "mm", Outcome = pass.antegrade_mm, "no number in the text";
+            "10 experiments under each condition":
+                "spread", "10", "", Outside, "the models have no scatter; a campaign repeats real trials";
+        }
+        "III.A" {
+            "increases approximately linearly with the indentation":
+                "R^2 of a line, 5 indentations", "about 1", "", Fitted = runs.linearity(), "chi is fitted to this";
+            "increases with the indentation": "displacement in 40 s at 5.05 mm", "-", "mm", Outcome = runs.roller_mm[4],
+                "a prediction: the text gives no millimetres";
+            "lubricated and unlubricated differ little":
+                "greatest difference, friction 0.08 and 0.20", "not very different", "mm", Built = runs.lubrication_mm,
+                "a common friction cancels";
+            "low and high friction differ little in the simulation":
+                "greatest difference, friction 0.08 and 0.20, all pressures", "no very", "mm",
+                Built = runs.tube_friction_mm,
+                "a common friction cancels";
+            "faster from about 6000 Pa":
+                "mean slope 3000 to 5800 Pa", "-", "mm/kPa", Fitted = runs.slope_per_kpa(0, 7), "p_c is fitted";
+            "faster from about 6000 Pa":
+                "mean slope 5800 to 7000 Pa", "more", "mm/kPa", Fitted = runs.slope_per_kpa(7, 10), "p_c is fitted";
+            "folded, it moves in the opposite direction at 5.05 mm":
+                "displacement in 40 s", "opposite", "mm", Outcome = antegrade_mm,
+                "21 mm of thread, laid down at mid-stroke (assumed); below 14.3 mm of width it would not be touched";
+            "folded, recorded within 40 s": "cycles", "40 s", "", Input = f64::from(block.cycles), "5 cycles of 8 s";
+            "the wave from left to right hardly moves it":
+                "displacement by the return stroke", "hardly", "mm", Built = returning_mm,
+                "a pushed block lies ahead of the roller";
+        }
+    })
 }
 
 /// Buckling pressure of a free elastic ring under outer pressure, Pa: `E t^3 / (4 (1-nu^2) R^3)`, R to the middle of

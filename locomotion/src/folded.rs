@@ -1,9 +1,9 @@
-//! The folded body before the roller: a rigid block, narrower than the intestine.
+//! The folded body under the roller: a rigid block, narrower than the intestine.
 //!
-//! The roller's wave touches it only if it is deeper than the gap `a_c = (D - W_f)/2` beside the block. Then, with
-//! `e = a_pk - a_c`, the wall meets the block's end `sqrt(2 R e - e^2)` ahead of the roller at the slope
-//! `sqrt(2 R e - e^2)/(R - e)`. A slope steeper than the friction pushes the block ahead of the roller to the end of the
-//! stroke; a flatter one lets the roller ride over it. The roller that returns leaves the block behind.
+//! The wave touches the block only if it is deeper than the gap `a_c = (D - W_f)/2` beside it. With the excess
+//! `e = a_pk - a_c` the wall meets the block's end `sqrt(2 R e - e^2)` ahead of the roller, at the slope
+//! `sqrt(2 R e - e^2)/(R - e)`. If that slope is steeper than the friction, the roller pushes the block ahead of it to
+//! the end of the stroke; otherwise it rides over the block. The returning roller leaves the block behind.
 
 use crate::kinematics::Design;
 use crate::parameter::{Label, Parameter, row};
@@ -44,7 +44,8 @@ impl Params {
         cycles: 5,
     };
 
-    /// The same with the width `W - 2a` and the length L(a) that `thread_mm` of drawn-in thread leaves to a design.
+    /// The same experiment with the width `W - 2a` and the length L(a) of a design after `thread_mm` of thread was
+    /// drawn in.
     ///
     /// # Errors
     /// `thread_mm` outside the design's travel, `0..=d(h)`.
@@ -127,7 +128,7 @@ pub const PARAMETERS: [Parameter; 8] = {
 pub enum Contact {
     /// The wave is no deeper than the gap beside the body.
     Untouched,
-    /// The wall is so flat where it meets the body that the roller rides over it.
+    /// The wall meets the body at so flat a slope that the roller rides over it.
     Overridden {
         /// Slope of the wall there, at most the friction.
         slope: f64,
@@ -141,16 +142,16 @@ pub enum Contact {
     },
 }
 
-/// The rig with the folded body in it and the carriage at home.
+/// The folded body under the rig's rollers.
 #[derive(Clone, Debug)]
-pub struct Bench {
+pub struct FoldedBody {
     params: Params,
     contact: Contact,
     tail_mm: f64,
 }
 
-impl Bench {
-    /// The body at `params.tail_mm`, the rollers at home, indenting by `indentation_mm`.
+impl FoldedBody {
+    /// The body at `params.tail_mm` and the rollers at home, indenting by `indentation_mm`.
     ///
     /// # Errors
     /// The first parameter outside its range; an indentation outside `0..=D/2`; a body that would lie under the roller.
@@ -234,7 +235,7 @@ impl Bench {
     /// Moves the carriage straight to `carriage_mm`: 0 = home = right end, positive to the left.
     ///
     /// # Errors
-    /// A place that is NaN or more than 100 mm outside the stroke.
+    /// A position that is NaN or more than 100 mm outside the stroke.
     pub fn carriage_to(&mut self, carriage_mm: f64) -> Result<(), OutOfRange> {
         check(
             "carriage position",
@@ -246,7 +247,7 @@ impl Bench {
         )?;
         let roller_mm = self.params.stroke_mm - carriage_mm;
         if let Contact::Pushed { ahead_mm, .. } = self.contact {
-            // The body always lies ahead of a roller that pushes, so only the way to the left can reach it.
+            // The body lies to the left of a roller that pushes, so only a move to the left can reach it.
             let free_tail_mm = roller_mm - ahead_mm - self.params.length_mm;
             if free_tail_mm < self.tail_mm {
                 self.tail_mm = free_tail_mm;
@@ -255,10 +256,10 @@ impl Bench {
         Ok(())
     }
 
-    /// One whole cycle: to the far end and home.
+    /// One cycle: to the far end and home.
     ///
     /// # Errors
-    /// None for a bench that could be made.
+    /// None after a successful [`FoldedBody::new`].
     pub fn cycle(&mut self) -> Result<(), OutOfRange> {
         self.carriage_to(self.params.stroke_mm)?;
         self.carriage_to(0.0)
@@ -298,11 +299,11 @@ fn contact(params: &Params, indentation_mm: f64) -> Contact {
 /// The paper's fold experiment: displacement of the body in mm after all cycles, + headward.
 ///
 /// # Errors
-/// As [`Bench::new`].
+/// As [`FoldedBody::new`].
 pub fn run(params: Params, indentation_mm: f64) -> Result<f64, OutOfRange> {
-    let mut bench = Bench::new(params, indentation_mm)?;
+    let mut body = FoldedBody::new(params, indentation_mm)?;
     for _ in 0..params.cycles {
-        bench.cycle()?;
+        body.cycle()?;
     }
-    Ok(bench.displacement_mm())
+    Ok(body.displacement_mm())
 }

@@ -1,16 +1,16 @@
-//! The origami squeezed by the wall: Eqs. (1)-(5), (7) and (8) of the paper, their derivatives and lengths.
+//! The origami squeezed by the wall: Eqs. (1)-(5), (7) and (8) of the paper, derivatives and lengths.
 //!
-//! With `h = (W-c)/2`, a wall that has moved in by `a` leaves `u = h-a` between itself and the core, and the two sides of
-//! a crescent reach `s1 = sqrt(l1^2-u^2)` and `s2 = sqrt(l2^2-u^2)` along the axis. Written with `q = a(2h-a)`,
-//! `s^2 = h^2 tan^2 + q`, every difference of the printed equations turns into a sum of positive terms:
+//! With `h = (W-c)/2`, a wall that has moved in by `a` leaves a gap `u = h-a` to the core, and the two sides of a
+//! crescent reach `s1 = sqrt(l1^2-u^2)` and `s2 = sqrt(l2^2-u^2)` along the axis. With `q = a(2h-a)` and
+//! `s^2 = h^2 tan^2 + q`, every difference in the printed equations becomes a sum of positive terms:
 //!
 //! ```text
 //! psi = s1 - s2   = h^2 (tan beta - tan alpha)(tan beta + tan alpha) / (s1 + s2)
 //! d0  = phi - psi = q (phi + psi) / [(s1 + h tan beta)(s2 + h tan alpha)]
 //! ```
 //!
-//! These hold in `f32` too; the printed form of Eq. (5) loses up to 7e-4 of a small `d0` there. It is kept as
-//! [`Design::shortening_as_printed_mm`] for comparison.
+//! These forms are accurate in `f32`, too, where the printed form of Eq. (5) loses up to 7e-4 of a small `d0`. That
+//! form is kept for comparison: [`Design::shortening_as_printed_mm`].
 
 use core::fmt::Debug;
 use core::ops::{Add, Div, Mul, RangeInclusive, Sub};
@@ -71,9 +71,10 @@ impl Real for f64 {
 /// Most crescents that a design may have.
 pub const MAX_CRESCENTS: u8 = 32;
 
-/// One origami: width, core, the two angles and the number of crescents, checked when made.
+/// One origami: width, core, the two angles and the number of crescents, all checked on construction.
 ///
-/// Both angles are to the **transverse** axis, as Eqs. (1) and (2) need them; the paper's words say longitudinal.
+/// Both angles are measured from the **transverse** axis, as Eqs. (1) and (2) need them; the paper's text says
+/// longitudinal.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Design<T> {
     width_mm: T,
@@ -91,8 +92,8 @@ impl Design<f64> {
         Self::paper_with(degrees(12.53), degrees(33.69))
     }
 
-    /// The paper's design with `tan alpha = 2/9` and `tan beta = 2/3`, the ratios that its angles print to two
-    /// decimals; then `phi = 4h/9`.
+    /// The paper's design with `tan alpha = 2/9` and `tan beta = 2/3`: the printed angles are these ratios' to two
+    /// decimals. Then `phi = 4h/9`.
     pub const fn paper_ratios() -> Self {
         Self::paper_with(2.0 / 9.0, 2.0 / 3.0)
     }
@@ -120,7 +121,7 @@ impl Design<f64> {
 }
 
 impl<T: Real> Design<T> {
-    /// A design from angles in degrees to the transverse axis, `0 < alpha < beta < 90`.
+    /// A design from angles in degrees from the transverse axis, `0 < alpha < beta < 90`.
     ///
     /// # Errors
     /// The first value outside its range: `width > 0`, `0 < core < width`, the angles as above, `1..=32` crescents.
@@ -225,15 +226,15 @@ impl<T: Real> Design<T> {
     pub const fn core_mm(&self) -> T {
         self.core_mm
     }
-    /// `h = (W-c)/2`, mm: from the core to the unmoved wall, and the largest indentation.
+    /// `h = (W-c)/2`, mm: from the core to the wall at rest, which is also the largest indentation.
     pub const fn half_gap_mm(&self) -> T {
         self.half_gap_mm
     }
-    /// Tangent of the short side's angle to the transverse axis.
+    /// Tangent of the short side's angle from the transverse axis.
     pub const fn tan_alpha(&self) -> T {
         self.tan_alpha
     }
-    /// Tangent of the long side's angle to the transverse axis.
+    /// Tangent of the long side's angle from the transverse axis.
     pub const fn tan_beta(&self) -> T {
         self.tan_beta
     }
@@ -263,7 +264,7 @@ impl<T: Real> Design<T> {
         Ok(self.squeezed(a_mm)?.psi)
     }
 
-    /// Eq. (5): shortening d0 of one crescent squeezed by `a`, mm. Rises strictly with `a` and is concave.
+    /// Eq. (5): shortening d0 of one crescent squeezed by `a`, mm. Strictly increasing and concave in `a`.
     ///
     /// # Errors
     /// `a` outside `0..=h`, or NaN.
@@ -271,7 +272,7 @@ impl<T: Real> Design<T> {
         Ok(self.d0(&self.squeezed(a_mm)?))
     }
 
-    /// Eq. (7): shortening `d = m d0` of the core, mm. It is also the travel of the thread that folds the structure.
+    /// Eq. (7): shortening `d = m d0` of the core, mm. The thread that folds the structure travels as far.
     ///
     /// # Errors
     /// `a` outside `0..=h`, or NaN.
@@ -279,7 +280,7 @@ impl<T: Real> Design<T> {
         Ok(self.m() * self.shortening_per_crescent_mm(a_mm)?)
     }
 
-    /// Eq. (5) term by term as printed, mm: for comparison only, it cancels at small `a`.
+    /// Eq. (5) term by term as printed, mm. For comparison only: its terms cancel at small `a`.
     ///
     /// # Errors
     /// `a` outside `0..=h`, or NaN.
@@ -299,7 +300,7 @@ impl<T: Real> Design<T> {
     }
 
     /// Overall length `L(a) = m psi(a) + s2(a)`, mm: the core and the last wing behind it (not in the paper).
-    /// It shortens less than the core does, because that wing lies back.
+    /// It shortens less than the core, because the wing folds back.
     ///
     /// # Errors
     /// `a` outside `0..=h`, or NaN.
@@ -325,8 +326,8 @@ impl<T: Real> Design<T> {
         Ok((self.half_gap_mm - a_mm) * s.psi / (s.s1 * s.s2))
     }
 
-    /// `d d0 / d alpha`, mm per radian, what Eq. (6) was to be: `h sec^2(alpha) [h tan(alpha)/s2 - 1]`.
-    /// Negative for every `a > 0`: d0 has no maximum inside the range of alpha.
+    /// `d d0 / d alpha`, mm per radian, which Eq. (6) should have been: `h sec^2(alpha) [h tan(alpha)/s2 - 1]`.
+    /// Negative for every `a > 0`: d0 has no maximum within the range of alpha.
     ///
     /// # Errors
     /// `a` outside `0..=h`, or NaN.
@@ -371,7 +372,7 @@ impl<T: Real> Design<T> {
         }
     }
 
-    /// Width left over when the wings are drawn in by `a`, `W - 2a`, mm.
+    /// Width `W - 2a` that remains when the wings are drawn in by `a`, mm.
     ///
     /// # Errors
     /// `a` outside `0..=h`, or NaN.
@@ -463,14 +464,14 @@ pub fn indentation_from_calipers_mm<T: Real>(
 pub struct BestAlpha {
     /// The admissible alpha with the largest d0, degrees.
     pub alpha_deg: f64,
-    /// Why it is that one.
+    /// The reason in words.
     pub reason: &'static str,
 }
 
-/// The alpha of an admissible range that gives the largest d0: its lower bound, whatever beta and indentation.
+/// The alpha in an admissible range that gives the largest d0: the lower bound, for any beta and any indentation.
 ///
 /// # Errors
-/// A range outside `0 < alpha < beta < 90`, or with its ends exchanged.
+/// A range outside `0 < alpha < beta < 90`, or one whose ends are swapped.
 pub fn best_alpha(
     beta_deg: f64,
     admissible_deg: RangeInclusive<f64>,
@@ -510,8 +511,8 @@ pub fn best_alpha(
 /// Eq. (6) as printed, left side minus right side, with `k = 2/(W-c)`:
 /// `sec^2(alpha) [1 - (2 - sec^2(alpha))^2 tan^2(alpha)] - k^2 (k - a)^2`.
 ///
-/// Kept to show that it cannot be used: the right side subtracts millimetres from reciprocal millimetres, and neither
-/// this form nor the repaired one ([`repaired_eq6_residual`]) has a root near the paper's 12.53 degrees.
+/// Kept to show that it is unusable: the right side subtracts millimetres from reciprocal millimetres, and neither this
+/// form nor the repaired one ([`repaired_eq6_residual`]) has a root near the paper's 12.53 degrees.
 pub fn printed_eq6_residual(design: &Design<f64>, a_mm: f64) -> f64 {
     let k = 1.0 / design.half_gap_mm;
     let (k_squared, rest) = (k * k, k - a_mm);
@@ -520,8 +521,8 @@ pub fn printed_eq6_residual(design: &Design<f64>, a_mm: f64) -> f64 {
 
 /// Eq. (6) with the right side repaired to the pure number `((h-a)/h)^2`, left side minus right side.
 ///
-/// With `t = tan^2(alpha)` the left side is `1 + t^2 + t^3 - t^4`, above 1 until t reaches the golden ratio: every root
-/// for `0 <= a <= h` lies at alpha >= 51.827 degrees.
+/// With `t = tan^2(alpha)` the left side is `1 + t^2 + t^3 - t^4`, which is above 1 until t reaches the golden ratio.
+/// So for `0 <= a <= h` every root lies at alpha >= 51.827 degrees.
 pub fn repaired_eq6_residual(design: &Design<f64>, a_mm: f64) -> f64 {
     let rest = (design.half_gap_mm - a_mm) / design.half_gap_mm;
     eq6_left(design.tan_alpha * design.tan_alpha) - rest * rest
@@ -533,10 +534,10 @@ fn eq6_left(t: f64) -> f64 {
     sec_squared * (1.0 - rest * rest * t)
 }
 
-/// A design requirement of section II.A: a target and what goes wrong on either side of it.
+/// A design requirement of section II.A: a target, and what goes wrong below and above it.
 #[derive(Clone, Copy, Debug)]
 pub struct Rule {
-    /// What the rule is about.
+    /// Name of the quantity.
     pub quantity: &'static str,
     /// The paper's target ("about").
     pub target: f64,
@@ -546,11 +547,11 @@ pub struct Rule {
     pub too_small: &'static str,
     /// The paper's objection to larger values.
     pub too_large: &'static str,
-    /// The quantity's value for a design.
+    /// Value of the quantity for a design.
     pub of: fn(&Design<f64>) -> f64,
 }
 
-/// The five design requirements of section II.A. The rule on W speaks of the intestine's width, 24.40 mm on the rig.
+/// The five design requirements of section II.A. The target of W is the intestine's width, 24.40 mm on the rig.
 pub const RULES: [Rule; 5] = [
     Rule {
         quantity: "alpha",

@@ -1,15 +1,15 @@
 //! The paper's mathematics: the origami's kinematics, its body in a travelling wave, the roller rig, the pressurised
 //! tube and the folded body.
 //!
-//! Core-only: no allocation, no clock, no randomness; only `+ - * /` and square roots in the steps, so that a run gives
-//! the same bits every time. Lengths are millimetres, forces of the wave are indentations of the wall in millimetres,
-//! pressures are pascals.
+//! No allocation, no clock, no randomness; the steps use only `+ - * /` and square roots, so that a run gives the same
+//! bits every time. Lengths are in millimetres, pressures in pascals; the load of a wave on the body is expressed as
+//! the indentation of the wall in millimetres.
 //!
 //! # Axes and signs
 //! The intestine lies along x. Its marked left end is x = 0, the right end of the roller's travel x = 130 mm. The body
 //! lies with its tail at the left and its head to the right. The **antegrade** wave runs from right to left; a
 //! **positive displacement is headward**, to the right, against that wave: the paper's retrograde motion. The carriage
-//! has the rig's own coordinate: 0 = home = right end, positive to the left, so the roller is at `x = stroke - carriage`.
+//! is counted as on the rig, 0 = home = right end, positive to the left, so the roller is at `x = stroke - carriage`.
 //!
 //! # Where a number comes from
 //! Every parameter has a row in a `PARAMETERS` table with its [`parameter::Label`] and its source. `docs/science.md`

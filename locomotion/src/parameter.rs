@@ -1,4 +1,4 @@
-//! What each number of a model is and where it comes from, as data for documents and reports.
+//! Value, unit and origin of each number of a model, as data for documents and reports.
 
 use core::fmt;
 
@@ -9,9 +9,9 @@ pub enum Label {
     Paper,
     /// Follows from the paper by calculation.
     Derived,
-    /// Fitted to a sentence of the paper. A result that repeats that sentence is no evidence.
+    /// Fitted to a sentence of the paper. A result that agrees with that sentence is no evidence.
     Calibrated,
-    /// Chosen without a source.
+    /// Chosen; there is no source.
     Assumed,
 }
 
@@ -41,7 +41,7 @@ pub struct Parameter {
     pub source: &'static str,
 }
 
-/// A row, in one line.
+/// A row of a table.
 pub(crate) const fn row(
     name: &'static str,
     value: f64,

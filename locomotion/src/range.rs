@@ -1,11 +1,11 @@
-//! The one error of this crate: a value that a model does not cover.
+//! The only error of this crate: a value that a model does not cover.
 
 use core::fmt;
 
-/// A value outside the range for which an equation or a model holds. Nothing is clamped instead.
+/// A value outside the range for which an equation or a model holds. Values are never clamped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutOfRange {
-    /// What the value is, in words.
+    /// Name of the value.
     pub quantity: &'static str,
     /// The value that was refused; may be NaN.
     pub value: f64,
@@ -15,9 +15,9 @@ pub struct OutOfRange {
     pub max: f64,
     /// Unit of the three values; empty for a pure number.
     pub unit: &'static str,
-    /// Which of the two ends belong to the range.
+    /// Whether the ends belong to the range.
     pub ends: Ends,
-    /// Why the range ends there.
+    /// Reason for the range.
     pub because: &'static str,
 }
 

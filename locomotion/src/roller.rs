@@ -1,8 +1,8 @@
 //! The paper's rig (section III): a pair of rollers drawn along a silicone intestine, and the unfolded body in it.
 //!
-//! The model has no clock. It takes the roller's places from any sequence of carriage positions: it is stepped whenever
-//! the carriage reaches another multiple of `step_mm`, however finely or coarsely the positions are fed. A stop in
-//! mid-stroke leaves the roller's wave on the body, and a reversal goes on from there.
+//! The model has no clock. It follows any sequence of carriage positions: it takes a step whenever the carriage reaches
+//! another multiple of `step_mm`, however finely or coarsely the positions are given. A stop in mid-stroke leaves the
+//! roller's wave on the body, and a reversal continues from there.
 
 use crate::body::{self, Chain};
 use crate::kinematics::Design;
@@ -18,7 +18,7 @@ pub struct Params {
     pub stroke_mm: f64,
     /// Radius of the rollers, mm.
     pub radius_mm: f64,
-    /// Distance between two evaluations of the model along the carriage's way, mm.
+    /// Travel of the carriage between two evaluations of the model, mm.
     pub step_mm: f64,
     /// Back-and-forth cycles of a run.
     pub cycles: u32,
@@ -149,14 +149,14 @@ pub const PARAMETERS: [Parameter; 14] = {
     ]
 };
 
-/// How far past either end of the stroke the carriage may be fed, mm: enough for the wave to leave the body.
+/// How far beyond either end of the stroke a carriage position may lie, mm: enough for the wave to clear the body.
 const OVERTRAVEL_MM: f64 = 100.0;
 
-/// A carriage this close to a multiple of the step has reached it, mm: for positions that were counted in steps of a
-/// screw and divided.
+/// A carriage this close to a multiple of the step has reached it, mm. Positions computed from a screw's steps carry
+/// rounding errors.
 const REACHED_MM: f64 = 1e-6;
 
-/// Inward indentation of the wall at a distance from the roller's axis: the roller's circle, `peak` deep.
+/// Inward indentation of the wall at a distance from the roller's axis, mm: the roller's arc, `peak_mm` deep.
 pub fn wall_mm(peak_mm: f64, radius_mm: f64, distance_mm: f64) -> f64 {
     let square = radius_mm * radius_mm - distance_mm * distance_mm;
     if square <= 0.0 {
@@ -166,18 +166,18 @@ pub fn wall_mm(peak_mm: f64, radius_mm: f64, distance_mm: f64) -> f64 {
     if depth > 0.0 { depth } else { 0.0 }
 }
 
-/// The rig with the unfolded body in it and the carriage at home.
+/// The unfolded body under the rig's rollers.
 #[derive(Clone, Debug)]
-pub struct Bench {
+pub struct UnfoldedBody {
     params: Params,
     indentation_mm: f64,
     chain: Chain,
-    /// The carriage's place at the last evaluation, in multiples of `step_mm`.
+    /// Carriage position at the last evaluation, in multiples of `step_mm`.
     at: i32,
 }
 
-impl Bench {
-    /// The body at the left end, the rollers at home, indenting by `indentation_mm` (the paper's a_n).
+impl UnfoldedBody {
+    /// The body at the left end and the rollers at home, indenting by `indentation_mm` (the paper's a_n).
     ///
     /// # Errors
     /// The first parameter outside its range; an indentation outside `0..=h`.
@@ -214,23 +214,23 @@ impl Bench {
             Ends::Closed,
             "the wall moves inward, and at a = h it reaches the core",
         )?;
-        let mut bench = Self {
+        let mut body = Self {
             params,
             indentation_mm,
             chain: Chain::new(params.body)?,
             at: 0,
         };
-        bench.evaluate(0)?;
-        Ok(bench)
+        body.evaluate(0)?;
+        Ok(body)
     }
 
     /// Moves the carriage to `carriage_mm`: 0 = home = right end, positive to the left.
     ///
-    /// Between two calls the carriage is taken to have moved straight. The result does not depend on how many calls
-    /// a stroke is divided into.
+    /// Between two calls the carriage moves straight. The result does not depend on the number of calls that a stroke
+    /// is divided into.
     ///
     /// # Errors
-    /// A place that is NaN or more than 100 mm outside the stroke.
+    /// A position that is NaN or more than 100 mm outside the stroke.
     pub fn carriage_to(&mut self, carriage_mm: f64) -> Result<(), OutOfRange> {
         check(
             "carriage position",
@@ -257,10 +257,10 @@ impl Bench {
         Ok(())
     }
 
-    /// One whole cycle: to the far end and home.
+    /// One cycle: to the far end and home.
     ///
     /// # Errors
-    /// None for a bench that could be made.
+    /// None after a successful [`UnfoldedBody::new`].
     pub fn cycle(&mut self) -> Result<(), OutOfRange> {
         self.carriage_to(self.params.stroke_mm)?;
         self.carriage_to(0.0)
@@ -271,22 +271,22 @@ impl Bench {
         self.chain.displacement_mm()
     }
 
-    /// The body, for drawing.
-    pub fn body(&self) -> &Chain {
+    /// The body's chain of contacts, for drawing.
+    pub fn chain(&self) -> &Chain {
         &self.chain
     }
 }
 
-/// The paper's run: all cycles; displacement of the tail in mm, + headward.
+/// The paper's run: displacement of the tail in mm after all cycles, + headward.
 ///
 /// # Errors
-/// As [`Bench::new`].
+/// As [`UnfoldedBody::new`].
 pub fn run(params: Params, indentation_mm: f64) -> Result<f64, OutOfRange> {
-    let mut bench = Bench::new(params, indentation_mm)?;
+    let mut body = UnfoldedBody::new(params, indentation_mm)?;
     for _ in 0..params.cycles {
-        bench.cycle()?;
+        body.cycle()?;
     }
-    Ok(bench.displacement_mm())
+    Ok(body.displacement_mm())
 }
 
 /// What one roller pass in each direction does to a body that it meets relaxed and leaves relaxed.
@@ -294,20 +294,20 @@ pub fn run(params: Params, indentation_mm: f64) -> Result<f64, OutOfRange> {
 pub struct IsolatedPass {
     /// Displacement by the pass from head to tail, mm, + headward.
     pub antegrade_mm: f64,
-    /// Displacement by the pass from tail to head, mm, + headward. Of the size of the model's ripple.
+    /// Displacement by the pass from tail to head, mm, + headward. About as large as the ripple of the model.
     pub returning_mm: f64,
 }
 
 /// Two isolated passes over fresh bodies, from clear of one end to clear of the other.
 ///
 /// # Errors
-/// As [`Bench::new`].
+/// As [`UnfoldedBody::new`].
 pub fn isolated_pass(params: Params, indentation_mm: f64) -> Result<IsolatedPass, OutOfRange> {
     let clear_mm = params.stroke_mm + 2.0 * params.radius_mm;
-    let mut antegrade = Bench::new(params, indentation_mm)?;
+    let mut antegrade = UnfoldedBody::new(params, indentation_mm)?;
     antegrade.carriage_to(clear_mm)?;
-    // The same way back over a fresh body: the wave is brought behind it at no depth.
-    let mut returning = Bench::new(params, 0.0)?;
+    // The same way back over a fresh body: the roller gets behind it without touching it.
+    let mut returning = UnfoldedBody::new(params, 0.0)?;
     returning.carriage_to(clear_mm)?;
     returning.indentation_mm = indentation_mm;
     returning.carriage_to(0.0)?;

@@ -1,9 +1,8 @@
-//! The paper's simulation (section II.B): a pressurised tube in ten segments, a triangular pressure pulse in each, one
-//! after the other from the right.
+//! The paper's simulation (section II.B): a pressurised tube of ten segments. A triangular pressure pulse runs through
+//! them one after the other, from the right.
 //!
-//! The wall of a segment answers its pressure at once; between the middles of two segments the wall is straight. The
-//! paper's viscosity, the tube's inertia and its internal pressure (other than through the calibrated critical pressure)
-//! are left out.
+//! A segment's wall follows its pressure at once; between the middles of two segments the wall is straight. Viscosity
+//! and inertia are left out, and the internal pressure enters only through the calibrated critical pressure.
 
 use crate::body::{self, Chain};
 use crate::kinematics::Design;
@@ -30,19 +29,19 @@ pub struct Params {
     pub modulus_pa: f64,
     /// Poisson's ratio of the wall.
     pub poisson: f64,
-    /// p_c: pressure at which the wall gives way without limit, Pa.
+    /// p_c: critical pressure at which the wall collapses, Pa.
     pub critical_pa: f64,
     /// w0: scale of the wall's early buckling, mm.
     pub buckling_mm: f64,
-    /// Length of a pulse from zero over its peak to zero, s.
+    /// Duration of a pulse, from zero to its peak and back, s.
     pub pulse_s: f64,
     /// Delay of each segment against its right neighbour, s.
     pub delay_s: f64,
-    /// Time after which a segment's pulse comes again, s.
+    /// Time between two pulses of a segment, s.
     pub period_s: f64,
-    /// Length of a run, s.
+    /// Duration of a run, s.
     pub duration_s: f64,
-    /// Step of the model, s.
+    /// Time step of the model, s.
     pub step_s: f64,
 }
 
@@ -72,14 +71,14 @@ impl Params {
         step_s: 0.05,
     };
 
-    /// C_H: how far a linear elastic wall moves inward per pressure, mm/Pa: `(1-nu^2) R^2 / (E t)`.
+    /// C_H: inward movement of a linear elastic wall per pressure, mm/Pa: `(1-nu^2) R^2 / (E t)`.
     pub fn compliance_mm_per_pa(&self) -> f64 {
         (1.0 - self.poisson * self.poisson) * self.radius_mm * self.radius_mm
             / (self.modulus_pa * self.thickness_mm)
     }
 
-    /// Inward indentation of a segment's wall under a pressure, mm: `C_H p + w0 q/(1-q)`, `q = p/p_c`, until the wall
-    /// meets the core; from p_c on it lies there.
+    /// Inward indentation of a segment's wall under a pressure, mm: `C_H p + w0 q/(1-q)` with `q = p/p_c`, at most to
+    /// the core. From p_c on the wall lies against the core.
     pub fn wall_mm(&self, pressure_pa: f64) -> f64 {
         let core_mm = self.body.design.half_gap_mm();
         let q = pressure_pa / self.critical_pa;
@@ -330,10 +329,10 @@ impl Tube {
         })
     }
 
-    /// Goes on by one time step.
+    /// Advances by one time step.
     ///
     /// # Errors
-    /// None for a tube that could be made.
+    /// None after a successful [`Tube::new`].
     pub fn step(&mut self) -> Result<(), OutOfRange> {
         self.steps += 1;
         let time_s = self.time_s();
@@ -374,7 +373,8 @@ impl Tube {
     }
 }
 
-/// The wall at a place counted in segments from the middle of the leftmost; straight between middles, level outside.
+/// Wall at a place that is counted in segments from the middle of the leftmost one: straight between two middles, level
+/// beyond the outer ones.
 fn between_middles(walls: &[f64], place: f64) -> f64 {
     let last = walls.len() - 1;
     if place <= 0.0 {

@@ -1,6 +1,6 @@
-//! The comparison table: complete, and the one in the manual is the one that the code prints.
+//! The comparison table: it is complete, and the manual holds what the code prints.
 
-use locomotion::comparison::{Table, Worth, rows};
+use locomotion::comparison::{Evidence, Table, rows};
 
 #[test]
 fn the_manual_holds_this_table() {
@@ -15,7 +15,7 @@ fn each_row_has_a_value_or_lies_outside() {
     for row in rows().unwrap() {
         assert_eq!(
             row.model.is_none(),
-            row.worth == Worth::Outside,
+            row.evidence == Evidence::Outside,
             "{}",
             row.sentence
         );

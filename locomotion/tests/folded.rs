@@ -1,6 +1,6 @@
 //! The folded body: untouched, ridden over or pushed.
 
-use locomotion::folded::{Bench, Contact, PARAMETERS, Params, run};
+use locomotion::folded::{Contact, FoldedBody, PARAMETERS, Params, run};
 use locomotion::kinematics::Design;
 use proptest::prelude::*;
 
@@ -24,7 +24,7 @@ fn the_default_is_the_body_folded_by_21_mm_of_thread() {
     );
 }
 
-/// 14.3 mm is what the paper's deepest wave, 5.05 mm, leaves open.
+/// The paper's deepest wave, 5.05 mm, leaves a gap of 14.3 mm.
 #[test]
 fn a_narrow_body_is_not_touched() {
     for width_mm in [4.88, 13.0, 14.29] {
@@ -33,7 +33,7 @@ fn a_narrow_body_is_not_touched() {
             ..Params::PAPER
         };
         assert_eq!(
-            Bench::new(params, 5.05).unwrap().contact(),
+            FoldedBody::new(params, 5.05).unwrap().contact(),
             Contact::Untouched
         );
         assert_eq!(run(params, 5.05).unwrap(), 0.0);
@@ -48,32 +48,32 @@ fn a_flat_contact_is_ridden_over() {
         ..Params::PAPER
     };
     assert!(matches!(
-        Bench::new(at(14.742), 5.05).unwrap().contact(),
+        FoldedBody::new(at(14.742), 5.05).unwrap().contact(),
         Contact::Overridden { .. }
     ));
     assert_eq!(run(at(14.742), 5.05).unwrap(), 0.0);
     assert!(matches!(
-        Bench::new(at(14.744), 5.05).unwrap().contact(),
+        FoldedBody::new(at(14.744), 5.05).unwrap().contact(),
         Contact::Pushed { .. }
     ));
 }
 
 #[test]
 fn a_pushed_body_goes_with_the_antegrade_wave_only() {
-    let mut bench = Bench::new(Params::PAPER, 5.05).unwrap();
-    let Contact::Pushed { ahead_mm, .. } = bench.contact() else {
-        panic!("{:?}", bench.contact());
+    let mut body = FoldedBody::new(Params::PAPER, 5.05).unwrap();
+    let Contact::Pushed { ahead_mm, .. } = body.contact() else {
+        panic!("{:?}", body.contact());
     };
-    bench.carriage_to(20.0).unwrap();
-    assert_eq!(bench.displacement_mm(), 0.0, "not reached yet");
-    bench.carriage_to(130.0).unwrap();
+    body.carriage_to(20.0).unwrap();
+    assert_eq!(body.displacement_mm(), 0.0, "not reached yet");
+    body.carriage_to(130.0).unwrap();
     let far = -(ahead_mm + Params::PAPER.length_mm + Params::PAPER.tail_mm);
-    assert!((bench.displacement_mm() - far).abs() < 1e-12);
-    let pushed = bench.displacement_mm();
+    assert!((body.displacement_mm() - far).abs() < 1e-12);
+    let pushed = body.displacement_mm();
     for carriage in [0.0, 130.0, 64.0, 130.0] {
-        bench.carriage_to(carriage).unwrap();
+        body.carriage_to(carriage).unwrap();
         assert_eq!(
-            bench.displacement_mm(),
+            body.displacement_mm(),
             pushed,
             "neither the return nor a later cycle moves it"
         );
@@ -84,15 +84,15 @@ fn a_pushed_body_goes_with_the_antegrade_wave_only() {
 #[test]
 fn refusals() {
     for bad in [-0.1, 12.3, f64::NAN] {
-        assert!(Bench::new(Params::PAPER, bad).is_err());
+        assert!(FoldedBody::new(Params::PAPER, bad).is_err());
     }
     let under_the_roller = Params {
         tail_mm: 120.0,
         ..Params::PAPER
     };
-    assert!(Bench::new(under_the_roller, 5.05).is_err());
+    assert!(FoldedBody::new(under_the_roller, 5.05).is_err());
     assert!(
-        Bench::new(Params::PAPER, 5.05)
+        FoldedBody::new(Params::PAPER, 5.05)
             .unwrap()
             .carriage_to(f64::NAN)
             .is_err()
@@ -113,13 +113,13 @@ proptest! {
         a in 0.0..9.7f64,
     ) {
         let params = Params { width_mm, tail_mm: 40.0, ..Params::PAPER };
-        let mut bench = Bench::new(params, a).unwrap();
+        let mut body = FoldedBody::new(params, a).unwrap();
         for turn in &turns {
-            bench.carriage_to(*turn).unwrap();
+            body.carriage_to(*turn).unwrap();
         }
-        let mut direct = Bench::new(params, a).unwrap();
+        let mut direct = FoldedBody::new(params, a).unwrap();
         direct.carriage_to(turns.iter().copied().fold(0.0, f64::max)).unwrap();
-        prop_assert_eq!(bench.displacement_mm().to_bits(), direct.displacement_mm().to_bits());
-        prop_assert!(bench.displacement_mm() <= 0.0);
+        prop_assert_eq!(body.displacement_mm().to_bits(), direct.displacement_mm().to_bits());
+        prop_assert!(body.displacement_mm() <= 0.0);
     }
 }

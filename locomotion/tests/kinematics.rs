@@ -187,7 +187,7 @@ fn the_core_loses_more_than_the_whole() {
         "21.72"
     );
     assert_eq!(format!("{whole:.2}"), "15.07");
-    // With the exact ratios the thread travels of science are 21.73, 22.22 and 23.45 mm.
+    // With the exact ratios the thread travels are 21.73, 22.22 and 23.45 mm.
     let ratios = Design::paper_ratios();
     for (a, printed) in [
         (5.05, "21.73"),
@@ -250,7 +250,7 @@ fn equation_6_has_no_root_near_the_papers_angle() {
             assert!(printed > 0.0, "{tenths} {a}: {printed}");
         }
     }
-    // With the wall not yet moved the two sides meet where tan^2(alpha) is the golden ratio.
+    // At a = 0 the two sides meet where tan^2(alpha) is the golden ratio.
     let golden = f64::midpoint(1.0, 5.0f64.sqrt()).sqrt().atan().to_degrees();
     assert_eq!(format!("{golden:.3}"), "51.827");
     assert!(repaired_eq6_residual(&design(golden), 0.0).abs() < 1e-12);
@@ -282,7 +282,7 @@ fn an_error_says_what_to_do() {
     );
 }
 
-/// Width, core, alpha, beta, m of any buildable design, in numbers that f32 holds too.
+/// Width, core, tangents and m of any design that can be built, as f32 so that both precisions see the same numbers.
 fn designs() -> impl Strategy<Value = (f32, f32, f32, f32, u8)> {
     (
         5.0..60.0f32,

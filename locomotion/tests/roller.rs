@@ -1,6 +1,6 @@
-//! The roller rig: the reference series, the carriage's freedom, and what must not matter.
+//! The roller rig: the reference series, any movement of the carriage, and what must not matter.
 
-use locomotion::roller::{Bench, PARAMETERS, Params, isolated_pass, run};
+use locomotion::roller::{PARAMETERS, Params, UnfoldedBody, isolated_pass, run};
 use proptest::prelude::*;
 
 const SERIES: [(f64, &str); 5] = [
@@ -84,33 +84,32 @@ fn no_wave_no_motion() {
 #[test]
 fn counted_steps_of_a_screw_give_the_same_bits() {
     for steps_per_mm in [800u32, 640, 25, 200 * 16 / 5, 1001] {
-        let mut bench = Bench::new(Params::PAPER, 5.05).unwrap();
+        let mut body = UnfoldedBody::new(Params::PAPER, 5.05).unwrap();
         let far = 130 * steps_per_mm;
         for _ in 0..5 {
             for step in (0..=far).chain((0..far).rev()) {
-                bench
-                    .carriage_to(f64::from(step) / f64::from(steps_per_mm))
+                body.carriage_to(f64::from(step) / f64::from(steps_per_mm))
                     .unwrap();
             }
         }
-        assert_eq!(bench.displacement_mm(), run(Params::PAPER, 5.05).unwrap());
+        assert_eq!(body.displacement_mm(), run(Params::PAPER, 5.05).unwrap());
     }
 }
 
 #[test]
 fn refusals() {
     for bad in [-0.1, 9.77, f64::NAN, f64::INFINITY] {
-        assert!(Bench::new(Params::PAPER, bad).is_err());
+        assert!(UnfoldedBody::new(Params::PAPER, bad).is_err());
     }
-    let mut bench = Bench::new(Params::PAPER, 3.0).unwrap();
-    bench.carriage_to(80.0).unwrap();
-    let before = bench.displacement_mm();
+    let mut body = UnfoldedBody::new(Params::PAPER, 3.0).unwrap();
+    body.carriage_to(80.0).unwrap();
+    let before = body.displacement_mm();
     for bad in [-100.1, 230.1, f64::NAN, f64::NEG_INFINITY] {
-        assert!(bench.carriage_to(bad).is_err());
+        assert!(body.carriage_to(bad).is_err());
     }
-    assert_eq!(bench.displacement_mm(), before);
+    assert_eq!(body.displacement_mm(), before);
     assert!(
-        Bench::new(
+        UnfoldedBody::new(
             Params {
                 step_mm: 0.0,
                 ..Params::PAPER
@@ -120,7 +119,7 @@ fn refusals() {
         .is_err()
     );
     assert!(
-        Bench::new(
+        UnfoldedBody::new(
             Params {
                 radius_mm: 5.0,
                 ..Params::PAPER
@@ -148,14 +147,14 @@ fn the_table_of_parameters_is_complete() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Any turning points: dividing each stretch into more calls changes no bit, and a repeated run neither.
+    /// Whatever the turning points, neither more calls on the way nor a repeated run changes a bit.
     #[test]
     fn only_the_way_counts_not_the_calls(
         turns in prop::collection::vec(0.0..130.0f64, 1..8),
         parts in 2u32..50,
         a in 0.1..9.7f64,
     ) {
-        let mut whole = Bench::new(Params::PAPER, a).unwrap();
+        let mut whole = UnfoldedBody::new(Params::PAPER, a).unwrap();
         let mut again = whole.clone();
         let mut divided = whole.clone();
         let mut at = 0.0;

@@ -1,13 +1,13 @@
-//! Screw, motor and stroke: what a micrometre is in steps, and where the carriage may be.
+//! Screw, motor and stroke: converts lengths to steps and keeps positions inside the stroke.
 //!
-//! Position 0 is home, the right end; positions grow to the left, up to the stroke.
+//! Position 0 is home, the right end. Positions grow to the left, up to the stroke.
 
 use core::fmt;
 
 use crate::units::{Micrometres, Nanometres, StepPosition, Steps, TICK_HZ, Window};
 use crate::wide::{div_ceil, div_nearest};
 
-/// The longest stroke that can be configured: the paper's, 130 mm.
+/// The longest stroke that an axis can have: the paper's, 130 mm.
 pub const MAX_STROKE: Micrometres = Micrometres(130_000);
 
 /// Shortest and longest lead of a screw, um per turn.
@@ -28,7 +28,7 @@ pub const MAX_STROKE_STEPS: Steps = {
     Steps(steps as u32)
 };
 
-/// One linear axis: lead screw, stepper, driver's microsteps and the configured stroke.
+/// One linear axis: lead screw, stepper motor, microsteps of its driver and configured stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Axis {
@@ -39,7 +39,7 @@ pub struct Axis {
     ratio: Ratio,
 }
 
-/// Steps per micrometre as a reduced fraction.
+/// Steps per micrometre, a reduced fraction: equal ratios compare equal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Ratio {
@@ -48,17 +48,18 @@ struct Ratio {
 }
 
 impl Axis {
-    /// The rig as drawn: SFU1204 screw (4 mm), 200 full steps, 1/16, 130 mm: 800 steps per mm.
+    /// The paper's rig: SFU1204 screw with a lead of 4 mm, 200 full steps per turn, 1/16 microsteps,
+    /// 130 mm stroke. 800 steps per mm.
     pub const REFERENCE: Self = match Self::new(4_000, 200, 16, 130_000) {
         Ok(axis) => axis,
         Err(_) => panic!("the reference axis is valid"),
     };
 
-    /// An axis with a lead of 500..=50,000 um per turn, 200 or 400 full steps per turn,
-    /// a power of two of microsteps in 1..=256, and a stroke of 1..=130,000 um.
+    /// Creates an axis: lead 500..=50,000 um per turn, 200 or 400 full steps per turn, microsteps
+    /// a power of two in 1..=256, stroke 1..=130,000 um.
     ///
     /// # Errors
-    /// The first of these that does not hold, or a stroke which is shorter than one step.
+    /// The first value that is out of range, or a stroke shorter than one step.
     pub const fn new(
         lead_um: u32,
         full_steps_per_rev: u16,
@@ -140,8 +141,8 @@ impl Axis {
         }
     }
 
-    /// The most whole steps that do not exceed `length`: rounded toward the inside.
-    /// [`Axis::length_of`] tells what was achieved. None above `u32::MAX` steps.
+    /// Whole steps that fit into `length`, rounded down; [`Axis::length_of`] gives the length that
+    /// they have. `None` above `u32::MAX` steps.
     #[must_use]
     pub const fn steps_within(&self, length: Micrometres) -> Option<Steps> {
         let steps = self.whole_steps(length);
@@ -155,7 +156,7 @@ impl Axis {
         length.0 as u64 * self.ratio.steps as u64 / self.ratio.um as u64
     }
 
-    /// The length of a number of steps, to the nearest nanometre.
+    /// Length of these steps, to the nearest nanometre.
     #[must_use]
     pub const fn length_of(&self, steps: Steps) -> Nanometres {
         // 2^32 * 50,000 * 1,000 is below 2^58.
@@ -177,10 +178,10 @@ impl Axis {
         }
     }
 
-    /// The position a number of steps from home.
+    /// The position this many steps from home.
     ///
     /// # Errors
-    /// Beyond the configured stroke.
+    /// It is beyond the configured stroke.
     pub const fn position(&self, from_home: Steps) -> Result<Position, OutsideStroke> {
         let last = self.stroke_steps();
         if from_home.0 > last.0 {
@@ -192,11 +193,11 @@ impl Axis {
         Ok(Position { steps: from_home.0 })
     }
 
-    /// The last whole step at or before a distance from home; [`Axis::length_of`] of
-    /// [`Position::steps`] is what was achieved.
+    /// The last whole step within this distance from home; [`Axis::length_of`] tells how far its
+    /// steps reach.
     ///
     /// # Errors
-    /// Beyond the configured stroke, even by less than a step.
+    /// The distance is beyond the configured stroke, even by less than a step.
     pub const fn position_um(&self, from_home: Micrometres) -> Result<Position, OutsideStroke> {
         let last = self.stroke_steps().0;
         match self.steps_within(from_home) {
@@ -215,7 +216,7 @@ impl Axis {
     /// The position `distance` further in `direction`.
     ///
     /// # Errors
-    /// Beyond either end of the configured stroke.
+    /// It is beyond either end of the configured stroke.
     pub const fn offset(
         &self,
         from: Position,
@@ -238,7 +239,7 @@ impl Axis {
     /// A speed on this axis, um/s.
     ///
     /// # Errors
-    /// Zero.
+    /// The speed is zero.
     pub const fn speed(&self, um_s: u32) -> Result<Speed, AxisError> {
         if um_s == 0 {
             return Err(AxisError::NoSpeed);
@@ -252,7 +253,7 @@ impl Axis {
     /// An acceleration on this axis, um/s^2.
     ///
     /// # Errors
-    /// Zero.
+    /// The acceleration is zero.
     pub const fn acceleration(&self, um_s2: u32) -> Result<Acceleration, AxisError> {
         if um_s2 == 0 {
             return Err(AxisError::NoAcceleration);
@@ -263,8 +264,8 @@ impl Axis {
         })
     }
 
-    /// Micrometres in `steps / per`, times `scale`, to the nearest integer, half upward;
-    /// `u32::MAX` stands for everything that does not fit.
+    /// `steps * scale / per` in micrometres, to the nearest integer, half up; `u32::MAX` if it does
+    /// not fit.
     pub(crate) fn scaled_um(&self, steps: u32, scale: u128, per: u128) -> u32 {
         let numerator = u128::from(steps) * u128::from(self.ratio.um) * scale;
         let denominator = per * u128::from(self.ratio.steps);
@@ -272,8 +273,8 @@ impl Axis {
     }
 }
 
-/// A whole step inside the configured stroke. Only an [`Axis`] makes one, so that there is none
-/// outside; it belongs to the axis that made it.
+/// A whole step inside the configured stroke. Only an [`Axis`] creates one, so none is outside.
+/// Use it with the axis that created it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Position {
@@ -287,14 +288,14 @@ impl Position {
         Steps(self.steps)
     }
 
-    /// The same position on the counter's scale.
+    /// The same position as a counter holds it.
     #[must_use]
     pub const fn signed(self) -> StepPosition {
         // At most MAX_STROKE_STEPS, which fits.
         StepPosition(self.steps as i32)
     }
 
-    /// Which way and how far `to` is from here; none if it is here.
+    /// Direction and distance from here to `to`; `None` if they are the same.
     #[must_use]
     pub const fn way_to(self, to: Self) -> Option<(Direction, Steps)> {
         self.signed().way_to(to.signed())
@@ -307,7 +308,7 @@ impl From<Position> for StepPosition {
     }
 }
 
-/// Sense of travel.
+/// Direction of travel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Direction {
@@ -329,7 +330,7 @@ impl Direction {
 }
 
 impl StepPosition {
-    /// The position `by` steps further in `direction`; none if it does not fit `i32`.
+    /// The position `by` steps further in `direction`; `None` if it does not fit `i32`.
     #[must_use]
     pub const fn moved(self, direction: Direction, by: Steps) -> Option<Self> {
         let moved = match direction {
@@ -342,7 +343,7 @@ impl StepPosition {
         }
     }
 
-    /// Which way and how far `to` is from here; none if it is here.
+    /// Direction and distance from here to `to`; `None` if they are the same.
     #[must_use]
     pub const fn way_to(self, to: Self) -> Option<(Direction, Steps)> {
         let direction = if self.0 < to.0 {
@@ -357,8 +358,8 @@ impl StepPosition {
 }
 
 impl Window {
-    /// Steps that can be made from `position` in `direction` without leaving the window; 0 from
-    /// its edge and from everywhere outside.
+    /// Steps from `position` to the edge of the window in `direction`; 0 at the edge and anywhere
+    /// outside, even if the direction leads back in.
     #[must_use]
     pub const fn room(&self, position: StepPosition, direction: Direction) -> Steps {
         if !self.contains(position) {
@@ -371,7 +372,7 @@ impl Window {
     }
 }
 
-/// A speed above zero on an axis, exact.
+/// An exact speed on an axis, above zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Speed {
@@ -380,13 +381,13 @@ pub struct Speed {
 }
 
 impl Speed {
-    /// um/s.
+    /// The speed in um/s.
     #[must_use]
     pub const fn um_s(self) -> u32 {
         self.um_s
     }
 
-    /// The fewest whole ticks in which `steps` may pass: ceil(steps / speed).
+    /// Fewest whole ticks for `steps` at this speed: ceil(steps / speed).
     pub(crate) fn least_span(self, steps: Steps) -> u128 {
         div_ceil(
             u128::from(steps.0) * u128::from(TICK_HZ) * u128::from(self.ratio.um),
@@ -395,7 +396,7 @@ impl Speed {
     }
 }
 
-/// An acceleration above zero on an axis, exact.
+/// An exact acceleration on an axis, above zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Acceleration {
@@ -404,7 +405,7 @@ pub struct Acceleration {
 }
 
 impl Acceleration {
-    /// um/s^2.
+    /// The acceleration in um/s^2.
     #[must_use]
     pub const fn um_s2(self) -> u32 {
         self.um_s2
@@ -427,8 +428,7 @@ impl Acceleration {
         u64::try_from(um_s2).unwrap_or(u64::MAX)
     }
 
-    /// Steps in which a speed of one step per `interval` ticks comes to rest, rounded up:
-    /// v^2 / 2a.
+    /// Steps to brake to rest from one step per `interval` ticks, rounded up: v^2 / 2a.
     pub(crate) fn steps_to_rest(self, interval: u32) -> u128 {
         let speed_of_unit = u128::from(TICK_HZ) * u128::from(TICK_HZ) * u128::from(self.ratio.um);
         let square = u128::from(interval) * u128::from(interval);
@@ -438,6 +438,7 @@ impl Acceleration {
         )
     }
 
+    /// Numerator of `steps / acceleration` in ticks^2; its denominator has the um/s^2.
     fn square_of_unit(self, steps: Steps) -> u128 {
         // At most 2^32 * 2^54 * 2^16.
         u128::from(steps.0) * u128::from(TICK_HZ) * u128::from(TICK_HZ) * u128::from(self.ratio.um)
@@ -450,27 +451,27 @@ impl Acceleration {
 pub enum AxisError {
     /// Lead outside 500..=50,000 um.
     Lead {
-        /// What was asked for.
+        /// Requested lead, um per turn.
         lead_um: u32,
     },
     /// Neither 200 nor 400 full steps per turn.
     FullSteps {
-        /// What was asked for.
+        /// Requested full steps per turn.
         full_steps_per_rev: u16,
     },
     /// Not a power of two in 1..=256.
     Microsteps {
-        /// What was asked for.
+        /// Requested microsteps per full step.
         microsteps: u16,
     },
     /// Stroke outside 1..=130,000 um.
     Stroke {
-        /// What was asked for.
+        /// Requested stroke, um.
         stroke_um: u32,
     },
-    /// The stroke holds not even one step.
+    /// Stroke shorter than one step.
     StrokeBelowOneStep {
-        /// What was asked for.
+        /// Requested stroke, um.
         stroke_um: u32,
     },
     /// A speed of zero.
@@ -512,11 +513,11 @@ impl fmt::Display for AxisError {
 
 impl core::error::Error for AxisError {}
 
-/// A position outside the configured stroke was asked for.
+/// The requested position is outside the configured stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct OutsideStroke {
-    /// Steps from home that were asked for; negative is beyond home.
+    /// Requested steps from home; negative is beyond home.
     pub wanted: i64,
     /// The last step of the configured stroke.
     pub last: u32,

@@ -1,6 +1,6 @@
-//! A whole experiment: cycles of forward stroke, far dwell, return stroke and home dwell, on one
-//! uninterrupted timeline. It is solved exactly before it starts, or refused with the number that
-//! makes it infeasible; nothing is clamped.
+//! A whole experiment: cycles of forward stroke, far dwell, return stroke and home dwell on one
+//! uninterrupted timeline. It is solved exactly before it starts, or refused with the limit that
+//! it breaks. Nothing is clamped.
 
 use core::fmt;
 
@@ -11,7 +11,7 @@ use crate::units::{Micrometres, Steps, TICK_HZ, TICKS_PER_US, Ticks};
 /// The most cycles of one run.
 pub const MAX_CYCLES: u16 = 10_000;
 
-/// What the machine may do.
+/// What no run may exceed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Limits {
@@ -19,28 +19,28 @@ pub struct Limits {
     pub max_speed_um_s: u32,
     /// Highest acceleration, um/s^2.
     pub max_accel_um_s2: u32,
-    /// Shortest time between two steps that driver and generator take, ticks.
+    /// Shortest interval between two steps that driver and step generator accept, ticks.
     pub min_interval_ticks: u32,
-    /// Shortest time between the last step of a stroke and the first of the next, ticks:
-    /// the direction changes in between.
+    /// Shortest time between the last step of a stroke and the first of the next, ticks: the
+    /// driver needs it to change direction.
     pub min_turnaround_ticks: u32,
 }
 
-/// A run as the operator asks for it.
+/// A run as the operator requests it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RunRequest {
     /// Pairs of strokes, 1..=[`MAX_CYCLES`].
     pub cycles: u16,
-    /// Length of each stroke from home, at most the axis' own.
+    /// Length of each stroke, from home, um; at most the stroke of the axis.
     pub stroke_um: u32,
-    /// How fast.
+    /// Duration, or speeds.
     pub timing: Timing,
-    /// Rest at the far end, each cycle.
+    /// Rest at the far end in each cycle, us.
     pub far_dwell_us: u32,
-    /// Rest at home between two cycles; there is none after the last.
+    /// Rest at home between two cycles, us; there is none after the last.
     pub home_dwell_us: u32,
-    /// Rest before the first stroke.
+    /// Rest before the first stroke, us.
     pub start_delay_us: u32,
 }
 
@@ -48,25 +48,25 @@ pub struct RunRequest {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Timing {
-    /// All strokes alike, and the whole run, delay and dwells included, lasts exactly this.
+    /// All strokes are alike, and the run takes exactly this long, delay and dwells included.
     Total {
-        /// Duration of the run.
+        /// Duration of the run, us.
         total_us: u64,
         /// Highest acceleration, um/s^2.
         accel_um_s2: u32,
     },
-    /// Each way as fast as its speed and the acceleration allow.
+    /// Each stroke is as fast as its speed and the acceleration allow.
     Speeds {
-        /// Away from home, um/s.
+        /// Highest speed away from home, um/s.
         forward_um_s: u32,
-        /// Toward home, um/s.
+        /// Highest speed toward home, um/s.
         return_um_s: u32,
-        /// Acceleration of both, um/s^2.
+        /// Highest acceleration of both, um/s^2.
         accel_um_s2: u32,
     },
 }
 
-/// A run, solved. All times are ticks from the instant of the start.
+/// A solved run. Times count from its start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RunPlan {
@@ -81,10 +81,10 @@ pub struct RunPlan {
 }
 
 impl RunPlan {
-    /// Solves a request on an axis within limits.
+    /// Solves a request on an axis, within limits.
     ///
     /// # Errors
-    /// The first thing that makes the run infeasible.
+    /// The first reason why the run is infeasible.
     pub fn solve(axis: &Axis, limits: &Limits, request: &RunRequest) -> Result<Self, RunError> {
         let cycles = request.cycles;
         if cycles == 0 || cycles > MAX_CYCLES {
@@ -215,8 +215,8 @@ impl RunPlan {
         Ticks(self.start_delay_ticks)
     }
 
-    /// By how much the last far dwell is longer than the others, less than a tick per stroke:
-    /// it makes the total exact.
+    /// How much longer the last far dwell is than the others, less than a tick per stroke. It makes
+    /// the total exact.
     #[must_use]
     pub const fn last_far_extra(&self) -> Ticks {
         Ticks(self.last_far_extra_ticks)
@@ -240,7 +240,7 @@ impl RunPlan {
         2 * self.cycles as u32
     }
 
-    /// Which way stroke `index` goes, from 0; none beyond the run.
+    /// Direction of stroke `index`, counted from 0; `None` beyond the run.
     #[must_use]
     pub const fn direction(&self, index: u32) -> Option<Direction> {
         if index >= self.strokes() {
@@ -253,7 +253,7 @@ impl RunPlan {
         })
     }
 
-    /// The profile of stroke `index`, from 0; none beyond the run.
+    /// Profile of stroke `index`, counted from 0; `None` beyond the run.
     #[must_use]
     pub fn stroke(&self, index: u32) -> Option<&StrokeProfile> {
         self.direction(index).map(|direction| match direction {
@@ -262,8 +262,8 @@ impl RunPlan {
         })
     }
 
-    /// When stroke `index` starts, from 0; none beyond the run. Its steps are at this plus their
-    /// [`crate::step_times::StepTimes`].
+    /// Start of stroke `index`, counted from 0; `None` beyond the run. Add the
+    /// [`crate::step_times::StepTimes`] of the stroke to get the time of each step.
     #[must_use]
     pub fn stroke_start(&self, index: u32) -> Option<Ticks> {
         let direction = self.direction(index)?;
@@ -313,7 +313,7 @@ struct Strokes<'a> {
 }
 
 impl Strokes<'_> {
-    /// The profile of all strokes, and the ticks left over by the division.
+    /// The profile of all strokes, and the ticks that the division by their number leaves over.
     fn in_total(&self, total_us: u64, accel_um_s2: u32) -> Result<(StrokeProfile, u64), RunError> {
         within_acceleration(self.limits, accel_um_s2)?;
         let acceleration = self.axis.acceleration(accel_um_s2)?;
@@ -351,7 +351,7 @@ impl Strokes<'_> {
         Ok((profile, moving % self.count))
     }
 
-    /// The whole run with strokes of this duration, in whole microseconds that suffice.
+    /// Duration of the run with strokes of this duration, us, rounded up; `None` if it overflows.
     fn total_us(&self, stroke: Ticks) -> Option<u64> {
         let moving = stroke.0.checked_mul(self.count)?;
         Some(Ticks(moving.checked_add(self.rests)?).to_us_ceil())
@@ -371,7 +371,7 @@ fn within_acceleration(limits: &Limits, accel_um_s2: u32) -> Result<(), RunError
 fn within_step_rate(axis: &Axis, limits: &Limits, profile: &StrokeProfile) -> Result<(), RunError> {
     let least = limits.min_interval_ticks;
     if profile.min_interval().0 < u64::from(least) {
-        // A speed which is certainly slow enough: rounded down.
+        // Rounded down, so that this speed is slow enough.
         let steps_per_s = TICK_HZ / u64::from(least);
         let max_um_s = steps_per_s * u64::from(axis.lead().0) / u64::from(axis.steps_per_rev());
         return Err(RunError::StepRate {
@@ -383,80 +383,81 @@ fn within_step_rate(axis: &Axis, limits: &Limits, profile: &StrokeProfile) -> Re
     Ok(())
 }
 
-/// Why a run was refused, with what would make it possible.
+/// Why a run was refused, and what would make it feasible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RunError {
     /// Cycles outside 1..=[`MAX_CYCLES`].
     Cycles {
-        /// What was asked for.
+        /// Requested cycles.
         cycles: u16,
     },
     /// A stroke of zero, or beyond the axis.
     Stroke {
-        /// What was asked for.
+        /// Requested stroke.
         stroke: Micrometres,
         /// The configured stroke.
         longest: Micrometres,
     },
-    /// The stroke holds not even one step.
+    /// Stroke shorter than one step.
     StrokeBelowOneStep {
-        /// What was asked for.
+        /// Requested stroke.
         stroke: Micrometres,
     },
     /// Acceleration above the machine's limit.
     AccelerationAboveLimit {
-        /// What was asked for.
+        /// Requested acceleration, um/s^2.
         accel_um_s2: u32,
-        /// The limit.
+        /// Limit, um/s^2.
         max_um_s2: u32,
     },
     /// A requested speed above the machine's limit.
     SpeedAboveLimit {
-        /// What was asked for.
+        /// Requested speed, um/s.
         speed_um_s: u32,
-        /// The limit.
+        /// Limit, um/s.
         max_um_s: u32,
     },
-    /// The total is too short for this acceleration. Either number is the exact boundary.
+    /// The total is too short for this acceleration. Either number alone would do, and both are
+    /// exact.
     TotalTooShort {
-        /// The shortest total at this acceleration.
+        /// The shortest total at this acceleration, us.
         minimal_total_us: u64,
-        /// The least acceleration for this total, um/s^2; none if delay and dwells use it up.
+        /// The least acceleration for this total, um/s^2; `None` if delay and dwells use it up.
         minimal_accel_um_s2: Option<u64>,
     },
-    /// The total asks for a peak speed above the machine's limit.
+    /// The total needs a peak speed above the machine's limit.
     PeakAboveLimit {
-        /// The peak that would be needed.
+        /// Peak speed needed, um/s.
         peak_um_s: u32,
-        /// The limit.
+        /// Limit, um/s.
         max_um_s: u32,
-        /// The shortest total at this acceleration within the limit, if there is one.
+        /// The shortest total at this acceleration within the limit, us, if there is one.
         minimal_total_us: Option<u64>,
     },
-    /// Steps would follow each other faster than driver and generator take.
+    /// Steps would be closer than driver and step generator accept.
     StepRate {
-        /// The interval at peak speed.
+        /// Interval at peak speed.
         interval: Ticks,
-        /// The limit.
+        /// Limit.
         min_interval: Ticks,
-        /// A peak speed that is slow enough.
+        /// A peak speed that is slow enough, um/s.
         max_um_s: u64,
     },
-    /// Too little time for the driver between two strokes.
+    /// Too little time for the driver to turn between two strokes.
     Turnaround {
-        /// The direction that follows: [`Direction::Home`] is the turn at the far end.
+        /// Direction of the next stroke: [`Direction::Home`] is the turn at the far end.
         before: Direction,
-        /// The dwell asked for.
+        /// Requested dwell.
         dwell: Ticks,
-        /// The shortest dwell, in whole microseconds, that suffices for these strokes.
+        /// The shortest dwell that suffices for these strokes, in whole microseconds.
         minimal_dwell_us: u64,
     },
-    /// The run is longer than 64 bits of ticks.
+    /// The duration of the run does not fit 64 bits of ticks.
     TooLong,
     /// A speed or an acceleration of zero.
     Rate(AxisError),
-    /// The stroke itself is beyond exact arithmetic.
+    /// The stroke is outside the bounds of [`StrokeProfile`].
     Profile(StrokeError),
 }
 

@@ -7,47 +7,47 @@
 //! 0 <= s < 2 n t    with    s = k N - n (t^2 - t) - ceil(n / 4)
 //! ```
 //!
-//! Each step adds N, predicts the interval from the last one (D - 2 D / (4 k - 3), a predictor
-//! only) and corrects the tick by one while s is out of range. So no error is ever carried on.
-//! The deceleration is the same sequence run downward, counted back from the end. The cruise is
-//! Bresenham's line with denominator 2 n. Where steps are far apart, or the predictor is still
-//! poor, there is time for a square root.
+//! Each step adds N, predicts its interval from the last interval D as D - 2 D / (4 k - 3), and
+//! then corrects the tick by one while s is out of range. So no error accumulates. The
+//! deceleration is the same sequence run downward, counted back from the end. The cruise is
+//! Bresenham's line with denominator 2 n. A square root replaces the prediction near rest, where
+//! it is poor, and where steps are so far apart that there is time for it.
 
 use crate::axis::Acceleration;
 use crate::trapezoid::StrokeProfile;
 use crate::units::{Steps, Ticks};
 use crate::wide::isqrt;
 
-/// Up to this step of a ramp, counted from rest, the square root is taken.
+/// Steps of a ramp up to this one, counted from rest, take a square root.
 const WARM_UP: u32 = 32;
 
-/// From this interval on, 655 us, the square root is taken.
+/// After an interval of this many ticks (655 us) or more, a step takes a square root.
 const UNHURRIED: u32 = 1 << 16;
 
-/// A stop takes less than this, 21.5 s, whatever deceleration is asked for.
+/// A stop takes fewer ticks than this (21.5 s), however low its deceleration.
 const LONGEST_STOP: u64 = 1 << 31;
 
 /// Iterator over the tick of each step, 1..=n, counted from the start of the stroke.
 ///
-/// It can be stopped at any step with [`StepTimes::stop`] and then yields the steps of the
-/// braking ramp. It never yields more steps than its profile has.
+/// After any step, [`StepTimes::stop`] replaces the rest by a braking ramp. There are never more
+/// steps than the profile has.
 #[derive(Clone, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct StepTimes {
     phase: Phase,
     /// Steps emitted so far.
     emitted: u32,
-    /// The phase ends when so many steps are emitted.
+    /// Steps emitted at the end of the phase.
     phase_end: u32,
-    /// The interval that ended with the last step.
+    /// Ticks between the last two steps.
     interval: u32,
     /// The tick of the last step.
     tick: u64,
     ramp: Ramp,
     cruise: Cruise,
-    /// Number of the last step: the profile's, or where the stop comes to rest.
+    /// Steps emitted at rest: the profile's, or fewer after a stop.
     last: u32,
-    /// The tick of the last step, from which the deceleration is counted back.
+    /// The tick of rest, from which the deceleration is counted back.
     end: u64,
     profile: StrokeProfile,
 }
@@ -60,13 +60,13 @@ enum Phase {
     Decelerate,
 }
 
-/// How a stop will go.
+/// What a stop still takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Stop {
     /// Steps still to come.
     pub steps: Steps,
-    /// The tick of the last of them, counted from the start of the stroke.
+    /// The tick of the final step, counted from the start of the stroke.
     pub rest: Ticks,
 }
 
@@ -100,8 +100,8 @@ impl StepTimes {
         Steps(self.last - self.emitted)
     }
 
-    /// Steps of the profile that will not be emitted: 0, unless it was stopped. To go on, make a
-    /// stroke of them with [`StrokeProfile::resumed`].
+    /// Steps of the profile that a stop leaves out; 0 without a stop.
+    /// [`StrokeProfile::resumed`] makes a stroke of them.
     #[must_use]
     pub fn left_out(&self) -> Steps {
         Steps(self.profile.steps().0 - self.last)
@@ -113,7 +113,7 @@ impl StepTimes {
         Ticks(self.tick)
     }
 
-    /// The ticks between the last step and its predecessor (or the start); 0 before the first.
+    /// Ticks between the last two steps, or from the start to the first step; 0 before the first.
     #[must_use]
     pub const fn interval(&self) -> Ticks {
         Ticks(self.interval as u64)
@@ -131,25 +131,24 @@ impl StepTimes {
         &self.profile
     }
 
-    /// Brakes from the speed of the last step to rest on a whole step, with at most the given
-    /// deceleration; from then on the iterator yields the steps of the braking ramp.
+    /// Brakes from the speed of the last step to rest on a whole step, with at most this
+    /// deceleration. The iterator then yields the steps of the braking ramp.
     ///
     /// From an interval d the ramp takes m = ceil(v^2 / 2a) steps and 2 m d ticks, so that its
-    /// first interval is not shorter than d. Where the stroke's own deceleration comes to rest as
-    /// soon, it is finished as planned. Two things make a stop harder than asked for, and
-    /// the answer shows both: it never goes beyond the stroke, and it never takes 21.5 s or more.
-    /// Before the first step there is nothing to brake and no step follows.
+    /// first interval is not shorter than d. If the stroke's own final ramp needs no more steps
+    /// than that, the stroke ends as planned. A stop is harder than requested where it would leave
+    /// the stroke or take 21.5 s or more; the result shows it. Before the first step there is
+    /// nothing to brake, and no step follows.
     pub fn stop(&mut self, deceleration: Acceleration) -> Stop {
         let remaining = self.last - self.emitted;
         if self.interval == 0 {
             self.brake(0);
-        } else if remaining > 0 {
+        } else {
             let wanted = deceleration.steps_to_rest(self.interval);
+            // At least 1 while steps remain: only the last interval exceeds MAX_INTERVAL.
             let longest = (LONGEST_STOP - 1) / (2 * u64::from(self.interval));
-            let steps = wanted
-                .min(u128::from(remaining))
-                .min(u128::from(longest))
-                .max(1) as u32;
+            let steps = wanted.min(u128::from(remaining)).min(u128::from(longest)) as u32;
+            // Also true after the last step, where none remain.
             let soon_at_rest = self.phase == Phase::Decelerate && remaining <= steps;
             if !soon_at_rest {
                 self.brake(steps);
@@ -161,7 +160,8 @@ impl StepTimes {
         }
     }
 
-    /// A ramp down of `steps` from the last interval: u_j = 2 d sqrt(j steps).
+    /// Starts a ramp down of `steps` from the last interval d: with j steps to go it is
+    /// 2 d sqrt(j steps) before rest.
     fn brake(&mut self, steps: u32) {
         let interval = u64::from(self.interval);
         let ticks = 2 * u64::from(steps) * interval;
@@ -173,7 +173,8 @@ impl StepTimes {
         self.ramp.seed(steps);
     }
 
-    /// As [`StepTimes::next`], for those who ask for tick or interval afterwards; false at rest.
+    /// Takes the next step, whose [`StepTimes::tick`] and [`StepTimes::interval`] can then be read;
+    /// false at rest.
     pub fn advance(&mut self) -> bool {
         if self.emitted == self.phase_end && self.turn().is_none() {
             return false;
@@ -184,21 +185,21 @@ impl StepTimes {
             Phase::Decelerate => self.end - u64::from(self.ramp.down()),
         };
         self.emitted += 1;
-        // Below 2^32: no interval of a profile or a stop is as long.
+        // Fits: no interval of a profile or a stop is 2^32 ticks.
         self.interval = (tick - self.tick) as u32;
         self.tick = tick;
         true
     }
 
-    /// Takes the further steps of the cruise, at most `most`, that are the last interval apart; their number. A
-    /// ramp has none, and [`StepTimes::next`] would yield the same ticks.
+    /// Takes the next steps of the cruise, `most` at most, while they are as far apart as the last
+    /// two, and returns how many. [`StepTimes::next`] would yield the same ticks. 0 in a ramp.
     pub fn repeat(&mut self, most: u32) -> u32 {
         if self.phase != Phase::Cruise {
             return 0;
         }
         let ahead = self.cruise.ahead(self.interval);
         let taken = ahead.min(most).min(self.phase_end - self.emitted);
-        if taken > 0 {
+        if taken != 0 {
             self.cruise.repeat(self.interval, taken);
             self.emitted += taken;
             self.tick = self.cruise.tick;
@@ -206,7 +207,7 @@ impl StepTimes {
         taken
     }
 
-    /// The next phase that has steps; none at rest.
+    /// Enters the next phase that has steps; `None` at rest.
     #[inline(never)]
     fn turn(&mut self) -> Option<()> {
         while self.emitted == self.phase_end {
@@ -214,8 +215,8 @@ impl StepTimes {
                 Phase::Accelerate => {
                     self.phase = Phase::Cruise;
                     self.cruise = Cruise::new(&self.profile, self.emitted);
-                    // Step n - ramp_steps is the first of the deceleration: both ramps have
-                    // the same number of steps, and the last step ends exactly at T.
+                    // Step n - ramp_steps is the first of the deceleration, the last one is
+                    // exactly at T.
                     let down = self.last - self.profile.ramp_steps().0;
                     self.phase_end = (down - 1).max(self.emitted);
                 }
@@ -248,7 +249,7 @@ impl Iterator for StepTimes {
 impl ExactSizeIterator for StepTimes {}
 impl core::iter::FusedIterator for StepTimes {}
 
-/// t_k = sqrt(k N / n), nearest tick, one step up or down at a time.
+/// The nearest tick to t_k = sqrt(k N / n), one step up or down at a time.
 ///
 /// Bounds, from [`StrokeProfile::from_parts`]: N < 2^62, 2 n t < 2^60, t < 2^31, n <= 2^25; so
 /// N + 2 n t and the products below fit `i64`.
@@ -260,7 +261,7 @@ struct Ramp {
     tick: u32,
     interval: u32,
     square: i64,
-    /// The remainder s of the module's text.
+    /// The remainder s, see the module's documentation.
     rest: i64,
 }
 
@@ -276,7 +277,8 @@ impl Ramp {
         }
     }
 
-    /// To step `k` by a square root; the next step takes one, too.
+    /// Goes to step `k` by a square root. Without an interval to predict from, the next step takes
+    /// one, too.
     #[inline(never)]
     fn seed(&mut self, k: u32) {
         let (n, square) = (u64::from(self.steps), self.square as u64);
@@ -291,16 +293,22 @@ impl Ramp {
         self.interval = UNHURRIED;
     }
 
+    /// Whether step `k` is predicted from the last interval; otherwise it takes a square root.
+    #[inline(always)]
+    fn predictable(&self, k: u32) -> bool {
+        k > WARM_UP && self.interval < UNHURRIED
+    }
+
     #[inline]
     fn up(&mut self) -> u32 {
         let before = self.tick;
         let k = self.k + 1;
-        if k <= WARM_UP || self.interval >= UNHURRIED {
-            self.seed(k);
-        } else {
-            let interval = self.interval - 2 * self.interval / (4 * k - 3);
+        if self.predictable(k) {
+            let interval = shorter(self.interval, k);
             let passed = product(interval, 2 * before + interval - 1);
             self.settle(k, before + interval, self.square - self.times_steps(passed));
+        } else {
+            self.seed(k);
         }
         self.interval = self.tick - before;
         self.tick
@@ -310,24 +318,24 @@ impl Ramp {
     fn down(&mut self) -> u32 {
         let before = self.tick;
         let k = self.k - 1;
-        if k <= WARM_UP || self.interval >= UNHURRIED {
-            self.seed(k);
-        } else {
-            let interval = self.interval + 2 * self.interval / (4 * k + 3);
+        if self.predictable(k) {
+            let interval = longer(self.interval, k);
             let passed = product(interval, 2 * before - interval - 1);
             self.settle(k, before - interval, self.times_steps(passed) - self.square);
+        } else {
+            self.seed(k);
         }
         self.interval = before - self.tick;
         self.tick
     }
 
     /// Corrects the predicted tick until it is the nearest one.
-    // Once per step: no call, although the image is optimised for size.
+    // Runs once per step: inline, although the image is optimised for size.
     #[inline(always)]
     fn settle(&mut self, k: u32, mut tick: u32, change: i64) {
         let double = 2 * self.steps;
         let mut rest = self.rest + change;
-        while rest < 0 {
+        while rest.is_negative() {
             tick -= 1;
             rest += product(double, tick) as i64;
         }
@@ -344,12 +352,24 @@ impl Ramp {
         self.rest = rest;
     }
 
-    /// `steps * passed`, which is within a few 2 n t of N. Wrapping only names what the bounds
-    /// exclude: a checked 64-bit product would cost more than the rest of the step.
+    /// `steps * passed`, which is within a few 2 n t of N and fits. It wraps only to save the check:
+    /// a checked 64-bit product would cost more than the rest of the step.
     #[inline]
     fn times_steps(&self, passed: u64) -> i64 {
         u64::from(self.steps).wrapping_mul(passed) as i64
     }
+}
+
+/// The interval that ends with step `k` of a ramp up, from the one before it: a tick or two off at most.
+#[inline(always)]
+fn shorter(interval: u32, k: u32) -> u32 {
+    interval - 2 * interval / (4 * k - 3)
+}
+
+/// The interval that ends with step `k` of a ramp down, from the one before it.
+#[inline(always)]
+fn longer(interval: u32, k: u32) -> u32 {
+    interval + 2 * interval / (4 * k + 3)
 }
 
 #[inline]
@@ -357,30 +377,30 @@ fn product(a: u32, b: u32) -> u64 {
     u64::from(a) * u64::from(b)
 }
 
-/// 2 n t_k = n r + 2 k (T - r), nearest tick: a line in integers.
+/// The nearest tick to t_k with 2 n t_k = n r + 2 k (T - r): a line in integers.
 #[derive(Clone, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Cruise {
     tick: u64,
     /// Whole ticks per step.
     interval: u32,
-    /// What is left per step, in 1 / (2 n) tick.
+    /// Fraction of a tick per step, in 1 / (2 n).
     slope: u32,
-    /// What is left over so far, below 2 n.
+    /// Fraction of a tick carried over to the next step, in 1 / (2 n).
     carry: u32,
     /// 2 n.
     double: u32,
 }
 
 impl Cruise {
-    /// The line at step `k`, which is not emitted again.
+    /// The line after step `k`, which has been emitted.
     fn new(profile: &StrokeProfile, k: u32) -> Self {
         let n = u64::from(profile.steps().0);
         let span = profile.span().0;
         let line = n * profile.ramp().0 + 2 * u64::from(k) * span + n;
         Self {
             tick: line / (2 * n),
-            // Above MAX_INTERVAL only where no step is in cruise.
+            // Above MAX_INTERVAL only if no step is in cruise.
             interval: u32::try_from(span / n).unwrap_or(u32::MAX),
             slope: (2 * (span % n)) as u32,
             carry: (line % (2 * n)) as u32,
@@ -400,10 +420,10 @@ impl Cruise {
         self.tick
     }
 
-    /// Steps to come, before the first that is not this interval apart.
+    /// How many of the next steps are this interval apart, up to the first that is not.
     #[inline]
     fn ahead(&self, interval: u32) -> u32 {
-        // Each step adds the slope to what is left over; a longer one takes a whole tick off it.
+        // Each step adds the slope to the carry; a step one tick longer takes 2 n off it.
         if interval == self.interval {
             let room = self.double - 1 - self.carry;
             room.checked_div(self.slope).unwrap_or(u32::MAX)
@@ -414,7 +434,7 @@ impl Cruise {
         }
     }
 
-    /// Takes so many of them.
+    /// Takes `count` steps of this interval.
     #[inline]
     fn repeat(&mut self, interval: u32, count: u32) {
         self.tick += u64::from(count) * u64::from(interval);
@@ -423,5 +443,127 @@ impl Cruise {
         } else {
             self.carry -= count * (self.double - self.slope);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A ramp within the bounds of [`Ramp`], its tick of step 1 from 2^7 on, and the last step it can reach.
+    fn ramps() -> impl Strategy<Value = (Ramp, u32)> {
+        (0_u32..25, 14_u32..56, any::<u32>(), any::<u64>()).prop_map(|(n_bits, bits, n, square)| {
+            let n = (1 << n_bits) + n % (1 << n_bits);
+            // N / n is from 2^bits to 2^(bits + 1), and N is below 2^62.
+            let bits = bits.min(60 - n_bits);
+            let c = (1 << bits) + square % (1 << bits);
+            let square = u64::from(n) * c + square % u64::from(n);
+            let last = (((1_u64 << 62) - 1) / (c + 1)).min(1 << 25) as u32;
+            (Ramp::new(n, square), last)
+        })
+    }
+
+    /// The remainder is the one of its definition and in its range: the tick is the nearest one.
+    fn is_exact(ramp: &Ramp) -> bool {
+        let (n, t) = (i128::from(ramp.steps), i128::from(ramp.tick));
+        let rest = i128::from(ramp.k) * i128::from(ramp.square) - n * (t * t - t) - (n + 3) / 4;
+        i128::from(ramp.rest) == rest && (ramp.k == 0 || (0..2 * n * t).contains(&rest))
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2_000))]
+
+        /// From any step of any ramp: by square root, then up and down again.
+        #[test]
+        fn a_ramp_is_exact_from_wherever_it_starts((mut ramp, last) in ramps(), share in 0_u32..=1_000) {
+            let k = (u64::from(last) * u64::from(share) / 1_000) as u32;
+            ramp.seed(k);
+            prop_assert_eq!((ramp.k, ramp.interval), (k, UNHURRIED));
+            prop_assert!(k == 0 || is_exact(&ramp), "{ramp:?}");
+            let up = 50.min(last - k);
+            let mut ticks = std::vec![ramp.tick];
+            for step in k + 1..=k + up {
+                let before = ramp.tick;
+                prop_assert_eq!(ramp.up(), ramp.tick);
+                prop_assert_eq!((ramp.k, ramp.interval), (step, ramp.tick - before));
+                prop_assert!(is_exact(&ramp), "{ramp:?}");
+                ticks.push(ramp.tick);
+            }
+            ramp.seed(k + up);
+            for expected in ticks.into_iter().rev().skip(1) {
+                let (before, step) = (ramp.tick, ramp.k - 1);
+                prop_assert_eq!(ramp.down(), expected);
+                prop_assert_eq!((ramp.k, ramp.interval), (step, before - ramp.tick));
+                prop_assert!(step == 0 || is_exact(&ramp), "{ramp:?}");
+            }
+        }
+    }
+
+    /// The prediction is cheaper than a square root only while it is off by a tick or two.
+    #[test]
+    fn a_prediction_leaves_next_to_nothing_to_correct() {
+        let mut predicted = 0;
+        let mut check = |before: &Ramp, after: &Ramp, prediction: fn(u32, u32) -> u32| {
+            if before.predictable(after.k) {
+                predicted += 1;
+                let interval = prediction(before.interval, after.k);
+                assert!(interval.abs_diff(after.interval) <= 2, "{before:?}");
+            }
+        };
+        // Tick of the first step: the interval falls below 655 us within the first 33 steps, or as late as step 5,800.
+        for first in [1_000_u64, 30_000, 700_000, 745_000, 1_000_000, 10_000_000] {
+            for n in [1, 3, 1_000] {
+                let mut ramp = Ramp::new(n, u64::from(n) * first * first + u64::from(n) / 2);
+                for _ in 0..7_000 {
+                    let before = ramp.clone();
+                    ramp.up();
+                    check(&before, &ramp, shorter);
+                }
+                ramp.seed(7_000);
+                for _ in 1..7_000 {
+                    let before = ramp.clone();
+                    ramp.down();
+                    check(&before, &ramp, longer);
+                }
+            }
+        }
+        assert!(predicted > 100_000);
+    }
+
+    #[test]
+    fn the_first_steps_and_slow_ones_take_the_square_root() {
+        let at = |k: u32, interval: u32| {
+            let mut ramp = Ramp::new(1_000, 1 << 40);
+            ramp.interval = interval;
+            ramp.predictable(k)
+        };
+        assert!(at(33, 65_535));
+        assert!(!at(32, 65_535));
+        assert!(!at(33, 65_536));
+        assert!(!at(32, 65_536));
+    }
+
+    /// With n = 4 and N = m^2, step k = j^2 is at m j / 2: for odd m and j exactly between two ticks.
+    #[test]
+    fn half_a_tick_is_rounded_up() {
+        let mut predicted = 0;
+        for m in [100_001_u32, 1_000_001, 3_333_333] {
+            for j in (7..99).step_by(2) {
+                let (k, expected) = (j * j, (u64::from(m * j).div_ceil(2)) as u32);
+                let mut ramp = Ramp::new(4, u64::from(m).pow(2));
+                ramp.seed(k);
+                assert_eq!(ramp.tick, expected);
+                ramp.seed(k - 2);
+                ramp.up();
+                predicted += u32::from(ramp.predictable(k));
+                assert_eq!(ramp.up(), expected);
+                ramp.seed(k + 2);
+                ramp.down();
+                assert_eq!(ramp.down(), expected);
+            }
+        }
+        assert!(predicted > 100);
     }
 }

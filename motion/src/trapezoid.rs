@@ -9,7 +9,7 @@
 //! deceleration  t = T - sqrt((n - k) C)
 //! ```
 //!
-//! The three integers are the whole truth: what was asked for in um/s is only a way to find them.
+//! Only the three integers define the profile; a speed in um/s merely serves to find them.
 
 use core::fmt;
 
@@ -20,10 +20,10 @@ use crate::wide::{div_ceil, isqrt};
 /// The most steps of one stroke. The finest axis has 26.6 M in 130 mm.
 pub const MAX_STEPS: Steps = Steps(1 << 25);
 
-/// No two steps of a profile are closer than this: 1 us, one million steps per second.
+/// No two successive steps of a profile are closer than this: 1 us, 1 MHz.
 pub const MIN_INTERVAL: Ticks = Ticks(100);
 
-/// No step of a profile waits longer than this for its predecessor: 10.7 s.
+/// No two successive steps of a profile are farther apart than this: 10.7 s.
 pub const MAX_INTERVAL: Ticks = Ticks((1 << 30) - 1);
 
 /// A move of `steps` from rest to rest in `duration`, with ramps of `ramp` at both ends.
@@ -39,9 +39,9 @@ impl StrokeProfile {
     /// The profile of these three integers.
     ///
     /// # Errors
-    /// No steps or more than [`MAX_STEPS`]; a ramp outside 1..=duration/2; faster than
-    /// [`MIN_INTERVAL`]; slower than [`MAX_INTERVAL`] or than 64 bits can carry exactly:
-    /// 2 r (T - r) must stay below 2^62 and 2 n T below 2^60.
+    /// No steps or more than [`MAX_STEPS`]; a ramp outside 1..=duration/2; intervals below
+    /// [`MIN_INTERVAL`] or above [`MAX_INTERVAL`]; or so slow that step times would overflow:
+    /// 2 r (T - r) must be below 2^62 and 2 n T below 2^60.
     pub fn from_parts(steps: Steps, duration: Ticks, ramp: Ticks) -> Result<Self, StrokeError> {
         let (n, t, r) = (steps.0, duration.0, ramp.0);
         if n == 0 {
@@ -73,12 +73,12 @@ impl StrokeProfile {
         Ok(profile)
     }
 
-    /// The gentlest profile of exactly this duration: the shortest ramp whose acceleration is at
-    /// most the one requested, hence the lowest peak speed.
+    /// The profile of exactly this duration with the lowest peak speed: its ramp is the shortest
+    /// whose acceleration is at most the requested one.
     ///
     /// # Errors
-    /// [`StrokeError::Infeasible`], with both ways out, if even the triangle accelerates harder;
-    /// or as [`StrokeProfile::from_parts`].
+    /// [`StrokeError::Infeasible`], with the duration and the acceleration that would do, if even
+    /// a triangle accelerates harder; otherwise as [`StrokeProfile::from_parts`].
     pub fn from_duration(
         steps: Steps,
         duration: Ticks,
@@ -100,8 +100,8 @@ impl StrokeProfile {
         Self::from_parts(steps, duration, Ticks(ramp))
     }
 
-    /// The shortest profile which neither exceeds this speed nor this acceleration. A move too
-    /// short for the speed becomes a triangle: ask [`StrokeProfile::peak_um_s`] what it reaches.
+    /// The shortest profile within this speed and this acceleration. A move too short to reach the
+    /// speed becomes a triangle; [`StrokeProfile::peak_um_s`] is the speed it reaches.
     ///
     /// # Errors
     /// As [`StrokeProfile::from_parts`].
@@ -120,8 +120,8 @@ impl StrokeProfile {
         )
     }
 
-    /// The rest of a stroke that was stopped on a whole step: `left` steps with this profile's
-    /// peak speed and acceleration, neither exceeded.
+    /// The rest of a stopped stroke: the shortest profile of `left` steps within this profile's
+    /// peak speed and acceleration.
     ///
     /// # Errors
     /// As [`StrokeProfile::from_parts`].
@@ -139,7 +139,8 @@ impl StrokeProfile {
         )
     }
 
-    /// Peak speed steps/span at most, acceleration steps/square at most.
+    /// The shortest profile with a peak speed of at most steps / span and an acceleration of at most
+    /// steps / square.
     fn shortest_within(steps: Steps, span: u128, square: u128) -> Result<Self, StrokeError> {
         let ramp = div_ceil(square, span);
         if ramp >= span {
@@ -168,7 +169,7 @@ impl StrokeProfile {
         Ticks(self.ramp_ticks)
     }
 
-    /// The ticks in which all steps would pass at peak speed: duration - ramp.
+    /// Ticks that all steps would take at peak speed: duration - ramp.
     #[must_use]
     pub const fn span(&self) -> Ticks {
         Ticks(self.duration_ticks - self.ramp_ticks)
@@ -223,22 +224,22 @@ impl StrokeProfile {
         )
     }
 
-    /// Whether the peak speed is at most this, exactly.
+    /// Whether the peak speed is at most `speed`, compared exactly.
     #[must_use]
     pub fn within(&self, speed: Speed) -> bool {
         u128::from(self.span().0) >= speed.least_span(self.steps())
     }
 }
 
-/// The shortest duration whose triangle has r (T - r) >= square: ceil(sqrt(4 square)), for
-/// floor(T/2) ceil(T/2) = floor(T^2 / 4).
+/// The shortest duration whose triangle has r (T - r) >= square. That is ceil(sqrt(4 square)),
+/// because floor(T/2) ceil(T/2) = floor(T^2 / 4).
 fn shortest(square: u128) -> Ticks {
     Ticks(least(1, 1 << 60, |t| {
         u128::from(t) * u128::from(t) >= 4 * square
     }))
 }
 
-/// The least value in `low..=high` for which a monotone condition holds; `high` if none.
+/// The least value in `low..=high` for which the monotone condition holds; `high` if it never does.
 fn least(mut low: u64, mut high: u64, holds: impl Fn(u64) -> bool) -> u64 {
     while low < high {
         let middle = low + (high - low) / 2;
@@ -259,14 +260,14 @@ pub enum StrokeError {
     NoSteps,
     /// More than [`MAX_STEPS`].
     TooManySteps {
-        /// What was asked for.
+        /// Requested steps.
         steps: u32,
     },
     /// Not 0 < ramp <= duration / 2.
     Ramp {
-        /// Duration asked for.
+        /// Requested duration.
         duration: Ticks,
-        /// Ramp asked for.
+        /// Requested ramp.
         ramp: Ticks,
     },
     /// Steps would be closer than [`MIN_INTERVAL`].
@@ -274,12 +275,12 @@ pub enum StrokeError {
         /// The interval at peak speed.
         interval: Ticks,
     },
-    /// Beyond what the step times can carry exactly.
+    /// Too slow for exact step times in 64 bits.
     TooSlow {
         /// Duration of the stroke.
         duration: Ticks,
     },
-    /// Too little time at this acceleration. Either number is the exact boundary.
+    /// Too little time at this acceleration. Either number alone would do, and both are exact.
     Infeasible {
         /// The shortest duration at this acceleration.
         minimal_duration: Ticks,

@@ -8,15 +8,15 @@ pub const TICK_HZ: u64 = 100_000_000;
 /// Ticks per microsecond.
 pub const TICKS_PER_US: u64 = TICK_HZ / 1_000_000;
 
-/// A number of microsteps, always a distance: the direction is told separately.
+/// A number of microsteps: a distance, without a direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Steps(pub u32);
 
 /// A carriage position in microsteps as a counter holds it: 0 is home, positive is away from home.
 ///
-/// Unlike [`crate::axis::Position`] it may lie outside the stroke, and before homing it means
-/// nothing at all. Methods that take a direction stand beside [`crate::axis::Direction`].
+/// Unlike [`crate::axis::Position`] it may lie outside the stroke, and it means nothing until
+/// homing has set the counter. Its methods with a direction are in [`crate::axis`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct StepPosition(pub i32);
@@ -36,7 +36,7 @@ pub struct Window {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Micrometres(pub u32);
 
-/// A length in nanometres: fine enough to tell every microstep of every allowed axis apart.
+/// A length in nanometres, fine enough to tell the microsteps of every axis apart.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Nanometres(pub u64);
@@ -47,7 +47,7 @@ pub struct Nanometres(pub u64);
 pub struct Ticks(pub u64);
 
 impl StepPosition {
-    /// The zero of the counter.
+    /// Where the counter is zero.
     pub const HOME: Self = Self(0);
 
     /// Steps from `other` to here, positive if here is farther from home.
@@ -67,7 +67,7 @@ impl StepPosition {
 }
 
 impl Window {
-    /// From one position to the other, in either order.
+    /// The window from one position to the other, given in either order.
     #[must_use]
     pub const fn between(a: StepPosition, b: StepPosition) -> Self {
         if a.0 <= b.0 {
@@ -77,7 +77,7 @@ impl Window {
         }
     }
 
-    /// Whether the position is inside; both ends are.
+    /// Whether the position is in the window; both ends are.
     #[must_use]
     pub const fn contains(&self, position: StepPosition) -> bool {
         self.first.0 <= position.0 && position.0 <= self.last.0
@@ -85,7 +85,7 @@ impl Window {
 }
 
 impl Nanometres {
-    /// To the nearest micrometre, half upward.
+    /// Rounds to the nearest micrometre, half up.
     #[must_use]
     pub const fn to_um(self) -> u64 {
         self.0.saturating_add(500) / 1_000
@@ -93,7 +93,7 @@ impl Nanometres {
 }
 
 impl Ticks {
-    /// From microseconds; none if it does not fit 64 bits (5,800 years).
+    /// Converts microseconds; `None` if the ticks do not fit 64 bits (5,800 years).
     #[must_use]
     pub const fn from_us(us: u64) -> Option<Self> {
         match us.checked_mul(TICKS_PER_US) {
@@ -102,7 +102,7 @@ impl Ticks {
         }
     }
 
-    /// Whole microseconds, rounded up: a time that suffices.
+    /// Whole microseconds, rounded up: never less than this time.
     #[must_use]
     pub const fn to_us_ceil(self) -> u64 {
         self.0.div_ceil(TICKS_PER_US)

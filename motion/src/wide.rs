@@ -1,4 +1,5 @@
-//! Division of 128-bit numbers and square root of 64-bit ones, for set-up and slow steps: short, for the image's sake.
+//! Division of 128-bit numbers and square root of 64-bit ones, for set-up and slow steps. They are
+//! written for small code, not for speed.
 
 /// `numerator / denominator`, rounded up. The denominator is not zero.
 pub(crate) fn div_ceil(numerator: u128, denominator: u128) -> u128 {
@@ -6,17 +7,18 @@ pub(crate) fn div_ceil(numerator: u128, denominator: u128) -> u128 {
     quotient + u128::from(rest > 0)
 }
 
-/// `numerator / denominator`, to the nearest, half upward. The denominator is not zero.
+/// `numerator / denominator`, to the nearest integer, half up. The denominator is not zero.
 pub(crate) fn div_nearest(numerator: u128, denominator: u128) -> u128 {
     div_rem(numerator + denominator / 2, denominator).0
 }
 
-/// Bit by bit: this runs a few dozen times before a move, and the compiler's routine takes a kilobyte.
+/// Quotient and remainder, bit by bit: this runs a few dozen times before a move, and the
+/// compiler's routine takes a kilobyte.
 #[inline(never)]
 fn div_rem(numerator: u128, denominator: u128) -> (u128, u128) {
     let (mut quotient, mut rest) = (numerator, 0_u128);
     for _ in 0..u128::BITS {
-        // The quotient's bits come in where the numerator's go out.
+        // Bits of the quotient come in at the bottom as bits of the numerator go out at the top.
         rest = rest << 1 | quotient >> (u128::BITS - 1);
         quotient <<= 1;
         if rest >= denominator {
@@ -27,8 +29,8 @@ fn div_rem(numerator: u128, denominator: u128) -> (u128, u128) {
     (quotient, rest)
 }
 
-/// The largest number whose square does not exceed `number`, bit by bit: the compiler's routine and its table take
-/// 0.7 KB, and speed does not matter where a ramp begins or a step is slow.
+/// The largest number whose square does not exceed `number`, bit by bit: the compiler's routine and
+/// its table take 0.7 KB, and near rest or in slow steps there is time.
 #[inline(never)]
 pub(crate) const fn isqrt(number: u64) -> u64 {
     let (mut rest, mut root, mut bit) = (number, 0, 1 << 62);
@@ -51,7 +53,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        // The denominators of this crate stay below 2^127: a doubled rest fits.
+        // The denominators of this crate are below 2^127, so that twice a remainder fits.
         #[test]
         fn divides(numerator: u128, denominator in 1..u128::MAX / 2, shift in 0..128_u32) {
             let denominator = (denominator >> shift).max(1);

@@ -17,7 +17,7 @@ fn paper() -> StrokeProfile {
 }
 
 #[test]
-fn the_stroke_is_the_one_of_the_text() {
+fn the_stroke_is_the_papers() {
     let (axis, profile) = (Axis::REFERENCE, paper());
     assert_eq!(profile.steps(), Steps(104_000));
     assert_eq!(profile.duration(), Ticks(400_000_000));
@@ -25,7 +25,7 @@ fn the_stroke_is_the_one_of_the_text() {
     assert_eq!(profile.peak_um_s(&axis), 35_683);
 }
 
-/// The same values from the definition, by one big square root or division per step.
+/// Every tick again from the definition, by one big square root or division per step.
 #[test]
 fn every_edge_is_the_nearest_tick() {
     let profile = paper();

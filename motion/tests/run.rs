@@ -1,9 +1,9 @@
-//! The run solver and the axis: sums, boundaries, refusals.
+//! The run solver: sums, boundaries, refusals.
 
-use motion::axis::{Axis, AxisError, Direction};
+use motion::axis::{Axis, Direction};
 use motion::run::{Limits, RunError, RunPlan, RunRequest, Timing};
 use motion::step_times::StepTimes;
-use motion::units::{Micrometres, Nanometres, Steps, Ticks};
+use motion::units::{Micrometres, Ticks};
 use proptest::prelude::*;
 
 const LIMITS: Limits = Limits {
@@ -50,7 +50,7 @@ fn the_papers_run_is_forty_seconds_to_the_tick() {
     assert_eq!(plan.stroke_start(10), None);
 }
 
-/// FNV-1a written out here once more, over the bytes that the documentation names.
+/// FNV-1a, written out again, over the bytes that the documentation names.
 #[test]
 fn the_hash_is_fnv_of_the_integers() {
     let plan = solve(&PAPER).unwrap();
@@ -131,16 +131,22 @@ const fn unlimited() -> Limits {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
-    /// A plan adds up when it is walked stroke by stroke; a refusal names the exact boundary.
+    /// A plan adds up stroke by stroke; a refusal names the exact limit.
     #[test]
     fn a_run_is_exact_or_refused_at_the_boundary(request in requests()) {
         let axis = Axis::REFERENCE;
         match (solve(&request), request.timing) {
             (Ok(plan), timing) => {
+                prop_assert_eq!(plan.cycles(), request.cycles);
+                prop_assert_eq!(plan.strokes(), 2 * u32::from(request.cycles));
+                prop_assert_eq!(Some(plan.start_delay()), Ticks::from_us(request.start_delay_us.into()));
+                prop_assert_eq!(Some(plan.far_dwell()), Ticks::from_us(request.far_dwell_us.into()));
+                prop_assert_eq!(Some(plan.home_dwell()), Ticks::from_us(request.home_dwell_us.into()));
                 let mut now = u64::from(request.start_delay_us) * 100;
                 for i in 0..plan.strokes() {
                     prop_assert_eq!(plan.stroke_start(i), Some(Ticks(now)));
                     let stroke = plan.stroke(i).unwrap();
+                    prop_assert_eq!(stroke, [plan.forward(), plan.return_()][i as usize % 2]);
                     prop_assert_eq!(stroke.steps(), axis.steps_within(Micrometres(request.stroke_um)).unwrap());
                     now += stroke.duration().0;
                     let last = i + 1 == plan.strokes();
@@ -203,163 +209,234 @@ proptest! {
             (Err(other), _) => prop_assert!(false, "{other}"),
         }
     }
-
-    #[test]
-    fn a_position_is_never_outside_the_stroke(
-        stroke in 100_u32..=130_000, lead in 500_u32..=50_000, power in 0_u32..=8,
-        start in any::<u32>(), moves in prop::collection::vec((any::<bool>(), any::<u32>(), 0_u32..32), 1..40),
-    ) {
-        let Ok(axis) = Axis::new(lead, 200, 1 << power, stroke) else { return Ok(()) };
-        let last = axis.stroke_steps();
-        prop_assert!(axis.length_of(last).0 <= u64::from(stroke) * 1_000);
-        prop_assert!(axis.length_of(Steps(last.0 + 1)).0 >= u64::from(stroke) * 1_000);
-        prop_assert_eq!(axis.position(Steps(start)).is_ok(), start <= last.0);
-        prop_assert_eq!(axis.position_um(Micrometres(start)).is_ok(), start <= stroke);
-        let mut at = axis.home();
-        for (away, distance, shift) in moves {
-            let distance = distance >> shift;
-            let (direction, wanted) = if away {
-                (Direction::Away, i64::from(at.steps().0) + i64::from(distance))
-            } else {
-                (Direction::Home, i64::from(at.steps().0) - i64::from(distance))
-            };
-            match axis.offset(at, direction, Steps(distance)) {
-                Ok(there) => {
-                    prop_assert_eq!(i64::from(there.steps().0), wanted);
-                    let way = (distance > 0).then_some((direction, Steps(distance)));
-                    prop_assert_eq!(at.way_to(there), way);
-                    at = there;
-                }
-                Err(outside) => {
-                    prop_assert_eq!(outside.wanted, wanted);
-                    prop_assert!(wanted < 0 || wanted > i64::from(last.0));
-                }
-            }
-            prop_assert!(at <= axis.far());
-        }
-    }
 }
 
+/// Each refusal of [`RunPlan::solve`], as an operator reads it.
 #[test]
 fn refusals_say_what_to_do() {
-    let refused = |request: RunRequest| solve(&request).unwrap_err();
-    let none = refused(RunRequest { cycles: 0, ..PAPER });
-    assert_eq!(none.to_string(), "0 cycles: use 1..=10000");
-    let long = refused(RunRequest {
-        stroke_um: 130_001,
-        ..PAPER
-    });
-    assert_eq!(
-        long.to_string(),
-        "a stroke of 130.001 mm does not fit: use more than zero and at most 130.000 mm"
+    let refused = |limits: &Limits, request: RunRequest, text: &str| {
+        let error = RunPlan::solve(&Axis::REFERENCE, limits, &request).unwrap_err();
+        assert_eq!(error.to_string(), text);
+    };
+    let paper = |request: RunRequest, text: &str| refused(&LIMITS, request, text);
+    let cycles = |cycles| RunRequest { cycles, ..PAPER };
+    paper(cycles(0), "0 cycles: use 1..=10000");
+    paper(cycles(10_001), "10001 cycles: use 1..=10000");
+    let stroke = |stroke_um| RunRequest { stroke_um, ..PAPER };
+    paper(
+        stroke(0),
+        "a stroke of 0.000 mm does not fit: use more than zero and at most 130.000 mm",
     );
-    assert!(matches!(
-        refused(RunRequest {
-            stroke_um: 1,
-            ..PAPER
-        }),
-        RunError::StrokeBelowOneStep { .. }
-    ));
-    let hurried = refused(with(&PAPER, 40_000_000, 32_499));
-    assert_eq!(
-        hurried,
-        RunError::TotalTooShort {
-            minimal_total_us: 40_000_616,
-            minimal_accel_um_s2: Some(32_500)
-        }
+    paper(
+        stroke(130_001),
+        "a stroke of 130.001 mm does not fit: use more than zero and at most 130.000 mm",
     );
-    assert_eq!(
-        hurried.to_string(),
-        "too little time: allow at least 40.000616 s in total, or accelerate with at least 32500 um/s^2"
+    paper(
+        stroke(1),
+        "a stroke of 0.001 mm is shorter than one step: use a longer one",
     );
-    let resting = refused(RunRequest {
+    paper(
+        with(&PAPER, 40_000_000, 32_499),
+        "too little time: allow at least 40.000616 s in total, or accelerate with at least 32500 um/s^2",
+    );
+    let resting = RunRequest {
         far_dwell_us: 8_000_000,
         ..PAPER
-    });
-    assert!(matches!(
+    };
+    paper(
         resting,
-        RunError::TotalTooShort {
-            minimal_accel_um_s2: None,
-            ..
-        }
-    ));
-    assert!(matches!(
-        refused(with(&PAPER, 40_000_000, 2_000_001)),
-        RunError::AccelerationAboveLimit { .. }
-    ));
-    assert_eq!(
-        refused(with(&PAPER, 40_000_000, 0)),
-        RunError::Rate(AxisError::NoAcceleration)
+        "too little time: allow at least 62.803509 s in total, for delay and dwells leave none for the strokes",
     );
-}
-
-#[test]
-fn the_step_rate_and_the_turn_are_limits_of_their_own() {
-    let slow_driver = Limits {
+    paper(
+        with(&PAPER, 40_000_000, 2_000_001),
+        "an acceleration of 2000001 um/s^2 is above the limit: use at most 2000000",
+    );
+    paper(
+        with(&PAPER, 40_000_000, 0),
+        "the acceleration is zero: use at least 1 um/s^2",
+    );
+    paper(
+        speeds(100_001, 1_000, 100_000),
+        "a speed of 100001 um/s is above the limit: use at most 100000",
+    );
+    paper(
+        speeds(1_000, 100_001, 100_000),
+        "a speed of 100001 um/s is above the limit: use at most 100000",
+    );
+    paper(
+        speeds(1_000, 0, 100_000),
+        "the speed is zero: use at least 1 um/s",
+    );
+    paper(
+        speeds(1_000, 1_000, 2_000_001),
+        "an acceleration of 2000001 um/s^2 is above the limit: use at most 2000000",
+    );
+    paper(
+        with(&PAPER, u64::MAX, 100_000),
+        "the run is too long: use fewer cycles or less time",
+    );
+    paper(
+        with(&PAPER, 1_000_000_000_000, 100_000),
+        "a stroke of 100000.00000000 s is too slow for exact step times: use more speed, more acceleration or finer microsteps",
+    );
+    let slow = Limits {
+        max_speed_um_s: 35_000,
+        ..LIMITS
+    };
+    refused(
+        &slow,
+        PAPER,
+        "this needs 35683 um/s at its peak and the limit is 35000: allow at least 40.642858 s in total, or accelerate harder",
+    );
+    // No stroke within 1 um/s has exact step times.
+    let slowest = Limits {
+        max_speed_um_s: 1,
+        ..LIMITS
+    };
+    refused(
+        &slowest,
+        PAPER,
+        "this needs 35683 um/s at its peak and the limit is 1: allow more time, or accelerate harder",
+    );
+    let driver = Limits {
         min_interval_ticks: 4_000,
         ..LIMITS
     };
-    let error = RunPlan::solve(&Axis::REFERENCE, &slow_driver, &PAPER).unwrap_err();
-    // 25,000 steps/s at 800 steps/mm.
-    assert!(matches!(
-        error,
-        RunError::StepRate {
-            max_um_s: 31_250,
-            ..
-        }
-    ));
+    refused(
+        &driver,
+        PAPER,
+        "steps would be 3503 ticks apart and the least is 4000: stay below 31250 um/s or use fewer microsteps",
+    );
+    let turns = Limits {
+        min_turnaround_ticks: 650_000,
+        ..LIMITS
+    };
+    refused(
+        &turns,
+        PAPER,
+        "a dwell of 0.00000000 s at the far end is too short to turn: use at least 1500 us",
+    );
+    refused(
+        &turns,
+        RunRequest {
+            far_dwell_us: 10_000,
+            ..speeds(30_000, 30_000, 100_000)
+        },
+        "a dwell of 0.00000000 s at home is too short to turn: use at least 1500 us",
+    );
+}
 
+fn speeds(forward_um_s: u32, return_um_s: u32, accel_um_s2: u32) -> RunRequest {
+    RunRequest {
+        timing: Timing::Speeds {
+            forward_um_s,
+            return_um_s,
+            accel_um_s2,
+        },
+        ..PAPER
+    }
+}
+
+/// What equals a limit is allowed: cycles, speed, acceleration, step rate.
+#[test]
+fn a_limit_may_be_reached() {
+    assert!(
+        solve(&RunRequest {
+            cycles: 10_000,
+            ..speeds(100_000, 100_000, 2_000_000)
+        })
+        .is_ok()
+    );
+    assert!(solve(&with(&PAPER, 40_000_000, 2_000_000)).is_ok());
+    // At 35,683 um/s the paper's steps are 3,503 ticks apart.
+    let exact = Limits {
+        min_interval_ticks: 3_503,
+        ..LIMITS
+    };
+    assert!(RunPlan::solve(&Axis::REFERENCE, &exact, &PAPER).is_ok());
+}
+
+/// No acceleration helps where delay and dwells leave a stroke a single tick.
+#[test]
+fn an_acceleration_is_suggested_only_where_it_helps() {
+    for (cycles, helps) in [(25, true), (50, false), (51, false)] {
+        let request = RunRequest {
+            cycles,
+            stroke_um: 2,
+            ..with(&PAPER, 1, 100_000)
+        };
+        let Err(RunError::TotalTooShort {
+            minimal_accel_um_s2,
+            ..
+        }) = solve(&request)
+        else {
+            panic!("{cycles} cycles in a microsecond");
+        };
+        // One step, a tick up and a tick down: 1.25 um / (10 ns)^2.
+        assert_eq!(minimal_accel_um_s2, helps.then_some(12_500_000_000_000_000));
+    }
+}
+
+/// The speed that a refusal suggests is slow enough for the driver, and no slower than need be.
+#[test]
+fn a_step_rate_above_the_limit_names_a_speed() {
+    let (axis, driver) = (
+        Axis::REFERENCE,
+        Limits {
+            min_interval_ticks: 3_999,
+            ..LIMITS
+        },
+    );
+    let run = |um_s| RunPlan::solve(&axis, &driver, &speeds(um_s, um_s, 100_000));
+    let Err(RunError::StepRate {
+        interval,
+        min_interval,
+        max_um_s,
+    }) = run(33_000)
+    else {
+        panic!("33 mm/s is too fast for steps of 3,999 ticks");
+    };
+    assert_eq!((interval, min_interval), (Ticks(3_787), Ticks(3_999)));
+    assert_eq!(max_um_s, 31_257);
+    assert!(run(max_um_s as u32).is_ok());
+    assert!(run(max_um_s as u32 + 1).is_err());
+}
+
+/// The dwell that a refusal suggests is the shortest that suffices, at both turns.
+#[test]
+fn a_turn_needs_a_dwell() {
     let first = solve(&PAPER).unwrap().forward().first_interval().0;
-    let turn = |dwell_us, extra| {
+    let run = |cycles, far_dwell_us, home_dwell_us, extra| {
         let limits = Limits {
             min_turnaround_ticks: (first + extra) as u32,
             ..LIMITS
         };
         let request = RunRequest {
-            far_dwell_us: dwell_us,
-            home_dwell_us: dwell_us,
-            timing: Timing::Speeds {
-                forward_um_s: 32_500,
-                return_um_s: 32_500,
-                accel_um_s2: 100_000,
-            },
-            ..PAPER
+            cycles,
+            far_dwell_us,
+            home_dwell_us,
+            ..speeds(32_500, 32_500, 100_000)
         };
         RunPlan::solve(&Axis::REFERENCE, &limits, &request)
     };
-    assert!(turn(0, 0).is_ok());
-    let Err(RunError::Turnaround {
-        minimal_dwell_us, ..
-    }) = turn(0, 1_050)
-    else {
-        panic!("the turn is too short");
+    let refused = |before, dwell, minimal_dwell_us| {
+        Err(RunError::Turnaround {
+            before,
+            dwell: Ticks(dwell),
+            minimal_dwell_us,
+        })
     };
-    assert!(turn(minimal_dwell_us as u32, 1_050).is_ok());
-    assert!(turn(minimal_dwell_us as u32 - 1, 1_050).is_err());
-}
-
-#[test]
-fn steps_and_lengths_of_the_reference_axis() {
-    let axis = Axis::REFERENCE;
-    assert_eq!(axis.steps_per_rev(), 3_200);
-    assert_eq!(axis.stroke_steps(), Steps(104_000));
-    assert_eq!(axis.steps_within(Micrometres(2)), Some(Steps(1)));
-    assert_eq!(axis.length_of(Steps(1)), Nanometres(1_250));
-    assert_eq!(axis.length_of(Steps(1)).to_um(), 1);
-    assert_eq!(axis.length_of(Steps(104_000)).to_um(), 130_000);
-    for (lead, full, micro, stroke) in [
-        (499, 200, 16, 1_000),
-        (50_001, 200, 16, 1_000),
-        (4_000, 300, 16, 1_000),
-        (4_000, 200, 12, 1_000),
-        (4_000, 200, 512, 1_000),
-        (4_000, 200, 0, 1_000),
-        (4_000, 200, 16, 0),
-        (4_000, 200, 16, 130_001),
-        (50_000, 200, 1, 249),
-    ] {
-        assert!(Axis::new(lead, full, micro, stroke).is_err());
-    }
+    assert!(run(5, 0, 0, 0).is_ok());
+    // 1,050 ticks more than the first interval: 11 us.
+    assert_eq!(run(5, 3, 11, 1_050), refused(Direction::Home, 300, 11));
+    assert_eq!(run(5, 10, 11, 1_050), refused(Direction::Home, 1_000, 11));
+    assert_eq!(run(5, 11, 3, 1_050), refused(Direction::Away, 300, 11));
+    assert_eq!(run(5, 11, 10, 1_050), refused(Direction::Away, 1_000, 11));
+    assert!(run(5, 11, 11, 1_050).is_ok());
+    // A single cycle does not turn at home; two do.
+    assert!(run(1, 11, 0, 1_050).is_ok());
+    assert_eq!(run(2, 11, 0, 1_050), refused(Direction::Away, 0, 11));
+    assert_eq!(run(1, 0, 0, 1_050), refused(Direction::Home, 0, 11));
 }
 
 /// Every step of a run with uneven strokes is later than the one before, across the turns, and

@@ -1,7 +1,7 @@
 //! Step times and stops against the definition, on random axes and strokes.
 
 use motion::axis::Axis;
-use motion::step_times::StepTimes;
+use motion::step_times::{StepTimes, Stop};
 use motion::trapezoid::{MAX_INTERVAL, MIN_INTERVAL, StrokeError, StrokeProfile};
 use motion::units::{Steps, TICK_HZ, Ticks};
 use num_bigint::BigInt;
@@ -18,17 +18,16 @@ fn octaves(low: u32, high: u32) -> impl Strategy<Value = u32> {
     (low..high).prop_flat_map(|bits| (1_u32 << bits)..(2_u32 << bits))
 }
 
-/// Profiles of every kind: from parts, from speed, from duration; slow, fast, short, long.
+/// Profiles of every kind: from parts and from speeds; slow, fast, short, long.
 fn profiles(max_steps: u32) -> impl Strategy<Value = StrokeProfile> {
-    let steps = || 1..=max_steps;
-    let parts = (steps(), octaves(6, 20), 1_u32..=1_000_000).prop_filter_map(
-        "refused",
-        |(n, interval, share)| {
+    let steps = || prop_oneof![3 => 1..=max_steps, 1 => 1_u32..=20];
+    let shares = prop_oneof![1_u32..=1_000_000, octaves(0, 19), Just(1_000_000)];
+    let parts =
+        (steps(), octaves(6, 20), shares).prop_filter_map("refused", |(n, interval, share)| {
             let t = u64::from(n) * u64::from(interval);
             let r = (t / 2 * u64::from(share) / 1_000_000).max(1);
             StrokeProfile::from_parts(Steps(n), Ticks(t), Ticks(r)).ok()
-        },
-    );
+        });
     let speeds = (axes(), steps(), octaves(6, 18), octaves(8, 24)).prop_filter_map(
         "refused",
         |(axis, n, speed, accel)| {
@@ -47,29 +46,105 @@ fn integers(p: &StrokeProfile) -> (BigInt, BigInt, BigInt) {
 }
 
 /// Whether the edge is within half a tick of the definition, by comparing squares: no root is
-/// taken and no division made, so that nothing is shared with the code under test.
+/// taken and no division made, so that nothing is shared with the code under test. Below 2^125.
 fn is_nearest(p: &StrokeProfile, k: u32, tick: u64) -> bool {
-    let (n, t, r) = integers(p);
-    let square: BigInt = 2 * &r * (&t - &r);
-    let limit = &n * &r * &r;
-    let within = |j: BigInt, from_rest: BigInt| {
+    let (n, t, r) = (
+        i128::from(p.steps().0),
+        i128::from(p.duration().0),
+        i128::from(p.ramp().0),
+    );
+    let square = 2 * r * (t - r);
+    let limit = n * r * r;
+    let within = |j: i128, from_rest: i128| {
         // (2 u - 1)^2 n <= 4 j N <= (2 u + 1)^2 n
-        let exact = 4 * j * &square;
-        let low: BigInt = 2 * &from_rest - 1;
-        let high: BigInt = 2 * &from_rest + 1;
-        (low.sign() == num_bigint::Sign::Minus || &low * &low * &n <= exact)
-            && exact <= &high * &high * &n
+        let exact = 4 * j * square;
+        let (low, high) = (2 * from_rest - 1, 2 * from_rest + 1);
+        (low < 0 || low * low * n <= exact) && exact <= high * high * n
     };
-    let (k, tick) = (BigInt::from(k), BigInt::from(tick));
-    let j: BigInt = &n - &k;
-    if &k * &square <= limit {
+    let (k, tick) = (i128::from(k), i128::from(tick));
+    let j = n - k;
+    if k * square <= limit {
         within(k, tick)
-    } else if &j * &square <= limit {
+    } else if j * square <= limit {
         tick <= t && within(j, t - tick)
     } else {
-        let error: BigInt = 2 * &n * tick - (&n * &r + 2 * k * (t - r));
-        error.magnitude() <= n.magnitude()
+        let error = 2 * n * tick - (n * r + 2 * k * (t - r));
+        error.abs() <= n
     }
+}
+
+/// A place in a stroke: the phase, and how far into it in thousandths.
+#[derive(Clone, Copy, Debug)]
+struct Place(usize, u32);
+
+fn places() -> impl Strategy<Value = Place> {
+    (
+        0_usize..3,
+        prop_oneof![4 => 0_u32..=1_000, 1 => Just(0), 1 => Just(1_000)],
+    )
+        .prop_map(|(phase, share)| Place(phase, share))
+}
+
+impl Place {
+    /// The step at this place: in the first ramp, the cruise or the last ramp, ends included.
+    fn step(self, profile: &StrokeProfile) -> u32 {
+        let (n, ramp) = (profile.steps().0, profile.ramp_steps().0);
+        let ends = [0, ramp, n - ramp, n];
+        let (first, last) = (ends[self.0], ends[self.0 + 1]);
+        first + (u64::from(last - first) * u64::from(self.1) / 1_000) as u32
+    }
+}
+
+/// A deceleration: um/s^2, or sixteenths of what the stroke itself accelerates with.
+#[derive(Clone, Copy, Debug)]
+enum Deceleration {
+    Absolute(u32),
+    Relative(u32),
+}
+
+fn decelerations() -> impl Strategy<Value = Deceleration> {
+    prop_oneof![
+        octaves(10, 26).prop_map(Deceleration::Absolute),
+        octaves(1, 10).prop_map(Deceleration::Relative),
+        Just(Deceleration::Absolute(1)),
+    ]
+}
+
+impl Deceleration {
+    fn um_s2(self, profile: &StrokeProfile, axis: &Axis) -> u32 {
+        match self {
+            Self::Absolute(um_s2) => um_s2,
+            Self::Relative(share) => {
+                let um_s2 = u64::from(profile.accel_um_s2(axis)) * u64::from(share) / 16;
+                u32::try_from(um_s2).unwrap_or(u32::MAX).max(1)
+            }
+        }
+    }
+}
+
+/// Whether a stop in `steps` from `interval` is this long before rest with `j` steps to go:
+/// u^2 = 4 d^2 m j, to the nearest tick.
+fn is_braking(steps: u32, interval: u64, j: u32, from_rest: u64) -> bool {
+    let exact = 16 * u128::from(interval * interval) * u128::from(steps) * u128::from(j);
+    let twice = 2 * u128::from(from_rest);
+    (from_rest == 0 || (twice - 1) * (twice - 1) <= exact) && exact <= (twice + 1) * (twice + 1)
+}
+
+/// The steps in which a speed of one step per `interval` comes to rest: v^2 / 2a, at least one, and in
+/// less than 2^31 ticks. None at rest.
+fn expected_steps(axis: &Axis, um_s2: u32, interval: u64) -> u32 {
+    if interval == 0 {
+        return 0;
+    }
+    let speed = BigInt::from(TICK_HZ) * TICK_HZ * axis.lead().0;
+    let braking = BigInt::from(2 * u64::from(um_s2)) * interval * interval * axis.steps_per_rev();
+    let wanted: BigInt = (speed + &braking - 1) / braking;
+    let longest = ((1 << 31) - 1) / (2 * interval);
+    wanted
+        .min(longest.into())
+        .try_into()
+        .unwrap_or(u32::MAX)
+        .max(1)
 }
 
 proptest! {
@@ -86,6 +161,7 @@ proptest! {
             prop_assert_eq!(times.remaining(), Steps(profile.steps().0 - k));
             prop_assert_eq!(times.tick(), Ticks(tick));
             prop_assert_eq!(times.interval(), Ticks(tick - before));
+            prop_assert_eq!(times.len(), (profile.steps().0 - k) as usize);
             prop_assert!(times.interval() >= profile.min_interval());
             prop_assert!(times.interval() <= MAX_INTERVAL);
             first.get_or_insert(tick);
@@ -96,7 +172,7 @@ proptest! {
         prop_assert_eq!(first, Some(profile.first_interval().0));
     }
 
-    /// Taken together or one by one, the steps are the same; none of the cruise that could be taken is left.
+    /// Steps taken together are those taken one by one, and `repeat` leaves out none that it could take.
     #[test]
     fn repeated_steps_are_those_that_would_follow(
         profile in profiles(5_000), limits in prop::collection::vec(prop_oneof![0_u32..10, Just(u32::MAX)], 1..20),
@@ -126,7 +202,7 @@ proptest! {
         prop_assert_eq!(times.tick(), profile.duration());
     }
 
-    /// Long strokes on fine axes: the bounds of the hot path, sampled.
+    /// Samples of long strokes on fine axes.
     #[test]
     fn long_strokes_stay_exact(profile in profiles(60_000), stride in 500_usize..1_500) {
         for (k, tick) in (1..).zip(StepTimes::new(profile)).step_by(stride) {
@@ -134,66 +210,48 @@ proptest! {
         }
     }
 
+    /// A stop takes the fewest steps that its deceleration allows, every edge at its nearest tick, or it
+    /// leaves the stroke's own final ramp as it is.
     #[test]
-    fn a_stop_rests_on_a_whole_step_inside_the_stroke(
-        axis in axes(),
-        profile in profiles(20_000),
-        share in 0_u32..=1_000,
-        um_s2 in octaves(10, 26),
+    fn a_stop_brakes_in_the_fewest_steps(
+        axis in axes(), profile in profiles(20_000), place in places(), deceleration in decelerations(),
     ) {
-        let n = profile.steps().0;
-        let at = (u64::from(n) * u64::from(share) / 1_000) as u32;
-        let deceleration = axis.acceleration(um_s2).unwrap();
+        let (n, at) = (profile.steps().0, place.step(&profile));
+        let um_s2 = deceleration.um_s2(&profile, &axis);
         let mut times = StepTimes::new(profile);
-        let natural: Vec<u64> = times.clone().collect();
-        if at > 0 {
-            times.nth(at as usize - 1);
-        }
-        let (speed_interval, start) = (times.interval().0, times.tick().0);
-        let stop = times.stop(deceleration);
-        let braking: Vec<u64> = times.clone().collect();
+        times.by_ref().take(at as usize).for_each(drop);
+        let (interval, start) = (times.interval().0, times.tick().0);
+        let planned = times.clone();
+        let stop = times.stop(axis.acceleration(um_s2).unwrap());
 
-        prop_assert_eq!(braking.len(), stop.steps.0 as usize);
-        prop_assert!(at + stop.steps.0 <= n);
-        prop_assert_eq!(times.left_out(), Steps(n - at - stop.steps.0));
-        prop_assert_eq!(braking.last().copied().unwrap_or(start), if at == 0 { 0 } else { stop.rest.0 });
-        if braking != natural[at as usize..] {
-            // One ramp to rest: v = 1/d, 2 m d ticks for m steps, intervals never shrink by more
-            // than the rounding of the ticks.
-            let m = u64::from(stop.steps.0);
-            prop_assert_eq!(stop.rest.0 - start, 2 * m * speed_interval);
-            let mut before = (start, speed_interval);
-            for &tick in &braking {
-                let interval = tick - before.0;
-                prop_assert!(interval + 1 >= before.1, "{interval} after {}", before.1);
-                before = (tick, interval);
+        let steps = expected_steps(&axis, um_s2, interval).min(n - at);
+        let on_the_final_ramp = at >= n - profile.ramp_steps().0 && at > profile.ramp_steps().0;
+        prop_assert_eq!(times.remaining(), stop.steps);
+        prop_assert_eq!(times.rest(), stop.rest);
+        if at == n || on_the_final_ramp && steps == n - at {
+            prop_assert_eq!(stop, Stop { steps: Steps(n - at), rest: profile.duration() });
+            prop_assert_eq!(times.left_out(), Steps(0));
+            prop_assert!(times.eq(planned), "the final ramp is not the planned one");
+        } else {
+            let rest = start + 2 * u64::from(steps) * interval;
+            prop_assert_eq!(stop, Stop { steps: Steps(steps), rest: Ticks(rest) });
+            prop_assert_eq!(times.left_out(), Steps(n - at - steps));
+            let mut before = start;
+            for j in (0..steps).rev() {
+                let tick = times.next().unwrap();
+                prop_assert!(is_braking(steps, interval, j, rest - tick), "{j} before rest at {tick}");
+                // No step comes faster than the speed at which the stop began.
+                prop_assert!(tick - before >= interval);
+                prop_assert_eq!(times.interval(), Ticks(tick - before));
+                prop_assert_eq!(times.repeat(u32::MAX), 0);
+                before = tick;
             }
-            if let Some(first) = braking.first() {
-                prop_assert!(first - start >= speed_interval);
-            }
-            // u_j^2 = 4 m d^2 j, nearest tick.
-            for (i, &tick) in braking.iter().enumerate() {
-                let j = BigInt::from(m) - (i + 1);
-                let twice = 2 * BigInt::from(stop.rest.0 - tick);
-                let exact = BigInt::from(16 * m) * speed_interval * speed_interval * j;
-                let below: BigInt = &twice - 1;
-                let low = below.max(BigInt::from(0));
-                let high: BigInt = twice + 1;
-                prop_assert!(&low * &low <= exact && exact <= &high * &high);
-            }
-            // v^2 / 2m at most the deceleration, in um/s^2, unless the end of the stroke or
-            // the longest stop is nearer; and not a step more than that needs.
-            let demand = |m: u64| BigInt::from(TICK_HZ) * TICK_HZ * axis.lead().0
-                <= BigInt::from(2 * m) * speed_interval * speed_interval
-                    * axis.steps_per_rev() * um_s2;
-            let at_end = at + stop.steps.0 == n;
-            let longest = 2 * (m + 1) * speed_interval >= 1 << 31;
-            prop_assert!(m == 0 || demand(m) || at_end || longest);
-            prop_assert!(m <= 1 || !demand(m - 1));
+            prop_assert_eq!(before, rest);
+            prop_assert_eq!(times.next(), None);
         }
     }
 
-    /// A second stop while braking never lengthens the way, and a harder one shortens it.
+    /// A second stop while braking never lengthens the way.
     #[test]
     fn stopping_again_never_goes_further(
         axis in axes(), profile in profiles(5_000), share in 1_u32..1_000,
@@ -210,19 +268,40 @@ proptest! {
         prop_assert_eq!(times.count(), stop.steps.0 as usize);
     }
 
-    /// Speed and acceleration of the rest of a stroke are at most the stroke's own, exactly, and
-    /// the rest is not slower than one tick in each of its two parts.
+    /// The rest of a stroke neither exceeds its speed nor its acceleration, and one tick less would.
     #[test]
-    fn a_resumed_stroke_keeps_speed_and_acceleration(profile in profiles(20_000), left in 1_u32..20_000) {
-        if let Ok(rest) = profile.resumed(Steps(left)) {
-            let (n, t, r) = integers(&profile);
-            let (m, u, q) = integers(&rest);
-            prop_assert!(&m * (&t - &r) <= &n * (&u - &q));
-            prop_assert!(&m * &r * (&t - &r) <= &n * &q * (&u - &q));
-            if left == profile.steps().0 {
-                prop_assert!(rest.duration() <= profile.duration());
-            }
+    fn a_resumed_stroke_is_the_shortest_within_its_limits(profile in profiles(20_000), share in 0_u32..=1_000) {
+        let left = (profile.steps().0 * share / 1_000).max(1);
+        let rest = profile.resumed(Steps(left)).unwrap();
+        prop_assert_eq!(rest.steps(), Steps(left));
+        let (n, t, r) = integers(&profile);
+        let (m, u, q) = integers(&rest);
+        let slow_enough = |u: &BigInt, q: &BigInt| &m * (&t - &r) <= &n * (u - q);
+        let gentle_enough = |u: &BigInt, q: &BigInt| &m * &r * (&t - &r) <= &n * q * (u - q);
+        prop_assert!(slow_enough(&u, &q) && gentle_enough(&u, &q));
+        // One tick less, with the gentlest ramp that still keeps the speed.
+        let shorter: BigInt = &u - 1;
+        let span: BigInt = (&m * (&t - &r) + &n - 1) / &n;
+        let ramp = BigInt::min(&shorter / 2, &shorter - span);
+        prop_assert!(ramp < BigInt::from(1) || !gentle_enough(&shorter, &ramp));
+        if left == profile.steps().0 {
+            prop_assert!(rest.duration() <= profile.duration());
         }
+    }
+
+    #[test]
+    fn peak_and_acceleration_are_the_nearest_integers(axis in axes(), profile in profiles(60_000)) {
+        let (n, t, r) = integers(&profile);
+        let nearest = |told: u32, numerator: BigInt, denominator: BigInt| {
+            let (numerator, denominator) = (numerator * axis.lead().0, denominator * axis.steps_per_rev());
+            let error: BigInt = 2 * (BigInt::from(told) * &denominator - &numerator);
+            let half = -&denominator < error && error <= denominator;
+            let too_much = numerator >= denominator * u32::MAX;
+            if told == u32::MAX { half || too_much } else { half }
+        };
+        let peak: BigInt = &n * TICK_HZ;
+        prop_assert!(nearest(profile.peak_um_s(&axis), peak.clone(), &t - &r));
+        prop_assert!(nearest(profile.accel_um_s2(&axis), peak * TICK_HZ, &r * (&t - &r)));
     }
 
     #[test]
@@ -244,6 +323,11 @@ proptest! {
                 prop_assert!(r == 1 || !gentle_enough(n, t, r - 1, u64::from(um_s2)));
             }
             Err(StrokeError::Infeasible { minimal_duration, minimal_accel_um_s2 }) => {
+                prop_assert!(minimal_duration > wanted);
+                prop_assert!(minimal_accel_um_s2 > u64::from(um_s2));
+                let at_least = StrokeProfile::from_duration(Steps(n), minimal_duration, acceleration);
+                let infeasible = matches!(at_least, Err(StrokeError::Infeasible { .. }));
+                prop_assert!(!infeasible, "{at_least:?}");
                 let half = |t: u64| t / 2;
                 let (t, least) = (minimal_duration.0, minimal_accel_um_s2);
                 prop_assert!(gentle_enough(n, t, half(t), u64::from(um_s2)));
@@ -256,7 +340,7 @@ proptest! {
         }
     }
 
-    /// From speed: neither limit is exceeded, and one tick less would exceed one of them.
+    /// Within both limits; one tick less would exceed one of them.
     #[test]
     fn a_speed_is_the_shortest_within_both_limits(
         axis in axes(), n in 1_u32..200_000, um_s in octaves(8, 18), um_s2 in octaves(8, 24),
@@ -293,7 +377,7 @@ fn a_stop_before_the_first_step_moves_nothing() {
     assert_eq!(times.left_out(), Steps(100));
 }
 
-/// On the stroke's own final ramp, a deceleration that would not be at rest earlier changes nothing.
+/// On the stroke's own final ramp, a deceleration that needs as many steps or more changes nothing.
 #[test]
 fn a_gentle_stop_on_the_final_ramp_finishes_the_stroke_as_planned() {
     let axis = Axis::REFERENCE;
@@ -330,47 +414,179 @@ fn a_triangle_uses_the_acceleration_up() {
     assert_eq!(triangle.peak_um_s(&axis), 50_000);
 }
 
+/// The paper's stroke in 4 s as a triangle: 2 s up and 2 s down at 32.5 mm/s^2 exactly.
+#[test]
+fn the_least_acceleration_for_a_duration_is_a_triangle() {
+    let axis = Axis::REFERENCE;
+    let stroke = |um_s2| {
+        let acceleration = axis.acceleration(um_s2).unwrap();
+        StrokeProfile::from_duration(Steps(104_000), Ticks(4 * TICK_HZ), acceleration)
+    };
+    let triangle = stroke(32_500).unwrap();
+    assert_eq!(triangle.ramp(), Ticks(2 * TICK_HZ));
+    assert_eq!(triangle.span(), Ticks(2 * TICK_HZ));
+    assert_eq!(triangle.ramp_steps(), Steps(52_000));
+    assert_eq!(triangle.accel_um_s2(&axis), 32_500);
+    assert_eq!(
+        stroke(32_499),
+        Err(StrokeError::Infeasible {
+            minimal_duration: Ticks(400_006_154),
+            minimal_accel_um_s2: 32_500
+        })
+    );
+}
+
+/// A stop from an interval of 2^16 ticks: 2^14 steps would last 2^31 ticks, one too many.
+#[test]
+fn the_longest_stop_is_less_than_21_5_seconds() {
+    let steps = 40_000;
+    let profile = StrokeProfile::from_parts(
+        Steps(steps),
+        Ticks(u64::from(steps) * 65_536 + 65_536),
+        Ticks(65_536),
+    )
+    .unwrap();
+    let mut times = StepTimes::new(profile);
+    times.by_ref().take(1_000).for_each(drop);
+    assert_eq!(times.interval(), Ticks(65_536));
+    let start = times.tick().0;
+    let stop = times.stop(Axis::REFERENCE.acceleration(1).unwrap());
+    assert_eq!(stop.steps, Steps((1 << 14) - 1));
+    assert_eq!(stop.rest, Ticks(start + (1 << 31) - (1 << 17)));
+    assert_eq!(times.last(), Some(stop.rest.0));
+}
+
+fn parts(n: u32, t: u64, r: u64) -> Result<StrokeProfile, StrokeError> {
+    StrokeProfile::from_parts(Steps(n), Ticks(t), Ticks(r))
+}
+
+/// Each bound: what is just within, just beyond, and what the refusal names.
 #[test]
 fn the_bounds_refuse_what_they_say() {
-    let parts = |n, t, r| StrokeProfile::from_parts(Steps(n), Ticks(t), Ticks(r));
+    let too_slow = |t: u64| Err(StrokeError::TooSlow { duration: Ticks(t) });
+    let bad_ramp = |t: u64, r: u64| {
+        Err(StrokeError::Ramp {
+            duration: Ticks(t),
+            ramp: Ticks(r),
+        })
+    };
     assert_eq!(parts(0, 100, 10), Err(StrokeError::NoSteps));
-    assert!(matches!(
-        parts(1 << 26, 1 << 40, 10),
-        Err(StrokeError::TooManySteps { .. })
-    ));
-    assert!(matches!(
-        parts(10, 10_000, 0),
-        Err(StrokeError::Ramp { .. })
-    ));
-    assert!(matches!(
-        parts(10, 10_001, 5_001),
-        Err(StrokeError::Ramp { .. })
-    ));
+    let most = 1 << 25;
+    assert!(parts(most, u64::from(most) * 128, 1_000).is_ok());
+    assert_eq!(
+        parts(most + 1, 1 << 40, 10),
+        Err(StrokeError::TooManySteps { steps: most + 1 })
+    );
+    assert_eq!(parts(10, 10_000, 0), bad_ramp(10_000, 0));
+    assert_eq!(parts(10, 10_001, 5_001), bad_ramp(10_001, 5_001));
     assert!(parts(10, 10_001, 5_000).is_ok());
     // 1 MHz is allowed, and no more.
     assert!(parts(1_000, 100_500, 500).is_ok());
-    assert!(matches!(
+    assert_eq!(
         parts(1_000, 100_499, 500),
-        Err(StrokeError::TooFast { .. })
-    ));
-    // A triangle of 2^31.5 ticks and a single step of 2^30 are the slowest.
+        Err(StrokeError::TooFast {
+            interval: Ticks(99)
+        })
+    );
+    // 2 r (T - r) of 2^62: a triangle of 2^31.5 ticks.
     assert!(parts(100_000, 3_037_000_498, 1_518_500_249).is_ok());
-    assert!(matches!(
+    assert_eq!(
         parts(100_000, 3_037_000_500, 1_518_500_250),
-        Err(StrokeError::TooSlow { .. })
-    ));
+        too_slow(3_037_000_500)
+    );
+    // 2 n T of 2^60.
+    assert!(parts(most, (1 << 34) - 1, 100_000_000).is_ok());
+    assert_eq!(parts(most, 1 << 34, 100_000_000), too_slow(1 << 34));
+    // A single step of 2^30 ticks.
     assert!(parts(1, (1 << 30) - 1, 1_000).is_ok());
-    assert!(matches!(
-        parts(1, 1 << 30, 1_000),
-        Err(StrokeError::TooSlow { .. })
-    ));
-    assert!(matches!(
+    assert_eq!(parts(1, 1 << 30, 1_000), too_slow(1 << 30));
+    assert_eq!(
         parts(u32::MAX >> 7, u64::MAX, u64::MAX / 2),
+        too_slow(u64::MAX)
+    );
+}
+
+#[test]
+fn constructors_refuse_moves_that_are_none_or_too_long() {
+    let axis = Axis::REFERENCE;
+    let (speed, acceleration) = (
+        axis.speed(1_000).unwrap(),
+        axis.acceleration(100_000).unwrap(),
+    );
+    let profile = StrokeProfile::from_speed(Steps(1_000), speed, acceleration).unwrap();
+    for (steps, refusal) in [
+        (0, StrokeError::NoSteps),
+        (
+            (1 << 25) + 1,
+            StrokeError::TooManySteps {
+                steps: (1 << 25) + 1,
+            },
+        ),
+    ] {
+        let steps = Steps(steps);
+        let hour = Ticks(3_600 * TICK_HZ);
+        assert_eq!(
+            StrokeProfile::from_duration(steps, hour, acceleration),
+            Err(refusal)
+        );
+        assert_eq!(
+            StrokeProfile::from_speed(steps, speed, acceleration),
+            Err(refusal)
+        );
+        assert_eq!(profile.resumed(steps), Err(refusal));
+    }
+    // Two steps, both as slow as a step may be. One alone, from rest to rest, would be slower.
+    let slowest = parts(2, (1 << 31) - 2, (1 << 30) - 1).unwrap();
+    assert!(slowest.resumed(Steps(2)).is_ok());
+    assert!(matches!(
+        slowest.resumed(Steps(1)),
         Err(StrokeError::TooSlow { .. })
     ));
 }
 
-/// Profiles close to each bound: where sums are largest.
+#[test]
+fn a_refused_stroke_says_what_to_do() {
+    for (error, text) in [
+        (
+            StrokeError::NoSteps,
+            "the move is shorter than one step: make it longer",
+        ),
+        (
+            StrokeError::TooManySteps { steps: 33_554_433 },
+            "33554433 steps in one stroke are more than 33554432: use fewer microsteps",
+        ),
+        (
+            StrokeError::Ramp {
+                duration: Ticks(100_000_000),
+                ramp: Ticks(60_000_000),
+            },
+            "a ramp of 0.60000000 s does not fit a stroke of 1.00000000 s: use more than zero and at most half",
+        ),
+        (
+            StrokeError::TooFast {
+                interval: Ticks(99),
+            },
+            "steps would be 99 ticks apart, less than 100: go slower or use fewer microsteps",
+        ),
+        (
+            StrokeError::TooSlow {
+                duration: Ticks(3_037_000_500),
+            },
+            "a stroke of 30.37000500 s is too slow for exact step times: use more speed, more acceleration or finer microsteps",
+        ),
+        (
+            StrokeError::Infeasible {
+                minimal_duration: Ticks(400_006_154),
+                minimal_accel_um_s2: 32_500,
+            },
+            "too little time: allow at least 4.00006154 s for the stroke, or accelerate with at least 32500 um/s^2",
+        ),
+    ] {
+        assert_eq!(error.to_string(), text);
+    }
+}
+
+/// Profiles close to each bound, where sums are largest.
 #[test]
 fn the_extremes_do_not_overflow() {
     for (n, t, r) in [

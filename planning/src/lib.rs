@@ -12,15 +12,15 @@ use motion::{
 };
 use protocol::{
     error::{Field, Refusal},
-    rig::{Run, RunAccepted, RunTiming, Sense, Stroke},
+    rig::{self, Run, RunAccepted, RunTiming, Stroke},
 };
 
 /// The direction that a request names.
 #[must_use]
-pub fn direction(requested: Sense) -> axis::Direction {
+pub fn direction(requested: rig::Direction) -> axis::Direction {
     match requested {
-        Sense::Away => axis::Direction::Away,
-        Sense::Home => axis::Direction::Home,
+        rig::Direction::Away => axis::Direction::Away,
+        rig::Direction::Home => axis::Direction::Home,
     }
 }
 

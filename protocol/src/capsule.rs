@@ -3,17 +3,17 @@
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Finds the thread's zero: unwinds to the hard reference and back to the point where the thread engages.
+/// Finds the thread's zero: unwinds to the hard reference, then winds to the point where the thread engages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Reference;
 
-/// Winds the thread until the force (motor current) in the end window says that the origami is folded.
+/// Winds the thread until the force (motor current) in the end window shows that the origami is folded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Fold;
 
-/// Pays the thread out to the referenced zero, by encoder count, never past it.
+/// Pays the thread out to the referenced zero by encoder count, and never past it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Unfold;
@@ -22,9 +22,9 @@ pub struct Unfold;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ActuationAccepted {
-    /// Counts actuations since the device started, from 1.
+    /// Number of the actuation, counted from 1 since the device started.
     pub actuation: u32,
-    /// It ends by itself, well or with a fault, within this time.
+    /// It ends by itself within this time, complete or with a fault.
     pub timeout_ms: u32,
 }
 
@@ -56,7 +56,7 @@ pub enum CapsuleState {
 pub enum CapsuleFault {
     /// The end current was reached before the end window: something blocks the fold.
     Jam {
-        /// Where.
+        /// Thread wound up to there.
         thread_um: i32,
     },
     /// The end window was passed at no-load current.
@@ -65,12 +65,12 @@ pub enum CapsuleFault {
     EncoderLost,
     /// Current above the driver's limit.
     OverCurrent {
-        /// Measured.
+        /// Measured motor current.
         current_ma: u16,
     },
     /// Battery below the limit.
     LowBattery {
-        /// Measured.
+        /// Measured battery voltage.
         battery_mv: u16,
     },
     /// The actuation did not end in time.
@@ -94,11 +94,11 @@ pub struct GetCapsuleStatus;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CapsuleStatus {
-    /// Device time.
+    /// Device time since its start.
     pub time_us: u64,
-    /// State.
+    /// State of the machine.
     pub state: CapsuleState,
-    /// The latched fault.
+    /// The latched fault, if there is one.
     pub fault: Option<CapsuleFault>,
     /// The thread position can be trusted.
     pub referenced: bool,
@@ -110,11 +110,11 @@ pub struct CapsuleStatus {
     pub battery_mv: u16,
     /// Number of the present or last actuation.
     pub actuation: u32,
-    /// Motion is refused until [`crate::system::Acknowledge`] after a watchdog reset or a panic.
+    /// After a watchdog reset or a panic: motion is refused until [`crate::system::Acknowledge`].
     pub needs_acknowledge: bool,
 }
 
-/// Which actuation a record is about.
+/// The kinds of actuation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ActuationKind {
@@ -134,7 +134,7 @@ pub enum ActuationOutcome {
     None,
     /// Still going on.
     Running,
-    /// Ended as it should.
+    /// Reached its end position.
     Complete,
     /// Stopped on request; the thread position is kept.
     Stopped,
@@ -155,23 +155,23 @@ pub struct GetActuationRecord;
 pub struct ActuationRecord {
     /// Number of the actuation.
     pub actuation: u32,
-    /// Which.
+    /// What was asked for.
     pub kind: ActuationKind,
-    /// How it ended.
+    /// How it ended, or that it goes on.
     pub outcome: ActuationOutcome,
-    /// From the first drive to the motor's end.
+    /// From the first drive until the motor is off.
     pub duration_ms: u32,
     /// Thread position at the end.
     pub thread_um: i32,
-    /// Current that ended the motion, or the last before its end.
+    /// Current that ended the motion, or the last one measured before it ended.
     pub end_current_ma: u16,
-    /// Largest current after the start's blanking.
+    /// Largest current, without the inrush that is blanked.
     pub peak_current_ma: u16,
     /// Thread position at which the load first rose above the no-load current; 0 = never.
     pub engaged_um: i32,
     /// Energy drawn by the motor, integrated from battery voltage and current.
     pub energy_mj: u32,
-    /// Lowest battery voltage.
+    /// Lowest battery voltage under way.
     pub min_battery_mv: u16,
 }
 
@@ -183,14 +183,14 @@ pub enum CapsuleEvent {
     Started {
         /// Number of the actuation.
         actuation: u32,
-        /// Which.
+        /// What was asked for.
         kind: ActuationKind,
     },
     /// An actuation ended.
     Ended {
         /// Number of the actuation.
         actuation: u32,
-        /// How.
+        /// How it ended.
         outcome: ActuationOutcome,
     },
     /// A fault was latched.
@@ -201,9 +201,9 @@ pub enum CapsuleEvent {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CapsuleTelemetry {
-    /// Device time.
+    /// Device time since its start.
     pub time_us: u64,
-    /// State.
+    /// State of the machine.
     pub state: CapsuleState,
     /// Thread wound up, by the encoder.
     pub thread_um: i32,

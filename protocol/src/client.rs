@@ -1,4 +1,4 @@
-//! The host's end: one request at a time, repeated until answered, telemetry and events with their gaps.
+//! The host's end: sends one request at a time, repeats it until it is answered, and counts lost telemetry.
 //!
 //! Sans-IO and without a clock: `now_us` is an argument. The owner moves the bytes.
 
@@ -7,14 +7,14 @@ use crate::{
     error::{Refusal, WireError},
     frame::{Deframer, Encoded, Header, Kind, encode},
     system::{Event, Hello, Identity, Urgent},
-    table::{Reply, Request, Response, SCHEMA_KEY, Telemetry},
+    table::{Changes, Reply, Request, Response, SCHEMA_KEY, Telemetry},
 };
 
 /// How long to wait for an answer before the request is sent again. A full frame takes 19 ms at 115200 baud.
 pub const RETRY_AFTER_US: u64 = 100_000;
 /// How often a request is sent before its outcome is reported as unknown.
 pub const ATTEMPTS: u8 = 8;
-/// The same for requests that write to flash: the device hears nothing while it erases, half a second or more.
+/// The same for requests that write to flash: the device receives nothing while it erases, half a second or more.
 pub const FLASH_ATTEMPTS: u8 = 30;
 
 /// What the device sent.
@@ -26,32 +26,32 @@ pub enum Output {
     Accepted(Response),
     /// The pending request was refused; nothing moved.
     Refused(Refusal),
-    /// The pending request could not be used; nothing moved. After [`WireError::NoSession`] the session is
+    /// The device could not use the pending request; nothing moved. After [`WireError::NoSession`] the session is
     /// closed: the device was reset or another host took over.
     Rejected(WireError),
     /// The urgent stop was carried out.
     UrgentDone(Urgent),
-    /// Telemetry.
+    /// A telemetry sample.
     Telemetry {
-        /// How many telemetry frames were lost just before this one.
+        /// Samples lost just before this one.
         missed: u16,
         /// The sample.
         sample: Telemetry,
     },
-    /// An event, as it happened. Indices tell whether any are missing; they can be fetched again.
+    /// An event, sent as it happened. A gap in the indices shows that events were lost; they can be fetched again.
     Event(Event),
 }
 
-/// What [`Client::poll`] wants.
+/// What the owner of a [`Client`] has to do next.
 #[derive(Clone, Debug, PartialEq)]
 // One exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
 pub enum Poll {
     /// Send these bytes, then poll again.
     Transmit(Encoded),
-    /// Nothing to do before this time (`u64::MAX`: until something is asked for).
+    /// Wait for bytes until this time (`u64::MAX`: until the next request).
     WaitUntil(u64),
-    /// The pending request was not answered: whether it was carried out is unknown.
+    /// Give up: nothing answered the request or the stop, which may or may not have been carried out.
     TimedOut,
 }
 
@@ -92,7 +92,7 @@ impl Pending {
     }
 }
 
-/// The host's session.
+/// The host's end of a session.
 #[derive(Debug)]
 pub struct Client {
     deframer: Deframer,
@@ -122,7 +122,7 @@ impl Client {
         }
     }
 
-    /// Asks the device for its identity and a session. `nonce` should be new for every connection.
+    /// Asks the device for its identity and a session. Take a new `nonce` for every connection.
     ///
     /// # Errors
     /// [`NotNow`] while a request is pending.
@@ -136,7 +136,7 @@ impl Client {
         }))
     }
 
-    /// Asks for something in the open session.
+    /// Sends a request in the open session.
     ///
     /// # Errors
     /// [`NotNow`] while a request is pending or without a session.
@@ -158,18 +158,16 @@ impl Client {
         };
         // The messages of this crate all fit; see the test `every_message_fits`.
         let frame = encode(header, request).map_err(|_| NotNow)?;
-        let attempts = match request {
-            Request::SetSetting(_) | Request::FactoryReset(_) | Request::SetName(_) => {
-                FLASH_ATTEMPTS
-            }
+        let attempts = match request.changes() {
+            Changes::Flash => FLASH_ATTEMPTS,
             _ => ATTEMPTS,
         };
         self.pending = Some(Pending::new(header, frame, attempts));
         Ok(())
     }
 
-    /// Stops the machine. Goes ahead of any pending request; needs no session. Asking again, or asking for
-    /// more ([`Urgent::EStop`] after [`Urgent::Stop`]), replaces what was asked before.
+    /// Stops the machine. Goes ahead of any pending request and needs no session. Another call replaces the one before,
+    /// as [`Urgent::EStop`] after [`Urgent::Stop`].
     pub fn urgent(&mut self, urgent: Urgent) {
         let header = Header {
             kind: Kind::Urgent,
@@ -187,7 +185,7 @@ impl Client {
         seq
     }
 
-    /// What to send or how long to wait.
+    /// What to do now: send, wait or give up.
     pub fn poll(&mut self, now_us: u64) -> Poll {
         let urgent = match &mut self.urgent {
             Some(urgent) => urgent.poll(now_us),
@@ -200,7 +198,7 @@ impl Client {
             return urgent;
         };
         let pending = match &mut self.pending {
-            // The pending request waits while a stop is on its way: nothing delays a stop.
+            // A pending request waits for the end of a stop, so that it cannot delay one.
             Some(pending) if self.urgent.is_none() => pending.poll(now_us),
             _ => Poll::WaitUntil(u64::MAX),
         };
@@ -267,7 +265,7 @@ impl Client {
         self.session != 0
     }
 
-    /// Blocks of bytes that were not good frames.
+    /// Blocks of bytes that were no good frames.
     pub fn rejected_frames(&self) -> u32 {
         self.deframer.rejected()
     }

@@ -1,4 +1,4 @@
-//! Why a request was not carried out: domain refusals and wire errors. The text says what to do.
+//! Why a request was not carried out: refusals by the machine and errors of the wire. Their texts say what to do.
 
 use crate::{
     capsule::{CapsuleFault, CapsuleState},
@@ -37,9 +37,9 @@ pub enum Refusal {
     CapsuleBusy(CapsuleState),
     /// The value is outside its range.
     OutOfRange {
-        /// Which.
+        /// The value's name.
         field: Field,
-        /// Requested.
+        /// Requested value.
         requested: u64,
         /// Smallest allowed.
         min: u64,
@@ -52,62 +52,62 @@ pub enum Refusal {
         requested_us: u64,
         /// Shortest possible with the requested acceleration.
         min_us: u64,
-        /// Smallest acceleration that would do it in the requested time; `u64::MAX`: none, delay and dwells use it up.
+        /// Least acceleration that would do it in the requested time; `u64::MAX`: delay and dwells leave no time.
         min_accel_um_s2: u64,
     },
     /// The plan needs a speed that the axis must not reach.
     SpeedLimit {
-        /// Needed.
+        /// Peak speed of the plan.
         needed_um_s: u64,
-        /// Allowed.
+        /// Highest speed allowed.
         max_um_s: u64,
     },
     /// The plan needs steps faster than the driver accepts.
     StepRateLimit {
-        /// Needed.
+        /// Highest step rate of the plan.
         needed_hz: u64,
-        /// Allowed.
+        /// Highest step rate allowed.
         max_hz: u64,
     },
     /// The numbers are too large for the exact arithmetic: the strokes are too slow or ramps too long.
     TooSlow,
     /// The carriage is not at home; home first.
     NotAtHome {
-        /// Where it is.
+        /// Position of the carriage.
         position_um: i32,
     },
     /// The battery is too low to finish an actuation.
     BatteryLow {
-        /// Measured.
+        /// Measured voltage.
         battery_mv: u16,
-        /// Needed.
+        /// Least voltage needed.
         min_mv: u16,
     },
-    /// The carriage already is, or the thread already is, where the request would take it.
+    /// The carriage or the thread already is where the request would take it.
     AlreadyThere,
     /// A setting's value is outside its range.
     SettingRange {
-        /// Which.
+        /// The setting.
         key: SettingKey,
-        /// Requested.
+        /// Requested value.
         requested: u32,
     },
-    /// A setting's value breaks a rule that settings have to keep together.
+    /// A setting's value breaks a rule between settings.
     SettingRule {
-        /// Which.
+        /// The setting.
         key: SettingKey,
-        /// The rule.
+        /// The broken rule.
         rule: SettingRule,
     },
     /// The flash could not be written; the old value stands.
     StorageFailed,
-    /// No run is going on that could be held.
+    /// No run is going on.
     NothingToHold,
     /// No run is held.
     NothingToResume,
 }
 
-/// Which value was out of range.
+/// The values that a request checks against a range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Field {
@@ -147,7 +147,7 @@ pub enum WireError {
     Malformed,
     /// This sequence number was already used for another request.
     SequenceReused,
-    /// The sequence number is older than what the cache remembers.
+    /// The sequence number is older than the answers that the cache still holds.
     Stale,
 }
 

@@ -1,4 +1,4 @@
-//! The device's ring of events: numbered, timed, fetched again by index.
+//! The device's ring of events: numbered and timed, so that a host can fetch lost ones by index.
 
 use crate::system::{EVENTS_PER_REPLY, Event, Events, What};
 
@@ -21,7 +21,7 @@ impl EventRing {
         }
     }
 
-    /// Numbers and keeps an event, the oldest one giving way; returns it for sending.
+    /// Numbers an event, keeps it in place of the oldest one, and returns it for sending.
     pub fn record(&mut self, time_us: u64, what: What) -> Event {
         let event = Event {
             index: self.next,

@@ -3,7 +3,7 @@
 use postcard::ser_flavors::Flavor;
 use serde::{Serialize, de::DeserializeOwned};
 
-/// Largest body in bytes; see the test `every_message_fits`.
+/// Largest body in bytes; the test `every_message_fits` measures it.
 pub const MAX_BODY: usize = 160;
 /// Kind, session and sequence.
 const HEAD: usize = 4;
@@ -15,7 +15,7 @@ const MAX_COBS: usize = MAX_RAW + MAX_RAW / 254 + 1;
 /// Largest frame on the wire, with both delimiters.
 pub const MAX_FRAME: usize = MAX_COBS + 2;
 
-/// Without a table: a kilobyte of flash is worth more than the time.
+/// Without a lookup table: it would cost a kilobyte of flash and the time does not matter.
 const CRC32C: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_ISCSI);
 
 /// An encoded frame, ready for the wire.
@@ -55,11 +55,11 @@ impl Kind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Header {
-    /// What the body is.
+    /// What the body holds.
     pub kind: Kind,
-    /// Session, 0 outside of any.
+    /// Session number; 0 outside a session.
     pub session: u8,
-    /// Sequence number.
+    /// Sequence number; what it counts depends on the kind.
     pub seq: u16,
 }
 
@@ -107,8 +107,8 @@ pub fn encode<T: Serialize>(header: Header, body: &T) -> Result<Encoded, TooLong
 
 /// A frame before COBS.
 ///
-/// As postcard's output it never fails: what does not fit is remembered and judged once, at the end. With an
-/// output that can fail every field of every message would be followed by a check, 3 KB of flash in all.
+/// As postcard's output it never fails: a byte that does not fit sets a flag, which is checked once, at the end. An
+/// output that can fail costs a check after every field of every message, 3 KB of flash in all.
 #[derive(Default)]
 struct Raw {
     bytes: heapless::Vec<u8, MAX_RAW>,
@@ -121,7 +121,7 @@ impl Raw {
         self.too_long |= self.bytes.push(byte).is_err();
     }
 
-    /// Adds the CRC and codes the whole.
+    /// Appends the CRC, encodes with COBS and adds the delimiters.
     fn close(mut self) -> Result<Encoded, TooLong> {
         for byte in CRC32C.checksum(&self.bytes).to_le_bytes() {
             self.put(byte);
@@ -162,7 +162,7 @@ impl Flavor for &mut Raw {
 #[derive(Debug)]
 pub struct Deframer {
     block: heapless::Vec<u8, MAX_COBS>,
-    /// The present block is longer than any frame: skip it to its end.
+    /// The present block is longer than any frame and is skipped to its end.
     overrun: bool,
     decoded: [u8; MAX_COBS],
     rejected: u32,
@@ -185,7 +185,7 @@ impl Deframer {
         }
     }
 
-    /// How many blocks were thrown away because they were too long, badly coded or had a wrong CRC.
+    /// How many blocks were dropped: too long, badly encoded, of no known kind, or with a wrong CRC.
     pub fn rejected(&self) -> u32 {
         self.rejected
     }

@@ -10,9 +10,9 @@
 //!
 //! `body` is [postcard](https://postcard.jamesmunns.com/wire-format) of the type that `kind` names and at
 //! most [`frame::MAX_BODY`] bytes. The CRC covers everything before it. A body is exactly one message, and no message
-//! is the beginning of another: that refuses what a CRC by its nature lets through, a frame that is longer by
-//! a certain byte in front of it and a certain one at its end. Both delimiters are sent: the leading
-//! one ends whatever garbage came before, so that the first good frame after a disturbance is never lost.
+//! is a prefix of another. That refuses a damage which no CRC detects: with the first byte of the CRC complemented and
+//! 0xFF appended, the frame is one byte longer and passes the check. Both delimiters are sent: the leading one ends
+//! whatever garbage came before, so that the first good frame after a disturbance is never lost.
 //!
 //! | kind | direction | body | `seq` |
 //! |---|---|---|---|
@@ -31,11 +31,11 @@
 //!
 //! # Compatibility
 //!
-//! - `Hello`, `Identity` and `Urgent` keep their encoding for ever, so that any tool can name any device and stop it.
+//! - `Hello`, `Identity` and `Urgent` keep their encoding forever, so that any tool can name any device and stop it.
 //! - Enum variants are index-coded: append only, never reorder, never reuse.
 //! - [`table::SCHEMA_KEY`] is computed from all message types at compile time. Same major version and same
-//!   key: everything works. Any difference: the device only identifies itself, reports its status and faults
-//!   and stops ([`table::Row::needs_match`]).
+//!   key: everything works. Any difference: the device only identifies itself, hands out its last words
+//!   and stops ([`table::Request::needs_match`]).
 //! - A change of an existing message raises the major version; an appended row raises the minor version.
 #![no_std]
 #![forbid(unsafe_code)]

@@ -4,7 +4,7 @@ use crate::settings::SettingKey;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Finds the position reference: two passes over the home flag, then to position 0.
+/// Finds the position reference in two passes over the home flag, then moves to position 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Home;
@@ -31,18 +31,18 @@ pub enum LinkLossPolicy {
     Finish,
 }
 
-/// How the time of a run is given.
+/// How the timing of a run is specified.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RunTiming {
-    /// Total duration from the start to the last step; speeds follow.
+    /// Total duration from the start to the last step; the speeds follow from it.
     Total {
-        /// Start delay, dwells and strokes together.
+        /// Start delay, strokes and dwells together.
         total_us: u64,
         /// Acceleration of every ramp.
         accel_um_s2: u32,
     },
-    /// Speeds; the duration follows.
+    /// Speeds; the duration follows from them.
     Speeds {
         /// Away from home.
         forward_um_s: u32,
@@ -53,15 +53,15 @@ pub enum RunTiming {
     },
 }
 
-/// Starts a run: `cycles` times out to `stroke_um` and back to 0.
+/// Starts a run: out to `stroke_um` and back to 0, `cycles` times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Run {
-    /// 1..=10,000.
+    /// Number of cycles, 1..=10,000.
     pub cycles: u16,
-    /// 1..= configured stroke.
+    /// Length of a stroke, 1..= configured stroke.
     pub stroke_um: u32,
-    /// Duration or speeds.
+    /// Total duration or speeds.
     pub timing: RunTiming,
     /// Pause at the far end.
     pub far_dwell_us: u32,
@@ -69,7 +69,7 @@ pub struct Run {
     pub home_dwell_us: u32,
     /// Between acceptance and the first stroke.
     pub start_delay_us: u32,
-    /// What silence of the host does.
+    /// What to do if the host falls silent.
     pub link_loss: LinkLossPolicy,
 }
 
@@ -90,11 +90,11 @@ pub struct Stroke {
     pub accel_um_s2: u32,
 }
 
-/// The run was solved and accepted. `requested` beside what will be executed.
+/// The run was solved and accepted: what was requested beside what will be executed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RunAccepted {
-    /// Counts runs since the device started, from 1.
+    /// Number of the run, counted from 1 since the device started.
     pub run: u32,
     /// As requested.
     pub requested: Run,
@@ -102,7 +102,7 @@ pub struct RunAccepted {
     pub forward: Stroke,
     /// Strokes towards home.
     pub back: Stroke,
-    /// From the start, with the start delay, to the last step, in ticks of 10 ns.
+    /// From the start (start delay included) to the last step, in timer ticks of 10 ns.
     pub total_ticks: u64,
     /// Steps of the whole run.
     pub edges: u64,
@@ -110,33 +110,33 @@ pub struct RunAccepted {
     pub plan_hash: u64,
 }
 
-/// Feed hold: decelerates within a run, which can be resumed.
+/// Feed hold: decelerates to rest within the run, which can then be resumed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Hold;
 
-/// Goes on with a held run, exactly as planned.
+/// Continues a held run exactly as planned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Resume;
 
-/// Which way.
+/// Direction of travel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Sense {
-    /// Away from home, positions grow.
+pub enum Direction {
+    /// Away from home, to the left: positions grow.
     Away,
-    /// Towards home.
+    /// Towards home, to the right.
     Home,
 }
 
-/// Moves until the end of the stroke as long as this is repeated within the dead-man time.
+/// Moves towards the end of the stroke for as long as this request is renewed within the dead-man time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Jog {
-    /// Which way.
-    pub sense: Sense,
-    /// How fast.
+    /// Direction of travel. (The field's name is part of the schema key.)
+    pub sense: Direction,
+    /// Speed between the ramps.
     pub speed_um_s: u32,
 }
 
@@ -144,9 +144,9 @@ pub struct Jog {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MoveTo {
-    /// Where, 0..=configured stroke.
+    /// Target, 0..= configured stroke.
     pub position_um: u32,
-    /// How fast.
+    /// Speed between the ramps.
     pub speed_um_s: u32,
 }
 
@@ -154,50 +154,50 @@ pub struct MoveTo {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MoveAccepted {
-    /// From here.
+    /// Position at the start.
     pub from_steps: i32,
-    /// To there.
+    /// Target position.
     pub to_steps: i32,
-    /// How.
+    /// The profile between them.
     pub stroke: Stroke,
 }
 
-/// Asks for counters of the rig's health.
+/// Asks for the rig's health counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetRigHealth;
 
-/// False pulses on a switch.
+/// False pulses on a switch: too short to count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Glitches {
-    /// Since the start.
+    /// Number since the start.
     pub count: u32,
     /// Device time of the last one, low 32 bits of us; 0 = none.
     pub last_us: u32,
 }
 
-/// Counters since the start of the device.
+/// Health counters since the start of the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RigHealth {
-    /// Home flag.
+    /// On the home flag.
     pub home_flag: Glitches,
-    /// Far limit.
+    /// On the far limit.
     pub far_limit: Glitches,
     /// Receptions that ended with noise, framing error or overrun.
     pub uart_errors: u32,
     /// Frames with a bad checksum or length.
     pub bad_frames: u32,
-    /// Events and telemetry that found the line busy and were not sent.
+    /// Events and telemetry samples dropped because the line was busy.
     pub unsent_frames: u32,
     /// Paths that ended because the queue of timer periods ran dry.
     pub underruns: u32,
-    /// Highest use of the stack.
+    /// Deepest use of the stack, bytes.
     pub stack_used: u32,
-    /// Size of the stack.
+    /// Size of the stack, bytes.
     pub stack_size: u32,
-    /// Longest time that the control task's 10 ms round was late.
+    /// Longest delay of the control task's 10 ms round.
     pub control_late_us: u32,
     /// Fingerprint of the image in flash: FNV-1a, 32 bits, over its words.
     pub image_hash: u32,
@@ -216,7 +216,7 @@ pub enum RunOutcome {
     None,
     /// Still going on.
     Running,
-    /// All cycles executed.
+    /// All cycles were executed.
     Complete,
     /// Stopped on request; the position is kept.
     Stopped,
@@ -232,7 +232,7 @@ pub enum RunOutcome {
 pub struct RunRecord {
     /// Number of the run, as in [`RunAccepted`].
     pub run: u32,
-    /// How it ended.
+    /// How it ended, or that it goes on.
     pub outcome: RunOutcome,
     /// Completed strokes.
     pub strokes: u32,
@@ -240,10 +240,10 @@ pub struct RunRecord {
     pub commanded_edges: u64,
     /// Steps that the read-back counter saw at the pin.
     pub counted_edges: u64,
-    /// Duration by the step timer, ticks of 10 ns, from the start, with the start delay, to the last step. The pause of a
-    /// hold does not count; its ramps do.
+    /// Duration by the step timer in ticks of 10 ns, from the start (start delay included) to the last step. The pause
+    /// of a hold does not count; its ramps do.
     pub ticks: u64,
-    /// Fingerprint of the plan.
+    /// Fingerprint of the plan, as in [`RunAccepted`].
     pub plan_hash: u64,
     /// Smallest commanded position.
     pub min_steps: i32,
@@ -251,11 +251,11 @@ pub struct RunRecord {
     pub max_steps: i32,
     /// Largest residual of the position ledger at the home flag.
     pub worst_residual_steps: i32,
-    /// Shortest queue of prepared timer periods seen; 0 would be an underrun.
+    /// Fewest timer periods left in the queue at any time; 0 would be an underrun.
     pub min_queue: u16,
-    /// False pulses on the limit inputs that were filtered out.
+    /// False pulses on home flag and far limit that were filtered out.
     pub glitches: u32,
-    /// How often it was held.
+    /// Number of holds.
     pub holds: u32,
     /// Fingerprint of the image, as in [`RigHealth`].
     pub image_hash: u32,
@@ -276,7 +276,7 @@ pub enum RigState {
     Homing,
     /// At rest at a known position.
     Ready,
-    /// Executing a run.
+    /// A run is going on.
     Running,
     /// Feed hold: at rest inside a run.
     Held,
@@ -288,7 +288,7 @@ pub enum RigState {
     Moving,
 }
 
-/// Steps of homing, for the fault's text.
+/// Phases of homing: a fault says in which one it happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum HomingPhase {
@@ -322,17 +322,17 @@ pub enum RigFault {
     BothSwitchesOpen,
     /// The ledger at the home flag disagrees with the homing reference.
     LostSteps {
-        /// Commanded minus found position.
+        /// Commanded position minus the one found.
         residual_steps: i32,
     },
     /// Emitted and counted steps disagree: jumper missing, or pulses damaged.
     ReadBack {
-        /// By the generator.
+        /// Steps that the generator emitted.
         commanded: i32,
-        /// By the counter.
+        /// Steps that the counter saw.
         counted: i32,
     },
-    /// The step generator ran out of prepared periods and stopped the pulses.
+    /// The queue of timer periods ran dry and the pulses stopped.
     Underrun,
     /// The step generator refused a step that would have left the window.
     WindowGuard,
@@ -360,11 +360,11 @@ pub struct RigInputs {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RigStatus {
-    /// Device time.
+    /// Device time since its start.
     pub time_us: u64,
-    /// State.
+    /// State of the machine.
     pub state: RigState,
-    /// The latched fault.
+    /// The latched fault, if there is one.
     pub fault: Option<RigFault>,
     /// The position can be trusted.
     pub homed: bool,
@@ -378,7 +378,7 @@ pub struct RigStatus {
     pub steps_per_rev: u32,
     /// Lead of the screw.
     pub lead_um: u32,
-    /// Inputs.
+    /// Switches and E-stop loop.
     pub inputs: RigInputs,
     /// Number of the present or last run.
     pub run: u32,
@@ -388,7 +388,7 @@ pub struct RigStatus {
     pub strokes: u32,
     /// Time since the run was accepted.
     pub elapsed_us: u64,
-    /// Motion is refused until [`crate::system::Acknowledge`] after a watchdog reset or a panic.
+    /// After a watchdog reset or a panic: motion is refused until [`crate::system::Acknowledge`].
     pub needs_acknowledge: bool,
 }
 
@@ -412,42 +412,42 @@ pub enum RigEvent {
     StrokeDone {
         /// From 0.
         stroke: u32,
-        /// Residual of the ledger: count at the last pass of the home flag minus the reference.
+        /// Residual of the position ledger: count at the last pass of the home flag minus the reference.
         residual_steps: i32,
     },
     /// The run ended.
     RunEnded {
         /// Number of the run.
         run: u32,
-        /// How.
+        /// How it ended.
         outcome: RunOutcome,
     },
     /// The carriage came to rest after a stop.
     Stopped {
-        /// Where.
+        /// Position at rest.
         position_steps: i32,
     },
     /// A fault was latched.
     Faulted(RigFault),
-    /// The run was held; the carriage stands.
+    /// The run was held and the carriage is at rest.
     Held {
-        /// Where.
+        /// Position at rest.
         position_steps: i32,
     },
-    /// The held run goes on.
+    /// The held run continues.
     Resumed,
-    /// A move or jog ended.
+    /// A move or a jog ended.
     Moved {
-        /// Where.
+        /// Position at rest.
         position_steps: i32,
     },
     /// A setting was changed.
     SettingChanged(SettingKey),
     /// All settings are at their defaults now.
     SettingsReset,
-    /// The stored settings do not fit together or cannot be read: the defaults are in force.
+    /// The stored settings contradict each other or cannot be read: the defaults are in force.
     SettingsUnusable,
-    /// The start button was pressed and nothing could be started.
+    /// The start button was pressed, but nothing could start.
     ButtonIgnored,
 }
 
@@ -455,13 +455,13 @@ pub enum RigEvent {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RigTelemetry {
-    /// Device time.
+    /// Device time since its start.
     pub time_us: u64,
-    /// State.
+    /// State of the machine.
     pub state: RigState,
     /// Position by the read-back counter.
     pub position_steps: i32,
-    /// Position by the generator, as far as it has been handed to the timer.
+    /// Position by the generator, up to the last period handed to the timer.
     pub commanded_steps: i32,
     /// Mean speed since the previous telemetry.
     pub speed_um_s: i32,
@@ -469,6 +469,6 @@ pub struct RigTelemetry {
     pub stroke: u32,
     /// Residual of the ledger at the last pass of the home flag.
     pub residual_steps: i32,
-    /// Inputs.
+    /// Switches and E-stop loop.
     pub inputs: RigInputs,
 }

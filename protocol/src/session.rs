@@ -1,8 +1,7 @@
 //! The device's end: which frame may be executed, which is answered from the cache, which is refused.
 //!
-//! Sans-IO and without a clock: frames in, decisions out. The owner executes and sends, and remembers the answer
-//! before it hands in the next frame: a request that is repeated while it is still being executed would
-//! otherwise look stale.
+//! Sans-IO and without a clock: frames in, decisions out. The owner executes, sends, and calls [`Session::remember`]
+//! before it hands in the next frame. Otherwise a repetition of the request would be rejected as stale.
 
 use crate::{
     VERSION,
@@ -20,7 +19,7 @@ pub const CACHED_REPLIES: usize = 4;
 // One decision exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
 pub enum Decision {
-    /// Answer with the identity and this session number; nothing to remember.
+    /// Answer with the identity and this session number. There is nothing to remember.
     Greet {
         /// Session to put into the identity and the reply's header.
         session: u8,
@@ -36,7 +35,7 @@ pub enum Decision {
     },
     /// Carry out at once and answer with [`crate::table::Reply::Urgent`].
     Urgent {
-        /// What.
+        /// Stop or emergency stop.
         urgent: Urgent,
         /// Session of the reply, as received.
         session: u8,
@@ -45,23 +44,23 @@ pub enum Decision {
     },
     /// Send these bytes again; execute nothing.
     Resend(Encoded),
-    /// Answer with the refusal; execute nothing.
+    /// Answer with the refusal and [`Session::remember`] it; execute nothing.
     Refuse {
-        /// Why.
+        /// The answer's content.
         refusal: Refusal,
-        /// Ticket with the reply's session and sequence.
+        /// Ticket for [`Session::remember`], with the reply's session and sequence.
         ticket: Ticket,
     },
     /// Answer with the wire error; execute nothing.
     Reject {
-        /// Why.
+        /// The answer's content.
         error: WireError,
         /// Session of the reply, as received.
         session: u8,
         /// Sequence of the reply.
         seq: u16,
     },
-    /// Not addressed to a device (an echo of our own frames): say nothing.
+    /// A frame that only devices send, such as an echo of our own: say nothing.
     Ignore,
 }
 
@@ -81,7 +80,7 @@ struct Cached {
     reply: Encoded,
 }
 
-/// The device's session.
+/// The device's end of a session.
 #[derive(Debug)]
 pub struct Session {
     number: u8,
@@ -94,8 +93,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// No session yet. `first` seeds the numbering so that a restarted device does not issue the same number
-    /// again; the boot id serves.
+    /// No session yet. The first session's number follows from `first`: pass the boot id, so that a restarted device
+    /// does not begin with the same number again.
     pub const fn new(first: u32) -> Self {
         Self {
             number: (first % 255) as u8 + 1,
@@ -107,7 +106,9 @@ impl Session {
         }
     }
 
-    /// Decides about one frame.
+    /// Decides what to do with one frame.
+    // Not inlined: one copy of the decoder of all requests.
+    #[inline(never)]
     pub fn receive(&mut self, frame: &Frame<'_>) -> Decision {
         let (session, seq) = (frame.header.session, frame.header.seq);
         match frame.header.kind {
@@ -201,10 +202,10 @@ impl Session {
         Decision::Execute { request, ticket }
     }
 
-    /// Keeps the encoded answer to a request, for the case that it is repeated.
+    /// Keeps the encoded answer to a request, to send it again if the request is repeated.
     pub fn remember(&mut self, ticket: Ticket, reply: &Encoded) {
         if ticket.session != self.number {
-            return; // answered after a newer Hello: that session's cache must not hold it
+            return; // answered after a newer Hello: the new session's cache must not hold it
         }
         if self.cache.is_full() {
             self.cache.pop_front();
@@ -216,7 +217,7 @@ impl Session {
         });
     }
 
-    /// The present session's number, for unsolicited frames; 0 before the first [`Hello`].
+    /// Number of the present session, for telemetry and events; 0 before the first [`Hello`].
     pub fn number(&self) -> u8 {
         if self.open { self.number } else { 0 }
     }

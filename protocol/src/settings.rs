@@ -1,4 +1,4 @@
-//! Settings of the rig: keys, units, ranges and defaults, one table for the device, the host and the manual.
+//! Settings of the rig: key, unit, range and default, in one table for device, host and manual.
 
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
@@ -18,25 +18,25 @@ macro_rules! settings {
             const RANGES: [Range; Self::ALL.len()] =
                 [$(Range { min: $min, max: $max, default: $default }),*];
 
-            /// What may be set, and what is set at first.
+            /// Allowed values and the default.
             #[must_use]
             pub const fn range(self) -> Range {
                 Self::RANGES[self as usize]
             }
 
-            /// Its name, unit included: for people.
+            /// Name as people write it, with the unit.
             #[must_use]
             pub const fn name(self) -> &'static str {
                 match self { $(Self::$key => $name),* }
             }
 
-            /// Its unit.
+            /// Unit of the value; `1` for a pure number.
             #[must_use]
             pub const fn unit(self) -> &'static str {
                 match self { $(Self::$key => $unit),* }
             }
 
-            /// What it is.
+            /// Description in one line.
             #[must_use]
             pub const fn doc(self) -> &'static str {
                 match self { $(Self::$key => $doc),* }
@@ -75,12 +75,12 @@ settings! {
     ButtonAccelUmS2: "button_accel_um_s2", "um/s2", 1..=10_000_000, 100_000, "Run of the start button: acceleration.";
 }
 
-/// What may be set, and what is set at first.
+/// Allowed values of a setting and its default.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Range {
-    /// Smallest.
+    /// Smallest allowed value.
     pub min: u32,
-    /// Largest.
+    /// Largest allowed value.
     pub max: u32,
     /// Value of a new rig.
     pub default: u32,
@@ -94,7 +94,7 @@ impl SettingKey {
     }
 }
 
-/// What settings have to keep together.
+/// Rules between settings; each variant lists the settings that it is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SettingRule {
@@ -141,25 +141,25 @@ impl SettingRule {
     }
 }
 
-/// Asks for a setting.
+/// Asks for the value of a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetSetting {
-    /// Which.
+    /// The setting.
     pub key: SettingKey,
 }
 
-/// A setting and its value: requests the change, and answers both requests with what is in force.
+/// A setting and its value. As a request it changes the setting; as the answer to both requests it is what is in force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Setting {
-    /// Which.
+    /// The setting.
     pub key: SettingKey,
-    /// In the unit of its name.
+    /// Value in the unit of the setting's name.
     pub value: u32,
 }
 
-/// Sets everything back to the defaults, the name included.
+/// Sets all settings back to their defaults and clears the name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FactoryReset;
@@ -172,10 +172,10 @@ pub struct GetName;
 /// Longest name, bytes.
 pub const MAX_NAME: usize = 24;
 
-/// The rig's name: requests the change, and answers both requests. Empty = none.
+/// The rig's name; empty = none. As a request it changes the name; as the answer to both requests it says what it is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Name {
-    /// UTF-8.
+    /// UTF-8 text.
     pub name: heapless::String<MAX_NAME>,
 }

@@ -1,4 +1,4 @@
-//! Messages that both machines share: identity, status plumbing, events, urgent stops.
+//! Messages that both machines share: identity, the session's upkeep, events, urgent stops.
 
 use crate::{capsule, rig};
 use heapless::Vec;
@@ -23,11 +23,11 @@ pub struct Hello {
     pub protocol: Version,
     /// [`crate::table::SCHEMA_KEY`] of the host.
     pub schema_key: u64,
-    /// Chosen by the host; a repeated nonce gets the same session again.
+    /// Chosen by the host, new for every connection: the same nonce again gets the same session.
     pub nonce: u32,
 }
 
-/// Which machine it is.
+/// The kinds of machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum DeviceKind {
@@ -59,7 +59,7 @@ pub enum ResetCause {
 pub enum BuildProfile {
     /// With debug assertions.
     Debug,
-    /// The profile that is flashed.
+    /// The optimised profile that is flashed.
     Firmware,
 }
 
@@ -77,7 +77,7 @@ pub struct Revision {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Identity {
-    /// Which machine.
+    /// Kind of machine.
     pub device: DeviceKind,
     /// Version of the device.
     pub protocol: Version,
@@ -85,11 +85,11 @@ pub struct Identity {
     pub schema_key: u64,
     /// Unique number of the microcontroller, 96 bits (RM0383 section 24.1).
     pub uid: [u8; 12],
-    /// Source revision.
+    /// Source revision of the image.
     pub revision: Revision,
-    /// Build profile.
+    /// How the image was built.
     pub profile: BuildProfile,
-    /// Counts starts; another value than before means that the device was reset.
+    /// Counts starts: a new value means that the device was reset.
     pub boot_id: u32,
     /// Why it last started.
     pub reset_cause: ResetCause,
@@ -97,7 +97,7 @@ pub struct Identity {
     pub session: u8,
 }
 
-/// Asks for the text of the last panic or processor fault that was kept over the reset.
+/// Asks for the text of the last panic or processor fault, which survives the reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetLastWords;
@@ -110,7 +110,7 @@ pub struct LastWords {
     pub text: heapless::String<120>,
 }
 
-/// Sets the interval of telemetry.
+/// Sets the interval of telemetry. The answer repeats it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SetTelemetry {
@@ -118,7 +118,7 @@ pub struct SetTelemetry {
     pub period_ms: u16,
 }
 
-/// Shows the host's presence without asking for anything.
+/// Tells the device that the host is still there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct KeepAlive;
@@ -128,12 +128,12 @@ pub struct KeepAlive;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Acknowledge;
 
-/// Answer of requests that return nothing.
+/// Answer to a request that returns no data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Done;
 
-/// Fetches events again by index.
+/// Asks for events by index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetEvents {
@@ -152,19 +152,19 @@ pub struct Events {
     pub oldest: u32,
     /// Index that the next event will get.
     pub next: u32,
-    /// Events from the wanted index (or `oldest`, if that is later) on.
+    /// Events from the wanted index on, or from `oldest` on if that is later.
     pub events: Vec<Event, EVENTS_PER_REPLY>,
 }
 
-/// Something that happened, kept in a ring and sent when it happens.
+/// Something that happened on the device. It is sent at once and kept in a ring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Event {
     /// Counts from 0 at each start of the device.
     pub index: u32,
-    /// Device time.
+    /// Device time since its start.
     pub time_us: u64,
-    /// What happened.
+    /// Its content.
     pub what: What,
 }
 
@@ -176,15 +176,15 @@ pub enum What {
     Booted(ResetCause),
     /// A latched fault was acknowledged.
     Acknowledged,
-    /// The link was silent for longer than the time-out while the machine moved.
+    /// The host was silent for longer than the link time-out while the machine moved.
     LinkLost,
-    /// Of the rig.
+    /// An event of the rig.
     Rig(rig::RigEvent),
-    /// Of the capsule.
+    /// An event of the capsule.
     Capsule(capsule::CapsuleEvent),
 }
 
-/// Valid at any time, in any session, in any state. The encoding of this message never changes.
+/// A stop: valid at any time, in any session, in any state. The encoding of this message never changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Urgent {

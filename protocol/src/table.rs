@@ -1,47 +1,32 @@
 //! The table of requests: one row per request with everything that both ends must agree on.
+//!
+//! The module of a request's type says which machine serves it: `system` both, `rig` and `settings` the rig, `capsule`
+//! the capsule. The other machine refuses it with [`Refusal::WrongDevice`]. While a fault is latched, a machine refuses
+//! what moves it ([`Changes::Pace`], [`Changes::Motion`]) and serves the rest.
 
 use crate::{capsule, error::Refusal, error::WireError, rig, settings, system};
 use postcard_schema::Schema;
 use postcard_schema::key::Key;
 use serde::{Deserialize, Serialize};
 
-/// Which device serves a row.
+/// What carrying out a request changes. It tells the sender how long to wait for the answer, whether to give the
+/// request up for a stop, and what is certain without an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Served {
-    /// Both machines.
-    Both,
-    /// The rig only.
-    Rig,
-    /// The capsule only.
-    Capsule,
+pub enum Changes {
+    /// Nothing that moves or lasts. Safe to send at any time; without an answer nothing was done.
+    Nothing,
+    /// Clears the latched fault. A copy that arrives after an emergency stop would clear the fault of that stop.
+    Fault,
+    /// Writes settings or the name to flash. The device receives nothing while it erases, so the sender waits longer.
+    Flash,
+    /// Holds or resumes the present run. A stop ends that run, so a copy that arrives later changes nothing.
+    Pace,
+    /// Starts a motion. A copy that arrives after a stop would start again what the operator stopped.
+    Motion,
 }
 
-/// What a repeated frame does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Retry {
-    /// Executing it twice is harmless; answered from the cache all the same.
-    Idempotent,
-    /// Must be executed once only; the device's response cache sees to it.
-    Deduplicated,
-}
-
-/// One row of the table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Row {
-    /// Name of the request, as in [`Request`].
-    pub name: &'static str,
-    /// Who serves it.
-    pub served: Served,
-    /// Refused unless both ends have the same major version and schema key.
-    pub needs_match: bool,
-    /// Served while a fault is latched.
-    pub while_faulted: bool,
-    /// What a repeated frame does.
-    pub retry: Retry,
-}
-
-/// A request type: names its row and its response type.
-pub trait Command: Sized {
+/// A type of request: its variant of [`Request`] and the type of its response.
+pub trait Endpoint: Sized {
     /// What the device answers.
     type Response;
     /// Wraps the request for the wire.
@@ -51,7 +36,7 @@ pub trait Command: Sized {
 }
 
 macro_rules! table {
-    ($($name:ident: $request:ty => $response:ty, $served:ident, match $matched:literal, faulted $faulted:literal, $retry:ident;)*) => {
+    ($($name:ident: $request:ty => $response:ty, match $matched:literal, changes $changes:ident;)*) => {
         /// All requests. Index-coded: append only.
         #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -62,26 +47,29 @@ macro_rules! table {
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         pub enum Response { $(#[doc = concat!("Of [`", stringify!($request), "`].")] $name($response)),* }
 
-        /// The table; row `i` belongs to the variant with index `i`.
-        pub const TABLE: &[Row] = &[$(Row {
-            name: stringify!($name), served: Served::$served, needs_match: $matched,
-            while_faulted: $faulted, retry: Retry::$retry,
-        }),*];
-
         impl Request {
-            /// [`Row::needs_match`] of its row, without the names: those are for people, not for the flash.
+            /// Names of all requests, in the order of their indices.
+            pub const NAMES: &[&str] = &[$(stringify!($name)),*];
+
+            // Each column is a `match` of its own: the images read none of the names and keep none in flash.
+
+            /// Name of the request, as in the table.
+            pub const fn name(&self) -> &'static str {
+                match self { $(Request::$name(_) => stringify!($name)),* }
+            }
+
+            /// Refused unless both ends have the same major version and schema key.
             pub const fn needs_match(&self) -> bool {
                 match self { $(Request::$name(_) => $matched),* }
             }
 
-            /// The request's row.
-            pub const fn row(&self) -> &'static Row {
-                enum Index { $($name),* }
-                match self { $(Request::$name(_) => &TABLE[Index::$name as usize]),* }
+            /// What it changes when it is carried out.
+            pub const fn changes(&self) -> Changes {
+                match self { $(Request::$name(_) => Changes::$changes),* }
             }
         }
 
-        $(impl Command for $request {
+        $(impl Endpoint for $request {
             type Response = $response;
             fn into_request(self) -> Request { Request::$name(self) }
             fn from_response(response: Response) -> Option<$response> {
@@ -93,40 +81,40 @@ macro_rules! table {
 
 table! {
     // Append only.
-    Hello: system::Hello => system::Identity, Both, match false, faulted true, Idempotent;
-    KeepAlive: system::KeepAlive => system::Done, Both, match false, faulted true, Idempotent;
-    GetLastWords: system::GetLastWords => system::LastWords, Both, match false, faulted true, Idempotent;
-    SetTelemetry: system::SetTelemetry => system::SetTelemetry, Both, match true, faulted true, Idempotent;
-    GetEvents: system::GetEvents => system::Events, Both, match true, faulted true, Idempotent;
-    Acknowledge: system::Acknowledge => system::Done, Both, match true, faulted true, Deduplicated;
-    GetRigStatus: rig::GetRigStatus => rig::RigStatus, Rig, match true, faulted true, Idempotent;
-    Home: rig::Home => rig::HomeAccepted, Rig, match true, faulted false, Deduplicated;
-    Run: rig::Run => rig::RunAccepted, Rig, match true, faulted false, Deduplicated;
-    GetRunRecord: rig::GetRunRecord => rig::RunRecord, Rig, match true, faulted true, Idempotent;
-    GetCapsuleStatus: capsule::GetCapsuleStatus => capsule::CapsuleStatus, Capsule, match true, faulted true, Idempotent;
-    Reference: capsule::Reference => capsule::ActuationAccepted, Capsule, match true, faulted false, Deduplicated;
-    Fold: capsule::Fold => capsule::ActuationAccepted, Capsule, match true, faulted false, Deduplicated;
-    Unfold: capsule::Unfold => capsule::ActuationAccepted, Capsule, match true, faulted false, Deduplicated;
-    GetActuationRecord: capsule::GetActuationRecord => capsule::ActuationRecord, Capsule, match true, faulted true, Idempotent;
-    Hold: rig::Hold => system::Done, Rig, match true, faulted false, Deduplicated;
-    Resume: rig::Resume => system::Done, Rig, match true, faulted false, Deduplicated;
-    Jog: rig::Jog => system::Done, Rig, match true, faulted false, Deduplicated;
-    MoveTo: rig::MoveTo => rig::MoveAccepted, Rig, match true, faulted false, Deduplicated;
-    GetSetting: settings::GetSetting => settings::Setting, Rig, match true, faulted true, Idempotent;
-    SetSetting: settings::Setting => settings::Setting, Rig, match true, faulted true, Deduplicated;
-    FactoryReset: settings::FactoryReset => system::Done, Rig, match true, faulted true, Deduplicated;
-    GetName: settings::GetName => settings::Name, Rig, match true, faulted true, Idempotent;
-    SetName: settings::Name => settings::Name, Rig, match true, faulted true, Deduplicated;
-    GetRigHealth: rig::GetRigHealth => rig::RigHealth, Rig, match true, faulted true, Idempotent;
+    Hello: system::Hello => system::Identity, match false, changes Nothing;
+    KeepAlive: system::KeepAlive => system::Done, match false, changes Nothing;
+    GetLastWords: system::GetLastWords => system::LastWords, match false, changes Nothing;
+    SetTelemetry: system::SetTelemetry => system::SetTelemetry, match true, changes Nothing;
+    GetEvents: system::GetEvents => system::Events, match true, changes Nothing;
+    Acknowledge: system::Acknowledge => system::Done, match true, changes Fault;
+    GetRigStatus: rig::GetRigStatus => rig::RigStatus, match true, changes Nothing;
+    Home: rig::Home => rig::HomeAccepted, match true, changes Motion;
+    Run: rig::Run => rig::RunAccepted, match true, changes Motion;
+    GetRunRecord: rig::GetRunRecord => rig::RunRecord, match true, changes Nothing;
+    GetCapsuleStatus: capsule::GetCapsuleStatus => capsule::CapsuleStatus, match true, changes Nothing;
+    Reference: capsule::Reference => capsule::ActuationAccepted, match true, changes Motion;
+    Fold: capsule::Fold => capsule::ActuationAccepted, match true, changes Motion;
+    Unfold: capsule::Unfold => capsule::ActuationAccepted, match true, changes Motion;
+    GetActuationRecord: capsule::GetActuationRecord => capsule::ActuationRecord, match true, changes Nothing;
+    Hold: rig::Hold => system::Done, match true, changes Pace;
+    Resume: rig::Resume => system::Done, match true, changes Pace;
+    Jog: rig::Jog => system::Done, match true, changes Motion;
+    MoveTo: rig::MoveTo => rig::MoveAccepted, match true, changes Motion;
+    GetSetting: settings::GetSetting => settings::Setting, match true, changes Nothing;
+    SetSetting: settings::Setting => settings::Setting, match true, changes Flash;
+    FactoryReset: settings::FactoryReset => system::Done, match true, changes Flash;
+    GetName: settings::GetName => settings::Name, match true, changes Nothing;
+    SetName: settings::Name => settings::Name, match true, changes Flash;
+    GetRigHealth: rig::GetRigHealth => rig::RigHealth, match true, changes Nothing;
 }
 
 /// Answer to a request.
-// One reply exists at a time, on the stack, and boxes do not exist here.
+// One reply exists at a time, on the stack; there is no heap to box it on.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Reply {
-    /// Done or begun.
+    /// Carried out, or begun.
     Accepted(Response),
     /// Understood and refused; nothing moved.
     Refused(Refusal),
@@ -140,9 +128,9 @@ pub enum Reply {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Telemetry {
-    /// Of the rig.
+    /// From the rig.
     Rig(rig::RigTelemetry),
-    /// Of the capsule.
+    /// From the capsule.
     Capsule(capsule::CapsuleTelemetry),
 }
 

@@ -1,4 +1,4 @@
-//! What arrives may be anything: noise, damaged frames, frames with a good CRC and nonsense in them.
+//! What arrives may be anything: noise, corrupted frames, frames with a good CRC and nonsense in them.
 //!
 //! The long ones run in `cargo xtask ci`, or by `cargo test --release -p protocol -- --ignored`.
 
@@ -7,7 +7,7 @@ mod exemplars;
 #[allow(dead_code, unreachable_pub)]
 mod parties;
 
-use parties::{Device, Noise};
+use parties::{Device, Noise, Raw};
 use proptest::prelude::*;
 use protocol::{
     client::Client,
@@ -29,19 +29,6 @@ fn frame<T: Serialize>(kind: Kind, session: u8, seq: u16, body: &T) -> Encoded {
     encode(Header { kind, session, seq }, body).expect("it fits")
 }
 
-/// Bytes without a length in front of them.
-struct Raw(Vec<u8>);
-impl Serialize for Raw {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        use serde::ser::SerializeTuple;
-        let mut tuple = serializer.serialize_tuple(self.0.len())?;
-        self.0
-            .iter()
-            .try_for_each(|byte| tuple.serialize_element(byte))?;
-        tuple.end()
-    }
-}
-
 /// Its body is exactly one message of its kind.
 fn is_message(frame: &Frame<'_>) -> bool {
     match frame.header.kind {
@@ -53,7 +40,7 @@ fn is_message(frame: &Frame<'_>) -> bool {
     }
 }
 
-/// Takes a frame's bytes; what `look` makes of it, if it is one.
+/// What `look` makes of the frame in these bytes, if there is one.
 fn take<T>(bytes: &[u8], look: impl Fn(Frame<'_>) -> T) -> Option<T> {
     let mut deframer = Deframer::new();
     let mut bytes = bytes.iter();
@@ -69,7 +56,7 @@ fn messages() -> Vec<(Kind, Vec<u8>)> {
         .collect()
 }
 
-/// Device and client, both in the middle of something: whatever can be taken is looked at.
+/// Device and client in mid-session, so that both look into every frame that they can.
 struct Pair {
     client: Client,
     device: Device,
@@ -99,7 +86,7 @@ impl Pair {
         replies
     }
 
-    /// Begins a session.
+    /// Begins a new session.
     fn greet(&mut self) {
         self.nonce += 1;
         let hello = Request::Hello(Hello {
@@ -107,7 +94,7 @@ impl Pair {
             schema_key: SCHEMA_KEY,
             nonce: self.nonce,
         });
-        // What came before may have been a frame but for its end.
+        // Ends whatever came before.
         self.hear(&[0]);
         let replies = self.hear(&frame(Kind::Request, 0, 1, &hello));
         let [reply] = &replies[..] else {
@@ -129,8 +116,8 @@ impl Pair {
     }
 }
 
-/// One to four of the things that a bad line, a bad program or bad luck do to bytes.
-fn spoil(noise: &mut Noise, bytes: &mut Vec<u8>) {
+/// Damages bytes in one to four of the ways of a bad line or a bad program.
+fn corrupt(noise: &mut Noise, bytes: &mut Vec<u8>) {
     for _ in 0..=noise.next() % 4 {
         let at = noise.next() as usize % bytes.len().max(1);
         match noise.next() % 7 {
@@ -139,15 +126,15 @@ fn spoil(noise: &mut Noise, bytes: &mut Vec<u8>) {
             3 => bytes.insert(at.min(bytes.len()), noise.next() as u8),
             4 if !bytes.is_empty() => drop(bytes.remove(at)),
             5 => bytes.truncate(at),
-            // What a varint or a length takes for large.
+            // A varint or a length that claims to be long.
             6 if !bytes.is_empty() => bytes[at] = 0xFF,
             _ => {}
         }
     }
 }
 
-/// Frames that were spoilt on the wire: none is taken for another one, and the next good one is found.
-fn spoilt_frames(runs: u32, seed: u64) {
+/// Frames that are corrupted on the wire: none is taken for another one, and the next good one is found.
+fn corrupted_frames(runs: u32, seed: u64) {
     let mut noise = Noise(seed | 1);
     let mut pair = Pair::new();
     let frames: Vec<_> = messages()
@@ -158,7 +145,7 @@ fn spoilt_frames(runs: u32, seed: u64) {
     for run in 0..runs {
         let good = &frames[noise.next() as usize % frames.len()];
         let mut bytes = good.to_vec();
-        spoil(&mut noise, &mut bytes);
+        corrupt(&mut noise, &mut bytes);
         deframer.push(0);
         for &byte in bytes.iter().chain(&[0]) {
             if let Some(found) = deframer.push(byte) {
@@ -181,15 +168,15 @@ fn spoilt_frames(runs: u32, seed: u64) {
     }
 }
 
-/// Frames whose content was spoilt before its CRC was taken, in any session and with any number.
-fn spoilt_bodies(runs: u32, seed: u64) {
+/// Frames whose content is corrupted before the CRC is computed, in any session and with any number.
+fn corrupted_bodies(runs: u32, seed: u64) {
     let mut noise = Noise(seed | 1);
     let mut pair = Pair::new();
     let messages = messages();
     for run in 0..runs {
         let (kind, body) = &messages[noise.next() as usize % messages.len()];
         let mut body = body.clone();
-        spoil(&mut noise, &mut body);
+        corrupt(&mut noise, &mut body);
         body.truncate(protocol::frame::MAX_BODY);
         let kind = match noise.next() % 16 {
             0 => KINDS[noise.next() as usize % KINDS.len()],
@@ -221,7 +208,7 @@ fn frames_after_garbage(runs: u32, seed: u64) {
     }
 }
 
-/// No message is the beginning of another.
+/// No message is a prefix of another.
 #[test]
 fn a_byte_more_or_less_is_no_message() {
     let check = |kind, body: &[u8]| {
@@ -241,10 +228,10 @@ fn a_byte_more_or_less_is_no_message() {
     }
 }
 
-/// A CRC passes its own bytes on: with the first of them complemented and 0xFF behind the last, a frame that is a byte
-/// longer is as good. It takes the rule above to refuse it.
+/// With the first byte of the CRC complemented and 0xFF appended, the frame is one byte longer and its CRC is right.
+/// Only the rule above refuses it.
 #[test]
-fn what_a_crc_lets_through_by_its_nature_is_no_message() {
+fn what_no_crc_detects_is_no_message() {
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
     for (kind, body) in messages() {
         let mut raw = vec![kind as u8, 1, 0x34, 0x12];
@@ -265,13 +252,13 @@ fn a_frame_after_garbage_is_found() {
 }
 
 #[test]
-fn no_spoilt_frame_is_accepted() {
-    spoilt_frames(50_000, 815);
+fn no_corrupted_frame_is_accepted() {
+    corrupted_frames(50_000, 815);
 }
 
 #[test]
-fn spoilt_bodies_are_survived() {
-    spoilt_bodies(20_000, 816);
+fn corrupted_bodies_are_survived() {
+    corrupted_bodies(20_000, 816);
 }
 
 #[test]
@@ -282,14 +269,14 @@ fn a_frame_after_garbage_is_found_a_million_times() {
 
 #[test]
 #[ignore = "minutes in a debug build"]
-fn none_of_ten_million_spoilt_frames_is_accepted() {
-    spoilt_frames(10_000_000, 817);
+fn none_of_ten_million_corrupted_frames_is_accepted() {
+    corrupted_frames(10_000_000, 817);
 }
 
 #[test]
 #[ignore = "minutes in a debug build"]
-fn ten_million_spoilt_bodies_are_survived() {
-    spoilt_bodies(10_000_000, 818);
+fn ten_million_corrupted_bodies_are_survived() {
+    corrupted_bodies(10_000_000, 818);
 }
 
 proptest! {

@@ -1,8 +1,8 @@
 //! One machine on the bench: the emulator on a thread of its own, in lock-step with whoever drives it.
 //!
-//! Virtual time passes only while somebody asks for it: a client inside [`crate::link::VirtualLink`]'s `receive`, or
-//! [`Bench::advance_us`]. Between two such calls the machine stands still, and [`Bench::visit`] may look at it and
-//! change it. Nothing depends on the wall clock or on how the host schedules its threads.
+//! Virtual time passes only on request: in the `receive` of [`crate::link::VirtualLink`] or in [`Bench::advance_us`].
+//! Between two such calls the machine is paused, and [`Bench::visit`] may inspect and change it. Nothing depends on the
+//! wall clock or on how the host schedules its threads.
 
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -16,9 +16,8 @@ use rigless::session::Session;
 use rigless::time::VirtualNanos;
 
 use crate::bus::BusReport;
-use crate::emulator::{ChipOptions, CutAt, Machine, Wiring};
+use crate::emulator::{ChipOptions, CutAt, Emulator, Wiring};
 use crate::log::{Log, Tap};
-use crate::sabotage::Sabotage;
 use crate::serial::Serial;
 
 /// Why the bench could not be set up, or stopped working.
@@ -29,12 +28,12 @@ pub enum BenchError {
         "no firmware image at {path}: run `cargo xtask images`, or name the folder in RETROGRADE_IMAGES ({why})"
     )]
     NoImage {
-        /// Where it was looked for.
+        /// The file that was expected.
         path: PathBuf,
         /// The operating system's reason.
         why: std::io::Error,
     },
-    /// The file is no image of ours.
+    /// The file is not an image of this firmware.
     #[error("{path} is not a usable firmware image: {why}")]
     BadImage {
         /// The file.
@@ -60,11 +59,11 @@ pub enum BenchError {
 pub struct BenchOptions {
     /// The chip.
     pub chip: ChipOptions,
-    /// Grid of the instants at which the machine may stop for its client, us. Bytes wait for the next such instant.
+    /// Interval at which the machine may stop for its client, us. Bytes wait for the next such instant.
     pub quantum_us: u64,
     /// The firmware image (ELF).
     pub image: PathBuf,
-    /// Contents of the whole flash to start from instead of the image alone, as a power cut left it.
+    /// Contents of the whole flash to start from instead of the image, for example as a power cut has left it.
     pub flash: Option<Vec<u8>>,
 }
 
@@ -93,9 +92,9 @@ pub fn images() -> PathBuf {
     )
 }
 
-/// What a visitor may touch while the machine stands still.
+/// Access to the machine while it is paused.
 pub struct Visit<'a, W: Wiring> {
-    session: &'a mut Session<Machine<W>>,
+    session: &'a mut Session<Emulator<W>>,
     host: &'a mut dyn Host,
     tap: &'a mut Tap,
     serial: &'a Mutex<Serial>,
@@ -132,48 +131,46 @@ impl<W: Wiring> Visit<'_, W> {
         self.tap.log()
     }
 
-    /// What the firmware touched that the emulator or the chip does not have.
+    /// What the firmware has accessed that the emulator or the chip does not have.
     #[must_use]
     pub fn bus(&self) -> BusReport {
         BusReport::of(self.session)
     }
 
-    /// Stores into the flash and erases since power-up.
+    /// Number of flash operations, stores and erases, since power-up.
     pub fn flash_operations(&mut self) -> u64 {
         self.session.board_mut().flash_operations()
     }
 
-    /// Lets the supply fail at flash operation number `operation` (from 0, since power-up), as far as the flash is
-    /// concerned: from there on it does not change. [`Bench::power_cycle`] then does the rest.
+    /// Cuts the supply of the flash at flash operation number `operation` (from 0, since power-up): from then on it does
+    /// not change. [`Bench::power_cycle`] cuts the supply of the rest.
     pub fn cut_flash(&mut self, at: CutAt, operation: u64) {
         self.session.board_mut().cut_flash(at, operation);
     }
 
-    /// The whole flash, as a programmer reads it out: [`BenchOptions::flash`] of another bench.
+    /// Contents of the whole flash, for [`BenchOptions::flash`] of another bench.
     pub fn flash(&mut self) -> Vec<u8> {
         crate::emulator::read_out(self.host)
     }
 
-    /// Whether that operation has been reached.
+    /// Whether the operation given to [`Visit::cut_flash`] has been reached.
     pub fn flash_is_cut(&mut self) -> bool {
         self.session.board_mut().flash_is_cut()
     }
 
-    /// Lets `sabotage` take effect from the next instruction on, until the next reset.
-    pub fn sabotage(&mut self, sabotage: &Sabotage) {
-        for (address, code) in sabotage.code() {
-            let machine = self.session.board_mut();
-            machine.overwrite(*address, code, self.host);
-        }
+    /// Overwrites the code at `address` as a debugger does, until the next reset.
+    pub fn overwrite(&mut self, address: u64, code: &[u16]) {
+        let emulator = self.session.board_mut();
+        emulator.overwrite(address, code, self.host);
     }
 
-    /// Pulls the reset pin low for an instant.
+    /// Pulses the reset pin.
     pub fn reset(&mut self) {
         self.session
             .reset_by_pin(self.stop.at, self.stop.instruction_count, self.host);
     }
 
-    /// The peripheral register at `address`, as a debugger peeks at it; `None` where there is none.
+    /// The peripheral register at `address`, read without side effects; `None` where there is none.
     pub fn register(&mut self, address: u32) -> Option<u32> {
         let at = self.stop.at;
         let mcu = self.session.mcu();
@@ -181,7 +178,7 @@ impl<W: Wiring> Visit<'_, W> {
         value.ok().map(|value| value as u32)
     }
 
-    /// The word at `address` of the machine's memory, as a debugger sees it; `None` where there is no memory.
+    /// The word at `address` in memory; `None` where there is no memory.
     pub fn word(&mut self, address: u32) -> Option<u32> {
         let word = self.host.read(u64::from(address), rigless::soc::Width::W32);
         word.ok().map(|word| word as u32)
@@ -190,16 +187,15 @@ impl<W: Wiring> Visit<'_, W> {
 
 type Visitor<W> = Box<dyn FnOnce(&mut Visit<'_, W>) + Send>;
 
-enum Command<W: Wiring> {
-    /// Put `bytes` on the line and go on to `until_ns`, or with `eager` to the first grid instant by which the
-    /// machine has sent something.
+enum Job<W: Wiring> {
+    /// Put `bytes` on the line and run to `until_ns`; with `eager`, only until the machine has sent something.
     Run {
         until_ns: u64,
         eager: bool,
         bytes: Vec<u8>,
     },
     Visit(Visitor<W>),
-    /// Cut the supply for `off_ns` of the bench's time.
+    /// Cut the supply for `off_ns` of virtual time.
     PowerCycle {
         off_ns: u64,
     },
@@ -212,7 +208,7 @@ enum Reply {
 }
 
 struct Conductor<W: Wiring> {
-    commands: Receiver<Command<W>>,
+    jobs: Receiver<Job<W>>,
     replies: Sender<Reply>,
     serial: Arc<Mutex<Serial>>,
     tap: Tap,
@@ -220,9 +216,9 @@ struct Conductor<W: Wiring> {
     until_ns: u64,
     eager: bool,
     epoch_ns: u64,
-    /// Resets since power-up that were taken notice of.
+    /// Number of resets since power-up that were handled.
     resets: usize,
-    /// Set when the run is to be started again from this flash.
+    /// The flash to start again from, and when, after a cut of the supply.
     power_cycle: Option<(Vec<u8>, u64)>,
 }
 
@@ -237,10 +233,10 @@ impl<W: Wiring> Conductor<W> {
     }
 }
 
-impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
+impl<W: Wiring> Driver<Emulator<W>> for Conductor<W> {
     fn on_settled(
         &mut self,
-        session: &mut Session<Machine<W>>,
+        session: &mut Session<Emulator<W>>,
         host: &mut dyn Host,
         settled: Settled,
     ) {
@@ -256,7 +252,7 @@ impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
 
     fn on_stop(
         &mut self,
-        session: &mut Session<Machine<W>>,
+        session: &mut Session<Emulator<W>>,
         stop: Stop,
         host: &mut dyn Host,
     ) -> Option<VirtualNanos> {
@@ -272,8 +268,8 @@ impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
         };
         self.replies.send(paused).ok()?;
         loop {
-            match self.commands.recv().ok()? {
-                Command::Run {
+            match self.jobs.recv().ok()? {
+                Job::Run {
                     until_ns,
                     eager,
                     bytes,
@@ -289,7 +285,7 @@ impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
                     }
                     return Some(self.next_instant(now_ns));
                 }
-                Command::Visit(visitor) => {
+                Job::Visit(visitor) => {
                     visitor(&mut Visit {
                         session,
                         host,
@@ -301,7 +297,7 @@ impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
                     session.board_mut().refresh(stop.at);
                     self.replies.send(Reply::Visited).ok()?;
                 }
-                Command::PowerCycle { off_ns } => {
+                Job::PowerCycle { off_ns } => {
                     let flash = crate::emulator::cut_supply(session, host);
                     self.power_cycle = Some((flash, now_ns + off_ns));
                     return None;
@@ -311,7 +307,7 @@ impl<W: Wiring> Driver<Machine<W>> for Conductor<W> {
     }
 }
 
-/// Runs a machine until its client has gone; answers why it ended otherwise.
+/// Runs a machine until its client is gone. The error says why it ended otherwise.
 fn conduct<W: Wiring>(
     mut wiring: W,
     options: &BenchOptions,
@@ -326,9 +322,9 @@ fn conduct<W: Wiring>(
     loop {
         let epoch_ns = conductor.epoch_ns;
         let serial = Arc::clone(&conductor.serial);
-        let mut machine = Machine::new(wiring, options.chip, serial, epoch_ns).map_err(text)?;
-        machine.set_earlier(gaps);
-        let session = Session::new(Box::new(machine), 0, VirtualNanos(0)).map_err(text)?;
+        let mut emulator = Emulator::new(wiring, options.chip, serial, epoch_ns).map_err(text)?;
+        emulator.set_earlier(gaps);
+        let session = Session::new(Box::new(emulator), 0, VirtualNanos(0)).map_err(text)?;
         let mut finished = emulator::run(session, &Start::new(&images), conductor).map_err(text)?;
         if let Some(error) = finished.session.take_error() {
             return Err(error.to_string());
@@ -365,7 +361,7 @@ fn text(error: impl std::fmt::Display) -> String {
 
 /// The client's end of the lock-step.
 pub(crate) struct Cable<W: Wiring> {
-    commands: Sender<Command<W>>,
+    jobs: Sender<Job<W>>,
     replies: Receiver<Reply>,
     now_ns: u64,
     outbox: Vec<u8>,
@@ -391,16 +387,16 @@ impl<W: Wiring> Cable<W> {
 
     pub(crate) fn run(&mut self, until_ns: u64, eager: bool) -> Result<(), BenchError> {
         let bytes = std::mem::take(&mut self.outbox);
-        self.ask(Command::Run {
+        self.ask(Job::Run {
             until_ns,
             eager,
             bytes,
         })
     }
 
-    fn ask(&mut self, command: Command<W>) -> Result<(), BenchError> {
-        // A closed channel has its reason waiting among the replies.
-        let _ = self.commands.send(command);
+    fn ask(&mut self, job: Job<W>) -> Result<(), BenchError> {
+        // If the channel is closed, the reason is among the replies.
+        let _ = self.jobs.send(job);
         self.answer()
     }
 
@@ -448,10 +444,10 @@ impl<W: Wiring> Bench<W> {
         };
         let tap = Tap::new(&elf).map_err(bad)?;
         let image = Image::new(&path, elf, None).map_err(|why| bad(why.to_string()))?;
-        let (commands, commanded) = channel();
+        let (jobs, queue) = channel();
         let (replying, replies) = channel();
         let conductor = Conductor {
-            commands: commanded,
+            jobs: queue,
             replies: replying.clone(),
             serial: Arc::default(),
             tap,
@@ -472,7 +468,7 @@ impl<W: Wiring> Bench<W> {
             })
             .map_err(|why| BenchError::Ended(why.to_string()))?;
         let mut cable = Cable {
-            commands,
+            jobs,
             replies,
             now_ns: 0,
             outbox: Vec::new(),
@@ -494,7 +490,7 @@ impl<W: Wiring> Bench<W> {
         self.cable().now_ns
     }
 
-    /// Lets `us` of virtual time pass. What the machine sends meanwhile waits for the link.
+    /// Lets `us` of virtual time pass. What the machine sends during that time is kept for the link.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the emulator has failed.
@@ -504,7 +500,7 @@ impl<W: Wiring> Bench<W> {
         cable.run(until_ns, false)
     }
 
-    /// Shows the machine, which stands still meanwhile, to `visitor`.
+    /// Gives `visitor` access to the paused machine.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the emulator has failed.
@@ -516,24 +512,23 @@ impl<W: Wiring> Bench<W> {
         let visitor: Visitor<W> = Box::new(move |visit| {
             let _ = answer.send(visitor(visit));
         });
-        self.cable().ask(Command::Visit(visitor))?;
+        self.cable().ask(Job::Visit(visitor))?;
         answered
             .recv()
             .map_err(|_| BenchError::Ended("the visit did not answer".into()))
     }
 
-    /// Cuts the supply for `off_us`: the flash keeps what it held, RAM and registers do not. The board's mechanics
-    /// stay where they are.
+    /// Cuts the supply for `off_us`: the flash keeps its contents, RAM and registers do not. The mechanics do not move.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the emulator has failed.
     pub fn power_cycle(&self, off_us: u64) -> Result<(), BenchError> {
-        self.cable().ask(Command::PowerCycle {
+        self.cable().ask(Job::PowerCycle {
             off_ns: off_us * 1_000,
         })
     }
 
-    /// Pulls the reset pin low for an instant.
+    /// Pulses the reset pin.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the emulator has failed.
@@ -549,7 +544,7 @@ impl<W: Wiring> Bench<W> {
         self.visit(|visit| visit.log())
     }
 
-    /// What the firmware touched that the emulator or the chip does not have.
+    /// What the firmware has accessed that the emulator or the chip does not have.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the emulator has failed.

@@ -1,4 +1,4 @@
-//! Which pin goes where.
+//! The boards: what is connected to which pin.
 
 pub mod capsule;
 pub mod rig;

@@ -1,37 +1,37 @@
-//! What the firmware touched that is not there. A register without a model answers what was stored in it, and a
-//! firmware that relies on it would pass on the bench and fail on the chip; so every such touch is reported.
+//! Reports accesses to what is not there. A register without a model returns what was stored in it, so firmware that
+//! relies on one would pass on the bench and fail on the chip.
 
 use std::fmt;
 
 use rigless::session::Session;
 
-use crate::emulator::{Machine, Wiring};
+use crate::emulator::{Emulator, Wiring};
 
-/// Addresses which the firmware may touch although nothing is modelled there, each with the reason.
+/// Addresses that the firmware may access although nothing is modelled there, each with the reason.
 const ALLOWED: [(u64, u64, &str); 1] = [(
     0x0800_0000,
     0x0808_0000,
-    "the flash array: stores are taken by the bench, not by the emulator's bus",
+    "the flash array: stores are handled by the bench, not by the emulator's bus",
 )];
 
-/// The gaps which a firmware met.
+/// The gaps that a firmware has found.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BusReport {
-    /// One line per gap, in the machine's whole life.
+    /// One line per gap since the first power-up.
     pub gaps: Vec<String>,
     /// Resets since power-up, in order: instant in ns since power-up, and cause.
     pub resets: Vec<(u64, String)>,
 }
 
 impl BusReport {
-    pub(crate) fn of<W: Wiring>(session: &Session<Machine<W>>) -> Self {
+    pub(crate) fn of<W: Wiring>(session: &Session<Emulator<W>>) -> Self {
         let allowed = |address: u64| {
             ALLOWED
                 .iter()
                 .any(|&(first, past, _)| (first..past).contains(&address))
         };
-        let machine = session.board();
-        let mut gaps = machine.earlier().to_vec();
+        let emulator = session.board();
+        let mut gaps = emulator.earlier().to_vec();
         let unmapped = session.unmapped();
         let unmapped = unmapped.iter().filter(|gap| !allowed(gap.address));
         gaps.extend(unmapped.map(ToString::to_string));
@@ -62,16 +62,16 @@ impl BusReport {
                 .told()
                 .map(|told| format!("{} {}: {}", told.instance, told.register, told.reason)),
         );
-        let absent = machine.absent().iter();
+        let absent = emulator.absent().iter();
         gaps.extend(absent.map(|address| format!("the STM32F411 has nothing at {address:#010x}")));
-        let foreign = machine.flash_foreign().iter();
+        let foreign = emulator.flash_foreign().iter();
         gaps.extend(foreign.map(|address| {
             format!("the flash was changed at {address:#010x}, outside the settings' sectors")
         }));
-        if machine.flash_refused() > 0 {
+        if emulator.flash_refused() > 0 {
             gaps.push(format!(
                 "{} stores into a flash that was not ready for them",
-                machine.flash_refused()
+                emulator.flash_refused()
             ));
         }
         let mut seen = std::collections::HashSet::new();
@@ -85,7 +85,7 @@ impl BusReport {
         }
     }
 
-    /// Fails when anything is missing that the firmware touched, or when it was reset other than expected.
+    /// Fails if the firmware has accessed something that is missing, or if the number of resets is not the expected one.
     ///
     /// # Errors
     /// The report as text.

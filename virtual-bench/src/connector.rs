@@ -1,4 +1,4 @@
-//! The host tool's way to the machines on the bench: `--rig virtual` and `--capsule virtual`.
+//! Connects the host tool to the machines on the bench: `--rig virtual` and `--capsule virtual`.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -13,10 +13,10 @@ use crate::link::VirtualLink;
 use crate::plants::capsule::CapsuleOptions;
 use crate::plants::rig::RigOptions;
 
-/// Powers a machine up when its link is opened; all other addresses are the real world's.
+/// Powers a machine up when its link is opened; passes all other addresses to [`Ports`].
 #[derive(Debug, Default)]
 pub struct BenchPorts {
-    /// The present link leads elsewhere.
+    /// The last link opened does not lead to the bench.
     elsewhere: AtomicBool,
 }
 
@@ -49,7 +49,7 @@ impl Connector for BenchPorts {
         Ports.candidates()
     }
 
-    /// Of a machine on the bench always the same: what happens there does not depend on chance.
+    /// Always the same for a machine on the bench, so that its behaviour does not depend on chance.
     fn nonce(&self) -> u32 {
         if self.elsewhere.load(Ordering::Relaxed) {
             Ports.nonce()
@@ -67,7 +67,7 @@ impl Connector for BenchPorts {
 mod tests {
     use super::*;
 
-    /// A machine that stays alive between two commands would take an equal nonce for a repetition of the first.
+    /// A machine that keeps running between two commands would take an equal nonce for a repetition of the first.
     #[test]
     fn only_a_fresh_machine_gets_the_fixed_nonce() {
         let ports = BenchPorts::default();

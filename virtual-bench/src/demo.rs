@@ -37,7 +37,7 @@ const INDENTATION_MM: f64 = 5.05;
 const SLACK_MM: f64 = 1.0;
 /// Steps per millimetre of the default rig.
 const STEPS_PER_MM: f64 = 800.0;
-/// The carriage is shown to the models every tenth of a millimetre.
+/// The carriage's position is passed to the models every tenth of a millimetre, steps.
 const SHOWN_STEPS: i64 = 80;
 
 /// Why the demo ended early.
@@ -47,7 +47,7 @@ pub enum DemoError {
     #[error(transparent)]
     #[diagnostic(code(bench::failed))]
     Bench(#[from] BenchError),
-    /// A device or the way to it.
+    /// A device or the link to it.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Client(#[from] ClientError),
@@ -59,11 +59,11 @@ pub enum DemoError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Report(#[from] ReportError),
-    /// The pins say otherwise than they should.
+    /// The pins contradict the experiment.
     #[error("the pins do not agree with the experiment:\n{0}")]
     #[diagnostic(code(bench::verdict), help("the firmware's log is above"))]
     Verdict(String),
-    /// The locomotion model does not take these numbers.
+    /// The locomotion model does not cover these numbers.
     #[error(transparent)]
     #[diagnostic(code(bench::model))]
     Model(#[from] OutOfRange),
@@ -78,14 +78,14 @@ pub struct DemoOptions {
     pub now: Timestamp,
 }
 
-/// Carries out the experiment and prints it.
+/// Executes the experiment and prints its results.
 ///
 /// # Errors
-/// The first thing that is not as it should be. What was recorded until then is kept.
+/// The first failure. What was recorded until then is kept.
 pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
     let rig_bench = rig::start(RigOptions::default())?;
     let capsule_bench = capsule::start(CapsuleOptions::default())?;
-    // The first nonce of a session has a fixed value: two demos are the same to the byte.
+    // The nonce is fixed, so that two demos are identical to the byte.
     let mut rig = Device::connect(
         Box::new(VirtualLink::new(&rig_bench, "virtual rig")),
         DeviceKind::Rig,
@@ -149,7 +149,7 @@ pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
 }
 
 fn say(line: &str) {
-    // A closed pipe ends the demo's printing, not the demo.
+    // A closed pipe does not end the demo.
     let _ = writeln!(std::io::stdout(), "{line}");
 }
 
@@ -167,9 +167,9 @@ struct Judge<'a> {
     rig: Bench<RigBoard>,
     capsule: Bench<CapsuleBoard>,
     live: Live<'a>,
-    /// Edges before the run that is about to begin.
+    /// Number of edges before the next run.
     first_edge: usize,
-    /// Thread wound up when folded.
+    /// Thread wound up when folded, mm.
     thread_mm: f64,
     remarks: Vec<Remark>,
     failures: Vec<String>,
@@ -355,29 +355,29 @@ fn print_rows(rows: &[(String, String)]) {
     }
 }
 
-/// How far the body moves by the locomotion models when the carriage makes exactly these steps. Positive is against
-/// the antegrade wave, the way the paper's unfolded body goes.
+/// Displacement of the body by the locomotion models, mm, when the carriage makes exactly these steps. Positive is
+/// against the antegrade wave, the direction of the paper's unfolded body.
 ///
 /// # Errors
-/// [`OutOfRange`] if the models do not take the rig's numbers.
+/// [`OutOfRange`] if the models do not cover the rig's numbers.
 fn displacement_mm(shape: Shape, edges: &EdgeLog, thread_mm: f64) -> Result<f64, OutOfRange> {
     match shape {
         Shape::Unfolded => {
-            let mut body = roller::Bench::new(roller::Params::PAPER, INDENTATION_MM)?;
+            let mut body = roller::UnfoldedBody::new(roller::Params::PAPER, INDENTATION_MM)?;
             carry(edges, |at_mm| body.carriage_to(at_mm))?;
             Ok(body.displacement_mm())
         }
         Shape::Folded => {
             let design = Design::paper_printed();
             let params = folded::Params::PAPER.folded_by(&design, thread_mm - SLACK_MM)?;
-            let mut body = folded::Bench::new(params, INDENTATION_MM)?;
+            let mut body = folded::FoldedBody::new(params, INDENTATION_MM)?;
             carry(edges, |at_mm| body.carriage_to(at_mm))?;
             Ok(body.displacement_mm())
         }
     }
 }
 
-/// Shows every tenth of a millimetre and every turn of the carriage to `carriage_to`.
+/// Calls `carriage_to` for every tenth of a millimetre and every reversal of the carriage.
 fn carry(
     edges: &EdgeLog,
     mut carriage_to: impl FnMut(f64) -> Result<(), OutOfRange>,

@@ -1,9 +1,9 @@
 //! An STM32F411RE: the emulator's STM32F427 with the smaller part's memories, requests and peripherals, an external
 //! interrupt controller, a flash array, and the wires of a board soldered to its pins.
 //!
-//! A board implements [`Wiring`]: it is shown the pins after everything that can have changed them and answers with
-//! the levels that it drives. The emulator's clock starts at 0 with each power-up; the bench's clock, which every
-//! public time here counts on, goes on.
+//! A board implements [`Wiring`]: it is shown the pins after everything that may have changed them, and drives its
+//! outputs in turn. The emulator's clock starts at 0 with each power-up. The bench's clock runs on; all public times
+//! refer to it.
 
 mod array;
 mod exti;
@@ -48,7 +48,7 @@ const USART2: usize = 1;
 const AF_SERIAL: u8 = 7;
 /// High-speed clock that the ST-LINK of the board feeds in, Hz (UM1724 section 7.7.1).
 const HSE_HZ: u64 = 8_000_000;
-/// Time that a store into the flash takes (DS10314 table 47, typical), ns.
+/// Duration of a store into the flash (DS10314 table 47, typical), ns.
 const STORE_NS: u64 = 16_000;
 /// Supply, mV.
 const SUPPLY_MV: u32 = 3300;
@@ -92,20 +92,20 @@ impl fmt::Display for Pin {
     }
 }
 
-/// A board around the chip: what hangs on its pins.
+/// A board around the chip: what is connected to its pins.
 pub trait Wiring: fmt::Debug + Send + 'static {
-    /// Looks at the pins and drives them. Called after every timer event and every register access that can move a
-    /// pin; again while something moves in answer.
+    /// Reads the pins and drives them. Called after every timer event and every register access that can change a pin,
+    /// and again until no pin changes any more.
     fn look(&mut self, pads: &mut Pads<'_>);
 
-    /// The chip was reset or powered up: nothing drives any pin any more.
+    /// The chip was reset or powered up: no pin is driven any more.
     fn restarted(&mut self);
 
-    /// A store into the flash or an erase began: no instruction is executed until it ends.
+    /// A store into the flash or an erase has begun: no instruction is executed until it ends.
     fn flash_began(&mut self);
 }
 
-/// The chip's pins for the length of one look.
+/// The chip's pins during one call of [`Wiring::look`].
 pub struct Pads<'a> {
     part: &'a mut Stm32f427,
     tim1: &'a mut Watched<Advanced>,
@@ -159,8 +159,8 @@ impl Pads<'_> {
         gpio.level(pin.on_port(), registers) == Level::High
     }
 
-    /// Drives `pin` from outside, or lets it go with `None`; answers the level that results, which is the firmware's
-    /// pull resistor's when nothing drives.
+    /// Drives `pin` from outside, or releases it with `None`. Returns the resulting level, which the firmware's pull
+    /// resistor sets when nothing drives the pin.
     pub fn drive(&mut self, pin: Pin, level: Option<bool>) -> bool {
         self.touched = true;
         let (port, index) = pin.nth();
@@ -183,7 +183,7 @@ impl Pads<'_> {
         high
     }
 
-    /// Changes of TIM1's outputs 1 and 3 since the last call, in order, at exact instants of the bench's clock.
+    /// Changes of TIM1's outputs 1 and 3 since the last call, in order, with their exact instants.
     pub fn take_tim1_edges(&mut self) -> Vec<OutputEdge> {
         on_bench_clock(&mut self.tim1.edges, self.epoch_ns)
     }
@@ -212,7 +212,7 @@ impl Pads<'_> {
         self.tim3.high(channel)
     }
 
-    /// The level at TIM1's break input.
+    /// Sets the level at TIM1's break input.
     pub fn drive_break(&mut self, high: bool) {
         self.touched = true;
         let (
@@ -227,7 +227,7 @@ impl Pads<'_> {
         tim1.note(registers, at.0);
     }
 
-    /// The level at TIM2's external trigger input.
+    /// Sets the level at TIM2's external trigger input.
     pub fn drive_tim2_etr(&mut self, high: bool) {
         self.touched = true;
         self.part
@@ -236,7 +236,7 @@ impl Pads<'_> {
             });
     }
 
-    /// The level at TIM2's input `channel`, 1 or 2.
+    /// Sets the level at TIM2's input `channel`, 1 or 2.
     pub fn drive_tim2_input(&mut self, channel: u8, high: bool) {
         self.touched = true;
         let channel = rigless::soc::st::tim::Channel::new(channel).expect("channel 1 to 4");
@@ -246,7 +246,7 @@ impl Pads<'_> {
             });
     }
 
-    /// The voltage at channel `number` of ADC1, mV.
+    /// Sets the voltage at channel `number` of ADC1, mV.
     pub fn set_adc_mv(&mut self, number: u8, millivolts: u32) {
         let channel = adc::Channel::new(number).expect("a pin's channel");
         self.part.adc[0].set_input(channel, millivolts);
@@ -281,7 +281,7 @@ struct Chip<W> {
     slots: Slots,
     serial: Arc<Mutex<Serial>>,
     epoch_ns: u64,
-    /// The next look that is already asked for, on the emulator's clock.
+    /// When the next look is scheduled, on the emulator's clock.
     wake: Option<VirtualNanos>,
     wiring: Option<W>,
 }
@@ -322,7 +322,7 @@ impl<W: Wiring> Chip<W> {
         Ok(chip)
     }
 
-    /// Puts our own devices around a part that is fresh out of reset.
+    /// Installs the bench's own devices in a part that was just reset.
     fn adopt(&mut self) {
         let part = &mut self.part;
         part.dma = map::controllers();
@@ -338,7 +338,7 @@ impl<W: Wiring> Chip<W> {
         }
     }
 
-    /// Serial bytes pass only while both pins carry USART2.
+    /// Serial bytes pass only while the pins carry USART2.
     fn serial_pins(&mut self) {
         let (_, registers) = self.part.port(0);
         let carried = |index| {
@@ -350,7 +350,7 @@ impl<W: Wiring> Chip<W> {
         serial.hears = hears;
     }
 
-    /// Shows the pins to the board until nothing moves any more: an input driven inside a look may cut a pulse.
+    /// Shows the pins to the board until none changes any more: an input that the board drives may cut a pulse.
     fn look(&mut self, at: VirtualNanos) -> bool {
         let Some(mut wiring) = self.wiring.take() else {
             return false;
@@ -372,7 +372,7 @@ impl<W: Wiring> Chip<W> {
             touched |= pads.touched;
             if let Some(wake) = pads.wake {
                 let wake = VirtualNanos(wake.saturating_sub(self.epoch_ns)).max(at);
-                // One look ahead is enough: each look asks for the next one.
+                // One scheduled look is enough: each look asks for the next one.
                 if self.wake.is_none_or(|asked| asked <= at || wake < asked) {
                     self.wake = Some(wake);
                     let bus = self.part.bus_mut();
@@ -387,7 +387,7 @@ impl<W: Wiring> Chip<W> {
         touched
     }
 
-    /// A look outside the emulator's own round: what it moved settles at a stop of its own.
+    /// A look outside the emulator's polling. If it drives a pin, a stop is scheduled so that the change takes effect.
     fn look_between(&mut self, at: VirtualNanos) {
         if self.look(at) {
             self.part
@@ -452,7 +452,7 @@ impl<W: Wiring> Mcu for Chip<W> {
     }
 }
 
-/// What the core is built from: the STM32F411's memories beside the part's peripherals. Nothing is ever accessed here.
+/// What the core is built from: the STM32F411's memories and the part's peripherals. It is never accessed.
 #[derive(Debug)]
 struct Shell {
     bus: Bus,
@@ -497,29 +497,29 @@ impl Default for ChipOptions {
     }
 }
 
-/// A chip on its board, as the emulator runs it.
+/// The emulated chip on its board.
 #[derive(Debug)]
-pub struct Machine<W> {
+pub struct Emulator<W> {
     chip: Chip<W>,
     shell: Shell,
     options: ChipOptions,
     array: Array,
-    /// The flash is busy with a store until then.
+    /// The flash is busy with a store until this instant.
     storing_until: VirtualNanos,
-    /// The core waits for the flash.
+    /// The core is waiting for the flash.
     stalled: bool,
-    /// Code overwritten from outside: address and what was there.
+    /// Overwritten code: addresses and original contents.
     overwritten: Vec<(u64, u64)>,
     absent: Vec<u64>,
     flash_refused: u64,
-    /// Gaps that were met before the supply was last cut.
+    /// Gaps found before the supply was last cut.
     earlier: Vec<String>,
 }
 
-/// A machine's runs start from reset or from its flash, never from a snapshot.
-impl<W: Wiring> Store for Machine<W> {}
+/// Nothing is stored: runs start from reset or from a flash, never from a snapshot.
+impl<W: Wiring> Store for Emulator<W> {}
 
-impl<W: Wiring> Machine<W> {
+impl<W: Wiring> Emulator<W> {
     pub(crate) fn new(
         wiring: W,
         options: ChipOptions,
@@ -546,7 +546,7 @@ impl<W: Wiring> Machine<W> {
     /// The board.
     ///
     /// # Panics
-    /// Never between two looks, which is the only time this can be called.
+    /// Only during a look, and it cannot be called then.
     pub fn wiring(&mut self) -> &mut W {
         self.chip.wiring.as_mut().expect("between two looks")
     }
@@ -555,12 +555,12 @@ impl<W: Wiring> Machine<W> {
         self.chip.wiring.take()
     }
 
-    /// Shows the pins to the board, after it was changed from outside.
+    /// Shows the pins to the board after it was changed from outside.
     pub(crate) fn refresh(&mut self, at: VirtualNanos) {
         self.chip.look_between(at);
     }
 
-    /// Gaps that were met before the supply was last cut, see [`crate::bus::BusReport`].
+    /// Gaps found before the supply was last cut, see [`crate::bus::BusReport`].
     pub(crate) fn earlier(&self) -> &[String] {
         &self.earlier
     }
@@ -569,38 +569,38 @@ impl<W: Wiring> Machine<W> {
         self.earlier = gaps;
     }
 
-    /// Peripheral addresses touched that an STM32F411 does not have.
+    /// Accessed peripheral addresses that an STM32F411 does not have.
     pub(crate) fn absent(&self) -> &[u64] {
         &self.absent
     }
 
-    /// Stores into the flash which the chip would have refused.
+    /// Number of stores into the flash that the chip would have refused.
     pub(crate) fn flash_refused(&self) -> u64 {
         self.flash_refused
     }
 
-    /// Where the image changed flash that is not the settings'.
+    /// Where the image changed flash outside the settings' sectors.
     pub(crate) fn flash_foreign(&self) -> &[u64] {
         self.array.foreign()
     }
 
-    /// Stores into the flash and erases since power-up.
+    /// Number of flash operations, stores and erases, since power-up.
     pub(crate) fn flash_operations(&self) -> u64 {
         self.array.operations()
     }
 
-    /// From flash operation number `operation` (from 0, since power-up) on the flash stays as it is then: what a cut
-    /// of the supply there leaves.
+    /// Cuts the supply of the flash at flash operation number `operation` (from 0, since power-up): from then on it does
+    /// not change.
     pub(crate) fn cut_flash(&mut self, at: CutAt, operation: u64) {
         self.array.fail(at, operation);
     }
 
-    /// Whether the operation that was to be cut has been reached.
+    /// Whether the operation given to [`Emulator::cut_flash`] has been reached.
     pub(crate) fn flash_is_cut(&self) -> bool {
         self.array.has_failed()
     }
 
-    /// Overwrites code as a debugger does, past the flash interface and until the next reset.
+    /// Overwrites code as a debugger does, bypassing the flash interface, until the next reset.
     pub(crate) fn overwrite(&mut self, address: u64, code: &[u16], host: &mut dyn Host) {
         for (address, half) in (address..).step_by(2).zip(code) {
             let was = host.read(address, Width::W16).unwrap_or(0);
@@ -609,7 +609,7 @@ impl<W: Wiring> Machine<W> {
         }
     }
 
-    fn mend(&mut self, host: &mut dyn Host) {
+    fn restore_code(&mut self, host: &mut dyn Host) {
         for (address, was) in self.overwritten.drain(..).rev() {
             let _ = host.program(address, Width::W16, was);
         }
@@ -623,15 +623,15 @@ impl<W: Wiring> Machine<W> {
         )
     }
 
-    /// The code lies in the flash: nothing is fetched while that is busy (RM0383 section 3.5). Time, peripherals and
-    /// DMA go on.
+    /// Stalls the core: it cannot fetch code while the flash is busy (RM0383 section 3.5). Time, peripherals and DMA go
+    /// on.
     fn stall(&mut self, host: &mut dyn Host) {
         self.stalled = true;
         host.hold(true);
         self.wiring().flash_began();
     }
 
-    /// Lets the core go on once the flash is ready again.
+    /// Lets the core continue once the flash is ready.
     fn unstall(&mut self, at: VirtualNanos, host: &mut dyn Host) {
         let busy = self.control_and_status().1 & BUSY != 0 || at < self.storing_until;
         if self.stalled && !busy {
@@ -669,53 +669,53 @@ impl<W: Wiring> Machine<W> {
     }
 }
 
-/// Whether a write to `address` can move a pin without a timer event: ports A to C, TIM1, TIM3.
+/// Whether a write to `address` can change a pin without a timer event: ports A to C, TIM1, TIM3.
 fn moves_pins(address: u64) -> bool {
     matches!(address, 0x4002_0000..0x4002_0C00 | 0x4001_0000..0x4001_0400 | 0x4000_0400..0x4000_0800)
 }
 
-/// What every settled access and stop of a run does to the machine; to be called from the run's driver.
+/// Updates the chip and its board after every settled access and stop; called by the run's driver.
 pub(crate) fn settled<W: Wiring>(
-    session: &mut Session<Machine<W>>,
+    session: &mut Session<Emulator<W>>,
     host: &mut dyn Host,
     settled: Settled,
 ) {
-    let machine = session.board_mut();
+    let emulator = session.board_mut();
     match settled {
-        Settled::Access { access, .. } => machine.accessed(&access, host),
+        Settled::Access { access, .. } => emulator.accessed(&access, host),
         Settled::Stop(stop) => {
-            machine.unstall(stop.at, host);
-            machine.chip.look_between(stop.at);
+            emulator.unstall(stop.at, host);
+            emulator.chip.look_between(stop.at);
         }
         _ => {}
     }
 }
 
-/// The chip has restarted with its memory kept, and has not executed anything yet.
-pub(crate) fn restarted<W: Wiring>(session: &mut Session<Machine<W>>, host: &mut dyn Host) {
-    let machine = session.board_mut();
-    machine.array.cut(host);
-    machine.mend(host);
-    machine.storing_until = VirtualNanos(0);
-    machine.stalled = false;
+/// Updates the emulator after the chip was reset, before it executes anything. Memory is kept.
+pub(crate) fn restarted<W: Wiring>(session: &mut Session<Emulator<W>>, host: &mut dyn Host) {
+    let emulator = session.board_mut();
+    emulator.array.cut(host);
+    emulator.restore_code(host);
+    emulator.storing_until = VirtualNanos(0);
+    emulator.stalled = false;
     host.hold(false);
 }
 
-/// The whole flash.
+/// Contents of the whole flash.
 pub(crate) fn read_out(host: &mut dyn Host) -> Vec<u8> {
     array::read_out(host)
 }
 
-/// Ends a run as a cut of the supply would; answers the flash as it is left.
+/// Ends a run as a cut of the supply does. Returns the contents of the flash.
 pub(crate) fn cut_supply<W: Wiring>(
-    session: &mut Session<Machine<W>>,
+    session: &mut Session<Emulator<W>>,
     host: &mut dyn Host,
 ) -> Vec<u8> {
     restarted(session, host);
     array::read_out(host)
 }
 
-impl<W: Wiring> Board for Machine<W> {
+impl<W: Wiring> Board for Emulator<W> {
     fn name(&self) -> &'static str {
         TARGET
     }

@@ -1,4 +1,4 @@
-//! Things that go wrong, at an exact step edge or instant.
+//! Faults at an exact step edge or instant.
 
 use std::collections::BTreeMap;
 
@@ -7,11 +7,11 @@ use std::collections::BTreeMap;
 pub enum When {
     /// At this instant of the bench's clock, ns.
     At(u64),
-    /// Together with this step edge, counted from 1 over the bench's whole life.
+    /// Together with this step edge, counted from 1 since the start of the bench.
     Edge(u64),
 }
 
-/// Faults that wait for their moment.
+/// Planned faults.
 #[derive(Clone, Debug)]
 pub struct Faults<A> {
     at: BTreeMap<u64, Vec<A>>,
@@ -37,12 +37,12 @@ impl<A> Faults<A> {
         waiting.entry(moment).or_default().push(action);
     }
 
-    /// Takes what is due with edge `number`, in the order planned.
+    /// Takes the faults due with edge `number`, in the order planned.
     pub fn due_at_edge(&mut self, number: u64) -> Vec<A> {
         self.edge.remove(&number).unwrap_or_default()
     }
 
-    /// Takes what is due by `now_ns`, the earliest first.
+    /// Takes the faults due by `now_ns`, the earliest first.
     pub fn due_by(&mut self, now_ns: u64) -> Vec<A> {
         let mut due = Vec::new();
         while let Some(first) = self.at.first_entry()
@@ -53,7 +53,7 @@ impl<A> Faults<A> {
         due
     }
 
-    /// The earliest instant at which anything is due.
+    /// When the next fault is due, ns.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {
         self.at.first_key_value().map(|(at, _)| *at)

@@ -1,4 +1,4 @@
-//! `virtual-bench bench`: what the rig's image reaches, measured on the emulator in instructions and virtual time.
+//! `virtual-bench bench`: performance of the rig's image, measured on the emulator in instructions and virtual time.
 
 use std::time::Instant;
 
@@ -18,14 +18,14 @@ use crate::link::VirtualLink;
 use crate::plants::rig::{Action, Rig, RigOptions, Switch};
 use crate::verdicts::{Run, Verdict};
 
-/// Why a figure could not be taken.
+/// Why a figure could not be measured.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum FigureError {
     /// The bench.
     #[error(transparent)]
     #[diagnostic(code(bench::failed))]
     Bench(#[from] BenchError),
-    /// The device or the way to it.
+    /// The device or the link to it.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Client(#[from] ClientError),
@@ -41,7 +41,7 @@ const ONE_CYCLE: RunRequest = RunRequest {
     ..PAPER_RUN
 };
 
-/// The same with another acceleration: in cruise a step takes 3502.493 ticks, so that hardly two periods are alike.
+/// The same with another acceleration: in cruise a step takes 3502.493 ticks, so hardly any two periods are equal.
 const UNEVEN_CYCLE: RunRequest = RunRequest {
     timing: RunTiming::Total {
         total_us: 8_000_000,
@@ -71,7 +71,7 @@ fn homed(ips: u64) -> Result<Homed, FigureError> {
 }
 
 impl Homed {
-    /// Share of the processor's time that is not slept, while `us` pass.
+    /// Fraction of the processor's time that it is awake, measured over `us`.
     fn load(&mut self, us: u64) -> Result<f64, FigureError> {
         let before = (
             self.bench.visit(|visit| visit.instructions())?,
@@ -86,10 +86,10 @@ impl Homed {
         Ok((after.0 - before.0) as f64 / (seconds * self.ips as f64))
     }
 
-    /// The longest time without a sleep while `us` pass, to 10 us: no task takes longer, whatever interrupts it.
+    /// The longest time without sleep within `us`, to 10 us. No task takes longer, interrupts included.
     fn longest_awake_us(&mut self, us: u64) -> Result<u64, FigureError> {
         const STEP_US: u64 = 10;
-        // The odd instruction may fall on the other side of a step's end.
+        // Single instructions may fall on the other side of a step's end.
         let awake = self.ips * STEP_US / 1_000_000 * 49 / 50;
         let (mut longest, mut present) = (0, 0);
         let mut before = self.bench.visit(|visit| visit.instructions())?;
@@ -107,12 +107,12 @@ impl Homed {
         Ok(longest)
     }
 
-    /// Puts a request on the wire and does not wait for its answer.
+    /// Sends a request without waiting for its answer.
     fn send(&mut self, request: &Request) -> Result<(), FigureError> {
         let header = Header {
             kind: Kind::Request,
             session: self.device.identity().map_or(0, |it| it.session),
-            // Ahead of the client's own numbers, and not so far that it would count as behind.
+            // Ahead of the client's own numbers, but not so far that it would count as behind.
             seq: 20_000,
         };
         let frame = encode(header, request).expect("every message fits");
@@ -131,10 +131,10 @@ impl Homed {
     }
 }
 
-/// Takes all figures and prints each with the goal beside it.
+/// Measures all figures and prints each with its goal.
 ///
 /// # Errors
-/// The emulator or the link failed; a figure that misses its goal is printed, not an error.
+/// The emulator or the link failed. A figure that misses its goal is not an error.
 pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
     let mut line =
         |what: &str, value: String, goal: &str| say(&format!("{what:<58} {value:<28} {goal}"));
@@ -189,7 +189,7 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
     uneven.device.idle(1_000_000, &mut Unobserved)?;
     let load = uneven.load(2_000_000)?;
     line(
-        "CPU load at 28.5 kHz, hardly two periods alike",
+        "CPU load at 28.5 kHz, hardly any two periods equal",
         format!("{:.2} %", load * 1e2),
         "",
     );
@@ -229,12 +229,12 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
         if moved {
             format!("{stepping} us")
         } else {
-            "it did not move".into()
+            "the rig did not move".into()
         },
         "the ring holds 8,000 us",
     );
 
-    // The far limit opens in mid-stroke.
+    // The far limit opens in the middle of a stroke.
     let number = rig.edges()?.0 as u64 + 50_000;
     rig.bench.visit(move |visit| {
         visit

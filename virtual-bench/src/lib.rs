@@ -6,7 +6,7 @@
 //!                        the ELF that is flashed
 //! ```
 //!
-//! The bench never uses the firmware's own arithmetic: what it expects of a run it computes itself.
+//! The bench never uses the firmware's arithmetic: it calculates by itself what it expects of a run.
 
 pub mod bench;
 pub mod boards;

@@ -5,7 +5,7 @@ use host_tool::link::{Link, LinkError};
 use crate::bench::{Bench, BenchError};
 use crate::emulator::Wiring;
 
-/// A serial cable to a virtual machine. Its clock is the machine's: it moves only inside `receive`.
+/// A serial cable to a machine on the bench. Its clock is the machine's, which runs only during `receive`.
 pub struct VirtualLink<W: Wiring> {
     bench: Bench<W>,
     place: &'static str,

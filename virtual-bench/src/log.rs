@@ -1,4 +1,4 @@
-//! The firmware's own log: defmt frames read out of its RTT buffer as a probe does, decoded from the ELF.
+//! The firmware's log: defmt frames, read from its RTT buffer as a debug probe does and decoded with the ELF.
 
 use std::fmt;
 use std::sync::Arc;
@@ -8,21 +8,21 @@ use object::{Object, ObjectSymbol};
 use rigless::emulator::Host;
 use rigless::soc::Width;
 
-/// Offsets in the control block: the first up-channel after the 16-byte name and two counts.
+/// Offset of the first up-channel in the control block, after the 16-byte name and two counts.
 const CHANNEL: u64 = 24;
 const BUFFER: u64 = CHANNEL + 4;
 const SIZE: u64 = CHANNEL + 8;
 const WRITTEN: u64 = CHANNEL + 12;
 const READ: u64 = CHANNEL + 16;
 
-/// A chunk of the log as it was read, or a new start of the firmware.
+/// A part of the log as it was read, or a start of the firmware.
 #[derive(Clone, Debug)]
 enum Chunk {
     Bytes(u64, Vec<u8>),
     Restart(u64),
 }
 
-/// Reads the log out while the machine runs.
+/// Reads the log while the machine runs.
 pub(crate) struct Tap {
     control_block: Option<u64>,
     table: Option<Arc<Table>>,
@@ -50,7 +50,7 @@ impl Tap {
         }
     }
 
-    /// The firmware is about to start again with its memory kept: the log so far is still there, then it is stale.
+    /// Reads the rest of the log before the firmware starts again and overwrites it.
     pub(crate) fn restarted(&mut self, host: &mut dyn Host, now_ns: u64) {
         self.drain(host, now_ns);
         self.chunks.push(Chunk::Restart(now_ns));
@@ -99,7 +99,7 @@ pub struct Log {
 /// One line of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Line {
-    /// When it was read out, ns on the bench's clock: up to one quantum after it was written.
+    /// When it was read, ns on the bench's clock: up to one quantum after it was written.
     pub at_ns: u64,
     /// Level and message.
     pub text: String,

@@ -1,4 +1,4 @@
-//! `virtual-bench`: the machines without the machines.
+//! `virtual-bench`: the program.
 
 use std::ffi::OsString;
 use std::io::{IsTerminal, Write};
@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::thread;
 
-use clap::{Parser, Subcommand};
+use clap::Parser;
 use jiff::Timestamp;
 use virtual_bench::bench::{Bench, BenchError};
 use virtual_bench::boards;
@@ -23,46 +23,46 @@ use virtual_bench::serve::Server;
 #[command(about, version)]
 struct Arguments {
     #[command(subcommand)]
-    command: Command,
+    subcommand: Subcommand,
 }
 
-#[derive(Subcommand)]
-enum Command {
-    /// Carries out the paper's experiment on both images and judges it from the pins.
+#[derive(clap::Subcommand)]
+enum Subcommand {
+    /// Executes the paper's experiment on both images and judges it from the pins.
     Demo {
         /// Folder for the records and the report.
         #[arg(long, value_name = "DIR", default_value = "demo-data")]
         out: PathBuf,
     },
-    /// Measures what the rig's image reaches.
+    /// Measures the performance of the rig's image.
     Bench,
-    /// Serves the machines on TCP of this computer at the pace of the wall clock, until interrupted.
+    /// Serves the machines on local TCP ports in real time, until interrupted.
     Serve {
-        /// Port of the rig; 0 takes a free one.
+        /// Port of the rig; 0 for a free one.
         #[arg(long, value_name = "PORT")]
         rig: Option<u16>,
-        /// Port of the capsule; 0 takes a free one.
+        /// Port of the capsule; 0 for a free one.
         #[arg(long, value_name = "PORT")]
         capsule: Option<u16>,
     },
-    /// Any command of the host tool, here also with `--rig virtual` and `--capsule virtual`.
+    /// Any command of the host tool, which here also takes `--rig virtual` and `--capsule virtual`.
     #[command(external_subcommand)]
     Retrograde(Vec<OsString>),
 }
 
 fn main() -> ExitCode {
-    let result = match Arguments::parse().command {
-        Command::Demo { out } => {
+    let result = match Arguments::parse().subcommand {
+        Subcommand::Demo { out } => {
             let now = Timestamp::now();
             demo::run(&DemoOptions { out, now }, std::io::stderr().is_terminal())
                 .map_err(miette::Report::from)
         }
-        Command::Bench => figures::run(&mut |line| drop(writeln!(std::io::stdout(), "{line}")))
+        Subcommand::Bench => figures::run(&mut |line| drop(writeln!(std::io::stdout(), "{line}")))
             .map_err(miette::Report::from),
-        Command::Serve { rig, capsule } => {
+        Subcommand::Serve { rig, capsule } => {
             serve(rig, capsule).map_err(|why| miette::miette!("{why}"))
         }
-        Command::Retrograde(arguments) => {
+        Subcommand::Retrograde(arguments) => {
             let program = OsString::from("virtual-bench");
             return host_tool::cli::run(
                 [program].into_iter().chain(arguments),

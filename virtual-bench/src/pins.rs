@@ -4,12 +4,12 @@ use std::fmt;
 
 use sha2::{Digest, Sha256};
 
-/// A rising edge of STEP with the direction it was given under.
+/// A rising edge of STEP with the direction at that time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepEdge {
     /// Instant, ns on the bench's clock.
     pub at_ns: u64,
-    /// Away from home.
+    /// Whether the direction is away from home.
     pub away: bool,
 }
 

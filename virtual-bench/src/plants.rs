@@ -1,4 +1,4 @@
-//! The machines themselves, without a chip in sight: what moves, and what its sensors say.
+//! The machines without their electronics: what moves, and what the sensors report.
 
 pub mod capsule;
 pub mod contact;

@@ -1,41 +1,47 @@
 //! Makes one task of the firmware hang, fault or panic at its next check-in with the watchdog.
 //!
-//! The image is not built for this. As a debugger would, the bench overwrites the beginning of the firmware's
-//! `check_in` with a branch to unused flash; there a substitute does the same for every client but one. A reset mends
-//! the code, so what runs after it is the image again.
+//! The image is not built for this. Like a debugger, the bench overwrites the beginning of the firmware's `check_in`
+//! with a branch to unused flash, where a substitute does the same for every client but one. A reset restores the code,
+//! so the unmodified image runs after it.
 
 use object::{Object, ObjectSymbol};
 
-use crate::bench::BenchError;
+use crate::bench::{BenchError, Visit};
+use crate::emulator::Wiring;
 
-/// What the chosen client does at its check-in.
+/// What the chosen client does when it checks in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Deed {
-    /// Loops for ever, at its own priority.
+pub enum Misbehaviour {
+    /// Loops forever, at its own priority.
     Hang,
-    /// Jumps to where no memory is.
+    /// Jumps to an address without memory.
     Fault,
     /// Panics.
     Panic,
 }
 
-/// Where [`Deed::Fault`] jumps to: the external memory that the chip does not have (RM0383 section 2.3).
+/// Where [`Misbehaviour::Fault`] jumps to: the external memory that the chip does not have (RM0383 section 2.3).
 pub const NOWHERE: u32 = 0x6000_0000;
-/// Where the substitute lies: the last bytes of the flash, which no image reaches.
+/// Address of the substitute: the end of the flash, which no image reaches.
 const UNUSED: u32 = 0x0807_FF00;
 
-/// Code to put into a machine's flash, see [`crate::bench::Visit::sabotage`].
+/// Code to put into a machine's flash.
 #[derive(Clone, Debug)]
 pub struct Sabotage {
+    /// Addresses and the half-words that go there, in order.
     code: [(u64, Vec<u16>); 2],
 }
 
 impl Sabotage {
-    /// `deed`, by the client that checks in with `client`; addresses are those of the image at `image`.
+    /// Lets the client that checks in with `client` misbehave; addresses are those of the image at `image`.
     ///
     /// # Errors
     /// An image without the symbols `check_in` and `CHECK_INS`.
-    pub fn new(image: &std::path::Path, client: u8, deed: Deed) -> Result<Self, BenchError> {
+    pub fn new(
+        image: &std::path::Path,
+        client: u8,
+        misbehaviour: Misbehaviour,
+    ) -> Result<Self, BenchError> {
         let elf = std::fs::read(image).map_err(|why| BenchError::NoImage {
             path: image.into(),
             why,
@@ -58,30 +64,33 @@ impl Sabotage {
             }
         };
         let (check_in, check_ins) = (address("8check_in")?, address("9CHECK_INS")?);
-        let deed = match deed {
-            Deed::Hang => vec![0xE7FE], // b .
-            Deed::Fault => jump(NOWHERE),
-            Deed::Panic => jump(address("9panic_fmt")?),
+        let payload = match misbehaviour {
+            Misbehaviour::Hang => vec![0xE7FE], // b .
+            Misbehaviour::Fault => jump(NOWHERE),
+            Misbehaviour::Panic => jump(address("9panic_fmt")?),
         };
         Ok(Self {
             code: [
-                (UNUSED.into(), substitute(client, &deed, check_ins)),
+                (UNUSED.into(), substitute(client, &payload, check_ins)),
                 (check_in.into(), branch(check_in, UNUSED).to_vec()),
             ],
         })
     }
 
-    /// Addresses and the half-words that go there, in order.
-    pub(crate) fn code(&self) -> &[(u64, Vec<u16>)] {
-        &self.code
+    /// Overwrites the code; takes effect with the next instruction and lasts until the next reset.
+    pub fn apply<W: Wiring>(&self, visit: &mut Visit<'_, W>) {
+        for (address, code) in &self.code {
+            visit.overwrite(*address, code);
+        }
     }
 }
 
-/// `check_in` with a deed: r0 is the client; r1 to r3 are the callee's (AAPCS32 section 6.1.1).
-fn substitute(client: u8, deed: &[u16], check_ins: u32) -> Vec<u16> {
-    let past = deed.len() as u16 - 1;
-    let mut code = vec![0x2800 | u16::from(client), 0xD100 | past]; // cmp r0, #client; bne past the deed
-    code.extend_from_slice(deed);
+/// `check_in`, but `payload` for one client. r0 holds the client; r1 to r3 are free for the callee to use (AAPCS32
+/// section 6.1.1).
+fn substitute(client: u8, payload: &[u16], check_ins: u32) -> Vec<u16> {
+    let past = payload.len() as u16 - 1;
+    let mut code = vec![0x2800 | u16::from(client), 0xD100 | past]; // cmp r0, #client; bne past the payload
+    code.extend_from_slice(payload);
     code.extend(load_r1(check_ins));
     code.extend([0xE8D1, 0x2F4F]); // ldrexb r2, [r1]
     code.push(0x4302); // orrs r2, r0
@@ -126,7 +135,7 @@ fn branch(from: u32, to: u32) -> [u16; 2] {
 mod tests {
     use super::*;
 
-    /// As an assembler encodes them.
+    /// Expected values from an assembler.
     #[test]
     fn instructions_are_encoded_as_the_manual_says() {
         assert_eq!(load_r1(0x2000_0434), [0xF240, 0x4134, 0xF2C2, 0x0100]);
@@ -136,9 +145,9 @@ mod tests {
     }
 
     #[test]
-    fn the_substitute_skips_the_deed_of_the_others() {
-        for deed in [vec![0xE7FE], jump(NOWHERE)] {
-            let code = substitute(2, &deed, 0x2000_0434);
+    fn the_substitute_skips_the_payload_for_all_other_clients() {
+        for payload in [vec![0xE7FE], jump(NOWHERE)] {
+            let code = substitute(2, &payload, 0x2000_0434);
             let past = 2 + usize::from(code[1] & 0xFF) + 1;
             assert_eq!(code[past..past + 4], load_r1(0x2000_0434));
             assert!(code.len() * 2 <= 0x100);

@@ -8,7 +8,7 @@ use rigless::chip::uart::Peer;
 use rigless::snapshot::Store;
 use rigless::time::VirtualNanos;
 
-/// What a fault does to one byte on its way.
+/// A fault of one byte on the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ByteFault {
     /// It never arrives.
@@ -20,11 +20,11 @@ pub enum ByteFault {
 /// Both directions of the line.
 #[derive(Debug, Default)]
 pub struct Serial {
-    /// Bytes of the host which the machine has not taken yet.
+    /// Bytes from the host that the machine has not taken yet.
     to_machine: VecDeque<u8>,
-    /// Bytes of the machine which the host has not taken yet, with the end of their stop bit, ns.
+    /// Bytes from the machine that the host has not taken yet, with the end of their stop bit, ns.
     from_machine: Vec<(u64, u8)>,
-    /// Whether the machine's pins carry its serial port.
+    /// Whether the machine's pins carry its serial output and input.
     pub(crate) sends: bool,
     pub(crate) hears: bool,
     sent: u64,
@@ -34,38 +34,38 @@ pub struct Serial {
     /// Faults by the byte's number in its direction, from 0.
     faults_to_machine: Vec<(u64, ByteFault)>,
     faults_from_machine: Vec<(u64, ByteFault)>,
-    /// The last byte's end and the shortest distance between two, ns: the machine's true bit rate.
+    /// End of the machine's last byte and the shortest time between two, ns, which shows the true bit rate.
     last_sent_ns: Option<u64>,
     shortest_ns: Option<u64>,
 }
 
 impl Serial {
-    /// Puts bytes of the host on the line, now.
+    /// Puts bytes from the host on the line.
     pub(crate) fn put(&mut self, bytes: &[u8]) {
         self.to_machine.extend(bytes);
     }
 
-    /// Takes what the machine has sent, in order.
+    /// Takes the bytes that the machine has sent, in order.
     pub(crate) fn take(&mut self) -> Vec<(u64, u8)> {
         std::mem::take(&mut self.from_machine)
     }
 
-    /// Whether the machine has sent anything that was not taken.
+    /// Whether the machine has sent bytes that were not taken.
     pub(crate) fn has_sent(&self) -> bool {
         !self.from_machine.is_empty()
     }
 
-    /// Does `fault` to the host's byte `number`, from 0 and from the start of the bench.
-    pub fn spoil_to_machine(&mut self, number: u64, fault: ByteFault) {
+    /// Corrupts the host's byte `number`, counted from 0 since the start of the bench.
+    pub fn corrupt_to_machine(&mut self, number: u64, fault: ByteFault) {
         self.faults_to_machine.push((number, fault));
     }
 
-    /// Does `fault` to the machine's byte `number`.
-    pub fn spoil_from_machine(&mut self, number: u64, fault: ByteFault) {
+    /// Corrupts the machine's byte `number`, counted from 0 since the start of the bench.
+    pub fn corrupt_from_machine(&mut self, number: u64, fault: ByteFault) {
         self.faults_from_machine.push((number, fault));
     }
 
-    /// Bytes which the machine has taken and sent so far.
+    /// Numbers of bytes that the machine has taken and sent so far.
     #[must_use]
     pub fn counts(&self) -> (u64, u64) {
         (self.taken, self.sent)
@@ -78,7 +78,7 @@ impl Serial {
         self.shortest_ns
     }
 
-    /// When the start bit of the host's last byte so far reached the machine, ns.
+    /// When the start bit of the host's last byte reached the machine, ns.
     #[must_use]
     pub fn last_taken_ns(&self) -> u64 {
         self.last_taken_ns
@@ -120,7 +120,7 @@ impl Serial {
 }
 
 fn fault(faults: &[(u64, ByteFault)], number: u64) -> Option<ByteFault> {
-    let found = faults.iter().find(|(spoilt, _)| *spoilt == number);
+    let found = faults.iter().find(|(corrupted, _)| *corrupted == number);
     found.map(|(_, fault)| *fault)
 }
 

@@ -1,4 +1,4 @@
-//! Serves a machine on TCP at the pace of the wall clock, as a serial port would behave.
+//! Serves a machine on TCP in real time, like a serial port.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -8,7 +8,7 @@ use host_tool::link::Link;
 
 use crate::bench::BenchError;
 
-/// Distance of the exchanges with the socket.
+/// Interval between two exchanges with the socket.
 const TURN: Duration = Duration::from_millis(1);
 
 /// A machine behind a port of the loopback interface.
@@ -17,7 +17,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Listens on `port`, or on a free one with 0.
+    /// Listens on `port`, or on a free one if it is 0.
     ///
     /// # Errors
     /// [`BenchError::Listen`] when the port is taken.
@@ -39,8 +39,8 @@ impl Server {
             .map_or(0, |address| address.port())
     }
 
-    /// Runs the machine behind `link` for ever, one client at a time; the latest to connect has the wire. Connecting
-    /// and leaving do nothing to the machine.
+    /// Runs the machine behind `link` forever, for one client at a time: the latest to connect. Connecting and
+    /// disconnecting have no effect on the machine.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the machine is gone.
@@ -93,7 +93,7 @@ fn read(client: &mut TcpStream, buffer: &mut [u8]) -> std::io::Result<usize> {
     }
 }
 
-/// A client that does not read loses its connection, not the machine its pace.
+/// Does not block: a client that does not read loses its connection, so the machine is not delayed.
 fn write(client: &mut TcpStream, bytes: &[u8]) -> std::io::Result<()> {
     client.write_all(bytes)
 }

@@ -1,7 +1,7 @@
-//! Judges a run by its step edges alone, with arithmetic of its own: integers of 128 bits, no code of the firmware's.
+//! Judges a run by its step edges alone, with its own 128-bit integer arithmetic and no code of the firmware.
 //!
-//! A stroke of `n` steps in `T` ticks with ramps of `r` ticks is the symmetric trapezoid from rest to rest; step `k`
-//! belongs where its position is `k`:
+//! A stroke of `n` steps in `T` ticks with ramps of `r` ticks is the symmetric trapezoid from rest to rest. Step `k` is
+//! due when the position is `k`:
 //!
 //! ```text
 //! acceleration  t = sqrt(k C)             C = 2 r (T - r) / n, while t <= r
@@ -9,7 +9,7 @@
 //! deceleration  t = T - sqrt((n - k) C)
 //! ```
 //!
-//! All strokes of a run lie on one axis of time, without a new origin anywhere.
+//! All strokes of a run share one time axis with one origin.
 
 use std::fmt;
 
@@ -19,7 +19,7 @@ use crate::pins::EdgeLog;
 pub const TICK_HZ: u64 = 100_000_000;
 /// One tick, ns.
 pub const TICK_NS: u64 = 10;
-/// Resolution of the exact instants: parts of a tick.
+/// Resolution of the exact instants, parts per tick.
 const PARTS: u128 = 1_000;
 
 /// One stroke.
@@ -29,13 +29,13 @@ pub struct Stroke {
     pub steps: u64,
     /// Duration, ticks.
     pub duration_ticks: u64,
-    /// Each ramp, ticks.
+    /// Duration of each ramp, ticks.
     pub ramp_ticks: u64,
 }
 
 impl Stroke {
-    /// The stroke of `steps` in `duration_ticks` whose acceleration is at most `accel` steps/s2, with the shortest
-    /// such ramp; `None` when even the triangle accelerates harder.
+    /// The stroke of `steps` in `duration_ticks` with the shortest ramp whose acceleration is at most `accel` steps/s2;
+    /// `None` if even the triangle accelerates harder.
     #[must_use]
     pub fn within(steps: u64, duration_ticks: u64, accel: u64) -> Option<Self> {
         let wanted = u128::from(steps) * u128::from(TICK_HZ) * u128::from(TICK_HZ);
@@ -67,7 +67,7 @@ impl Stroke {
     pub fn instant(&self, k: u64) -> u128 {
         let (n, duration) = (u128::from(self.steps), u128::from(self.duration_ticks));
         let (ramp, k) = (u128::from(self.ramp_ticks), u128::from(k));
-        // C n, in ticks2; a ramp covers r / (2 (T - r)) of the n steps.
+        // C n, in ticks squared; a ramp covers r / (2 (T - r)) of the n steps.
         let square = 2 * ramp * (duration - ramp);
         let root = |steps: u128| (steps * square * PARTS * PARTS / n).isqrt();
         if 2 * (duration - ramp) * k <= ramp * n {
@@ -80,7 +80,7 @@ impl Stroke {
     }
 }
 
-/// A run: `cycles` times there and back.
+/// A run: `cycles` times away from home and back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Run {
     /// Cycles.
@@ -136,25 +136,25 @@ impl Run {
     }
 }
 
-/// What the edges of a run were.
+/// The result of judging a run by its edges.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Verdict {
     /// Edges on the pin, and edges of the exact run.
     pub edges: (u64, u64),
-    /// Edges in a direction that was not due.
+    /// Edges in the wrong direction.
     pub wrong_direction: u64,
     /// Strokes: changes of direction plus one.
     pub strokes: u32,
-    /// Longest distance of any edge from the exact profile, ns, with the first edge's nearest tick as the only
-    /// origin of time; and the number of that edge.
+    /// Largest deviation of an edge from the exact profile, ns, and the number of that edge. The only origin of time is
+    /// the first edge's nearest tick.
     pub worst: (f64, u64),
     /// From the first stroke's start to the last edge, ns, measured on the pin.
     pub duration_ns: u64,
-    /// The same of the exact run.
+    /// The same for the exact run.
     pub exact_ns: u64,
-    /// Extreme and last positions by the edges alone, steps from where the run began.
+    /// Extreme positions by the edges, steps from the start of the run.
     pub extremes: (i64, i64),
-    /// See `extremes`.
+    /// Final position by the edges, steps from the start of the run.
     pub end: i64,
 }
 
@@ -201,7 +201,7 @@ impl Verdict {
         verdict
     }
 
-    /// Fails unless every edge is there, in its direction and within `limit_ns` of the exact profile.
+    /// Fails unless every edge is there, in the right direction and within `limit_ns` of the exact profile.
     ///
     /// # Errors
     /// The verdict as text.

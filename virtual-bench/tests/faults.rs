@@ -300,8 +300,8 @@ fn a_noisy_line_delays_and_changes_nothing() {
         let mut serial = visit.serial();
         let (taken, sent) = serial.counts();
         for n in 0..40 {
-            serial.spoil_to_machine(taken + 7 + 61 * n, ByteFault::Flipped(1 << (n % 8)));
-            serial.spoil_from_machine(sent + 11 + 97 * n, ByteFault::Lost);
+            serial.corrupt_to_machine(taken + 7 + 61 * n, ByteFault::Flipped(1 << (n % 8)));
+            serial.corrupt_from_machine(sent + 11 + 97 * n, ByteFault::Lost);
         }
     });
     spoilt.expect("the bench runs");

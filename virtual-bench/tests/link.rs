@@ -9,8 +9,8 @@ use host_tool::{
 };
 use protocol::{
     rig::{
-        Hold, Jog, LinkLossPolicy, MoveTo, Resume, RigFault, RigState, Run, RunOutcome, RunRecord,
-        Sense,
+        Direction, Hold, Jog, LinkLossPolicy, MoveTo, Resume, RigFault, RigState, Run, RunOutcome,
+        RunRecord,
     },
     system::{DeviceKind, Urgent},
 };
@@ -41,9 +41,9 @@ fn a_byte_in_a_thousand_is_garbled_and_the_run_is_executed_once() {
             let (taken, sent) = serial.counts();
             for (to_machine, number, fault) in faults {
                 if to_machine {
-                    serial.spoil_to_machine(taken + number, fault);
+                    serial.corrupt_to_machine(taken + number, fault);
                 } else {
-                    serial.spoil_from_machine(sent + number, fault);
+                    serial.corrupt_from_machine(sent + number, fault);
                 }
             }
         })
@@ -132,7 +132,7 @@ impl Before {
             }
             Self::Jogging => {
                 let jog = Jog {
-                    sense: Sense::Away,
+                    sense: Direction::Away,
                     speed_um_s: 20_000,
                 };
                 rig.device.call(jog).expect("the jog is accepted");

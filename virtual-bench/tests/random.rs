@@ -13,12 +13,12 @@ use common::{Dice, RigRun, home_quickly, quick, rig_with};
 use host_tool::{client::Unobserved, error::ClientError, link::Link};
 use protocol::{
     rig::{
-        Hold, Home, Jog, LinkLossPolicy, MoveTo, Resume, RigState, RigStatus, Run, RunOutcome,
-        RunTiming, Sense,
+        Direction, Hold, Home, Jog, LinkLossPolicy, MoveTo, Resume, RigState, RigStatus, Run,
+        RunOutcome, RunTiming,
     },
     settings::{Setting, SettingKey},
     system::{Acknowledge, SetTelemetry, Urgent},
-    table::Command,
+    table::Endpoint,
 };
 use virtual_bench::{
     link::VirtualLink,
@@ -85,7 +85,7 @@ impl Sequence {
     }
 
     /// Whether the rig accepted `command`.
-    fn asks<C: Command + std::fmt::Debug>(&mut self, command: C) -> bool {
+    fn asks<E: Endpoint + std::fmt::Debug>(&mut self, command: E) -> bool {
         self.story.push(format!("  {command:?}"));
         match self.rig.device.call(command) {
             Ok(_) => true,
@@ -166,7 +166,7 @@ impl Sequence {
             }
             5 => {
                 let jog = Jog {
-                    sense: [Sense::Away, Sense::Home][self.dice.roll(0..2) as usize],
+                    sense: [Direction::Away, Direction::Home][self.dice.roll(0..2) as usize],
                     speed_um_s: self.number(0..50_000),
                 };
                 leave(self.asks(jog), Leave::Move)

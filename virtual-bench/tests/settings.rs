@@ -10,7 +10,7 @@ use protocol::{
     rig::{RigEvent, RigState},
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::What,
-    table::{Command, Request},
+    table::{Endpoint, Request},
 };
 use virtual_bench::{emulator::CutAt, link::VirtualLink};
 

@@ -11,7 +11,7 @@ use protocol::{
 };
 use virtual_bench::{
     boards::rig::image,
-    sabotage::{Deed, NOWHERE, Sabotage},
+    sabotage::{Misbehaviour, NOWHERE, Sabotage},
 };
 
 /// Clients of the watchdog, as they call `check_in`.
@@ -28,9 +28,15 @@ struct Ended {
     edges: usize,
 }
 
-/// Lets `client` do `deed` at rest or 1 s into a run, until the device has restarted; checks what holds for every such
+/// Lets `client` do `misbehaviour` at rest or 1 s into a run, until the device has restarted; checks what holds for every such
 /// end: one reset, no edge after it, driver off, motion refused until it is acknowledged.
-fn sabotaged(client: u8, deed: Deed, moving: bool, cause: ResetCause, fault: RigFault) -> Ended {
+fn sabotaged(
+    client: u8,
+    misbehaviour: Misbehaviour,
+    moving: bool,
+    cause: ResetCause,
+    fault: RigFault,
+) -> Ended {
     let mut rig = homed();
     if moving {
         rig.device.run(paper(1)).expect("the run is accepted");
@@ -39,9 +45,10 @@ fn sabotaged(client: u8, deed: Deed, moving: bool, cause: ResetCause, fault: Rig
         .idle(1_000_000, &mut Unobserved)
         .expect("the link stays");
     assert_eq!(rig.carriage() > 10_000, moving);
-    let sabotage = Sabotage::new(&image(), client, deed).expect("an image with its symbols");
+    let sabotage =
+        Sabotage::new(&image(), client, misbehaviour).expect("an image with its symbols");
     rig.bench
-        .visit(move |visit| visit.sabotage(&sabotage))
+        .visit(move |visit| sabotage.apply(visit))
         .expect("the bench runs");
     let armed_ns = rig.bench.now_ns();
     rig.bench.advance_us(1_500_000).expect("the bench runs");
@@ -97,7 +104,7 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
     for (client, name) in CLIENTS {
         for moving in [false, true] {
             let (cause, fault) = (ResetCause::Watchdog, RigFault::Watchdog);
-            let ended = sabotaged(client, Deed::Hang, moving, cause, fault);
+            let ended = sabotaged(client, Misbehaviour::Hang, moving, cause, fault);
             let took_ns = ended.reset_ns - ended.armed_ns;
             assert!(
                 (WATCHDOG_NS - LAST_FEEDING_NS..=WATCHDOG_NS + LAST_FEEDING_NS).contains(&took_ns),
@@ -112,12 +119,12 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
 
 /// Outputs off by the handler, reset by itself, and last words kept for whoever asks: of every client, at rest and within a
 /// run.
-fn last_words_of_all(deed: Deed, mut look: impl FnMut(&str, &str, &Ended)) {
+fn last_words_of_all(misbehaviour: Misbehaviour, mut look: impl FnMut(&str, &str, &Ended)) {
     for (client, name) in CLIENTS {
         for moving in [false, true] {
             let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
-            let mut ended = sabotaged(client, deed, moving, cause, fault);
-            // The client checks in within 100 ms; from the deed to the reset it is a few hundred instructions.
+            let mut ended = sabotaged(client, misbehaviour, moving, cause, fault);
+            // The client checks in within 100 ms; from the misbehaviour to the reset it is a few hundred instructions.
             let took_ns = ended.reset_ns - ended.armed_ns;
             assert!(took_ns <= 101_000_000, "{name}: reset after {took_ns} ns");
             let words = ended.rig.device.last_words().expect("they are kept");
@@ -129,7 +136,7 @@ fn last_words_of_all(deed: Deed, mut look: impl FnMut(&str, &str, &Ended)) {
 
 #[test]
 fn a_processor_fault_switches_off_at_once_and_leaves_its_words() {
-    last_words_of_all(Deed::Fault, |name, words, ended| {
+    last_words_of_all(Misbehaviour::Fault, |name, words, ended| {
         let expected = format!("processor fault at 0x{NOWHERE:x}");
         assert!(words.starts_with(&expected), "{name}: {words:?}");
         // The jump into nowhere is ours; nothing else was touched.
@@ -142,7 +149,7 @@ fn a_processor_fault_switches_off_at_once_and_leaves_its_words() {
 #[test]
 fn a_panic_switches_off_at_once_and_leaves_its_callers() {
     let mut told = std::collections::BTreeSet::new();
-    last_words_of_all(Deed::Panic, |name, words, _| {
+    last_words_of_all(Misbehaviour::Panic, |name, words, _| {
         let callers = words.strip_prefix("panic, called from 0x");
         let callers = callers.unwrap_or_else(|| panic!("{name}: {words:?}"));
         let callers: Vec<u32> = callers
@@ -169,9 +176,10 @@ fn a_panic_switches_off_at_once_and_leaves_its_callers() {
 #[test]
 fn a_client_that_does_not_exist_changes_nothing() {
     let mut rig = homed();
-    let sabotage = Sabotage::new(&image(), 8, Deed::Hang).expect("an image with its symbols");
+    let sabotage =
+        Sabotage::new(&image(), 8, Misbehaviour::Hang).expect("an image with its symbols");
     rig.bench
-        .visit(move |visit| visit.sabotage(&sabotage))
+        .visit(move |visit| sabotage.apply(visit))
         .expect("the bench runs");
     let first = rig.edge_count();
     common::execute(&mut rig, paper(1));

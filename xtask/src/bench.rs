@@ -1,13 +1,13 @@
-//! Starts the virtual bench: a host program that runs the images of `target/`.
+//! Starts the virtual bench, a host program that runs the images in `target/`.
 
 use std::process::Command;
 
 use crate::process::{Result, host_cargo, run};
-use crate::toolchain::{Version, host_rustc};
+use crate::version::{Version, host_rustc};
 
-/// The Rust its emulator asks for. It builds and runs on older ones, which its own manifest rules
-/// out; nothing but the flag on the command line lifts that.
-const EMULATOR_ASKS_FOR: Version = Version(1, 98);
+/// The Rust version that the manifest of its emulator requires. It builds and runs with older ones, but
+/// cargo needs a flag on the command line to allow that.
+const EMULATOR_REQUIRES: Version = Version(1, 98);
 
 /// Runs one command of the bench, with options as the user typed them.
 ///
@@ -15,7 +15,7 @@ const EMULATOR_ASKS_FOR: Version = Version(1, 98);
 /// It does not build, or its verdict is not a pass.
 pub(crate) fn run_command(command: &str, options: &[String]) -> Result<()> {
     let mut cargo = host_cargo("run");
-    // Only the program's own output is of interest here.
+    // Only the output of the program itself matters here.
     cargo.args(["--quiet", "--release", "--package", "virtual-bench"]);
     accept_this_rust(&mut cargo);
     cargo.args(["--", command]).args(options);
@@ -25,7 +25,7 @@ pub(crate) fn run_command(command: &str, options: &[String]) -> Result<()> {
     )
 }
 
-/// Measures what the models of the paper cost on this computer.
+/// Measures the computing time of the paper's models on this computer.
 ///
 /// # Errors
 /// It does not build.
@@ -34,11 +34,11 @@ pub(crate) fn models() -> Result<()> {
     cargo.args(["--quiet", "--release", "--package", "locomotion"]);
     run(
         cargo.args(["--example", "cost"]),
-        "mend what the compiler reports above",
+        "fix what the compiler reports above",
     )
 }
 
-/// Tests the images: every test of the bench, in release because the emulator is slow without.
+/// Tests the images: every test of the bench, in release because the emulator is too slow otherwise.
 ///
 /// # Errors
 /// A test fails.
@@ -52,9 +52,9 @@ pub(crate) fn test() -> Result<()> {
     )
 }
 
-/// Adds `--ignore-rust-version` where the Rust in use is older than the emulator asks for.
+/// Adds `--ignore-rust-version` if the Rust in use is older than the emulator requires.
 pub(crate) fn accept_this_rust(cargo: &mut Command) {
-    if Version::of(&mut host_rustc()).is_none_or(|version| version < EMULATOR_ASKS_FOR) {
+    if Version::of(&mut host_rustc()).is_none_or(|version| version < EMULATOR_REQUIRES) {
         cargo.arg("--ignore-rust-version");
     }
 }

@@ -1,8 +1,8 @@
 //! The steps of `cargo xtask test`, `lint` and `ci`.
 //!
-//! Everything is compiled as few times as its purposes allow: once in the dev profile for the host
-//! tests, once in release for the bench (its tests and the demo share that), once as metadata for the
-//! linter and the documentation, once for the chip.
+//! Everything is compiled as rarely as possible: once in the dev profile for the host tests, once in
+//! release for the bench (its tests and the demo share that), once as metadata for the linter and the
+//! documentation, once for the chip.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -12,80 +12,76 @@ use crate::process::{Failure, Result, host_cargo, root, run};
 use crate::steps::{self, Step};
 use crate::{bench, images};
 
-const HOST_TESTS: Step = Step {
-    name: "host tests",
-    does: "plain `cargo test`, which needs nothing installed",
-    after: None,
-    act: host_tests,
-};
-const LONG_TESTS: Step = Step {
-    name: "long tests",
-    does: "millions of random command sequences, spoilt frames, bad lines: the tests that plain `cargo test` leaves out",
-    after: None,
-    act: long_tests,
-};
-const IMAGES: Step = Step {
-    name: "images",
-    does: "builds both ARM images, judges addresses and sizes",
-    after: None,
-    act: images::build,
-};
-const BENCH_TESTS: Step = Step {
-    name: "bench tests",
-    does: "boots the images on the virtual bench and judges them from their pins",
-    after: Some("images"),
-    act: bench::test,
-};
+const HOST_TESTS: Step = Step::new(
+    "host tests",
+    "plain `cargo test`, which needs nothing installed",
+    host_tests,
+);
+const LONG_TESTS: Step = Step::new(
+    "long tests",
+    "millions of random command sequences, corrupted frames, noisy lines: the tests that plain `cargo test` leaves out",
+    long_tests,
+);
+const IMAGES: Step = Step::new(
+    "images",
+    "builds both ARM images and checks their addresses and sizes",
+    images::build,
+);
+const BENCH_TESTS: Step = Step::new(
+    "bench tests",
+    "boots the images on the virtual bench and judges them from their pins",
+    bench::test,
+)
+.after("images");
 
-const FORMAT: Step = Step {
-    name: "format",
-    does: "every file is as rustfmt writes it",
-    after: None,
-    act: format,
-};
-const LINT_HOST: Step = Step {
-    name: "lint host",
-    does: "clippy on every package and target of the host, no warning allowed",
-    after: None,
-    act: lint_host,
-};
-const LINT_IMAGES: Step = Step {
-    name: "lint images",
-    does: "clippy on both images as compiled for the chip, no warning allowed",
-    after: None,
-    act: images::lint,
-};
-const DOCS: Step = Step {
-    name: "docs",
-    does: "the documentation of every package, no warning allowed",
-    after: None,
-    act: docs,
-};
-const DEMO: Step = Step {
-    name: "demo",
-    does: "`cargo xtask demo`, and the data and the report it leaves",
-    after: Some("images"),
-    act: demo,
-};
+const FORMAT: Step = Step::new("format", "every file is formatted by rustfmt", format);
+const LINT_HOST: Step = Step::new(
+    "lint host",
+    "clippy on every package and target of the host, no warning allowed",
+    lint_host,
+);
+const LINT_IMAGES: Step = Step::new(
+    "lint images",
+    "clippy on both images as compiled for the chip, no warning allowed",
+    images::lint,
+);
+const DOCS: Step = Step::new(
+    "docs",
+    "the documentation of every package, no warning allowed",
+    docs,
+);
+const DEPENDENCIES: Step = Step::new(
+    "dependencies",
+    "cargo-deny: licenses, sources and duplicates as deny.toml allows them",
+    dependencies,
+)
+.needs("deny");
+const DEMO: Step = Step::new(
+    "demo",
+    "`cargo xtask demo`, which must leave data and a report",
+    demo,
+)
+.after("images");
 
-/// Every test there is, with all set-up.
+/// Runs every test, with all set-up.
 pub(crate) fn test() -> ExitCode {
     steps::run(&[IMAGES, HOST_TESTS, LONG_TESTS, BENCH_TESTS])
 }
 
-/// What can be said without running anything.
+/// Runs the checks that execute no code of ours.
 pub(crate) fn lint() -> ExitCode {
     steps::run(&[FORMAT, LINT_HOST, DOCS, LINT_IMAGES])
 }
 
-/// Every test, and what else has to hold before a change is merged. The host tests come before
-/// anything is installed, so that they are shown to need nothing.
+/// Runs every test and every other check that has to pass before a change is merged. The host tests come
+/// before anything is installed, which shows that they need nothing.
 pub(crate) fn ci() -> ExitCode {
     steps::run(&[
         FORMAT,
         HOST_TESTS,
         LINT_HOST,
         DOCS,
+        DEPENDENCIES,
         LONG_TESTS,
         IMAGES,
         LINT_IMAGES,
@@ -121,12 +117,12 @@ fn format() -> Result<()> {
 
 fn lint_host() -> Result<()> {
     let mut cargo = host_cargo("clippy");
-    // `--locked`: a change of dependencies has to come with its Cargo.lock.
+    // `--locked`: a change of dependencies has to include Cargo.lock.
     cargo.args(["--locked", "--workspace", "--all-targets"]);
     bench::accept_this_rust(&mut cargo);
     run(
         cargo.args(["--", "-D", "warnings"]),
-        "mend what clippy reports above; if there is no such command, `rustup component add clippy`",
+        "fix what clippy reports above; if there is no such command, `rustup component add clippy`",
     )
 }
 
@@ -136,11 +132,20 @@ fn docs() -> Result<()> {
     bench::accept_this_rust(&mut cargo);
     run(
         cargo.env("RUSTDOCFLAGS", "-D warnings"),
-        "mend what rustdoc reports above",
+        "fix what rustdoc reports above",
     )
 }
 
-/// The folder the demo writes to unless told otherwise.
+fn dependencies() -> Result<()> {
+    let mut cargo = host_cargo("deny");
+    cargo.args(["--workspace", "--locked"]);
+    run(
+        cargo.args(["check", "bans", "licenses", "sources"]),
+        "choose another crate, or argue for an exception in deny.toml",
+    )
+}
+
+/// The folder that the demo writes to by default.
 const DEMO_DATA: &str = "demo-data";
 
 fn demo() -> Result<()> {
@@ -158,14 +163,17 @@ fn demo() -> Result<()> {
             ),
             None => {
                 let what = format!("the demo left no {what} (.{ending}) in {DEMO_DATA}");
-                return Err(Failure::new(what, "see where the demo says it wrote to"));
+                return Err(Failure::new(
+                    what,
+                    "the demo says above where it has written to",
+                ));
             }
         }
     }
     Ok(())
 }
 
-/// Files below a folder that are not empty and were written at or after an instant.
+/// Files below a folder that are not empty and were written since an instant.
 fn written_since(start: SystemTime, folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {

@@ -1,4 +1,4 @@
-//! Debian's Rust: no ARM target in the archive, but the sources, so that cargo builds `core` itself.
+//! Debian's Rust. Its archive has no ARM target, but the sources, from which cargo builds `core`.
 
 use std::fmt;
 use std::fs;
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::process::{Failure, Result, first_line, image_cargo, root, run};
-use crate::toolchain::{OLDEST, Version};
+use crate::version::{OLDEST, Version};
 
 /// A matched set: compiler, cargo, the sources of `core`, the linter, and a linker for ARM.
 const PACKAGES: [&str; 5] = [
@@ -17,7 +17,7 @@ const PACKAGES: [&str; 5] = [
     "lld",
 ];
 
-/// What has to be there for the set to be of use.
+/// Files without which the set is of no use.
 const FILES: [&str; 5] = [
     "bin/rustc",
     "bin/cargo",
@@ -34,21 +34,21 @@ pub(crate) struct Debian {
 }
 
 impl Debian {
-    /// The set that is already on this machine, if any.
+    /// The set that this machine already has, if any.
     pub(crate) fn present() -> Option<Self> {
         [PathBuf::from("/usr"), unpacked().join("usr")]
             .into_iter()
             .find_map(|usr| Self::at(usr).ok())
     }
 
-    /// Fetches the set. Root installs it; anybody else unpacks it below `target/`, where it changes
-    /// nothing on the system and goes with `cargo clean`.
+    /// Downloads the set. Root installs it; any other user unpacks it below `target/`, where it changes
+    /// nothing on the system and `cargo clean` removes it.
     ///
     /// # Errors
     /// Not a Debian, no network, or Debian's Rust is too old.
     pub(crate) fn fetch() -> Result<Self> {
         if first_line(Command::new("apt-get").arg("--version")).is_none() {
-            let what = "this machine has no apt-get, so Debian's packages cannot be had";
+            let what = "this machine has no apt-get, so Debian's packages are not available";
             return Err(Failure::new(what, "use rustup, or a Debian machine"));
         }
         if first_line(Command::new("id").arg("-u")).as_deref() == Some("0") {
@@ -59,7 +59,7 @@ impl Debian {
             }
         }
         println!(
-            "Unpacking {} below target/toolchain (190 MB to fetch, 1.1 GB on disk, once).",
+            "Unpacking {} below target/toolchain (190 MB to download, 1.1 GB on disk, once).",
             PACKAGES.join(", ")
         );
         unpack()?;
@@ -71,7 +71,7 @@ impl Debian {
             let what = format!("{} is missing", usr.join(missing).display());
             return Err(Failure::new(what, "delete target/toolchain and try again"));
         }
-        // Unpacked beside a system that has the linker, the set has only a link into nothing.
+        // If the system has the linker, the unpacked set only has a dangling link to it.
         let linker = [usr.as_path(), Path::new("/usr")]
             .map(|place| place.join("bin/ld.lld"))
             .into_iter()
@@ -95,7 +95,7 @@ impl Debian {
         }
     }
 
-    /// Where the sources of `core` lie: by the name the compiler uses and by the one links lead to.
+    /// Folders of the sources of `core`: by the path that the compiler uses, and with links resolved.
     pub(crate) fn sources(&self) -> impl Iterator<Item = PathBuf> {
         let named = self.usr.join("lib/rustlib/src/rust");
         let real = fs::canonicalize(&named).ok();
@@ -105,7 +105,7 @@ impl Debian {
     /// A cargo command that builds `core` too.
     pub(crate) fn cargo(&self, subcommand: &str) -> Command {
         let program = |name: &str| self.usr.join("bin").join(name);
-        // `cargo clippy` would look for its driver in ~/.cargo/bin first and find another compiler's.
+        // `cargo clippy` would look in ~/.cargo/bin first and find the driver of another compiler.
         let entry = match subcommand {
             "clippy" => "cargo-clippy",
             _ => "cargo",
@@ -139,33 +139,33 @@ fn unpacked() -> PathBuf {
     root().join("target/toolchain")
 }
 
-/// Where the shared libraries of the set lie: Debian's multiarch folder.
+/// Folder of the set's shared libraries, as Debian's multiarch names it.
 fn libraries(usr: &Path) -> PathBuf {
     usr.join(format!("lib/{}-linux-gnu", std::env::consts::ARCH))
 }
 
 fn install() -> Result<()> {
     let remedy = "see what apt-get says above";
-    // Old lists may know an older Rust. Where the update fails, the lists may still do.
+    // Old package lists may have an older Rust. If the update fails, they may still do.
     if let Err(failure) = run(Command::new("apt-get").args(["-q", "update"]), remedy) {
         println!("{failure}");
     }
     let mut apt = Command::new("apt-get");
     apt.env("DEBIAN_FRONTEND", "noninteractive");
     apt.args(["-q", "-y", "-o", "DPkg::Lock::Timeout=60", "install"]);
-    // A Rust that somebody installed by hand stays.
+    // Never removes a Rust that somebody has installed.
     apt.args(["--no-remove", "--no-install-recommends"]);
     run(apt.args(PACKAGES), remedy)
 }
 
-/// Fetches the packages, and those they need that are not installed, with folders of our own in place
-/// of the system's, which only root may write.
+/// Downloads the packages and their missing dependencies, into folders of our own because only root may
+/// write to the system's.
 fn unpack() -> Result<()> {
     let remedy = "see what apt-get says above; a Debian mirror has to be reachable";
     let partial = root().join("target/toolchain.partial");
     let apt_state = partial.join("apt");
     let trouble = |error: std::io::Error| {
-        let what = format!("{} cannot be prepared: {error}", partial.display());
+        let what = format!("cannot prepare {}: {error}", partial.display());
         Failure::new(what, "free some disk space, or make target/ writable")
     };
     if partial.exists() {
@@ -191,7 +191,7 @@ fn unpack() -> Result<()> {
     };
     run(apt().arg("update"), remedy)?;
     let mut download = apt();
-    // `--reinstall`: also those of the set that the system has, since the set is used as a whole.
+    // `--reinstall`: including those that the system has, because the set is used as a whole.
     download.args(["--download-only", "-y", "--reinstall"]);
     download.arg("--no-install-recommends");
     run(download.arg("install").args(PACKAGES), remedy)?;
@@ -214,6 +214,6 @@ fn unpack() -> Result<()> {
     if unpacked().exists() {
         fs::remove_dir_all(unpacked()).map_err(trouble)?;
     }
-    // Last, so that a half unpacked set is never taken for a whole one.
+    // Last, so that a partly unpacked set is never taken for a complete one.
     fs::rename(&partial, unpacked()).map_err(trouble)
 }

@@ -1,4 +1,4 @@
-//! Builds both ARM images and judges them.
+//! Builds both ARM images and checks them.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -13,8 +13,8 @@ struct Image {
     budget: Budget,
 }
 
-/// Budgets are a promise to whoever adds the next feature, well below the chip's 512 KiB and 128 KiB;
-/// what RAM is left is stack.
+/// Budgets are far below the chip's 512 KiB of flash and 128 KiB of RAM, to leave room for features. The
+/// rest of the RAM is stack.
 const IMAGES: [Image; 2] = [
     Image {
         name: "firmware-rig",
@@ -41,11 +41,11 @@ pub(crate) fn build() -> Result<()> {
     println!("Images: {toolchain}.");
     let mut cargo = toolchain.cargo("build");
     for_both(&mut cargo);
-    run(&mut cargo, "mend what the compiler reports above")?;
+    run(&mut cargo, "fix what the compiler reports above")?;
     check()
 }
 
-/// Builds both images and flashes one of them: the very file that the bench tests.
+/// Builds both images and flashes one of them: the same file that the bench tests.
 ///
 /// # Errors
 /// As [`build`]; no such machine, no `probe-rs`, or no board.
@@ -60,7 +60,7 @@ pub(crate) fn flash(machine: &str) -> Result<()> {
     )
 }
 
-/// Where the image of a machine lies, or will lie.
+/// Path of a machine's image, which may not be built yet.
 ///
 /// # Errors
 /// No such machine.
@@ -84,11 +84,11 @@ pub(crate) fn lint() -> Result<()> {
     let mut cargo = toolchain.cargo("clippy");
     for_both(&mut cargo);
     cargo.args(["--", "-D", "warnings"]);
-    run(&mut cargo, "mend what the linter reports above")
+    run(&mut cargo, "fix what the linter reports above")
 }
 
-/// Both packages, in the workspace's own target folder whatever the caller's environment says: that
-/// is where the bench and `probe-rs` look.
+/// Selects both packages and the workspace's own target folder, where the bench and `probe-rs` look,
+/// whatever the caller's environment says.
 fn for_both(cargo: &mut Command) {
     for image in &IMAGES {
         cargo.args(["--package", image.name]);
@@ -96,10 +96,10 @@ fn for_both(cargo: &mut Command) {
     cargo.arg("--target-dir").arg(root().join("target"));
 }
 
-/// Reads both images as they are, prints their sizes and judges layout and budgets.
+/// Reads both images, prints their sizes and checks layout and budgets.
 ///
 /// # Errors
-/// An image is missing, lies where it may not, or is over budget; every objection is listed.
+/// An image is missing, misplaced or over budget; every objection is listed.
 pub(crate) fn check() -> Result<()> {
     println!(
         "image                  flash  of budget       RAM  of budget   (bytes; RAM without stack)"

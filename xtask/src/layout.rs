@@ -1,7 +1,7 @@
-//! Where an image lies in the chip's memory and how much of it it takes.
+//! Where an image lies in the chip's memory and how much it takes.
 //!
-//! A link can "succeed" and still give an image that bricks a board: without linker script there is
-//! no vector table, and without `_stext` the code lies where the settings are erased.
+//! A successful link can still produce an image that bricks a board: without a linker script there is no
+//! vector table, and without `_stext` the code lies in the sectors that are erased for the settings.
 
 use std::ops::Range;
 
@@ -10,11 +10,11 @@ use object::endian::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _, SectionHeader as _};
 use object::{Object as _, ObjectSection as _};
 
-/// Flash of the STM32F411RE; the settings' sectors and the start of the code are those of `memory.x`.
+/// Flash of the STM32F411RE. `memory.x` defines the settings' sectors and the start of the code.
 const FLASH: Range<u32> = 0x0800_0000..0x0808_0000;
 const SETTINGS: Range<u32> = 0x0800_4000..0x0801_0000;
 const CODE: Range<u32> = 0x0801_0000..0x0808_0000;
-/// RAM for data and stack; the last KiB of the chip's 128 keeps the last panic.
+/// RAM for data and stack. The last KiB of the chip's 128 KiB keeps the last panic.
 const RAM: Range<u32> = 0x2000_0000..0x2001_FC00;
 
 /// The most memory an image may take.
@@ -91,7 +91,7 @@ impl Layout {
         Ok(layout)
     }
 
-    /// Everything that forbids to flash this image, in words; empty if nothing does.
+    /// Reasons why this image must not be flashed; empty if there are none.
     pub(crate) fn objections(&self, budget: Budget) -> Vec<String> {
         let mut found = Vec::new();
         match self.vectors {
@@ -149,7 +149,7 @@ impl Layout {
     }
 }
 
-/// The tests judge invented layouts: each objection must be raised by the one change it is about.
+/// The tests check made-up layouts: each objection must be raised by the one change that causes it.
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -222,7 +222,7 @@ mod tests {
         assert!(Layout::read(&this_program).is_err());
     }
 
-    /// Keeps the addresses above those of the linker script.
+    /// The addresses above are those of the linker script.
     #[test]
     fn addresses_agree_with_memory_x() {
         let script = std::fs::read_to_string(crate::process::root().join("memory.x")).unwrap();

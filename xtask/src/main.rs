@@ -1,17 +1,19 @@
-//! `cargo xtask`: set-up, images, demo, test, bench and CI, each from one command on a fresh machine.
+//! `cargo xtask`: set-up, images, demo, tests, bench and CI, each from one command on a fresh machine.
 //!
 //! | file | does |
 //! |---|---|
 //! | `main.rs` | reads the command line |
-//! | `steps.rs` | runs named steps, times them, sums up |
+//! | `steps.rs` | runs named steps, times them, prints the totals |
 //! | `checks.rs` | the steps of `test`, `lint` and `ci` |
+//! | `mutants.rs` | runs cargo-mutants and counts what the tests notice |
 //! | `bench.rs` | starts the virtual bench |
 //! | `images.rs` | builds both ARM images |
-//! | `layout.rs` | reads an image and judges its addresses and sizes |
-//! | `places.rs` | names the places in the source behind the addresses of last words |
+//! | `layout.rs` | reads an image and checks its addresses and sizes |
+//! | `places.rs` | finds the places in the source for the addresses in last words |
 //! | `toolchain.rs` | finds a compiler for the STM32 |
 //! | `debian.rs` | one such compiler, from Debian packages |
-//! | `process.rs` | children and their environment |
+//! | `version.rs` | versions of Rust compilers |
+//! | `process.rs` | child processes and their environment |
 #![forbid(unsafe_code)]
 #![allow(
     clippy::print_stdout,
@@ -23,10 +25,12 @@ mod checks;
 mod debian;
 mod images;
 mod layout;
+mod mutants;
 mod places;
 mod process;
 mod steps;
 mod toolchain;
+mod version;
 
 use std::process::ExitCode;
 
@@ -39,18 +43,23 @@ cargo xtask <command>
                     leaves data and a report (options go to the bench: `cargo xtask demo --help`)
   test              build both images, run the host tests, long ones too, and the tests of the images
   lint              format, clippy for host and chip, documentation; no warning allowed
-  ci                everything that has to hold before a change is merged
+  ci                everything that has to pass before a change is merged (with cargo-deny, if installed,
+                    but without its advisories, which need the net: `cargo deny check advisories`)
+  mutants [PACKAGE [OPTIONS]]
+                    change the code with cargo-mutants and count what the tests notice, in PACKAGE or
+                    in all that decide what moves (options go to cargo-mutants)
 
-  images [--check]  build both images, check their layout and sizes (--check: only check)
+  images [--check]  build both images, check their layout and sizes (--check: only check them)
   flash MACHINE     build both images, flash `rig` or `capsule` with probe-rs, show its log
   where MACHINE WORD...
-                    places in the source of the addresses in a machine's last words (just paste them)
-  bench [OPTIONS]   measure the images on the virtual bench, and what the paper's models cost
+                    find the places in the source for the addresses in a machine's last words
+                    (just paste them)
+  bench [OPTIONS]   measure the images on the virtual bench, and the computing time of the paper's models
   setup             find or install a compiler for the STM32, and nothing else
   help              this text
 
-Nothing has to be installed before. Where the Rust in use has no ARM target, it is added with rustup,
-or taken from Debian packages; each command says what it does.
+Nothing has to be installed before, except for what `mutants` needs. If the Rust in use has no ARM target,
+it is added with rustup or taken from Debian packages; each command says what it does.
 ";
 
 fn main() -> ExitCode {
@@ -67,6 +76,7 @@ fn main() -> ExitCode {
         ("test", []) => return checks::test(),
         ("lint", []) => return checks::lint(),
         ("ci", []) => return checks::ci(),
+        ("mutants", arguments) => mutants::run(arguments),
         ("images", []) => images::build(),
         ("images", [flag]) if flag == "--check" => images::check(),
         ("flash", [machine]) => images::flash(machine),

@@ -1,4 +1,4 @@
-//! Names the places in the source behind the addresses of last words.
+//! Finds the places in the source for the addresses in a machine's last words.
 
 use std::path::Path;
 
@@ -6,9 +6,9 @@ use addr2line::Loader;
 
 use crate::process::{Failure, Result};
 
-/// Prints function, file and line of every address in `words`; words that are no addresses are passed over.
+/// Prints function, file and line of every address in `words` and ignores all other words.
 ///
-/// The addresses are return addresses: they lie behind the call.
+/// The addresses are return addresses, so each is that of the instruction after the call.
 ///
 /// # Errors
 /// No image, no debug information in it, or no address among the words.
@@ -28,14 +28,14 @@ pub(crate) fn print(image: &Path, words: &[String]) -> Result<()> {
     };
     let loader = Loader::new(image).map_err(|reason| unreadable(&reason))?;
     println!(
-        "By {}: right only if this image was running.",
+        "From {}: correct only if this image was running.",
         image.display()
     );
     for address in addresses {
         println!("{address:#010x}");
-        // Armv7-M ARM B1.5.8.
+        // EXC_RETURN (Armv7-M ARM B1.5.8).
         if (0xFFFF_FFE0..=0xFFFF_FFFF).contains(&address) {
-            println!("    an interrupt; what follows was interrupted");
+            println!("    an interrupt; the following was interrupted");
             continue;
         }
         let mut frames = loader
@@ -51,7 +51,7 @@ pub(crate) fn print(image: &Path, words: &[String]) -> Result<()> {
             println!(
                 "    {}:{}  {}",
                 file.unwrap_or("?"),
-                // 0: the optimiser has merged several lines.
+                // Line 0: the optimiser has merged several lines.
                 line.filter(|line| *line > 0)
                     .map_or("?".to_owned(), |line| line.to_string()),
                 function.as_deref().unwrap_or("?")

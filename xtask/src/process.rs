@@ -1,12 +1,12 @@
-//! Children and their environment.
+//! Child processes and their environment.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// What went wrong and what the reader can do about it.
+/// What went wrong and what the user can do about it.
 #[derive(Debug)]
 pub(crate) struct Failure {
     what: String,
@@ -30,8 +30,8 @@ impl fmt::Display for Failure {
 
 pub(crate) type Result<T> = std::result::Result<T, Failure>;
 
-/// Variables that change what a compiler builds. `cargo run` or a caller's shell sets them for the
-/// host; an image must not depend on them.
+/// Variables that change the output of a compiler. `cargo run` or the user's shell sets them for the host;
+/// an image must not depend on them.
 const STEERS_A_COMPILER: [&str; 14] = [
     "CARGO",
     "CARGO_BUILD_RUSTC",
@@ -51,13 +51,13 @@ const STEERS_A_COMPILER: [&str; 14] = [
 
 /// The folder of the workspace.
 pub(crate) fn root() -> PathBuf {
-    // Cargo sets the variable at run time; the compiled-in value serves a direct call of the binary.
+    // Cargo sets the variable at run time; the compiled-in value is for a direct call of the binary.
     let package = std::env::var_os("CARGO_MANIFEST_DIR")
         .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
     package.parent().unwrap_or(Path::new(".")).to_path_buf()
 }
 
-/// The cargo that runs this program, for the host.
+/// A command of the cargo that runs this program, for the host.
 pub(crate) fn host_cargo(subcommand: &str) -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     command.arg(subcommand).current_dir(root());
@@ -65,7 +65,7 @@ pub(crate) fn host_cargo(subcommand: &str) -> Command {
     command
 }
 
-/// A cargo for the images, free of what steers the compiler of the host.
+/// A command of a cargo for the images, without the variables meant for the host's compiler.
 pub(crate) fn image_cargo(program: impl AsRef<Path>, subcommand: &str) -> Command {
     let mut command = Command::new(program.as_ref());
     command.arg(subcommand).current_dir(root());
@@ -76,8 +76,8 @@ pub(crate) fn image_cargo(program: impl AsRef<Path>, subcommand: &str) -> Comman
     command
 }
 
-/// Removes the description of `xtask` that `cargo run` leaves behind: build scripts of others watch
-/// some of these names and would run again for nothing.
+/// Removes the variables in which `cargo run` describes `xtask`: build scripts of other packages watch
+/// some of them and would run again without need.
 fn forget_own_package(command: &mut Command) {
     for (name, _) in std::env::vars_os() {
         let text = name.to_string_lossy();
@@ -95,16 +95,12 @@ fn forget_own_package(command: &mut Command) {
     }
 }
 
-/// Shows the command, runs it with the terminal attached, and succeeds if it does.
+/// Prints a command and runs it on the same terminal.
 ///
 /// # Errors
-/// It cannot be started or ends with another code than 0; the remedy is the caller's.
+/// It cannot be started or does not end with code 0; `remedy` says what the user can do.
 pub(crate) fn run(command: &mut Command, remedy: &str) -> Result<()> {
-    println!("$ {}", spelled(command));
-    let status = command.status().map_err(|error| {
-        let what = format!("{} does not start: {error}", spelled(command));
-        Failure::new(what, remedy)
-    })?;
+    let status = status_of(command, remedy)?;
     if status.success() {
         Ok(())
     } else {
@@ -113,7 +109,19 @@ pub(crate) fn run(command: &mut Command, remedy: &str) -> Result<()> {
     }
 }
 
-/// As [`run`], but ends the child when it takes longer than `limit`.
+/// As [`run`], for a command that tells its result by its exit code.
+///
+/// # Errors
+/// It cannot be started.
+pub(crate) fn status_of(command: &mut Command, remedy: &str) -> Result<ExitStatus> {
+    println!("$ {}", spelled(command));
+    command.status().map_err(|error| {
+        let what = format!("{} does not start: {error}", spelled(command));
+        Failure::new(what, remedy)
+    })
+}
+
+/// As [`run`], but kills the child if it takes longer than `limit`.
 pub(crate) fn run_within(limit: Duration, command: &mut Command, remedy: &str) -> Result<()> {
     println!("$ {}", spelled(command));
     let text = spelled(command);
@@ -129,7 +137,7 @@ pub(crate) fn run_within(limit: Duration, command: &mut Command, remedy: &str) -
             Ok(Some(status)) => return Err(failure(format!("ended with {status}"))),
             Ok(None) if start.elapsed() < limit => sleep(Duration::from_millis(50)),
             Ok(None) => {
-                // It may have ended in between; both calls then do nothing.
+                // If it has ended in between, neither call does anything.
                 let _ = child.kill();
                 let _ = child.wait();
                 return Err(failure(format!("took longer than {} s", limit.as_secs())));
@@ -139,12 +147,25 @@ pub(crate) fn run_within(limit: Duration, command: &mut Command, remedy: &str) -
     }
 }
 
-/// The first line a command prints, if it succeeds.
+/// The first line that a command prints, if it succeeds.
 pub(crate) fn first_line(command: &mut Command) -> Option<String> {
+    let text = output_of(command)?;
+    text.lines().next().map(|line| line.trim().to_owned())
+}
+
+/// Whether cargo has a subcommand of this name, built in or installed.
+pub(crate) fn installed(subcommand: &str) -> bool {
+    output_of(&mut host_cargo("--list")).is_some_and(|list| {
+        list.lines()
+            .any(|line| line.split_whitespace().next() == Some(subcommand))
+    })
+}
+
+/// What a command prints, if it succeeds.
+fn output_of(command: &mut Command) -> Option<String> {
     let output = command.stdin(Stdio::null()).stderr(Stdio::null());
     let output = output.output().ok().filter(|done| done.status.success())?;
-    let text = String::from_utf8(output.stdout).ok()?;
-    text.lines().next().map(|line| line.trim().to_owned())
+    String::from_utf8(output.stdout).ok()
 }
 
 /// The command as a person would type it in the workspace's folder: programs by name, short paths.

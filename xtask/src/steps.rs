@@ -1,27 +1,63 @@
-//! Named steps: each says in one line what it does, is timed, and ends up in a table.
+//! Named steps: each says in one line what it does, is timed, and is listed in a table at the end.
 
 use std::fmt;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use crate::process::Result;
+use crate::process::{Result, installed};
 
 /// One thing to do.
 pub(crate) struct Step {
-    pub(crate) name: &'static str,
+    name: &'static str,
     /// What it does, in a line.
-    pub(crate) does: &'static str,
-    /// The name of an earlier step without which this one makes no sense.
-    pub(crate) after: Option<&'static str>,
-    pub(crate) act: fn() -> Result<()>,
+    does: &'static str,
+    act: fn() -> Result<()>,
+    /// The name of an earlier step that has to pass before this one can run.
+    after: Option<&'static str>,
+    /// The cargo subcommand that it runs, if that has to be installed by hand.
+    needs: Option<&'static str>,
+}
+
+impl Step {
+    pub(crate) const fn new(
+        name: &'static str,
+        does: &'static str,
+        act: fn() -> Result<()>,
+    ) -> Self {
+        Self {
+            name,
+            does,
+            act,
+            after: None,
+            needs: None,
+        }
+    }
+
+    /// The step runs only if the step `name` has passed.
+    pub(crate) const fn after(self, name: &'static str) -> Self {
+        Self {
+            after: Some(name),
+            ..self
+        }
+    }
+
+    /// The step is skipped unless `cargo SUBCOMMAND` is installed.
+    pub(crate) const fn needs(self, subcommand: &'static str) -> Self {
+        Self {
+            needs: Some(subcommand),
+            ..self
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Outcome {
     Passed,
     Failed,
-    /// The step it comes after did not pass; counted as failed.
+    /// The step it depends on did not pass; counts as failed.
     NotRun,
+    /// What it needs is not installed; counts neither as passed nor as failed.
+    Skipped,
 }
 
 impl fmt::Display for Outcome {
@@ -30,12 +66,13 @@ impl fmt::Display for Outcome {
             Self::Passed => "passed",
             Self::Failed => "FAILED",
             Self::NotRun => "not run",
+            Self::Skipped => "skipped",
         })
     }
 }
 
-/// Runs all steps, also after a failure, so that one run shows everything that is wrong. Ends with a
-/// table and a line `N passed, N failed`.
+/// Runs all steps, also after a failure, so that one run shows everything that is wrong. Prints a table
+/// and a line of totals at the end.
 pub(crate) fn run(steps: &[Step]) -> ExitCode {
     let start = Instant::now();
     let mut done: Vec<(&str, Outcome, Duration)> = Vec::new();
@@ -61,9 +98,14 @@ pub(crate) fn run(steps: &[Step]) -> ExitCode {
         "",
         Clock(start.elapsed()).to_string()
     );
-    let passed = done.iter().filter(|step| step.1 == Outcome::Passed).count();
-    let failed = done.len() - passed;
-    println!("\n{passed} passed, {failed} failed");
+    let count = |outcome| done.iter().filter(|step| step.1 == outcome).count();
+    let (passed, skipped) = (count(Outcome::Passed), count(Outcome::Skipped));
+    let failed = done.len() - passed - skipped;
+    print!("\n{passed} passed, {failed} failed");
+    match skipped {
+        0 => println!(),
+        _ => println!(", {skipped} skipped"),
+    }
     if failed == 0 {
         ExitCode::SUCCESS
     } else {
@@ -76,9 +118,16 @@ fn carry_out(step: &Step, done: &[(&str, Outcome, Duration)]) -> (Outcome, Durat
         let passed =
             |done: &(&str, Outcome, Duration)| done.0 == before && done.1 == Outcome::Passed;
         if !done.iter().any(passed) {
-            println!("error: it needs the step `{before}`, which did not pass");
+            println!("error: this needs the step `{before}`, which did not pass");
             return (Outcome::NotRun, Duration::ZERO);
         }
+    }
+    if let Some(subcommand) = step.needs
+        && !installed(subcommand)
+    {
+        println!("skipped: cargo-{subcommand} is not installed");
+        println!("to install it: `cargo install cargo-{subcommand} --locked`");
+        return (Outcome::Skipped, Duration::ZERO);
     }
     let start = Instant::now();
     let outcome = match (step.act)() {
@@ -108,55 +157,56 @@ mod tests {
     use super::*;
     use crate::process::Failure;
 
-    const fn step(
-        name: &'static str,
-        after: Option<&'static str>,
-        act: fn() -> Result<()>,
-    ) -> Step {
-        let does = "a test's step";
-        Step {
-            name,
-            does,
-            after,
-            act,
-        }
+    const DOES: &str = "a test's step";
+
+    fn passes() -> Result<()> {
+        Ok(())
     }
 
     fn fails() -> Result<()> {
         Err(Failure::new("on purpose", "none"))
     }
 
-    #[test]
-    fn a_step_runs_only_after_the_one_it_needs() {
-        let panics = || panic!("must not run");
-        let failed = [("images", Outcome::Failed, Duration::ZERO)];
-        let passed = [("images", Outcome::Passed, Duration::ZERO)];
-        assert_eq!(
-            carry_out(&step("bench", Some("images"), panics), &failed).0,
-            Outcome::NotRun
-        );
-        assert_eq!(
-            carry_out(&step("bench", Some("images"), panics), &[]).0,
-            Outcome::NotRun
-        );
-        assert_eq!(
-            carry_out(&step("bench", Some("images"), || Ok(())), &passed).0,
-            Outcome::Passed
-        );
-        assert_eq!(
-            carry_out(&step("format", None, fails), &failed).0,
-            Outcome::Failed
-        );
+    fn panics() -> Result<()> {
+        panic!("must not run")
+    }
+
+    fn outcome(step: &Step, done: &[(&str, Outcome, Duration)]) -> Outcome {
+        carry_out(step, done).0
     }
 
     #[test]
-    fn one_failure_fails_the_whole() {
-        let good = || step("good", None, || Ok(()));
-        assert_eq!(run(&[good(), good()]), ExitCode::SUCCESS);
-        assert_eq!(
-            run(&[good(), step("bad", None, fails), good()]),
-            ExitCode::FAILURE
-        );
+    fn a_step_runs_only_after_the_one_it_needs() {
+        let failed = [("images", Outcome::Failed, Duration::ZERO)];
+        let skipped = [("images", Outcome::Skipped, Duration::ZERO)];
+        let passed = [("images", Outcome::Passed, Duration::ZERO)];
+        let must_not_run = Step::new("bench", DOES, panics).after("images");
+        for done in [&failed[..], &skipped, &[]] {
+            assert_eq!(outcome(&must_not_run, done), Outcome::NotRun);
+        }
+        let bench = Step::new("bench", DOES, passes).after("images");
+        assert_eq!(outcome(&bench, &passed), Outcome::Passed);
+        let format = Step::new("format", DOES, fails);
+        assert_eq!(outcome(&format, &failed), Outcome::Failed);
+    }
+
+    #[test]
+    fn a_step_is_skipped_without_the_subcommand_it_needs() {
+        let without = Step::new("without", DOES, panics).needs("no-such-subcommand");
+        assert_eq!(outcome(&without, &[]), Outcome::Skipped);
+        let with = Step::new("with", DOES, passes).needs("build");
+        assert_eq!(outcome(&with, &[]), Outcome::Passed);
+    }
+
+    #[test]
+    fn one_failure_fails_the_whole_and_a_skipped_step_does_not() {
+        let good = || Step::new("good", DOES, passes);
+        let skipped = || Step::new("skipped", DOES, panics).needs("no-such-subcommand");
+        assert_eq!(run(&[good(), skipped(), good()]), ExitCode::SUCCESS);
+        let bad = Step::new("bad", DOES, fails);
+        assert_eq!(run(&[good(), bad, good()]), ExitCode::FAILURE);
+        let late = Step::new("late", DOES, panics).after("skipped");
+        assert_eq!(run(&[skipped(), late]), ExitCode::FAILURE);
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! Finds a compiler for the STM32, in this order: the Rust in use has the target; Debian's Rust is
-//! already there; rustup can add the target; Debian's packages can be fetched.
+//! Finds a compiler for the STM32. In this order: the Rust in use, if it has the target; Debian's Rust, if
+//! it is already there; rustup, which may add the target; Debian's packages, if they can be downloaded.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -8,29 +8,27 @@ use std::time::Duration;
 
 use crate::debian::Debian;
 use crate::process::{Failure, Result, first_line, image_cargo, root, run_within};
+use crate::version::host_rustc;
 
 /// The Cortex-M4F with hardware floats.
 pub(crate) const TARGET: &str = "thumbv7em-none-eabihf";
 
-/// Oldest compiler that builds the workspace: `rust-version` of the root `Cargo.toml`.
-pub(crate) const OLDEST: Version = Version(1, 95);
-
-/// Long enough for 40 MB on a slow line, short enough for a firewall that swallows packets.
+/// Time limit for rustup: enough for 40 MB on a slow line, not too long behind a firewall that drops packets.
 const RUSTUP_LIMIT: Duration = Duration::from_secs(120);
 
 /// A compiler that can build the images.
 pub(crate) enum Toolchain {
     /// The Rust in use, which has the target.
     Native,
-    /// Debian's Rust, which has no target for us but lets `core` be built from source.
+    /// Debian's Rust, which does not have the target but can build `core` from source.
     Debian(Debian),
 }
 
 impl Toolchain {
-    /// A cargo command for the target, `build` or `clippy`, with everything but the packages.
+    /// A cargo command for the target, `build` or `clippy`, complete but for the packages.
     ///
-    /// The names of this machine's folders are kept out of the image: they are part of every panic's
-    /// message, and a long one would cost flash and give another image.
+    /// The names of this machine's folders are kept out of the image. They would be in the message of
+    /// every panic, take flash, and make the image differ from machine to machine.
     pub(crate) fn cargo(&self, subcommand: &str) -> Command {
         let mut folders = vec![(root(), "/retrograde")];
         folders.extend(crates().into_iter().map(|folder| (folder, "")));
@@ -63,52 +61,23 @@ impl fmt::Display for Toolchain {
     }
 }
 
-/// A Rust version, major and minor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Version(pub(crate) u32, pub(crate) u32);
-
-impl Version {
-    /// Asks a compiler; `None` if it does not run.
-    pub(crate) fn of(rustc: &mut Command) -> Option<Self> {
-        Self::parse(&first_line(rustc.arg("--version"))?)
-    }
-
-    /// Reads `rustc 1.95.0 (...)`.
-    fn parse(line: &str) -> Option<Self> {
-        let mut numbers = line.split_whitespace().nth(1)?.split('.');
-        let mut next = || numbers.next()?.parse().ok();
-        Some(Self(next()?, next()?))
-    }
-}
-
-impl fmt::Display for Version {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}.{}", self.0, self.1)
-    }
-}
-
-/// Where cargo keeps the sources of crates.
+/// Folders in which cargo keeps the sources of crates.
 fn crates() -> Vec<PathBuf> {
     let cargo_home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
     let sources = cargo_home
         .or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cargo")))
         .unwrap_or_default()
         .join("registry/src");
-    // This program was built from there; without it (vendored sources) the texts in the image are longer.
+    // This program was built from there. If it is not there (vendored sources), texts in the image are longer.
     std::fs::read_dir(sources)
         .map(|folders| folders.flatten().map(|folder| folder.path()).collect())
         .unwrap_or_default()
 }
 
-/// The compiler of the Rust in use.
-pub(crate) fn host_rustc() -> Command {
-    Command::new("rustc")
-}
-
-/// Finds a compiler, installing one where that is possible.
+/// Finds a compiler, or installs one if that is possible.
 ///
 /// # Errors
-/// There is none and none can be had; the message lists what was tried.
+/// There is none and none can be installed; the message lists what was tried.
 pub(crate) fn find() -> Result<Toolchain> {
     if native() {
         return Ok(Toolchain::Native);
@@ -144,12 +113,15 @@ fn native() -> bool {
 }
 
 fn add_target() -> Result<()> {
-    let remedy = "see whether this machine reaches static.rust-lang.org";
-    // rustup's proxies set this name for every child. Without it the Rust in use is not rustup's, and
-    // a target added to some other toolchain would not help.
+    let remedy = "check whether this machine can reach static.rust-lang.org";
+    // rustup's proxies set this variable for every child. Without it the Rust in use does not come from
+    // rustup, and a target added to another toolchain would not help.
     if std::env::var_os("RUSTUP_TOOLCHAIN").is_none() {
         let what = "the Rust in use has no ARM target and does not come from rustup";
-        return Err(Failure::new(what, "none needed if Debian's packages do"));
+        return Err(Failure::new(
+            what,
+            "nothing to do if Debian's packages can be used",
+        ));
     }
     println!("The Rust in use has no ARM target yet; rustup adds it (about 40 MB, once).");
     let mut rustup = Command::new("rustup");
@@ -162,25 +134,5 @@ fn add_target() -> Result<()> {
             what,
             "start `cargo xtask` with rustup's cargo",
         ))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn versions_are_read_and_ordered() {
-        let read = Version::parse("rustc 1.96.0 (ac68faa20 2026-05-25) (built from a tarball)");
-        assert_eq!(read, Some(Version(1, 96)));
-        assert!(Version(1, 96) > OLDEST && Version(1, 85) < OLDEST && Version(2, 0) > OLDEST);
-        assert_eq!(Version::parse("rustc 1.97.0-nightly"), Some(Version(1, 97)));
-        assert_eq!(Version::parse("error: no default toolchain"), None);
-    }
-
-    #[test]
-    fn the_oldest_compiler_is_the_one_of_the_manifest() {
-        let manifest = std::fs::read_to_string(root().join("Cargo.toml")).unwrap();
-        assert!(manifest.contains(&format!("rust-version = \"{OLDEST}\"")));
     }
 }

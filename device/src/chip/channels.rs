@@ -1,11 +1,15 @@
 //! What the tasks of both images share; each image adds its own in its `channels.rs`.
 
-use crate::{check_in::CheckIns, service::Inbound};
+use crate::{service::Inbound, supervision::CheckIns};
 use core::sync::atomic::{AtomicU8, AtomicU16, AtomicU32, Ordering};
 use embassy_sync::{
     blocking_mutex::raw::CriticalSectionRawMutex as Raw, channel::Channel, signal::Signal,
 };
-use protocol::{frame::Encoded, table::Reply};
+use protocol::{
+    frame::{Encoded, Header, Kind, encode},
+    system::Event,
+    table::Reply,
+};
 
 /// Fed by link, drained by control; answered through [`REPLIES`].
 pub static REQUESTS: Signal<Raw, Inbound> = Signal::new();
@@ -34,6 +38,23 @@ pub static CHECK_INS: CheckIns = CheckIns::new();
 pub fn send_if_free(frame: Encoded) {
     if OUTBOUND.try_send(frame).is_err() {
         UNSENT_FRAMES.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Sends an event to whoever listens. The frame may be lost when the line is busy: the host fetches the event by its
+/// index.
+pub fn send_event(event: &Event) {
+    let session = SESSION.load(Ordering::Relaxed);
+    if session == 0 {
+        return; // nobody listens; it stays in the ring
+    }
+    let header = Header {
+        kind: Kind::Event,
+        session,
+        seq: event.index as u16,
+    };
+    if let Ok(frame) = encode(header, event) {
+        send_if_free(frame);
     }
 }
 

@@ -5,8 +5,8 @@ use super::{
     watchdog::{CHECK_IN, check_in},
 };
 use crate::{
-    check_in::Client,
     service::{Inbound, Incoming, Service},
+    supervision::Client,
 };
 use core::sync::atomic::Ordering;
 use embassy_stm32::{
@@ -38,9 +38,8 @@ pub async fn receive(
         check_in(Client::Link);
         let count = match with_timeout(CHECK_IN, uart.read(&mut buffer)).await {
             Ok(Ok(count)) => count,
-            Ok(Err(error)) => {
+            Ok(Err(_)) => {
                 // Noise, framing, overrun: the CRC finds the damaged frame, the host repeats it.
-                defmt::debug!("receive error {}", error);
                 UART_ERRORS.fetch_add(1, Ordering::Relaxed);
                 0
             }

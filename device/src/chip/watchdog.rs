@@ -1,7 +1,7 @@
 //! Feeds the watchdog only when motion, link and control have all checked in.
 
 use super::channels::CHECK_INS;
-use crate::check_in::{CHECK_IN_MS, Client};
+use crate::supervision::{CHECK_IN_MS, Client};
 use embassy_stm32::{peripherals, wdg::IndependentWatchdog};
 use embassy_time::{Duration, Ticker};
 

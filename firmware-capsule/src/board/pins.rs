@@ -27,10 +27,7 @@
 
 #![allow(unsafe_code)]
 
-use device::chip::{
-    flash::Sectors,
-    start::{self, SerialPins},
-};
+use device::chip::start::{self, SerialPins};
 use embassy_stm32::{
     Config,
     adc::AdcChannel,
@@ -74,8 +71,6 @@ pub(crate) struct Board {
     pub(crate) drive_train: DriveTrain,
     /// Not yet started.
     pub(crate) watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
-    /// Settings.
-    pub(crate) sectors: Sectors,
 }
 
 /// Clocks, pins and interrupts. The bridge stays asleep.
@@ -141,7 +136,6 @@ pub(crate) fn init() -> Board {
             battery_mv: 0,
         },
         watchdog: start::watchdog(p.IWDG),
-        sectors: Sectors::new(p.FLASH),
     }
 }
 

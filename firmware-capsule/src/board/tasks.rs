@@ -4,16 +4,14 @@ use super::{
     channels::{ORDER, ORDER_CHANGED, Order, READINGS, Reading, SNAPSHOT},
     pins::DriveTrain,
 };
-use core::sync::atomic::Ordering;
 use device::{
-    check_in::Client,
     chip::{
-        channels::{REPLIES, REQUESTS, SESSION, send_if_free, set_telemetry, silence_us},
-        flash::Sectors,
+        channels::{REPLIES, REQUESTS, send_event, set_telemetry, silence_us},
         link, retained, telemetry,
         watchdog::{self, CHECK_IN, check_in},
     },
     retained::{EStop, Left},
+    supervision::Client,
 };
 use embassy_futures::select::{Either3, select, select3};
 use embassy_stm32::{
@@ -29,8 +27,7 @@ use firmware_capsule::{
 };
 use protocol::{
     capsule::CapsuleTelemetry,
-    frame::Encoded,
-    system::{Identity, ResetCause, What},
+    system::{Event, Identity, ResetCause, What},
     table::Telemetry,
 };
 
@@ -82,8 +79,8 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
 
 /// At every reading (1 ms while moving, else 100 ms) and at every request.
 #[embassy_executor::task]
-pub(crate) async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
-    let mut control = Control::new(Capsule, sectors, left, cause);
+pub(crate) async fn control(left: Left, cause: ResetCause) -> ! {
+    let mut control = Control::new(Capsule, left, cause);
     loop {
         check_in(Client::Control);
         match select3(REQUESTS.wait(), READINGS.wait(), Timer::after(CHECK_IN)).await {
@@ -105,10 +102,6 @@ impl control::Capsule for Capsule {
 
     fn silence_us(&self) -> u32 {
         silence_us(self.now_us())
-    }
-
-    fn session(&self) -> u8 {
-        SESSION.load(Ordering::Relaxed)
     }
 
     fn drive(&mut self, drive: Drive) {
@@ -136,13 +129,11 @@ impl control::Capsule for Capsule {
         retained::keep_latched(estop);
     }
 
-    fn tell(&mut self, what: &What, frame: Option<Encoded>) {
-        if let What::Capsule(event) = what {
+    fn tell(&mut self, event: &Event) {
+        if let What::Capsule(event) = event.what {
             defmt::info!("{}", event);
         }
-        if let Some(frame) = frame {
-            send_if_free(frame);
-        }
+        send_event(event);
     }
 }
 

@@ -1,5 +1,5 @@
-//! A small model of the capsule's mechanics, independent of the crate's arithmetic: motor, gears, spool, slack,
-//! origami (beam estimate) or obstacle, battery with internal resistance.
+//! A small model of the capsule's mechanics: motor, gears, spool, slack, origami (beam estimate) or obstacle, battery
+//! with internal resistance. It shares no arithmetic with the crate.
 
 use firmware_capsule::{
     detect::Sample,
@@ -16,33 +16,43 @@ const NO_LOAD: f64 = 0.016; // A
 const SPOOL: f64 = 1.5e-3; // m
 const RATIO: f64 = 120.0;
 
-/// What can go wrong.
+/// An injected defect. Positions are thread on the spool, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Break {
-    /// The thread snaps when wound to this, mm.
-    Thread(f64),
-    /// Nothing moves past this, mm.
+pub(crate) enum Defect {
+    /// The thread snaps here.
+    Snap(f64),
+    /// A hard stop blocks the thread here.
     Jam(f64),
-    /// The encoder's lines break when the thread is wound to this, mm.
+    /// The encoder's lines break from here on.
     Encoder(f64),
-    /// A and B are swapped.
+    /// Encoder channels A and B are swapped.
     Swapped,
-    /// nFAULT goes low when the thread is wound to this, mm.
+    /// nFAULT is low from here on.
     Driver(f64),
-    /// The current sensor reads a short circuit when the thread is wound to this, mm.
+    /// The current sensor reads a short circuit from here on.
     Short(f64),
 }
 
 pub(crate) struct Plant {
+    /// Motor, rad.
     pub(crate) angle: f64,
+    /// Motor, rad/s.
     pub(crate) speed: f64,
+    /// Motor, A.
     pub(crate) current: f64,
+    /// Battery without load, V.
     pub(crate) cell: f64,
     pub(crate) cell_ohm: f64,
     pub(crate) bridge_ohm: f64,
+    /// Battery under the present load, V.
     pub(crate) battery: f64,
-    pub(crate) broken: Option<Break>,
+    /// Drawn from the battery's terminals so far, J.
+    pub(crate) energy: f64,
+    pub(crate) defect: Option<Defect>,
     pub(crate) snapped: bool,
+    /// Thread that slipped off the spool, mm.
+    pub(crate) slipped_mm: f64,
+    /// Of the origami, 1 = as estimated.
     pub(crate) stiffness: f64,
     pub(crate) encoder_at: Option<i32>,
 }
@@ -57,34 +67,37 @@ impl Plant {
             cell_ohm: 0.5,
             bridge_ohm: 0.6,
             battery: 3.9,
-            broken: None,
+            energy: 0.0,
+            defect: None,
             snapped: false,
+            slipped_mm: 0.0,
             stiffness: 1.0,
             encoder_at: None,
         }
     }
 
-    /// True thread wound up, mm; 0 is 1 mm before the origami is touched.
+    /// True thread on the spool, mm. 0 is 1 mm before the origami is touched.
     pub(crate) fn thread_mm(&self) -> f64 {
         self.angle / RATIO * SPOOL * 1e3
     }
 
+    /// Pull of the thread, N.
     pub(crate) fn force(&self) -> f64 {
         if self.snapped {
             return 0.0;
         }
-        let travel = (self.thread_mm() - 1.0).max(0.0);
-        let stop = match self.broken {
-            Some(Break::Jam(at)) => at,
-            _ => 23.4 + 1.0,
+        let travel = (self.thread_mm() - self.slipped_mm - 1.0).max(0.0);
+        let stop = match self.defect {
+            Some(Defect::Jam(at)) => at,
+            _ => 23.4 + 1.0 + self.slipped_mm,
         };
         beam(travel) * self.stiffness + (self.thread_mm() - stop).max(0.0) * 200.0
     }
 
-    /// One period of `us`.
+    /// Runs for `us` with a constant drive.
     fn run(&mut self, drive: Drive, us: u32) {
-        match self.broken {
-            Some(Break::Thread(at)) if self.thread_mm() > at => self.snapped = true,
+        match self.defect {
+            Some(Defect::Snap(at)) if self.thread_mm() > at => self.snapped = true,
             _ => {}
         }
         let step = 20e-6;
@@ -95,7 +108,7 @@ impl Plant {
                 Drive::Millivolts(millivolts) if millivolts < 0 => -torque * 1.133 / (4.0 * 0.8),
                 _ => torque / 0.315 / (4.0 * 0.8),
             };
-            // The bridge drives for a share of the time and lets the motor run free for the rest of it.
+            // The bridge drives for a share of the time and lets the motor coast for the rest.
             let share = match drive {
                 Drive::Millivolts(millivolts) => {
                     (f64::from(millivolts) / 1e3 / self.battery.max(0.1)).clamp(-1.0, 1.0)
@@ -121,7 +134,7 @@ impl Plant {
             } else {
                 let resisting = (drag + load.abs()).copysign(self.speed);
                 let speed = self.speed + (push - resisting) / INERTIA * step;
-                // Friction and a self-locking load stop the motor; they do not turn it round.
+                // Friction and a self-locking load stop the motor but do not reverse it.
                 self.speed = if speed * self.speed < 0.0 { 0.0 } else { speed };
             }
             self.angle += self.speed * step;
@@ -131,6 +144,7 @@ impl Plant {
                 self.current.abs()
             };
             self.battery = (self.cell - self.cell_ohm * drawn).max(0.0);
+            self.energy += self.battery * drawn * step;
         }
     }
 
@@ -143,20 +157,20 @@ impl Plant {
             battery_mv: (self.battery * 1e3).round() as u16,
             driver_fault: false,
         };
-        match self.broken {
-            Some(Break::Encoder(at)) if thread > at || self.encoder_at.is_some() => {
+        match self.defect {
+            Some(Defect::Encoder(at)) if thread > at || self.encoder_at.is_some() => {
                 sample.counts = Counts(*self.encoder_at.get_or_insert(count));
             }
-            Some(Break::Swapped) => sample.counts = Counts(-count),
-            Some(Break::Driver(at)) => sample.driver_fault = thread > at,
-            Some(Break::Short(at)) if thread > at => sample.current_ma = 1_500,
+            Some(Defect::Swapped) => sample.counts = Counts(-count),
+            Some(Defect::Driver(at)) => sample.driver_fault = thread > at,
+            Some(Defect::Short(at)) if thread > at => sample.current_ma = 1_500,
             _ => {}
         }
         sample
     }
 }
 
-/// Travel of the nine crescents against force: F = 0.2055 N a / (dd0/da), d = 9 d0(a), Eqs. (2)-(5) and (7).
+/// Force of the nine crescents at a travel: F = 0.2055 N a / (dd0/da), d = 9 d0(a), Eqs. (2)-(5) and (7).
 fn beam(travel_mm: f64) -> f64 {
     let (h, ta, tb) = (9.76_f64, 2.0 / 9.0, 2.0 / 3.0);
     let (l1, l2) = (
@@ -196,20 +210,22 @@ fn the_beam_estimate_gives_the_published_forces() {
     assert!(beam(-1.0) == 0.0 && beam(0.0) < 0.01);
 }
 
-/// The machine on the plant, in virtual time.
-pub(crate) struct Bench {
+/// The state machine in closed loop with the plant, in virtual time.
+pub(crate) struct Simulation {
     pub(crate) plant: Plant,
     pub(crate) capsule: Capsule,
     pub(crate) now_us: u64,
     pub(crate) events: Vec<CapsuleEvent>,
+    /// Least and most true thread on the spool.
     pub(crate) lowest_mm: f64,
     pub(crate) highest_mm: f64,
+    /// N.
     pub(crate) peak_force: f64,
 }
 
-impl Bench {
+impl Simulation {
     pub(crate) fn new(plant: Plant) -> Self {
-        let mut bench = Self {
+        let mut sim = Self {
             capsule: Capsule::new(None),
             now_us: 0,
             events: Vec::new(),
@@ -218,10 +234,11 @@ impl Bench {
             peak_force: 0.0,
             plant,
         };
-        bench.tick();
-        bench
+        sim.tick();
+        sim
     }
 
+    /// One millisecond, then a sample.
     pub(crate) fn tick(&mut self) {
         self.now_us += 1_000;
         self.plant.run(self.capsule.drive(), 1_000);
@@ -243,7 +260,7 @@ impl Bench {
         assert_eq!(actions.refusal, None, "{command:?} refused");
     }
 
-    /// Until the machine rests and the bridge sleeps; at most 15 s.
+    /// Runs until the machine rests and the bridge sleeps; at most 15 s.
     pub(crate) fn settle(&mut self) {
         for _ in 0..15_000 {
             self.tick();
@@ -254,22 +271,23 @@ impl Bench {
         panic!("still moving: {:?}", self.capsule);
     }
 
+    /// Orders and runs until everything rests.
     pub(crate) fn run(&mut self, command: Command) {
         self.order(command);
         self.settle();
     }
 
-    /// Referenced and unfolded, from a slack thread.
+    /// Referenced and unfolded.
     pub(crate) fn referenced() -> Self {
-        let mut bench = Self::new(Plant::at(0.4));
-        bench.run(Command::Reference);
-        bench.events.clear();
-        (bench.lowest_mm, bench.highest_mm) = (bench.plant.thread_mm(), bench.plant.thread_mm());
-        bench.peak_force = 0.0;
-        bench
+        let mut sim = Self::new(Plant::at(0.4));
+        sim.run(Command::Reference);
+        sim.events.clear();
+        (sim.lowest_mm, sim.highest_mm) = (sim.plant.thread_mm(), sim.plant.thread_mm());
+        sim.peak_force = 0.0;
+        sim
     }
 
-    /// Orders and ticks until the true thread passes `mm`.
+    /// Orders and runs until the true thread passes `mm`.
     pub(crate) fn run_past(&mut self, command: Command, mm: f64) {
         let above = self.plant.thread_mm() > mm;
         self.order(command);

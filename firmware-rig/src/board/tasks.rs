@@ -10,17 +10,17 @@ use super::{
 };
 use core::sync::atomic::Ordering;
 use device::{
-    check_in::Client,
     chip::{
         channels::{
-            BAD_FRAMES, REPLIES, REQUESTS, SESSION, UART_ERRORS, UNSENT_FRAMES, send_if_free,
-            set_telemetry, silence_us,
+            BAD_FRAMES, REPLIES, REQUESTS, UART_ERRORS, UNSENT_FRAMES, send_event, set_telemetry,
+            silence_us,
         },
         flash::Sectors,
         image, link, retained, telemetry,
         watchdog::{self, CHECK_IN, check_in},
     },
     retained::{EStop, Left},
+    supervision::Client,
 };
 use embassy_futures::select::{Either3, select3};
 use embassy_stm32::{
@@ -41,9 +41,8 @@ use motion::{
     units::{StepPosition, Steps},
 };
 use protocol::{
-    frame::Encoded,
     rig::{RigHealth, RigInputs, RigState, RigTelemetry},
-    system::{Identity, ResetCause, Urgent, What},
+    system::{Event, Identity, ResetCause, Urgent, What},
     table::Telemetry,
 };
 
@@ -85,6 +84,7 @@ pub async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
 pub struct Rig;
 
 impl control::Rig for Rig {
+    #[inline(never)]
     fn now(&self) -> Now {
         let glitches = GLITCHES.each_ref().map(|switch| switch.get().count);
         Now {
@@ -109,10 +109,6 @@ impl control::Rig for Rig {
 
     fn silence_us(&self) -> u32 {
         silence_us(Instant::now().as_micros())
-    }
-
-    fn session(&self) -> u8 {
-        SESSION.load(Ordering::Relaxed)
     }
 
     fn health(&self) -> RigHealth {
@@ -162,13 +158,11 @@ impl control::Rig for Rig {
         retained::keep_latched(estop);
     }
 
-    fn tell(&mut self, what: &What, frame: Option<Encoded>) {
-        if let What::Rig(event) = what {
+    fn tell(&mut self, event: &Event) {
+        if let What::Rig(event) = event.what {
             defmt::info!("{}", event);
         }
-        if let Some(frame) = frame {
-            send_if_free(frame);
-        }
+        send_event(event);
     }
 }
 

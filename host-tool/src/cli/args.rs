@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
-use protocol::rig::{LinkLossPolicy, Run, RunTiming};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::{Args, Parser, ValueEnum};
+use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 
@@ -33,66 +34,66 @@ pub struct Cli {
     pub json: bool,
     /// What to do.
     #[command(subcommand)]
-    pub command: Command,
+    pub subcommand: Subcommand,
 }
 
 /// What to do.
-#[derive(Debug, Subcommand)]
-pub enum Command {
+#[derive(Debug, clap::Subcommand)]
+pub enum Subcommand {
     /// List ports and the machines at them. Moves nothing.
     Devices,
     /// Show identity, state and last fault of the machines. Moves nothing.
     Info(Which),
     /// Find the rig's position: two passes over the home flag, then to 0.
     Home,
-    /// Run the waves: cycles of out and home, recorded. The rig must be homed. At a terminal h and Enter holds, r and
-    /// Enter goes on.
+    /// Run the waves: cycles away from home and back, recorded. The rig must be homed. At a terminal, h and Enter holds
+    /// the run, r and Enter resumes it.
     Run(Box<RunArgs>),
-    /// Stop: the rig decelerates and keeps its position, the capsule's worm holds.
+    /// Stop: the rig decelerates and keeps its position, the capsule is held by its worm gear.
     Stop(Which),
-    /// Emergency stop: pulses and motor current end at once; latched, the position is lost.
+    /// Emergency stop: cut pulses and motor current at once. It is latched, and the rig's position is lost.
     Estop(Which),
-    /// Acknowledge a latched fault whose cause is gone. Moves nothing.
+    /// Acknowledge a latched fault after its cause was removed. Moves nothing.
     Ack(Which),
     /// The capsule's own commands.
     Capsule {
-        /// Which.
+        /// What the capsule does.
         #[command(subcommand)]
-        command: CapsuleCommand,
+        subcommand: CapsuleSubcommand,
     },
     /// Fold the capsule's origami, recorded.
     Fold(RecordArgs),
     /// Unfold the capsule's origami, recorded.
     Unfold(RecordArgs),
-    /// Hold a run that needs no host: decelerate, keep the position, ready to go on.
+    /// Hold a run that goes on without its host: decelerate, keep the position, ready to resume.
     Hold,
-    /// Go on with a held run, exactly as planned.
+    /// Resume a held run, exactly as planned.
     Resume,
-    /// Move the rig as long as this command lives; it stops at the ends of the stroke.
+    /// Move the rig while this command runs; it stops at the ends of the stroke.
     Jog(JogArgs),
     /// Move the rig to a position.
     Move(MoveArgs),
-    /// Show the rig's counters: false pulses, serial line, stack, underruns.
+    /// Show the rig's counters: false pulses, serial errors, stack use, underruns.
     Health,
     /// The rig's settings.
     Settings {
         /// What to do with them.
         #[command(subcommand)]
-        command: SettingsCommand,
+        subcommand: SettingsSubcommand,
     },
-    /// Solve a run without a rig: durations, speeds, edges as CSV, plot as SVG.
+    /// Calculate a run without a rig: durations, speeds, edges as CSV, plot as SVG.
     Plan(Box<PlanArgs>),
-    /// Work out an origami: lengths, shortening, the paper's requirements; drawings as SVG.
+    /// Calculate an origami design: lengths, shortening, the paper's requirements; drawings as SVG.
     Design(Box<DesignArgs>),
     /// Simulate the paper's series and free sweeps: CSV and SVG.
     Simulate(Box<SimulateArgs>),
-    /// Make one HTML file of recorded trials.
+    /// Write an HTML report of recorded trials.
     Report(ReportArgs),
     /// Flash a board through probe-rs.
     Flash(FlashArgs),
     /// Print a completion script for a shell.
     Completions {
-        /// Which shell.
+        /// The shell.
         shell: clap_complete::Shell,
     },
     /// Print the manual page (roff).
@@ -100,16 +101,16 @@ pub enum Command {
 }
 
 /// What to do with settings.
-#[derive(Debug, Subcommand)]
-pub enum SettingsCommand {
-    /// Show all with unit and range.
+#[derive(Debug, clap::Subcommand)]
+pub enum SettingsSubcommand {
+    /// Show all settings with unit and range.
     List,
-    /// Show one.
+    /// Show one setting.
     Get {
         /// Its name.
         key: Key,
     },
-    /// Change one; it is written to flash. Not while something moves.
+    /// Change one setting and store it in flash. Not while something moves.
     Set {
         /// Its name.
         key: Key,
@@ -117,15 +118,15 @@ pub enum SettingsCommand {
         #[arg(allow_negative_numbers = true)]
         value: String,
     },
-    /// Write all to a JSON file.
+    /// Write all settings to a JSON file.
     Export {
         /// The file.
         file: PathBuf,
-        /// Replace a file that is there.
+        /// Replace an existing file.
         #[arg(long)]
         force: bool,
     },
-    /// Set all from a JSON file that `export` wrote, or none.
+    /// Set all settings from a JSON file written by `export`, or none if one is refused.
     Import {
         /// The file.
         file: PathBuf,
@@ -135,9 +136,9 @@ pub enum SettingsCommand {
         /// At most 24 bytes.
         name: Option<String>,
     },
-    /// Set all to their defaults, the name too.
+    /// Set all settings and the name to their defaults.
     Reset {
-        /// Do not ask.
+        /// Do not ask for confirmation.
         #[arg(long)]
         yes: bool,
     },
@@ -149,25 +150,35 @@ pub struct Key(pub SettingKey);
 
 impl std::str::FromStr for Key {
     type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        crate::cli::settings::key_of(text).map(Self)
+    fn from_str(name: &str) -> Result<Self, String> {
+        SettingKey::ALL
+            .into_iter()
+            .find(|key| key.name() == name)
+            .map(Self)
+            .ok_or_else(|| {
+                format!("there is no setting `{name}`: `retrograde settings list` shows all")
+            })
     }
 }
 
-/// Which way.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Way {
-    /// Away from home.
-    Away,
-    /// Towards home.
-    Home,
+/// Reads `away` or `home`.
+fn direction() -> impl TypedValueParser<Value = Direction> {
+    PossibleValuesParser::new([
+        PossibleValue::new("away").help("Away from home"),
+        PossibleValue::new("home").help("Towards home"),
+    ])
+    .map(|name| match name.as_str() {
+        "away" => Direction::Away,
+        _ => Direction::Home,
+    })
 }
 
-/// A jog.
+/// Arguments of `jog`.
 #[derive(Debug, Args)]
 pub struct JogArgs {
-    /// Which way.
-    pub way: Way,
+    /// Direction of travel.
+    #[arg(value_parser = direction())]
+    pub direction: Direction,
     /// Speed in mm/s.
     #[arg(
         long,
@@ -176,7 +187,7 @@ pub struct JogArgs {
         allow_negative_numbers = true
     )]
     pub speed_mm_s: Milli,
-    /// For how long, in s.
+    /// Duration in s.
     #[arg(
         long,
         value_name = "S",
@@ -187,10 +198,10 @@ pub struct JogArgs {
     pub for_s: ShortSeconds,
 }
 
-/// A move.
+/// Arguments of `move`.
 #[derive(Debug, Args)]
 pub struct MoveArgs {
-    /// Where to, in mm from home.
+    /// Target, in mm from home.
     #[arg(value_name = "MM", allow_negative_numbers = true)]
     pub position_mm: Milli,
     /// Speed in mm/s.
@@ -204,35 +215,35 @@ pub struct MoveArgs {
 }
 
 /// The capsule's own commands.
-#[derive(Debug, Subcommand)]
-pub enum CapsuleCommand {
-    /// Find the thread's zero, recorded. Needed before folding.
+#[derive(Debug, clap::Subcommand)]
+pub enum CapsuleSubcommand {
+    /// Find the thread's zero, recorded. Required before folding.
     Reference(RecordArgs),
 }
 
 /// A machine by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Machine {
+pub enum MachineKind {
     /// The roller rig.
     Rig,
     /// The capsule.
     Capsule,
 }
 
-impl From<Machine> for DeviceKind {
-    fn from(machine: Machine) -> Self {
-        match machine {
-            Machine::Rig => Self::Rig,
-            Machine::Capsule => Self::Capsule,
+impl From<MachineKind> for DeviceKind {
+    fn from(kind: MachineKind) -> Self {
+        match kind {
+            MachineKind::Rig => Self::Rig,
+            MachineKind::Capsule => Self::Capsule,
         }
     }
 }
 
-/// Which machines a command is for.
+/// The machines a command is for.
 #[derive(Debug, Args)]
 pub struct Which {
-    /// Only this one. Without it: those given by `--rig` and `--capsule`, else all that are found.
-    pub machine: Option<Machine>,
+    /// Only this machine. Otherwise those given by `--rig` and `--capsule`, or all that are found.
+    pub machine: Option<MachineKind>,
 }
 
 /// Where a trial is recorded.
@@ -244,26 +255,26 @@ pub struct RecordArgs {
     /// Interval of telemetry in ms, 5 to 1000.
     #[arg(long, value_name = "MS", default_value_t = 10, value_parser = clap::value_parser!(u16).range(5..=1000))]
     pub telemetry_ms: u16,
-    /// Anything to remember about this trial.
+    /// A note that is kept with the trial.
     #[arg(long)]
     pub note: Option<String>,
 }
 
-/// A run.
+/// Arguments of `run`.
 #[derive(Debug, Args)]
 pub struct RunArgs {
     /// The waves.
     #[command(flatten)]
     pub waves: Waves,
-    /// What silence of the host for 1 s does: stop, or finish the run.
+    /// What the rig does when it has not heard from the host for 1 s: stop, or finish the run.
     #[arg(long, value_name = "POLICY", default_value = "stop")]
     pub on_link_loss: OnLinkLoss,
-    /// Where it is recorded.
+    /// The record.
     #[command(flatten)]
     pub record: RecordArgs,
 }
 
-/// What silence of the host does.
+/// What the rig does when it no longer hears from the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum OnLinkLoss {
     /// Decelerate, keep the position.
@@ -286,7 +297,7 @@ pub struct Waves {
         allow_negative_numbers = true
     )]
     pub stroke_mm: Milli,
-    /// A run by name: `paper` is 40 s for 5 cycles, `wave` 10 mm/s both ways, as a slow wave of the intestine.
+    /// A named timing: `paper` is 40 s for 5 cycles, `wave` 10 mm/s both ways, like a slow wave of the intestine.
     #[arg(long, conflicts_with_all = ["duration_s", "speed_mm_s", "waves_per_minute"])]
     pub preset: Option<Preset>,
     /// Cycles per minute, dwells and start delay included, instead of a duration.
@@ -298,7 +309,7 @@ pub struct Waves {
         conflicts_with_all = ["duration_s", "speed_mm_s"]
     )]
     pub waves_per_minute: Option<Milli>,
-    /// Duration of all cycles in s, dwells and start delay included. 40 unless speeds are given.
+    /// Duration of all cycles in s, dwells and start delay included. 40 by default, unless speeds are given.
     #[arg(
         long,
         value_name = "S",
@@ -309,7 +320,7 @@ pub struct Waves {
     /// Speed away from home in mm/s, instead of a duration.
     #[arg(long, value_name = "MM/S", allow_negative_numbers = true)]
     pub speed_mm_s: Option<Milli>,
-    /// Speed towards home in mm/s; as away from home unless given.
+    /// Speed towards home in mm/s; by default the same as away from home.
     #[arg(
         long,
         value_name = "MM/S",
@@ -358,7 +369,7 @@ const PAPER_CYCLE_US: u64 = 8_000_000;
 /// Speed of the preset `wave`.
 const WAVE_UM_S: u32 = 10_000;
 
-/// A run by name.
+/// A named timing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Preset {
     /// The paper's: 8 s per cycle.
@@ -368,7 +379,7 @@ pub enum Preset {
 }
 
 impl Waves {
-    /// The request of these arguments.
+    /// The request these arguments stand for.
     #[must_use]
     pub fn request(&self, on_link_loss: OnLinkLoss) -> Run {
         let accel_um_s2 = self.accel_mm_s2.0;
@@ -384,7 +395,7 @@ impl Waves {
                 return_um_s: WAVE_UM_S,
                 accel_um_s2,
             },
-            // In thousandths per minute; rounded up: no faster than asked for.
+            // `waves` is in thousandths per minute. Rounded up, so that the run is never faster than requested.
             _ if let Some(waves) = self.waves_per_minute => {
                 total((cycles * 60_000_000_000).div_ceil(u64::from(waves.0).max(1)))
             }
@@ -413,7 +424,7 @@ impl Waves {
     }
 }
 
-/// A number that means nothing at 0.
+/// Parses a number that must be above 0.
 fn above_zero<T>(text: &str) -> Result<T, String>
 where
     T: std::str::FromStr<Err = DecimalError> + Default + PartialEq,
@@ -427,13 +438,13 @@ where
     Ok(value)
 }
 
-/// 0 passes here: the planner's refusal says more.
+/// Accepts 0, because the planner's refusal explains more.
 fn cycles(text: &str) -> Result<u16, String> {
     let value = crate::decimal::parse(text, 0, 10_000).map_err(|error| error.to_string())?;
     u16::try_from(value).map_err(|_| "too large: use at most 10000".to_owned())
 }
 
-/// A run to be solved without a rig.
+/// Arguments of `plan`.
 #[derive(Debug, Args)]
 pub struct PlanArgs {
     /// The waves.
@@ -456,7 +467,7 @@ pub struct PlanArgs {
     pub plot: Option<PathBuf>,
 }
 
-/// A report.
+/// Arguments of `report`.
 #[derive(Debug, Args)]
 pub struct ReportArgs {
     /// Records: JSON files of trials, or folders of them.
@@ -467,15 +478,33 @@ pub struct ReportArgs {
     pub out: PathBuf,
 }
 
-/// An image to flash.
+/// Arguments of `flash`.
 #[derive(Debug, Args)]
 pub struct FlashArgs {
-    /// Which machine's image.
-    pub machine: Machine,
-    /// The image (ELF); the one of this workspace's build unless given.
+    /// The machine.
+    pub machine: MachineKind,
+    /// The image (ELF); by default the one built in this workspace.
     #[arg(long, value_name = "ELF")]
     pub image: Option<PathBuf>,
-    /// The debug probe, `VID:PID:SERIAL`, if several are plugged in.
+    /// The debug probe, `VID:PID:SERIAL`, if several are connected.
     #[arg(long, value_name = "PROBE")]
     pub probe: Option<String>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_jog_goes_where_its_direction_says() {
+        let parse = |direction: &str| Cli::try_parse_from(["retrograde", "jog", direction]);
+        for (name, expected) in [("away", Direction::Away), ("home", Direction::Home)] {
+            let Ok(Subcommand::Jog(args)) = parse(name).map(|cli| cli.subcommand) else {
+                panic!("`jog {name}` is a jog");
+            };
+            assert_eq!(args.direction, expected, "{name}");
+        }
+        let refused = parse("left").expect_err("no direction").to_string();
+        assert!(refused.contains("away, home"), "{refused}");
+    }
 }

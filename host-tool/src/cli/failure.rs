@@ -1,4 +1,4 @@
-//! What went wrong, as the user sees it: text, code, help, exit code.
+//! Failures as the user sees them: text, code, help, exit code.
 
 use std::io;
 use std::path::PathBuf;
@@ -41,7 +41,7 @@ pub const STOPPED: u8 = 130;
 /// Why a command failed.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum Failure {
-    /// The device or the way to it.
+    /// The device or the link to it.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Client(#[from] ClientError),
@@ -49,15 +49,15 @@ pub enum Failure {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Open(#[from] OpenError),
-    /// A recorded action.
+    /// A recorded action failed.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Experiment(#[from] ExperimentError),
-    /// The report.
+    /// The report could not be written.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Report(#[from] ReportError),
-    /// A figure.
+    /// A figure could not be drawn.
     #[error(transparent)]
     #[diagnostic(code(retrograde::figure))]
     Figure(#[from] FigureError),
@@ -76,26 +76,26 @@ pub enum Failure {
     #[error("{0}")]
     #[diagnostic(code(retrograde::range))]
     Range(#[from] OutOfRange),
-    /// Nobody of the wanted kind was found.
+    /// No machine of the wanted kind was found.
     #[error("no {} found; {there}", identity::kind_name(*.wanted))]
     #[diagnostic(
         code(retrograde::not_found),
         help("plug the board in, or say where it is: `--{} /dev/ttyACM0` or `tcp:HOST:PORT`", identity::kind_name(*.wanted))
     )]
     NotFound {
-        /// Which machine.
+        /// The wanted kind.
         wanted: DeviceKind,
-        /// What is there instead.
+        /// What was found instead.
         there: String,
     },
     /// Several of the wanted kind were found.
     #[error("several {}s found: {there}", identity::kind_name(*.wanted))]
     #[diagnostic(
         code(retrograde::ambiguous),
-        help("choose one: `--{} WHERE`; nothing was sent but the question who is there", identity::kind_name(*.wanted))
+        help("choose one: `--{} WHERE`; nothing but requests for an identity was sent", identity::kind_name(*.wanted))
     )]
     Ambiguous {
-        /// Which machine.
+        /// The wanted kind.
         wanted: DeviceKind,
         /// All of them.
         there: String,
@@ -109,20 +109,20 @@ pub enum Failure {
         )
     )]
     NothingFound {
-        /// What is there instead.
+        /// What was found instead.
         there: String,
     },
-    /// The action ended otherwise than planned.
+    /// The action did not end as planned.
     #[error("{action} {}{}", ended(*.status), reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
     #[diagnostic(code(retrograde::ended), help("{help}"))]
     Ended {
-        /// Which.
+        /// The action, such as `the run`.
         action: &'static str,
-        /// How.
+        /// How it ended.
         status: Status,
         /// The fault, if there was one.
         reason: Option<String>,
-        /// What to do now.
+        /// What the user can do now.
         help: String,
     },
     /// A file could not be written.
@@ -132,54 +132,54 @@ pub enum Failure {
         help("choose a file in a folder that can be written, with free space")
     )]
     File {
-        /// Which.
+        /// The file.
         path: PathBuf,
-        /// Why.
+        /// The operating system's reason.
         io: io::Error,
     },
-    /// Refused by this program's own check, or found to be too late.
+    /// Refused by this program itself, or requested too late.
     #[error("{why}")]
     #[diagnostic(code(retrograde::refused), help("{help}"))]
     Refused {
-        /// Why.
+        /// The reason.
         why: String,
-        /// What to do.
+        /// What the user can do.
         help: String,
     },
     /// A file or an argument that cannot be used.
     #[error("{why}")]
     #[diagnostic(code(retrograde::input), help("{help}"))]
     Input {
-        /// Why.
+        /// The reason.
         why: String,
-        /// What to do.
+        /// What the user can do.
         help: String,
     },
-    /// An import of settings that the rig refused, or that broke off.
+    /// The rig refused an import of settings, or it was interrupted.
     #[error("{}: {setting}: {cause}; {}", file.display(), aftermath(changed))]
     #[diagnostic(code(retrograde::import), help("{}", way_back(changed)))]
     Import {
         /// The file.
         file: PathBuf,
-        /// What could not be set.
+        /// The setting that could not be set.
         setting: &'static str,
-        /// Why.
+        /// The reason.
         cause: Box<ClientError>,
-        /// What could not be put back; none if all is as before.
+        /// Changes that could not be undone; empty if everything is as before.
         changed: Vec<String>,
     },
-    /// Flashing.
+    /// The image could not be flashed.
     #[error("{why}")]
     #[diagnostic(code(retrograde::flash), help("{help}"))]
     Flash {
-        /// Why.
+        /// The reason.
         why: String,
-        /// What to do.
+        /// What the user can do.
         help: String,
     },
 }
 
-/// The planner's numbers in the command line's units.
+/// The options that make the run feasible, from the planner's numbers.
 fn way_out(error: &RunError) -> String {
     match *error {
         RunError::TotalTooShort {
@@ -206,7 +206,7 @@ fn aftermath(changed: &[String]) -> String {
         return "all settings are as before".to_owned();
     }
     format!(
-        "it could not be undone, so that these are changed now: {}",
+        "the import could not be undone; these are changed: {}",
         changed.join(", ")
     )
 }
@@ -215,7 +215,7 @@ fn way_back(changed: &[String]) -> &'static str {
     if changed.is_empty() {
         "correct the file; `retrograde info rig` shows whether the rig has to be homed again"
     } else {
-        "`retrograde settings list` shows what is in force; set it by hand, or import a good file"
+        "`retrograde settings list` shows the present values; correct them by hand, or import a correct file"
     }
 }
 
@@ -223,7 +223,9 @@ fn ended(status: Status) -> &'static str {
     match status {
         Status::Complete => "is complete",
         Status::Stopped => "was stopped on request; the position is kept",
-        Status::LinkLost => "was stopped by the device, which heard nothing for too long",
+        Status::LinkLost => {
+            "was stopped by the device, which had not heard from the host for too long"
+        }
         Status::Faulted => "ended by a fault",
         Status::Running | Status::Unknown => "has an unknown outcome",
     }

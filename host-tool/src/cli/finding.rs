@@ -1,4 +1,4 @@
-//! From `--rig` and `--capsule` to a session with the right machine, or a list of what is there.
+//! Finds the machine meant by `--rig` or `--capsule` and opens a session with it, or lists what is connected.
 
 use protocol::system::{DeviceKind, Identity, Urgent};
 
@@ -14,7 +14,7 @@ use crate::link::address::Address;
 /// Both machines.
 const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
 
-/// A place and who answered there.
+/// A place and the answer from it.
 pub(crate) struct Found {
     pub(crate) candidate: Candidate,
     pub(crate) answer: Result<Identity, Failure>,
@@ -42,14 +42,14 @@ impl Finder<'_> {
             .collect()
     }
 
-    /// A session with a machine that speaks the same protocol; Ctrl-C stops it from now on.
+    /// Opens a session with a machine that speaks the same protocol. From now on Ctrl-C stops it.
     pub(crate) fn connect(&self, kind: DeviceKind) -> Result<Device, Failure> {
         let device = self.greet(kind)?;
         device.require(kind)?;
         Ok(device)
     }
 
-    /// A session with a machine of this kind, whatever its version.
+    /// Opens a session with a machine of this kind, whatever protocol version it speaks.
     pub(crate) fn greet(&self, kind: DeviceKind) -> Result<Device, Failure> {
         let mut device = self.open(kind, &self.resolve(kind)?)?;
         device.set_interrupt(interrupt::install());
@@ -60,7 +60,7 @@ impl Finder<'_> {
         }
     }
 
-    /// Sends an urgent stop ahead of anything else, without a session; says where it was confirmed.
+    /// Sends an urgent stop before anything else, without a session. Returns the place that confirmed it.
     pub(crate) fn urgent(
         &self,
         kind: DeviceKind,
@@ -72,8 +72,8 @@ impl Finder<'_> {
         Ok(device.place())
     }
 
-    /// Where an urgent stop is to be sent: where the user said; else to every place that may be asked, without
-    /// asking who is there first.
+    /// The places to send an urgent stop to: those given by the user, or else every place that may be probed. Nobody is
+    /// asked for an identity first.
     pub(crate) fn places_to_stop(
         &self,
         which: &Which,
@@ -108,7 +108,7 @@ impl Finder<'_> {
         )?))
     }
 
-    /// The one place of a machine: as the user said, or the one that answers.
+    /// The address of a machine: as given by the user, or the only one where such a machine answers.
     fn resolve(&self, kind: DeviceKind) -> Result<Address, Failure> {
         match self.address(kind) {
             Some(Address::Auto) | None => {}
@@ -131,8 +131,8 @@ impl Finder<'_> {
         }
     }
 
-    /// Asks at every place where asking disturbs nobody who is there. `wanted` leaves out places that are known to
-    /// be another machine's.
+    /// Asks for an identity at every place that may be probed. With `wanted`, places known to belong to the other
+    /// machine are left out.
     pub(crate) fn survey(&self, wanted: Option<DeviceKind>) -> Vec<Found> {
         self.connector
             .candidates()
@@ -158,10 +158,10 @@ impl Finder<'_> {
         Ok(device.hello(self.connector.nonce())?)
     }
 
-    /// The machines that a command is for.
+    /// The machines a command is for.
     ///
     /// # Errors
-    /// If none is addressed and none is found.
+    /// No address was given and no machine is found.
     pub(crate) fn machines(&self, which: &Which) -> Result<Vec<DeviceKind>, Failure> {
         if let Some(machine) = which.machine {
             return Ok(vec![machine.into()]);
@@ -188,7 +188,7 @@ impl Finder<'_> {
     }
 }
 
-/// What is at every place, in one line each.
+/// One line per place.
 pub(crate) fn list(found: &[Found]) -> String {
     if found.is_empty() {
         return "there is no port with an ST-LINK".to_owned();
@@ -197,7 +197,7 @@ pub(crate) fn list(found: &[Found]) -> String {
     format!("there is:\n  {}", lines.join("\n  "))
 }
 
-/// What is at one place.
+/// A place and what is known about it.
 pub(crate) fn line(found: &Found) -> String {
     let candidate = &found.candidate;
     let who = match &found.answer {

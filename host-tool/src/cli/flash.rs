@@ -42,7 +42,7 @@ pub(crate) fn flash(args: &FlashArgs, screen: &mut Screen<'_>) -> Result<Value, 
 }
 
 fn probe_rs(args: &[&str], probe: &[&str], screen: &mut Screen<'_>) -> Result<(), Failure> {
-    // Captured, so that standard output stays one JSON object.
+    // Its output is captured, so that standard output holds nothing but the JSON object.
     let output = Command::new("probe-rs")
         .args(args)
         .args(probe)

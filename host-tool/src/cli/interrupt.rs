@@ -7,7 +7,7 @@ use protocol::system::Urgent;
 
 use crate::client::Interrupt;
 
-/// The operating system allows one handler per process, so that the count is the process's, too.
+/// Interrupts so far. A process has one handler, so it also has one count.
 static PRESSED: OnceLock<Arc<AtomicU8>> = OnceLock::new();
 
 /// Installs the handler on the first call; returns what the operator wants stopped.
@@ -16,7 +16,7 @@ pub(crate) fn install() -> Interrupt {
         .get_or_init(|| {
             let pressed = Arc::new(AtomicU8::new(0));
             let count = Arc::clone(&pressed);
-            // Without a handler the process would end, and the device stop by its link time-out.
+            // Without a handler Ctrl-C ends the process, and the device stops by its link time-out.
             let _ = ctrlc::set_handler(move || {
                 let before = count.load(Ordering::Relaxed);
                 count.store(before.saturating_add(1), Ordering::Relaxed);

@@ -1,5 +1,5 @@
-//! The person at the keyboard: answers, and holds and resumes a run. The process that runs it has the serial port, so
-//! that no other one could.
+//! The person at the keyboard answers questions, and holds and resumes a run: the process that runs it owns the serial
+//! port, so no other process can.
 
 use std::io::{self, BufRead, BufReader, IsTerminal};
 use std::sync::mpsc;
@@ -9,17 +9,16 @@ use crate::cli::Keyboard;
 use crate::client::{Pace, Pacer};
 
 /// What can be typed during a run.
-pub(crate) const HINT: &str =
-    "h and Enter holds the run, r and Enter goes on with it, Ctrl-C stops it.";
+pub(crate) const HINT: &str = "h and Enter holds the run, r and Enter resumes it, Ctrl-C stops it.";
 
-/// Standard input, if a person sits at it.
+/// Standard input, if it is a terminal with this process in the foreground.
 pub(crate) fn standard() -> Option<Keyboard> {
     let input = io::stdin();
     (input.is_terminal() && in_foreground(&input))
         .then(|| Box::new(BufReader::new(input)) as Keyboard)
 }
 
-/// A shell's background job that reads its terminal is suspended, and a run with it.
+/// The shell suspends a background job that reads from the terminal, which would suspend the run, too.
 #[cfg(unix)]
 fn in_foreground(input: &io::Stdin) -> bool {
     rustix::termios::tcgetpgrp(input).is_ok_and(|group| group == rustix::process::getpgrp())
@@ -30,9 +29,9 @@ fn in_foreground(_: &io::Stdin) -> bool {
     true
 }
 
-/// Reads lines until the program ends; a thread of its own, for reading a terminal cannot be broken off.
+/// Reads lines until the program ends, on a thread of its own because a read from a terminal cannot be interrupted.
 pub(crate) fn pacer(keyboard: Keyboard) -> Pacer {
-    let (typed, wishes) = mpsc::channel();
+    let (typed, requests) = mpsc::channel();
     thread::spawn(move || {
         for line in keyboard.lines().map_while(Result::ok) {
             let pace = match line.trim() {
@@ -49,5 +48,5 @@ pub(crate) fn pacer(keyboard: Keyboard) -> Pacer {
             }
         }
     });
-    Box::new(move || wishes.try_recv().ok())
+    Box::new(move || requests.try_recv().ok())
 }

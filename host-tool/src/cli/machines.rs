@@ -145,7 +145,7 @@ pub(crate) fn home(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value
     Ok(json!({ "homed": homed }))
 }
 
-/// A homing result in one line.
+/// The result of homing in one line.
 #[must_use]
 pub fn homed_text(homed: &crate::client::Homed) -> String {
     format!(

@@ -1,11 +1,11 @@
-//! Commands that move the rig outside a recorded run, or hold one: hold, resume, jog, move, health.
+//! Commands that move the rig by hand, hold and resume a run, or show the rig's health.
 
-use protocol::rig::{self, RigHealth, RigState, RigStatus, Sense};
+use protocol::rig::{self, Direction, RigHealth, RigState, RigStatus};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 
-use crate::cli::args::{JogArgs, MoveArgs, Way};
+use crate::cli::args::{JogArgs, MoveArgs};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
@@ -14,7 +14,7 @@ use crate::decimal;
 use crate::error::ClientError;
 use crate::trial::Status;
 
-/// A jog is renewed this often, or three times within the rig's dead-man time.
+/// Interval at which a jog is renewed, us; shorter if the rig's dead-man time is less than three of these.
 const RENEW_US: u64 = 100_000;
 
 pub(crate) fn hold(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
@@ -45,7 +45,7 @@ pub(crate) fn resume(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Val
     rig.call(rig::Resume)?;
     let status = rig.rig_status()?;
     screen.say(&format!(
-        "The run goes on from {} mm. Its link-loss policy holds: if it is `stop`, it stops when nobody listens.",
+        "The run goes on from {} mm. Its link-loss policy still applies: with `stop`, it stops when it hears no host.",
         millimetres(&status)
     ));
     Ok(json!({ "resumed": true, "status": status }))
@@ -58,10 +58,7 @@ pub(crate) fn jog(
 ) -> Result<Value, Failure> {
     let mut rig = finder.connect(DeviceKind::Rig)?;
     let jog = rig::Jog {
-        sense: match args.way {
-            Way::Away => Sense::Away,
-            Way::Home => Sense::Home,
-        },
+        sense: args.direction,
         speed_um_s: args.speed_mm_s.0,
     };
     let dead_man = rig.call(GetSetting {
@@ -78,7 +75,7 @@ pub(crate) fn jog(
         if !early && rig.now_us() < end_us {
             early = match rig.call(jog) {
                 Ok(_) => false,
-                // It ended just now; the status says how.
+                // The jog has just ended; the status says how.
                 Err(ClientError::Refused { .. }) => true,
                 Err(error) => return Err(error.into()),
             };
@@ -87,11 +84,11 @@ pub(crate) fn jog(
     rig.urgent(Urgent::Stop)?;
     let status = rig.wait_rest()?;
     let step_um = status.lead_um.div_ceil(status.steps_per_rev.max(1));
-    let at_the_end = match jog.sense {
-        Sense::Away => {
+    let at_the_end = match args.direction {
+        Direction::Away => {
             i64::from(status.position_um) > i64::from(status.stroke_um) - i64::from(step_um)
         }
-        Sense::Home => i64::from(status.position_um) < i64::from(step_um),
+        Direction::Home => i64::from(status.position_um) < i64::from(step_um),
     };
     let as_asked = rig.interrupted().is_none() && (!early || at_the_end);
     if status.fault.is_some() || !as_asked {
@@ -125,7 +122,7 @@ pub(crate) fn move_to(
     Ok(json!({ "accepted": accepted, "status": status }))
 }
 
-/// A motion that began and did not come to its end.
+/// The failure of a motion that ended early.
 fn cut_short(action: &'static str, rig: &Device, status: &RigStatus) -> Failure {
     let (ending, reason) = match (status.fault, rig.interrupted()) {
         (Some(_), _) => (Status::Faulted, None),

@@ -131,7 +131,7 @@ pub(crate) fn man(screen: &mut Screen<'_>) -> Result<Value, Failure> {
     print(&page, "man", screen)
 }
 
-/// Text as the result, or as a field of the JSON object.
+/// Prints text as the result; with `--json` it becomes a field of the object.
 fn print(text: &[u8], name: &str, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     if !screen.json {
         screen.out.write_all(text).map_err(|io| Failure::File {

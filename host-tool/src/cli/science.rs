@@ -21,7 +21,7 @@ use crate::science::series::{self, TubeCase, TubeRow, TubeRun, Workers};
 use crate::science::values::Values;
 use crate::science::{charts, drawing, snapshots, table};
 
-/// A design. All angles are to the transverse axis.
+/// Arguments of `design`. All angles are measured from the transverse axis.
 #[derive(Debug, Args)]
 pub struct DesignArgs {
     /// Overall width W in mm.
@@ -56,19 +56,19 @@ pub struct DesignArgs {
         allow_negative_numbers = true
     )]
     pub beta_deg: f64,
-    /// Take tan alpha = 2/9 and tan beta = 2/3, which the paper's angles are to two decimals.
+    /// Use tan alpha = 2/9 and tan beta = 2/3; rounded to two decimals these are the paper's angles.
     #[arg(long, conflicts_with_all = ["alpha_deg", "beta_deg"])]
     pub exact_slopes: bool,
     /// Number m of crescents, 1 to 32.
     #[arg(long, value_name = "M", default_value_t = 9, value_parser = clap::value_parser!(u8).range(1..=32))]
     pub crescents: u8,
-    /// Indentation a of the drawings in mm, 0 to (W-c)/2; 5.05 if the design is wide enough, else half of that.
+    /// Indentation a of the drawings in mm, 0 to (W-c)/2; by default 5.05, or (W-c)/4 if the design is too narrow.
     #[arg(long, value_name = "MM", allow_negative_numbers = true)]
     pub indentation_mm: Option<f64>,
     /// Smallest alpha that the material allows, in degrees; 12.53 worked in the paper.
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     pub least_alpha_deg: Option<f64>,
-    /// Draw the structure, not squeezed and squeezed, to this SVG file.
+    /// Draw the structure, unsqueezed and squeezed, to this SVG file.
     #[arg(long, value_name = "FILE")]
     pub svg: Option<PathBuf>,
     /// Draw the shortening over alpha and over beta to this SVG file.
@@ -76,7 +76,7 @@ pub struct DesignArgs {
     pub map: Option<PathBuf>,
 }
 
-/// A simulation.
+/// Arguments of `simulate`.
 #[derive(Debug, Args)]
 pub struct SimulateArgs {
     /// What to simulate.
@@ -90,7 +90,7 @@ pub struct SimulateArgs {
         default_value = "retrograde-science"
     )]
     pub out: PathBuf,
-    /// Threads that calculate; one for each core unless given. They do not change the result.
+    /// Number of threads, by default one per core. The result does not depend on it.
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
 }
@@ -116,7 +116,7 @@ pub enum Simulation {
             allow_negative_numbers = true
         )]
         indentation_mm: f64,
-        /// Thread drawn in, in mm; 21 unless given.
+        /// Thread drawn in, in mm; 21 by default.
         #[arg(long, value_name = "MM", allow_negative_numbers = true)]
         thread_mm: Option<f64>,
     },
@@ -281,7 +281,7 @@ thread:   {largest_shortening_mm:.2} mm at most, {capsule}
     text
 }
 
-/// What the commands of one call share.
+/// What all series of one `simulate` command share.
 struct Session<'a, 'b> {
     out: &'a Path,
     workers: Workers,
@@ -370,7 +370,7 @@ fn compare(screen: &mut Screen<'_>) -> Result<Value, Failure> {
                 "paper": row.paper,
                 "model": row.model,
                 "unit": row.unit,
-                "worth": row.worth.to_string(),
+                "worth": row.evidence.to_string(),
                 "remark": row.remark,
             })
         })
@@ -404,7 +404,7 @@ impl Session<'_, '_> {
 
     fn roller(&mut self) -> Result<(), Failure> {
         let rows = self.map(&series::lubrication_cases(), series::lubricated_run)?;
-        // Fig. 7 has the simulation at the ends of the friction range beside the experiment.
+        // Fig. 7 shows the simulation at both ends of the friction range beside the experiment.
         let ends: Vec<TubeCase> = series::LUBRICATION
             .iter()
             .flat_map(|(_, friction)| series::pressure_cases(*friction))
@@ -489,7 +489,7 @@ impl Session<'_, '_> {
     fn sweep_tube(&mut self, frictions: &[f64], pressures_pa: &[f64]) -> Result<(), Failure> {
         few_enough(frictions, pressures_pa)?;
         let cases = series::tube_cases(frictions, pressures_pa);
-        // The course of so many runs would only fill the memory.
+        // Only the end of each run is kept: the full courses of all runs would fill the memory.
         let end = |case: &TubeCase| {
             let run = series::tube_run(case)?;
             let course = run.course.last().copied().into_iter().collect();
@@ -529,7 +529,7 @@ impl Session<'_, '_> {
         self.file("sweep-roller.svg", charts::sweep(x, y, &points)?.as_bytes())
     }
 
-    /// Carries out all cases, with a bar on a terminal.
+    /// Calculates all cases in parallel, with a progress bar on a terminal.
     fn map<T: Sync, R: Send>(
         &self,
         cases: &[T],
@@ -550,7 +550,7 @@ impl Session<'_, '_> {
         Ok(results?)
     }
 
-    /// What follows, and what its numbers rest on.
+    /// Prints a heading that names the calibrated and assumed parameters of the model.
     fn title(&mut self, title: &str, parameters: &[Parameter]) {
         let names = |label| {
             let all: Vec<_> = parameters

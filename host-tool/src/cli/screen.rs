@@ -1,4 +1,4 @@
-//! Where text goes: results to standard output, what goes on to standard error if the output is JSON.
+//! Output of a command. Results and progress go to standard output; with `--json` progress goes to standard error.
 
 use std::io::Write;
 
@@ -13,9 +13,9 @@ pub(crate) struct Screen<'a> {
     pub(crate) out: &'a mut dyn Write,
     pub(crate) err: &'a mut dyn Write,
     pub(crate) json: bool,
-    /// Standard error is a terminal, so that a bar may be drawn.
+    /// Standard error is a terminal, so a progress bar may be drawn.
     pub(crate) terminal: bool,
-    /// There is a person at it, who wants no JSON.
+    /// The person at the terminal; none with `--json`.
     pub(crate) keyboard: Option<Keyboard>,
 }
 
@@ -24,17 +24,17 @@ impl Screen<'_> {
         if self.json { self.err } else { self.out }
     }
 
-    /// Says what goes on. A closed pipe must not stop the supervision of a machine.
+    /// Prints a line. A closed pipe must not end the supervision of a machine, so errors are ignored.
     pub(crate) fn say(&mut self, text: &str) {
         let _ = writeln!(self.stream(), "{text}");
     }
 
-    /// Says something to the person that is no result.
+    /// Prints a hint that is not part of the output.
     pub(crate) fn hint(&mut self, text: &str) {
         let _ = writeln!(self.err, "{text}");
     }
 
-    /// Whether the person answers with yes; without a person it is no.
+    /// Asks for confirmation; false if nobody is there to answer.
     pub(crate) fn confirms(&mut self, question: &str) -> bool {
         let Some(keyboard) = &mut self.keyboard else {
             return false;
@@ -45,13 +45,13 @@ impl Screen<'_> {
             && ["y", "yes"].contains(&answer.trim().to_lowercase().as_str())
     }
 
-    /// Shows an action that goes on.
+    /// An observer that shows the progress of an action.
     pub(crate) fn live(&mut self) -> Live<'_> {
         let terminal = self.terminal;
         Live::new(self.stream(), terminal)
     }
 
-    /// Ends a command: the JSON object, or the error.
+    /// Prints the JSON object or the error, and returns the exit code.
     pub(crate) fn finish(&mut self, result: Result<Value, Failure>) -> u8 {
         match result {
             Ok(mut value) => {

@@ -12,13 +12,13 @@ use protocol::system::DeviceKind;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::cli::args::SettingsCommand;
+use crate::cli::args::SettingsSubcommand;
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
 use crate::client::Device;
 
-/// Settings as a file.
+/// Contents of a settings file.
 #[derive(Debug, Serialize)]
 struct Exported {
     name: String,
@@ -26,20 +26,20 @@ struct Exported {
 }
 
 pub(crate) fn settings(
-    command: &SettingsCommand,
+    subcommand: &SettingsSubcommand,
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    // What is wrong with the words is said before a machine is looked for.
-    match command {
-        SettingsCommand::List => list(&mut finder.connect(DeviceKind::Rig)?, screen),
-        SettingsCommand::Get { key } => {
+    // Arguments are checked before a machine is looked for.
+    match subcommand {
+        SettingsSubcommand::List => list(&mut finder.connect(DeviceKind::Rig)?, screen),
+        SettingsSubcommand::Get { key } => {
             let mut rig = finder.connect(DeviceKind::Rig)?;
             let value = rig.call(GetSetting { key: key.0 })?.value;
             screen.say(&value.to_string());
             Ok(json!({ key.0.name(): value }))
         }
-        SettingsCommand::Set { key, value } => {
+        SettingsSubcommand::Set { key, value } => {
             let (key, value) = (key.0, value_of(key.0, value)?);
             let set = finder
                 .connect(DeviceKind::Rig)?
@@ -47,20 +47,20 @@ pub(crate) fn settings(
             screen.say(&format!("{} = {}", set.key.name(), set.value));
             Ok(json!({ set.key.name(): set.value }))
         }
-        SettingsCommand::Export { file, force } => export(file, *force, finder, screen),
-        SettingsCommand::Import { file } => {
+        SettingsSubcommand::Export { file, force } => export(file, *force, finder, screen),
+        SettingsSubcommand::Import { file } => {
             let wanted = import::read(file)?;
             let mut rig = finder.connect(DeviceKind::Rig)?;
             let changed = import::import(&mut rig, file, wanted)?;
             screen.say(&format!("{changed} settings changed"));
             Ok(json!({ "changed": changed }))
         }
-        SettingsCommand::Name { name: None } => {
+        SettingsSubcommand::Name { name: None } => {
             let name = finder.connect(DeviceKind::Rig)?.call(GetName)?.name;
             screen.say(&name);
             Ok(json!({ "name": name.as_str() }))
         }
-        SettingsCommand::Name { name: Some(name) } => {
+        SettingsSubcommand::Name { name: Some(name) } => {
             let name = checked_name(name).map_err(|why| Failure::Input {
                 why,
                 help: "use letters, digits and spaces".to_owned(),
@@ -69,7 +69,7 @@ pub(crate) fn settings(
             screen.say(&name.name);
             Ok(json!({ "name": name.name.as_str() }))
         }
-        SettingsCommand::Reset { yes } => {
+        SettingsSubcommand::Reset { yes } => {
             let question =
                 "All settings of the rig go back to their defaults, and its name is removed.";
             if !yes && !screen.confirms(question) {
@@ -157,10 +157,10 @@ fn exported(rig: &mut Device) -> Result<Exported, Failure> {
     Ok(Exported { name, settings })
 }
 
-/// A value within the range of its setting.
+/// Reads a value and checks it against the range of its setting.
 ///
 /// # Errors
-/// [`Failure::Input`] if it is no whole number, [`Failure::Refused`] if it is out of range.
+/// [`Failure::Input`] if it is not a whole number, [`Failure::Refused`] if it is out of range.
 fn value_of(key: SettingKey, text: &str) -> Result<u32, Failure> {
     let range = key.range();
     let (name, min, max) = (key.name(), range.min, range.max);
@@ -186,21 +186,11 @@ fn value_of(key: SettingKey, text: &str) -> Result<u32, Failure> {
         })
 }
 
-/// A name that fits into the rig and onto a terminal.
+/// Checks that a name is short enough for the rig and has no control characters.
 fn checked_name(name: &str) -> Result<heapless::String<MAX_NAME>, String> {
     if name.contains(char::is_control) {
         return Err("the name has a control character".to_owned());
     }
     name.try_into()
         .map_err(|_| format!("the name has {} bytes, {MAX_NAME} are allowed", name.len()))
-}
-
-/// The key with this name.
-pub(crate) fn key_of(name: &str) -> Result<SettingKey, String> {
-    SettingKey::ALL
-        .into_iter()
-        .find(|key| key.name() == name)
-        .ok_or_else(|| {
-            format!("there is no setting `{name}`: `retrograde settings list` shows all")
-        })
 }

@@ -1,9 +1,9 @@
-//! Where a machine is, as the user writes it: `auto`, a serial port, `tcp:HOST:PORT`, or `virtual`.
+//! Addresses of machines as the user writes them: `auto`, a serial port, `tcp:HOST:PORT`, or `virtual`.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// Where a machine is.
+/// Address of a machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
     /// The one board of the wanted kind among the ST-LINK ports.
@@ -16,13 +16,13 @@ pub enum Address {
     Virtual,
 }
 
-/// An address that cannot be understood.
+/// Why a text is not an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AddressError {
-    /// Nothing.
+    /// The text is empty.
     #[error("empty: use `auto`, a serial port such as /dev/ttyACM0, `tcp:HOST:PORT`, or `virtual`")]
     Empty,
-    /// `tcp:` without host or without a port in 1..=65535.
+    /// `tcp:` without a host or without a port in 1..=65535.
     #[error("`{0}` has no host or no port: write `tcp:HOST:PORT`, for example tcp:127.0.0.1:7001")]
     Tcp(String),
 }

@@ -1,4 +1,4 @@
-//! A link to a machine in this process, in virtual time: for tests of everything above the bytes.
+//! A link to a machine in this process, in virtual time, for tests of the layers above.
 
 use crate::link::{Link, LinkError};
 
@@ -6,13 +6,13 @@ use crate::link::{Link, LinkError};
 pub trait Peer: Send {
     /// Takes bytes from the host.
     fn take(&mut self, bytes: &[u8], now_us: u64);
-    /// Bytes that have arrived at the host by now.
+    /// Returns the bytes that have reached the host by now.
     fn give(&mut self, now_us: u64) -> Vec<u8>;
-    /// When it will next have something to give; `u64::MAX` if only after it has taken something.
+    /// When it next has bytes to give, us; `u64::MAX` if not before it takes some.
     fn next_us(&self) -> u64;
 }
 
-/// A link whose clock jumps to whatever happens next.
+/// A link whose clock jumps to the next event.
 #[derive(Debug)]
 pub struct Memory<P> {
     place: String,

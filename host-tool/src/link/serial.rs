@@ -1,4 +1,4 @@
-//! A machine at a serial port, opened for this process alone.
+//! A link to a machine at a serial port, which this process opens exclusively.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ pub const DEFAULT_BAUD: u32 = 115_200;
 /// USB vendor of the ST-LINK on every Nucleo board.
 const STMICROELECTRONICS: u16 = 0x0483;
 
-/// A frame of 170 bytes takes 15 ms; a port that takes none for so long is stuck.
+/// Time limit for a write. A frame of 170 bytes takes 15 ms, so a port that takes longer than this is stuck.
 const WRITE: Duration = Duration::from_secs(1);
 
 /// A serial port.
@@ -26,7 +26,7 @@ pub struct Serial {
 }
 
 impl Serial {
-    /// Opens a port for this process alone. Sends nothing.
+    /// Opens a port exclusively. Sends nothing.
     ///
     /// # Errors
     /// [`OpenError`], which tells missing, forbidden and busy ports apart and says what to do.
@@ -35,7 +35,7 @@ impl Serial {
             .timeout(WRITE)
             .open()
             .map_err(|error| explain(path, &error))?;
-        // What the board said before is of no session of ours.
+        // Bytes from before belong to no session of this process.
         let _ = port.clear(ClearBuffer::Input);
         Ok(Self {
             path: path.to_owned(),
@@ -89,7 +89,7 @@ pub struct Port {
     pub path: String,
     /// What the system knows about it.
     pub description: String,
-    /// It belongs to an ST-LINK, so that asking who is there disturbs nobody else's instrument.
+    /// It belongs to an ST-LINK, so that Hello cannot disturb some other instrument.
     pub stlink: bool,
 }
 

@@ -1,4 +1,4 @@
-//! A machine behind a TCP server that passes the same bytes as its serial port, at wall-clock pace.
+//! A link to a machine behind a TCP server, which passes on the bytes of its serial port in real time.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use crate::link::{Link, LinkError, OpenError};
 
-/// How long to wait for the server.
+/// Time limit for a connection.
 const CONNECT: Duration = Duration::from_secs(5);
 
 /// A TCP link.
@@ -37,7 +37,7 @@ impl Tcp {
         for address in addresses {
             match TcpStream::connect_timeout(&address, CONNECT) {
                 Ok(stream) => {
-                    // Small frames must leave at once: a stop does not wait for company.
+                    // Small frames must leave at once: a stop must not wait for more data.
                     stream
                         .set_nodelay(true)
                         .map_err(|io| error(io.to_string()))?;
@@ -88,17 +88,17 @@ impl Link for Tcp {
     }
 }
 
-/// Wall clock since the link was opened.
+/// Time since `start`, us.
 pub(crate) fn wall_us(start: Instant) -> u64 {
     u64::try_from(start.elapsed().as_micros()).unwrap_or(u64::MAX)
 }
 
-/// Time to a deadline: never zero, which would mean "for ever", and bounded for the operating system.
+/// Time to a deadline: never zero, which would mean "forever", and bounded for the operating system.
 pub(crate) fn timeout(now_us: u64, deadline_us: u64) -> Duration {
     Duration::from_micros(deadline_us.saturating_sub(now_us).clamp(1_000, 60_000_000))
 }
 
-/// A read that ended without bytes and without harm.
+/// Whether a read merely ended without bytes.
 pub(crate) fn nothing_yet(kind: ErrorKind) -> bool {
     matches!(
         kind,

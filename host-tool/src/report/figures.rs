@@ -1,4 +1,4 @@
-//! Figures of a trial as SVG: what was measured, over what was planned.
+//! Figures of a trial as SVG: measured values over planned ones.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -6,7 +6,8 @@ use protocol::rig::{Run, Stroke};
 
 use crate::trial::{Achieved, CapsuleSample, RigSample, Screw};
 
-/// Of one chart. The drawing library rounds to whole units: draw large, show small.
+/// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large and
+/// displayed small.
 const SIZE: (u32, u32) = (1_760, 640);
 const MEASURED: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
 const PLANNED: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
@@ -15,7 +16,7 @@ const INK: RGBColor = RGBColor(0x33, 0x33, 0x33);
 /// Points of the planned profile per ramp.
 const RAMP_POINTS: u32 = 24;
 
-/// A figure could not be drawn.
+/// Why a figure could not be drawn.
 #[derive(Debug, thiserror::Error)]
 #[error("a figure could not be drawn: {0}")]
 pub struct FigureError(String);
@@ -41,7 +42,7 @@ pub(crate) struct Curve {
 pub(crate) struct Chart {
     pub(crate) x_label: &'static str,
     pub(crate) y_label: String,
-    /// The axis reaches to 0, so that a difference looks as large as it is.
+    /// The y axis includes 0, so that differences appear in proportion.
     pub(crate) y_from_zero: bool,
     pub(crate) curves: Vec<Curve>,
 }
@@ -269,7 +270,7 @@ fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::E
         .x_desc(x_label)
         .y_desc(y_label)
         .draw()?;
-    // Above the plot, where no curve can be.
+    // The legend goes above the plot, where no curve runs.
     let mut entry = 0;
     for Curve {
         label,
@@ -308,7 +309,7 @@ fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::E
     Ok(())
 }
 
-/// Where the entries of a legend stand: in rows above the plot.
+/// Layout of a legend: rows of entries above the plot.
 struct Legend {
     entries: usize,
     column: i32,
@@ -321,7 +322,7 @@ impl Legend {
     fn of(curves: &[Curve]) -> Self {
         let labels = || curves.iter().filter(|curve| !curve.label.is_empty());
         let longest = labels().map(|curve| curve.label.chars().count()).max();
-        // The letters of 27 units are about 14 wide.
+        // Letters of height 27 are about 14 wide.
         let column = (90 + 14 * longest.unwrap_or(0) as i32).max(240);
         Self {
             entries: labels().count(),

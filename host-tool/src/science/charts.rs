@@ -1,5 +1,5 @@
-//! The series as figures: the models' values, beside what the paper's text says where it says a number. The label of
-//! each curve has the origin of its values.
+//! The series as figures: the models' values, with the paper's where its text gives a number. The label of each curve
+//! names the origin of its values.
 
 use plotters::style::RGBColor;
 
@@ -11,7 +11,7 @@ const MODEL: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
 const SECOND: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
 const PAPER: RGBColor = RGBColor(0xc2, 0x1f, 0x26);
 
-/// Of a family with more curves the legend names the first and the last.
+/// Most entries in the legend of a family; of a larger family it names only the first and the last.
 const LEGEND: usize = 12;
 
 fn curve(label: &str, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> Curve {
@@ -23,7 +23,7 @@ fn curve(label: &str, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> 
     }
 }
 
-/// From light to dark over a family of curves.
+/// Colour of a curve in a family, from light to dark.
 fn shade(index: usize, count: usize) -> RGBColor {
     let part = index as f64 / (count.max(2) - 1) as f64;
     let mix = |light: f64, dark: f64| (light + (dark - light) * part).round() as u8;
@@ -144,7 +144,7 @@ pub fn comparison(rig: &[RollerRow], tube: &[TubeRow]) -> Result<String, FigureE
             x_label: "peristaltic indentation / mm",
             y_label: "displacement in 40 s / mm".to_owned(),
             y_from_zero: true,
-            // The wide curve lies under the narrow one: the model gives both the same values.
+            // Wide below narrow, so that both can be seen: the model gives them the same values.
             curves: vec![
                 rig_curve("without", "not lubricated (model, prediction)", SECOND, 10),
                 rig_curve("with", "lubricated (model, prediction)", MODEL, 3),
@@ -163,7 +163,7 @@ pub fn comparison(rig: &[RollerRow], tube: &[TubeRow]) -> Result<String, FigureE
     ])
 }
 
-/// The fold test: both bodies over the carriage's way.
+/// The fold test: displacement of both bodies over the carriage's travel.
 ///
 /// # Errors
 /// If the drawing library fails.
@@ -175,7 +175,7 @@ pub fn fold(test: &FoldTest) -> Result<String, FigureError> {
             .collect()
     };
     figure(vec![Chart {
-        x_label: "way of the carriage / mm",
+        x_label: "travel of the carriage / mm",
         y_label: "displacement / mm".to_owned(),
         y_from_zero: true,
         curves: vec![
@@ -226,7 +226,7 @@ pub fn isolated(rows: &[IsolatedRow]) -> Result<String, FigureError> {
     }])
 }
 
-/// A sweep: displacement over the fast quantity, a curve for each friction.
+/// A sweep: displacement over pressure or indentation, a curve for each friction.
 ///
 /// # Errors
 /// If the drawing library fails.
@@ -250,7 +250,7 @@ pub fn sweep(
     }])
 }
 
-/// Shortening over each angle, with the design in it.
+/// Shortening over each angle, with a dot for the design.
 ///
 /// # Errors
 /// If the drawing library fails.

@@ -1,5 +1,5 @@
-//! One origami in numbers: its lengths, its shortening over the indentation, the room that each angle has, and where the
-//! paper's requirements put it.
+//! One origami in numbers: its lengths, its shortening over the indentation, the range that each angle may have, and the
+//! paper's requirements.
 
 use locomotion::kinematics::{
     BestAlpha, Design, RULES, best_alpha, printed_eq6_residual, repaired_eq6_residual,
@@ -7,11 +7,11 @@ use locomotion::kinematics::{
 use locomotion::range::OutOfRange;
 use serde::Serialize;
 
-/// The smallest alpha that the paper found to work, degrees: what the material allows is not in the equations.
+/// The smallest alpha that worked in the paper, degrees. The equations do not contain the limit of the material.
 pub const LEAST_ALPHA_DEG: f64 = 12.53;
 /// The paper's greatest indentation, mm.
 pub const PAPER_INDENTATION_MM: f64 = 5.05;
-/// "About" is this much to either side: the paper's own 12.53 degrees are 3.6 % below its "around 13".
+/// Tolerance of "about", relative: the paper's own 12.53 degrees are 3.6 % below its "around 13".
 pub const ABOUT: f64 = 0.05;
 /// Diameter of a capsule endoscope, mm (section I).
 pub const CAPSULE_MM: f64 = 13.0;
@@ -42,7 +42,7 @@ pub struct Squeezed {
 /// One requirement of section II.A beside the design.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RuleRow {
-    /// What it is about.
+    /// Name of the quantity.
     pub quantity: &'static str,
     /// The paper's target, "about".
     pub target: f64,
@@ -50,20 +50,20 @@ pub struct RuleRow {
     pub value: f64,
     /// Unit of both; empty for a pure number.
     pub unit: &'static str,
-    /// Value over target, less one.
+    /// Value over target, minus one.
     pub deviation: f64,
     /// The paper's objection to a value on that side; none within [`ABOUT`].
     pub objection: Option<&'static str>,
 }
 
-/// Eq. (6) at the drawn indentation: why it finds no alpha.
+/// Eq. (6) at the drawn indentation. It has no root, so it yields no alpha.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Equation6 {
-    /// Left less right side as printed: pure number less a mixture of mm and 1/mm.
+    /// Left minus right side as printed: a pure number minus a mixture of mm and 1/mm.
     pub printed_residual: f64,
-    /// Left less right side with the right side `((h-a)/h)^2`; above 0 for every alpha below 51.827 degrees.
+    /// Left minus right side with the right side `((h-a)/h)^2`; above 0 for every alpha below 51.827 degrees.
     pub repaired_residual: f64,
-    /// What Eq. (6) was to be zero: d d0/d alpha, mm per radian.
+    /// The derivative that Eq. (6) was meant to set to zero: d d0/d alpha, mm per radian.
     pub true_derivative_mm: f64,
 }
 
@@ -74,11 +74,11 @@ pub struct Best {
     pub alpha_deg: f64,
     /// d with this alpha at the drawn indentation, mm.
     pub shortening_mm: f64,
-    /// Why.
+    /// Why this alpha is the best.
     pub reason: &'static str,
 }
 
-/// All of it.
+/// All numbers of a design.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     /// Overall width W, mm.
@@ -105,28 +105,28 @@ pub struct Report {
     pub core_length_mm: f64,
     /// L(0), mm, the last wing included.
     pub length_mm: f64,
-    /// d(h), mm: the most that a thread can draw in.
+    /// d(h), mm: the greatest length that a thread can draw in.
     pub largest_shortening_mm: f64,
     /// Thread that makes it as narrow as a capsule of 13 mm, mm, if it can be.
     pub thread_to_capsule_mm: Option<f64>,
-    /// Alpha must lie between these, neither included, for beta as it is; degrees.
+    /// Alpha must lie between these for the given beta, ends excluded, degrees.
     pub alpha_window_deg: (f64, f64),
-    /// Beta must lie between these, neither included, for alpha as it is; degrees.
+    /// Beta must lie between these for the given alpha, ends excluded, degrees.
     pub beta_window_deg: (f64, f64),
     /// The indentation of the drawings, mm.
     pub indentation_mm: f64,
-    /// Over the indentation, from 0 to h.
+    /// The design at indentations from 0 to h.
     pub squeezed: Vec<Squeezed>,
     /// The paper's requirements.
     pub rules: Vec<RuleRow>,
-    /// None if no alpha that works is known below this beta.
+    /// None if no alpha below this beta is known to work.
     pub best_alpha: Option<Best>,
-    /// The slip of the paper.
+    /// The error in the paper's Eq. (6).
     pub equation_6: Equation6,
 }
 
-/// Everything about a design; `indentation_mm` is drawn and joins the table. `least_alpha_deg` is what the material
-/// allows, the paper's 12.53 degrees unless given.
+/// All numbers of a design; `indentation_mm` is the one of the drawings and is added to the table. `least_alpha_deg` is
+/// the limit of the material, by default the paper's 12.53 degrees.
 ///
 /// # Errors
 /// An indentation outside `0..=h`; a given least alpha outside `0..beta`.
@@ -181,7 +181,7 @@ pub fn report(
     })
 }
 
-/// The indentation that is drawn: as asked for, else the paper's, or half of h where that is too much for the design.
+/// The indentation of the drawings: as given, else the paper's, or half of h if the design is too narrow for that.
 fn drawn(design: &Design<f64>, asked_mm: Option<f64>) -> f64 {
     let h = design.half_gap_mm();
     asked_mm.unwrap_or(if PAPER_INDENTATION_MM <= h {
@@ -199,7 +199,7 @@ fn angles_deg(design: &Design<f64>) -> (f64, f64) {
     )
 }
 
-/// Whole millimetres, or tenths of a large h; the drawn one and h itself.
+/// Whole millimetres, or tenths of a large h; and the drawn one and h itself.
 fn indentations(h: f64, drawn_mm: f64) -> Vec<f64> {
     let step = if h <= 12.0 { 1.0 } else { h / 10.0 };
     let mut all: Vec<_> = (0..=12u8)
@@ -289,12 +289,12 @@ pub struct Maps {
     pub over_beta: Curves,
 }
 
-/// Neighbours of the design's angles, degrees away.
+/// Distances of the curves' fixed angles from the design's, degrees.
 const NEIGHBOURS_DEG: [f64; 5] = [-10.0, -5.0, 0.0, 5.0, 10.0];
-/// The curves end this far from the window's ends, degrees.
+/// Distance of the curves from the ends of the angle's range, degrees.
 const FROM_END_DEG: f64 = 0.5;
 
-/// d over alpha for several beta, and over beta for several alpha, as far as the window of each goes.
+/// d over alpha for several beta, and over beta for several alpha, each over its whole range.
 ///
 /// # Errors
 /// An indentation outside `0..=h`.

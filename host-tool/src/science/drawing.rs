@@ -1,4 +1,4 @@
-//! Drawings to scale: one unit of the SVG is one millimetre, in the drawing's own coordinates and, printed, on paper.
+//! Drawings to scale: one unit of the SVG is one millimetre, also in print.
 
 use std::fmt::{Display, Write};
 
@@ -57,13 +57,13 @@ impl Drawing {
         )
     }
 
-    /// Anything; writing to a string cannot fail.
+    /// Appends an element. Writing to a string cannot fail.
     fn put(&mut self, element: std::fmt::Arguments<'_>) {
         let _ = self.body.write_fmt(element);
         self.body.push('\n');
     }
 
-    /// Begins a part whose coordinates count from `origin`; ended by [`Drawing::close`].
+    /// Begins a group with its own `origin`; [`Drawing::close`] ends it.
     pub fn open(&mut self, class: &str, origin: Point) {
         let (x, y) = origin;
         self.put(format_args!(
@@ -73,7 +73,7 @@ impl Drawing {
         ));
     }
 
-    /// Ends a part.
+    /// Ends a group.
     pub fn close(&mut self) {
         self.put(format_args!("</g>"));
     }
@@ -105,7 +105,7 @@ impl Drawing {
         ));
     }
 
-    /// Words; `anchor` is `start`, `middle` or `end`.
+    /// Text; `anchor` is `start`, `middle` or `end`.
     pub fn text(&mut self, anchor: &str, (x, y): Point, text: &str) {
         self.put(format_args!(
             "<text text-anchor=\"{anchor}\" x=\"{}\" y=\"{}\">{}</text>",
@@ -115,7 +115,7 @@ impl Drawing {
         ));
     }
 
-    /// An arc about `centre` from straight down (`from_deg` = 0) counted towards the right.
+    /// An arc about `centre`; angles count from straight down towards the right.
     fn arc(&mut self, centre: Point, radius: f64, from_deg: f64, to_deg: f64) {
         let at = |deg: f64| {
             let angle = deg.to_radians();
@@ -135,7 +135,7 @@ impl Drawing {
         ));
     }
 
-    /// A dimension with its words: horizontal at height `y`, from `x1` to `x2`.
+    /// A horizontal dimension with its text at height `y`, from `x1` to `x2`.
     fn across(&mut self, y: f64, (x1, x2): (f64, f64), text: &str) {
         self.line("dimension", (x1, y), (x2, y));
         for (x, inward) in [(x1, ARROW_MM), (x2, -ARROW_MM)] {
@@ -148,7 +148,7 @@ impl Drawing {
         self.text("middle", ((x1 + x2) / 2.0, y - 1.2), text);
     }
 
-    /// A dimension with its words: vertical at `x`, from `y1` to `y2`; left of the drawing the words are on its left.
+    /// A vertical dimension with its text at `x`, from `y1` to `y2`. The text is on its left where `x` is negative.
     fn upright(&mut self, x: f64, (y1, y2): (f64, f64), text: &str) {
         self.line("dimension", (x, y1), (x, y2));
         for (y, inward) in [(y1, ARROW_MM), (y2, -ARROW_MM)] {
@@ -190,7 +190,7 @@ impl Drawing {
     }
 }
 
-/// Micrometres are fine enough; without trailing zeros.
+/// Writes millimetres to the micrometre, without trailing zeros.
 struct Mm(f64);
 
 impl Display for Mm {
@@ -224,7 +224,7 @@ impl Display for Escaped<'_> {
     }
 }
 
-/// A crescent as it lies: a triangle on either side of the core, its tip back towards the tail.
+/// A crescent in place: a triangle on either side of the core, with its tip towards the tail.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crescent {
     /// Foot of the short side, mm along the axis, + to the head.
@@ -235,20 +235,20 @@ pub struct Crescent {
     pub tip_mm: f64,
     /// The tip, mm from the axis.
     pub reach_mm: f64,
-    /// What the crescent is squeezed by, mm.
+    /// Its indentation, mm.
     pub indentation_mm: f64,
 }
 
-/// A body as it lies.
+/// A body in place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Body {
     core_mm: f64,
-    /// Tail first.
+    /// The crescents, tail first.
     pub crescents: Vec<Crescent>,
 }
 
 impl Body {
-    /// From the indentation of each crescent, tail first.
+    /// A body of crescents with these indentations, tail first.
     ///
     /// # Errors
     /// An indentation that the design does not allow.
@@ -276,7 +276,7 @@ impl Body {
         })
     }
 
-    /// As a model's chain lies.
+    /// The body of a model's chain.
     ///
     /// # Errors
     /// None for the chain of this design.
@@ -301,7 +301,7 @@ impl Body {
 /// # Errors
 /// `a_mm` outside `0..=h`.
 pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> {
-    // Room for the words beside and below a small structure.
+    // Room for the text beside and below a small structure.
     const MARGIN: f64 = 18.0;
     const LEAST_PART: f64 = 70.0;
     let m = usize::from(design.crescents());
@@ -311,7 +311,7 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
     let middle = 10.0 + half;
     let mut drawing = Drawing::new((2.0 * part).ceil(), (middle + half + 26.0).ceil());
 
-    // The rearmost tip at 0, so that the core begins at s2(0).
+    // The rearmost tip is at 0, so the core begins at s2(0).
     let free = Body::new(design, design.wing_reach_mm(0.0)?, &vec![0.0; m])?;
     let (tail, head) = free.core_ends_mm();
     drawing.open("unsqueezed", (margin, middle));
@@ -336,7 +336,7 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
         ),
     );
     drawing.across(half + 10.5, (0.0, length), &format!("L = {length:.2}"));
-    // The angles at the tip of the foremost crescent, to the transverse axis.
+    // The angles at the tip of the foremost crescent, from the transverse axis.
     let crescent = free.crescents[m - 1];
     let tip = (crescent.tip_mm, -half);
     let (alpha, beta) = (

@@ -1,5 +1,5 @@
-//! The paper's series and free sweeps. Each run is a calculation of its own, so that any number of threads gives the
-//! same rows in the same order, bit by bit.
+//! The paper's series and free sweeps. The runs are independent, so any number of threads gives the same rows in the same
+//! order, bit for bit.
 
 use locomotion::comparison::{INDENTATIONS_MM, frictions, pressures_pa};
 use locomotion::range::OutOfRange;
@@ -11,21 +11,21 @@ use serde::Serialize;
 pub const FRICTION_SERIES_PA: f64 = 7000.0;
 /// The friction of the paper's pressure series (section II.B).
 pub const PRESSURE_SERIES_FRICTION: f64 = 0.15;
-/// Friction that stands for a lubricated and for a dry intestine, the ends of the paper's range \[assumed\].
+/// Friction of a lubricated and of a dry intestine: the ends of the paper's range \[assumed\].
 pub const LUBRICATION: [(&str, f64); 2] = [("with", 0.08), ("without", 0.20)];
-/// The roller's step for isolated passes, mm: finer than the series', because a returning pass is all ripple.
+/// Step of the roller for isolated passes, mm. Finer than in the series, because a returning pass gives only ripple.
 pub const ISOLATED_STEP_MM: f64 = 0.1;
 
-/// The threads that calculate.
+/// A pool of threads.
 pub struct Workers {
     pool: rayon::ThreadPool,
 }
 
 impl Workers {
-    /// So many threads, or one for each core.
+    /// A pool of `threads` threads, by default one per core.
     ///
     /// # Errors
-    /// If the system gives no threads.
+    /// The system provides no threads.
     pub fn new(threads: Option<u16>) -> Result<Self, rayon::ThreadPoolBuildError> {
         let threads = threads.map_or(0, usize::from);
         let pool = rayon::ThreadPoolBuilder::new()
@@ -34,10 +34,10 @@ impl Workers {
         Ok(Self { pool })
     }
 
-    /// Carries out `work` on all `items`; the results are in the order of the items. Calls `done` after each.
+    /// Applies `work` to all `items`; the results are in the order of the items. Calls `done` after each.
     ///
     /// # Errors
-    /// That of the first item, in their order, that has one.
+    /// The error of the first item that has one, in the order of the items.
     pub fn map<T: Sync, R: Send>(
         &self,
         items: &[T],
@@ -58,7 +58,7 @@ impl Workers {
     }
 }
 
-/// A run in the tube, to be done.
+/// Parameters of a run in the tube.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TubeCase {
     /// Friction coefficient.
@@ -67,10 +67,10 @@ pub struct TubeCase {
     pub pressure_pa: f64,
 }
 
-/// A run in the tube, done.
+/// A simulated run in the tube.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TubeRun {
-    /// What it was.
+    /// Its parameters.
     pub case: TubeCase,
     /// Time, s, and displacement of the tail, mm, from the start to the end.
     pub course: Vec<(f64, f64)>,
@@ -104,7 +104,7 @@ pub fn pressure_cases(friction: f64) -> Vec<TubeCase> {
     pressures_pa().map(case).collect()
 }
 
-/// Every friction with every pressure, the pressure running fastest.
+/// Every friction with every pressure; the pressure varies fastest.
 #[must_use]
 pub fn tube_cases(frictions: &[f64], pressures_pa: &[f64]) -> Vec<TubeCase> {
     let with = |&friction: &f64| {
@@ -116,7 +116,7 @@ pub fn tube_cases(frictions: &[f64], pressures_pa: &[f64]) -> Vec<TubeCase> {
     frictions.iter().flat_map(with).collect()
 }
 
-/// One run in the tube with its course.
+/// Simulates one run in the tube.
 ///
 /// # Errors
 /// A friction or a pressure that the model does not cover.
@@ -145,11 +145,11 @@ pub struct TubeRow {
     pub pressure_pa: f64,
     /// Displacement of the tail after 20 s, mm, + headward.
     pub displacement_mm: f64,
-    /// What the paper's text says of it ("about"), mm.
+    /// The paper's text on it ("about"), mm.
     pub paper_about_mm: Option<f64>,
 }
 
-/// The ends of some runs, each beside what the paper says of it.
+/// The ends of runs, each beside the paper's text on it.
 #[must_use]
 pub fn tube_rows(
     runs: &[TubeRun],
@@ -193,7 +193,7 @@ pub struct TubeMoment {
     pub displacement_mm: f64,
 }
 
-/// All moments of some runs.
+/// All moments of the runs.
 #[must_use]
 pub fn tube_moments(runs: &[TubeRun]) -> Vec<TubeMoment> {
     let moments = |run: &TubeRun| {
@@ -212,7 +212,7 @@ pub fn tube_moments(runs: &[TubeRun]) -> Vec<TubeMoment> {
     runs.iter().flat_map(moments).collect()
 }
 
-/// A run on the rig, to be done.
+/// Parameters of a run on the rig.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RollerCase {
     /// Friction coefficient.
@@ -221,7 +221,7 @@ pub struct RollerCase {
     pub indentation_mm: f64,
 }
 
-/// A run on the rig, done.
+/// A simulated run on the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RollerRow {
     /// `with` or `without` for the paper's two series; empty elsewhere.
@@ -240,7 +240,7 @@ pub fn lubrication_cases() -> Vec<RollerCase> {
     roller_cases(&LUBRICATION.map(|(_, friction)| friction), &INDENTATIONS_MM)
 }
 
-/// Every friction with every indentation, the indentation running fastest.
+/// Every friction with every indentation; the indentation varies fastest.
 #[must_use]
 pub fn roller_cases(frictions: &[f64], indentations_mm: &[f64]) -> Vec<RollerCase> {
     let with = |&friction: &f64| {
@@ -254,7 +254,7 @@ pub fn roller_cases(frictions: &[f64], indentations_mm: &[f64]) -> Vec<RollerCas
     frictions.iter().flat_map(with).collect()
 }
 
-/// One run on the rig: five cycles of 130 mm.
+/// Simulates one run on the rig: five cycles of 130 mm.
 ///
 /// # Errors
 /// A friction or an indentation that the model does not cover.
@@ -269,7 +269,7 @@ pub fn roller_run(case: &RollerCase) -> Result<RollerRow, OutOfRange> {
     })
 }
 
-/// The same for the two series of [`lubrication_cases`], which it names.
+/// As [`roller_run`], for the two series of [`lubrication_cases`], whose name goes into the row.
 ///
 /// # Errors
 /// As [`roller_run`].
@@ -294,7 +294,7 @@ pub struct IsolatedRow {
     pub returning_mm: f64,
 }
 
-/// Isolated passes at one indentation.
+/// Simulates isolated passes at one indentation.
 ///
 /// # Errors
 /// An indentation that the model does not cover.
@@ -315,9 +315,9 @@ pub fn isolated_run(indentation_mm: &f64) -> Result<IsolatedRow, OutOfRange> {
 /// A moment of the fold test.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FoldRow {
-    /// Way that the carriage has gone, mm.
+    /// Distance travelled by the carriage, mm.
     pub travel_mm: f64,
-    /// Place of the carriage, mm from home (the right end).
+    /// Position of the carriage, mm from home (the right end).
     pub carriage_mm: f64,
     /// Displacement of the folded body, mm, + headward.
     pub folded_mm: f64,
@@ -338,10 +338,10 @@ pub struct FoldTest {
     pub course: Vec<FoldRow>,
 }
 
-/// Way of the carriage between two rows of a fold test, mm.
+/// Travel of the carriage between two rows of a fold test, mm.
 const FOLD_ROW_MM: f64 = 5.0;
 
-/// The fold test of section III.A: drawn in by 21 mm of thread unless another length is given.
+/// The fold test of section III.A, by default with 21 mm of thread drawn in.
 ///
 /// # Errors
 /// A thread or an indentation that the models do not cover.
@@ -351,8 +351,8 @@ pub fn fold_test(indentation_mm: f64, thread_mm: Option<f64>) -> Result<FoldTest
         None => folded::Params::PAPER,
         Some(mm) => folded::Params::PAPER.folded_by(&unfolded.body.design, mm)?,
     };
-    let mut folded = folded::Bench::new(params, indentation_mm)?;
-    let mut other = roller::Bench::new(unfolded, indentation_mm)?;
+    let mut folded = folded::FoldedBody::new(params, indentation_mm)?;
+    let mut other = roller::UnfoldedBody::new(unfolded, indentation_mm)?;
     let rows = (params.stroke_mm / FOLD_ROW_MM).round() as u32;
     let mut course = vec![];
     for stroke in 0..params.cycles * 2 {

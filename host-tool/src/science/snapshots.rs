@@ -1,5 +1,5 @@
 //! Wall and body at several moments, as in the paper's Fig. 6: one column for each pressure or indentation, one row for
-//! each moment; the blue line is the head's start, the red one where it is at the end of the run.
+//! each moment. The blue line marks the head at the start of the run, the red one at its end.
 
 use locomotion::range::OutOfRange;
 use locomotion::{roller, tube};
@@ -13,24 +13,24 @@ const PRESSURES_PA: [f64; 3] = [3000.0, 5000.0, 7000.0];
 const TUBE_S: [f64; 6] = [0.0, 4.5, 6.5, 8.5, 10.5, 20.0];
 /// Indentations of the rig's columns, mm.
 const INDENTATIONS_MM: [f64; 3] = [1.0, 3.0, 5.05];
-/// Way of the carriage at the rig's rows, in strokes: one antegrade wave, and the end.
+/// Travel of the carriage at the rig's rows, in strokes: one antegrade wave, and the end.
 const STROKES: [f64; 6] = [0.0, 0.25, 0.5, 0.75, 1.0, 10.0];
 
-/// Distance of two points of a drawn wall, mm.
+/// Distance between two points of a drawn wall, mm.
 const WALL_STEP_MM: f64 = 0.5;
 
 /// One picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Snapshot {
-    /// Column: what squeezes.
+    /// Label of the column: pressure or indentation.
     pub case: String,
-    /// Row: when.
+    /// Label of the row: time or travel.
     pub moment: String,
-    /// Places and indentations of the wall, mm.
+    /// Positions along the wall and its indentation there, mm.
     pub wall_mm: Vec<Point>,
     /// The body.
     pub body: Body,
-    /// Place of the rollers, mm, if there are any.
+    /// Position of the rollers, mm, if there are any.
     pub roller_mm: Option<f64>,
 }
 
@@ -39,7 +39,7 @@ pub struct Snapshot {
 pub struct Strip {
     /// `tube` or `roller`.
     pub model: &'static str,
-    /// chi: part of the wall's indentation that a crescent feels.
+    /// chi: fraction of the wall's indentation that a crescent feels.
     pub coupling: f64,
     /// Half the width of the intestine at rest, mm.
     pub half_width_mm: f64,
@@ -52,11 +52,11 @@ pub struct Strip {
 pub struct SnapshotRow {
     /// `tube` or `roller`.
     pub model: &'static str,
-    /// Column: what squeezes.
+    /// Label of the column: pressure or indentation.
     pub case: String,
-    /// Row: when.
+    /// Label of the row: time or travel.
     pub moment: String,
-    /// Which crescent, 1 at the tail.
+    /// Number of the crescent, 1 at the tail.
     pub crescent: usize,
     /// Foot of its short side, mm from the intestine's left mark.
     pub tail_root_mm: f64,
@@ -64,7 +64,7 @@ pub struct SnapshotRow {
     pub head_root_mm: f64,
     /// Its tip, mm.
     pub tip_mm: f64,
-    /// What it is squeezed by, mm.
+    /// Its indentation, mm.
     pub indentation_mm: f64,
 }
 
@@ -81,7 +81,7 @@ pub fn tube() -> Result<Strip, OutOfRange> {
         let mut tube = tube::Tube::new(params, pressure_pa)?;
         let mut column = vec![];
         for time_s in TUBE_S {
-            // Half a step before the moment: sums of steps are not whole.
+            // Stops within half a step of the moment, because sums of steps are not exact.
             while tube.time_s() < time_s - params.step_s / 2.0 {
                 tube.step()?;
             }
@@ -112,11 +112,11 @@ pub fn roller() -> Result<Strip, OutOfRange> {
     let design = params.body.design;
     let mut columns = vec![];
     for indentation_mm in INDENTATIONS_MM {
-        let mut bench = roller::Bench::new(params, indentation_mm)?;
+        let mut bench = roller::UnfoldedBody::new(params, indentation_mm)?;
         let mut column = vec![];
         let mut done = 0;
         for strokes in STROKES {
-            // Whole strokes first: each reversal is at an end of the rail.
+            // Whole strokes first, so that each reversal is at an end of the rail.
             while f64::from(done + 1) <= strokes {
                 done += 1;
                 bench.carriage_to(if done % 2 == 1 { params.stroke_mm } else { 0.0 })?;
@@ -131,11 +131,11 @@ pub fn roller() -> Result<Strip, OutOfRange> {
             let roller_mm = params.stroke_mm - carriage_mm;
             column.push(Snapshot {
                 case: format!("a = {indentation_mm} mm"),
-                moment: format!("{} mm of way", strokes * params.stroke_mm),
+                moment: format!("{} mm of travel", strokes * params.stroke_mm),
                 wall_mm: wall(params.stroke_mm, |x| {
                     roller::wall_mm(indentation_mm, params.radius_mm, x - roller_mm)
                 }),
-                body: Body::of(&design, bench.body())?,
+                body: Body::of(&design, bench.chain())?,
                 roller_mm: Some(roller_mm),
             });
         }
@@ -235,7 +235,7 @@ impl Strip {
             "start",
             (LEFT, 12.0 + height * rows as f64 + 4.0),
             &format!(
-                "to scale, tail at the left; blue: start of the head, red: its place at the end; model values: a \
+                "to scale, tail at the left; blue: head at the start, red: head at the end; model values: a \
                  crescent feels {} of the wall's indentation over its foot; parameters.csv says what is calibrated or assumed",
                 self.coupling
             ),

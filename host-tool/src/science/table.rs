@@ -1,4 +1,4 @@
-//! Rows as CSV: a header with units in the names, numbers with as many digits as bring back the same bits.
+//! Rows as CSV: a header with units in the names, numbers with enough digits to restore the same bits.
 
 use locomotion::parameter::Parameter;
 use locomotion::{folded, roller, tube};
@@ -7,7 +7,7 @@ use serde::Serialize;
 /// The rows as the bytes of a CSV file.
 ///
 /// # Errors
-/// A row that is no flat record.
+/// A row that is not a flat record.
 pub fn csv<T: Serialize>(rows: &[T]) -> Result<Vec<u8>, csv::Error> {
     let mut writer = csv::Writer::from_writer(vec![]);
     for row in rows {
@@ -18,7 +18,7 @@ pub fn csv<T: Serialize>(rows: &[T]) -> Result<Vec<u8>, csv::Error> {
         .map_err(|error| error.into_error().into())
 }
 
-/// One parameter of one model, and where its value comes from.
+/// One parameter of one model, and the origin of its value.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ParameterRow {
     /// `roller`, `tube` or `folded`.

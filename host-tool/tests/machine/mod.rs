@@ -18,8 +18,8 @@ use protocol::error::{Field, Refusal};
 use protocol::events::EventRing;
 use protocol::frame::{Deframer, Header, Kind, encode};
 use protocol::rig::{
-    HomeAccepted, MoveAccepted, RigEvent, RigFault, RigInputs, RigState, RigStatus, RigTelemetry,
-    Run, RunAccepted, RunOutcome, RunRecord, Sense, Stroke,
+    Direction, HomeAccepted, MoveAccepted, RigEvent, RigFault, RigInputs, RigState, RigStatus,
+    RigTelemetry, Run, RunAccepted, RunOutcome, RunRecord, Stroke,
 };
 use protocol::session::{Decision, Session};
 use protocol::settings::{MAX_NAME, Name, Setting, SettingKey, SettingRule};
@@ -697,8 +697,8 @@ impl Machine {
                     *dead_us = until_us;
                 } else {
                     let to = match jog.sense {
-                        Sense::Away => STROKE_STEPS,
-                        Sense::Home => 0,
+                        Direction::Away => STROKE_STEPS,
+                        Direction::Home => 0,
                     };
                     self.set_off(to, jog.speed_um_s, until_us)?;
                 }
@@ -939,7 +939,7 @@ impl Machine {
             Kind::Urgent => "Urgent",
             _ => frame
                 .decode::<Request>()
-                .map_or("?", |request| request.row().name),
+                .map_or("?", |request| request.name()),
         };
         let deaf = self
             .script
@@ -966,7 +966,7 @@ impl Machine {
                 reply(self, session, seq, &hello);
             }
             Decision::Execute { request, ticket } => {
-                self.log().executed.push(request.row().name);
+                self.log().executed.push(request.name());
                 let executed = self.execute(request);
                 self.show_settings();
                 let answer = match executed {

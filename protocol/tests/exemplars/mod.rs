@@ -46,7 +46,7 @@ pub fn requests() -> std::vec::Vec<Request> {
         Request::Hold(Hold),
         Request::Resume(Resume),
         Request::Jog(Jog {
-            sense: Sense::Home,
+            sense: Direction::Home,
             speed_um_s: 5_000,
         }),
         Request::MoveTo(MoveTo {

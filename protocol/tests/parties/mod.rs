@@ -1,4 +1,4 @@
-//! Who takes part in the tests of the link beside the client: noise, and a device that counts what it executes.
+//! What the tests of the link need beside the client: noise, raw bytes, and a device that counts what it executes.
 
 use protocol::{
     frame::{Deframer, Encoded, Header, Kind, encode},
@@ -22,10 +22,26 @@ impl Noise {
     }
 }
 
+/// Bytes without a length in front of them.
+pub struct Raw(pub Vec<u8>);
+impl serde::Serialize for Raw {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        use serde::ser::SerializeTuple;
+        let mut tuple = serializer.serialize_tuple(self.0.len())?;
+        self.0
+            .iter()
+            .try_for_each(|byte| tuple.serialize_element(byte))?;
+        tuple.end()
+    }
+}
+
 /// The device of these tests: counts what it executes.
 pub struct Device {
     pub deframer: Deframer,
     pub session: Session,
+    /// Requests handed in for execution.
+    pub executions: u32,
+    /// The interval of each [`Request::SetTelemetry`] that was executed.
     pub executed: Vec<u16>,
     pub stops: u32,
     pub boots: u32,
@@ -36,6 +52,7 @@ impl Device {
         Self {
             deframer: Deframer::new(),
             session: Session::new(1),
+            executions: 0,
             executed: vec![],
             stops: 0,
             boots: 1,
@@ -85,6 +102,7 @@ impl Device {
                 &Reply::Accepted(Response::Hello(self.identity(session))),
             ),
             Decision::Execute { request, ticket } => {
+                self.executions += 1;
                 let response = match request {
                     Request::SetTelemetry(set) => {
                         self.executed.push(set.period_ms);
@@ -106,7 +124,9 @@ impl Device {
             }
             Decision::Resend(frame) => Some(frame),
             Decision::Refuse { refusal, ticket } => {
-                reply(ticket.session, ticket.seq, &Reply::Refused(refusal))
+                let frame = reply(ticket.session, ticket.seq, &Reply::Refused(refusal))?;
+                self.session.remember(ticket, &frame);
+                Some(frame)
             }
             Decision::Reject {
                 error,

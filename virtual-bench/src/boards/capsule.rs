@@ -22,7 +22,7 @@ const FAULT: Pin = Pin::new('A', 8);
 const ENCODER: [Pin; 2] = [Pin::new('A', 0), Pin::new('A', 1)];
 const CURRENT: (Pin, u8) = (Pin::new('A', 4), 4);
 const BATTERY: (Pin, u8) = (Pin::new('B', 0), 8);
-/// The functions that carry TIM3 and TIM2 (DS10314 table 9).
+/// The alternate functions for TIM3 and TIM2 (DS10314 table 9).
 const AF_BRIDGE: Option<u8> = Some(2);
 const AF_ENCODER: Option<u8> = Some(1);
 
@@ -50,7 +50,7 @@ impl CapsuleBoard {
         }
     }
 
-    /// Advances the mechanics to `at_ns` and shows the encoder's edges to the chip.
+    /// Advances the mechanics to `at_ns` and passes the encoder's edges to the chip.
     fn advance(&mut self, at_ns: u64, pads: &mut Pads<'_>) {
         let encoder = &mut self.encoder;
         self.capsule
@@ -132,13 +132,13 @@ impl Wiring for CapsuleBoard {
     }
 }
 
-/// Where the capsule's image is looked for.
+/// Path of the capsule's image.
 #[must_use]
 pub fn image() -> PathBuf {
     images().join("firmware-capsule")
 }
 
-/// A capsule on the bench, with the image that would be flashed.
+/// Starts a capsule on the bench with the image that would be flashed.
 ///
 /// # Errors
 /// A missing or unusable image.

@@ -26,7 +26,7 @@ const READ_BACK: Pin = Pin::new('A', 0);
 const SYNC: Pin = Pin::new('A', 8);
 const BUTTON: Pin = Pin::new('C', 13);
 const LED: Pin = Pin::new('A', 5);
-/// The function that carries TIM1 and TIM2 (DS10314 table 9).
+/// The alternate function for TIM1 and TIM2 (DS10314 table 9).
 const AF_TIMER: Option<u8> = Some(1);
 /// TIM1's channels.
 const STEP_CHANNEL: u8 = 3;
@@ -47,7 +47,7 @@ pub struct RigBoard {
     step_high: bool,
     sync_high: bool,
     led_high: bool,
-    /// What the board last drove, `None` since a reset.
+    /// Levels last driven by the board, `None` after a reset.
     contacts: [Option<bool>; 3],
     button: Option<bool>,
     broken: Option<bool>,
@@ -164,13 +164,13 @@ impl Wiring for RigBoard {
     }
 }
 
-/// Where the rig's image is looked for.
+/// Path of the rig's image.
 #[must_use]
 pub fn image() -> PathBuf {
     images().join("firmware-rig")
 }
 
-/// A rig on the bench, with the image that would be flashed.
+/// Starts a rig on the bench with the image that would be flashed.
 ///
 /// # Errors
 /// A missing or unusable image.

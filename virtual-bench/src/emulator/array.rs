@@ -1,14 +1,14 @@
-//! The flash array behind the emulated interface: a store clears bits, an erase sets them, a cut in the middle leaves
-//! some of the bits, or half of the sector, as they were.
+//! The flash array behind the emulated interface. A store clears bits, an erase sets them. A cut in the middle leaves
+//! some of the bits, or half of the sector, unchanged.
 
 use rigless::emulator::{Access, AccessKind, Host};
 use rigless::soc::Width;
 
 use super::map::{FLASH_BASE, FLASH_BYTES, SECTOR_BYTES};
 
-/// What an image may change: sectors 1 to 3. The others hold the image itself.
+/// The flash that an image may change: sectors 1 to 3. The others hold the image itself.
 const SETTINGS: std::ops::Range<u64> = FLASH_BASE + (16 << 10)..FLASH_BASE + (64 << 10);
-/// Places of the first so many changes elsewhere are kept.
+/// Number of changes elsewhere whose places are kept.
 const FOREIGN: usize = 16;
 
 /// The interface's control register (RM0383 section 3.8.5).
@@ -20,23 +20,23 @@ const STRT: u64 = 1 << 16;
 const LOCK: u64 = 1 << 31;
 pub(super) const BUSY: u64 = 1 << 16;
 
-/// How much of an operation takes place.
+/// How much of an operation is done.
 enum Share {
     None,
     Part,
     All,
 }
 
-/// What a store or a start did.
+/// What a write access did to the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Touched {
-    /// Nothing of the array's.
+    /// It was not for the flash.
     Nothing,
-    /// A store was begun, or would have been but for the cut.
+    /// A store has begun, or would have but for the cut.
     Stored,
-    /// An erase began.
+    /// An erase has begun.
     EraseBegan,
-    /// A store that the chip would refuse: locked, not in programming mode, or of another width than set.
+    /// It was a store that the chip would refuse: locked, not in programming mode, or with the wrong width.
     Refused,
 }
 
@@ -59,9 +59,9 @@ pub(super) struct Array {
     operations: u64,
     /// The supply fails at this operation.
     failing: Option<(u64, CutAt)>,
-    /// It has: the array does not change any more.
+    /// It has failed: the array no longer changes.
     failed: bool,
-    /// Where the image changed what is not the settings'.
+    /// Where the image changed flash outside the settings' sectors.
     foreign: Vec<u64>,
 }
 
@@ -74,7 +74,7 @@ impl Array {
         self.failed
     }
 
-    /// Where the image changed flash outside the settings' sectors: the first places.
+    /// The first places where the image changed flash outside the settings' sectors.
     pub(super) fn foreign(&self) -> &[u64] {
         &self.foreign
     }
@@ -83,7 +83,7 @@ impl Array {
         self.failing = Some((operation, at));
     }
 
-    /// Counts an operation; how much of it takes place.
+    /// Counts an operation and says how much of it is done.
     fn begin(&mut self) -> Share {
         if self.failed {
             return Share::None;
@@ -110,7 +110,7 @@ impl Array {
         }
     }
 
-    /// An access has settled. `control` is the control register now, `status` the status register.
+    /// Handles a settled access, with the control and status registers as they are now.
     pub(super) fn settled(
         &mut self,
         access: &Access,
@@ -140,14 +140,14 @@ impl Array {
         }
     }
 
-    /// The interface is not busy any more.
+    /// Completes an erase when the interface is no longer busy.
     pub(super) fn finish(&mut self, host: &mut dyn Host) {
         if let Some((first, bytes)) = self.erasing.take() {
             erase(first, bytes, host);
         }
     }
 
-    /// The part restarts or loses its supply: an erase under way stops half done.
+    /// Leaves an erase half done, when the part is reset or loses its supply.
     pub(super) fn cut(&mut self, host: &mut dyn Host) {
         if let Some((first, bytes)) = self.erasing.take() {
             erase(first, bytes / 2, host);
@@ -168,7 +168,7 @@ impl Array {
         let old = host.read(access.address, access.width).unwrap_or(0);
         let stored = match self.begin() {
             Share::None => old,
-            // Which bits are quick and which slow differs from store to store.
+            // Which bits have changed by then differs from store to store.
             Share::Part => {
                 old & (access.value | self.operations.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 16)
             }
@@ -197,7 +197,7 @@ fn erase(first: u64, bytes: u64, host: &mut dyn Host) {
     }
 }
 
-/// The whole array, as a programmer would read it out.
+/// Contents of the whole array.
 pub(super) fn read_out(host: &mut dyn Host) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(FLASH_BYTES as usize);
     for address in (FLASH_BASE..FLASH_BASE + FLASH_BYTES).step_by(4) {
@@ -216,7 +216,7 @@ mod tests {
 
     use super::*;
 
-    /// Words of a flash; what was never stored is erased.
+    /// Words of a flash; those never stored are erased.
     #[derive(Default)]
     struct Words(std::collections::BTreeMap<u64, u64>);
 

@@ -1,5 +1,5 @@
-//! What the emulator lacks: the external interrupt controller and the pin selection of SYSCFG (RM0383 chapter 10 and
-//! section 7.2).
+//! The external interrupt controller and the pin selection of SYSCFG (RM0383 chapter 10 and section 7.2), which the
+//! emulator does not have.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile};
 use rigless::soc::stm32f427::generated::{exti, syscfg};
@@ -7,7 +7,7 @@ use rigless::soc::stm32f427::generated::{exti, syscfg};
 /// Lines that come from pins.
 const PIN_LINES: u64 = 0xFFFF;
 
-/// The vectors in the order of the instance's table, and the lines that share each. Position 0 is not a pin's.
+/// Vectors by their position in the instance's table, and the lines that share each. Position 0 is not for pins.
 const VECTORS: [(usize, u64); 7] = [
     (1, 1 << 0),
     (2, 1 << 1),
@@ -18,7 +18,7 @@ const VECTORS: [(usize, u64); 7] = [
     (7, 0xFC00),
 ];
 
-/// The controller. Edges come from the bench, through [`Exti::edge`], because the pins announce no request to it.
+/// The controller. The bench reports edges through [`Exti::edge`], because the emulated pins do not.
 #[derive(Debug, Default)]
 pub(super) struct Exti {
     pending: u64,
@@ -26,7 +26,7 @@ pub(super) struct Exti {
 }
 
 impl Exti {
-    /// A level on the pin that SYSCFG routes to `line` has changed.
+    /// The level at the pin that SYSCFG routes to `line` has changed.
     pub(super) fn edge(
         &mut self,
         line: usize,
@@ -67,7 +67,7 @@ impl Device for Exti {
         context: &mut DeviceContext<'_>,
     ) {
         match register {
-            // Write one to clear; the plain register has taken the written word.
+            // Write one to clear. The register file has stored the written word as it is.
             exti::Register::Pr => self.pending &= !value,
             exti::Register::Swier => {
                 self.pending |= value & registers.get(exti::Register::Imr);
@@ -79,7 +79,7 @@ impl Device for Exti {
     }
 }
 
-/// The selection registers: plain storage, named here so that an access to them is not taken for a gap.
+/// The selection registers: plain storage, modelled so that an access does not count as a gap.
 #[derive(Debug, Default)]
 pub(super) struct Syscfg;
 

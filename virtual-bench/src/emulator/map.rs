@@ -1,5 +1,5 @@
-//! What an STM32F411RE has where the emulated STM32F427 has more: memory sizes, peripherals, DMA requests, the
-//! unique number. Use of anything beyond is recorded and fails a run.
+//! Where an STM32F411RE differs from the emulated STM32F427: memory sizes, peripherals, DMA requests, unique number. Use
+//! of anything that it does not have is recorded and fails a run.
 
 use std::num::{NonZeroU32, NonZeroU64};
 use std::path::Path;
@@ -90,14 +90,14 @@ const fn wire(
     }
 }
 
-/// RM0383 table 27, the requests of the peripherals in use.
+/// Requests of the peripherals in use (RM0383 table 27).
 static DMA1_REQUESTS: [Wire; 3] = [
     wire("USART2", usart::RECEIVE_REQUEST, 4, &[5]),
     wire("USART2", usart::TRANSMIT_REQUEST, 4, &[6]),
     wire("USART2", usart::RECEIVE_REQUEST, 6, &[7]),
 ];
 
-/// RM0383 table 28. The emulator's own table leaves the timers out.
+/// Requests of the peripherals in use (RM0383 table 28). The emulator's own table has no timers.
 static DMA2_REQUESTS: [Wire; 2] = [
     wire("ADC1", adc::DMA_REQUEST, 0, &[0, 4]),
     wire("TIM1", UPDATE_REQUEST, 6, &[5]),
@@ -111,7 +111,7 @@ pub(super) fn controllers() -> [Dma; 2] {
     ]
 }
 
-/// What the factory programmed: the 96-bit unique number at 0x1FFF_7A10 and the flash size in KiB at 0x1FFF_7A22
+/// The factory's data: the 96-bit unique number at 0x1FFF_7A10 and the flash size in KiB at 0x1FFF_7A22
 /// (RM0383 section 24), and the calibration of reference and temperature sensor (DS10314 table 70 and 76).
 pub(super) fn factory_image(uid: [u8; 12]) -> Result<Image, rigless::image::Error> {
     let mut bytes = vec![0xFF; 0x20];

@@ -1,4 +1,4 @@
-//! A timer whose outputs are written down at the exact instant of each change.
+//! A timer that records the exact instant of each change of its outputs.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::RegisterSpec;
@@ -8,7 +8,7 @@ use rigless::time::EventId;
 /// A change of one compare output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputEdge {
-    /// Instant on the emulator's clock, ns: the timer's own event, not the stop that served it.
+    /// Instant on the emulator's clock, ns: that of the timer's event, not of the stop that handled it.
     pub at_ns: u64,
     /// Compare channel, 1 to 4.
     pub channel: u8,
@@ -16,8 +16,8 @@ pub struct OutputEdge {
     pub high: bool,
 }
 
-/// `tim`, with every change of the watched outputs recorded. It answers in the timer's place, because an event
-/// reaches a model at its own instant while a stop of the core may come up to one instruction later.
+/// `tim` with a record of every change of the watched outputs. It takes the timer's place on the bus, because an event
+/// reaches a device at its exact instant, but a stop of the core may come up to one instruction later.
 #[derive(Debug)]
 pub(super) struct Watched<F: Family> {
     pub(super) tim: Tim<F>,

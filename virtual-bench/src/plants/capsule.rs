@@ -5,8 +5,8 @@
 //! J w' = kt i - kt I0 sgn(w) - load       motor
 //! x'  = w r / N                           thread on the spool
 //! ```
-//! The worm locks: at rest the load holds itself, and unfolding has to be driven as well. Values without a remark are
-//! the model motor's and gears' of `docs/science.md`.
+//! The worm gear is self-locking: at rest it holds the load, and unfolding has to be driven, too. Values without a
+//! remark are those of the model motor and gears in `docs/science.md`.
 
 use crate::faults::{Faults, When};
 
@@ -16,7 +16,7 @@ pub const COUNTS_PER_REVOLUTION: f64 = 64.0;
 /// Output of the current amplifier: a shunt of 0.5 ohm in series with the winding and a gain of 2 on its magnitude.
 pub const SENSE_MV_PER_MA: f64 = 1.0;
 
-/// The battery's divider.
+/// Ratio of the battery's voltage divider.
 pub const BATTERY_DIVIDER: f64 = 2.0;
 
 /// Winding resistance, ohm.
@@ -29,11 +29,11 @@ const NO_LOAD: f64 = 0.016;
 const INERTIA: f64 = 5.1e-9;
 /// Planetary gear: ratio and efficiency.
 const PLANETARY: (f64, f64) = (4.0, 0.8);
-/// Worm gear: ratio, efficiency driving the load, and driving torque against the ideal one when it lowers the load.
+/// Worm gear: ratio, efficiency when it raises the load, and driving torque over the ideal one when it lowers the load.
 const WORM: (f64, f64, f64) = (30.0, 0.315, 1.133);
 /// Spool radius, mm.
 const SPOOL_MM: f64 = 1.5;
-/// Force of the fold over the thread's travel: mm, N. The beam estimate; straight between the points and from 0.
+/// Force of the fold over the thread's travel, (mm, N), from the beam estimate; linear between the points.
 const FOLD: [(f64, f64); 5] = [
     (0.0, 0.0),
     (16.6, 1.2),
@@ -48,17 +48,17 @@ const STOP_N_PER_MM: f64 = 200.0;
 const SENSE_FILTER: f64 = 160e-6;
 /// Longest step of the integration, ns.
 const STEP_NS: u64 = 20_000;
-/// Distance of the looks at a moving motor, ns.
+/// Interval at which a moving motor is looked at, ns.
 const LOOK_NS: u64 = 50_000;
 
-/// What the capsule is.
+/// Parameters of the capsule.
 #[derive(Clone, Copy, Debug)]
 pub struct CapsuleOptions {
-    /// Battery without load, mV.
+    /// Battery voltage without load, mV.
     pub battery_mv: f64,
-    /// Battery's inner resistance, ohm (assumed).
+    /// Internal resistance of the battery, ohm (assumed).
     pub battery_ohm: f64,
-    /// Thread wound onto the spool at first, mm.
+    /// Thread on the spool initially, mm.
     pub wound_mm: f64,
     /// Thread to wind before it is taut, mm.
     pub slack_mm: f64,
@@ -76,16 +76,16 @@ impl Default for CapsuleOptions {
     }
 }
 
-/// What can be done to the capsule.
+/// Faults of the capsule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
-    /// The fold meets something hard at this travel in mm, or is free again.
+    /// The fold meets an obstacle at this travel in mm, or is free again.
     Jam(Option<f64>),
     /// The thread snaps, or is whole again.
     Snap(bool),
-    /// The encoder stands still, or works again.
+    /// The encoder stops counting, or works again.
     LoseEncoder(bool),
-    /// The battery without load, mV.
+    /// Battery voltage without load, mV.
     Battery(f64),
     /// The driver reports a fault and drives nothing, or works again.
     DriverFault(bool),
@@ -189,7 +189,7 @@ impl Capsule {
         self.extremes_mm
     }
 
-    /// Energy that the motor took from the battery so far, J.
+    /// Energy that the motor has taken from the battery so far, J.
     #[must_use]
     pub fn energy_j(&self) -> f64 {
         self.energy_j
@@ -213,7 +213,7 @@ impl Capsule {
         self.speed != 0.0
     }
 
-    /// Stores into the flash and erases begun while the motor turned.
+    /// Number of flash operations begun while the motor turned.
     #[must_use]
     pub fn flash_moving(&self) -> u64 {
         self.flash_moving
@@ -244,7 +244,7 @@ impl Capsule {
         (phase == 1 || phase == 2, phase == 2 || phase == 3)
     }
 
-    /// Plans a fault; a capsule has instants only.
+    /// Plans a fault; a capsule has no step edges, only instants.
     pub fn plan(&mut self, at_ns: u64, action: Action) {
         self.faults.plan(When::At(at_ns), action);
     }
@@ -260,7 +260,7 @@ impl Capsule {
         }
     }
 
-    /// The bridge's inputs changed, after everything up to now was advanced.
+    /// The bridge's inputs have changed. Call after [`Capsule::advance`] to the present instant.
     pub fn drive(&mut self, awake: bool, in1: bool, in2: bool) {
         self.awake = awake;
         self.bridge = match (awake, in1, in2) {
@@ -271,10 +271,10 @@ impl Capsule {
         };
     }
 
-    /// Lets time pass to `until_ns`; `edge` is shown the encoder after each of its edges.
+    /// Lets time pass to `until_ns`; calls `edge` with the encoder's outputs after each of its edges.
     pub fn advance(&mut self, until_ns: u64, mut edge: impl FnMut((bool, bool))) {
         loop {
-            // Also those that fall on the end: the next look is asked for what is still to come.
+            // Including those at the very end, because the next look only asks for later ones.
             for action in self.faults.due_by(self.now_ns) {
                 self.act(action);
             }
@@ -293,7 +293,7 @@ impl Capsule {
         }
     }
 
-    /// When the capsule has to be looked at again although no pin changes.
+    /// When the capsule has to be looked at again even if no pin changes, ns.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {
         let moving = (!self.is_quiet()).then_some(self.now_ns + LOOK_NS);
@@ -352,7 +352,7 @@ impl Capsule {
             torque.clamp(unfolding, folding)
         };
         let speed = self.speed + (torque - resisting) / INERTIA * dt;
-        // Friction and load only ever stop the motor; what turns it the other way is the next step's torque.
+        // Friction and load can stop the motor but not reverse it; only the torque of the next step may.
         self.speed = if speed * self.speed < 0.0 { 0.0 } else { speed };
         self.angle += self.speed * dt;
         let wound = self.wound_mm();
@@ -373,7 +373,7 @@ impl Capsule {
         }
     }
 
-    /// The chip began to store into its flash or to erase it.
+    /// The chip has begun a flash operation.
     pub fn flash_began(&mut self) {
         self.flash_moving += u64::from(self.speed != 0.0);
     }

@@ -1,11 +1,11 @@
-//! A normally closed contact: what should open it, and what can be wrong with it.
+//! A normally closed contact and its faults.
 
-/// How a contact bounces: so many extra pulses, each so long.
+/// How a contact bounces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bounce {
-    /// Times the contact falls back after each change.
+    /// Number of times that the contact falls back after each change.
     pub times: u32,
-    /// Between two changes, ns.
+    /// Time between two changes, ns.
     pub apart_ns: u64,
 }
 
@@ -16,12 +16,12 @@ pub struct Contact {
     open: bool,
     stuck: Option<bool>,
     bounce: Option<Bounce>,
-    /// Changes to come: instant, open.
+    /// Changes to come: instant in ns, and whether it opens.
     coming: Vec<(u64, bool)>,
 }
 
 impl Contact {
-    /// A sound contact, open when `actuated`.
+    /// A contact without faults, open when `actuated`.
     #[must_use]
     pub fn new(actuated: bool) -> Self {
         Self {
@@ -39,7 +39,7 @@ impl Contact {
         self.stuck.unwrap_or(self.open)
     }
 
-    /// What works it has moved.
+    /// Actuates or releases it.
     pub fn actuate(&mut self, actuated: bool, at_ns: u64) {
         if actuated == self.actuated {
             return;
@@ -56,13 +56,13 @@ impl Contact {
         }
     }
 
-    /// An electrical pulse on its wire: the opposite level for `width_ns` from now on.
+    /// Injects a pulse on its wire: the opposite level for `width_ns`.
     pub fn disturb(&mut self, at_ns: u64, width_ns: u64) {
         self.open = !self.actuated;
         self.coming.push((at_ns + width_ns, self.actuated));
     }
 
-    /// Makes it stay open (a cut wire) or closed (welded) whatever works it, or sound again.
+    /// Makes it stay open (a cut wire) or closed (welded) although it is actuated or released, or work again.
     pub fn stick(&mut self, open: Option<bool>) {
         self.stuck = open;
     }
@@ -72,7 +72,7 @@ impl Contact {
         self.bounce = bounce;
     }
 
-    /// Lets what was to come by `now_ns` happen.
+    /// Makes the changes that are due by `now_ns`.
     pub fn advance(&mut self, now_ns: u64) {
         while let Some(&(at, open)) = self.coming.first() {
             if at > now_ns {
@@ -83,7 +83,7 @@ impl Contact {
         }
     }
 
-    /// When it changes next by itself.
+    /// When it next changes by itself, ns.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {
         self.coming.first().map(|&(at, _)| at)
@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_bouncing_contact_comes_to_rest_where_it_is_worked() {
+    fn a_bouncing_contact_settles_as_it_is_actuated() {
         let mut contact = Contact::new(false);
         contact.set_bounce(Some(Bounce {
             times: 2,
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stuck_contact_says_nothing_and_recovers() {
+    fn a_stuck_contact_does_not_change_and_recovers() {
         let mut contact = Contact::new(false);
         contact.stick(Some(false));
         contact.actuate(true, 5);

@@ -1,7 +1,7 @@
 //! The rig: step driver, screw, carriage, switches, and the intestine under the rollers.
 //!
 //! The carriage is counted in steps from position 0 = right end, positive to the left. It follows every step that the
-//! driver accepts; ends of travel and injected faults make it lose steps, as a stepper does, without telling anybody.
+//! driver accepts. At the ends of travel and with injected faults it loses steps, which the chip cannot see.
 
 use locomotion::roller::{self, Params};
 
@@ -9,7 +9,7 @@ use super::contact::{Bounce, Contact};
 use crate::faults::{Faults, When};
 use crate::pins::{EdgeLog, StepEdge};
 
-/// What a step driver needs.
+/// Timing requirements of a step driver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DriverTiming {
     /// Shortest high and low of STEP, ns.
@@ -26,13 +26,13 @@ impl DriverTiming {
     };
 }
 
-/// Steps closer together than this are of one movement, ns.
+/// Steps closer together than this belong to the same movement, ns.
 const MOVING_NS: u64 = 10_000_000;
 
-/// What the rig is.
+/// Parameters of the rig.
 #[derive(Clone, Copy, Debug)]
 pub struct RigOptions {
-    /// Where the carriage stands at first, steps.
+    /// Initial position of the carriage, steps.
     pub carriage: i64,
     /// Steps per millimetre.
     pub steps_per_mm: i64,
@@ -40,7 +40,7 @@ pub struct RigOptions {
     pub flag: i64,
     /// The far limit is open at this position and above, steps.
     pub limit: i64,
-    /// The carriage cannot pass these, steps.
+    /// The mechanical ends of travel, steps.
     pub stops: (i64, i64),
     /// The driver.
     pub driver: DriverTiming,
@@ -74,29 +74,29 @@ pub enum Switch {
     EStop,
 }
 
-/// What can be done to the rig.
+/// Actions and faults of the rig.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Action {
     /// Press (or release) the E-stop.
     EStop(bool),
     /// Press (or release) the start button.
     Button(bool),
-    /// Cut the jumper from STEP to the read-back input, or mend it.
+    /// Connect (or cut) the jumper from STEP to the read-back input.
     Jumper(bool),
-    /// Make a contact stay open or closed, or sound again.
+    /// Make a contact stay open or closed, or work again.
     Stick(Switch, Option<bool>),
-    /// Make a contact bounce from now on, or sound again.
+    /// Make a contact bounce from now on, or stop that.
     Bounce(Switch, Option<Bounce>),
-    /// A pulse of this width in ns on a contact's wire.
+    /// Inject a pulse of this width in ns on a contact's wire.
     Disturb(Switch, u64),
-    /// The motor ignores the next so many steps.
+    /// Make the motor ignore this many steps.
     LoseSteps(u64),
 }
 
-/// What the driver or the mechanics objected to. All zero in a sound run.
+/// Violations of what the driver and the mechanics require. All zero in a correct run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Violations {
-    /// STEP pulses too short, other than one cut by the E-stop.
+    /// STEP pulses too short, other than those cut because STEP was no longer driven.
     pub short_high: u64,
     /// Gaps between STEP pulses too short.
     pub short_low: u64,
@@ -108,7 +108,7 @@ pub struct Violations {
     pub disabled: u64,
     /// Steps lost at the ends of travel.
     pub stalled: u64,
-    /// Steps less than 10 ms apart with a store into the flash or an erase between them: those stall every instruction.
+    /// Steps less than 10 ms apart with a flash operation between them, which stalls every instruction.
     pub flash_moving: u64,
 }
 
@@ -124,7 +124,7 @@ pub struct Rig {
     rose_ns: Option<u64>,
     fell_ns: Option<u64>,
     turned_ns: Option<u64>,
-    /// A store into the flash or an erase has begun since the last step.
+    /// A flash operation has begun since the last step.
     flash_began: bool,
     lose: u64,
     lost: u64,
@@ -133,14 +133,13 @@ pub struct Rig {
     edges: EdgeLog,
     syncs: Vec<u64>,
     violations: Violations,
-    /// Contacts.
     home: Contact,
     far: Contact,
     estop: Contact,
     button: bool,
     jumper: bool,
     faults: Faults<Action>,
-    tissue: Option<roller::Bench>,
+    tissue: Option<roller::UnfoldedBody>,
 }
 
 impl Rig {
@@ -177,18 +176,20 @@ impl Rig {
         rig
     }
 
-    /// Lays a fresh, unfolded body at the left end of an intestine that the rollers indent by `indentation_mm`.
-    /// Answers whether such an indentation is possible.
+    /// Lays a new, unfolded body at the left end of an intestine that the rollers indent by `indentation_mm`. Returns
+    /// whether such an indentation is possible.
     pub fn lay_body(&mut self, indentation_mm: f64) -> bool {
-        self.tissue = roller::Bench::new(Params::PAPER, indentation_mm).ok();
+        self.tissue = roller::UnfoldedBody::new(Params::PAPER, indentation_mm).ok();
         self.feed();
         self.tissue.is_some()
     }
 
-    /// How far the body has moved since it was laid, mm, headward positive.
+    /// Displacement of the body since it was laid, mm, positive towards its head.
     #[must_use]
     pub fn displacement_mm(&self) -> Option<f64> {
-        self.tissue.as_ref().map(roller::Bench::displacement_mm)
+        self.tissue
+            .as_ref()
+            .map(roller::UnfoldedBody::displacement_mm)
     }
 
     /// Position of the carriage, steps from the right end.
@@ -203,7 +204,7 @@ impl Rig {
         self.extremes
     }
 
-    /// Starts a new record of extremes here.
+    /// Restarts the record of extremes at the present position.
     pub fn forget_extremes(&mut self) {
         self.extremes = (self.carriage, self.carriage);
     }
@@ -220,19 +221,19 @@ impl Rig {
         &self.syncs
     }
 
-    /// What was objected to so far.
+    /// Violations so far.
     #[must_use]
     pub fn violations(&self) -> Violations {
         self.violations
     }
 
-    /// Steps that the carriage did not follow: injected, stalled, or given to a driver that was off.
+    /// Number of steps that the carriage did not follow: lost by a fault, stalled, or sent to a driver that was off.
     #[must_use]
     pub fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// Pulses that were cut short because STEP was no longer driven.
+    /// Number of pulses cut short because STEP was no longer driven.
     #[must_use]
     pub fn cut_pulses(&self) -> u64 {
         self.cut_pulses
@@ -292,7 +293,7 @@ impl Rig {
         }
     }
 
-    /// Lets everything happen that is due by `now_ns`.
+    /// Advances to `now_ns`: faults and contacts change when they are due.
     pub fn advance(&mut self, now_ns: u64) {
         for action in self.faults.due_by(now_ns) {
             self.act(action, now_ns);
@@ -302,7 +303,7 @@ impl Rig {
         }
     }
 
-    /// When something happens next by itself.
+    /// When something changes next without an action, ns.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {
         let contacts = [&self.home, &self.far, &self.estop];
@@ -315,7 +316,7 @@ impl Rig {
         self.enabled = enabled;
     }
 
-    /// Whether STEP is driven. A pulse that ends because it no longer is was cut, by whatever stop or reset.
+    /// Tells whether STEP is driven. A pulse that ends because STEP is no longer driven was cut by a stop or a reset.
     pub fn set_armed(&mut self, armed: bool) {
         self.armed = armed;
     }
@@ -396,7 +397,7 @@ impl Rig {
         self.lost += 1;
     }
 
-    /// Shows the carriage to the tissue, at every tenth of a millimetre.
+    /// Passes the carriage's position to the tissue, at every tenth of a millimetre.
     fn feed(&mut self) {
         let tenth = (self.options.steps_per_mm / 10).max(1);
         if self.carriage % tenth != 0 {
@@ -414,7 +415,7 @@ impl Rig {
         self.syncs.push(at_ns);
     }
 
-    /// The chip began to store into its flash or to erase it.
+    /// The chip has begun a flash operation.
     pub fn flash_began(&mut self) {
         self.flash_began = true;
     }

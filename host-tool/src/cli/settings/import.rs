@@ -1,5 +1,5 @@
-//! Settings from a file: all of them or none. The file is checked as a whole first. What values have to keep together
-//! only the rig knows: if it refuses one, those before it are put back.
+//! Imports settings from a file: all of them or none. The whole file is checked first. Only the rig knows which values
+//! are valid together: if it refuses one, those already changed are put back.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -10,8 +10,9 @@ use protocol::settings::{GetName, GetSetting, MAX_NAME, Name, Setting};
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde_json::Value;
 
+use crate::cli::args::Key;
 use crate::cli::failure::Failure;
-use crate::cli::settings::{checked_name, key_of, value_of};
+use crate::cli::settings::{checked_name, value_of};
 use crate::client::Device;
 use crate::error::ClientError;
 
@@ -23,7 +24,7 @@ struct File {
     settings: Pairs,
 }
 
-/// The members of an object, repeated ones too, which a map would swallow.
+/// The members of an object, including repeated ones, which a map would drop.
 struct Pairs(Vec<(String, Value)>);
 
 impl<'de> Deserialize<'de> for Pairs {
@@ -55,7 +56,7 @@ pub(super) struct Wanted {
 /// Reads and checks a file.
 ///
 /// # Errors
-/// [`Failure::Input`] with all that is wrong with it.
+/// [`Failure::Input`] with everything that is wrong with it.
 pub(super) fn read(file: &Path) -> Result<Wanted, Failure> {
     let unusable = |why: String, help: &str| Failure::Input {
         why: format!("{}: {why}", file.display()),
@@ -68,7 +69,7 @@ pub(super) fn read(file: &Path) -> Result<Wanted, Failure> {
     let mut wrong = vec![];
     let name = match &parsed.name {
         Value::String(name) => checked_name(name),
-        other => Err(format!("name: {other} is no text")),
+        other => Err(format!("name: {other} is not text")),
     };
     let name = name.unwrap_or_else(|why| {
         wrong.push(why);
@@ -78,10 +79,10 @@ pub(super) fn read(file: &Path) -> Result<Wanted, Failure> {
     let mut names = BTreeSet::new();
     for (name, value) in &parsed.settings.0 {
         if !names.insert(name) {
-            wrong.push(format!("{name} is there twice"));
+            wrong.push(format!("{name} appears twice"));
         }
-        match key_of(name) {
-            Ok(key) => match value_of(key, &value.to_string()) {
+        match name.parse() {
+            Ok(Key(key)) => match value_of(key, &value.to_string()) {
                 Ok(value) => settings.push(Setting { key, value }),
                 Err(failure) => wrong.push(failure.to_string()),
             },
@@ -98,7 +99,7 @@ pub(super) fn read(file: &Path) -> Result<Wanted, Failure> {
     }
 }
 
-/// A setting or the name, with a value.
+/// A setting or the name, with its value.
 enum Entry {
     Setting(Setting),
     Name(heapless::String<MAX_NAME>),
@@ -134,10 +135,10 @@ struct Change {
     to: Entry,
 }
 
-/// Sets what differs; returns how many settings did.
+/// Sets the values that differ; returns the number of settings changed.
 ///
 /// # Errors
-/// [`Failure::Import`]: everything is as before, or it says what is not.
+/// [`Failure::Import`], which lists the changes that could not be undone.
 pub(super) fn import(rig: &mut Device, file: &Path, wanted: Wanted) -> Result<usize, Failure> {
     let mut changes = vec![];
     for to in wanted.settings {
@@ -165,8 +166,8 @@ pub(super) fn import(rig: &mut Device, file: &Path, wanted: Wanted) -> Result<us
     }
 }
 
-/// Each value is checked against the others at every moment: what is refused is tried again after the rest, as
-/// long as that helps.
+/// The rig checks each value against the others that it holds then, so a refused one is tried again after the rest,
+/// until a pass over the remaining ones changes nothing.
 fn apply(
     rig: &mut Device,
     mut left: Vec<Change>,
@@ -183,7 +184,7 @@ fn apply(
                     why.get_or_insert((name, error));
                 }
                 Err(error) => {
-                    // It may have been carried out.
+                    // The rig may have carried it out.
                     done.push(change);
                     return Err((name, error));
                 }
@@ -197,7 +198,8 @@ fn apply(
     Ok(())
 }
 
-/// Backwards, so that the values go together at every moment, as they did on the way. Returns what is still changed.
+/// Undoes the changes in reverse order, through combinations that the rig has already accepted. Returns the changes that
+/// remain.
 fn put_back(rig: &mut Device, done: Vec<Change>) -> Vec<String> {
     let mut changed = vec![];
     for Change { from, to } in done.into_iter().rev() {

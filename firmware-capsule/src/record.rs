@@ -1,0 +1,102 @@
+//! Keeps the record of the present or last actuation: duration, currents, energy, how it ended.
+
+use crate::{detect::Sample, mechanics::Thread};
+use protocol::capsule::{ActuationKind, ActuationOutcome, ActuationRecord};
+
+/// Fills an [`ActuationRecord`] while the actuation runs.
+#[derive(Clone, Debug)]
+pub(crate) struct Recorder {
+    record: ActuationRecord,
+    energy_pj: u64,
+}
+
+impl Recorder {
+    /// Before the first actuation.
+    pub(crate) fn new() -> Self {
+        Self {
+            record: ActuationRecord {
+                actuation: 0,
+                kind: ActuationKind::Reference,
+                outcome: ActuationOutcome::None,
+                duration_ms: 0,
+                thread_um: 0,
+                end_current_ma: 0,
+                peak_current_ma: 0,
+                engaged_um: 0,
+                energy_mj: 0,
+                min_battery_mv: 0,
+            },
+            energy_pj: 0,
+        }
+    }
+
+    /// The record so far.
+    pub(crate) fn record(&self) -> &ActuationRecord {
+        &self.record
+    }
+
+    /// Begins the record of the next actuation.
+    pub(crate) fn start(&mut self, kind: ActuationKind, thread: Thread, battery_mv: u16) {
+        self.energy_pj = 0;
+        self.record = ActuationRecord {
+            actuation: self.record.actuation.saturating_add(1),
+            kind,
+            outcome: ActuationOutcome::Running,
+            duration_ms: 0,
+            thread_um: thread.0,
+            end_current_ma: 0,
+            peak_current_ma: 0,
+            engaged_um: 0,
+            energy_mj: 0,
+            min_battery_mv: battery_mv,
+        };
+    }
+
+    /// Adds what the driven motor drew for `elapsed_us`.
+    pub(crate) fn add_energy(&mut self, sample: &Sample, elapsed_us: u64) {
+        // mV * mA * us = pJ. All of the motor's current comes from the battery: between the pulses there is none.
+        let power = u64::from(sample.battery_mv) * u64::from(sample.current_ma);
+        self.energy_pj = self
+            .energy_pj
+            .saturating_add(power.saturating_mul(elapsed_us));
+    }
+
+    /// Notes a sample of the running actuation.
+    pub(crate) fn update(&mut self, duration_us: u64, battery_mv: u16) {
+        self.record.duration_ms = u32::try_from(duration_us / 1_000).unwrap_or(u32::MAX);
+        self.record.energy_mj = u32::try_from(self.energy_pj / 1_000_000_000).unwrap_or(u32::MAX);
+        self.record.min_battery_mv = self.record.min_battery_mv.min(battery_mv);
+    }
+
+    /// Notes a current after the blanking.
+    pub(crate) fn current(&mut self, current_ma: u16) {
+        self.record.end_current_ma = current_ma;
+        self.record.peak_current_ma = self.record.peak_current_ma.max(current_ma);
+    }
+
+    /// Notes the engagement. The first one of an actuation stays.
+    pub(crate) fn engaged(&mut self, thread: Thread) {
+        if self.record.engaged_um == 0 {
+            self.record.engaged_um = thread.0;
+        }
+    }
+
+    /// The thread's zero has moved back by `distance`: the engagement now reads this much more.
+    pub(crate) fn zero_moved(&mut self, distance: Thread) {
+        // 0 means never engaged.
+        if self.record.engaged_um != 0 {
+            self.record.engaged_um = self.record.engaged_um.saturating_add(distance.0);
+        }
+    }
+
+    /// Notes the position.
+    pub(crate) fn thread(&mut self, thread: Thread) {
+        self.record.thread_um = thread.0;
+    }
+
+    /// Ends the actuation.
+    pub(crate) fn end(&mut self, outcome: ActuationOutcome, thread: Thread) {
+        self.record.outcome = outcome;
+        self.record.thread_um = thread.0;
+    }
+}

@@ -1,0 +1,73 @@
+//! Connects to a rig, homes it if needed, executes the paper's run and prints the rig's record of it:
+//!
+//! ```sh
+//! cargo run -p host-tool --example paper_run -- /dev/ttyACM0
+//! cargo run -p host-tool --example paper_run -- tcp:127.0.0.1:7001
+//! ```
+//!
+//! If this program ends early, by Ctrl-C for example, the rig stops by itself after a second without its host.
+#![forbid(unsafe_code)]
+#![allow(
+    clippy::print_stdout,
+    reason = "a program for the terminal talks to it"
+)]
+
+use std::io;
+
+use host_tool::client::Device;
+use host_tool::connector::{Connector, Ports};
+use host_tool::decimal;
+use host_tool::experiment::{self, PAPER_RUN};
+use host_tool::identity;
+use host_tool::link::address::Address;
+use host_tool::link::serial::DEFAULT_BAUD;
+use host_tool::progress::Live;
+use miette::{IntoDiagnostic, Result, miette};
+use protocol::rig::{RunOutcome, RunRecord};
+use protocol::system::DeviceKind;
+
+fn main() -> Result<()> {
+    let address: Address = std::env::args()
+        .nth(1)
+        .ok_or_else(|| miette!("give the rig's address: a serial port or tcp:HOST:PORT"))?
+        .parse()
+        .into_diagnostic()?;
+
+    // A session is refused if this is not a rig, or not one that speaks this program's protocol. Nothing moves yet.
+    let link = Ports.open(DeviceKind::Rig, &address, DEFAULT_BAUD)?;
+    let mut rig = Device::connect(link, DeviceKind::Rig, Ports.nonce())?;
+    if let Some(identity) = rig.identity() {
+        println!("{}", identity::line(identity));
+    }
+
+    // Prints what begins and, every few seconds, how far it is.
+    let mut stdout = io::stdout();
+    let mut progress = Live::new(&mut stdout, false);
+
+    // A run starts at home.
+    let status = rig.rig_status()?;
+    if !status.homed || status.position_steps != 0 {
+        experiment::home(&mut rig, &mut progress)?;
+    }
+
+    // The rig refuses a run that it cannot execute exactly, and says why.
+    let accepted = rig.run(PAPER_RUN)?;
+    let record = rig.wait_run(&accepted, &mut progress)?;
+    print_record(&record);
+    match record.outcome {
+        RunOutcome::Complete => Ok(()),
+        outcome => Err(miette!("the run did not complete: {outcome:?}")),
+    }
+}
+
+fn print_record(record: &RunRecord) {
+    println!("outcome    {:?}", record.outcome);
+    println!("strokes    {}", record.strokes);
+    println!("duration   {} s", decimal::seconds(record.ticks));
+    println!(
+        "steps      {} commanded, {} counted at the pin",
+        record.commanded_edges, record.counted_edges
+    );
+    println!("residual   {} steps at worst", record.worst_residual_steps);
+    println!("plan       {:016x}", record.plan_hash);
+}

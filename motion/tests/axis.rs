@@ -1,0 +1,410 @@
+//! The axis and its units: what it accepts, lengths in steps, positions and windows up to the ends of `i32`.
+
+use motion::axis::{Axis, AxisError, Direction, MAX_STROKE_STEPS, OutsideStroke};
+use motion::units::{Micrometres, Nanometres, StepPosition, Steps, Ticks, Window};
+use proptest::prelude::*;
+
+/// Every kind of axis, coarse and fine, long and short.
+fn axes() -> impl Strategy<Value = Axis> {
+    let lead = prop_oneof![500_u32..=50_000, Just(500), Just(50_000)];
+    let stroke = prop_oneof![250_u32..=130_000, Just(130_000)];
+    (lead, any::<bool>(), 0_u32..=8, stroke).prop_map(|(lead, fine, power, stroke)| {
+        Axis::new(lead, if fine { 400 } else { 200 }, 1 << power, stroke).unwrap()
+    })
+}
+
+#[test]
+fn an_axis_is_what_was_asked_for() {
+    let axis = Axis::new(5_000, 400, 32, 99_000).unwrap();
+    assert_eq!(axis.lead(), Micrometres(5_000));
+    assert_eq!(axis.full_steps_per_rev(), 400);
+    assert_eq!(axis.microsteps(), 32);
+    assert_eq!(axis.stroke(), Micrometres(99_000));
+    assert_eq!(axis.steps_per_rev(), 12_800);
+    assert_eq!(axis.stroke_steps(), Steps(253_440));
+    assert_eq!(axis.speed(17).unwrap().um_s(), 17);
+    assert_eq!(axis.acceleration(19).unwrap().um_s2(), 19);
+    // Twice the lead and twice the steps: the same speeds.
+    let alike = Axis::new(10_000, 400, 64, 130_000).unwrap();
+    assert_eq!(axis.speed(17), alike.speed(17));
+    assert_eq!(axis.acceleration(19), alike.acceleration(19));
+}
+
+#[test]
+fn the_reference_axis_has_800_steps_per_mm() {
+    let axis = Axis::REFERENCE;
+    assert_eq!(axis.steps_per_rev(), 3_200);
+    assert_eq!(axis.stroke_steps(), Steps(104_000));
+    assert_eq!(axis.steps_within(Micrometres(2)), Some(Steps(1)));
+    assert_eq!(axis.length_of(Steps(1)), Nanometres(1_250));
+    assert_eq!(axis.length_of(Steps(104_000)).to_um(), 130_000);
+}
+
+#[test]
+fn an_axis_outside_its_bounds_is_refused_by_name() {
+    for (lead, full, micro, stroke) in [
+        (500, 200, 1, 130_000),
+        (50_000, 400, 256, 1),
+        (50_000, 200, 1, 250),
+    ] {
+        assert!(Axis::new(lead, full, micro, stroke).is_ok());
+    }
+    for (lead, full, micro, stroke, text) in [
+        (
+            499,
+            200,
+            16,
+            1_000,
+            "a lead of 499 um is outside 500..=50000 um: enter the screw's travel per turn",
+        ),
+        (
+            50_001,
+            200,
+            16,
+            1_000,
+            "a lead of 50001 um is outside 500..=50000 um: enter the screw's travel per turn",
+        ),
+        (
+            4_000,
+            300,
+            16,
+            1_000,
+            "300 full steps per turn: use 200 (1.8 degrees) or 400 (0.9 degrees)",
+        ),
+        (
+            4_000,
+            200,
+            12,
+            1_000,
+            "12 microsteps: use 1, 2, 4, 8, 16, 32, 64, 128 or 256, as set on the driver",
+        ),
+        (
+            4_000,
+            200,
+            512,
+            1_000,
+            "512 microsteps: use 1, 2, 4, 8, 16, 32, 64, 128 or 256, as set on the driver",
+        ),
+        (
+            4_000,
+            200,
+            0,
+            1_000,
+            "0 microsteps: use 1, 2, 4, 8, 16, 32, 64, 128 or 256, as set on the driver",
+        ),
+        (
+            4_000,
+            200,
+            16,
+            0,
+            "a stroke of 0 um is outside 1..=130000 um: enter the travel between the end stops",
+        ),
+        (
+            4_000,
+            200,
+            16,
+            130_001,
+            "a stroke of 130001 um is outside 1..=130000 um: enter the travel between the end stops",
+        ),
+        (
+            50_000,
+            200,
+            1,
+            249,
+            "a stroke of 249 um is shorter than one step: use a longer stroke or more microsteps",
+        ),
+    ] {
+        assert_eq!(
+            Axis::new(lead, full, micro, stroke)
+                .unwrap_err()
+                .to_string(),
+            text
+        );
+    }
+    let axis = Axis::REFERENCE;
+    assert_eq!(axis.speed(0), Err(AxisError::NoSpeed));
+    assert_eq!(axis.acceleration(0), Err(AxisError::NoAcceleration));
+    assert_eq!(
+        AxisError::NoSpeed.to_string(),
+        "the speed is zero: use at least 1 um/s"
+    );
+    assert_eq!(
+        AxisError::NoAcceleration.to_string(),
+        "the acceleration is zero: use at least 1 um/s^2"
+    );
+}
+
+#[test]
+fn steps_that_do_not_fit_32_bits_are_none() {
+    let one_per_um = Axis::new(800, 200, 4, 1_000).unwrap();
+    assert_eq!(
+        one_per_um.steps_within(Micrometres(u32::MAX)),
+        Some(Steps(u32::MAX))
+    );
+    // 1,024 steps in 5 um: 2^32 steps are 20,971,520 um.
+    let fine = Axis::new(500, 400, 256, 130_000).unwrap();
+    assert_eq!(
+        fine.steps_within(Micrometres(20_971_519)),
+        Some(Steps(4_294_967_091))
+    );
+    assert_eq!(fine.steps_within(Micrometres(20_971_520)), None);
+    assert_eq!(
+        fine.position_um(Micrometres(u32::MAX)),
+        Err(OutsideStroke {
+            wanted: i64::MAX,
+            last: 26_624_000
+        })
+    );
+}
+
+#[test]
+fn units_read_as_an_operator_does() {
+    assert_eq!(Steps(7).to_string(), "7 steps");
+    assert_eq!(StepPosition(-3).to_string(), "step -3");
+    assert_eq!(Micrometres(12_034).to_string(), "12.034 mm");
+    assert_eq!(Nanometres(12_034_056).to_string(), "12.034056 mm");
+    assert_eq!(Ticks(1_203_456_789).to_string(), "12.03456789 s");
+    let outside = Axis::REFERENCE.position(Steps(104_001)).unwrap_err();
+    assert_eq!(
+        outside.to_string(),
+        "step 104001 is outside the stroke: go no further than 0..=104000"
+    );
+}
+
+#[test]
+fn microseconds_and_micrometres_are_rounded_as_they_say() {
+    assert_eq!(Ticks::from_us(3), Some(Ticks(300)));
+    assert_eq!(
+        Ticks::from_us(u64::MAX / 100),
+        Some(Ticks(u64::MAX / 100 * 100))
+    );
+    assert_eq!(Ticks::from_us(u64::MAX / 100 + 1), None);
+    for (ticks, us) in [(0, 0), (1, 1), (100, 1), (101, 2), (300, 3)] {
+        assert_eq!(Ticks(ticks).to_us_ceil(), us);
+    }
+    for (nm, um) in [
+        (0, 0),
+        (499, 0),
+        (500, 1),
+        (1_499, 1),
+        (1_500, 2),
+        (9_999, 10),
+    ] {
+        assert_eq!(Nanometres(nm).to_um(), um);
+    }
+}
+
+proptest! {
+    /// As many steps as fit, and the length of them to the nearest nanometre.
+    #[test]
+    fn steps_and_lengths_follow_from_the_lead(axis in axes(), um in any::<u32>(), shift in 0_u32..32, steps in any::<u32>()) {
+        let (per_rev, lead) = (u128::from(axis.steps_per_rev()), u128::from(axis.lead().0));
+        let (um, steps) = (um >> shift, steps >> shift);
+        match axis.steps_within(Micrometres(um)) {
+            Some(fit) => {
+                prop_assert!(u128::from(fit.0) * lead <= u128::from(um) * per_rev);
+                prop_assert!((u128::from(fit.0) + 1) * lead > u128::from(um) * per_rev);
+            }
+            None => prop_assert!(u128::from(um) * per_rev >= lead << 32),
+        }
+        // Half a nanometre is rounded up.
+        let (twice, exact) = (2 * u128::from(axis.length_of(Steps(steps)).0), 2_000 * u128::from(steps) * lead);
+        prop_assert!((twice + 1) * per_rev > exact);
+        prop_assert!(twice * per_rev <= exact + per_rev);
+    }
+
+    #[test]
+    fn a_position_is_never_outside_the_stroke(
+        axis in axes(), share in 0_u64..=2_000, beside in -2..=2_i32,
+        moves in prop::collection::vec((any::<bool>(), any::<u32>(), 0_u32..32), 1..40),
+    ) {
+        let (last, stroke) = (axis.stroke_steps(), axis.stroke());
+        prop_assert!(axis.length_of(last).0 <= u64::from(stroke.0) * 1_000);
+        prop_assert!(axis.length_of(Steps(last.0 + 1)).0 >= u64::from(stroke.0) * 1_000);
+        prop_assert!(last <= MAX_STROKE_STEPS);
+
+        // From home to twice the stroke, and close to its end.
+        let part = |whole: u32| (u64::from(whole) * share / 1_000) as u32;
+        for steps in [part(last.0), last.0.saturating_add_signed(beside)].map(Steps) {
+            match axis.position(steps) {
+                Ok(position) => prop_assert!(steps <= last && position.steps() == steps),
+                Err(outside) => {
+                    prop_assert!(steps > last);
+                    prop_assert_eq!(outside, OutsideStroke { wanted: steps.0.into(), last: last.0 });
+                }
+            }
+        }
+        for um in [part(stroke.0), stroke.0.saturating_add_signed(beside)].map(Micrometres) {
+            let steps = axis.steps_within(um).unwrap();
+            match axis.position_um(um) {
+                Ok(position) => prop_assert!(um <= stroke && position.steps() == steps),
+                Err(outside) => {
+                    prop_assert!(um > stroke);
+                    prop_assert_eq!(outside, OutsideStroke { wanted: steps.0.into(), last: last.0 });
+                }
+            }
+        }
+
+        let mut at = axis.position(Steps(part(last.0).min(last.0))).unwrap();
+        for (away, distance, shift) in moves {
+            // Also to both ends of the stroke exactly.
+            let distance = match distance % 4 {
+                0 if away => last.0 - at.steps().0,
+                0 => at.steps().0,
+                _ => distance >> shift,
+            };
+            let (direction, wanted) = if away {
+                (Direction::Away, i64::from(at.steps().0) + i64::from(distance))
+            } else {
+                (Direction::Home, i64::from(at.steps().0) - i64::from(distance))
+            };
+            match axis.offset(at, direction, Steps(distance)) {
+                Ok(there) => {
+                    prop_assert_eq!(i64::from(there.steps().0), wanted);
+                    prop_assert_eq!(at.way_to(there), (distance > 0).then_some((direction, Steps(distance))));
+                    at = there;
+                }
+                Err(outside) => {
+                    prop_assert_eq!(outside, OutsideStroke { wanted, last: last.0 });
+                    prop_assert!(wanted < 0 || wanted > i64::from(last.0));
+                }
+            }
+            prop_assert!(at <= axis.far() && axis.stroke_window().contains(at.signed()));
+        }
+    }
+}
+
+/// The middle and both ends of `i32` as likely as all the rest.
+fn positions() -> impl Strategy<Value = StepPosition> {
+    prop_oneof![
+        any::<i32>(),
+        -3..=3_i32,
+        i32::MIN..=i32::MIN + 3,
+        i32::MAX - 3..=i32::MAX,
+    ]
+    .prop_map(StepPosition)
+}
+
+/// A position close to another one, where it fits.
+fn beside(position: StepPosition, by: i32) -> StepPosition {
+    StepPosition(position.0.saturating_add(by))
+}
+
+fn directions() -> impl Strategy<Value = Direction> {
+    prop_oneof![Just(Direction::Away), Just(Direction::Home)]
+}
+
+fn wide(position: StepPosition) -> i64 {
+    i64::from(position.0)
+}
+
+#[test]
+fn home_is_zero_and_away_is_positive() {
+    assert_eq!(StepPosition::HOME, StepPosition(0));
+    assert_eq!(StepPosition::default(), StepPosition::HOME);
+    assert_eq!(Direction::Away.sign(), 1);
+    assert_eq!(Direction::Home.sign(), -1);
+}
+
+#[test]
+fn the_ends_of_the_counter_are_the_ends() {
+    let (lowest, highest) = (StepPosition(i32::MIN), StepPosition(i32::MAX));
+    assert_eq!(highest.moved(Direction::Away, Steps(1)), None);
+    assert_eq!(lowest.moved(Direction::Home, Steps(1)), None);
+    assert_eq!(
+        lowest.moved(Direction::Away, Steps(u32::MAX)),
+        Some(highest)
+    );
+    assert_eq!(
+        highest.moved(Direction::Home, Steps(u32::MAX)),
+        Some(lowest)
+    );
+    assert_eq!(highest.moved(Direction::Away, Steps(0)), Some(highest));
+    assert_eq!(lowest.distance_to(highest), Steps(u32::MAX));
+    assert_eq!(lowest.since(highest), 1);
+    assert_eq!(highest.since(lowest), -1);
+    let all = Window::between(highest, lowest);
+    assert_eq!(all.room(lowest, Direction::Away), Steps(u32::MAX));
+    assert_eq!(all.room(highest, Direction::Home), Steps(u32::MAX));
+    assert_eq!(all.room(highest, Direction::Away), Steps(0));
+    assert_eq!(all.room(lowest, Direction::Home), Steps(0));
+}
+
+#[test]
+fn the_stroke_is_a_window() {
+    for (axis, last) in [
+        (Axis::REFERENCE, 104_000),
+        (Axis::new(50_000, 200, 1, 250).unwrap(), 1),
+        (Axis::new(500, 400, 256, 130_000).unwrap(), 26_624_000),
+    ] {
+        let window = axis.stroke_window();
+        assert_eq!(window.first, StepPosition::HOME);
+        assert_eq!(window.last, StepPosition(last));
+        assert_eq!(StepPosition::from(axis.home()), window.first);
+        assert_eq!(StepPosition::from(axis.far()), window.last);
+        assert_eq!(axis.far().signed(), window.last);
+    }
+    assert_eq!(MAX_STROKE_STEPS, Steps(26_624_000));
+}
+
+#[test]
+fn a_reversed_window_is_empty() {
+    let reversed = Window {
+        first: StepPosition(2),
+        last: StepPosition(-2),
+    };
+    for position in (-3..=3).map(StepPosition) {
+        assert!(!reversed.contains(position));
+        assert_eq!(reversed.room(position, Direction::Away), Steps(0));
+        assert_eq!(reversed.room(position, Direction::Home), Steps(0));
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(1_000))]
+
+    #[test]
+    fn a_distance_is_the_difference_without_its_sign(a in positions(), b in positions(), by in -3..=3_i32) {
+        for b in [b, beside(a, by)] {
+            let difference = wide(a) - wide(b);
+            prop_assert_eq!(i64::from(a.distance_to(b).0), difference.abs());
+            let folded = (difference - i64::from(i32::MIN)).rem_euclid(1 << 32) + i64::from(i32::MIN);
+            prop_assert_eq!(i64::from(a.since(b)), folded);
+            let way = b.way_to(a);
+            let sign = way.map_or(0, |(direction, _)| direction.sign());
+            prop_assert_eq!(i64::from(sign), difference.signum());
+            prop_assert_eq!(way.map_or(b, |(direction, steps)| b.moved(direction, steps).unwrap()), a);
+        }
+    }
+
+    #[test]
+    fn a_move_is_exact_or_does_not_fit(
+        from in positions(), direction in directions(), by in prop_oneof![any::<u32>(), 0..4_u32],
+    ) {
+        let to = wide(from) + i64::from(direction.sign()) * i64::from(by);
+        let moved = from.moved(direction, Steps(by));
+        prop_assert_eq!(moved.map(wide), i32::try_from(to).ok().map(i64::from));
+    }
+
+    /// The room is where the window ends: the last of its steps is inside, the next one is not.
+    #[test]
+    fn room_ends_at_the_edge(
+        a in positions(), b in positions(), position in positions(), by in -3..=3_i32, direction in directions(),
+    ) {
+        let window = Window::between(a, b);
+        prop_assert_eq!(window, Window::between(b, a));
+        prop_assert_eq!((window.first, window.last), (a.min(b), a.max(b)));
+        for position in [position, beside(a, by), beside(b, by)] {
+            let inside = (window.first..=window.last).contains(&position);
+            prop_assert_eq!(window.contains(position), inside);
+            let room = window.room(position, direction);
+            if inside {
+                let edge = position.moved(direction, room).unwrap();
+                prop_assert!(window.contains(edge));
+                prop_assert!(edge.moved(direction, Steps(1)).is_none_or(|beyond| !window.contains(beyond)));
+            } else {
+                prop_assert_eq!(room, Steps(0));
+            }
+        }
+    }
+}
