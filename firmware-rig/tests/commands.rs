@@ -3,7 +3,7 @@
 mod carriage;
 
 use carriage::{Rig, now, run, settings};
-use device::{common::About, outbox::Outbox, settings::Values};
+use device::{common::About, settings::Values};
 use firmware_rig::{
     commands::{Change, Context, Effect, Executed, execute},
     machine::{Command, Machine},
@@ -14,6 +14,7 @@ use proptest::prelude::*;
 use protocol::{
     capsule,
     error::{Field, Refusal},
+    events::EventRing,
     rig::{
         self, Glitches, HomeAccepted, LinkLossPolicy, MoveAccepted, RigFault, RigHealth, RigState,
         RigStatus, Run, RunAccepted, RunOutcome, RunTiming, Stroke,
@@ -59,18 +60,17 @@ const HEALTH: RigHealth = RigHealth {
 
 /// Sends a request: the reply, what the caller has to do, and how many actions there are.
 fn send(rig: &mut Rig, request: Request) -> (Reply, Effect, usize) {
-    let mut outbox = Outbox::new();
-    outbox.record(7, What::Booted(ResetCause::PowerOn), 0);
+    let mut events = EventRing::new();
+    events.record(7, What::Booted(ResetCause::PowerOn));
     let context = Context {
         now: now(1_234, rig.ring.counted, rig.inputs()),
         stroke: 3,
         about: About {
-            outbox: &outbox,
+            events: &events,
             last_words: "tasks/link.rs:1: oh",
-            values: &Values::DEFAULT,
-            keys: &SettingKey::ALL,
-            name: "left bench",
         },
+        values: &Values::DEFAULT,
+        name: "left bench",
         health: matches!(request, Request::GetRigHealth(_)).then_some(HEALTH),
     };
     let Executed {
