@@ -32,6 +32,9 @@ const POLL_US: u64 = 50_000;
 /// The longest wait for bytes before the [`Interrupt`] is polled again, us.
 const SLICE_US: u64 = 20_000;
 
+/// Interval between two looks at the record of an actuation that has ended, us: several readings of the capsule.
+const BRAKING_US: u64 = 20_000;
+
 /// How much later than announced an action may end before it is stopped as overdue, us.
 const OVERDUE_US: u64 = 3_000_000;
 
@@ -79,7 +82,8 @@ pub enum Progress {
     },
     /// A run.
     Run {
-        /// Into the run, us, without the time it was held.
+        /// Into the run, us, without the time it was held; at most `total_us`, although a hold and a resume make the
+        /// run a little longer.
         elapsed_us: u64,
         /// Duration of the whole run, us.
         total_us: u64,
@@ -586,7 +590,7 @@ impl Device {
             }
             let status = device.rig_status()?;
             if status.state == RigState::Running && held_since_us.is_none() {
-                elapsed_us = status.elapsed_us.saturating_sub(paused_us);
+                elapsed_us = status.elapsed_us.saturating_sub(paused_us).min(total_us);
             }
             observer.progress(&Progress::Run {
                 elapsed_us,
@@ -619,7 +623,8 @@ impl Device {
         }
     }
 
-    /// Waits until an actuation of the capsule ends, however it ends, and returns the device's record of it.
+    /// Waits until an actuation of the capsule ends, however it ends, and its motor stands, and returns the device's
+    /// record of it.
     ///
     /// # Errors
     /// [`ClientError::Overdue`], or as [`Device::call`].
@@ -656,7 +661,24 @@ impl Device {
                 ))
             },
         )?;
-        self.actuation_record()
+        self.final_record(observer)
+    }
+
+    /// The record of the actuation that has just ended, when it no longer changes: while the motor is braked, it runs
+    /// on for a tenth of a millimetre of thread.
+    fn final_record(
+        &mut self,
+        observer: &mut dyn Observer,
+    ) -> Result<ActuationRecord, ClientError> {
+        let mut record = self.actuation_record()?;
+        loop {
+            self.idle(BRAKING_US, observer)?;
+            let later = self.actuation_record()?;
+            if later == record || later.actuation != record.actuation {
+                return Ok(record);
+            }
+            record = later;
+        }
     }
 
     /// Waits for `duration_us` of link time with keep-alives; passes telemetry and events to the observer.
