@@ -243,11 +243,11 @@ impl Hooks for Steps {
     }
     fn folded(&mut self, trial: &ActuationTrial) {
         self.names
-            .push(format!("folded {}", trial.record.thread_um));
+            .push(format!("folded {} mm", trial.record.thread_um / 1_000));
     }
     fn unfolded(&mut self, trial: &ActuationTrial) {
         self.names
-            .push(format!("unfolded {}", trial.record.thread_um));
+            .push(format!("unfolded {} mm", trial.record.thread_um / 1_000));
     }
 }
 
@@ -285,9 +285,9 @@ fn the_papers_experiment_goes_step_by_step_and_ends_in_a_report() {
             "referenced",
             "homed",
             "ran unfolded 4",
-            "folded 42000",
+            "folded 21 mm",
             "ran folded 4",
-            "unfolded 0"
+            "unfolded 0 mm"
         ]
     );
     assert_eq!(steps.watch.begun, 6);

@@ -21,6 +21,13 @@ pub(crate) fn hold(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value
     let mut rig = finder.connect(DeviceKind::Rig)?;
     rig.call(rig::Hold)?;
     let status = rig.wait_rest()?;
+    if status.state == RigState::Running {
+        return Err(Failure::Refused {
+            why: "the run was held, and goes on again: somebody has resumed it, the start button does that"
+                .to_owned(),
+            help: "`retrograde hold` holds it again, `retrograde stop` ends it".to_owned(),
+        });
+    }
     if status.state != RigState::Held {
         return Err(match Status::from(rig.run_record()?.outcome) {
             Status::Complete => Failure::Refused {

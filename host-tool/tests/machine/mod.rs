@@ -48,7 +48,7 @@ pub struct Script {
     pub dead: bool,
     /// Another host has homed or referenced the machine.
     pub ready: bool,
-    /// Another host has started a run, and so long ago, us.
+    /// It has started a run, too, and waited so long, us.
     pub running: Option<(Run, u64)>,
     /// What happens, and when on the link's clock, us; in the order of time.
     pub world: Vec<(u64, World)>,
@@ -216,29 +216,13 @@ impl Machine {
         };
         machine.serve();
         if script.ready {
-            machine = machine.with_another_host(|host| match script.kind {
-                DeviceKind::Rig => {
-                    let accepted = host.home().expect("accepted");
-                    host.wait_homing(&accepted, &mut Unobserved).expect("homed");
-                }
-                DeviceKind::Capsule => {
-                    let accepted = host.reference().expect("accepted");
-                    host.wait_actuation(&accepted, &mut Unobserved)
-                        .expect("referenced");
-                }
-            });
-        }
-        if let Some((run, for_us)) = script.running {
-            machine = machine.with_another_host(|host| {
-                host.run(run).expect("accepted");
-                host.idle(for_us, &mut Unobserved).expect("there");
-            });
+            machine = machine.with_another_host(|host| make_ready(host, &script));
         }
         machine.connect(&script);
         machine
     }
 
-    /// Lets a host of its own do something on a good line.
+    /// Lets a host of its own do something, on a good line.
     fn with_another_host(mut self, work: impl FnOnce(&mut client::Device)) -> Self {
         self.connected_us = self.now_us;
         let shared = Arc::new(Mutex::new(self));
@@ -398,6 +382,25 @@ impl Peer for Machine {
         let event_us = self.world.front().map_or(u64::MAX, |(time_us, _)| *time_us);
         let next_us = self.due_us.min(event_us).saturating_add(LATENCY_US);
         next_us.min(self.line.next_us()) - self.connected_us
+    }
+}
+
+/// Homes or references the machine, and starts the run that goes on already.
+fn make_ready(host: &mut client::Device, script: &Script) {
+    match script.kind {
+        DeviceKind::Rig => {
+            let accepted = host.home().expect("accepted");
+            host.wait_homing(&accepted, &mut Unobserved).expect("homed");
+        }
+        DeviceKind::Capsule => {
+            let accepted = host.reference().expect("accepted");
+            let record = host.wait_actuation(&accepted, &mut Unobserved);
+            record.expect("referenced");
+        }
+    }
+    if let Some((run, for_us)) = script.running {
+        host.run(run).expect("accepted");
+        host.idle(for_us, &mut Unobserved).expect("there");
     }
 }
 
