@@ -14,6 +14,7 @@ use protocol::capsule::{
 use protocol::client::{Client, Output, Poll};
 use protocol::error::{Refusal, WireError};
 use protocol::rig::{self, HomeAccepted, RigEvent, RigState, RigStatus, RunAccepted, RunRecord};
+use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{
     Acknowledge, DeviceKind, Event, Events, GetEvents, GetLastWords, Identity, KeepAlive,
     SetTelemetry, Urgent, What,
@@ -23,7 +24,8 @@ use protocol::table::{Changes, Endpoint, Request, Response, SCHEMA_KEY, Telemetr
 use crate::error::ClientError;
 use crate::link::Link;
 
-/// The longest time between two requests while waiting, us. A moving device stops after 1 s without one.
+/// The longest time between two requests while waiting, us. A moving device stops after 1 s without one, or after the
+/// rig's `link_timeout_ms`: three requests go out in that time, should it be shorter.
 pub const KEEP_ALIVE_US: u64 = 250_000;
 
 /// Interval between two requests for the status of a move, us.
@@ -123,7 +125,7 @@ pub trait Observer {
     fn event(&mut self, event: &Event) {
         let _ = event;
     }
-    /// Called about four times a second.
+    /// Called about four times a second, more often if the rig wants to hear the host more often.
     fn progress(&mut self, progress: &Progress) {
         let _ = progress;
     }
@@ -204,6 +206,8 @@ pub struct Device {
     link: Box<dyn Link>,
     client: Client,
     identity: Option<Identity>,
+    /// Time between two requests while waiting, us.
+    keep_alive_us: u64,
     interrupt: Option<Interrupt>,
     pacer: Option<Pacer>,
     /// The strongest urgent stop that the interrupt has returned so far.
@@ -232,6 +236,7 @@ impl Device {
             link,
             client: Client::new(),
             identity: None,
+            keep_alive_us: KEEP_ALIVE_US,
             interrupt: None,
             pacer: None,
             interrupted: None,
@@ -282,8 +287,19 @@ impl Device {
         if matches(&identity) {
             // Events from before this session are not reported.
             self.next_event = self.events(u32::MAX)?.next;
+            self.keep_alive_us = self.asked_keep_alive_us(identity.device)?;
         }
         Ok(identity)
+    }
+
+    /// How often this device wants to hear the host while it moves, us.
+    fn asked_keep_alive_us(&mut self, device: DeviceKind) -> Result<u64, ClientError> {
+        if device == DeviceKind::Capsule {
+            return Ok(KEEP_ALIVE_US);
+        }
+        let key = SettingKey::LinkTimeoutMs;
+        let timeout_ms = self.call(GetSetting { key })?.value;
+        Ok(KEEP_ALIVE_US.min(u64::from(timeout_ms) * 1_000 / 3))
     }
 
     /// Makes sure that this is the wanted machine and that both ends speak the same protocol.
@@ -692,7 +708,7 @@ impl Device {
     ) -> Result<(), ClientError> {
         let end_us = self.now_us().saturating_add(duration_us);
         while self.now_us() < end_us {
-            let until_us = self.now_us().saturating_add(KEEP_ALIVE_US).min(end_us);
+            let until_us = self.now_us().saturating_add(self.keep_alive_us).min(end_us);
             self.listen(until_us)?;
             self.keep_alive()?;
             self.hand_out(observer);
@@ -702,8 +718,8 @@ impl Device {
         Ok(())
     }
 
-    /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every [`KEEP_ALIVE_US`]
-    /// without one. Then it requests the device's status, which is also the keep-alive and shows the end even if its
+    /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every
+    /// `keep_alive_us` without one. Then it requests the device's status, which is also the keep-alive and shows the end even if its
     /// event was lost.
     fn wait<C: Into<ActionState>>(
         &mut self,
@@ -734,7 +750,7 @@ impl Device {
             }
             self.pace(observer)?;
             let now_us = self.now_us();
-            if now_us >= asked_us.saturating_add(KEEP_ALIVE_US) {
+            if now_us >= asked_us.saturating_add(self.keep_alive_us) {
                 match state(self, None, observer)?.into() {
                     ActionState::Ended => {
                         // The action has ended: an event that has not arrived by now was lost.
@@ -755,7 +771,7 @@ impl Device {
                     });
                 }
             }
-            self.step(asked_us.saturating_add(KEEP_ALIVE_US))?;
+            self.step(asked_us.saturating_add(self.keep_alive_us))?;
         }
     }
 

@@ -14,6 +14,7 @@ use machine::{Script, World, link};
 use protocol::capsule::ActuationOutcome;
 use protocol::error::Refusal;
 use protocol::rig::{RigEvent, RigFault, RigState, Run, RunOutcome, RunTiming};
+use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, ResetCause, Urgent, What};
 use protocol::table::Telemetry;
 
@@ -609,4 +610,65 @@ fn the_memory_link_takes_no_time_to_send_and_waits_no_longer_than_asked() {
     assert_eq!(link.now_us(), 0);
     assert_eq!(link.receive(&mut [0; 8], 1_000).expect("alive"), 0);
     assert_eq!(link.now_us(), 1_000);
+}
+/// The time in which the rig wants to hear the host is a setting of the rig.
+#[test]
+fn a_rig_with_the_shortest_link_timeout_hears_the_host_often_enough() {
+    let mut script = Script::new(DeviceKind::Rig);
+    let shortest_ms = SettingKey::LinkTimeoutMs.range().min;
+    script.settings = vec![(SettingKey::LinkTimeoutMs, shortest_ms)];
+    let (mut rig, _) = homed_rig(script);
+    let accepted = rig.run(SHORT_RUN).expect("accepted");
+    let mut seen = Seen::default();
+    let record = rig.wait_run(&accepted, &mut seen).expect("ends");
+    assert_eq!(record.outcome, RunOutcome::Complete);
+    rig.run(SHORT_RUN).expect("accepted");
+    rig.idle(5_000_000, &mut seen).expect("there");
+    let record = rig.run_record().expect("record");
+    assert_eq!(record.outcome, RunOutcome::Complete);
+    let lost = seen.events.iter().any(|event| event.what == What::LinkLost);
+    assert!(!lost, "{:?}", seen.events);
+}
+
+#[test]
+fn a_run_that_the_rig_has_stopped_in_silence_is_recorded_as_that() {
+    let mut script = Script::new(DeviceKind::Rig);
+    script.settings = vec![(SettingKey::LinkTimeoutMs, 500)];
+    // Asked for after a third of that, and again every 0.1 s.
+    script.deaf_to = vec![("GetRigStatus", 6)];
+    script.ready = true;
+    let (link, log) = link(script);
+    let mut rig = Device::connect(link, DeviceKind::Rig, 11).expect("a rig");
+    let accepted = rig.run(SHORT_RUN).expect("accepted");
+    let begin_us = rig.now_us();
+    let mut seen = Seen::default();
+    let record = rig.wait_run(&accepted, &mut seen).expect("ends");
+    assert_eq!(record.outcome, RunOutcome::LinkLost);
+    assert_eq!(record.counted_edges, record.commanded_edges);
+    assert!(rig.now_us() - begin_us < 800_000);
+    let what: Vec<_> = seen.events.iter().map(|event| event.what).collect();
+    let run = accepted.run;
+    let stopped = match what[..] {
+        [
+            What::Rig(RigEvent::RunStarted { .. }),
+            What::LinkLost,
+            What::Rig(ended),
+            What::Rig(RigEvent::Stopped { position_steps }),
+        ] if ended
+            == (RigEvent::RunEnded {
+                run,
+                outcome: RunOutcome::LinkLost,
+            }) =>
+        {
+            position_steps
+        }
+        _ => panic!("{what:?}"),
+    };
+    let status = rig.rig_status().expect("status");
+    assert_eq!(
+        (status.state, status.position_steps),
+        (RigState::Ready, stopped)
+    );
+    assert!(stopped > 0);
+    assert!(log.lock().expect("log").urgent.is_empty());
 }

@@ -5,8 +5,8 @@ mod machine;
 use std::fs;
 use std::path::PathBuf;
 
-use machine::{Log, Script};
 use machine::tool::{Memory, ready};
+use machine::{Log, Script};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 use serde_json::Value;
