@@ -1,4 +1,4 @@
-//! The chain of crescents: what each of them feels, and what the whole makes of it.
+//! The chain of crescents: the indentation of each and the movement of the whole.
 
 use locomotion::body::{Chain, Params};
 use locomotion::roller;
@@ -19,7 +19,7 @@ fn a_relaxed_body_lies_with_its_rearmost_tip_at_the_tail() {
     }
 }
 
-/// A wall that slopes: each crescent feels its share of the wall at the middle of its link, where it was.
+/// Under a sloping wall each crescent takes its share of the indentation at the previous middle of its link.
 #[test]
 fn each_crescent_feels_the_wall_at_its_place() {
     let mut chain = Chain::new(PARAMS).unwrap();

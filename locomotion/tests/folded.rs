@@ -124,7 +124,7 @@ proptest! {
     }
 }
 
-/// The wall is the roller's arc: where it meets the body it is as far in as the body is, and so steep is it there.
+/// Where the roller's arc meets the body it is indented by the gap, and its slope is the one stated.
 #[test]
 fn a_pushed_body_touches_the_rollers_arc() {
     for a in [4.6, 5.05, 6.0, 9.0] {

@@ -257,7 +257,7 @@ fn equation_6_has_no_root_near_the_papers_angle() {
     assert!(repaired_eq6_residual(&design(golden + 0.01), 0.0) < 0.0);
 }
 
-/// Eq. (6) by its angles, as the paper prints it, and with the right side repaired.
+/// Eq. (6) in angles as the paper prints it, and with its right side repaired.
 #[test]
 fn the_residuals_are_those_of_equation_6() {
     for alpha_deg in [2.0f64, 12.53, 25.0, 31.0] {

@@ -180,7 +180,7 @@ fn the_carriage_may_overtravel_by_100_mm() {
     }
 }
 
-/// The wall is an arc of the roller's radius: its deepest point at the axis, nothing beyond where it leaves the wall.
+/// The wall lies on the roller's circle where it is indented, and outside of it elsewhere.
 #[test]
 fn the_wave_is_the_rollers_arc() {
     for (peak, radius) in [(5.05, 20.0), (1.0, 20.0), (9.76, 10.0)] {
