@@ -273,9 +273,9 @@ pub struct Procedure {
 /// The experiment's records, in the order of the steps.
 #[derive(Clone, Debug)]
 pub struct Experiment {
-    /// Zero of the thread.
+    /// Search for the thread's zero.
     pub reference: ActuationTrial,
-    /// Zero of the rig.
+    /// Result of homing the rig.
     pub homed: Homed,
     /// The run with the capsule unfolded.
     pub unfolded_run: RunTrial,

@@ -34,7 +34,7 @@ pub(crate) fn hold(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value
         });
     }
     screen.say(&format!(
-        "Held at {} mm; `retrograde resume` goes on, `retrograde stop` ends the run.",
+        "Held at {} mm; `retrograde resume` continues the run, `retrograde stop` ends it.",
         millimetres(&status)
     ));
     Ok(json!({ "held": true, "status": status }))
