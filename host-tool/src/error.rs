@@ -154,7 +154,7 @@ pub enum ClientError {
     #[diagnostic(
         code(retrograde::interrupted),
         help(
-            "the device has confirmed the stop and nothing moves; `retrograde info` shows where it stands"
+            "the device has confirmed the stop and nothing moves; `retrograde info` shows where it is"
         )
     )]
     Interrupted {

@@ -138,7 +138,7 @@ fn stroke(profile: &StrokeProfile, axis: &Axis) -> Stroke {
 /// instant of the start, also in seconds.
 ///
 /// # Errors
-/// The writer's.
+/// Those of the writer.
 pub fn write_edges(plan: &RunPlan, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "stroke,position_steps,tick_10ns,time_s")?;
     for index in 0..plan.strokes() {

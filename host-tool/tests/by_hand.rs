@@ -115,7 +115,7 @@ fn a_move_that_a_fault_ends_has_moved() {
         "{err}"
     );
     assert!(
-        err.contains("stands at 9.") && !err.contains("nothing was moved"),
+        err.contains("the carriage is at 9.") && !err.contains("nothing was moved"),
         "{err}"
     );
     // One that is there before does not begin at all.
@@ -138,7 +138,7 @@ fn what_somebody_else_stopped_is_no_success() {
         let (code, _, err) = json(pressed, line);
         assert_eq!(code, 130, "{err}");
         assert!(err.contains("the start button"), "{err}");
-        assert!(err.contains("the carriage stands at "), "{err}");
+        assert!(err.contains("the carriage is at "), "{err}");
     }
     let held = Script {
         button_at_us: Some(60_000),
