@@ -9,14 +9,14 @@ use protocol::{
     table::{Reply, Request, Response},
 };
 
-/// Shortest and longest telemetry interval.
+/// Shortest and longest telemetry interval, ms.
 pub const TELEMETRY_MS: (u16, u16) = (5, 1_000);
 
-/// What a request may need to know.
+/// What a request may read besides the machine.
 pub struct Context<'a> {
     /// Device time.
     pub now_us: u64,
-    /// Events so far.
+    /// Recorded events.
     pub ring: &'a EventRing,
     /// Text of the last panic or processor fault.
     pub last_words: &'a str,
@@ -39,11 +39,11 @@ pub enum Effect {
 /// Outcome of a request.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Executed {
-    /// To the host.
+    /// Answer for the host.
     pub reply: Reply,
-    /// From the machine; `None` if it was not asked for anything.
+    /// What the machine wants done; `None` after a query.
     pub actions: Option<Actions>,
-    /// The rest.
+    /// What else the caller has to do.
     pub effect: Effect,
 }
 
@@ -102,7 +102,7 @@ fn answer(query: Request, capsule: &Capsule, context: &Context<'_>) -> Executed 
             Ok(Response::GetCapsuleStatus(status(capsule, context.now_us)))
         }
         Request::GetActuationRecord(_) => Ok(Response::GetActuationRecord(*capsule.record())),
-        // A Hello is answered by the session.
+        // The session answers a Hello.
         Request::Hello(_)
         | Request::GetRigStatus(_)
         | Request::Home(_)
