@@ -34,11 +34,11 @@ pub enum Effect {
 /// Outcome of a request.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Executed {
-    /// To the host.
+    /// Answer for the host.
     pub reply: Reply,
-    /// From the machine; `None` if it was not asked for anything.
+    /// What the machine wants done; `None` after a query.
     pub actions: Option<Actions>,
-    /// The rest.
+    /// What else the caller has to do.
     pub effect: Effect,
 }
 
