@@ -6,11 +6,13 @@ use super::{
 };
 use device::{
     chip::{
-        channels::{REPLIES, REQUESTS, send_event, set_telemetry, silence_us},
-        link, retained, telemetry,
+        channels::{REPLIES, REQUESTS},
+        link,
+        surroundings::Chip,
+        telemetry,
         watchdog::{self, CHECK_IN, check_in},
     },
-    retained::{EStop, Left},
+    retained::Left,
     supervision::Client,
 };
 use embassy_futures::select::{Either3, select, select3};
@@ -27,7 +29,7 @@ use firmware_capsule::{
 };
 use protocol::{
     capsule::CapsuleTelemetry,
-    system::{Event, Identity, ResetCause, What},
+    system::{Identity, ResetCause},
     table::Telemetry,
 };
 
@@ -80,7 +82,7 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
 /// At every reading (1 ms while moving, else 100 ms) and at every request.
 #[embassy_executor::task]
 pub(crate) async fn control(left: Left, cause: ResetCause) -> ! {
-    let mut control = Control::new(Capsule, left, cause);
+    let mut control = Control::new(Chip, Capsule, left, cause);
     loop {
         check_in(Client::Control);
         match select3(REQUESTS.wait(), READINGS.wait(), Timer::after(CHECK_IN)).await {
@@ -96,16 +98,8 @@ pub(crate) async fn control(left: Left, cause: ResetCause) -> ! {
 struct Capsule;
 
 impl control::Capsule for Capsule {
-    fn now_us(&self) -> u64 {
-        Instant::now().as_micros()
-    }
-
-    fn silence_us(&self) -> u32 {
-        silence_us(self.now_us())
-    }
-
     fn drive(&mut self, drive: Drive) {
-        let confirmed_us = self.now_us();
+        let confirmed_us = Instant::now().as_micros();
         let before = ORDER.lock(|order| {
             order.replace(Order {
                 drive,
@@ -119,21 +113,6 @@ impl control::Capsule for Capsule {
 
     fn show(&mut self, telemetry: CapsuleTelemetry) {
         SNAPSHOT.lock(|snapshot| snapshot.set(Some(telemetry)));
-    }
-
-    fn set_telemetry(&mut self, period_ms: u16) {
-        set_telemetry(period_ms);
-    }
-
-    fn keep_latched(&mut self, estop: Option<EStop>) {
-        retained::keep_latched(estop);
-    }
-
-    fn tell(&mut self, event: &Event) {
-        if let What::Capsule(event) = event.what {
-            defmt::info!("{}", event);
-        }
-        send_event(event);
     }
 }
 
