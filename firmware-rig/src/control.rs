@@ -68,15 +68,6 @@ pub struct Snapshot {
     pub axis: Axis,
 }
 
-impl Snapshot {
-    /// Before control has begun.
-    pub const START: Self = Self {
-        state: RigState::Unhomed,
-        residual_steps: 0,
-        axis: Axis::REFERENCE,
-    };
-}
-
 /// Owns the state machine, the settings and the events.
 pub struct Control<S: Surroundings, R: Rig, F: NorFlash> {
     surroundings: S,

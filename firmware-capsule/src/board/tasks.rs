@@ -1,7 +1,7 @@
 //! The tasks; the table in this package's README says how often each runs and why.
 
 use super::{
-    channels::{ORDER, ORDER_CHANGED, Order, READINGS, Reading, SNAPSHOT},
+    channels::{ORDER, ORDER_CHANGED, Order, READINGS, SNAPSHOT},
     pins::DriveTrain,
 };
 use device::{
@@ -49,10 +49,7 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
         check_in(Client::Motion);
         let sample = drive_train.sample();
         let now = Instant::now();
-        READINGS.signal(Reading {
-            at_us: now.as_micros(),
-            sample,
-        });
+        READINGS.signal((now.as_micros(), sample));
         let order = ORDER.lock(|order| order.get());
         let age_us = now.as_micros().saturating_sub(order.confirmed_us);
         let was_stale = core::mem::replace(
@@ -87,7 +84,7 @@ pub(crate) async fn control(left: Left, cause: ResetCause) -> ! {
         check_in(Client::Control);
         match select3(REQUESTS.wait(), READINGS.wait(), Timer::after(CHECK_IN)).await {
             Either3::First(inbound) => REPLIES.signal(control.answer(inbound)),
-            Either3::Second(reading) => control.read(reading.at_us, reading.sample),
+            Either3::Second((at_us, sample)) => control.read(at_us, sample),
             // Motor is silent; the watchdog will see to it.
             Either3::Third(()) => {}
         }

@@ -70,7 +70,7 @@ pub async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
     let mut ticker = Ticker::every(Duration::from_micros(ROUND_US));
     loop {
         check_in(Client::Control);
-        SNAPSHOT.lock(|snapshot| snapshot.set(control.snapshot()));
+        SNAPSHOT.lock(|snapshot| snapshot.set(Some(control.snapshot())));
         match select3(NOTICES.receive(), REQUESTS.wait(), ticker.next()).await {
             Either3::First(event) => control.event(event),
             Either3::Second(inbound) => REPLIES.signal(control.answer(inbound)),
@@ -173,7 +173,7 @@ pub async fn telemetry() -> ! {
         let (before, from) = last;
         let position = step_generator::counted();
         last = (now, position);
-        let snapshot = SNAPSHOT.lock(|snapshot| snapshot.get());
+        let snapshot = SNAPSHOT.lock(|snapshot| snapshot.get())?;
         let elapsed_us = now.saturating_duration_since(before).as_micros();
         Some(Telemetry::Rig(RigTelemetry {
             time_us: now.as_micros(),
@@ -205,8 +205,8 @@ pub async fn watchdog(
     let mut round = 0_u8;
     let show_state = || {
         round = (round + 1) % 8;
-        let state = SNAPSHOT.lock(|snapshot| snapshot.get().state);
-        led.set_level((pattern(state) >> round & 1 == 1).into());
+        let state = SNAPSHOT.lock(|snapshot| snapshot.get().map(|snapshot| snapshot.state));
+        led.set_level((state.map_or(0, pattern) >> round & 1 == 1).into());
     };
     watchdog::run(watchdog, show_state).await
 }
