@@ -20,7 +20,7 @@ use protocol::{
     },
     settings::{self, FactoryReset, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{self, Done, Hello, LastWords, ResetCause, SetTelemetry, What},
-    table::{Changes, Reply, Request, Response},
+    table::{Impact, Reply, Request, Response},
 };
 
 const SETTINGS: Settings = Settings::REFERENCE;
@@ -220,7 +220,7 @@ fn is_for_the_capsule(request: &Request) -> bool {
 
 /// By the protocol's table.
 fn moves(request: &Request) -> bool {
-    matches!(request.changes(), Changes::Motion | Changes::Pace)
+    matches!(request.impact(), Impact::Motion | Impact::Pace)
 }
 
 /// What refuses a request in a state; none: nothing does.
@@ -294,16 +294,16 @@ fn every_row_in_every_state() {
             let renewed = state == RigState::Moving && matches!(request, Request::Jog(_));
             assert_eq!(actions > 0, moves(&request) && !renewed);
             assert_eq!(effect, expected_effect(&request));
-            // What the protocol's table says that it changes.
+            // Its impact by the protocol's table.
             let in_a_run = matches!(state, RigState::Running | RigState::Held);
-            let changes = match effect {
-                Effect::Acknowledged => Changes::Fault,
-                Effect::Store(_) => Changes::Flash,
-                _ if actions > 0 && in_a_run => Changes::Pace,
-                _ if actions > 0 || renewed => Changes::Motion,
-                _ => Changes::Nothing,
+            let impact = match effect {
+                Effect::Acknowledged => Impact::Fault,
+                Effect::Store(_) => Impact::Flash,
+                _ if actions > 0 && in_a_run => Impact::Pace,
+                _ if actions > 0 || renewed => Impact::Motion,
+                _ => Impact::None,
             };
-            assert_eq!(request.changes(), changes);
+            assert_eq!(request.impact(), impact);
         }
     }
 }
