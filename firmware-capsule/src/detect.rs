@@ -674,7 +674,7 @@ mod tests {
     }
 
     #[test]
-    fn a_blocked_motor_has_less_than_a_quarter_of_its_back_emf() {
+    fn the_back_emf_tells_a_lost_encoder_from_a_blocked_motor() {
         // Three quarters of the drive over 5.4 ohm.
         for (drive_mv, stall_ma) in [(1_000, 139), (500, 70), (144, 20)] {
             let trip = |current_ma| first_trip(Spooling::PayOut, drive_mv, current_ma, |_| 0);
