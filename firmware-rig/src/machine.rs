@@ -529,7 +529,8 @@ impl Machine {
                 self.ledger(count, actions);
             }
             State::Homing(homing) => {
-                if homing.flag_edge(opening, count) {
+                let found = homing.flag_edge(opening, count);
+                if found {
                     actions.push(Action::StopPath);
                 }
             }

@@ -1,14 +1,15 @@
-//! Requests of the protocol against the machine: every row in every state, every refusal, every number of a reply.
+//! The protocol's requests on the machine: every row in every state, every refusal, every number of a reply.
 
 mod carriage;
 
-use carriage::{Rig, run};
+use carriage::{Rig, now, run, settings};
+use device::{common::About, settings::Values};
 use firmware_rig::{
-    commands::{Change, Context, Effect, execute},
-    machine::{Actions, Command, Machine},
-    settings::{Settings, Values},
+    commands::{Change, Context, Effect, Executed, execute},
+    machine::{Command, Machine},
+    settings::Settings,
 };
-use motion::axis::{Axis, Direction};
+use motion::axis::Direction;
 use proptest::prelude::*;
 use protocol::{
     capsule,
@@ -18,7 +19,7 @@ use protocol::{
         self, Glitches, HomeAccepted, LinkLossPolicy, MoveAccepted, RigFault, RigHealth, RigState,
         RigStatus, Run, RunAccepted, RunOutcome, RunTiming, Stroke,
     },
-    settings::{self, FactoryReset, GetSetting, Name, Setting, SettingKey, SettingRule},
+    settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{self, Done, Hello, LastWords, ResetCause, SetTelemetry, What},
     table::{Impact, Reply, Request, Response},
 };
@@ -59,22 +60,29 @@ const HEALTH: RigHealth = RigHealth {
 
 /// Sends a request: the reply, what the caller has to do, and how many actions there are.
 fn send(rig: &mut Rig, request: Request) -> (Reply, Effect, usize) {
-    let mut ring = EventRing::new();
-    ring.record(7, What::Booted(ResetCause::PowerOn));
+    let mut events = EventRing::new();
+    events.record(7, What::Booted(ResetCause::PowerOn));
     let context = Context {
-        now_us: 1_234,
-        position: rig.ring.counted,
-        inputs: rig.inputs(),
+        now: now(1_234, rig.ring.counted, rig.inputs()),
         stroke: 3,
-        ring: &ring,
-        last_words: "tasks/link.rs:1: oh",
+        about: About {
+            events: &events,
+            last_words: "tasks/link.rs:1: oh",
+        },
         values: &Values::DEFAULT,
         name: "left bench",
         health: matches!(request, Request::GetRigHealth(_)).then_some(HEALTH),
     };
-    let mut actions = Actions::new();
-    let (reply, effect) = execute(request, &mut rig.machine, &context, &mut actions);
-    (reply, effect, actions.len())
+    let Executed {
+        reply,
+        actions,
+        effect,
+    } = execute(request, &mut rig.machine, &context);
+    // The machine's refusal is the host's.
+    if let Some(refusal) = actions.refusal {
+        assert_eq!(reply, Reply::Refused(refusal));
+    }
+    (reply, effect, actions.list.len())
 }
 
 fn refusal(rig: &mut Rig, request: Request) -> Refusal {
@@ -101,7 +109,7 @@ fn refused_run(request: Run) -> Refusal {
     refusal(&mut Rig::homed(SETTINGS), Request::Run(request))
 }
 
-/// The rig in a state, each reached as in life.
+/// The rig in a state that it reached by commands.
 fn rig_in(state: RigState) -> Rig {
     let mut rig = Rig::homed(SETTINGS);
     let start = run(&SETTINGS, 1, 10_000, LinkLossPolicy::Stop);
@@ -198,7 +206,7 @@ fn requests() -> Vec<Request> {
         }),
         Request::SetSetting(SETTING),
         Request::FactoryReset(FactoryReset),
-        Request::GetName(settings::GetName),
+        Request::GetName(GetName),
         Request::SetName(name("right bench")),
         Request::GetRigHealth(rig::GetRigHealth),
     ];
@@ -254,14 +262,10 @@ fn expected_effect(request: &Request) -> Effect {
     match request {
         Request::SetTelemetry(_) => Effect::Telemetry { period_ms: 10 },
         Request::Acknowledge(_) => Effect::Acknowledged,
-        Request::SetSetting(setting) => {
-            let (values, settings) = Values::DEFAULT.with(setting.key, setting.value).unwrap();
-            Effect::Store(Change::Value {
-                setting: *setting,
-                values,
-                settings,
-            })
-        }
+        Request::SetSetting(setting) => Effect::Store(Change::Value {
+            setting: *setting,
+            settings: settings(&[(setting.key, setting.value)]),
+        }),
         Request::SetName(name) => Effect::Store(Change::Name(name.name.clone())),
         Request::FactoryReset(_) => Effect::Store(Change::Reset),
         _ => Effect::None,
@@ -375,7 +379,7 @@ fn moves_and_jogs_out_of_range() {
     ));
 }
 
-/// Where nothing is known about the position, nobody is "already there".
+/// Without a known position no target is "already there".
 #[test]
 fn a_move_to_where_the_counter_stands_needs_a_position() {
     let request = || {
@@ -421,10 +425,10 @@ fn settings_are_read_and_checked() {
 }
 
 #[test]
-fn name_and_health_are_handed_out() {
+fn name_and_health_are_reported() {
     for state in STATES {
         let mut rig = rig_in(state);
-        let (reply, ..) = send(&mut rig, Request::GetName(settings::GetName));
+        let (reply, ..) = send(&mut rig, Request::GetName(GetName));
         assert_eq!(
             reply,
             Reply::Accepted(Response::GetName(name("left bench")))
@@ -639,10 +643,7 @@ fn speeds_out_of_range() {
 
 /// 1/256: 12,800 steps per mm.
 fn fine() -> Settings {
-    Settings {
-        axis: Axis::new(4_000, 200, 256, 130_000).unwrap(),
-        ..SETTINGS
-    }
+    settings(&[(SettingKey::SeekUmS, 19_000), (SettingKey::Microsteps, 256)])
 }
 
 #[test]
@@ -795,7 +796,7 @@ fn status_shows_the_machine() {
 }
 
 #[test]
-fn records_words_and_events_are_handed_out() {
+fn records_last_words_and_events_are_reported() {
     let mut rig = rig_in(RigState::Running);
     let (reply, ..) = send(&mut rig, Request::GetRunRecord(rig::GetRunRecord));
     let Reply::Accepted(Response::GetRunRecord(record)) = reply else {
@@ -826,7 +827,7 @@ fn config() -> ProptestConfig {
 proptest! {
     #![proptest_config(config())]
 
-    /// Whatever is asked for: refused without effect, or inside every limit.
+    /// Any run is refused without effect, or within every limit.
     #[test]
     fn any_run_is_refused_or_within_the_limits(
         cycles in prop_oneof![1..20_u16, any::<u16>()],
@@ -872,7 +873,7 @@ proptest! {
 }
 
 thread_local! {
-    /// A rig that is ready, made once.
+    /// A machine that is ready: homing takes long.
     static READY: Machine = Rig::homed(SETTINGS).machine;
 }
 

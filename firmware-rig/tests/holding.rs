@@ -1,8 +1,8 @@
-//! Feed hold: wherever it falls, the resumed run makes the very steps that were planned, once each.
+//! Feed hold: wherever it comes, the resumed run makes exactly the planned steps, each of them once.
 
 mod carriage;
 
-use carriage::{Rig, plan};
+use carriage::{Rig, flag_edge, plan};
 use firmware_rig::{
     machine::{Command, Event},
     settings::Settings,
@@ -10,6 +10,7 @@ use firmware_rig::{
 use motion::{
     axis::Direction,
     run::{RunPlan, RunRequest, Timing},
+    units::Micrometres,
 };
 use protocol::{
     error::Refusal,
@@ -40,7 +41,7 @@ fn hold(rig: &mut Rig) {
     rig.finish();
 }
 
-/// Stands for a while; nothing moves, nor does silence of the host matter.
+/// Stands for a while: nothing moves, and a silent host does not matter.
 fn stand(rig: &mut Rig) {
     let pulses = rig.pulses;
     rig.wait(100_000_000_000);
@@ -50,7 +51,7 @@ fn stand(rig: &mut Rig) {
     assert!(rig.machine.homed());
 }
 
-/// The run as planned, whatever lay between.
+/// The run went as planned, holds apart.
 fn assert_complete(rig: &Rig, plan: &RunPlan, holds: u32) {
     assert_eq!(rig.fault(), None);
     assert_eq!(rig.machine.state(), RigState::Ready);
@@ -239,7 +240,7 @@ fn the_button_resumes_and_the_policy_of_the_run_stays() {
 }
 
 #[test]
-fn a_held_run_can_be_given_up() {
+fn a_held_run_can_be_abandoned() {
     let mut rig = started(slow());
     rig.pulses(5_000);
     hold(&mut rig);
@@ -317,7 +318,7 @@ fn whatever_cuts_a_held_run_ends_it() {
     }
 }
 
-/// The inputs are asked when the run is resumed; what is refused can be resumed later.
+/// A resume reads the switches; a refused one can be repeated.
 #[test]
 fn a_resume_with_an_open_switch_is_refused() {
     let mut rig = started(slow());
@@ -342,7 +343,7 @@ fn a_resume_with_an_open_switch_is_refused() {
     assert_complete(&rig, &slow(), 1);
 }
 
-/// Edges at the pin that nobody commanded: the position is not what it was.
+/// Edges on the pin that nobody commanded: the position is no longer what it was.
 #[test]
 fn a_count_that_changed_during_the_hold_is_a_fault() {
     let mut rig = started(slow());
@@ -396,12 +397,14 @@ fn lost_steps_are_found_across_a_hold() {
 /// that stalls from there on never meets it.
 #[test]
 fn a_flag_that_is_not_met_after_a_hold_is_lost_steps() {
-    let flag = SETTINGS.flag_steps();
+    let flag = SETTINGS.flag.0;
     let mut seen = std::collections::BTreeSet::new();
-    // Equal periods are handed out together, and no stop begins inside: it takes different strokes to rest everywhere.
+    // Equal periods are queued together and no stop begins within them, so one stroke does not come to rest at every
+    // step: several do.
     for (stroke_um, early) in (5_000..5_040).flat_map(|um| [(um, 160), (um, 170), (um, 180)]) {
         let mut rig = started(plan(&SETTINGS, 1, stroke_um, 20_000));
-        let stroke = rig.machine.settings().steps(stroke_um) as u64;
+        let steps = SETTINGS.axis.steps_within(Micrometres(stroke_um));
+        let stroke = u64::from(steps.unwrap().0);
         rig.pulses(2 * stroke - 800 - early);
         hold(&mut rig);
         let held_at = rig.ring.counted;
@@ -418,8 +421,8 @@ fn a_flag_that_is_not_met_after_a_hold_is_lost_steps() {
     }
 }
 
-/// The flag opens where the carriage stands, a moment after it came to rest: met all the same. Elsewhere it was a
-/// hand, and says nothing.
+/// The flag opens where the carriage stands, a moment after it came to rest: that counts. Farther away someone moved the
+/// carriage: that does not.
 #[test]
 fn a_flag_that_opens_at_rest_is_met() {
     for (count, outcome) in [
@@ -435,10 +438,7 @@ fn a_flag_that_opens_at_rest_is_met() {
         rig.pulses(STROKE + 3_000);
         hold(&mut rig);
         assert!(rig.ring.counted > 805);
-        rig.event(Event::FlagEdge {
-            opening: true,
-            count,
-        });
+        rig.event(flag_edge(true, count));
         assert_eq!(rig.machine.state(), RigState::Held);
         rig.command(Command::Resume).unwrap();
         rig.stuck_flag = Some(false); // no further edge
@@ -447,7 +447,7 @@ fn a_flag_that_opens_at_rest_is_met() {
     }
 }
 
-/// Every rule of the direction holds for a resumed stroke too.
+/// A resumed stroke goes on in its direction.
 #[test]
 fn a_resumed_run_goes_on_in_its_direction() {
     for (pulses, direction) in [(1_000, Direction::Away), (STROKE + 1_000, Direction::Home)] {

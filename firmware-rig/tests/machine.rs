@@ -1,15 +1,17 @@
-//! The state machine: every pair of state and input, homing, runs, and random sequences.
+//! The state machine: homing, runs, and the table of every pair of state and input.
 
 mod carriage;
 
-use carriage::{CLOSED, Rig, plan, run};
+use carriage::{
+    CLOSED, IMAGE_HASH, Rig, flag_edge, now, path_ended, plan, run, small, stroke_done,
+};
 use firmware_rig::{
-    machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
+    machine::{Action, Actions, Command, Event, Machine, PathEnd},
     settings::Settings,
 };
 use motion::{
-    axis::{Axis, Direction},
-    units::Steps,
+    axis::Direction,
+    units::{Steps, Window},
 };
 use protocol::{
     error::Refusal,
@@ -124,10 +126,8 @@ mod homing {
         while rig.inputs().home_flag {
             rig.step();
         }
-        rig.event(Event::FlagEdge {
-            opening: true,
-            count: rig.ring.counted,
-        });
+        let count = rig.ring.counted;
+        rig.event(flag_edge(true, count));
         rig.finish();
         assert_eq!(rig.fault(), Some(RigFault::FlagStuck));
     }
@@ -247,7 +247,7 @@ mod running {
         RigEvent::RunEnded { run: 1, outcome }
     }
 
-    /// The pulses that were handed out and that went out are in the record, however the run ended.
+    /// The record has the pulses that were queued and those that left the pin, however the run ended.
     fn assert_record(rig: &Rig, outcome: RunOutcome, strokes: u32) {
         let record = rig.machine.record();
         assert_eq!(record.outcome, outcome);
@@ -261,12 +261,12 @@ mod running {
     #[test]
     fn completes() {
         let mut rig = Rig::homed(SETTINGS);
-        rig.machine = rig.machine.with_image(0xCAFE);
+        rig.glitches = 5;
         rig.command(run(&SETTINGS, 2, 10_000, LinkLossPolicy::Stop))
             .unwrap();
         rig.events.clear();
         let from = rig.now;
-        rig.machine.set_glitches(3);
+        rig.glitches = 8;
         rig.finish();
         assert_eq!(
             rig.events,
@@ -295,7 +295,7 @@ mod running {
                 min_queue: 60,
                 glitches: 3,
                 holds: 0,
-                image_hash: 0xCAFE,
+                image_hash: IMAGE_HASH,
             }
         );
         // 10 us for the last pulse and 10 us without one follow.
@@ -317,7 +317,7 @@ mod running {
         rig.finish();
         let record = *rig.machine.record();
         rig.command(Command::Home).unwrap();
-        rig.machine.set_glitches(7);
+        rig.glitches = 7;
         rig.finish();
         assert_eq!(*rig.machine.record(), record);
     }
@@ -366,25 +366,15 @@ mod running {
     fn a_stroke_that_ends_during_a_stop_is_counted() {
         let mut rig = started(LinkLossPolicy::Stop);
         rig.pulses(7_990);
-        let mut actions = Actions::new();
-        let command = Command::Stop;
-        rig.machine
-            .command(0, command, rig.ring.counted, CLOSED, &mut actions)
-            .unwrap();
-        // The generator has not heard of it yet.
+        let counted = rig.ring.counted;
+        let stop = Event::Command(Command::Stop);
+        let actions = rig.machine.step(&now(0, counted, CLOSED), stop);
+        assert_eq!((kinds(&actions), actions.refusal), (vec!["StopPath"], None));
+        // Execution has not heard of it yet.
         rig.pulses(20);
-        rig.machine.event(
-            Event::PathEnded(
-                PathEnd::Stopped,
-                PathReport {
-                    commanded: 7_990,
-                    counted: 7_990,
-                    last_tick: 1,
-                    min_queue: 60,
-                },
-            ),
-            CLOSED,
-        );
+        let ended = path_ended(PathEnd::Stopped, 7_990, 7_990);
+        let actions = rig.machine.step(&now(0, 7_990, CLOSED), ended);
+        assert_eq!(kinds(&actions), ["RunEnded", "Stopped"]);
         assert_record(&rig, RunOutcome::Stopped, 1);
         assert_eq!(rig.events, [stroke(0)]);
     }
@@ -454,26 +444,19 @@ mod running {
         for (loop_open, fault) in [(true, RigFault::EStopLoop), (false, RigFault::EStopFrame)] {
             let mut rig = started(LinkLossPolicy::Stop);
             rig.pulses(5_000);
-            let report = PathReport {
-                commanded: 5_000,
-                counted: 5_000,
-                last_tick: 1,
-                min_queue: 60,
-            };
             let inputs = RigInputs {
                 estop_loop: loop_open,
                 ..CLOSED
             };
-            rig.machine
-                .event(Event::PathEnded(PathEnd::Cut, report), inputs);
+            let now = now(0, 5_000, inputs);
+            let cut = path_ended(PathEnd::Cut, 5_000, 5_000);
+            rig.machine.step(&now, cut);
             assert_eq!(rig.fault(), Some(fault));
             assert_record(&rig, RunOutcome::Faulted(fault), 0);
-            // Whoever cut them tells afterwards: no second fault.
-            let mut actions = Actions::new();
-            rig.machine
-                .command(0, Command::EStop, 5_000, inputs, &mut actions)
-                .unwrap();
-            assert_eq!(kinds(&actions), ["Cut"]);
+            // The cause is reported after the path's end: no second fault.
+            let estop = Event::Command(Command::EStop);
+            let actions = rig.machine.step(&now, estop);
+            assert_eq!((kinds(&actions), actions.refusal), (vec!["Cut"], None));
             assert_eq!(rig.fault(), Some(fault));
         }
     }
@@ -542,7 +525,7 @@ mod running {
             rig.pulses(stall_at);
             rig.slipping = 6_000;
             rig.finish();
-            let residual_steps = -SETTINGS.flag_steps();
+            let residual_steps = -SETTINGS.flag.0;
             assert_latched(rig, RigFault::LostSteps { residual_steps });
         }
     }
@@ -557,24 +540,40 @@ mod running {
     }
 
     #[test]
-    fn a_missing_jumper_is_found_within_one_stroke() {
+    fn a_missing_jumper_is_found_at_once() {
+        // In the first stroke, in the last one, and in the last steps of all.
+        for pulses in [100, 24_100, 31_990] {
+            let mut rig = started(LinkLossPolicy::Stop);
+            rig.pulses(pulses);
+            rig.jumper_cut = true;
+            let counted = rig.ring.counted;
+            rig.finish();
+            // One pulse is missed, one has its time already; braking takes as many as accelerating did.
+            let further = (rig.pulses - pulses) as i32;
+            assert!((10..=104).contains(&further), "{further}");
+            let commanded = if pulses < 8_000 {
+                counted + further
+            } else {
+                counted - further
+            };
+            assert_eq!(rig.machine.record().counted_edges, pulses);
+            assert_eq!(rig.machine.record().commanded_edges, rig.pulses);
+            assert_latched(rig, RigFault::ReadBack { commanded, counted });
+        }
+    }
+
+    /// Execution compares the counts itself; the machine does not rely on it.
+    #[test]
+    fn a_stroke_with_missing_edges_is_a_fault() {
         let mut rig = started(LinkLossPolicy::Stop);
         rig.pulses(100);
-        rig.jumper_cut = true;
-        rig.finish();
-        assert_eq!(rig.pulses, 8_000);
+        rig.event(stroke_done(0, 8_000, 100));
         let fault = RigFault::ReadBack {
             commanded: 8_000,
             counted: 100,
         };
         assert_eq!(rig.machine.record().counted_edges, 100);
         assert_latched(rig, fault);
-        // In the last stroke, by the end of the path.
-        let mut rig = started(LinkLossPolicy::Stop);
-        rig.pulses(24_100);
-        rig.jumper_cut = true;
-        rig.finish();
-        assert!(matches!(rig.fault(), Some(RigFault::ReadBack { .. })));
     }
 
     #[test]
@@ -585,16 +584,11 @@ mod running {
         ] {
             let mut rig = started(LinkLossPolicy::Stop);
             rig.pulses(5_000);
-            let report = PathReport {
-                commanded: 5_000,
-                counted: 5_000,
-                last_tick: 77,
-                min_queue: 60,
-            };
-            let actions = rig.machine.event(Event::PathEnded(end, report), CLOSED);
+            let ended = path_ended(end, 5_000, 5_000);
+            let actions = rig.machine.step(&now(0, 5_000, CLOSED), ended);
             assert_eq!(kinds(&actions), ["Cut", "RunEnded", "Faulted"]);
             assert_record(&rig, RunOutcome::Faulted(fault), 0);
-            assert_eq!(rig.machine.record().ticks, 77);
+            assert_eq!(rig.machine.record().ticks, 1);
             assert_eq!(rig.fault(), Some(fault));
         }
     }
@@ -616,32 +610,29 @@ mod running {
 #[test]
 fn a_fault_of_the_last_start_has_to_be_acknowledged() {
     for fault in [RigFault::Watchdog, RigFault::Panic] {
-        let mut machine = Machine::new(SETTINGS, Some(fault));
-        let mut actions = Actions::new();
+        let mut machine = Machine::new(SETTINGS, Some(fault), 0);
+        let mut refusal = |command| {
+            let actions = machine.step(&now(0, 0, CLOSED), Event::Command(command));
+            assert!(actions.list.is_empty());
+            (actions.refusal, machine.state())
+        };
         for command in [
             Command::Home,
             run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop),
         ] {
-            assert_eq!(
-                machine.command(0, command, 0, CLOSED, &mut actions),
-                Err(Refusal::AcknowledgeFirst)
-            );
+            let refused = Some(Refusal::AcknowledgeFirst);
+            assert_eq!(refusal(command), (refused, RigState::Faulted));
         }
-        machine
-            .command(0, Command::Acknowledge, 0, CLOSED, &mut actions)
-            .unwrap();
-        assert_eq!(machine.state(), RigState::Unhomed);
-        assert_eq!(
-            machine.command(0, Command::Acknowledge, 0, CLOSED, &mut actions),
-            Err(Refusal::NothingToAcknowledge)
-        );
-        assert!(actions.is_empty());
+        assert_eq!(refusal(Command::Acknowledge), (None, RigState::Unhomed));
+        let refused = Some(Refusal::NothingToAcknowledge);
+        assert_eq!(refusal(Command::Acknowledge), (refused, RigState::Unhomed));
     }
 }
 
 /// Names of actions.
 fn kinds(actions: &Actions) -> Vec<&'static str> {
     actions
+        .list
         .iter()
         .map(|action| match action {
             Action::Start { .. } => "Start",
@@ -665,15 +656,6 @@ fn kinds(actions: &Actions) -> Vec<&'static str> {
             ) => panic!("{other:?} is not the machine's"),
         })
         .collect()
-}
-
-/// A rig with few steps, 4 per mm, so that a test can afford many of them.
-fn small() -> Settings {
-    Settings {
-        axis: Axis::new(50_000, 200, 1, 20_000).unwrap(),
-        ledger_limit_steps: 1,
-        ..SETTINGS
-    }
 }
 
 mod table {
@@ -826,6 +808,7 @@ mod table {
     /// No arm for "everything else": a new variant has to be added here, and then to the table.
     fn inputs_of_event(event: &Event) -> &'static [Input] {
         match event {
+            Event::Command(command) => inputs_of_command(command),
             Event::FlagEdge { .. } => &[FlagOpens, FlagOpensLate, FlagCloses],
             Event::FarLimit => &[FarLimit],
             Event::LoopOpened => &[LoopOpened],
@@ -838,7 +821,7 @@ mod table {
                 PathEnd::Guard => &[Guard],
             },
             Event::LinkSilent => &[LinkSilent],
-            Event::Tick { .. } => &[TickInTime, TickLate],
+            Event::Tick => &[TickInTime, TickLate],
         }
     }
 
@@ -870,59 +853,51 @@ mod table {
         }
     }
 
-    enum Sample {
-        Event(Event),
-        Command(Command),
+    /// When it comes, us, and what.
+    fn sample(input: Input) -> (u64, Event) {
+        let time_us = match input {
+            TickInTime => 300_000,
+            TickLate => 60_000_001,
+            _ => 0,
+        };
+        let event = match input {
+            FlagOpens => flag_edge(true, 800),
+            FlagOpensLate => flag_edge(true, 700),
+            FlagCloses => flag_edge(false, 800),
+            FarLimit => Event::FarLimit,
+            LoopOpened => Event::LoopOpened,
+            StrokeDone => stroke_done(1, 0, 0),
+            StrokeMismatch => stroke_done(1, 0, 1),
+            Complete => path_ended(PathEnd::Complete, 0, 0),
+            Stopped => path_ended(PathEnd::Stopped, 0, 0),
+            StoppedFar => path_ended(PathEnd::Stopped, 4_000, 4_000),
+            StoppedNear => path_ended(PathEnd::Stopped, 500, 500),
+            Cut => path_ended(PathEnd::Cut, 0, 0),
+            Underrun => path_ended(PathEnd::Underrun, 0, 0),
+            Guard => path_ended(PathEnd::Guard, 0, 0),
+            EndMismatch => path_ended(PathEnd::Complete, 0, 1),
+            LinkSilent => Event::LinkSilent,
+            TickInTime | TickLate => Event::Tick,
+            _ => Event::Command(command(input)),
+        };
+        (time_us, event)
     }
 
-    fn sample(input: Input) -> Sample {
-        let report = |commanded, counted| PathReport {
-            commanded,
-            counted,
-            last_tick: 1,
-            min_queue: 60,
-        };
-        let ended = |end| Sample::Event(Event::PathEnded(end, report(0, 0)));
-        let stopped = |at| Sample::Event(Event::PathEnded(PathEnd::Stopped, report(at, at)));
-        let edge = |opening, count| Sample::Event(Event::FlagEdge { opening, count });
-        let done = |commanded, counted| {
-            Sample::Event(Event::StrokeDone {
-                stroke: 1,
-                commanded,
-                counted,
-            })
-        };
+    fn command(input: Input) -> Command {
         match input {
-            FlagOpens => edge(true, 800),
-            FlagOpensLate => edge(true, 700),
-            FlagCloses => edge(false, 800),
-            FarLimit => Sample::Event(Event::FarLimit),
-            LoopOpened => Sample::Event(Event::LoopOpened),
-            StrokeDone => done(0, 0),
-            StrokeMismatch => done(0, 1),
-            Complete => ended(PathEnd::Complete),
-            Stopped => ended(PathEnd::Stopped),
-            StoppedFar => stopped(4_000),
-            StoppedNear => stopped(500),
-            Cut => ended(PathEnd::Cut),
-            Underrun => ended(PathEnd::Underrun),
-            Guard => ended(PathEnd::Guard),
-            EndMismatch => Sample::Event(Event::PathEnded(PathEnd::Complete, report(0, 1))),
-            LinkSilent => Sample::Event(Event::LinkSilent),
-            TickInTime => Sample::Event(Event::Tick { now_us: 300_000 }),
-            TickLate => Sample::Event(Event::Tick { now_us: 60_000_001 }),
-            Home => Sample::Command(Command::Home),
-            Run => Sample::Command(run(&SETTINGS, 1, 10_000, LinkLossPolicy::Stop)),
-            Hold => Sample::Command(Command::Hold),
-            Resume | ResumeElsewhere => Sample::Command(Command::Resume),
-            JogSame => Sample::Command(jog(Direction::Away)),
-            JogOther => Sample::Command(jog(Direction::Home)),
-            MoveTo => Sample::Command(move_to(2_000)),
-            Button => Sample::Command(Command::Button(Some(plan(&SETTINGS, 1, 10_000, 40_000)))),
-            ButtonNoPlan => Sample::Command(Command::Button(None)),
-            Stop => Sample::Command(Command::Stop),
-            EStop => Sample::Command(Command::EStop),
-            Acknowledge => Sample::Command(Command::Acknowledge),
+            Home => Command::Home,
+            Run => run(&SETTINGS, 1, 10_000, LinkLossPolicy::Stop),
+            Hold => Command::Hold,
+            Resume | ResumeElsewhere => Command::Resume,
+            JogSame => jog(Direction::Away),
+            JogOther => jog(Direction::Home),
+            MoveTo => move_to(2_000),
+            Button => Command::Button(Some(plan(&SETTINGS, 1, 10_000, 40_000))),
+            ButtonNoPlan => Command::Button(None),
+            Stop => Command::Stop,
+            EStop => Command::EStop,
+            Acknowledge => Command::Acknowledge,
+            event => panic!("{event:?} is no command"),
         }
     }
 
@@ -944,47 +919,41 @@ mod table {
     };
 
     /// A start, and what leads to it from the one before.
-    type Phase = (Start, fn(&mut Way));
+    type Phase = (Start, fn(&mut Setup));
 
-    /// A machine on its way, with nothing that it says.
-    struct Way(Machine);
+    /// Brings a machine into a state.
+    struct Setup(Machine);
 
-    impl Way {
+    impl Setup {
         fn command(&mut self, command: Command, inputs: RigInputs) {
-            self.0
-                .command(0, command, 0, inputs, &mut Actions::new())
-                .unwrap();
+            let now = now(0, 0, inputs);
+            let actions = self.0.step(&now, Event::Command(command));
+            assert_eq!(actions.refusal, None);
         }
 
         fn event(&mut self, event: Event) {
-            self.0.event(event, CLOSED);
+            self.0.step(&now(0, 0, CLOSED), event);
         }
 
         fn ended(&mut self, position: i32) {
-            let report = PathReport {
-                commanded: position,
-                counted: position,
-                last_tick: 1,
-                min_queue: 60,
-            };
-            self.event(Event::PathEnded(PathEnd::Stopped, report));
+            self.event(path_ended(PathEnd::Stopped, position, position));
         }
 
         fn flag(&mut self, opening: bool, count: i32) {
-            self.event(Event::FlagEdge { opening, count });
+            self.event(flag_edge(opening, count));
         }
 
         /// From on the flag up to the beginning of a phase, to its edge, or to the end.
         fn home(&mut self, start: Start) {
             let phases: [Phase; 8] = [
-                (Clear, |way| way.command(Command::Home, ON_FLAG)),
-                (Seek, |way| way.off_the_flag(20)),
-                (SeekFound, |way| way.flag(true, 10)),
-                (PullOff, |way| way.ended(0)),
-                (Locate, |way| way.off_the_flag(2_410)),
-                (LocateFound, |way| way.flag(true, 10)),
-                (ToZero, |way| way.ended(5)),
-                (Ready, |way| way.ended(0)),
+                (Clear, |setup| setup.command(Command::Home, ON_FLAG)),
+                (Seek, |setup| setup.off_the_flag(20)),
+                (SeekFound, |setup| setup.flag(true, 10)),
+                (PullOff, |setup| setup.ended(0)),
+                (Locate, |setup| setup.off_the_flag(2_410)),
+                (LocateFound, |setup| setup.flag(true, 10)),
+                (ToZero, |setup| setup.ended(5)),
+                (Ready, |setup| setup.ended(0)),
             ];
             for (phase, begin) in phases {
                 begin(self);
@@ -1000,11 +969,7 @@ mod table {
         }
 
         fn first_stroke(&mut self) {
-            self.event(Event::StrokeDone {
-                stroke: 0,
-                commanded: 8_000,
-                counted: 8_000,
-            });
+            self.event(stroke_done(0, 8_000, 8_000));
         }
 
         fn hold(&mut self, at: i32) {
@@ -1015,7 +980,7 @@ mod table {
 
     fn reach(start: Start) -> Machine {
         let panic = (start == Panicked).then_some(RigFault::Panic);
-        let mut way = Way(Machine::new(SETTINGS, panic));
+        let mut setup = Setup(Machine::new(SETTINGS, panic, 0));
         let policy = if start == Finish {
             LinkLossPolicy::Finish
         } else {
@@ -1024,64 +989,64 @@ mod table {
         let run = run(&SETTINGS, 1, 10_000, policy);
         match start {
             Unhomed | Panicked => {}
-            Faulted => way.event(Event::FarLimit),
-            HomingByButton => way.command(Command::Button(None), CLOSED),
+            Faulted => setup.event(Event::FarLimit),
+            HomingByButton => setup.command(Command::Button(None), CLOSED),
             FaultedMoving => {
-                way.home(Seek);
-                way.event(Event::FarLimit);
+                setup.home(Seek);
+                setup.event(Event::FarLimit);
             }
             StopHoming => {
-                way.home(Seek);
-                way.command(Command::Stop, CLOSED);
+                setup.home(Seek);
+                setup.command(Command::Stop, CLOSED);
             }
             Clear | Seek | SeekFound | PullOff | Locate | LocateFound | ToZero | Ready => {
-                way.home(start);
+                setup.home(start);
             }
             ReadyOut | Moving | Jogging | StopMove => {
-                way.home(Ready);
+                setup.home(Ready);
                 if start == Jogging {
-                    way.command(jog(Direction::Away), ON_FLAG);
+                    setup.command(jog(Direction::Away), ON_FLAG);
                 } else {
-                    way.command(move_to(4_000), ON_FLAG);
+                    setup.command(move_to(4_000), ON_FLAG);
                 }
                 match start {
-                    ReadyOut => way.ended(4_000),
-                    StopMove => way.command(Command::Stop, CLOSED),
+                    ReadyOut => setup.ended(4_000),
+                    StopMove => setup.command(Command::Stop, CLOSED),
                     _ => {}
                 }
             }
             Away | Finish | StopRun | StopHoldOut | HeldFirst | HeldOut | FaultedHeld => {
-                way.home(Ready);
-                way.command(run, ON_FLAG);
+                setup.home(Ready);
+                setup.command(run, ON_FLAG);
                 match start {
-                    StopRun => way.command(Command::Stop, ON_FLAG),
-                    StopHoldOut => way.command(Command::Hold, ON_FLAG),
-                    HeldFirst => way.hold(0),
-                    HeldOut | FaultedHeld => way.hold(4_000),
+                    StopRun => setup.command(Command::Stop, ON_FLAG),
+                    StopHoldOut => setup.command(Command::Hold, ON_FLAG),
+                    HeldFirst => setup.hold(0),
+                    HeldOut | FaultedHeld => setup.hold(4_000),
                     _ => {}
                 }
                 if start == FaultedHeld {
-                    way.event(Event::FarLimit);
+                    setup.event(Event::FarLimit);
                 }
             }
             Back | BackMet | StopLost | StopHoldBack | StopHoldMet | HeldBack | HeldMet => {
-                way.home(Ready);
-                way.command(run, ON_FLAG);
-                way.first_stroke();
+                setup.home(Ready);
+                setup.command(run, ON_FLAG);
+                setup.first_stroke();
                 match start {
-                    BackMet | StopHoldMet | HeldMet => way.flag(true, 800),
-                    StopLost => way.flag(true, 700),
+                    BackMet | StopHoldMet | HeldMet => setup.flag(true, 800),
+                    StopLost => setup.flag(true, 700),
                     _ => {}
                 }
                 match start {
-                    StopHoldBack | StopHoldMet => way.command(Command::Hold, CLOSED),
-                    HeldBack => way.hold(4_000),
-                    HeldMet => way.hold(500),
+                    StopHoldBack | StopHoldMet => setup.command(Command::Hold, CLOSED),
+                    HeldBack => setup.hold(4_000),
+                    HeldMet => setup.hold(500),
                     _ => {}
                 }
             }
         }
-        way.0
+        setup.0
     }
 
     /// Where the carriage stands, where that matters.
@@ -1094,37 +1059,29 @@ mod table {
         position + i32::from(input == ResumeElsewhere)
     }
 
-    /// What it does: the state after it, and the actions; or the refusal.
+    /// The state after it and the actions, or the refusal.
     fn outcome(start: Start, input: Input) -> String {
         let mut machine = reach(start);
         let before = machine.fault();
-        let result = match sample(input) {
-            Sample::Event(event) => Ok(machine.event(event, CLOSED)),
-            Sample::Command(command) => {
-                let mut actions = Actions::new();
-                machine
-                    .command(0, command, position(start, input), CLOSED, &mut actions)
-                    .map(|()| actions)
-            }
-        };
+        let (time_us, event) = sample(input);
+        let now = now(time_us, position(start, input), CLOSED);
+        let actions = machine.step(&now, event);
         let after = match machine.fault() {
             Some(fault) if before.is_none() => format!("{fault:?}"),
             _ => format!("{:?}", machine.state()),
         };
-        match result {
-            Ok(actions) => {
-                let starts = actions.iter().find_map(|action| match action {
-                    Action::Start { window, .. } => Some(window),
-                    _ => None,
-                });
-                let mut text = [&[after.as_str()][..], &kinds(&actions)].concat().join(" ");
-                if let Some((first, last)) = starts {
-                    text += &format!(" {first}..{last}");
-                }
-                text
-            }
-            Err(refusal) => format!("{after}: {refusal:?}"),
+        if let Some(refusal) = actions.refusal {
+            return format!("{after}: {refusal:?}");
         }
+        let starts = actions.list.iter().find_map(|action| match action {
+            Action::Start { window, .. } => Some(window),
+            _ => None,
+        });
+        let mut text = [&[after.as_str()][..], &kinds(&actions)].concat().join(" ");
+        if let Some(Window { first, last }) = starts {
+            text += &format!(" {}..{}", first.0, last.0);
+        }
+        text
     }
 
     const HOMING: &[Start] = &[
@@ -1426,9 +1383,9 @@ mod table {
         (RUNNING, &[Stop], "Stopping StopPath"),
         (&[Away, Back, BackMet], &[LinkSilent], "Stopping StopPath"),
         (&[Finish], &[LinkSilent], "Running"),
-        // A held run can be given up.
+        // A held run can be abandoned.
         (HELD, &[Stop], "Ready RunEnded Stopped"),
-        // Moves: the flag and strokes are none of theirs; only a jog has a time.
+        // Moves: flag and strokes do not matter; only a jog has a time limit.
         (MOVING, EDGES, "Moving"),
         (MOVING, STROKES, "Moving"),
         (MOVING, FINE_ENDS, "Ready Moved"),
@@ -1483,7 +1440,7 @@ mod table {
             "LostSteps { residual_steps: -800 } Cut RunEnded Faulted",
         ),
         (&[StopHoldMet], &[StoppedFar, StoppedNear], "Held Held"),
-        // It stood at the end of the last stroke already: the run is complete.
+        // It came to rest at the end of the last stroke: the run is complete.
         (
             &[StopHoldMet],
             &[Complete, Stopped],
@@ -1512,12 +1469,7 @@ mod table {
                 "{start:?}"
             );
             for input in INPUTS {
-                match sample(input) {
-                    Sample::Event(event) => assert!(inputs_of_event(&event).contains(&input)),
-                    Sample::Command(command) => {
-                        assert!(inputs_of_command(&command).contains(&input));
-                    }
-                }
+                assert!(inputs_of_event(&sample(input).1).contains(&input));
                 let rows: Vec<_> = TABLE
                     .iter()
                     .filter(|(starts, inputs, _)| {

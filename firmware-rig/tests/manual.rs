@@ -1,5 +1,4 @@
-//! The manual says what the code says: every fault with its text, every setting with unit, range and default, every
-//! rule.
+//! The manual agrees with the code: every fault with its text, every setting with unit, range and default, every rule.
 
 use protocol::{
     rig::{HomingPhase, RigFault},

@@ -1,12 +1,13 @@
-//! Jog, move, start button, time-outs, and changes of the settings while the rig is in use.
+//! Jog, move, start button, time-outs, and changes of settings while the rig is in use.
 
 mod carriage;
 
-use carriage::{Rig, run};
+use carriage::{Rig, run, settings, values};
+use device::settings::Values;
 use firmware_rig::{
     commands::press_button,
-    machine::{Actions, Command, Event},
-    settings::{Settings, Values},
+    machine::{Command, Event},
+    settings::Settings,
 };
 use motion::{axis::Direction, units::Steps};
 use protocol::{
@@ -56,9 +57,9 @@ fn run_for(rig: &mut Rig, ticks: u64) {
 mod jogging {
     use super::*;
 
-    /// Repeated every 250 ms it goes on; 300 ms after the last one it brakes.
+    /// Renewed every 250 ms it goes on; 300 ms after the last renewal it brakes.
     #[test]
-    fn goes_on_while_it_is_repeated() {
+    fn goes_on_while_it_is_renewed() {
         let mut rig = rig_at(40_000);
         for _ in 0..8 {
             rig.command(jog(Direction::Away, 10_000)).unwrap();
@@ -128,7 +129,7 @@ mod jogging {
         }
     }
 
-    /// To turn round or to change the speed it has to come to rest first: release, then jog again.
+    /// A change of direction or speed needs a rest first: release, then jog again.
     #[test]
     fn another_jog_is_refused_while_it_moves() {
         let mut rig = rig_at(40_000);
@@ -158,7 +159,7 @@ mod jogging {
         let mut rig = rig_at(0);
         rig.command(jog(Direction::Away, 1_000)).unwrap();
         rig.finish();
-        // Much later: the old time is not the new one's.
+        // Much later: the old deadline does not count.
         rig.wait(100_000 * MS);
         rig.command(jog(Direction::Away, 1_000)).unwrap();
         run_for(&mut rig, 290 * MS);
@@ -197,7 +198,7 @@ mod moves {
             .unwrap();
     }
 
-    /// A move is not the host's last word for long: silence stops it, whatever the run before allowed.
+    /// A silent host stops a move, whatever the last run's policy was.
     #[test]
     fn stop_when_the_host_falls_silent_or_says_so() {
         for stop in [
@@ -209,13 +210,13 @@ mod moves {
                 let mut rig = rig_at(0);
                 rig.command(command).unwrap();
                 rig.pulses(1_000);
-                let prepared = 1 + rig.queued() as i32;
+                let queued = 1 + rig.queued() as i32;
                 stop(&mut rig);
                 assert_eq!(rig.machine.state(), RigState::Stopping);
                 rig.finish();
                 assert_eq!(rig.machine.state(), RigState::Ready);
                 assert!(rig.machine.homed());
-                assert_eq!(rig.place, 1_000 + prepared + 40, "and what was prepared");
+                assert_eq!(rig.place, 1_000 + queued + 40, "and what was queued");
                 let position_steps = rig.ring.counted;
                 assert_eq!(rig.events, [RigEvent::Stopped { position_steps }]);
                 // No run, no record.
@@ -248,13 +249,11 @@ mod moves {
         rig.jumper_cut = true;
         rig.command(move_to(3_000, 10_000)).unwrap();
         rig.finish();
-        assert_eq!(
-            rig.fault(),
-            Some(RigFault::ReadBack {
-                commanded: 3_000,
-                counted: 1_000
-            })
-        );
+        // The missing edge of the first step brakes it.
+        let (commanded, counted) = (rig.place, 1_000);
+        assert!((1_001..1_010).contains(&commanded), "{commanded}");
+        let fault = RigFault::ReadBack { commanded, counted };
+        assert_eq!(rig.fault(), Some(fault));
     }
 
     #[test]
@@ -284,10 +283,7 @@ mod homing {
 
     #[test]
     fn that_takes_too_long_is_a_fault() {
-        let settings = Settings {
-            homing_timeout_us: 5_000_000,
-            ..SETTINGS
-        };
+        let settings = settings(&[(SettingKey::HomingTimeoutS, 5)]);
         // 100 mm at 20 mm/s take longer, 90 mm with all phases do not.
         let mut rig = Rig::new(settings, 80_800);
         rig.command(Command::Home).unwrap();
@@ -333,29 +329,13 @@ mod button {
     use super::*;
 
     fn press(rig: &mut Rig, values: &Values) -> Result<(), Refusal> {
-        let mut actions = Actions::new();
-        let (now_us, inputs) = (rig.now / 100, rig.inputs());
-        let result = press_button(
-            &mut rig.machine,
-            values,
-            now_us,
-            rig.ring.counted,
-            inputs,
-            &mut actions,
-        );
+        let actions = press_button(&mut rig.machine, values, &rig.carriage.look());
+        let refusal = actions.refusal;
         rig.perform(actions);
-        result
+        refusal.map_or(Ok(()), Err)
     }
 
-    fn values(changes: &[(SettingKey, u32)]) -> Values {
-        changes
-            .iter()
-            .fold(Values::DEFAULT, |values, (key, value)| {
-                values.with(*key, *value).unwrap().0
-            })
-    }
-
-    /// Home, run, home again, run: a rig without a host.
+    /// Home, run, stop, home again: a rig without a host.
     #[test]
     fn homes_and_runs_without_a_host() {
         let values = values(&[
@@ -463,7 +443,7 @@ mod settings {
         let mut rig = Rig::homed(SETTINGS);
         rig.command(start).unwrap();
         rig.pulses(10);
-        rig.machine.event(Event::LoopOpened, rig.inputs());
+        rig.machine.step(&rig.carriage.look(), Event::LoopOpened);
         let busy = Err(Refusal::RigBusy(RigState::Faulted));
         assert_eq!(rig.machine.may_change_settings(), busy);
         rig.press();
@@ -484,7 +464,7 @@ mod settings {
                 SettingKey::SwitchFilterUs => 20,
                 _ => key.range().default - 1,
             };
-            let (_, settings) = Values::DEFAULT.with(key, value).unwrap();
+            let settings = settings(&[(key, value)]);
             let unhomes = matches!(
                 key,
                 SettingKey::LeadUm

@@ -1,74 +1,35 @@
-//! The list of timer periods against the step times that it is made of.
+//! Timer periods against the step times that they are made of.
+
+mod runs;
 
 use firmware_rig::{
     periods::{Item, MAX_PERIOD, Path, Period, Periods},
     settings::Settings,
 };
 use motion::{
-    axis::{Acceleration, Axis, Direction},
+    axis::Direction,
     run::{Limits, RunPlan, RunRequest, Timing},
     step_times::StepTimes,
     trapezoid::StrokeProfile,
-    units::{Steps, Ticks},
+    units::{StepPosition, Steps, Ticks, Window},
 };
 use proptest::prelude::*;
+use runs::{any_deceleration, any_run, first_stroke, strokes};
 
 const LIMITS: Limits = Settings::REFERENCE.limits;
 
-/// Time that DIR has between two strokes, and what has to be queued meanwhile: 300 us.
+/// Time for DIR to change between two strokes and for the ring to be filled again: 300 us.
 const TURN_TICKS: u64 = 30_000;
 
-/// What is repeated can no longer be stopped: 0.8 ms.
+/// Repeated rounds cannot be recalled: 0.8 ms of them at most.
 const LONGEST_REPETITION: u64 = 80_000;
 
-const EVERYWHERE: (i32, i32) = (i32::MIN, i32::MAX);
+const EVERYWHERE: Window = window(i32::MIN, i32::MAX);
 
-/// Start, profile and direction of each stroke.
-type Strokes = Vec<(u64, StrokeProfile, Direction)>;
-
-fn strokes(path: &Path) -> Strokes {
-    let planned = |plan: &RunPlan| -> Strokes {
-        let stroke = |index| {
-            (
-                plan.stroke_start(index).unwrap().0,
-                *plan.stroke(index).unwrap(),
-                plan.direction(index).unwrap(),
-            )
-        };
-        (0..plan.strokes()).map(stroke).collect()
-    };
-    match path {
-        Path::Move { profile, direction } => vec![(0, *profile, *direction)],
-        Path::Run(plan) => planned(plan),
-        // What is left of the stroke at once; all later ones as far behind its end as planned.
-        Path::Rest {
-            plan,
-            stroke,
-            first,
-        } => {
-            let mut rest = planned(plan).split_off(*stroke as usize);
-            let end = rest[0].0 + rest[0].1.duration().0;
-            for (start, ..) in &mut rest[1..] {
-                *start = *start - end + first.duration().0;
-            }
-            (rest[0].0, rest[0].1) = (0, *first);
-            rest
-        }
-    }
-}
-
-/// Number of its first stroke.
-fn first_stroke(path: &Path) -> usize {
-    match path {
-        Path::Move { .. } | Path::Run(_) => 0,
-        Path::Rest { stroke, .. } => *stroke as usize,
-    }
-}
-
-fn sign(direction: Direction) -> i32 {
-    match direction {
-        Direction::Away => 1,
-        Direction::Home => -1,
+const fn window(first: i32, last: i32) -> Window {
+    Window {
+        first: StepPosition(first),
+        last: StepPosition(last),
     }
 }
 
@@ -78,16 +39,16 @@ struct Walk {
     /// Ticks before what comes next.
     tick: u64,
     position: i32,
-    window: (i32, i32),
+    window: Window,
     /// Pulses of the stroke in progress.
     pulses: u32,
     last_pulse: u64,
 }
 
 impl Walk {
-    fn new(path: &Path, position: i32, window: (i32, i32)) -> Self {
+    fn new(path: &Path, position: i32, window: Window) -> Self {
         Self {
-            periods: Periods::new(path.clone(), position, window).unwrap(),
+            periods: Periods::new(path.clone(), StepPosition(position), window).unwrap(),
             tick: 0,
             position,
             window,
@@ -116,8 +77,8 @@ impl Walk {
                 );
                 let further = u64::from(ticks) * u64::from(repeats);
                 if pulse {
-                    self.position += sign(direction) * (1 + i32::from(repeats));
-                    assert!(self.position >= self.window.0 && self.position <= self.window.1);
+                    self.position += direction.sign() * (1 + i32::from(repeats));
+                    assert!(self.window.contains(StepPosition(self.position)));
                     self.pulses += 1 + u32::from(repeats);
                     self.last_pulse = self.tick + further;
                 }
@@ -128,7 +89,7 @@ impl Walk {
             Item::End => assert_eq!(self.periods.last_step(), self.last_pulse),
             Item::Guard => {}
         }
-        assert_eq!(self.periods.position(), self.position);
+        assert_eq!(self.periods.position(), StepPosition(self.position));
         item
     }
 
@@ -202,54 +163,10 @@ fn check_whole(path: &Path, shortest: u32) -> u64 {
     pulses
 }
 
-/// Any allowed axis; strokes of up to 600 steps that take 1 ms to 3 s.
-fn any_run() -> impl Strategy<Value = RunPlan> {
-    let axis = (500_u32..=50_000, any::<bool>(), 0_u32..=8);
-    let rests = prop_oneof![Just([0, 0, 0]), any::<[u16; 3]>()];
-    let shape = (1_u32..=600, 10.0..21.5_f64, 0.05..1.0_f64, 0.5..2.0_f64);
-    (axis, rests, shape, 1_u16..=3, any::<bool>()).prop_filter_map(
-        "feasible",
-        |((lead, fine, micro), rests, (steps, log_us, ramp, ratio), cycles, total)| {
-            let full = if fine { 400 } else { 200 };
-            let axis = Axis::new(lead, full, 1 << micro, 130_000).unwrap();
-            let stroke_um = (steps * lead).div_ceil(axis.steps_per_rev()).min(130_000);
-            let (um, us) = (f64::from(stroke_um), log_us.exp2());
-            let speed = um / us * 1e6;
-            let accel = (speed / (us * ramp / 2.0) * 1e6 * 2.5).ceil() as u32;
-            let accel_um_s2 = accel.clamp(1, LIMITS.max_accel_um_s2);
-            let [far, home, start_delay_us] = rests.map(u32::from);
-            let timing = if total {
-                let rests = u64::from(start_delay_us)
-                    + u64::from(cycles) * u64::from(far)
-                    + u64::from(cycles - 1) * u64::from(home);
-                Timing::Total {
-                    total_us: (2.0 * f64::from(cycles) * us) as u64 + rests,
-                    accel_um_s2,
-                }
-            } else {
-                Timing::Speeds {
-                    forward_um_s: speed.ceil() as u32,
-                    return_um_s: (speed * ratio).ceil() as u32,
-                    accel_um_s2,
-                }
-            };
-            let request = RunRequest {
-                cycles,
-                stroke_um,
-                timing,
-                far_dwell_us: far,
-                home_dwell_us: home,
-                start_delay_us,
-            };
-            RunPlan::solve(&axis, &LIMITS, &request).ok()
-        },
-    )
-}
-
 /// What is left of a stroke from any step on, and all strokes behind it.
 fn any_rest() -> impl Strategy<Value = Path> {
     let part = (any::<prop::sample::Index>(), any::<prop::sample::Index>());
-    (any_run(), part).prop_filter_map("not too slow", |(plan, (stroke, left))| {
+    (any_run(LIMITS, 600), part).prop_filter_map("not too slow", |(plan, (stroke, left))| {
         let stroke = stroke.index(plan.strokes() as usize) as u32;
         let profile = plan.stroke(stroke)?;
         let left = Steps(1 + left.index(profile.steps().0 as usize) as u32);
@@ -268,17 +185,13 @@ fn any_rest() -> impl Strategy<Value = Path> {
 
 fn any_path() -> impl Strategy<Value = Path> {
     prop_oneof![
-        3 => any_run().prop_map(Path::Run),
+        3 => any_run(LIMITS, 600).prop_map(Path::Run),
         2 => any_rest(),
-        1 => (any_run(), any::<bool>()).prop_map(|(plan, away)| Path::Move {
+        1 => (any_run(LIMITS, 600), any::<bool>()).prop_map(|(plan, away)| Path::Move {
             profile: *plan.forward(),
             direction: if away { Direction::Away } else { Direction::Home },
         }),
     ]
-}
-
-fn any_deceleration() -> impl Strategy<Value = Acceleration> {
-    (10.0..21.0_f64).prop_map(|log| Axis::REFERENCE.acceleration(log.exp2() as u32).unwrap())
 }
 
 /// The generator is seeded: the same cases each time.
@@ -357,26 +270,26 @@ proptest! {
     }
 
     #[test]
-    fn nothing_is_handed_out_beyond_the_window(
+    fn no_step_leaves_the_window(
         path in any_path(),
         below in 0..700_i32,
         above in 0..700_i32,
         position in prop_oneof![Just(0), Just(i32::MIN), Just(i32::MAX)],
         deceleration in any_deceleration(),
     ) {
-        let window = (position.saturating_sub(below), position.saturating_add(above));
+        let (first, last) = (position.saturating_sub(below), position.saturating_add(above));
         // Where the path would lead, and at which pulse it leaves the window.
         let mut at = i64::from(position);
         let mut allowed = 0;
         let leaves = strokes(&path).iter().any(|(_, profile, direction)| {
             (0..profile.steps().0).any(|_| {
-                at += i64::from(sign(*direction));
-                let outside = at < i64::from(window.0) || at > i64::from(window.1);
+                at += i64::from(direction.sign());
+                let outside = at < i64::from(first) || at > i64::from(last);
                 allowed += u32::from(!outside);
                 outside
             })
         });
-        let mut walk = Walk::new(&path, position, window);
+        let mut walk = Walk::new(&path, position, window(first, last));
         let mut pulses = 0;
         let end = loop {
             match walk.next() {
@@ -393,7 +306,7 @@ proptest! {
     }
 }
 
-/// What the machine orders after a hold: the stroke that was not complete, with what is left of it.
+/// What the machine orders after a hold: the rest of the stroke that was not complete.
 fn rest_of(plan: &RunPlan, stroke: u32, position: i32) -> Option<Path> {
     let steps = plan.stroke(stroke)?.steps().0;
     let left = match plan.direction(stroke)? {
@@ -423,7 +336,7 @@ proptest! {
     /// interval under the limit, no speed above the planned one.
     #[test]
     fn a_run_in_pieces_has_the_edges_of_the_run(
-        plan in any_run(),
+        plan in any_run(LIMITS, 600),
         holds in prop::collection::vec(1..700_u32, 0..6),
         deceleration in any_deceleration(),
     ) {
@@ -432,7 +345,7 @@ proptest! {
         let (mut position, mut stroke, mut positions) = (0, 0, Vec::new());
         let mut holds = holds.into_iter();
         while let Some(piece) = path.take() {
-            let mut walk = Walk::new(&piece, position, (0, last));
+            let mut walk = Walk::new(&piece, position, window(0, last));
             stroke = first_stroke(&piece) as u32;
             let mut items = holds.next();
             let mut before = None;
@@ -452,7 +365,7 @@ proptest! {
                             prop_assert!(interval + 1 >= peak, "{interval} {peak}");
                         }
                         before = Some(walk.last_pulse);
-                        let back = sign(plan.direction(stroke).unwrap());
+                        let back = plan.direction(stroke).unwrap().sign();
                         positions.extend((0..=i32::from(repeats)).rev().map(|more| walk.position - more * back));
                     }
                     Item::Period(_) => {}
@@ -478,7 +391,7 @@ proptest! {
     }
 }
 
-/// A pause of any length is cut into pieces of which none is short, and none lasts too long.
+/// A pause of any length is cut into pieces, none too short and none too long.
 #[test]
 fn pieces_of_a_pause_are_long() {
     for ticks in (400..70_000).chain(98_000..99_000).chain(131_000..197_000) {
@@ -487,7 +400,7 @@ fn pieces_of_a_pause_are_long() {
             profile,
             direction: Direction::Away,
         };
-        let mut walk = Walk::new(&path, 0, (0, 1));
+        let mut walk = Walk::new(&path, 0, window(0, 1));
         loop {
             match walk.next() {
                 Item::Period(Period {
@@ -522,7 +435,7 @@ fn the_papers_run_is_1040000_pulses_in_forty_seconds() {
     let plan = RunPlan::solve(&settings.axis, &settings.limits, &request).unwrap();
     let path = Path::Run(plan);
     assert_eq!(check_whole(&path, LIMITS.min_interval_ticks), 1_040_000);
-    let mut walk = Walk::new(&path, 0, (0, 104_000));
+    let mut walk = Walk::new(&path, 0, window(0, 104_000));
     let mut items = 0;
     while walk.next() != Item::End {
         items += 1;
@@ -534,8 +447,8 @@ fn the_papers_run_is_1040000_pulses_in_forty_seconds() {
     assert_eq!(walk.position, 0);
 }
 
-/// In a dwell, and before the first step, a stop ends the path without another pulse; its last step is the last
-/// one that was handed out.
+/// In a dwell, and before the first step, a stop ends the path without another pulse; its last step is the last that was
+/// queued.
 #[test]
 fn a_stop_at_rest_emits_nothing() {
     let settings = Settings::REFERENCE;
@@ -555,7 +468,7 @@ fn a_stop_at_rest_emits_nothing() {
     let deceleration = settings.axis.acceleration(1_000).unwrap();
     for (pulses, position) in [(0, 0), (80, 80), (160, 0), (240, 80), (320, 0)] {
         for blanks in 0..3 {
-            let mut walk = Walk::new(&Path::Run(plan), 0, (0, 80));
+            let mut walk = Walk::new(&Path::Run(plan), 0, window(0, 80));
             let mut seen = 0;
             while seen < pulses {
                 if let Item::Period(Period {
@@ -579,7 +492,7 @@ fn a_stop_at_rest_emits_nothing() {
         }
     }
     // After the turn, when the first step of the next stroke is due at once.
-    let mut walk = Walk::new(&Path::Run(plan), 0, (0, 80));
+    let mut walk = Walk::new(&Path::Run(plan), 0, window(0, 80));
     while !matches!(walk.next(), Item::Turn { .. }) {}
     walk.periods.stop(deceleration);
     assert_eq!(walk.blanks().2, Item::End);

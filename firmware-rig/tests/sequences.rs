@@ -1,27 +1,23 @@
-//! Random sequences of commands and events: what must never happen, whatever comes in.
+//! Random sequences of commands and events: what must never happen, in whatever order they come.
 
 mod carriage;
 
-use carriage::{CLOSED, Rig, plan};
+use carriage::{
+    CLOSED, Rig, SMALL, flag_edge, now, path_ended, plan, settings, small, stroke_done,
+};
 use firmware_rig::{
-    machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
+    machine::{Action, Command, Event, Machine, PathEnd, PathReport},
     settings::Settings,
 };
 use motion::{
-    axis::{Axis, Direction},
+    axis::Direction,
     run::RunPlan,
-    units::Steps,
+    units::{StepPosition, Steps, Window},
 };
-use protocol::rig::{LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome};
-
-/// A rig with few steps, 4 per mm: 80 in its stroke of 20 mm, the flag at the fourth.
-fn small() -> Settings {
-    Settings {
-        axis: Axis::new(50_000, 200, 1, 20_000).unwrap(),
-        ledger_limit_steps: 1,
-        ..Settings::REFERENCE
-    }
-}
+use protocol::{
+    rig::{LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome},
+    settings::SettingKey,
+};
 
 /// SplitMix64 (Steele, Lea, Flood 2014).
 struct Random(u64);
@@ -67,15 +63,22 @@ fn move_to(random: &mut Random, settings: &Settings) -> Command {
     }
 }
 
-/// Anything at all, in any order; mostly what makes sense, so that every state is reached.
+/// Anything in any order; mostly what makes sense, so that every state is reached.
 mod anything {
     use super::*;
 
     enum Input {
-        Event(Event),
+        /// At this time, us.
+        Event(u64, Event),
+        /// At this position.
         Command(Command, i32),
-        /// So far from 0 lies the flag now.
+        /// So far from 0 lies the flag now, um.
         Flag(u32),
+    }
+
+    /// At no special time.
+    fn event(event: Event) -> Input {
+        Input::Event(1, event)
     }
 
     fn position(random: &mut Random) -> i32 {
@@ -86,24 +89,12 @@ mod anything {
         }
     }
 
-    /// What a rig without mishaps would bring next.
+    /// What comes next when nothing goes wrong.
     fn expected(random: &mut Random, plan: RunPlan, state: RigState) -> Input {
         let at = if random.one_in(4) { 20 } else { 0 };
-        let report = PathReport {
-            commanded: at,
-            counted: at,
-            ..PathReport::default()
-        };
-        let flag = Input::Event(Event::FlagEdge {
-            opening: random.one_in(2),
-            count: 4,
-        });
-        let done = Input::Event(Event::StrokeDone {
-            stroke: random.below(4) as u32,
-            commanded: 0,
-            counted: 0,
-        });
-        let ended = |end| Input::Event(Event::PathEnded(end, report));
+        let flag = event(flag_edge(random.one_in(2), 4));
+        let done = event(stroke_done(random.below(4) as u32, 0, 0));
+        let ended = |end| event(path_ended(end, at, at));
         match state {
             RigState::Unhomed if random.one_in(4) => Input::Command(Command::Button(None), 0),
             RigState::Unhomed => Input::Command(Command::Home, 0),
@@ -144,10 +135,10 @@ mod anything {
             position_now
         };
         let report = PathReport {
-            commanded: position_now,
-            counted: other,
+            commanded: StepPosition(position_now),
+            counted: StepPosition(other),
             last_tick: random.below(1 << 40),
-            min_queue: random.next() as u16,
+            min_queue: (!random.one_in(4)).then_some(random.next() as u16),
         };
         match random.below(56) {
             40 => Input::Command(Command::Hold, position_now),
@@ -158,9 +149,10 @@ mod anything {
                 let plan = random.pick(&[Some(plan), None]);
                 Input::Command(Command::Button(plan), position_now)
             }
-            50..54 => Input::Event(Event::Tick {
-                now_us: random.pick(&[1, 300_001, 300_002, 60_000_001, 60_000_002]),
-            }),
+            50..54 => {
+                let time_us = random.pick(&[1, 300_001, 300_002, 60_000_001, 60_000_002]);
+                Input::Event(time_us, Event::Tick)
+            }
             54 => Input::Flag(random.pick(&[1_000, 1_250])),
             0..6 => Input::Command(Command::Home, position_now),
             6..12 => {
@@ -170,18 +162,14 @@ mod anything {
             12 => Input::Command(Command::Stop, position_now),
             13 => Input::Command(Command::EStop, position_now),
             14..17 => Input::Command(Command::Acknowledge, position_now),
-            17 => Input::Event(Event::FarLimit),
-            18 => Input::Event(Event::LoopOpened),
-            19 => Input::Event(Event::LinkSilent),
-            20..28 => Input::Event(Event::FlagEdge {
-                opening: random.one_in(2),
-                count: if random.one_in(2) { 4 } else { other },
-            }),
-            28..30 => Input::Event(Event::StrokeDone {
-                stroke: random.below(4) as u32,
-                commanded: position_now,
-                counted: other,
-            }),
+            17 => event(Event::FarLimit),
+            18 => event(Event::LoopOpened),
+            19 => event(Event::LinkSilent),
+            20..28 => {
+                let count = if random.one_in(2) { 4 } else { other };
+                event(flag_edge(random.one_in(2), count))
+            }
+            28..30 => event(stroke_done(random.below(4) as u32, position_now, other)),
             _ => {
                 let end = match random.below(24) {
                     0 => PathEnd::Cut,
@@ -190,12 +178,12 @@ mod anything {
                     3..12 => PathEnd::Stopped,
                     _ => PathEnd::Complete,
                 };
-                Input::Event(Event::PathEnded(end, report))
+                event(Event::PathEnded(end, report))
             }
         }
     }
 
-    /// What the machine said, watched from outside.
+    /// A machine and what it said.
     struct Watch {
         machine: Machine,
         /// A path was ordered and its end not reported.
@@ -212,24 +200,24 @@ mod anything {
                 self.machine.homed(),
                 self.machine.fault(),
             );
-            let mut actions = Actions::new();
+            let actions;
             let mut command = None;
             match input {
-                Input::Event(event) => {
+                Input::Event(time_us, event) => {
                     if let Event::PathEnded(..) = event {
                         self.path = false;
                     }
-                    actions = self.machine.event(event, inputs);
+                    actions = self.machine.step(&now(time_us, 0, inputs), event);
+                    assert_eq!(actions.refusal, None);
                 }
                 Input::Command(asked, position) => {
-                    let result = self
-                        .machine
-                        .command(1, asked, position, inputs, &mut actions);
+                    let now = now(1, position, inputs);
+                    actions = self.machine.step(&now, Event::Command(asked));
                     let found_elsewhere = before == RigState::Held
                         && matches!(asked, Command::Resume | Command::Button(_))
                         && matches!(self.machine.fault(), Some(RigFault::ReadBack { .. }));
-                    if result.is_err() && !found_elsewhere {
-                        assert!(actions.is_empty());
+                    if actions.refusal.is_some() && !found_elsewhere {
+                        assert!(actions.list.is_empty());
                         assert_eq!(self.machine.state(), before);
                         assert_eq!(self.machine.homed(), homed);
                         assert_eq!(self.machine.fault(), fault);
@@ -246,7 +234,9 @@ mod anything {
                     );
                     if may.is_ok() {
                         let other = flag_um != self.machine.settings().flag_um;
-                        self.machine.set_settings(Settings { flag_um, ..small() });
+                        let flag = (SettingKey::FlagUm, flag_um);
+                        self.machine
+                            .set_settings(settings(&[&SMALL[..], &[flag]].concat()));
                         self.found &= !other;
                         assert_eq!(self.machine.homed(), homed && !other);
                         assert_eq!(self.machine.fault(), fault);
@@ -254,7 +244,7 @@ mod anything {
                     return;
                 }
             }
-            assert!(!actions.is_full(), "no room to spare: {actions:?}");
+            assert!(!actions.list.is_full(), "no room to spare: {actions:?}");
             let after = self.machine.state();
             if let Some(fault) = fault {
                 if let Some((Command::Acknowledge, _)) = command {
@@ -264,7 +254,7 @@ mod anything {
                     assert_eq!(self.machine.fault(), Some(fault), "latched");
                 }
             }
-            for action in &actions {
+            for action in &actions.list {
                 match action {
                     Action::Start { window, .. } => {
                         assert!(!self.path, "one path at a time");
@@ -298,12 +288,8 @@ mod anything {
             }
         }
 
-        fn check_start(
-            &self,
-            before: RigState,
-            command: Option<(Command, i32)>,
-            window: (i32, i32),
-        ) {
+        fn check_start(&self, before: RigState, command: Option<(Command, i32)>, window: Window) {
+            let (first, last) = (window.first.0, window.last.0);
             assert!(self.acknowledged);
             match (self.machine.state(), command) {
                 (RigState::Homing, None) => {
@@ -324,20 +310,20 @@ mod anything {
                     };
                     assert!(from, "{asked:?} in {before:?}");
                     assert!(self.found && self.machine.homed());
-                    assert_eq!(window, (0, 80));
+                    assert_eq!((first, last), (0, 80));
                 }
                 (RigState::Moving, Some((Command::Jog { .. } | Command::MoveTo { .. }, from))) => {
                     assert_eq!(before, RigState::Ready);
                     assert!(self.found && self.machine.homed());
                     // From where it stands to somewhere in the stroke.
-                    let to = if window.0 == from { window.1 } else { window.0 };
-                    assert!(window.0 == from || window.1 == from);
+                    let to = if first == from { last } else { first };
+                    assert!(first == from || last == from);
                     assert!((0..=80).contains(&to));
                 }
                 (state, other) => panic!("{other:?} started something, {state:?}"),
             }
             // Finite, and no longer than a search over stroke and overtravel.
-            assert!(window.1.abs_diff(window.0) <= 400_500, "{window:?}");
+            assert!(last.abs_diff(first) <= 400_500, "{window:?}");
         }
     }
 
@@ -356,7 +342,7 @@ mod anything {
                 machine: if homed {
                     ready.clone()
                 } else {
-                    Machine::new(settings, fault)
+                    Machine::new(settings, fault, 0)
                 },
                 path: false,
                 acknowledged: fault.is_none(),
@@ -401,11 +387,11 @@ mod anything {
     }
 }
 
-/// Operator, host and mishaps at random around a carriage that really executes every period.
+/// Operator, host and mishaps at random, with a carriage that executes every period.
 mod executed {
     use super::*;
 
-    /// What one sequence came to.
+    /// How often what was reached.
     #[derive(Default)]
     struct Ends {
         runs: u64,
@@ -414,8 +400,8 @@ mod executed {
         moves: u64,
     }
 
-    /// What the carriage itself checks at every pulse: no pulse outside a moving state, none outside the stroke
-    /// while the position is trusted, one path at a time. Here: what needs more than one look.
+    /// The rig itself checks at every pulse: no pulse outside a moving state, none outside the stroke while the
+    /// position is trusted, one path at a time. Here: what takes more than one pulse to see.
     fn sequence(random: &mut Random, settings: Settings, ends: &mut Ends) {
         let mut rig = Rig::new(settings, random.below(81) as i32);
         let (mut edges, mut sound) = (0, true);
@@ -463,7 +449,7 @@ mod executed {
                 }
                 16 if random.one_in(8) => rig.jumper_cut = !rig.jumper_cut,
                 17 => rig.bounces = random.below(3) as u32,
-                // By hand, where hands can move it.
+                // Someone moves the carriage; the motor holds it while it moves.
                 18 if !rig.moving() && random.one_in(4) => {
                     rig.place = random.below(81) as i32;
                     sound = false;
@@ -511,7 +497,7 @@ mod executed {
                     _ => {}
                 }
             }
-            // Since homing began no mishap: then the carriage is where the counter says.
+            // No mishap since homing began: the carriage is where the counter says.
             let mishap = rig.slipping > 0 || rig.jumper_cut || rig.stuck_flag.is_some();
             let begun = before != RigState::Homing && rig.machine.state() == RigState::Homing;
             sound = (sound || begun) && !mishap;
@@ -553,14 +539,15 @@ mod executed {
     }
 }
 
-/// The two limits between which a run's steps stay are those of the configured axis, whatever its size.
+/// The window of a run is the configured stroke, whatever its length.
 #[test]
 fn the_window_of_a_run_is_the_stroke() {
     for stroke_um in [4_250, 20_000, 130_000] {
-        let settings = Settings {
-            axis: Axis::new(50_000, 200, 1, stroke_um).unwrap(),
-            ..Settings::REFERENCE
-        };
+        let settings = settings(&[
+            (SettingKey::LeadUm, 50_000),
+            (SettingKey::Microsteps, 1),
+            (SettingKey::StrokeUm, stroke_um),
+        ]);
         let mut rig = Rig::homed(settings);
         let plan = plan(&settings, 1, stroke_um, 40_000);
         assert_eq!(plan.direction(0), Some(Direction::Away));

@@ -1,13 +1,15 @@
-//! Settings: values, ranges, rules, records in flash.
+//! Settings: ranges, rules, and what homing makes of them.
 
 mod carriage;
 
 use carriage::Rig;
-use firmware_rig::{
-    machine::Command,
-    settings::{Ages, NAME_RECORD, Settings, Values},
+use device::settings::Values;
+use firmware_rig::{machine::Command, settings::Settings};
+use motion::{
+    axis::Axis,
+    run::Limits,
+    units::{StepPosition, Steps},
 };
-use motion::{axis::Axis, run::Limits};
 use proptest::prelude::*;
 use protocol::{
     error::Refusal,
@@ -17,15 +19,24 @@ use protocol::{
 
 const DEFAULT: Values = Values::DEFAULT;
 
+/// What a device does with a value: its range, then the rules of all together.
+fn change(values: &Values, key: SettingKey, value: u32) -> Result<(Values, Settings), Refusal> {
+    let values = values.with(key, value)?;
+    match Settings::new(&values) {
+        Ok(settings) => Ok((values, settings)),
+        Err(rule) => Err(Refusal::SettingRule { key, rule }),
+    }
+}
+
 fn set(values: &Values, key: SettingKey, value: u32) -> Values {
-    match values.with(key, value) {
+    match change(values, key, value) {
         Ok((values, _)) => values,
         Err(refusal) => panic!("{refusal}"),
     }
 }
 
 fn rule(values: &Values, key: SettingKey, value: u32) -> SettingRule {
-    match values.with(key, value) {
+    match change(values, key, value) {
         Err(Refusal::SettingRule { key: named, rule }) => {
             assert_eq!(named, key);
             rule
@@ -43,11 +54,13 @@ fn the_defaults_are_the_papers_rig() {
         pulse_ticks,
         seek_um_s,
         locate_um_s,
-        homing_accel_um_s2,
-        stop_accel_um_s2,
+        homing_accel,
+        stop_accel,
         overtravel_um,
-        pull_off_um,
+        overtravel,
+        pull_off,
         flag_um,
+        flag,
         homing_timeout_us,
         ledger_limit_steps,
         link_timeout_us,
@@ -64,11 +77,12 @@ fn the_defaults_are_the_papers_rig() {
         }
     );
     assert_eq!((seek_um_s, locate_um_s), (20_000, 2_000));
-    assert_eq!((homing_accel_um_s2, stop_accel_um_s2), (200_000, 1_000_000));
-    assert_eq!(
-        (overtravel_um, pull_off_um, flag_um),
-        (10_000, 3_000, 1_000)
-    );
+    assert_eq!(homing_accel, axis.acceleration(200_000).unwrap());
+    assert_eq!(stop_accel, axis.acceleration(1_000_000).unwrap());
+    // 800 steps per mm.
+    assert_eq!((overtravel_um, overtravel), (10_000, Steps(8_000)));
+    assert_eq!((flag_um, flag), (1_000, StepPosition(800)));
+    assert_eq!(pull_off, Steps(2_400));
     assert_eq!((pulse_ticks, ledger_limit_steps), (200, 8));
     assert_eq!(homing_timeout_us, 60_000_000);
     assert_eq!((link_timeout_us, dead_man_us), (1_000_000, 300_000));
@@ -89,7 +103,7 @@ fn ranges_end_where_they_say() {
                 (Key::StepPulseNs, "max") => Some(SettingRule::PulseWithinStep),
                 _ => None,
             };
-            match DEFAULT.with(key, value) {
+            match change(&DEFAULT, key, value) {
                 Ok((values, settings)) => {
                     assert_eq!(expected, None, "{} {end}", key.name());
                     assert_eq!(values.get(key), value);
@@ -108,7 +122,7 @@ fn ranges_end_where_they_say() {
         for value in [range.min.checked_sub(1), range.max.checked_add(1)] {
             let Some(requested) = value else { continue };
             let refusal = Refusal::SettingRange { key, requested };
-            assert_eq!(DEFAULT.with(key, requested), Err(refusal));
+            assert_eq!(change(&DEFAULT, key, requested), Err(refusal));
             let text = refusal.to_string();
             assert!(text.contains(key.name()) && text.contains(&range.max.to_string()));
         }
@@ -168,84 +182,6 @@ fn every_rule_refuses_at_its_boundary() {
     set(default, Key::TelemetryMs, 5);
 }
 
-#[test]
-fn records_come_back() {
-    for key in SettingKey::ALL {
-        let range = key.range();
-        for value in [range.min, range.max] {
-            let mut values = DEFAULT;
-            values.load(key as u8, &Values::record(value));
-            for other in SettingKey::ALL {
-                let expected = if other == key {
-                    value
-                } else {
-                    other.range().default
-                };
-                assert_eq!(values.get(other), expected);
-            }
-        }
-    }
-    // The layout, byte for byte: version 1, little-endian.
-    assert_eq!(Values::record(0x0102_0304), [1, 4, 3, 2, 1]);
-}
-
-/// Records of another firmware are left alone.
-#[test]
-fn records_that_do_not_fit_are_ignored() {
-    let stroke = SettingKey::StrokeUm as u8;
-    let fine = Values::record(100_000);
-    let other_version = [2, fine[1], fine[2], fine[3], fine[4]];
-    let count = SettingKey::ALL.len() as u8;
-    let records: [(u8, &[u8]); 9] = [
-        (stroke, &other_version),
-        (stroke, &fine[..4]),
-        (stroke, &[]),
-        (stroke, &[fine[0], fine[1], fine[2], fine[3], fine[4], 0]),
-        (stroke, &Values::record(130_001)),
-        (stroke, &Values::record(0)),
-        (count, &fine),
-        (NAME_RECORD, &fine),
-        (u8::MAX, &fine),
-    ];
-    for (number, record) in records {
-        let mut values = DEFAULT;
-        values.load(number, record);
-        assert_eq!(values, DEFAULT, "{number} {record:?}");
-    }
-    let mut values = DEFAULT;
-    values.load(stroke, &fine);
-    assert_eq!(values.get(SettingKey::StrokeUm), 100_000);
-}
-
-/// Numbers are for ever: they name the records of rigs in use.
-#[test]
-fn numbers_of_keys_stay() {
-    for (number, key) in SettingKey::ALL.into_iter().enumerate() {
-        assert_eq!(key as usize, number);
-        assert_eq!(SettingKey::from_number(number as u8), Some(key));
-        assert!(key.name().ends_with(&unit_in_name(key)), "{}", key.name());
-    }
-    assert_eq!(SettingKey::from_number(SettingKey::ALL.len() as u8), None);
-    let pinned = [
-        (SettingKey::LeadUm, 0),
-        (SettingKey::StrokeUm, 3),
-        (SettingKey::FlagUm, 15),
-        (SettingKey::ButtonAccelUmS2, 25),
-    ];
-    for (key, number) in pinned {
-        assert_eq!(key as u8, number);
-    }
-}
-
-/// How a unit is written in a name.
-fn unit_in_name(key: SettingKey) -> String {
-    match key.unit() {
-        "1" => String::new(),
-        "steps/turn" => "steps".into(),
-        unit => format!("_{}", unit.to_lowercase().replace('/', "_")),
-    }
-}
-
 fn config() -> ProptestConfig {
     ProptestConfig {
         cases: 2_000,
@@ -277,15 +213,15 @@ fn any_change() -> impl Strategy<Value = (SettingKey, u32)> {
 proptest! {
     #![proptest_config(config())]
 
-    /// Whatever is asked for in whatever order: what is in force keeps ranges and rules, a refusal changes nothing,
-    /// and the records give it back.
+    /// Whatever is asked for in whatever order: what is in force keeps ranges and rules, a refusal changes nothing, and
+    /// the records restore it.
     #[test]
     fn what_is_in_force_always_fits_together(
         changes in prop::collection::vec(any_change(), 1..60),
     ) {
         let mut values = DEFAULT;
         for (key, value) in changes {
-            match values.with(key, value) {
+            match change(&values, key, value) {
                 Ok((next, settings)) => {
                     prop_assert_eq!(next.get(key), value);
                     prop_assert_eq!(Settings::new(&next), Ok(settings));
@@ -309,8 +245,8 @@ proptest! {
         prop_assert_eq!(loaded, values);
     }
 
-    /// Whatever is accepted, homing finds 0 with it. Or its time is over; or the carriage brakes too slowly to stop
-    /// between flag and end of travel.
+    /// With whatever is accepted homing finds 0, unless its time is over or the carriage brakes too slowly to stop between
+    /// flag and end of travel.
     #[test]
     fn every_accepted_settings_can_home(
         changes in prop::collection::vec(any_change(), 1..20),
@@ -318,7 +254,7 @@ proptest! {
     ) {
         let mut values = DEFAULT;
         for (key, value) in changes {
-            if let Ok((next, _)) = values.with(key, value) {
+            if let Ok((next, _)) = change(&values, key, value) {
                 values = next;
             }
         }
@@ -331,7 +267,7 @@ proptest! {
         rig.command(Command::Home).unwrap();
         rig.finish();
         let speed = f64::from(settings.seek_um_s.max(2 * settings.locate_um_s));
-        let braking_um = speed * speed / (2.0 * f64::from(settings.stop_accel_um_s2));
+        let braking_um = speed * speed / (2.0 * f64::from(values.get(SettingKey::StopAccelUmS2)));
         match rig.fault() {
             None => prop_assert_eq!((rig.place, rig.machine.state()), (0, RigState::Ready)),
             Some(RigFault::HomingTimeout(_)) => {
@@ -344,52 +280,4 @@ proptest! {
             }
         }
     }
-}
-
-proptest! {
-    /// Whatever is written and however often the rig starts anew: the last record of each number is young.
-    #[test]
-    fn nothing_that_is_needed_grows_old(
-        writes in prop::collection::vec((0..SettingKey::ALL.len() as u8 + 2, 1..400_u32), 1..40),
-    ) {
-        let mut log = Vec::new();
-        let mut ages = Ages::new();
-        let mut used = std::collections::BTreeSet::new();
-        for (number, times) in writes {
-            let number = match usize::from(number).checked_sub(SettingKey::ALL.len()) {
-                None => number,
-                Some(0) => NAME_RECORD,
-                Some(_) => {
-                    // A start: the log is read again, without the sectors that were dropped.
-                    let from = log.len().saturating_sub(500);
-                    ages = Ages::new();
-                    log[from..].iter().for_each(|number| ages.wrote(*number));
-                    continue;
-                }
-            };
-            for _ in 0..times {
-                while let Some(overdue) = ages.overdue() {
-                    ages.wrote(overdue);
-                    log.push(overdue);
-                }
-                ages.wrote(number);
-                log.push(number);
-                used.insert(number);
-                let young = log.len().saturating_sub(Ages::OLDEST as usize + Ages::NUMBERS + 1);
-                for number in &used {
-                    prop_assert!(log[young..].contains(number), "{number} of {}", log.len());
-                }
-            }
-        }
-    }
-}
-
-#[test]
-fn a_number_of_another_firmware_does_not_count() {
-    let mut ages = Ages::new();
-    ages.wrote(200);
-    for _ in 0..1000 {
-        ages.wrote(0);
-    }
-    assert_eq!(ages.overdue(), None);
 }

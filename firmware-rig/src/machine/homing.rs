@@ -99,10 +99,11 @@ impl Machine {
                 (Direction::Home, from + overtravel, settings.seek_um_s)
             }
             HomingPhase::PullOff => {
-                // From where the first pass came to rest, at or behind the edge that it found.
                 let edge = homing.seek.unwrap_or(position);
-                let distance = edge.distance_to(position).0 + pull_off;
-                (Direction::Away, distance, settings.seek_um_s)
+                let begin = edge.moved(Direction::Away, settings.pull_off);
+                let way = position.way_to(begin.unwrap_or(edge));
+                let (direction, distance) = way.unwrap_or((Direction::Away, Steps(0)));
+                (direction, distance.0, settings.seek_um_s)
             }
             HomingPhase::Locate => (Direction::Home, 2 * pull_off, settings.locate_um_s),
             HomingPhase::ToZero => {

@@ -1,14 +1,17 @@
-//! A carriage on its screw: carries out what the machine orders, pulse by pulse in virtual time, and answers with
-//! the events that the switches and the read-back counter would raise. The real execution fills its step ring.
+//! A carriage on its screw, in virtual time, pulse by pulse. The real execution fills its step ring; switches and
+//! read-back counter raise the events that they would raise on the board.
+//!
+//! [`Carriage`] is what stays the same whoever decides; [`Rig`] puts the state machine on top of it.
 
 // Each test file uses a part of it.
 #![allow(dead_code)]
 
 pub mod ring;
 
+use device::settings::Values;
 use firmware_rig::{
     execution::{Mailbox, Motion, Order, Pace},
-    machine::{Action, Actions, Command, Event, Machine, Now},
+    machine::{Action, Actions, Command, Event, Machine, Now, PathEnd, PathReport},
     settings::Settings,
 };
 use motion::{
@@ -19,8 +22,10 @@ use motion::{
 use protocol::{
     error::Refusal,
     rig::{LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState},
+    settings::SettingKey,
 };
-use ring::{Ahead, Slots};
+use ring::{Ahead, Round, Slots};
+use std::ops::{Deref, DerefMut};
 
 /// All switches closed.
 pub const CLOSED: RigInputs = RigInputs {
@@ -29,7 +34,13 @@ pub const CLOSED: RigInputs = RigInputs {
     estop_loop: false,
 };
 
-/// What the machine is told of a carriage at rest.
+/// Fingerprint of the image.
+pub const IMAGE_HASH: u32 = 0xCAFE;
+
+/// How often control looks at the clock, 10 ns each.
+pub const CONTROL_ROUND: u64 = 1_000_000;
+
+/// What comes with an event.
 pub fn now(time_us: u64, position: i32, inputs: RigInputs) -> Now {
     Now {
         time_us,
@@ -39,13 +50,41 @@ pub fn now(time_us: u64, position: i32, inputs: RigInputs) -> Now {
     }
 }
 
+/// The end of a path after its last step at tick 1.
+pub fn path_ended(end: PathEnd, commanded: i32, counted: i32) -> Event {
+    let report = PathReport {
+        commanded: StepPosition(commanded),
+        counted: StepPosition(counted),
+        last_tick: 1,
+        min_queue: Some(60),
+    };
+    Event::PathEnded(end, report)
+}
+
+/// The end of a stroke.
+pub fn stroke_done(stroke: u32, commanded: i32, counted: i32) -> Event {
+    Event::StrokeDone {
+        stroke,
+        commanded: StepPosition(commanded),
+        counted: StepPosition(counted),
+    }
+}
+
+/// An edge of the home flag.
+pub fn flag_edge(opening: bool, count: i32) -> Event {
+    let count = StepPosition(count);
+    Event::FlagEdge { opening, count }
+}
+
 /// What motion and control say to each other.
 #[derive(Debug, Default)]
 pub struct Mail {
-    order: Option<Order>,
-    stop: bool,
-    cut: bool,
-    notices: Vec<Event>,
+    pub order: Option<Order>,
+    pub stop: bool,
+    pub cut: bool,
+    /// Control takes no notices.
+    pub full: bool,
+    pub notices: Vec<Event>,
     pub stroke: u32,
     pub commanded: i32,
 }
@@ -66,8 +105,10 @@ impl Mailbox for Mail {
     }
 
     fn notify(&mut self, event: Event) -> bool {
-        self.notices.push(event);
-        true
+        if !self.full {
+            self.notices.push(event);
+        }
+        !self.full
     }
 
     fn show(&mut self, stroke: u32, commanded: StepPosition) {
@@ -75,17 +116,29 @@ impl Mailbox for Mail {
     }
 }
 
-/// The rig: machine, execution, carriage, faults.
-pub struct Rig {
-    pub machine: Machine,
+/// A pulse that left the pin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pulse {
+    /// When, 10 ns each.
+    pub at: u64,
+    pub direction: Direction,
+    pub sync: bool,
+}
+
+/// Execution, ring, screw and switches, with everything that can go wrong with them.
+pub struct Carriage {
+    /// Where the switches are mounted.
+    mounted: Settings,
     motion: Motion,
     pub mail: Mail,
     pub ring: Slots,
     /// When motion looks after the ring next, 10 ns each.
-    next_round: u64,
-    /// Where the carriage is, steps from where the reference lies.
+    pub next_round: u64,
+    /// When the round that plays ends.
+    round_end: Option<u64>,
+    /// Where the carriage is, steps from the reference.
     pub place: i32,
-    /// The home flag reads this, whatever the carriage does.
+    /// The home flag reads this, wherever the carriage is.
     pub stuck_flag: Option<bool>,
     /// The far limit reads open.
     pub far_wire_cut: bool,
@@ -97,27 +150,28 @@ pub struct Rig {
     pub slipping: u32,
     /// So many times does the flag bounce when it opens.
     pub bounces: u32,
+    /// False pulses on the switches since the start.
+    pub glitches: u32,
     /// 10 ns each, since the start.
     pub now: u64,
     /// Pulses since the start.
     pub pulses: u64,
     /// When the last pulse was, 10 ns each.
     pub last_pulse: u64,
-    pub events: Vec<RigEvent>,
-    /// Windows of all paths.
-    pub windows: Vec<(i32, i32)>,
+    /// All pulses, if a test wants them.
+    pub trace: Option<Vec<Pulse>>,
     flag_open: bool,
 }
 
-impl Rig {
-    /// A rig after power-on with its carriage at `place`.
-    pub fn new(settings: Settings, place: i32) -> Self {
-        let mut rig = Self {
-            machine: Machine::new(settings, None, 0),
+impl Carriage {
+    pub fn new(mounted: Settings, place: i32) -> Self {
+        let mut carriage = Self {
+            mounted,
             motion: Motion::new(),
             mail: Mail::default(),
             ring: Slots::new(),
-            next_round: 0,
+            next_round: u64::MAX,
+            round_end: None,
             place,
             stuck_flag: None,
             far_wire_cut: false,
@@ -125,15 +179,227 @@ impl Rig {
             jumper_cut: false,
             slipping: 0,
             bounces: 0,
+            glitches: 0,
             now: 0,
             pulses: 0,
             last_pulse: 0,
-            events: Vec::new(),
-            windows: Vec::new(),
+            trace: None,
             flag_open: false,
         };
-        rig.flag_open = rig.inputs().home_flag;
-        rig
+        carriage.flag_open = carriage.inputs().home_flag;
+        carriage
+    }
+
+    fn stroke(&self) -> i32 {
+        self.mounted.axis.stroke_steps().0 as i32
+    }
+
+    /// The end of travel, on either side, lies half an overtravel behind the stroke.
+    fn beyond_end(&self) -> bool {
+        let margin = self.mounted.overtravel.0 as i32 / 2;
+        self.place < -margin || self.place > self.stroke() + margin
+    }
+
+    pub fn inputs(&self) -> RigInputs {
+        let axis = &self.mounted.axis;
+        let flag = self.place <= self.mounted.flag.0;
+        // A millimetre behind the stroke.
+        let limit = self.stroke() + (axis.steps_per_rev() * 1_000 / axis.lead().0) as i32;
+        RigInputs {
+            home_flag: self.stuck_flag.unwrap_or(flag),
+            far_limit: self.far_wire_cut || self.place > limit,
+            estop_loop: self.pressed || self.beyond_end(),
+        }
+    }
+
+    /// What comes with an event.
+    pub fn look(&self) -> Now {
+        Now {
+            glitches: self.glitches,
+            ..now(self.now / 100, self.ring.counted, self.inputs())
+        }
+    }
+
+    pub fn moving(&self) -> bool {
+        self.motion.pace() != Pace::Idle || self.mail.order.is_some()
+    }
+
+    /// Pulses that come whatever is ordered, unless they are cut.
+    pub fn queued(&self) -> u64 {
+        self.ring.rounds_left()
+    }
+
+    /// Orders a path.
+    pub fn order(&mut self, order: Order) {
+        assert!(!self.moving(), "a path while another one is executed");
+        self.mail.order = Some(order);
+        self.wake();
+    }
+
+    /// Orders to decelerate.
+    pub fn stop(&mut self) {
+        self.mail.stop = true;
+        self.wake();
+    }
+
+    /// No further pulse.
+    pub fn cut(&mut self) {
+        self.ring.armed = false;
+        self.mail.cut = true;
+        self.wake();
+    }
+
+    pub fn set_position(&mut self, position: StepPosition) {
+        assert!(!self.moving());
+        self.ring.counted = position.0;
+    }
+
+    fn wake(&mut self) {
+        self.next_round = self.now;
+    }
+
+    /// With nothing queued ahead: motion has to look after the ring before it can play.
+    fn motion_is_due(&self) -> bool {
+        self.ring.is_empty() || self.mail.cut
+    }
+
+    /// A round of motion. Its notices come back.
+    pub fn motion_round(&mut self) -> Vec<Event> {
+        self.ring.loop_open = self.inputs().estop_loop;
+        self.motion.round(&mut self.ring, &mut self.mail);
+        self.next_round = match self.motion.pace() {
+            Pace::Idle => u64::MAX,
+            Pace::Filled => self.now + 200_000,
+            Pace::Waiting => self.now + 10_000,
+        };
+        if self.round_end.is_none() && self.ring.plays() {
+            self.round_end = Some(self.now);
+        }
+        std::mem::take(&mut self.mail.notices)
+    }
+
+    /// Lets motion look after the ring if that is due; else plays the next round of the ring. What control hears of
+    /// it comes back.
+    pub fn step(&mut self) -> Vec<Event> {
+        match self.ring.ahead {
+            Ahead::Nothing => {
+                if self.motion_is_due() {
+                    return self.motion_round();
+                }
+                let Some(round) = self.ring.begin_round() else {
+                    return Vec::new();
+                };
+                let begun = self.now;
+                self.now += u64::from(round.ticks);
+                let events = self.play(begun, round);
+                self.ring.end_period();
+                events
+            }
+            Ahead::Slots => match self.round_end {
+                Some(end) if end < self.next_round => {
+                    self.now = end;
+                    self.round_end = None;
+                    let Some(round) = self.ring.begin_round() else {
+                        return Vec::new();
+                    };
+                    self.round_end = Some(end + u64::from(round.ticks));
+                    if self.ring.interrupts() {
+                        self.wake();
+                    }
+                    self.play(end, round)
+                }
+                _ if self.next_round == u64::MAX => Vec::new(),
+                _ => {
+                    self.now = self.next_round;
+                    self.motion_round()
+                }
+            },
+        }
+    }
+
+    fn play(&mut self, begun: u64, round: Round) -> Vec<Event> {
+        if !round.pulse {
+            return Vec::new();
+        }
+        let direction = self.ring.direction;
+        self.last_pulse = begun;
+        if let Some(trace) = &mut self.trace {
+            trace.push(Pulse {
+                at: begun,
+                direction,
+                sync: round.sync,
+            });
+        }
+        self.pulse(direction)
+    }
+
+    fn pulse(&mut self, direction: Direction) -> Vec<Event> {
+        let before = self.inputs();
+        let step = direction.sign();
+        let mut events = Vec::new();
+        self.pulses += 1;
+        if !self.jumper_cut {
+            self.ring.counted += step;
+        }
+        if self.slipping > 0 {
+            self.slipping -= 1;
+        } else {
+            self.place += step;
+        }
+        let inputs = self.inputs();
+        if inputs.estop_loop && !before.estop_loop {
+            self.cut();
+            events.push(Event::LoopOpened);
+        }
+        if inputs.far_limit && !before.far_limit && direction == Direction::Away {
+            self.cut();
+            events.push(Event::FarLimit);
+        }
+        if inputs.home_flag != self.flag_open {
+            self.flag_open = inputs.home_flag;
+            let (open, count) = (inputs.home_flag, self.ring.counted);
+            events.push(flag_edge(open, count));
+            for bounce in 1..=self.bounces as i32 {
+                events.push(flag_edge(!open, count + bounce * 20 * step));
+                events.push(flag_edge(open, count + bounce * 40 * step));
+            }
+        }
+        events
+    }
+}
+
+/// The state machine on a carriage. Most tests look at the carriage, so a rig stands for it.
+pub struct Rig {
+    pub machine: Machine,
+    pub carriage: Carriage,
+    pub events: Vec<RigEvent>,
+    /// Windows of all paths.
+    pub windows: Vec<(i32, i32)>,
+}
+
+impl Deref for Rig {
+    type Target = Carriage;
+
+    fn deref(&self) -> &Carriage {
+        &self.carriage
+    }
+}
+
+impl DerefMut for Rig {
+    fn deref_mut(&mut self) -> &mut Carriage {
+        &mut self.carriage
+    }
+}
+
+impl Rig {
+    /// A rig after power-on with its carriage at `place`.
+    pub fn new(settings: Settings, place: i32) -> Self {
+        Self {
+            machine: Machine::new(settings, None, IMAGE_HASH),
+            carriage: Carriage::new(settings, place),
+            events: Vec::new(),
+            windows: Vec::new(),
+        }
     }
 
     /// The same, homed.
@@ -156,42 +422,11 @@ impl Rig {
         rig
     }
 
-    /// The read-back counter.
-    pub fn counted(&self) -> i32 {
-        self.ring.counted
-    }
-
-    fn stroke(&self) -> i32 {
-        self.machine.settings().axis.stroke_steps().0 as i32
-    }
-
-    /// The end of travel, on either side, lies half an overtravel behind the stroke.
-    fn beyond_end(&self) -> bool {
-        let margin = self.machine.settings().overtravel.0 as i32 / 2;
-        self.place < -margin || self.place > self.stroke() + margin
-    }
-
-    pub fn inputs(&self) -> RigInputs {
-        let settings = self.machine.settings();
-        let flag = self.place <= settings.flag.0;
-        // A millimetre behind the stroke.
-        let limit =
-            self.stroke() + (settings.axis.steps_per_rev() * 1_000 / settings.axis.lead().0) as i32;
-        RigInputs {
-            home_flag: self.stuck_flag.unwrap_or(flag),
-            far_limit: self.far_wire_cut || self.place > limit,
-            estop_loop: self.pressed || self.beyond_end(),
-        }
-    }
-
-    fn now(&self) -> Now {
-        now(self.now / 100, self.ring.counted, self.inputs())
-    }
-
     /// A command; only an accepted one has actions.
     pub fn command(&mut self, command: Command) -> Result<(), Refusal> {
-        let now = self.now();
-        let actions = self.machine.step(&now, Event::Command(command));
+        let actions = self
+            .machine
+            .step(&self.carriage.look(), Event::Command(command));
         let refusal = actions.refusal;
         if refusal.is_some() {
             // A resume looks first whether the carriage is where it was held.
@@ -203,8 +438,8 @@ impl Rig {
     }
 
     pub fn event(&mut self, event: Event) {
-        let now = self.now();
-        let actions = self.machine.step(&now, event);
+        let actions = self.machine.step(&self.carriage.look(), event);
+        assert_eq!(actions.refusal, None, "only commands are refused");
         self.perform(actions);
     }
 
@@ -215,138 +450,62 @@ impl Rig {
         self.event(Event::LoopOpened);
     }
 
-    pub fn moving(&self) -> bool {
-        self.motion.pace() != Pace::Idle || self.mail.order.is_some()
-    }
-
-    fn cut(&mut self) {
-        self.ring.armed = false;
-        self.mail.cut = true;
-        self.next_round = self.now;
-    }
-
     pub fn perform(&mut self, actions: Actions) {
         for action in actions.list {
             match action {
                 Action::Start { path, window } => {
-                    assert!(!self.moving(), "a path while another one is executed");
                     let Window { first, last } = window;
                     self.windows.push((first.0, last.0));
-                    let settings = self.machine.settings();
-                    self.mail.order = Some(Order {
+                    let settings = *self.machine.settings();
+                    self.order(Order {
                         path,
                         window,
                         stop_accel: settings.stop_accel,
                         pulse_ticks: settings.pulse_ticks,
                     });
-                    self.next_round = self.now;
-                    if self.ring.ahead == Ahead::Nothing {
-                        self.round();
-                    }
+                    // What comes next finds the path begun.
+                    self.motion_round();
                 }
-                Action::StopPath => {
-                    self.mail.stop = true;
-                    self.next_round = self.now;
-                }
+                Action::StopPath => self.stop(),
                 Action::Cut => {
                     self.cut();
-                    if self.ring.ahead == Ahead::Nothing && self.moving() {
-                        self.round();
+                    if self.moving() {
+                        self.motion_round();
                     }
                 }
-                Action::SetPosition(position) => {
-                    assert!(!self.moving());
-                    self.ring.counted = position.0;
-                }
+                Action::SetPosition(position) => self.set_position(position),
                 Action::Emit(event) => self.events.push(event),
             }
         }
     }
 
-    /// A round of motion, and what control hears of it.
-    fn round(&mut self) {
-        self.ring.loop_open = self.inputs().estop_loop;
-        self.motion.round(&mut self.ring, &mut self.mail);
-        self.next_round = self.now
-            + match self.motion.pace() {
-                Pace::Idle => u64::from(u32::MAX),
-                Pace::Filled => 200_000,
-                Pace::Waiting => 10_000,
-            };
-        for notice in std::mem::take(&mut self.mail.notices) {
-            self.event(notice);
-        }
+    /// A round of motion, and what the machine hears of it.
+    pub fn motion_round(&mut self) {
+        let notices = self.carriage.motion_round();
+        notices.into_iter().for_each(|notice| self.event(notice));
     }
 
-    /// Lets motion look after the ring if that is due, then plays a round of it.
+    /// The carriage's step, and what the machine hears of it.
     pub fn step(&mut self) {
-        let due = match self.ring.ahead {
-            Ahead::Nothing => self.ring.is_empty() || self.mail.cut,
-            Ahead::Slots => self.now >= self.next_round,
-        };
-        if due {
-            self.round();
+        if self.ring.ahead == Ahead::Nothing && self.motion_is_due() {
+            self.motion_round(); // and a round of the ring in the same step
         }
-        let direction = self.ring.direction;
-        let start = self.now;
-        let Some((ticks, pulse)) = self.ring.play() else {
-            if self.ring.ahead == Ahead::Slots && self.moving() {
-                self.now = self.next_round;
-            }
-            return;
-        };
-        self.now += u64::from(ticks);
-        if pulse {
-            self.last_pulse = start;
-            self.pulse(direction);
-        }
-        let round = 1_000_000; // 10 ms, as control's
-        if self.now / round != start / round {
-            self.event(Event::Tick);
-        }
-    }
-
-    fn pulse(&mut self, direction: Direction) {
-        let before = self.inputs();
-        let step = direction.sign();
-        assert!(matches!(
+        let (start, pulses, homed) = (self.now, self.pulses, self.machine.homed());
+        let may_move = matches!(
             self.machine.state(),
             RigState::Homing | RigState::Running | RigState::Moving | RigState::Stopping
-        ));
-        self.pulses += 1;
-        if !self.jumper_cut {
-            self.ring.counted += step;
-        }
-        if self.slipping > 0 {
-            self.slipping -= 1;
-        } else {
-            self.place += step;
-        }
-        if self.machine.homed() && !self.jumper_cut {
-            assert!((0..=self.stroke()).contains(&self.ring.counted));
-        }
-        let inputs = self.inputs();
-        if inputs.estop_loop && !before.estop_loop {
-            self.cut();
-            self.event(Event::LoopOpened);
-        }
-        if inputs.far_limit && !before.far_limit && direction == Direction::Away {
-            self.cut();
-            self.event(Event::FarLimit);
-        }
-        if inputs.home_flag != self.flag_open {
-            self.flag_open = inputs.home_flag;
-            self.flag_edge(inputs.home_flag, self.ring.counted);
-            for bounce in 1..=self.bounces as i32 {
-                self.flag_edge(!inputs.home_flag, self.ring.counted + bounce * 20 * step);
-                self.flag_edge(inputs.home_flag, self.ring.counted + bounce * 40 * step);
+        );
+        let events = self.carriage.step();
+        if self.pulses > pulses {
+            assert!(may_move, "a pulse in {:?}", self.machine.state());
+            if homed && !self.jumper_cut {
+                assert!((0..=self.stroke()).contains(&self.ring.counted));
             }
         }
-    }
-
-    fn flag_edge(&mut self, opening: bool, count: i32) {
-        let count = StepPosition(count);
-        self.event(Event::FlagEdge { opening, count });
+        events.into_iter().for_each(|event| self.event(event));
+        if self.now / CONTROL_ROUND != start / CONTROL_ROUND {
+            self.event(Event::Tick);
+        }
     }
 
     /// Executes so many pulses, or all that are left.
@@ -355,11 +514,6 @@ impl Rig {
         while self.pulses < until && self.moving() {
             self.step();
         }
-    }
-
-    /// Pulses that come whatever is ordered, unless they are cut.
-    pub fn queued(&self) -> u64 {
-        self.ring.rounds_left()
     }
 
     /// Waits so long while nothing moves, 10 ns each.
@@ -379,6 +533,32 @@ impl Rig {
     pub fn fault(&self) -> Option<RigFault> {
         self.machine.fault()
     }
+}
+
+/// The defaults with some values changed, each within its range.
+pub fn values(changes: &[(SettingKey, u32)]) -> Values {
+    let change =
+        |values: Values, (key, value): &(SettingKey, u32)| values.with(*key, *value).unwrap();
+    changes.iter().fold(Values::DEFAULT, change)
+}
+
+/// The settings of these values.
+pub fn settings(changes: &[(SettingKey, u32)]) -> Settings {
+    Settings::new(&values(changes)).unwrap()
+}
+
+/// A rig with few steps, 4 per mm, so that a test can afford many of them: 80 in its stroke of 20 mm, the flag at the
+/// fourth.
+pub const SMALL: [(SettingKey, u32); 4] = [
+    (SettingKey::LeadUm, 50_000),
+    (SettingKey::Microsteps, 1),
+    (SettingKey::StrokeUm, 20_000),
+    (SettingKey::LedgerLimitSteps, 1),
+];
+
+/// [`SMALL`] in force.
+pub fn small() -> Settings {
+    settings(&SMALL)
 }
 
 /// A plan within the rig's limits.

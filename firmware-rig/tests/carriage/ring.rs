@@ -1,4 +1,4 @@
-//! A step ring in virtual time. It plays what the real one plays, round by round, and nothing faster.
+//! A step ring in virtual time: plays queued periods round by round, as the board's timer and DMA do.
 
 use firmware_rig::{
     execution::{LoopOpen, Ring, Underrun},
@@ -10,34 +10,54 @@ use std::collections::VecDeque;
 /// How much is queued ahead.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ahead {
-    /// Nothing: every period is asked for when it is due, so that a test can act between any two.
+    /// Nothing: each period is asked for when it is due, so that a test can act between any two.
     Nothing,
-    /// As on the board: up to 124 slots, of which one plays and one is prepared.
+    /// As on the board.
     Slots,
 }
 
-const SLOTS: usize = 124;
+/// Slots of the board's ring.
+const SLOTS: u64 = 128;
+/// Slots that are never filled: they keep the end mark away from the reader.
+const SPARE: u64 = 4;
+/// Slots that the hardware has taken out of the ring: one plays, one is prepared to play next.
+const TAKEN: u64 = 2;
 
-/// The ring, the counter and DIR.
+/// Ring, read-back counter and DIR.
 #[derive(Debug)]
 pub struct Slots {
     pub ahead: Ahead,
-    /// The first one plays.
+    /// The first one plays, once the ring runs.
     periods: VecDeque<Period>,
-    /// Rounds of the first period that have been played.
-    played: u8,
+    /// Rounds of the first period that have begun.
+    begun: u32,
     running: bool,
+    /// Periods that have been played to their end since the path's start.
+    played: u64,
+    /// Of all queued periods, the first one included as a whole.
     ticks: u64,
     pulses: u32,
     pub direction: Direction,
-    /// The read-back counter, if its jumper is there.
+    /// The read-back counter.
     pub counted: i32,
     pub loop_open: bool,
     pub armed: bool,
+    /// Width of a step pulse.
+    pub pulse_ticks: u16,
+    pub driver_on: bool,
     /// Pulses that were queued and cut, since the start.
     pub cut: u64,
-    /// Periods that were pushed when the reader was too near.
-    pub underruns: u32,
+    /// Shortest queue that was pushed to while the ring ran.
+    pub least: u64,
+}
+
+/// What a round of the timer begins with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Round {
+    pub ticks: u32,
+    /// A pulse leaves the pin.
+    pub pulse: bool,
+    pub sync: bool,
 }
 
 impl Slots {
@@ -45,67 +65,106 @@ impl Slots {
         Self {
             ahead: Ahead::Nothing,
             periods: VecDeque::new(),
-            played: 0,
+            begun: 0,
             running: false,
+            played: 0,
             ticks: 0,
             pulses: 0,
             direction: Direction::Home,
             counted: 0,
             loop_open: false,
             armed: false,
+            pulse_ticks: 0,
+            driver_on: false,
             cut: 0,
-            underruns: 0,
+            least: u64::MAX,
         }
+    }
+
+    /// A round plays, or could.
+    pub fn plays(&self) -> bool {
+        self.running && !self.periods.is_empty()
     }
 
     pub fn is_empty(&self) -> bool {
         self.periods.is_empty()
     }
 
-    /// Plays the next round: its ticks, and whether it begins with a pulse.
-    pub fn play(&mut self) -> Option<(u32, bool)> {
-        let period = *self.periods.front().filter(|_| self.running)?;
-        if self.played == period.repeats {
-            self.periods.pop_front();
-            self.played = 0;
-            let rounds = u32::from(period.repeats) + 1;
-            self.ticks -= u64::from(period.ticks * rounds);
-            self.pulses -= if period.pulse { rounds } else { 0 };
-        } else {
-            self.played += 1;
+    /// Begins the next round; none if nothing is left to play. The period before it has ended.
+    pub fn begin_round(&mut self) -> Option<Round> {
+        if !self.running {
+            return None;
         }
-        Some((period.ticks, period.pulse && self.armed))
+        self.end_period();
+        let period = *self.periods.front()?;
+        self.begun += 1;
+        Some(Round {
+            ticks: period.ticks,
+            pulse: period.pulse && self.armed,
+            sync: period.sync && self.armed,
+        })
+    }
+
+    /// Takes out the first period if all its rounds have begun; the last one has ended then.
+    pub fn end_period(&mut self) {
+        let Some(period) = self.periods.front().copied() else {
+            return;
+        };
+        let rounds = u32::from(period.repeats) + 1;
+        if self.begun < rounds {
+            return;
+        }
+        self.periods.pop_front();
+        self.begun = 0;
+        self.played += 1;
+        self.ticks -= u64::from(period.ticks) * u64::from(rounds);
+        self.pulses -= if period.pulse { rounds } else { 0 };
+    }
+
+    /// The reader has just come to the middle or the end of the ring: then it interrupts.
+    pub fn interrupts(&self) -> bool {
+        self.begun == 1 && (self.played + TAKEN).is_multiple_of(SLOTS / 2)
     }
 
     /// Rounds of the period in progress that come whatever is ordered, unless they are cut.
     pub fn rounds_left(&self) -> u64 {
         match self.periods.front() {
-            Some(period) if self.played > 0 => u64::from(period.repeats - self.played) + 1,
+            Some(period) if self.begun > 0 => u64::from(u32::from(period.repeats) + 1 - self.begun),
             _ => 0,
         }
     }
 
-    fn pulses_left(&self) -> u64 {
-        let played = match self.periods.front() {
-            Some(period) if period.pulse => u64::from(self.played),
+    /// Pulses that are queued and have not left.
+    pub fn pulses_left(&self) -> u64 {
+        let begun = match self.periods.front() {
+            Some(period) if period.pulse => self.begun,
             _ => 0,
         };
-        u64::from(self.pulses) - played
+        u64::from(self.pulses - begun)
+    }
+
+    /// Slots that wait; negative while the last one plays, and after it.
+    fn queue(&self) -> i64 {
+        let taken = if self.running { TAKEN } else { 0 };
+        self.periods.len() as i64 - taken as i64
     }
 }
 
 impl Ring for Slots {
-    fn clear(&mut self, _: u16) {
+    fn clear(&mut self, pulse_ticks: u16) {
         self.halt();
+        self.pulse_ticks = pulse_ticks;
     }
 
     fn push(&mut self, period: Period) -> Result<(), Underrun> {
-        if self.ahead == Ahead::Slots && self.running && self.periods.len() < 4 {
-            self.underruns += 1;
-            return Err(Underrun);
+        if self.ahead == Ahead::Slots && self.running {
+            if self.queue() < 2 {
+                return Err(Underrun);
+            }
+            self.least = self.least.min(self.queue() as u64);
         }
         let rounds = u32::from(period.repeats) + 1;
-        self.ticks += u64::from(period.ticks * rounds);
+        self.ticks += u64::from(period.ticks) * u64::from(rounds);
         self.pulses += if period.pulse { rounds } else { 0 };
         self.periods.push_back(period);
         Ok(())
@@ -114,22 +173,25 @@ impl Ring for Slots {
     fn has_room(&self) -> bool {
         match self.ahead {
             Ahead::Nothing => self.periods.is_empty(),
-            Ahead::Slots => self.periods.len() < SLOTS + 2,
+            Ahead::Slots => self.queue() < (SLOTS - SPARE) as i64,
         }
     }
 
     fn waiting(&self) -> u32 {
         match self.ahead {
-            // Never short of anything.
-            Ahead::Nothing => 60,
-            Ahead::Slots => self.periods.len().saturating_sub(2) as u32,
+            Ahead::Nothing => 60, // never short of anything
+            Ahead::Slots => self.queue().max(0) as u32,
         }
     }
 
     fn lead(&self) -> u32 {
-        match self.ahead {
-            Ahead::Nothing => 0,
-            Ahead::Slots => self.ticks as u32,
+        match (self.ahead, self.periods.front()) {
+            (Ahead::Slots, Some(first)) if self.running => {
+                let first = u64::from(first.ticks) * (u64::from(first.repeats) + 1);
+                (self.ticks - first) as u32
+            }
+            (Ahead::Slots, _) => self.ticks as u32,
+            (Ahead::Nothing, _) => 0,
         }
     }
 
@@ -138,7 +200,7 @@ impl Ring for Slots {
     }
 
     fn has_played_out(&self) -> bool {
-        self.periods.is_empty()
+        self.running && self.periods.is_empty()
     }
 
     fn update(&mut self) {}
@@ -148,8 +210,7 @@ impl Ring for Slots {
             self.halt();
             return Err(LoopOpen);
         }
-        self.armed = true;
-        self.running = true;
+        (self.armed, self.running) = (true, true);
         Ok(())
     }
 
@@ -160,16 +221,18 @@ impl Ring for Slots {
     fn halt(&mut self) {
         self.cut += self.pulses_left();
         self.periods.clear();
-        (self.played, self.ticks, self.pulses) = (0, 0, 0);
+        (self.begun, self.played, self.ticks, self.pulses) = (0, 0, 0, 0);
         (self.armed, self.running) = (false, false);
     }
 
-    fn enable_driver(&mut self) {}
+    fn enable_driver(&mut self) {
+        self.driver_on = true;
+    }
 
     fn set_direction(&mut self, direction: Direction) {
         assert!(
             !self.running || self.pulses == 0,
-            "DIR changes while pulses wait"
+            "DIR changes while a pulse waits"
         );
         self.direction = direction;
     }

@@ -1,0 +1,136 @@
+//! Settings: records in flash, numbers of keys, ages of records.
+
+use device::{
+    settings::Values,
+    store::{Ages, NAME_RECORD},
+};
+use proptest::prelude::*;
+use protocol::settings::SettingKey;
+
+const DEFAULT: Values = Values::DEFAULT;
+
+#[test]
+fn records_come_back() {
+    for key in SettingKey::ALL {
+        let range = key.range();
+        for value in [range.min, range.max] {
+            let mut values = DEFAULT;
+            values.load(key as u8, &Values::record(value));
+            for other in SettingKey::ALL {
+                let expected = if other == key {
+                    value
+                } else {
+                    other.range().default
+                };
+                assert_eq!(values.get(other), expected);
+            }
+        }
+    }
+    // The layout, byte for byte: version 1, little-endian.
+    assert_eq!(Values::record(0x0102_0304), [1, 4, 3, 2, 1]);
+}
+
+/// Records of another firmware are left alone.
+#[test]
+fn records_that_do_not_fit_are_ignored() {
+    let stroke = SettingKey::StrokeUm as u8;
+    let fine = Values::record(100_000);
+    let other_version = [2, fine[1], fine[2], fine[3], fine[4]];
+    let count = SettingKey::ALL.len() as u8;
+    let records: [(u8, &[u8]); 9] = [
+        (stroke, &other_version),
+        (stroke, &fine[..4]),
+        (stroke, &[]),
+        (stroke, &[fine[0], fine[1], fine[2], fine[3], fine[4], 0]),
+        (stroke, &Values::record(130_001)),
+        (stroke, &Values::record(0)),
+        (count, &fine),
+        (NAME_RECORD, &fine),
+        (u8::MAX, &fine),
+    ];
+    for (number, record) in records {
+        let mut values = DEFAULT;
+        values.load(number, record);
+        assert_eq!(values, DEFAULT, "{number} {record:?}");
+    }
+    let mut values = DEFAULT;
+    values.load(stroke, &fine);
+    assert_eq!(values.get(SettingKey::StrokeUm), 100_000);
+}
+
+/// Numbers are for ever: they name the records of rigs in use.
+#[test]
+fn numbers_of_keys_stay() {
+    for (number, key) in SettingKey::ALL.into_iter().enumerate() {
+        assert_eq!(key as usize, number);
+        assert_eq!(SettingKey::from_number(number as u8), Some(key));
+        assert!(key.name().ends_with(&unit_in_name(key)), "{}", key.name());
+    }
+    assert_eq!(SettingKey::from_number(SettingKey::ALL.len() as u8), None);
+    let pinned = [
+        (SettingKey::LeadUm, 0),
+        (SettingKey::StrokeUm, 3),
+        (SettingKey::FlagUm, 15),
+        (SettingKey::ButtonAccelUmS2, 25),
+    ];
+    for (key, number) in pinned {
+        assert_eq!(key as u8, number);
+    }
+}
+
+/// How a unit is written in a name.
+fn unit_in_name(key: SettingKey) -> String {
+    match key.unit() {
+        "1" => String::new(),
+        "steps/turn" => "steps".into(),
+        unit => format!("_{}", unit.to_lowercase().replace('/', "_")),
+    }
+}
+
+proptest! {
+    /// Whatever is written and however often the rig starts anew: the last record of each number is young.
+    #[test]
+    fn nothing_that_is_needed_grows_old(
+        writes in prop::collection::vec((0..SettingKey::ALL.len() as u8 + 2, 1..400_u32), 1..40),
+    ) {
+        let mut log = Vec::new();
+        let mut ages = Ages::new();
+        let mut used = std::collections::BTreeSet::new();
+        for (number, times) in writes {
+            let number = match usize::from(number).checked_sub(SettingKey::ALL.len()) {
+                None => number,
+                Some(0) => NAME_RECORD,
+                Some(_) => {
+                    // A start: the log is read again, without the sectors that were dropped.
+                    let from = log.len().saturating_sub(500);
+                    ages = Ages::new();
+                    log[from..].iter().for_each(|number| ages.wrote(*number));
+                    continue;
+                }
+            };
+            for _ in 0..times {
+                while let Some(overdue) = ages.overdue() {
+                    ages.wrote(overdue);
+                    log.push(overdue);
+                }
+                ages.wrote(number);
+                log.push(number);
+                used.insert(number);
+                let young = log.len().saturating_sub(Ages::OLDEST as usize + Ages::NUMBERS + 1);
+                for number in &used {
+                    prop_assert!(log[young..].contains(number), "{number} of {}", log.len());
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_number_of_another_firmware_does_not_count() {
+    let mut ages = Ages::new();
+    ages.wrote(200);
+    for _ in 0..1000 {
+        ages.wrote(0);
+    }
+    assert_eq!(ages.overdue(), None);
+}

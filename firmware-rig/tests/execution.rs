@@ -1,0 +1,672 @@
+//! Execution on a ring that queues ahead as the board's does: every pulse at its tick, turns, stops, cuts, and whatever
+//! keeps it from filling the ring in time.
+
+mod carriage;
+mod runs;
+
+use carriage::{Carriage, Pulse, Rig, ring::Ahead, run};
+use firmware_rig::{
+    execution::{LEAD_TICKS, Order},
+    machine::{Command, Event, PathEnd, PathReport},
+    periods::Path,
+    settings::Settings,
+};
+use motion::{
+    axis::{Acceleration, Direction},
+    run::{Limits, RunPlan, RunRequest, Timing},
+    step_times::StepTimes,
+    trapezoid::StrokeProfile,
+    units::{StepPosition, Steps, Ticks, Window},
+};
+use proptest::prelude::*;
+use protocol::rig::{LinkLossPolicy, RigEvent, RigFault, RigState, RunOutcome};
+use runs::{any_deceleration, any_run, first_stroke, strokes};
+
+const SETTINGS: Settings = Settings::REFERENCE;
+
+/// As short a turn as the settings allow: 400 us.
+const LIMITS: Limits = Limits {
+    min_turnaround_ticks: 40_000,
+    ..SETTINGS.limits
+};
+
+const EVERYWHERE: Window = Window {
+    first: StepPosition(i32::MIN),
+    last: StepPosition(i32::MAX),
+};
+
+/// 10 ns each.
+const US: u64 = 100;
+const MS: u64 = 100_000;
+
+/// Every pulse of a path that is left alone.
+fn planned(path: &Path, began: u64) -> Vec<Pulse> {
+    let mut pulses = Vec::new();
+    for (start, profile, direction) in strokes(path) {
+        for (index, tick) in StepTimes::new(profile).enumerate() {
+            pulses.push(Pulse {
+                at: began + start + tick,
+                direction,
+                sync: index == 0,
+            });
+        }
+    }
+    pulses
+}
+
+/// Execution, ring and screw without anybody who decides.
+struct Bench {
+    carriage: Carriage,
+    began: u64,
+    plan: Vec<Pulse>,
+    /// Strokes that were reported as done.
+    done: Vec<u32>,
+    end: Option<(PathEnd, PathReport)>,
+    /// Stroke that was shown at each pulse.
+    shown: Vec<u32>,
+    loop_opened: bool,
+}
+
+impl Bench {
+    /// Has begun to execute a path.
+    fn new(path: &Path, window: Window, stop_accel: Acceleration) -> Self {
+        let mut bench = Self::before(path, window, stop_accel);
+        bench.motion_round();
+        bench
+    }
+
+    /// Has been told to execute a path.
+    fn before(path: &Path, window: Window, stop_accel: Acceleration) -> Self {
+        let mut carriage = Carriage::new(SETTINGS, 0);
+        carriage.ring.ahead = Ahead::Slots;
+        let mut bench = Self {
+            carriage,
+            began: 0,
+            plan: Vec::new(),
+            done: Vec::new(),
+            end: None,
+            shown: Vec::new(),
+            loop_opened: false,
+        };
+        bench.order(path, window, stop_accel);
+        bench
+    }
+
+    fn order(&mut self, path: &Path, window: Window, stop_accel: Acceleration) {
+        self.began = self.carriage.now;
+        self.plan = planned(path, self.began);
+        (self.end, self.done) = (None, Vec::new());
+        self.shown.clear();
+        self.carriage.trace = Some(Vec::new());
+        self.carriage.order(Order {
+            path: path.clone(),
+            window,
+            stop_accel,
+            pulse_ticks: 200,
+        });
+    }
+
+    fn take(&mut self, events: Vec<Event>) {
+        for event in events {
+            assert!(self.end.is_none(), "{event:?} after the end");
+            match event {
+                Event::StrokeDone {
+                    stroke,
+                    commanded,
+                    counted,
+                } => {
+                    if !self.carriage.jumper_cut {
+                        assert_eq!(commanded, counted);
+                    }
+                    self.done.push(stroke);
+                }
+                Event::PathEnded(end, report) => self.end = Some((end, report)),
+                Event::LoopOpened => self.loop_opened = true,
+                Event::FlagEdge { .. } => {} // the switches of the carriage
+                other => panic!("{other:?} from execution"),
+            }
+        }
+    }
+
+    fn motion_round(&mut self) {
+        let events = self.carriage.motion_round();
+        self.take(events);
+    }
+
+    fn step(&mut self) {
+        let pulses = self.carriage.pulses;
+        let events = self.carriage.step();
+        if self.carriage.pulses > pulses {
+            self.shown.push(self.carriage.mail.stroke);
+        }
+        self.take(events);
+    }
+
+    fn run_for(&mut self, ticks: u64) {
+        let until = self.carriage.now + ticks;
+        while self.carriage.moving() && self.carriage.now < until {
+            self.step();
+        }
+    }
+
+    fn finish(&mut self) -> (PathEnd, PathReport) {
+        while self.carriage.moving() {
+            self.step();
+        }
+        self.end.expect("an end is reported")
+    }
+
+    /// Nobody looks after the ring for so long.
+    fn neglect(&mut self, ticks: u64) {
+        let until = self.carriage.now + ticks;
+        while self.carriage.moving() && self.carriage.now < until {
+            self.carriage.next_round = until;
+            self.step();
+        }
+    }
+
+    fn trace(&self) -> &[Pulse] {
+        self.carriage.trace.as_deref().unwrap()
+    }
+
+    /// The report tells where the carriage came to rest, and when the last pulse was.
+    fn assert_rest(&self, report: &PathReport) {
+        let place = StepPosition(self.carriage.place);
+        assert_eq!((report.commanded, report.counted), (place, place));
+        let last = self.trace().last().map_or(0, |pulse| pulse.at - self.began);
+        assert_eq!(report.last_tick, last);
+        assert_eq!(self.carriage.mail.commanded, self.carriage.place);
+        assert_eq!(self.carriage.ring.cut, 0, "every queued pulse has left");
+    }
+
+    /// It went as planned to its end.
+    fn assert_complete(&self, path: &Path) {
+        assert_eq!(self.trace(), self.plan);
+        let (end, report) = self.end.unwrap();
+        assert_eq!(end, PathEnd::Complete);
+        self.assert_rest(&report);
+        let (first, all) = (first_stroke(path) as u32, strokes(path));
+        let turns = all.len() as u32 - 1;
+        assert_eq!(self.done, (first..first + turns).collect::<Vec<_>>());
+        // Stroke by stroke, what is shown is the stroke whose pulses leave.
+        let shown = (first..).zip(&all).flat_map(|(stroke, (_, profile, _))| {
+            std::iter::repeat_n(stroke, profile.steps().0 as usize)
+        });
+        assert!(shown.eq(self.shown.iter().copied()));
+    }
+}
+
+fn stop_accel() -> Acceleration {
+    SETTINGS.stop_accel
+}
+
+fn paper() -> RunPlan {
+    let request = RunRequest {
+        cycles: 1,
+        stroke_um: 130_000,
+        timing: Timing::Total {
+            total_us: 8_000_000,
+            accel_um_s2: 100_000,
+        },
+        far_dwell_us: 0,
+        home_dwell_us: 0,
+        start_delay_us: 0,
+    };
+    RunPlan::solve(&SETTINGS.axis, &SETTINGS.limits, &request).unwrap()
+}
+
+/// 10 mm, two cycles, 5 ms of dwell: 4 strokes of 8,000 steps at 32 kHz.
+fn strokes_of_10_mm() -> Path {
+    Path::Run(carriage::plan(&SETTINGS, 2, 10_000, 40_000))
+}
+
+#[test]
+fn the_papers_cycle_has_every_pulse_at_its_tick() {
+    let path = Path::Run(paper());
+    let mut bench = Bench::new(&path, SETTINGS.axis.stroke_window(), stop_accel());
+    assert!(bench.carriage.ring.driver_on);
+    assert_eq!(bench.carriage.ring.pulse_ticks, 200);
+    let (_, report) = bench.finish();
+    bench.assert_complete(&path);
+    assert_eq!(bench.trace().len(), 208_000);
+    assert_eq!(report.last_tick, 800_000_000);
+    // In cruise a period is 20 rounds of 35 us, and 6 ms are always there.
+    assert!(report.min_queue.unwrap() >= 8, "{report:?}");
+}
+
+/// A path that fits into the ring never leaves it short.
+#[test]
+fn the_shortest_queue_is_reported_if_there_was_one() {
+    let whole = |steps| {
+        let profile =
+            StrokeProfile::from_parts(Steps(steps), Ticks(600_000), Ticks(300_000)).unwrap();
+        let direction = Direction::Away;
+        Path::Move { profile, direction }
+    };
+    let path = whole(100);
+    let (_, report) = Bench::new(&path, EVERYWHERE, stop_accel()).finish();
+    assert_eq!(report.min_queue, None);
+    let path = whole(1_000);
+    let (_, report) = Bench::new(&path, EVERYWHERE, stop_accel()).finish();
+    let in_time = report.min_queue.unwrap();
+    // Once it comes late; then it is in time again.
+    let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+    bench.run_for(2 * MS);
+    bench.neglect(3 * MS / 10);
+    let (end, report) = bench.finish();
+    assert_eq!(end, PathEnd::Complete);
+    let least = report.min_queue.unwrap();
+    assert!((2..in_time).contains(&least), "{least} after {in_time}");
+}
+
+/// A stop waits for what is queued: 8 ms and the longest repetition, not more.
+#[test]
+fn a_stop_in_cruise_takes_effect_soon() {
+    let path = Path::Run(paper());
+    for after_ms in [1_000, 1_003, 2_500, 5_000] {
+        let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+        bench.run_for(after_ms * MS);
+        let (stopped, queued) = (bench.carriage.now, bench.carriage.ring.pulses_left());
+        bench.carriage.stop();
+        let (end, report) = bench.finish();
+        assert_eq!(end, PathEnd::Stopped);
+        bench.assert_rest(&report);
+        // 35.7 mm/s, 1,000 mm/s2: 36 ms of braking.
+        let took = bench.carriage.last_pulse - stopped;
+        let lead = u64::from(LEAD_TICKS) + 80_000;
+        assert!(took > 35 * MS && took < lead + 37 * MS, "{took}");
+        // 6 ms of 28.5 kHz before a look, and what a repetition adds after it.
+        assert!((171..=252).contains(&queued), "{queued}");
+    }
+}
+
+#[test]
+fn nothing_follows_a_stop_in_a_dwell() {
+    let request = RunRequest {
+        cycles: 1,
+        stroke_um: 1_000,
+        timing: Timing::Speeds {
+            forward_um_s: 10_000,
+            return_um_s: 10_000,
+            accel_um_s2: 1_000_000,
+        },
+        far_dwell_us: 50_000,
+        home_dwell_us: 0,
+        start_delay_us: 50_000,
+    };
+    let plan = RunPlan::solve(&SETTINGS.axis, &SETTINGS.limits, &request).unwrap();
+    let path = Path::Run(plan);
+    for (at, pulses) in [(0, 0), (20 * MS, 0), (160 * MS, 800), (195 * MS, 800)] {
+        let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+        bench.run_for(at);
+        assert_eq!(bench.trace().len(), pulses);
+        bench.carriage.stop();
+        let (end, report) = bench.finish();
+        assert_eq!((end, bench.trace().len()), (PathEnd::Stopped, pulses));
+        bench.assert_rest(&report);
+        // The 8 ms that were queued, not the rest of the dwell.
+        let took = bench.carriage.now - at;
+        assert!(took < 10 * MS, "{took}");
+    }
+}
+
+/// Between the last period of a stroke that was queued and its turn.
+#[test]
+fn a_stop_before_a_turn_ends_at_the_end_of_the_stroke() {
+    let path = strokes_of_10_mm();
+    for before_us in [10, 100, 1_000, 3_000] {
+        let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+        bench.run_for(bench.plan[7_999].at - before_us * US);
+        bench.carriage.stop();
+        let (end, report) = bench.finish();
+        assert_eq!(
+            (end, bench.trace()),
+            (PathEnd::Stopped, &bench.plan[..8_000])
+        );
+        bench.assert_rest(&report);
+        assert_eq!(bench.done, [], "the next stroke does not come");
+    }
+}
+
+/// The order is taken, and what it needs is switched on; nothing else happens.
+#[test]
+fn an_open_loop_lets_nothing_start() {
+    let path = strokes_of_10_mm();
+    let mut bench = Bench::before(&path, EVERYWHERE, stop_accel());
+    bench.carriage.pressed = true;
+    let (end, report) = bench.finish();
+    assert_eq!(end, PathEnd::Cut);
+    assert!(bench.loop_opened && bench.trace().is_empty());
+    assert!(!bench.carriage.ring.armed && !bench.carriage.ring.plays());
+    assert_eq!(report.counted, StepPosition(0));
+    // The next order is not hindered.
+    bench.carriage.pressed = false;
+    bench.carriage.ring.cut = 0;
+    bench.order(&path, EVERYWHERE, stop_accel());
+    bench.finish();
+    bench.assert_complete(&path);
+}
+
+/// Orders follow each other; nothing of the one before is left.
+#[test]
+fn a_path_after_a_stop_is_whole_again() {
+    let path = strokes_of_10_mm();
+    let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+    bench.run_for(20 * MS);
+    bench.carriage.stop();
+    let (_, report) = bench.finish();
+    let place = bench.carriage.place;
+    assert!(place > 0 && report.min_queue.is_some());
+    let profile = StrokeProfile::from_speed(
+        Steps(place.unsigned_abs()),
+        SETTINGS.speed(10_000).unwrap(),
+        SETTINGS.homing_accel,
+    );
+    let back = Path::Move {
+        profile: profile.unwrap(),
+        direction: Direction::Home,
+    };
+    bench.order(&back, EVERYWHERE, stop_accel());
+    bench.finish();
+    bench.assert_complete(&back);
+    assert_eq!(bench.carriage.place, 0);
+}
+
+/// Control is behind with its notices: the end waits for it, and nothing else is begun.
+#[test]
+fn an_end_is_told_when_control_can_take_it() {
+    let path = strokes_of_10_mm();
+    let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+    bench.carriage.mail.full = true;
+    bench.run_for(2_000 * MS);
+    assert_eq!(bench.trace(), bench.plan);
+    assert!(bench.end.is_none() && bench.carriage.moving());
+    assert!(!bench.carriage.ring.plays(), "the ring stands");
+    // An order that comes too early waits.
+    let order = Order {
+        path: path.clone(),
+        window: EVERYWHERE,
+        stop_accel: stop_accel(),
+        pulse_ticks: 200,
+    };
+    bench.carriage.mail.order = Some(order);
+    bench.run_for(10 * MS);
+    assert!(bench.carriage.mail.order.is_some());
+    bench.carriage.mail.order = None;
+    // Notices of strokes are lost, which the record makes up for. The end comes once.
+    bench.carriage.mail.full = false;
+    let (end, report) = bench.finish();
+    assert_eq!((end, bench.done.as_slice()), (PathEnd::Complete, &[][..]));
+    bench.assert_rest(&report);
+    bench.motion_round();
+    assert!(!bench.carriage.moving());
+}
+
+#[test]
+fn a_cut_before_the_start_is_over() {
+    let path = strokes_of_10_mm();
+    let mut bench = Bench::before(&path, EVERYWHERE, stop_accel());
+    (bench.carriage.mail.cut, bench.carriage.mail.stop) = (true, true);
+    bench.finish();
+    bench.assert_complete(&path);
+}
+
+/// The generator is seeded: the same cases each time.
+fn config(cases: u32) -> ProptestConfig {
+    ProptestConfig {
+        cases,
+        failure_persistence: None,
+        rng_seed: prop::test_runner::RngSeed::Fixed(1),
+        ..ProptestConfig::default()
+    }
+}
+
+/// When something happens, as a part of the path's duration.
+fn part_of(bench: &Bench, part: f64) -> u64 {
+    let last = bench.plan.last().unwrap().at - bench.began;
+    (part * (last + MS) as f64) as u64
+}
+
+proptest! {
+    #![proptest_config(config(256))]
+
+    #[test]
+    fn any_run_has_every_pulse_at_its_tick(plan in any_run(LIMITS, 3_000)) {
+        let path = Path::Run(plan);
+        let last = plan.forward().steps().0 as i32;
+        let window = Window { first: StepPosition(0), last: StepPosition(last) };
+        let mut bench = Bench::new(&path, window, stop_accel());
+        bench.finish();
+        bench.assert_complete(&path);
+    }
+
+    /// Wherever a stop comes: what is queued leaves at its ticks, then it brakes within the stroke, and the end is reported
+    /// when the last pulse has left.
+    #[test]
+    fn a_stop_lets_the_queue_play_out(
+        plan in any_run(LIMITS, 3_000),
+        part in 0.0..1.0_f64,
+        again in any::<bool>(),
+        deceleration in any_deceleration(),
+    ) {
+        let path = Path::Run(plan);
+        let mut bench = Bench::new(&path, EVERYWHERE, deceleration);
+        bench.run_for(part_of(&bench, part));
+        prop_assume!(bench.carriage.moving());
+        let queued = bench.trace().len() + bench.carriage.ring.pulses_left() as usize;
+        bench.carriage.stop();
+        if again {
+            bench.run_for(MS);
+            bench.carriage.stop();
+        }
+        let (end, report) = bench.finish();
+        prop_assert_eq!(end, PathEnd::Stopped);
+        bench.assert_rest(&report);
+        let (trace, plan) = (bench.trace(), &bench.plan);
+        prop_assert!(trace.len() >= queued);
+        prop_assert_eq!(&trace[..queued], &plan[..queued]);
+        // One step more has its tick already; from there on it brakes.
+        let ramp = &trace[queued.saturating_sub(1)..];
+        if let Some(announced) = trace.get(queued) {
+            prop_assert_eq!(announced, &plan[queued]);
+        }
+        for pulses in ramp.windows(3) {
+            let [before, interval] = [1, 2].map(|index| pulses[index].at - pulses[index - 1].at);
+            prop_assert!(interval + 1 >= before, "{before} {interval}");
+            prop_assert_eq!(pulses[2].direction, pulses[0].direction);
+        }
+        // No further stroke is begun.
+        if let Some(next) = trace[queued..].iter().position(|pulse| pulse.sync) {
+            prop_assert!(next == 0 && queued == 0, "a stroke was begun after the stop");
+        }
+    }
+
+    /// A cut leaves the true count, and nothing follows.
+    #[test]
+    fn a_cut_lets_nothing_follow(plan in any_run(LIMITS, 3_000), part in 0.0..1.0_f64) {
+        let path = Path::Run(plan);
+        let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+        bench.run_for(part_of(&bench, part));
+        prop_assume!(bench.carriage.moving());
+        let (left, queued) = (bench.trace().len(), bench.carriage.ring.pulses_left());
+        let place = bench.carriage.place;
+        bench.carriage.cut();
+        let (end, report) = bench.finish();
+        prop_assert_eq!((end, bench.carriage.place), (PathEnd::Cut, place));
+        prop_assert_eq!(bench.trace(), &bench.plan[..left]);
+        prop_assert_eq!(report.counted, StepPosition(place));
+        prop_assert_eq!(u64::from(report.commanded.distance_to(report.counted).0), queued);
+        prop_assert_eq!(bench.carriage.ring.cut, queued);
+    }
+
+    /// Nobody looks after the ring for up to 30 ms. It plays what it has and stands: no pulse comes at a wrong time.
+    #[test]
+    fn a_neglected_ring_only_stops(
+        plan in any_run(LIMITS, 3_000),
+        part in 0.0..1.0_f64,
+        neglected_us in 0..30_000_u64,
+    ) {
+        let path = Path::Run(plan);
+        let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+        bench.run_for(part_of(&bench, part));
+        prop_assume!(bench.carriage.moving());
+        bench.neglect(neglected_us * US);
+        let (end, report) = bench.finish();
+        let left = bench.trace().len();
+        prop_assert_eq!(bench.trace(), &bench.plan[..left]);
+        prop_assert_eq!(report.counted, StepPosition(bench.carriage.place));
+        match end {
+            PathEnd::Complete => bench.assert_complete(&path),
+            PathEnd::Underrun => prop_assert!(left < bench.plan.len()),
+            other => prop_assert!(false, "{:?}", other),
+        }
+        prop_assert!(!bench.carriage.ring.armed);
+    }
+
+    /// No step outside the window is emitted, whatever the path says.
+    #[test]
+    fn the_guard_ends_a_path_inside_the_window(
+        plan in any_run(LIMITS, 3_000),
+        below in 0..700_i32,
+        above in 0..3_100_i32,
+    ) {
+        let path = Path::Run(plan);
+        let window = Window { first: StepPosition(-below), last: StepPosition(above) };
+        let mut bench = Bench::new(&path, window, stop_accel());
+        let (end, report) = bench.finish();
+        let left = bench.trace().len();
+        prop_assert_eq!(bench.trace(), &bench.plan[..left]);
+        prop_assert_eq!(report.counted, StepPosition(bench.carriage.place));
+        prop_assert!(window.contains(report.commanded));
+        if above < plan.forward().steps().0 as i32 {
+            prop_assert_eq!(end, PathEnd::Guard);
+            prop_assert_eq!(report.commanded, StepPosition(above), "queued up to the edge");
+            prop_assert!(left <= above as usize);
+        } else {
+            bench.assert_complete(&path);
+        }
+    }
+
+    /// The jumper to the counter goes at any time: the carriage brakes as soon as more is missing than waits.
+    #[test]
+    fn missing_edges_brake(
+        plan in any_run(LIMITS, 3_000),
+        part in 0.0..1.0_f64,
+        deceleration in any_deceleration(),
+    ) {
+        let path = Path::Run(plan);
+        let mut bench = Bench::new(&path, EVERYWHERE, deceleration);
+        bench.run_for(part_of(&bench, part));
+        prop_assume!(bench.carriage.moving());
+        bench.carriage.jumper_cut = true;
+        let (left, counted) = (bench.trace().len(), bench.carriage.ring.counted);
+        let (end, report) = bench.finish();
+        let missed = bench.trace().len() - left;
+        prop_assert_eq!(report.counted, StepPosition(counted));
+        prop_assert_eq!(report.commanded, StepPosition(bench.carriage.place));
+        if missed == 0 {
+            prop_assert_eq!(end, PathEnd::Complete);
+        } else {
+            // Within two looks, or when the whole rest was queued at its end.
+            let (first, last) = (bench.plan[left].at, bench.carriage.last_pulse);
+            prop_assert!(end == PathEnd::Stopped || last - first < 10 * MS);
+        }
+    }
+}
+
+/// Faults and holds as the machine sees them, with a ring that is ahead of the pin.
+mod with_the_machine {
+    use super::*;
+
+    fn started() -> Rig {
+        let mut rig = Rig::homed_with(SETTINGS, Ahead::Slots);
+        rig.command(run(&SETTINGS, 2, 10_000, LinkLossPolicy::Stop))
+            .unwrap();
+        rig
+    }
+
+    fn run_for(rig: &mut Rig, ticks: u64) {
+        let until = rig.now + ticks;
+        while rig.moving() && rig.now < until {
+            rig.step();
+        }
+    }
+
+    #[test]
+    fn homes_from_everywhere() {
+        for place in [-1_000, 0, 799, 800, 801, 50_000, 104_000] {
+            let mut rig = Rig::new(SETTINGS, place);
+            rig.ring.ahead = Ahead::Slots;
+            rig.command(Command::Home).unwrap();
+            rig.finish();
+            assert_eq!(rig.machine.state(), RigState::Ready);
+            assert_eq!((rig.place, rig.ring.counted), (0, 0), "{place}");
+        }
+    }
+
+    /// Held at any time, in ramps, cruise and dwells: each step is made once, in its direction.
+    #[test]
+    fn a_held_run_loses_no_step() {
+        // A run takes 1.04 s.
+        for after_us in (0..1_040_000).step_by(6_999) {
+            let mut rig = started();
+            rig.trace = Some(Vec::new());
+            run_for(&mut rig, after_us * US);
+            rig.command(Command::Hold).unwrap();
+            rig.finish();
+            let held = rig.machine.state() == RigState::Held;
+            if held {
+                assert_eq!(rig.place, rig.ring.counted);
+                let position_steps = rig.place;
+                assert_eq!(rig.events.last(), Some(&RigEvent::Held { position_steps }));
+                rig.command(Command::Resume).unwrap();
+                rig.finish();
+            }
+            let record = rig.machine.record();
+            assert_eq!(record.outcome, RunOutcome::Complete, "{after_us}");
+            assert_eq!(
+                (record.commanded_edges, record.counted_edges),
+                (32_000, 32_000)
+            );
+            assert_eq!((record.holds, record.strokes), (u32::from(held), 4));
+            assert_eq!((rig.place, rig.ring.counted, rig.ring.cut), (0, 0, 0));
+            let steps = rig.trace.take().unwrap();
+            let directions: Vec<_> = steps.iter().map(|pulse| pulse.direction).collect();
+            let [away, home] = [Direction::Away, Direction::Home].map(|way| vec![way; 8_000]);
+            assert!(directions == [&away[..], &home, &away, &home].concat());
+        }
+    }
+
+    #[test]
+    fn a_neglected_ring_is_a_fault() {
+        let mut rig = started();
+        run_for(&mut rig, 100 * MS);
+        let until = rig.now + 20 * MS;
+        while rig.now < until && rig.moving() {
+            rig.next_round = until;
+            rig.step();
+        }
+        rig.finish();
+        assert_eq!(rig.fault(), Some(RigFault::Underrun));
+        let counted = rig.machine.record().counted_edges;
+        assert_eq!((counted, rig.place), (rig.pulses, rig.ring.counted));
+    }
+
+    /// The end-of-travel loop opens while the ring is full: nothing of it leaves.
+    #[test]
+    fn an_emergency_stop_cuts_what_is_queued() {
+        let mut rig = started();
+        run_for(&mut rig, 100 * MS);
+        let (pulses, place) = (rig.pulses, rig.place);
+        assert!(rig.ring.pulses_left() > 100);
+        rig.press();
+        rig.finish();
+        assert_eq!((rig.pulses, rig.place), (pulses, place));
+        let record = rig.machine.record();
+        let fault = RigFault::EStopLoop;
+        assert_eq!(record.outcome, RunOutcome::Faulted(fault));
+        assert_eq!(record.counted_edges, pulses);
+        assert_eq!(record.commanded_edges, pulses + rig.ring.cut);
+        assert!(rig.ring.cut > 100);
+    }
+}
