@@ -3,9 +3,9 @@
 #[allow(dead_code)] // the scenarios use all of it
 mod plant;
 
-use device::common::About;
+use device::common::{About, Effect};
 use firmware_capsule::{
-    commands::{self, Context, Effect},
+    commands::{self, Change, Context},
     fold::{Capsule, Command, Drive, Event},
 };
 use plant::{Plant, Simulation};
@@ -187,7 +187,7 @@ fn nothing_starts_before_the_battery_was_measured() {
     ));
 }
 
-fn reply(sim: &mut Simulation, request: Request) -> (Reply, Effect) {
+fn reply(sim: &mut Simulation, request: Request) -> (Reply, Effect<Change>) {
     let ring = EventRing::new();
     let context = Context {
         now_us: sim.now_us,

@@ -3,9 +3,12 @@
 mod carriage;
 
 use carriage::{Rig, now, run, settings};
-use device::{common::About, settings::Values};
+use device::{
+    common::{About, Effect, Executed},
+    settings::Values,
+};
 use firmware_rig::{
-    commands::{Change, Context, Effect, Executed, execute},
+    commands::{Change, Context, execute},
     machine::{Command, Machine},
     settings::Settings,
 };
@@ -59,7 +62,7 @@ const HEALTH: RigHealth = RigHealth {
 };
 
 /// Sends a request: the reply, what the caller has to do, and how many actions there are.
-fn send(rig: &mut Rig, request: Request) -> (Reply, Effect, usize) {
+fn send(rig: &mut Rig, request: Request) -> (Reply, Effect<Change>, usize) {
     let mut events = EventRing::new();
     events.record(7, What::Booted(ResetCause::PowerOn));
     let context = Context {
@@ -258,7 +261,7 @@ fn refused_in(request: &Request, state: RigState) -> Option<Refusal> {
     }
 }
 
-fn expected_effect(request: &Request) -> Effect {
+fn expected_effect(request: &Request) -> Effect<Change> {
     match request {
         Request::SetTelemetry(_) => Effect::Telemetry { period_ms: 10 },
         Request::Acknowledge(_) => Effect::Acknowledged,
