@@ -72,6 +72,8 @@ impl Values {
 /// Values and name in force, and the log in flash that they came from.
 pub struct SettingsStore<F: NorFlash> {
     store: Store<F>,
+    /// What is in flash could be read as a log.
+    readable: bool,
     values: Values,
     name: String<MAX_NAME>,
 }
@@ -89,12 +91,14 @@ impl<F: NorFlash> SettingsStore<F> {
             }
             _ => values.load(number, record),
         });
-        let usable = loaded.is_ok() && go_together(&values);
+        let readable = loaded.is_ok();
+        let usable = readable && go_together(&values);
         if !usable {
             values = Values::DEFAULT;
         }
         let kept = Self {
             store,
+            readable,
             values,
             name,
         };
@@ -139,9 +143,10 @@ impl<F: NorFlash> SettingsStore<F> {
     /// # Errors
     /// The flash is worn out; some values may have changed in it, none in force.
     pub fn reset(&mut self) -> Result<(), StorageFailed> {
-        if self.save_defaults().is_err() {
+        if !self.readable || self.save_defaults().is_err() {
             // The flash holds something that is no log.
             self.store.erase()?;
+            self.readable = true;
         }
         self.name.clear();
         self.values = Values::DEFAULT;

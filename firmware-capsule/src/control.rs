@@ -2,12 +2,12 @@
 //! of the capsule is a trait, so that the host tests run what the control task runs.
 
 use crate::{
-    commands::{self, Context, Effect},
+    commands::{self, Context},
     detect::Sample,
     fold::{self, Actions, Drive, Event},
 };
 use device::{
-    common::About,
+    common::{About, Effect, Surroundings},
     last_words::LastWords,
     retained::{EStop, Left},
     service::Inbound,
@@ -15,7 +15,7 @@ use device::{
 use protocol::{
     capsule::{CapsuleEvent, CapsuleFault, CapsuleTelemetry},
     events::EventRing,
-    system::{self, ResetCause, What},
+    system::{ResetCause, What},
     table::{Reply, Request},
 };
 
@@ -24,33 +24,24 @@ const LINK_TIMEOUT_US: u32 = 1_000_000;
 
 /// The rest of the capsule, as control sees it.
 pub trait Capsule {
-    /// Device time.
-    fn now_us(&self) -> u64;
-    /// How long the host has been silent.
-    fn silence_us(&self) -> u32;
     /// Sets the bridge, or confirms what it is set to.
     fn drive(&mut self, drive: Drive);
     /// Shows this to telemetry.
     fn show(&mut self, telemetry: CapsuleTelemetry);
-    /// Sets the interval of telemetry, ms; 0 = none.
-    fn set_telemetry(&mut self, period_ms: u16);
-    /// Keeps an E-stop over a reset, or forgets it.
-    fn keep_latched(&mut self, estop: Option<EStop>);
-    /// Logs an event, and sends it to whoever listens.
-    fn tell(&mut self, event: &system::Event);
 }
 
 /// Owns the state machine and the events.
-pub struct Control<C: Capsule> {
+pub struct Control<S: Surroundings, C: Capsule> {
+    surroundings: S,
     capsule: C,
     machine: fold::Capsule,
     events: EventRing,
     last_words: LastWords,
 }
 
-impl<C: Capsule> Control<C> {
+impl<S: Surroundings, C: Capsule> Control<S, C> {
     /// Control after a start, from what the previous one left.
-    pub fn new(capsule: C, left: Left, reset_cause: ResetCause) -> Self {
+    pub fn new(surroundings: S, capsule: C, left: Left, reset_cause: ResetCause) -> Self {
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(CapsuleFault::Panic),
             (ResetCause::Watchdog, _) => Some(CapsuleFault::Watchdog),
@@ -58,6 +49,7 @@ impl<C: Capsule> Control<C> {
             (_, None) => None,
         };
         let mut control = Self {
+            surroundings,
             capsule,
             machine: fold::Capsule::new(fault),
             events: EventRing::new(),
@@ -85,7 +77,7 @@ impl<C: Capsule> Control<C> {
         match inbound {
             Inbound::Request(request) => self.request(request),
             Inbound::Urgent(urgent) => {
-                let now_us = self.capsule.now_us();
+                let now_us = self.surroundings.now_us();
                 let actions = commands::urgent(urgent, &mut self.machine, now_us);
                 self.perform(&actions);
                 Reply::Urgent(urgent)
@@ -96,7 +88,7 @@ impl<C: Capsule> Control<C> {
     #[inline(never)]
     fn request(&mut self, request: Request) -> Reply {
         let context = Context {
-            now_us: self.capsule.now_us(),
+            now_us: self.surroundings.now_us(),
             about: About {
                 events: &self.events,
                 last_words: &self.last_words,
@@ -108,9 +100,9 @@ impl<C: Capsule> Control<C> {
         }
         match executed.effect {
             Effect::None => {}
-            Effect::Telemetry { period_ms } => self.capsule.set_telemetry(period_ms),
+            Effect::Telemetry { period_ms } => self.surroundings.set_telemetry(period_ms),
             Effect::Acknowledged => {
-                self.capsule.keep_latched(None);
+                self.surroundings.keep_latched(None);
                 self.emit(What::Acknowledged);
             }
         }
@@ -118,28 +110,31 @@ impl<C: Capsule> Control<C> {
     }
 
     fn watch_link(&mut self) {
-        if self.machine.is_moving() && self.capsule.silence_us() > LINK_TIMEOUT_US {
+        if self.machine.is_moving() && self.surroundings.silence_us() > LINK_TIMEOUT_US {
             self.emit(What::LinkLost);
-            let actions = self.machine.step(self.capsule.now_us(), Event::LinkSilent);
+            let actions = self
+                .machine
+                .step(self.surroundings.now_us(), Event::LinkSilent);
             self.perform(&actions);
         }
     }
 
     fn perform(&mut self, actions: &Actions) {
         self.capsule.drive(actions.drive);
-        let telemetry = commands::telemetry(&self.machine, self.capsule.now_us());
+        let telemetry = commands::telemetry(&self.machine, self.surroundings.now_us());
         self.capsule.show(telemetry);
         for event in &actions.events {
             if let CapsuleEvent::Faulted(fault) = event {
                 let estop = matches!(fault, CapsuleFault::EStopFrame);
-                self.capsule.keep_latched(estop.then_some(EStop::Frame));
+                self.surroundings
+                    .keep_latched(estop.then_some(EStop::Frame));
             }
             self.emit(What::Capsule(*event));
         }
     }
 
     fn emit(&mut self, what: What) {
-        let event = self.events.record(self.capsule.now_us(), what);
-        self.capsule.tell(&event);
+        let event = self.events.record(self.surroundings.now_us(), what);
+        self.surroundings.tell(&event);
     }
 }

@@ -2,14 +2,14 @@
 //! rest of the rig is a trait, so that the host tests run what the control task runs.
 
 use crate::{
-    commands::{Change, Context, Effect, execute, press_button},
+    commands::{Change, Context, execute, press_button},
     execution::Order,
     machine::{Action, Actions, Command, Event, Machine, Now, PathEnd},
     periods::Path,
     settings::Settings,
 };
 use device::{
-    common::About,
+    common::{About, Effect, Surroundings},
     last_words::LastWords,
     retained::{EStop, Left},
     service::Inbound,
@@ -26,7 +26,7 @@ use protocol::{
     events::EventRing,
     rig::{RigEvent, RigFault, RigHealth, RigState},
     settings::SettingKey,
-    system::{self, ResetCause, Urgent, What},
+    system::{ResetCause, Urgent, What},
     table::{Reply, Request},
 };
 
@@ -43,8 +43,6 @@ pub trait Rig {
     fn button_is_down(&self) -> bool;
     /// Stroke in progress, from 0.
     fn stroke(&self) -> u32;
-    /// How long the host has been silent.
-    fn silence_us(&self) -> u32;
     /// Counters of line, switches and stack; the others are control's.
     fn health(&self) -> RigHealth;
     /// Executes a path.
@@ -55,14 +53,8 @@ pub trait Rig {
     fn cut(&mut self);
     /// Sets the read-back counter. Only while no pulse can come.
     fn set_position(&mut self, position: StepPosition);
-    /// Sets the interval of telemetry, ms; 0 = none.
-    fn set_telemetry(&mut self, period_ms: u16);
     /// Sets how long a switch must keep its level, us.
     fn set_switch_filter(&mut self, filter_us: u32);
-    /// Keeps an E-stop over a reset, or forgets it.
-    fn keep_latched(&mut self, estop: Option<EStop>);
-    /// Logs an event, and sends it to whoever listens.
-    fn tell(&mut self, event: &system::Event);
 }
 
 /// What telemetry and the LED show of the state machine.
@@ -76,17 +68,9 @@ pub struct Snapshot {
     pub axis: Axis,
 }
 
-impl Snapshot {
-    /// Before control has begun.
-    pub const START: Self = Self {
-        state: RigState::Unhomed,
-        residual_steps: 0,
-        axis: Axis::REFERENCE,
-    };
-}
-
 /// Owns the state machine, the settings and the events.
-pub struct Control<R: Rig, F: NorFlash> {
+pub struct Control<S: Surroundings, R: Rig, F: NorFlash> {
+    surroundings: S,
     rig: R,
     machine: Machine,
     settings: SettingsStore<F>,
@@ -100,9 +84,16 @@ pub struct Control<R: Rig, F: NorFlash> {
     button_rounds: u8,
 }
 
-impl<R: Rig, F: NorFlash> Control<R, F> {
+impl<S: Surroundings, R: Rig, F: NorFlash> Control<S, R, F> {
     /// Control after a start, from what the previous one left and what is in flash.
-    pub fn new(rig: R, flash: F, left: Left, reset_cause: ResetCause, image_hash: u32) -> Self {
+    pub fn new(
+        surroundings: S,
+        rig: R,
+        flash: F,
+        left: Left,
+        reset_cause: ResetCause,
+        image_hash: u32,
+    ) -> Self {
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(RigFault::Panic),
             (ResetCause::Watchdog, _) => Some(RigFault::Watchdog),
@@ -112,8 +103,9 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
         };
         let (store, usable) = SettingsStore::load(flash, |values| Settings::new(values).is_ok());
         let settings = Settings::new(store.values()).unwrap_or(Settings::REFERENCE);
-        let round_us = rig.now().time_us;
+        let round_us = surroundings.now_us();
         let mut control = Self {
+            surroundings,
             rig,
             machine: Machine::new(settings, fault, image_hash),
             settings: store,
@@ -132,7 +124,7 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
         }
         control.apply_settings();
         let period_ms = control.values().get(SettingKey::TelemetryMs) as u16;
-        control.rig.set_telemetry(period_ms);
+        control.surroundings.set_telemetry(period_ms);
         control
     }
 
@@ -202,9 +194,9 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
         let mut reply = executed.reply;
         match executed.effect {
             Effect::None => {}
-            Effect::Telemetry { period_ms } => self.rig.set_telemetry(period_ms),
+            Effect::Telemetry { period_ms } => self.surroundings.set_telemetry(period_ms),
             Effect::Acknowledged => {
-                self.rig.keep_latched(None);
+                self.surroundings.keep_latched(None);
                 self.emit(What::Acknowledged);
             }
             Effect::Store(change) => {
@@ -284,7 +276,7 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
             RigState::Homing | RigState::Running | RigState::Moving
         );
         let timeout_us = self.machine.settings().link_timeout_us;
-        if moving && u64::from(self.rig.silence_us()) > timeout_us {
+        if moving && u64::from(self.surroundings.silence_us()) > timeout_us {
             self.event(Event::LinkSilent);
             if self.machine.state() != before {
                 self.emit(What::LinkLost);
@@ -301,7 +293,7 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
                 Action::SetPosition(position) => self.rig.set_position(position),
                 Action::Emit(event) => {
                     if let RigEvent::Faulted(fault) = event {
-                        self.rig.keep_latched(match fault {
+                        self.surroundings.keep_latched(match fault {
                             RigFault::EStopLoop => Some(EStop::Loop),
                             RigFault::EStopFrame => Some(EStop::Frame),
                             _ => None,
@@ -324,7 +316,7 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
     }
 
     fn emit(&mut self, what: What) {
-        let event = self.events.record(self.rig.now().time_us, what);
-        self.rig.tell(&event);
+        let event = self.events.record(self.surroundings.now_us(), what);
+        self.surroundings.tell(&event);
     }
 }

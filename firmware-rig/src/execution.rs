@@ -58,10 +58,7 @@ pub trait Ring {
     /// The E-stop loop is open; nothing was started.
     fn start(&mut self) -> Result<(), LoopOpen>;
 
-    /// No further pulse; the motor holds.
-    fn cut(&mut self);
-
-    /// [`Ring::cut`], and the ring stands still.
+    /// No further pulse, and the ring stands still; the motor holds.
     fn halt(&mut self);
 
     /// Switches the driver on.
@@ -125,14 +122,6 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// Nothing to do.
-    pub const fn new() -> Self {
-        Self {
-            execution: None,
-            untold: None,
-        }
-    }
-
     /// How soon the next round has to come.
     pub fn pace(&self) -> Pace {
         match &self.execution {
@@ -252,10 +241,7 @@ impl Execution {
         mailbox.show(self.stroke, self.periods.position());
         let played_out = ring.has_played_out();
         let end = match self.filling {
-            Filling::Failed(end) => {
-                ring.cut();
-                end
-            }
+            Filling::Failed(end) => end,
             Filling::Done if played_out && self.stopped => PathEnd::Stopped,
             Filling::Done if played_out => PathEnd::Complete,
             // It played out with periods still to come.

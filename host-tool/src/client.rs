@@ -19,7 +19,7 @@ use protocol::system::{
     Acknowledge, DeviceKind, Event, Events, GetEvents, GetLastWords, Identity, KeepAlive,
     SetTelemetry, Urgent, What,
 };
-use protocol::table::{Changes, Endpoint, Request, Response, SCHEMA_KEY, Telemetry};
+use protocol::table::{Endpoint, Impact, Request, Response, SCHEMA_KEY, Telemetry};
 
 use crate::error::ClientError;
 use crate::link::Link;
@@ -865,9 +865,9 @@ impl Device {
     // Bytes.
 
     fn exchange(&mut self, request: &Request) -> Result<Response, ClientError> {
-        let (place, request_name, changes) = (self.place(), request.name(), request.changes());
+        let (place, request_name, impact) = (self.place(), request.name(), request.impact());
         self.ask_interrupt();
-        let command = changes != Changes::Nothing;
+        let command = impact != Impact::None;
         if command && self.interrupted.is_some() {
             while self.urgent_pending {
                 self.step(u64::MAX)?;
@@ -879,7 +879,7 @@ impl Device {
         if self.client.request(request).is_err() {
             return Err(self.session_lost());
         }
-        let abandonable = command && changes != Changes::Pace;
+        let abandonable = command && impact != Impact::Pace;
         self.commanding = abandonable;
         let answer = self.answer();
         let abandoned = abandonable && !std::mem::take(&mut self.commanding);
@@ -891,7 +891,7 @@ impl Device {
             Some(Output::Refused(refusal)) => Err(ClientError::Refused {
                 place,
                 request: request_name,
-                changes,
+                impact,
                 refusal,
             }),
             Some(Output::Rejected(WireError::NoSession)) => Err(self.session_lost()),

@@ -62,7 +62,7 @@ fn a_hold_that_the_start_button_has_ended_is_no_hold() {
         assert_eq!(got, code, "{pressed_us}: {err}");
         assert!(err.contains(text), "{pressed_us}: {err}");
         assert_eq!(json["ok"], code == 0, "{json}");
-        assert!(!err.contains("stands"), "it may move: {err}");
+        assert!(!err.contains("the carriage is at"), "it may move: {err}");
     }
 }
 
@@ -153,7 +153,7 @@ fn a_move_that_a_fault_ends_has_moved() {
     );
     assert!(
         // 0.1 s of acceleration to 20 mm/s, then 0.394 s.
-        err.contains("stands at 8.8") && !err.contains("nothing was moved"),
+        err.contains("the carriage is at 8.8") && !err.contains("nothing was moved"),
         "{err}"
     );
     // One that is there before does not begin at all.
@@ -176,7 +176,7 @@ fn what_somebody_else_stopped_is_no_success() {
         let (code, _, err) = json(pressed, line);
         assert_eq!(code, 130, "{err}");
         assert!(err.contains("the start button"), "{err}");
-        assert!(err.contains("the carriage stands at "), "{err}");
+        assert!(err.contains("the carriage is at "), "{err}");
     }
     let held = Script {
         world: vec![(20_000, World::StopFrame)],

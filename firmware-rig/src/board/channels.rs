@@ -29,7 +29,7 @@ pub static CUT: AtomicBool = AtomicBool::new(false);
 /// Wakes motion: the ring has room, or something is wanted.
 pub static MOTION_WAKE: Signal<Raw, ()> = Signal::new();
 /// Set by control, read by telemetry and the LED.
-pub static SNAPSHOT: Mutex<Raw, Cell<Snapshot>> = Mutex::new(Cell::new(Snapshot::START));
+pub static SNAPSHOT: Mutex<Raw, Cell<Option<Snapshot>>> = Mutex::new(Cell::new(None));
 /// Position by the generator, steps. Set by motion.
 pub static COMMANDED: AtomicI32 = AtomicI32::new(0);
 /// Stroke in progress, from 0. Set by motion.

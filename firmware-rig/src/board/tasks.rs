@@ -11,15 +11,14 @@ use super::{
 use core::sync::atomic::Ordering;
 use device::{
     chip::{
-        channels::{
-            BAD_FRAMES, REPLIES, REQUESTS, UART_ERRORS, UNSENT_FRAMES, send_event, set_telemetry,
-            silence_us,
-        },
+        channels::{BAD_FRAMES, REPLIES, REQUESTS, UART_ERRORS, UNSENT_FRAMES},
         flash::Sectors,
-        image, link, retained, telemetry,
+        image, link,
+        surroundings::Chip,
+        telemetry,
         watchdog::{self, CHECK_IN, check_in},
     },
-    retained::{EStop, Left},
+    retained::Left,
     supervision::Client,
 };
 use embassy_futures::select::{Either3, select3};
@@ -42,7 +41,7 @@ use motion::{
 };
 use protocol::{
     rig::{RigHealth, RigInputs, RigState, RigTelemetry},
-    system::{Event, Identity, ResetCause, Urgent, What},
+    system::{Identity, ResetCause, Urgent},
     table::Telemetry,
 };
 
@@ -50,7 +49,7 @@ use protocol::{
 /// it twice a round. While a turn or the end is awaited: every 0.1 ms.
 #[embassy_executor::task]
 pub async fn motion(mut generator: StepGenerator) -> ! {
-    let mut motion = Motion::new();
+    let mut motion = Motion::default();
     loop {
         check_in(Client::Motion);
         let wait = match motion.pace() {
@@ -67,11 +66,11 @@ pub async fn motion(mut generator: StepGenerator) -> ! {
 /// Every 10 ms and at every notice or request.
 #[embassy_executor::task]
 pub async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
-    let mut control = Control::new(Rig, sectors, left, cause, image::hash());
+    let mut control = Control::new(Chip, Rig, sectors, left, cause, image::hash());
     let mut ticker = Ticker::every(Duration::from_micros(ROUND_US));
     loop {
         check_in(Client::Control);
-        SNAPSHOT.lock(|snapshot| snapshot.set(control.snapshot()));
+        SNAPSHOT.lock(|snapshot| snapshot.set(Some(control.snapshot())));
         match select3(NOTICES.receive(), REQUESTS.wait(), ticker.next()).await {
             Either3::First(event) => control.event(event),
             Either3::Second(inbound) => REPLIES.signal(control.answer(inbound)),
@@ -105,10 +104,6 @@ impl control::Rig for Rig {
 
     fn stroke(&self) -> u32 {
         STROKE.load(Ordering::Relaxed)
-    }
-
-    fn silence_us(&self) -> u32 {
-        silence_us(Instant::now().as_micros())
     }
 
     fn health(&self) -> RigHealth {
@@ -146,23 +141,8 @@ impl control::Rig for Rig {
         step_generator::set_counted(position);
     }
 
-    fn set_telemetry(&mut self, period_ms: u16) {
-        set_telemetry(period_ms);
-    }
-
     fn set_switch_filter(&mut self, filter_us: u32) {
         SWITCH_FILTER_US.store(filter_us, Ordering::Relaxed);
-    }
-
-    fn keep_latched(&mut self, estop: Option<EStop>) {
-        retained::keep_latched(estop);
-    }
-
-    fn tell(&mut self, event: &Event) {
-        if let What::Rig(event) = event.what {
-            defmt::info!("{}", event);
-        }
-        send_event(event);
     }
 }
 
@@ -193,7 +173,7 @@ pub async fn telemetry() -> ! {
         let (before, from) = last;
         let position = step_generator::counted();
         last = (now, position);
-        let snapshot = SNAPSHOT.lock(|snapshot| snapshot.get());
+        let snapshot = SNAPSHOT.lock(|snapshot| snapshot.get())?;
         let elapsed_us = now.saturating_duration_since(before).as_micros();
         Some(Telemetry::Rig(RigTelemetry {
             time_us: now.as_micros(),
@@ -225,8 +205,8 @@ pub async fn watchdog(
     let mut round = 0_u8;
     let show_state = || {
         round = (round + 1) % 8;
-        let state = SNAPSHOT.lock(|snapshot| snapshot.get().state);
-        led.set_level((pattern(state) >> round & 1 == 1).into());
+        let state = SNAPSHOT.lock(|snapshot| snapshot.get().map(|snapshot| snapshot.state));
+        led.set_level((state.map_or(0, pattern) >> round & 1 == 1).into());
     };
     watchdog::run(watchdog, show_state).await
 }

@@ -167,7 +167,7 @@ impl Carriage {
     pub fn new(mounted: Settings, place: i32) -> Self {
         let mut carriage = Self {
             mounted,
-            motion: Motion::new(),
+            motion: Motion::default(),
             mail: Mail::default(),
             ring: Slots::new(),
             next_round: u64::MAX,

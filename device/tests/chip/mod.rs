@@ -1,0 +1,257 @@
+//! A flash in memory as the STM32F411's: words are programmed, sectors erased, and the supply can fail in between.
+
+// Each test file uses a part of it.
+#![allow(dead_code)]
+
+use device::store::{SECTOR, SECTORS};
+use embedded_storage_async::nor_flash::{
+    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
+};
+use std::{cell::RefCell, rc::Rc};
+
+/// SplitMix64 (Steele, Lea, Flood 2014).
+#[derive(Clone, Debug)]
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    pub fn below(&mut self, n: u64) -> u64 {
+        self.next() % n
+    }
+}
+
+/// Where the supply fails in an operation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cut {
+    Before,
+    /// So many words of a write are there, or so many quarters of a sector are blank. The rest of an erasure, and
+    /// with `torn` one word more of a write, is neither old nor new.
+    Within {
+        done: usize,
+        torn: bool,
+    },
+    /// First and last word of the sector are blank, what lies between is not. A write is cut after its first word.
+    BlankAtBothEnds,
+    After,
+}
+
+impl Cut {
+    pub const ALL: [Self; 13] = [
+        Self::Before,
+        Self::within(0, true),
+        Self::within(1, false),
+        Self::within(1, true),
+        Self::within(2, false),
+        Self::within(2, true),
+        Self::within(3, false),
+        Self::within(3, true),
+        Self::within(4, true),
+        Self::within(5, true),
+        Self::within(6, true),
+        Self::BlankAtBothEnds,
+        Self::After,
+    ];
+
+    const fn within(done: usize, torn: bool) -> Self {
+        Self::Within { done, torn }
+    }
+}
+
+/// What happened to the flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Operation {
+    Write { offset: u32, words: usize },
+    Erase { sector: u32 },
+}
+
+#[derive(Debug)]
+struct Array {
+    bytes: Vec<u8>,
+    operations: Vec<Operation>,
+    /// The supply fails in this operation from now on.
+    cut: Option<(usize, Cut)>,
+    powered: bool,
+    /// Every write and erasure fails.
+    worn: bool,
+    noise: Random,
+}
+
+/// The flash; clones are the same one.
+#[derive(Clone, Debug)]
+pub struct Flash(Rc<RefCell<Array>>);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Error {
+    /// There is no supply.
+    Off,
+    Worn,
+}
+
+impl NorFlashError for Error {
+    fn kind(&self) -> NorFlashErrorKind {
+        NorFlashErrorKind::Other
+    }
+}
+
+impl Flash {
+    pub fn blank() -> Self {
+        Self::holding(vec![0xFF; SECTORS.end as usize])
+    }
+
+    /// After a start, with this content.
+    pub fn holding(bytes: Vec<u8>) -> Self {
+        assert_eq!(bytes.len(), SECTORS.end as usize);
+        Self(Rc::new(RefCell::new(Array {
+            bytes,
+            operations: Vec::new(),
+            cut: None,
+            powered: true,
+            worn: false,
+            noise: Random(1),
+        })))
+    }
+
+    pub fn bytes(&self) -> Vec<u8> {
+        self.0.borrow().bytes.clone()
+    }
+
+    /// Writes and erasures since the start.
+    pub fn operations(&self) -> Vec<Operation> {
+        self.0.borrow().operations.clone()
+    }
+
+    /// The supply fails in the operation after so many more.
+    pub fn cut(&self, after: usize, cut: Cut, seed: u64) {
+        let mut array = self.0.borrow_mut();
+        array.cut = Some((array.operations.len() + after, cut));
+        array.noise = Random(seed);
+    }
+
+    pub fn wear(&self) {
+        self.0.borrow_mut().worn = true;
+    }
+}
+
+impl Array {
+    /// How the next operation ends.
+    fn begin(&mut self, operation: Operation) -> Result<Cut, Error> {
+        if !self.powered {
+            return Err(Error::Off);
+        }
+        if self.worn {
+            return Err(Error::Worn);
+        }
+        self.operations.push(operation);
+        match self.cut {
+            Some((number, cut)) if number + 1 == self.operations.len() => {
+                self.powered = false;
+                Ok(cut)
+            }
+            _ => Ok(Cut::After),
+        }
+    }
+
+    fn end(&self) -> Result<(), Error> {
+        if self.powered {
+            Ok(())
+        } else {
+            Err(Error::Off)
+        }
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
+        let words = bytes.len() / 4;
+        let (done, torn) = match self.begin(Operation::Write { offset, words })? {
+            Cut::Before => (0, false),
+            Cut::Within { done, torn } => (done.min(words), torn),
+            Cut::BlankAtBothEnds => (1, false),
+            Cut::After => (words, false),
+        };
+        let target = &mut self.bytes[offset as usize..][..bytes.len()];
+        // Bits can only be cleared. Clearing all of them again is how the log marks a sector.
+        let blank = target.iter().all(|byte| *byte == 0xFF);
+        let mark = bytes == [0; 4];
+        assert!(blank || mark, "a word is programmed twice at {offset:#x}");
+        target[..4 * done].copy_from_slice(&bytes[..4 * done]);
+        if torn && done < words {
+            // Some of its bits are 0 already.
+            for index in 4 * done..4 * done + 4 {
+                target[index] = bytes[index] | self.noise.next() as u8;
+            }
+        }
+        self.end()
+    }
+
+    fn erase(&mut self, sector: u32) -> Result<(), Error> {
+        let cut = self.begin(Operation::Erase { sector })?;
+        let quarter = SECTOR as usize / 4;
+        let bytes = &mut self.bytes[sector as usize..][..SECTOR as usize];
+        let noise = &mut self.noise;
+        match cut {
+            Cut::Before => {}
+            Cut::After => bytes.fill(0xFF),
+            // Some of the bits are 1 already.
+            Cut::BlankAtBothEnds => {
+                bytes.fill_with(|| noise.next() as u8);
+                bytes[..4].fill(0xFF);
+                bytes[SECTOR as usize - 4..].fill(0xFF);
+            }
+            Cut::Within { done, torn } => {
+                let done = done.min(4) * quarter;
+                for byte in &mut bytes[..done] {
+                    *byte |= if torn { noise.next() as u8 } else { 0xFF };
+                }
+                for byte in &mut bytes[done..] {
+                    *byte |= noise.next() as u8 & noise.next() as u8;
+                }
+            }
+        }
+        self.end()
+    }
+}
+
+impl ErrorType for Flash {
+    type Error = Error;
+}
+
+impl ReadNorFlash for Flash {
+    const READ_SIZE: usize = 1;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
+        let array = self.0.borrow();
+        array.end()?;
+        bytes.copy_from_slice(&array.bytes[offset as usize..][..bytes.len()]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        SECTORS.end as usize
+    }
+}
+
+impl NorFlash for Flash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SECTOR as usize;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
+        assert!(SECTORS.start <= from && from < to && to <= SECTORS.end);
+        for sector in (from..to).step_by(SECTOR as usize) {
+            self.0.borrow_mut().erase(sector)?;
+        }
+        Ok(())
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
+        let end = offset + bytes.len() as u32;
+        assert!(SECTORS.start <= offset && end <= SECTORS.end && offset % 4 == 0);
+        assert!(bytes.len().is_multiple_of(4) && !bytes.is_empty());
+        self.0.borrow_mut().write(offset, bytes)
+    }
+}
