@@ -69,10 +69,10 @@ fn rig() -> Bench {
 }
 
 /// How often an import of this file writes to the flash.
-fn writes(text: &str) -> u32 {
+fn writes(text: &str) -> usize {
     let bench = rig();
     assert_eq!(bench.import(text).0, 0);
-    let writes = bench.log(Log::flash_writes);
+    let writes = bench.log(Log::writes);
     assert!(writes > 0);
     writes
 }
@@ -199,14 +199,14 @@ fn what_the_rig_refuses_in_the_middle_is_put_back() {
     assert!(err.contains("name: test rig refused SetName"), "{err}");
     assert!(err.contains("all settings are as before"), "{err}");
     assert_eq!((bench.values(), bench.name()), (defaults(), String::new()));
-    assert!(bench.log(Log::flash_writes) > before + 2, "it began");
+    assert!(bench.log(Log::writes) > before, "it began, and went back");
 }
 
 #[test]
 fn what_cannot_be_put_back_is_listed() {
     let before = writes(r#"{"name": "", "settings": {"dead_man_ms": 350, "seek_um_s": 500}}"#);
     let bench = Bench::new(Script {
-        failing_writes: before..u32::MAX,
+        failing_writes: before..usize::MAX,
         ..ready(DeviceKind::Rig)
     });
     let text = r#"{"name": "",
@@ -259,7 +259,7 @@ fn what_the_rig_refuses_has_changed_nothing() {
     assert_eq!(code, 3, "{err}");
     assert!(err.contains("help: nothing was changed"), "{err}");
     let broken = Bench::new(Script {
-        failing_writes: 0..u32::MAX,
+        failing_writes: 0..usize::MAX,
         ..ready(DeviceKind::Rig)
     });
     let (code, _, err) = broken.settings(&["name", "new"]);

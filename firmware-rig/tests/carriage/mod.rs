@@ -278,6 +278,11 @@ impl Carriage {
         std::mem::take(&mut self.mail.notices)
     }
 
+    /// When [`Carriage::step`] is due next with a ring that queues ahead.
+    pub fn due(&self) -> u64 {
+        self.next_round.min(self.round_end.unwrap_or(u64::MAX))
+    }
+
     /// Lets motion look after the ring if that is due; else plays the next round of the ring. What control hears of
     /// it comes back.
     pub fn step(&mut self) -> Vec<Event> {

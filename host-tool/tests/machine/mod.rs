@@ -3,7 +3,8 @@
 #![allow(dead_code, missing_docs, unreachable_pub)]
 
 mod capsule;
-mod flash;
+#[path = "../../../device/tests/chip/mod.rs"]
+mod chip;
 mod line;
 mod port;
 mod rig;
@@ -13,8 +14,11 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard};
 
+use chip::Flash;
+use device::identity::identity;
+use device::retained::Left;
 use device::service::{Inbound, Incoming, Service};
-use flash::Flash;
+use device::settings::SettingsStore;
 use host_tool::client::{self, Unobserved};
 use host_tool::link::memory::{Memory, Peer};
 use line::{LATENCY_US, Line};
@@ -22,7 +26,7 @@ use port::Port;
 use protocol::frame::{Header, Kind, encode};
 use protocol::rig::Run;
 use protocol::settings::SettingKey;
-use protocol::system::{DeviceKind, Identity, ResetCause, Urgent};
+use protocol::system::{DeviceKind, ResetCause, Urgent};
 use protocol::table::{Reply, SCHEMA_KEY, Telemetry};
 
 /// Identifies every chip here.
@@ -55,7 +59,7 @@ pub struct Script {
     /// Settings that were changed before.
     pub settings: Vec<(SettingKey, u32)>,
     /// Writes to the flash that fail, by their number from 0.
-    pub failing_writes: Range<u32>,
+    pub failing_writes: Range<usize>,
 }
 
 impl Script {
@@ -116,8 +120,9 @@ pub struct Log {
     /// Names of all request frames that arrived, and `Urgent`.
     pub heard: Vec<&'static str>,
     pub urgent: Vec<(Urgent, u64)>,
-    /// The machine's flash.
+    /// The machine's flash, and how often it was written before.
     flash: Flash,
+    writes_before: usize,
 }
 
 impl Log {
@@ -128,31 +133,38 @@ impl Log {
             heard: vec![],
             urgent: vec![],
             flash: Flash::blank(),
+            writes_before: 0,
         }
     }
 
-    /// The settings that the machine would find at its next start, in the order of their keys.
+    /// What the machine would find in its flash at its next start.
+    fn store(&self) -> SettingsStore<Flash> {
+        let (store, usable) = SettingsStore::load(self.flash.clone(), |_| true);
+        assert!(usable, "the flash can be read");
+        store
+    }
+
+    /// The stored settings in the order of their keys.
     pub fn settings(&self) -> Vec<u32> {
-        self.flash.values()
+        let store = self.store();
+        SettingKey::ALL.map(|key| store.values().get(key)).to_vec()
     }
 
-    /// The name that the machine would find at its next start.
+    /// The stored name.
     pub fn name(&self) -> String {
-        self.flash.settings().name().to_owned()
+        self.store().name().to_owned()
     }
 
-    /// How often the flash was written since the host connected.
-    pub fn flash_writes(&self) -> u32 {
-        self.flash.writes()
+    /// How often the flash was written.
+    pub fn writes(&self) -> usize {
+        self.flash.operations().len() - self.writes_before
     }
 }
 
-/// One of the two machines, from its port to its mechanics. Times are the device's, us.
+/// Control and mechanics of one of the two machines. Times are the device's, us.
 trait Device: Send {
-    fn identity(&self) -> Identity;
-    /// The device starts again; the mechanics stay as they are.
-    fn reset(&mut self, cause: ResetCause);
-    fn port(&mut self) -> &mut Port;
+    /// Control starts again; the mechanics stay as they are.
+    fn reset(&mut self, left: Left, cause: ResetCause);
     /// When something happens next by itself.
     fn due_us(&mut self) -> u64;
     fn live(&mut self, until_us: u64);
@@ -161,12 +173,13 @@ trait Device: Send {
     fn world(&mut self, event: World);
 }
 
-/// A machine, its port and the line to it.
+/// A machine and the line to it.
 pub struct Machine {
+    script: Script,
     line: Line,
     service: Service,
+    port: Port,
     device: Box<dyn Device>,
-    schema: (u8, u64),
     world: VecDeque<(u64, World)>,
     log: Arc<Mutex<Log>>,
     // Since the machine was first switched on, us:
@@ -193,44 +206,54 @@ pub fn link(script: Script) -> (Box<Memory<Machine>>, Arc<Mutex<Log>>) {
 impl Machine {
     /// A machine to which a host connects now. The log begins.
     pub fn new(script: Script, log: Arc<Mutex<Log>>) -> Self {
-        let flash = log.lock().expect("log").flash.clone();
-        for (key, value) in &script.settings {
-            let mut settings = flash.settings();
-            settings.set(*key, *value).expect("a good flash");
-        }
+        let (port, left) = {
+            let log = log.lock().expect("log");
+            for (key, value) in &script.settings {
+                log.store().set(*key, *value).expect("a good flash");
+            }
+            let port = Port::new();
+            let left = port.start();
+            (port, left)
+        };
+        let cause = ResetCause::PowerOn;
+        let boot_id = left.boot_id;
         let device: Box<dyn Device> = match script.kind {
-            DeviceKind::Rig => Box::new(rig::Rig::new(&flash)),
-            DeviceKind::Capsule => Box::new(capsule::Capsule::new()),
+            DeviceKind::Rig => {
+                let flash = &log.lock().expect("log").flash;
+                Box::new(rig::Rig::new(&port, flash, left))
+            }
+            DeviceKind::Capsule => Box::new(capsule::Capsule::new(&port, left)),
         };
         let mut machine = Self {
             line: Line::new(&Script::new(script.kind)),
-            service: Service::new(device.identity()),
+            service: service(&script, boot_id, cause),
+            port,
             device,
-            schema: (script.major, script.schema_key),
             world: VecDeque::new(),
             log,
             now_us: 0,
             started_us: 0,
             connected_us: 0,
             due_us: 0,
+            script,
         };
-        machine.serve();
-        if script.ready {
-            machine = machine.with_another_host(|host| make_ready(host, &script));
+        if machine.script.ready {
+            machine = machine.with_another_host();
         }
-        machine.connect(&script);
+        machine.connect();
         machine
     }
 
-    /// Lets a host of its own do something, on a good line.
-    fn with_another_host(mut self, work: impl FnOnce(&mut client::Device)) -> Self {
+    /// Lets another host, on a good line, make the machine ready.
+    fn with_another_host(mut self) -> Self {
         self.connected_us = self.now_us;
+        let script = self.script.clone();
         let shared = Arc::new(Mutex::new(self));
         let link = Memory::new("another host's", Shared(Arc::clone(&shared)));
         let mut host = client::Device::new(Box::new(link));
         // Nobody else uses this nonce.
         host.hello(u32::MAX).expect("there");
-        work(&mut host);
+        make_ready(&mut host, &script);
         drop(host);
         let Some(machine) = Arc::into_inner(shared) else {
             panic!("the other host is gone");
@@ -238,17 +261,18 @@ impl Machine {
         machine.into_inner().expect("it has not panicked")
     }
 
-    fn connect(&mut self, script: &Script) {
-        self.line = Line::new(script);
+    fn connect(&mut self) {
+        self.line = Line::new(&self.script);
         self.connected_us = self.now_us;
-        let world = script.world.iter();
+        let world = self.script.world.iter();
         self.world = world
             .map(|(time_us, event)| (self.now_us + time_us, *event))
             .collect();
         let mut log = self.log();
         let flash = log.flash.clone();
-        flash.fail(script.failing_writes.clone());
+        flash.fail(self.script.failing_writes.clone());
         *log = Log {
+            writes_before: flash.operations().len(),
             flash,
             ..Log::new()
         };
@@ -258,14 +282,6 @@ impl Machine {
         self.log
             .lock()
             .expect("no test panics while it holds the log")
-    }
-
-    /// A service for the device that has just started.
-    fn serve(&mut self) {
-        let mut identity = self.device.identity();
-        (identity.protocol.major, identity.schema_key) = self.schema;
-        self.service = Service::new(identity);
-        self.started_us = self.now_us;
     }
 
     /// Lives until `now_us`.
@@ -286,15 +302,11 @@ impl Machine {
     /// Lets the device run until `until_us`, with its telemetry.
     fn run(&mut self, until_us: u64) {
         let until = until_us - self.started_us;
-        loop {
-            let sample_us = self.device.port().telemetry_due_us();
-            self.device.live(sample_us.min(until));
-            if sample_us > until {
-                break;
-            }
-            let sample = self.device.telemetry();
-            self.device.port().sample(sample_us, sample);
+        while self.port.sample_us() <= until {
+            self.device.live(self.port.sample_us());
+            self.port.send_sample(self.device.telemetry());
         }
+        self.device.live(until);
         self.now_us = until_us;
     }
 
@@ -302,8 +314,10 @@ impl Machine {
         match event {
             World::Reset => {
                 self.send();
-                self.device.reset(ResetCause::Watchdog);
-                self.serve();
+                let (left, cause) = (self.port.start(), ResetCause::Watchdog);
+                self.service = service(&self.script, left.boot_id, cause);
+                self.started_us = self.now_us;
+                self.device.reset(left, cause);
             }
             World::StopFrame => {
                 let header = Header {
@@ -319,23 +333,20 @@ impl Machine {
 
     /// Hands to the line what the device has sent.
     fn send(&mut self) {
-        for (time_us, frame) in self.device.port().outbound.drain(..) {
+        for (time_us, frame) in self.port.sent() {
             self.line.to_host(self.started_us + time_us, &frame);
         }
-        let port_us = self.device.port().telemetry_due_us();
-        let due_us = self.device.due_us().min(port_us);
+        let due_us = self.device.due_us().min(self.port.sample_us());
         self.due_us = self.started_us.saturating_add(due_us);
     }
 
     /// Bytes reach the device's port.
     fn receive(&mut self, bytes: &[u8]) {
-        let device_us = self.now_us - self.started_us;
         for byte in bytes {
             let Some(incoming) = self.service.receive(*byte) else {
                 continue;
             };
-            let port = self.device.port();
-            (port.heard_us, port.session) = (device_us, self.service.session());
+            self.port.hear(self.service.session());
             let frame = match incoming {
                 Incoming::Send(frame) => Some(frame),
                 Incoming::Ask(inbound, to) => {
@@ -344,8 +355,9 @@ impl Machine {
                 }
                 Incoming::Ignore => None,
             };
-            let port = self.device.port();
-            port.outbound.extend(frame.map(|frame| (device_us, frame)));
+            if let Some(frame) = frame {
+                self.port.reply(frame);
+            }
         }
         self.send();
     }
@@ -383,6 +395,13 @@ impl Peer for Machine {
         let next_us = self.due_us.min(event_us).saturating_add(LATENCY_US);
         next_us.min(self.line.next_us()) - self.connected_us
     }
+}
+
+/// The link service of a device that has just started.
+fn service(script: &Script, boot_id: u32, cause: ResetCause) -> Service {
+    let mut identity = identity(script.kind, UID, boot_id, cause);
+    (identity.protocol.major, identity.schema_key) = (script.major, script.schema_key);
+    Service::new(identity)
 }
 
 /// Homes or references the machine, and starts the run that goes on already.

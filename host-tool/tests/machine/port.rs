@@ -1,64 +1,146 @@
-//! What the tasks of both machines share on the board (`device::chip`): frames on their way out, telemetry's interval,
-//! when the host was heard last.
+//! What surrounds control in both machines: clock, retained RAM, and the port with everything that leaves it.
 
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use device::common::Surroundings;
+use device::retained::{self, EStop, Left, WORDS, Words};
 use protocol::frame::{Encoded, Header, Kind, encode};
 use protocol::system::Event;
 use protocol::table::Telemetry;
 use serde::Serialize;
 
-/// Times are the device's, us.
-#[derive(Default)]
-pub struct Port {
-    /// Number of the present session, 0 before the first.
-    pub session: u8,
-    /// When the last good frame came.
-    pub heard_us: u64,
+/// Clones are the same port. Times are the device's, us.
+#[derive(Clone)]
+pub struct Port(Arc<Mutex<State>>);
+
+struct State {
+    now_us: u64,
+    /// Number of the present session, 0 before the first, and when its last good frame came.
+    session: u8,
+    heard_us: u64,
     telemetry_us: u64,
     next_telemetry_us: Option<u64>,
     telemetry_seq: u16,
     /// Frames, and when they were sent.
-    pub outbound: Vec<(u64, Encoded)>,
+    outbound: Vec<(u64, Encoded)>,
+    retained: [u32; WORDS],
 }
 
-impl Port {
-    fn send(&mut self, now_us: u64, kind: Kind, seq: u16, body: &impl Serialize) {
+impl Words for State {
+    fn get(&self, index: usize) -> u32 {
+        self.retained[index]
+    }
+
+    fn set(&mut self, index: usize, value: u32) {
+        self.retained[index] = value;
+    }
+}
+
+impl State {
+    fn new(retained: [u32; WORDS]) -> Self {
+        Self {
+            now_us: 0,
+            session: 0,
+            heard_us: 0,
+            telemetry_us: 0,
+            next_telemetry_us: None,
+            telemetry_seq: 0,
+            outbound: vec![],
+            retained,
+        }
+    }
+
+    fn send(&mut self, kind: Kind, seq: u16, body: &impl Serialize) {
         let header = Header {
             kind,
             session: self.session,
             seq,
         };
         let frame = encode(header, body).expect("every message fits");
-        self.outbound.push((now_us, frame));
+        self.outbound.push((self.now_us, frame));
+    }
+}
+
+impl Port {
+    /// Before the first start.
+    pub fn new() -> Self {
+        Self(Arc::new(Mutex::new(State::new([0; WORDS]))))
     }
 
-    /// Sends an event, if somebody listens.
-    pub fn tell(&mut self, now_us: u64, event: &Event) {
-        if self.session != 0 {
-            self.send(now_us, Kind::Event, event.index as u16, event);
-        }
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.lock().expect("no test panics while it sends")
     }
 
-    pub fn silence_us(&self, now_us: u64) -> u32 {
-        (now_us - self.heard_us) as u32
+    /// The device starts; only what is retained stays.
+    pub fn start(&self) -> Left {
+        let mut state = self.state();
+        *state = State::new(state.retained);
+        retained::start(&mut *state)
     }
 
-    /// Sets the interval of telemetry, ms; 0 = none.
-    pub fn set_telemetry(&mut self, now_us: u64, period_ms: u16) {
-        self.telemetry_us = u64::from(period_ms) * 1_000;
-        self.next_telemetry_us = (period_ms > 0).then_some(now_us + self.telemetry_us);
+    pub fn set_now_us(&self, now_us: u64) {
+        self.state().now_us = now_us;
     }
 
-    /// When the next sample is due.
-    pub fn telemetry_due_us(&self) -> u64 {
-        self.next_telemetry_us.unwrap_or(u64::MAX)
+    /// A good frame of this session has come.
+    pub fn hear(&self, session: u8) {
+        let mut state = self.state();
+        (state.session, state.heard_us) = (session, state.now_us);
+    }
+
+    pub fn reply(&self, frame: Encoded) {
+        let mut state = self.state();
+        let now_us = state.now_us;
+        state.outbound.push((now_us, frame));
+    }
+
+    /// What was sent since the last time, and when.
+    pub fn sent(&self) -> Vec<(u64, Encoded)> {
+        std::mem::take(&mut self.state().outbound)
+    }
+
+    /// When the next sample of telemetry is due.
+    pub fn sample_us(&self) -> u64 {
+        self.state().next_telemetry_us.unwrap_or(u64::MAX)
     }
 
     /// Sends the sample that is due, if there is anything to show.
-    pub fn sample(&mut self, now_us: u64, sample: Option<Telemetry>) {
-        self.next_telemetry_us = Some(now_us + self.telemetry_us);
+    pub fn send_sample(&self, sample: Option<Telemetry>) {
+        let mut state = self.state();
+        state.next_telemetry_us = Some(state.now_us + state.telemetry_us);
         if let Some(sample) = sample {
-            self.send(now_us, Kind::Telemetry, self.telemetry_seq, &sample);
-            self.telemetry_seq = self.telemetry_seq.wrapping_add(1);
+            let seq = state.telemetry_seq;
+            state.send(Kind::Telemetry, seq, &sample);
+            state.telemetry_seq = seq.wrapping_add(1);
+        }
+    }
+}
+
+impl Surroundings for Port {
+    fn now_us(&self) -> u64 {
+        self.state().now_us
+    }
+
+    fn silence_us(&self) -> u32 {
+        let state = self.state();
+        (state.now_us - state.heard_us) as u32
+    }
+
+    fn set_telemetry(&mut self, period_ms: u16) {
+        let mut state = self.state();
+        state.telemetry_us = u64::from(period_ms) * 1_000;
+        state.next_telemetry_us = (period_ms > 0).then_some(state.now_us + state.telemetry_us);
+    }
+
+    fn keep_latched(&mut self, estop: Option<EStop>) {
+        retained::keep_latched(&mut *self.state(), estop);
+    }
+
+    fn tell(&mut self, event: &Event) {
+        let mut state = self.state();
+        // Before the first session nobody listens.
+        if state.session != 0 {
+            state.send(Kind::Event, event.index as u16, event);
         }
     }
 }
