@@ -4,8 +4,8 @@ mod machine;
 
 use assert_cmd::Command;
 use firmware_capsule::mechanics::FOLDED;
-use machine::Script;
 use machine::tool::{Memory, ready};
+use machine::{Script, World, button, estop};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;
 
@@ -307,6 +307,22 @@ fn exit_codes_tell_the_endings_apart() {
         3,
         "nothing to acknowledge"
     );
+    for (world, expected, what) in [
+        (estop(1_000_000), 6, "a fault"),
+        (button(1_000_000), 130, "somebody else's stop"),
+        (vec![(1_000_000, World::Reset)], 4, "a reset"),
+        (vec![(1_000_000, World::TimerStands)], 6, "overdue"),
+    ] {
+        let script = Script {
+            world,
+            ..ready(DeviceKind::Rig)
+        };
+        let short = ["--stroke-mm", "20", "--cycles", "1", "--duration-s", "4"];
+        let run = [&run[..], &short].concat();
+        assert_eq!(code(script.clone(), &run), expected, "{what}, in a run");
+        let home = &["--rig", "0", "home"];
+        assert_eq!(code(script, home), expected, "{what}, in homing");
+    }
 }
 
 #[test]

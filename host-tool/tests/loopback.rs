@@ -500,6 +500,7 @@ fn a_run_is_held_and_resumed_by_the_one_who_waits_for_it() {
 #[test]
 fn a_resumed_run_that_does_not_end_is_stopped_all_the_same() {
     let mut script = Script::new(DeviceKind::Rig);
+    // Homing takes 2.2 s, and the hold comes after 1 s of the run.
     script.world = vec![(3_500_000, World::TimerStands)];
     let (mut rig, log) = homed_rig(script);
     let accepted = rig.run(SHORT_RUN).expect("accepted");
@@ -517,6 +518,7 @@ fn a_resumed_run_that_does_not_end_is_stopped_all_the_same() {
     assert!(matches!(error, ClientError::Overdue { .. }), "{error:?}");
     let late_us = rig.now_us() - begin_us;
     assert!((66_500_000..70_000_000).contains(&late_us), "{late_us}");
+    assert_eq!(rig.run_record().expect("record").holds, 1);
 }
 
 #[test]
@@ -571,6 +573,7 @@ fn a_held_run_is_stopped_by_the_operator() {
 #[test]
 fn a_run_that_does_not_end_is_stopped() {
     let mut script = Script::new(DeviceKind::Rig);
+    // In the middle of the run.
     script.world = vec![(3_500_000, World::TimerStands)];
     let (mut rig, log) = homed_rig(script);
     let accepted = rig.run(SHORT_RUN).expect("accepted");
@@ -611,6 +614,7 @@ fn the_memory_link_takes_no_time_to_send_and_waits_no_longer_than_asked() {
     assert_eq!(link.receive(&mut [0; 8], 1_000).expect("alive"), 0);
     assert_eq!(link.now_us(), 1_000);
 }
+
 /// The time in which the rig wants to hear the host is a setting of the rig.
 #[test]
 fn a_rig_with_the_shortest_link_timeout_hears_the_host_often_enough() {

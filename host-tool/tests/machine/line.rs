@@ -61,7 +61,7 @@ impl Line {
 
     /// Carries bytes of the host. Those that reach the machine come back, and the names of the frames among them are
     /// added to `heard`.
-    pub fn to_machine(&mut self, bytes: &[u8], heard: &mut Vec<&'static str>) -> Vec<u8> {
+    pub fn carry_to_machine(&mut self, bytes: &[u8], heard: &mut Vec<&'static str>) -> Vec<u8> {
         let mut arrived = vec![];
         for byte in bytes {
             let byte = self.corrupt(*byte);
@@ -90,7 +90,7 @@ impl Line {
     }
 
     /// Carries a frame of the machine, which sends it at `now_us`.
-    pub fn to_host(&mut self, now_us: u64, frame: &[u8]) {
+    pub fn carry_to_host(&mut self, now_us: u64, frame: &[u8]) {
         let mut event = None;
         for byte in frame {
             if let Some(frame) = self.incoming.push(*byte) {

@@ -52,7 +52,7 @@ pub struct Script {
     pub dead: bool,
     /// Another host has homed or referenced the machine.
     pub ready: bool,
-    /// It has started a run, too, and waited so long, us.
+    /// Another host has made the machine ready, started a run, and waited so long, us.
     pub running: Option<(Run, u64)>,
     /// What happens, and when on the link's clock, us; in the order of time.
     pub world: Vec<(u64, World)>,
@@ -126,39 +126,39 @@ pub struct Log {
 }
 
 impl Log {
-    pub fn new() -> Self {
+    fn new(flash: &Flash) -> Self {
         Self {
             now_us: 0,
             executed: vec![],
             heard: vec![],
             urgent: vec![],
-            flash: Flash::blank(),
-            writes_before: 0,
+            flash: flash.clone(),
+            writes_before: flash.operations().len(),
         }
-    }
-
-    /// What the machine would find in its flash at its next start.
-    fn store(&self) -> SettingsStore<Flash> {
-        let (store, usable) = SettingsStore::load(self.flash.clone(), |_| true);
-        assert!(usable, "the flash can be read");
-        store
     }
 
     /// The stored settings in the order of their keys.
     pub fn settings(&self) -> Vec<u32> {
-        let store = self.store();
+        let store = stored(&self.flash);
         SettingKey::ALL.map(|key| store.values().get(key)).to_vec()
     }
 
     /// The stored name.
     pub fn name(&self) -> String {
-        self.store().name().to_owned()
+        stored(&self.flash).name().to_owned()
     }
 
     /// How often the flash was written.
     pub fn writes(&self) -> usize {
         self.flash.operations().len() - self.writes_before
     }
+}
+
+/// What a machine would find in its flash at its next start.
+fn stored(flash: &Flash) -> SettingsStore<Flash> {
+    let (store, usable) = SettingsStore::load(flash.clone(), |_| true);
+    assert!(usable, "the flash can be read");
+    store
 }
 
 /// Control and mechanics of one of the two machines. Times are the device's, us.
@@ -194,54 +194,46 @@ pub struct Machine {
 
 /// A link to a new machine, and its log.
 pub fn link(script: Script) -> (Box<Memory<Machine>>, Arc<Mutex<Log>>) {
-    let log = Arc::new(Mutex::new(Log::new()));
     let place = match script.kind {
         DeviceKind::Rig => "test rig",
         DeviceKind::Capsule => "test capsule",
     };
-    let machine = Machine::new(script, Arc::clone(&log));
+    let (machine, log) = Machine::new(script);
     (Box::new(Memory::new(place, machine)), log)
 }
 
 impl Machine {
-    /// A machine to which a host connects now. The log begins.
-    pub fn new(script: Script, log: Arc<Mutex<Log>>) -> Self {
-        let (port, left) = {
-            let log = log.lock().expect("log");
-            for (key, value) in &script.settings {
-                log.store().set(*key, *value).expect("a good flash");
-            }
-            let port = Port::new();
-            let left = port.start();
-            (port, left)
-        };
-        let cause = ResetCause::PowerOn;
-        let boot_id = left.boot_id;
+    /// A machine to which a host connects now, and its log from now on.
+    pub fn new(script: Script) -> (Self, Arc<Mutex<Log>>) {
+        let (port, flash) = (Port::new(), Flash::blank());
+        for (key, value) in &script.settings {
+            stored(&flash).set(*key, *value).expect("a good flash");
+        }
+        let left = port.start();
+        let service = service(&script, left.boot_id, ResetCause::PowerOn);
         let device: Box<dyn Device> = match script.kind {
-            DeviceKind::Rig => {
-                let flash = &log.lock().expect("log").flash;
-                Box::new(rig::Rig::new(&port, flash, left))
-            }
+            DeviceKind::Rig => Box::new(rig::Rig::new(&port, &flash, left)),
             DeviceKind::Capsule => Box::new(capsule::Capsule::new(&port, left)),
         };
+        let log = Arc::new(Mutex::new(Log::new(&flash)));
         let mut machine = Self {
             line: Line::new(&Script::new(script.kind)),
-            service: service(&script, boot_id, cause),
+            service,
             port,
             device,
             world: VecDeque::new(),
-            log,
+            log: Arc::clone(&log),
             now_us: 0,
             started_us: 0,
             connected_us: 0,
             due_us: 0,
             script,
         };
-        if machine.script.ready {
+        if machine.script.ready || machine.script.running.is_some() {
             machine = machine.with_another_host();
         }
-        machine.connect();
-        machine
+        machine.connect(&flash);
+        (machine, log)
     }
 
     /// Lets another host, on a good line, make the machine ready.
@@ -261,21 +253,15 @@ impl Machine {
         machine.into_inner().expect("it has not panicked")
     }
 
-    fn connect(&mut self) {
+    fn connect(&mut self, flash: &Flash) {
         self.line = Line::new(&self.script);
         self.connected_us = self.now_us;
         let world = self.script.world.iter();
         self.world = world
             .map(|(time_us, event)| (self.now_us + time_us, *event))
             .collect();
-        let mut log = self.log();
-        let flash = log.flash.clone();
         flash.fail(self.script.failing_writes.clone());
-        *log = Log {
-            writes_before: flash.operations().len(),
-            flash,
-            ..Log::new()
-        };
+        *self.log() = Log::new(flash);
     }
 
     fn log(&self) -> MutexGuard<'_, Log> {
@@ -334,7 +320,7 @@ impl Machine {
     /// Hands to the line what the device has sent.
     fn send(&mut self) {
         for (time_us, frame) in self.port.sent() {
-            self.line.to_host(self.started_us + time_us, &frame);
+            self.line.carry_to_host(self.started_us + time_us, &frame);
         }
         let due_us = self.device.due_us().min(self.port.sample_us());
         self.due_us = self.started_us.saturating_add(due_us);
@@ -375,7 +361,7 @@ impl Peer for Machine {
     fn take(&mut self, bytes: &[u8], now_us: u64) {
         self.live(self.connected_us + now_us);
         let mut heard = vec![];
-        let bytes = self.line.to_machine(bytes, &mut heard);
+        let bytes = self.line.carry_to_machine(bytes, &mut heard);
         let mut log = self.log();
         log.now_us = now_us;
         log.heard.extend(heard);
