@@ -77,7 +77,7 @@ mod anything {
     }
 
     /// At no special time.
-    fn event(event: Event) -> Input {
+    fn event(event: Event<'static>) -> Input {
         Input::Event(1, event)
     }
 
