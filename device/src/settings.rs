@@ -69,11 +69,21 @@ impl Values {
     }
 }
 
+/// What a start found in flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Found {
+    /// A log of settings, or an empty one.
+    Settings,
+    /// A log of values that do not go together.
+    Conflict,
+    /// No log.
+    Noise,
+}
+
 /// Values and name in force, and the log in flash that they came from.
 pub struct SettingsStore<F: NorFlash> {
     store: Store<F>,
-    /// What is in flash could be read as a log.
-    readable: bool,
+    found: Found,
     values: Values,
     name: String<MAX_NAME>,
 }
@@ -91,14 +101,20 @@ impl<F: NorFlash> SettingsStore<F> {
             }
             _ => values.load(number, record),
         });
-        let readable = loaded.is_ok();
-        let usable = readable && go_together(&values);
+        let found = if loaded.is_err() {
+            Found::Noise
+        } else if go_together(&values) {
+            Found::Settings
+        } else {
+            Found::Conflict
+        };
+        let usable = found == Found::Settings;
         if !usable {
             values = Values::DEFAULT;
         }
         let kept = Self {
             store,
-            readable,
+            found,
             values,
             name,
         };
@@ -143,11 +159,11 @@ impl<F: NorFlash> SettingsStore<F> {
     /// # Errors
     /// The flash is worn out; some values may have changed in it, none in force.
     pub fn reset(&mut self) -> Result<(), StorageFailed> {
-        if !self.readable || self.save_defaults().is_err() {
+        if self.found == Found::Noise || self.save_defaults().is_err() {
             // The flash holds something that is no log.
             self.store.erase()?;
-            self.readable = true;
         }
+        self.found = Found::Settings;
         self.name.clear();
         self.values = Values::DEFAULT;
         Ok(())
@@ -156,7 +172,8 @@ impl<F: NorFlash> SettingsStore<F> {
     fn save_defaults(&mut self) -> Result<(), StorageFailed> {
         for key in SettingKey::ALL {
             let default = key.range().default;
-            if self.values.get(key) != default {
+            // After a conflict the values in force are not those in flash.
+            if self.found == Found::Conflict || self.values.get(key) != default {
                 self.save(key as u8, &Values::record(default))?;
             }
         }

@@ -87,7 +87,18 @@ fn unit_in_name(key: SettingKey) -> String {
     }
 }
 
+/// The generator is seeded: the same cases each time.
+fn config() -> ProptestConfig {
+    ProptestConfig {
+        failure_persistence: None,
+        rng_seed: prop::test_runner::RngSeed::Fixed(1),
+        ..ProptestConfig::default()
+    }
+}
+
 proptest! {
+    #![proptest_config(config())]
+
     /// Whatever is written and however often the rig starts anew: the last record of each number is young.
     #[test]
     fn nothing_that_is_needed_grows_old(

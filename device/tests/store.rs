@@ -222,6 +222,24 @@ fn values_that_do_not_go_together_are_not_in_force() {
     assert_eq!(store.name(), "left bench", "a name keeps all rules");
 }
 
+/// The values in force are the defaults already, but those in flash are not.
+#[test]
+fn a_reset_ends_a_conflict() {
+    let flash = Flash::holding(young());
+    let (mut store, usable) = Store::load(flash.clone(), |_| false);
+    assert!(!usable);
+    store.reset().unwrap();
+    assert_eq!(Content::of(&store), Content::default());
+    let written = flash.operations().len();
+    let mut store = start(&Flash::holding(flash.bytes()));
+    assert_eq!(Content::of(&store), Content::default());
+    // Done once more, there is only the name to write.
+    store.reset().unwrap();
+    let flash = Flash::holding(flash.bytes());
+    start(&flash).reset().unwrap();
+    assert!(flash.operations().len() < 4 && written > 20);
+}
+
 /// Anything may be in the sectors of a new chip, or after a cut that nobody foresaw.
 #[test]
 fn a_flash_of_noise_can_be_reset() {

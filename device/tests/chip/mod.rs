@@ -250,7 +250,7 @@ impl NorFlash for Flash {
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
         let end = offset + bytes.len() as u32;
-        assert!(SECTORS.start <= offset && end <= SECTORS.end && offset % 4 == 0);
+        assert!(SECTORS.start <= offset && end <= SECTORS.end && offset.is_multiple_of(4));
         assert!(bytes.len().is_multiple_of(4) && !bytes.is_empty());
         self.0.borrow_mut().write(offset, bytes)
     }

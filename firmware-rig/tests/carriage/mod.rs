@@ -297,6 +297,7 @@ impl Carriage {
             }
             Ahead::Slots => match self.round_end {
                 Some(end) if end < self.next_round => {
+                    assert!(self.now <= end, "the clock ran while the ring stood");
                     self.now = end;
                     self.round_end = None;
                     let Some(round) = self.ring.begin_round() else {

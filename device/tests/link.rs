@@ -1,0 +1,378 @@
+//! The device's end of the link: sessions, repetitions, urgent stops, damaged bytes; and the requests that every device
+//! answers alike.
+
+use device::{
+    common::{About, TELEMETRY_MS, asked_telemetry_ms},
+    identity::identity,
+    service::{Inbound, Incoming, Return, Service},
+};
+use proptest::prelude::*;
+use protocol::{
+    VERSION,
+    error::{Field, Refusal, WireError},
+    events::EventRing,
+    frame::{Deframer, Encoded, Header, Kind, encode},
+    rig::{GetRigStatus, Home},
+    session::CACHED_REPLIES,
+    system::{
+        BuildProfile, DeviceKind, Done, GetEvents, GetLastWords, Hello, Identity, KeepAlive,
+        LastWords, ResetCause, SetTelemetry, Urgent, What,
+    },
+    table::{Reply, Request, Response, SCHEMA_KEY},
+};
+
+const UID: [u8; 12] = *b"0123456789ab";
+
+fn this_device() -> Identity {
+    identity(DeviceKind::Capsule, UID, 7, ResetCause::Watchdog)
+}
+
+/// A device's end, and the session that a host has opened on it.
+struct Link {
+    service: Service,
+    session: u8,
+}
+
+impl Link {
+    fn open() -> Self {
+        let service = Service::new(this_device());
+        let mut link = Self {
+            service,
+            session: 0,
+        };
+        link.session = link.greet(1, SCHEMA_KEY);
+        link
+    }
+
+    /// Says Hello; returns the session that the device answers with.
+    fn greet(&mut self, nonce: u32, schema_key: u64) -> u8 {
+        let hello = Request::Hello(Hello {
+            protocol: VERSION,
+            schema_key,
+            nonce,
+        });
+        let (header, reply) = self.sent(&request(0, 5, &hello));
+        let Reply::Accepted(Response::Hello(identity)) = reply else {
+            panic!("{reply:?}")
+        };
+        assert_eq!((header.session, header.seq), (identity.session, 5));
+        let expected = Identity {
+            session: identity.session,
+            ..this_device()
+        };
+        assert_eq!(identity, expected);
+        identity.session
+    }
+
+    fn receive(&mut self, bytes: &[u8]) -> Vec<Incoming> {
+        let take = |byte: &u8| self.service.receive(*byte);
+        bytes.iter().filter_map(take).collect()
+    }
+
+    /// The one thing that these bytes ask for.
+    fn one(&mut self, bytes: &[u8]) -> Incoming {
+        let mut incoming = self.receive(bytes);
+        assert_eq!(incoming.len(), 1, "{incoming:?}");
+        incoming.remove(0)
+    }
+
+    /// The reply that is sent at once.
+    fn sent(&mut self, bytes: &[u8]) -> (Header, Reply) {
+        match self.one(bytes) {
+            Incoming::Send(frame) => decoded(&frame),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn asked(&mut self, bytes: &[u8]) -> (Inbound, Return) {
+        match self.one(bytes) {
+            Incoming::Ask(inbound, to) => (inbound, to),
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+fn request(session: u8, seq: u16, request: &Request) -> Encoded {
+    let kind = Kind::Request;
+    encode(Header { kind, session, seq }, request).unwrap()
+}
+
+fn urgent(session: u8, seq: u16, urgent: Urgent) -> Encoded {
+    let kind = Kind::Urgent;
+    encode(Header { kind, session, seq }, &urgent).unwrap()
+}
+
+/// A reply as the host reads it.
+fn decoded(frame: &Encoded) -> (Header, Reply) {
+    let mut deframer = Deframer::new();
+    for byte in frame {
+        if let Some(frame) = deframer.push(*byte) {
+            assert_eq!(frame.header.kind, Kind::Reply);
+            return (frame.header, frame.decode().unwrap());
+        }
+    }
+    panic!("no frame")
+}
+
+fn set(period_ms: u16) -> Request {
+    Request::SetTelemetry(SetTelemetry { period_ms })
+}
+
+fn reply(period_ms: u16) -> Reply {
+    Reply::Accepted(Response::SetTelemetry(SetTelemetry { period_ms }))
+}
+
+#[test]
+fn the_device_says_what_it_is() {
+    let identity = this_device();
+    assert_eq!((identity.device, identity.uid), (DeviceKind::Capsule, UID));
+    assert_eq!((identity.boot_id, identity.session), (7, 0));
+    assert_eq!(identity.reset_cause, ResetCause::Watchdog);
+    assert_eq!(identity.protocol, VERSION);
+    assert_eq!(identity.schema_key, SCHEMA_KEY);
+    let profile = if cfg!(debug_assertions) {
+        BuildProfile::Debug
+    } else {
+        BuildProfile::Firmware
+    };
+    assert_eq!(identity.profile, profile);
+}
+
+#[test]
+fn nobody_listens_before_the_first_greeting() {
+    let mut link = Link {
+        service: Service::new(this_device()),
+        session: 0,
+    };
+    assert_eq!(link.service.session(), 0);
+    let (header, reply) = link.sent(&request(1, 9, &set(10)));
+    assert_eq!((header.session, header.seq), (1, 9));
+    assert_eq!(reply, Reply::Wire(WireError::NoSession));
+    let session = link.greet(1, SCHEMA_KEY);
+    assert_eq!(link.service.session(), session);
+    assert_ne!(session, 0);
+}
+
+#[test]
+fn a_request_is_carried_out_once_and_its_answer_sent_again() {
+    let mut link = Link::open();
+    let session = link.session;
+    let mut answers = Vec::new();
+    for seq in 1..=6 {
+        let (inbound, to) = link.asked(&request(session, seq, &set(10 * seq)));
+        assert_eq!(inbound, Inbound::Request(set(10 * seq)));
+        let frame = link.service.answer(to, &reply(10 * seq)).unwrap();
+        let (header, content) = decoded(&frame);
+        assert_eq!((header.session, header.seq), (session, seq));
+        assert_eq!(content, reply(10 * seq));
+        answers.push(frame);
+    }
+    let kept = 6 - CACHED_REPLIES as u16;
+    for seq in 1..=6 {
+        let repeated = link.one(&request(session, seq, &set(10 * seq)));
+        if seq > kept {
+            let answer = answers[usize::from(seq) - 1].clone();
+            assert_eq!(repeated, Incoming::Send(answer));
+        } else {
+            let Incoming::Send(frame) = repeated else {
+                panic!("{repeated:?}")
+            };
+            assert_eq!(decoded(&frame).1, Reply::Wire(WireError::Stale));
+        }
+    }
+    let (_, other) = link.sent(&request(session, 6, &set(11)));
+    assert_eq!(other, Reply::Wire(WireError::SequenceReused));
+}
+
+#[test]
+fn a_new_session_takes_nothing_from_the_old_one() {
+    let mut link = Link::open();
+    let old = link.session;
+    let (_, to) = link.asked(&request(old, 1, &set(10)));
+    let new = link.greet(2, SCHEMA_KEY);
+    assert_ne!(new, old);
+    assert_eq!(link.service.session(), new);
+    // Its answer comes late: it is sent as of the old session, and is no answer in the new one.
+    let late = link.service.answer(to, &reply(10)).unwrap();
+    assert_eq!(decoded(&late).0.session, old);
+    let (inbound, _) = link.asked(&request(new, 1, &set(10)));
+    assert_eq!(inbound, Inbound::Request(set(10)));
+    let (header, refused) = link.sent(&request(old, 2, &set(10)));
+    assert_eq!((header.session, header.seq), (old, 2));
+    assert_eq!(refused, Reply::Wire(WireError::NoSession));
+    assert_eq!(link.greet(2, SCHEMA_KEY), new, "the same host again");
+}
+
+/// In any session, also in none; each copy asks again, for a stop has to get through.
+#[test]
+fn an_urgent_stop_is_valid_at_any_time() {
+    let mut link = Link::open();
+    for session in [0, link.session, link.session + 1] {
+        for what in [Urgent::Stop, Urgent::EStop] {
+            for _ in 0..2 {
+                let (inbound, to) = link.asked(&urgent(session, 3, what));
+                assert_eq!(inbound, Inbound::Urgent(what));
+                let frame = link.service.answer(to, &Reply::Urgent(what)).unwrap();
+                let (header, reply) = decoded(&frame);
+                assert_eq!((header.session, header.seq), (session, 3));
+                assert_eq!(reply, Reply::Urgent(what));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_host_of_another_protocol_moves_nothing() {
+    let mut link = Link::open();
+    let session = link.greet(2, SCHEMA_KEY ^ 1);
+    let home = request(session, 1, &Request::Home(Home));
+    for _ in 0..2 {
+        let (header, reply) = link.sent(&home);
+        assert_eq!((header.session, header.seq), (session, 1));
+        assert_eq!(reply, Reply::Refused(Refusal::Incompatible));
+    }
+    let (inbound, _) = link.asked(&urgent(session, 2, Urgent::Stop));
+    assert_eq!(inbound, Inbound::Urgent(Urgent::Stop));
+}
+
+/// An echo of what the device sent, or another device on the same line.
+#[test]
+fn frames_of_devices_are_ignored() {
+    let mut link = Link::open();
+    for kind in [Kind::Reply, Kind::Telemetry, Kind::Event] {
+        let session = link.session;
+        let frame = encode(
+            Header {
+                kind,
+                session,
+                seq: 1,
+            },
+            &set(10),
+        )
+        .unwrap();
+        assert_eq!(link.one(&frame), Incoming::Ignore);
+    }
+    assert_eq!(link.service.bad_frames(), 0);
+}
+
+#[test]
+fn bad_frames_are_counted_and_the_next_good_one_is_found() {
+    let mut link = Link::open();
+    let good = request(link.session, 1, &set(10));
+    let mut bad = good.clone();
+    bad[3] ^= 0x40;
+    assert_eq!(link.receive(&bad), []);
+    assert_eq!(link.service.bad_frames(), 1);
+    assert_eq!(link.receive(&[1, 2, 3, 4, 5]), []);
+    let (inbound, _) = link.asked(&good);
+    assert_eq!(inbound, Inbound::Request(set(10)));
+    assert_eq!(link.service.bad_frames(), 2);
+    // A good frame around something that is no request.
+    let header = Header {
+        kind: Kind::Request,
+        session: link.session,
+        seq: 2,
+    };
+    let (_, reply) = link.sent(&encode(header, &[0xFF_u8; 3]).unwrap());
+    assert_eq!(reply, Reply::Wire(WireError::Malformed));
+    assert_eq!(link.service.bad_frames(), 2);
+}
+
+/// The generator is seeded: the same cases each time.
+fn config() -> ProptestConfig {
+    ProptestConfig {
+        failure_persistence: None,
+        rng_seed: prop::test_runner::RngSeed::Fixed(1),
+        ..ProptestConfig::default()
+    }
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    /// Nothing but good frames asks for anything, whatever comes before them.
+    #[test]
+    fn noise_asks_for_nothing(
+        noise in prop::collection::vec(any::<u8>(), 0..400),
+        place in any::<prop::sample::Index>(),
+        flip in 1..=255_u8,
+    ) {
+        let mut link = Link::open();
+        prop_assert_eq!(link.receive(&noise), []);
+        let good = request(link.session, 1, &set(10));
+        let mut damaged = good.clone();
+        damaged[place.index(good.len())] ^= flip;
+        let whole = [&[0][..], &damaged].concat();
+        // The delimiters may be damaged: then the frame itself is not.
+        for incoming in link.receive(&whole) {
+            let asks = matches!(&incoming, Incoming::Ask(Inbound::Request(asked), _) if *asked == set(10));
+            prop_assert!(asks, "{incoming:?}");
+        }
+        let mut link = Link::open();
+        link.receive(&noise);
+        let seq = request(link.session, 2, &set(20));
+        let (inbound, _) = link.asked(&seq);
+        prop_assert_eq!(inbound, Inbound::Request(set(20)));
+    }
+}
+
+fn events() -> EventRing {
+    let mut events = EventRing::new();
+    for time_us in 0..5 {
+        events.record(time_us, What::Booted(ResetCause::Pin));
+    }
+    events
+}
+
+#[test]
+fn common_requests_have_one_answer_for_all_devices() {
+    let events = events();
+    for text in ["", "tasks/link.rs:1: oh"] {
+        let about = About {
+            events: &events,
+            last_words: text,
+        };
+        let answer = |request| about.answer(&request).unwrap();
+        let keep_alive = Some(Response::KeepAlive(Done));
+        assert_eq!(answer(Request::KeepAlive(KeepAlive)), keep_alive);
+        let words = LastWords {
+            text: text.try_into().unwrap(),
+        };
+        assert_eq!(
+            answer(Request::GetLastWords(GetLastWords)),
+            Some(Response::GetLastWords(words))
+        );
+        let from = 1;
+        assert_eq!(
+            answer(Request::GetEvents(GetEvents { from })),
+            Some(Response::GetEvents(events.since(from)))
+        );
+        // The machine's own.
+        assert_eq!(answer(Request::GetRigStatus(GetRigStatus)), None);
+    }
+}
+
+#[test]
+fn the_interval_of_telemetry_has_bounds() {
+    let events = EventRing::new();
+    let about = About {
+        events: &events,
+        last_words: "",
+    };
+    assert_eq!(TELEMETRY_MS, (5, 1_000));
+    for period_ms in [0, 5, 6, 999, 1_000] {
+        let response = Response::SetTelemetry(SetTelemetry { period_ms });
+        assert_eq!(about.answer(&set(period_ms)), Ok(Some(response.clone())));
+        assert_eq!(asked_telemetry_ms(&response), Some(period_ms));
+    }
+    for period_ms in [1, 4, 1_001, u16::MAX] {
+        let refusal = Refusal::OutOfRange {
+            field: Field::PeriodMs,
+            requested: period_ms.into(),
+            min: 5,
+            max: 1_000,
+        };
+        assert_eq!(about.answer(&set(period_ms)), Err(refusal));
+    }
+    assert_eq!(asked_telemetry_ms(&Response::KeepAlive(Done)), None);
+}

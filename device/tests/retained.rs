@@ -1,0 +1,196 @@
+//! What survives a reset: the number of starts, a latched E-stop, the last words. After a power cut the RAM holds
+//! anything.
+
+use device::{
+    identity::reset_cause,
+    last_words::{Draft, LONGEST},
+    retained::{EStop, Left, WORDS, Words, keep_last_words, keep_latched, start},
+};
+use proptest::prelude::*;
+use protocol::system::ResetCause;
+
+/// The RAM that survives.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Ram(Vec<u32>);
+
+impl Ram {
+    fn blank() -> Self {
+        Self(vec![0; WORDS])
+    }
+}
+
+impl Words for Ram {
+    fn get(&self, index: usize) -> u32 {
+        self.0[index]
+    }
+
+    fn set(&mut self, index: usize, value: u32) {
+        self.0[index] = value;
+    }
+}
+
+fn text(left: &Left) -> Option<&str> {
+    left.last_words.as_deref()
+}
+
+#[test]
+fn starts_are_counted_from_one() {
+    let mut ram = Ram::blank();
+    for number in 1..=5 {
+        let left = Left {
+            boot_id: number,
+            last_words: None,
+            latched: None,
+        };
+        assert_eq!(start(&mut ram), left);
+    }
+    // The count is the word that changes.
+    let before = ram.clone();
+    start(&mut ram);
+    let counter = (0..WORDS).find(|index| ram.0[*index] != before.0[*index]);
+    ram.set(counter.unwrap(), u32::MAX);
+    assert_eq!(start(&mut ram).boot_id, 0, "after 4,294,967,295 starts");
+    assert_eq!(start(&mut ram).boot_id, 1);
+}
+
+#[test]
+fn an_emergency_stop_stays_latched_until_it_is_forgotten() {
+    let mut ram = Ram::blank();
+    start(&mut ram);
+    for estop in [EStop::Loop, EStop::Frame, EStop::Loop] {
+        keep_latched(&mut ram, Some(estop));
+        for _ in 0..3 {
+            assert_eq!(start(&mut ram).latched, Some(estop));
+        }
+    }
+    keep_latched(&mut ram, None);
+    assert_eq!(start(&mut ram).latched, None);
+}
+
+/// The words that mark a latched E-stop and a start that came before, as they lie in RAM.
+#[test]
+fn a_latched_stop_counts_only_with_a_start_before() {
+    for estop in [EStop::Loop, EStop::Frame] {
+        let mut ram = Ram::blank();
+        keep_latched(&mut ram, Some(estop));
+        // The supply was switched on: the mark is what the RAM happened to hold.
+        assert_eq!(start(&mut ram).latched, None);
+        assert_eq!(start(&mut ram).latched, None, "nor later");
+    }
+}
+
+#[test]
+fn last_words_are_told_once() {
+    let mut ram = Ram::blank();
+    start(&mut ram);
+    keep_last_words(&mut ram, b"tasks/link.rs:1");
+    keep_latched(&mut ram, Some(EStop::Frame));
+    let left = start(&mut ram);
+    assert_eq!(text(&left), Some("tasks/link.rs:1"));
+    assert_eq!((left.boot_id, left.latched), (2, Some(EStop::Frame)));
+    assert_eq!(start(&mut ram).last_words, None);
+    // Shorter ones do not end in what was left of the longer ones.
+    keep_last_words(&mut ram, b"oh");
+    assert_eq!(text(&start(&mut ram)), Some("oh"));
+    keep_last_words(&mut ram, b"");
+    assert_eq!(text(&start(&mut ram)), Some(""));
+}
+
+#[test]
+fn only_a_reset_by_itself_with_last_words_is_a_panic() {
+    use ResetCause::*;
+    for cause in [PowerOn, Pin, Panic, Watchdog, Software] {
+        assert_eq!(reset_cause(cause, false), cause);
+        let expected = if cause == Software { Panic } else { cause };
+        assert_eq!(reset_cause(cause, true), expected);
+    }
+}
+
+#[test]
+fn last_words_are_put_together_and_cut_off() {
+    let mut draft = Draft::new("HardFault at ");
+    draft.push_address(0x0801_2AF0);
+    draft.push(" from ");
+    draft.push_address(0);
+    assert_eq!(draft.bytes(), b"HardFault at 0x8012af0 from 0x0");
+    for length in [LONGEST - 1, LONGEST, LONGEST + 1] {
+        let mut draft = Draft::new(&"x".repeat(length));
+        draft.push("yz");
+        let expected = format!("{}yz", "x".repeat(length));
+        assert_eq!(draft.bytes(), &expected.as_bytes()[..LONGEST]);
+    }
+}
+
+/// The generator is seeded: the same cases each time.
+fn config() -> ProptestConfig {
+    ProptestConfig {
+        failure_persistence: None,
+        rng_seed: prop::test_runner::RngSeed::Fixed(1),
+        ..ProptestConfig::default()
+    }
+}
+
+proptest! {
+    #![proptest_config(config())]
+
+    #[test]
+    fn addresses_are_hexadecimal(address in any::<u32>(), digits in 0..32_u32) {
+        let address = address >> digits;
+        let mut draft = Draft::default();
+        draft.push_address(address);
+        let expected = format!("{address:#x}");
+        prop_assert_eq!(draft.bytes(), expected.as_bytes());
+    }
+
+    /// A RAM after power-on: a first start, nothing latched, nothing to tell, and from then on as usual.
+    #[test]
+    fn a_ram_of_noise_says_nothing(noise in prop::collection::vec(any::<u32>(), WORDS)) {
+        let mut ram = Ram(noise);
+        let first = Left { boot_id: 1, last_words: None, latched: None };
+        prop_assert_eq!(start(&mut ram), first);
+        prop_assert_eq!(start(&mut ram).boot_id, 2);
+    }
+
+    #[test]
+    fn any_text_comes_back(bytes in prop::collection::vec(any::<u8>(), 0..2 * LONGEST)) {
+        let mut ram = Ram::blank();
+        keep_last_words(&mut ram, &bytes);
+        let told = start(&mut ram).last_words.unwrap();
+        // What is no ASCII loses its highest bit.
+        let ascii: Vec<u8> = bytes.iter().take(LONGEST).map(|byte| byte & 0x7F).collect();
+        prop_assert_eq!(told.as_bytes(), ascii.as_slice());
+    }
+
+    /// A supply that fails for a moment flips bits: what was kept is told as it was, or not at all.
+    #[test]
+    fn damaged_last_words_are_not_told(
+        words in "[ -~]{0,120}",
+        flips in prop::collection::vec((0..WORDS, 0..32_u32), 1..4),
+    ) {
+        let mut ram = Ram::blank();
+        start(&mut ram);
+        keep_last_words(&mut ram, words.as_bytes());
+        for (index, bit) in flips {
+            ram.0[index] ^= 1 << bit;
+        }
+        if let Some(told) = text(&start(&mut ram)) {
+            prop_assert_eq!(told, words);
+        }
+    }
+
+    /// One bit of the text itself, always.
+    #[test]
+    fn a_single_wrong_bit_is_found(
+        words in "[ -~]{1,120}",
+        place in any::<prop::sample::Index>(),
+        bit in 0..32_u32,
+    ) {
+        let mut ram = Ram::blank();
+        keep_last_words(&mut ram, words.as_bytes());
+        let text = WORDS - LONGEST; // the text lies at the end
+        let index = text + place.index(words.len());
+        prop_assert_eq!(ram.0[index], u32::from(words.as_bytes()[index - text]));
+        ram.0[index] ^= 1 << bit;
+        prop_assert_eq!(start(&mut ram).last_words, None);
+    }
+}

@@ -1,0 +1,1005 @@
+//! Control as the board runs it: requests, button, clock and notices in; orders, replies and events out. The carriage
+//! executes what it orders; settings lie in a flash in memory.
+
+mod carriage;
+#[path = "../../device/tests/chip/mod.rs"]
+mod chip;
+
+use carriage::{CONTROL_ROUND, Carriage, IMAGE_HASH, ring::Ahead};
+use chip::{Cut, Flash};
+use device::{
+    last_words::LastWords,
+    retained::{EStop, Left},
+    service::Inbound,
+    settings::SettingsStore,
+};
+use firmware_rig::{
+    control::{self, Control, ROUND_US, Snapshot},
+    execution::Order,
+    machine::{Event, Now, PathEnd},
+    settings::Settings,
+};
+use motion::{axis::Axis, units::StepPosition};
+use protocol::{
+    error::Refusal,
+    rig::{
+        self, GetRigHealth, GetRigStatus, GetRunRecord, Glitches, LinkLossPolicy, RigEvent,
+        RigFault, RigHealth, RigState, RigStatus, Run, RunOutcome, RunRecord, RunTiming,
+    },
+    settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
+    system::{
+        self, Acknowledge, Done, GetEvents, GetLastWords, ResetCause, SetTelemetry, Urgent, What,
+    },
+    table::{Reply, Request, Response},
+};
+
+const SETTINGS: Settings = Settings::REFERENCE;
+
+/// What the board counts.
+const COUNTED: RigHealth = RigHealth {
+    home_flag: Glitches {
+        count: 1,
+        last_us: 2,
+    },
+    far_limit: Glitches {
+        count: 3,
+        last_us: 4,
+    },
+    uart_errors: 5,
+    bad_frames: 6,
+    unsent_frames: 7,
+    underruns: 0,
+    stack_used: 9,
+    stack_size: 10,
+    control_late_us: 0,
+    image_hash: 0,
+};
+
+/// The board: a carriage, and a note of everything that control says to it.
+struct Board {
+    carriage: Carriage,
+    button: bool,
+    silence_us: u32,
+    told: Vec<system::Event>,
+    telemetry_ms: Vec<u16>,
+    filters_us: Vec<u32>,
+    latched: Vec<Option<EStop>>,
+    cuts: u32,
+}
+
+impl control::Rig for Board {
+    fn now(&self) -> Now {
+        self.carriage.look()
+    }
+
+    fn button_is_down(&self) -> bool {
+        self.button
+    }
+
+    fn stroke(&self) -> u32 {
+        self.carriage.mail.stroke
+    }
+
+    fn silence_us(&self) -> u32 {
+        self.silence_us
+    }
+
+    fn health(&self) -> RigHealth {
+        COUNTED
+    }
+
+    fn start(&mut self, order: Order) {
+        self.carriage.order(order);
+    }
+
+    fn stop_path(&mut self) {
+        self.carriage.stop();
+    }
+
+    fn cut(&mut self) {
+        self.cuts += 1;
+        self.carriage.cut();
+    }
+
+    fn set_position(&mut self, position: StepPosition) {
+        self.carriage.set_position(position);
+    }
+
+    fn set_telemetry(&mut self, period_ms: u16) {
+        self.telemetry_ms.push(period_ms);
+    }
+
+    fn set_switch_filter(&mut self, filter_us: u32) {
+        self.filters_us.push(filter_us);
+    }
+
+    fn keep_latched(&mut self, estop: Option<EStop>) {
+        self.latched.push(estop);
+    }
+
+    fn tell(&mut self, event: &system::Event) {
+        self.told.push(*event);
+    }
+}
+
+/// The rig from its start on.
+struct Bench {
+    control: Control<Board, Flash>,
+    flash: Flash,
+    next_tick: u64,
+}
+
+const FRESH: Left = Left {
+    boot_id: 1,
+    last_words: None,
+    latched: None,
+};
+
+impl Bench {
+    fn start(flash: Flash, left: Left, cause: ResetCause) -> Self {
+        Self::start_with(flash, left, cause, |_| ())
+    }
+
+    fn start_with(
+        flash: Flash,
+        left: Left,
+        cause: ResetCause,
+        prepare: impl FnOnce(&mut Board),
+    ) -> Self {
+        let mut carriage = Carriage::new(SETTINGS, 2_000);
+        carriage.ring.ahead = Ahead::Slots;
+        let mut board = Board {
+            carriage,
+            button: false,
+            silence_us: 0,
+            told: Vec::new(),
+            telemetry_ms: Vec::new(),
+            filters_us: Vec::new(),
+            latched: Vec::new(),
+            cuts: 0,
+        };
+        // Control starts when the chip has been running for a while.
+        board.carriage.now = 123_456;
+        prepare(&mut board);
+        let next_tick = board.carriage.now + CONTROL_ROUND;
+        Self {
+            control: Control::new(board, flash.clone(), left, cause, IMAGE_HASH),
+            flash,
+            next_tick,
+        }
+    }
+
+    fn new() -> Self {
+        Self::start(Flash::blank(), FRESH, ResetCause::PowerOn)
+    }
+
+    /// Homed, with nothing told.
+    fn homed() -> Self {
+        let mut bench = Self::new();
+        bench.accepted(Request::Home(rig::Home));
+        bench.finish();
+        assert_eq!(bench.state(), RigState::Ready);
+        bench.told();
+        bench
+    }
+
+    fn board(&mut self) -> &mut Board {
+        self.control.rig()
+    }
+
+    fn carriage(&mut self) -> &mut Carriage {
+        &mut self.control.rig().carriage
+    }
+
+    fn state(&self) -> RigState {
+        self.control.snapshot().state
+    }
+
+    /// What was told since the last time.
+    fn told(&mut self) -> Vec<What> {
+        let told = std::mem::take(&mut self.board().told);
+        told.into_iter().map(|event| event.what).collect()
+    }
+
+    /// Up to the next round of control, and it.
+    fn tick(&mut self) {
+        let next_tick = self.next_tick;
+        while self.next_tick == next_tick {
+            self.step();
+        }
+    }
+
+    fn ticks(&mut self, ticks: u32) {
+        (0..ticks).for_each(|_| self.tick());
+    }
+
+    /// The next thing that happens: on the carriage, or a round of control.
+    fn step(&mut self) {
+        let next_tick = self.next_tick;
+        let carriage = self.carriage();
+        if carriage.moving() && carriage.now < next_tick {
+            for event in carriage.step() {
+                self.control.event(event);
+            }
+        } else {
+            carriage.now = carriage.now.max(next_tick);
+            self.next_tick += CONTROL_ROUND;
+            self.control.tick();
+        }
+    }
+
+    fn steps_until(&mut self, pulses: u64) {
+        let until = self.carriage().pulses + pulses;
+        while self.carriage().pulses < until && self.carriage().moving() {
+            self.step();
+        }
+    }
+
+    fn finish(&mut self) {
+        while self.carriage().moving() {
+            self.step();
+        }
+    }
+
+    fn ask(&mut self, request: Request) -> Reply {
+        self.control.answer(Inbound::Request(request))
+    }
+
+    fn accepted(&mut self, request: Request) -> Response {
+        match self.ask(request.clone()) {
+            Reply::Accepted(response) => response,
+            other => panic!("{request:?}: {other:?}"),
+        }
+    }
+
+    fn refused(&mut self, request: Request) -> Refusal {
+        match self.ask(request.clone()) {
+            Reply::Refused(refusal) => refusal,
+            other => panic!("{request:?}: {other:?}"),
+        }
+    }
+
+    fn status(&mut self) -> RigStatus {
+        match self.accepted(Request::GetRigStatus(GetRigStatus)) {
+            Response::GetRigStatus(status) => status,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn record(&mut self) -> RunRecord {
+        match self.accepted(Request::GetRunRecord(GetRunRecord)) {
+            Response::GetRunRecord(record) => record,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn health(&mut self) -> RigHealth {
+        match self.accepted(Request::GetRigHealth(GetRigHealth)) {
+            Response::GetRigHealth(health) => health,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn value(&mut self, key: SettingKey) -> u32 {
+        match self.accepted(Request::GetSetting(GetSetting { key })) {
+            Response::GetSetting(setting) => setting.value,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn name(&mut self) -> String {
+        match self.accepted(Request::GetName(GetName)) {
+            Response::GetName(name) => name.name.as_str().to_owned(),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// The E-stop is pressed while pulses are armed: the hardware cuts them and interrupts.
+    fn press(&mut self) {
+        self.carriage().pressed = true;
+        self.carriage().cut();
+        self.control.event(Event::LoopOpened);
+    }
+}
+
+fn set(key: SettingKey, value: u32) -> Request {
+    Request::SetSetting(Setting { key, value })
+}
+
+fn name(text: &str) -> Request {
+    Request::SetName(Name {
+        name: text.try_into().unwrap(),
+    })
+}
+
+/// 5 mm, two cycles.
+fn run(link_loss: LinkLossPolicy) -> Request {
+    Request::Run(Run {
+        cycles: 2,
+        stroke_um: 5_000,
+        timing: RunTiming::Speeds {
+            forward_um_s: 40_000,
+            return_um_s: 40_000,
+            accel_um_s2: 1_000_000,
+        },
+        far_dwell_us: 5_000,
+        home_dwell_us: 5_000,
+        start_delay_us: 0,
+        link_loss,
+    })
+}
+
+fn rig_event(event: RigEvent) -> What {
+    What::Rig(event)
+}
+
+mod start {
+    use super::*;
+
+    const CAUSES: [ResetCause; 5] = [
+        ResetCause::PowerOn,
+        ResetCause::Pin,
+        ResetCause::Panic,
+        ResetCause::Watchdog,
+        ResetCause::Software,
+    ];
+
+    #[test]
+    fn latches_what_ended_the_one_before() {
+        for cause in CAUSES {
+            for latched in [None, Some(EStop::Loop), Some(EStop::Frame)] {
+                let fault = match (cause, latched) {
+                    (ResetCause::Panic, _) => Some(RigFault::Panic),
+                    (ResetCause::Watchdog, _) => Some(RigFault::Watchdog),
+                    (_, Some(EStop::Loop)) => Some(RigFault::EStopLoop),
+                    (_, Some(EStop::Frame)) => Some(RigFault::EStopFrame),
+                    (_, None) => None,
+                };
+                let left = Left { latched, ..FRESH };
+                let mut bench = Bench::start(Flash::blank(), left, cause);
+                assert_eq!(bench.told(), [What::Booted(cause)]);
+                let status = bench.status();
+                assert_eq!((status.fault, status.homed), (fault, false));
+                let state = if fault.is_some() {
+                    RigState::Faulted
+                } else {
+                    RigState::Unhomed
+                };
+                assert_eq!((status.state, bench.state()), (state, state));
+                // What is latched over a reset stays so until somebody acknowledges it.
+                assert_eq!(bench.board().latched, []);
+                assert!(!bench.carriage().moving());
+                if fault.is_some() {
+                    bench.accepted(Request::Acknowledge(Acknowledge));
+                    assert_eq!(bench.told(), [What::Acknowledged]);
+                    assert_eq!(bench.board().latched, [None]);
+                    assert_eq!(bench.state(), RigState::Unhomed);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn tells_the_last_words_of_the_one_before() {
+        for text in [None, Some("tasks/link.rs:1: oh")] {
+            let last_words = text.map(|text| LastWords::try_from(text).unwrap());
+            let left = Left {
+                last_words,
+                ..FRESH
+            };
+            let mut bench = Bench::start(Flash::blank(), left, ResetCause::Panic);
+            let words = system::LastWords {
+                text: text.unwrap_or_default().try_into().unwrap(),
+            };
+            let response = bench.accepted(Request::GetLastWords(GetLastWords));
+            assert_eq!(response, Response::GetLastWords(words));
+        }
+    }
+
+    #[test]
+    fn hands_the_settings_in_flash_to_whom_they_concern() {
+        let flash = Flash::blank();
+        let (mut store, _) = SettingsStore::load(flash.clone(), |_| true);
+        for (key, value) in [
+            (SettingKey::TelemetryMs, 250),
+            (SettingKey::SwitchFilterUs, 11),
+            (SettingKey::StrokeUm, 100_000),
+        ] {
+            store.set(key, value).unwrap();
+        }
+        store.set_name("left bench".try_into().unwrap()).unwrap();
+        let mut bench = Bench::start(flash, FRESH, ResetCause::Pin);
+        assert_eq!(bench.told(), [What::Booted(ResetCause::Pin)]);
+        assert_eq!(bench.board().telemetry_ms, [250]);
+        assert_eq!(bench.board().filters_us, [11]);
+        assert_eq!(bench.status().stroke_um, 100_000);
+        assert_eq!(bench.value(SettingKey::TelemetryMs), 250);
+        assert_eq!(bench.name(), "left bench");
+        let axis = bench.control.snapshot().axis;
+        assert_eq!(axis, Axis::new(4_000, 200, 16, 100_000).unwrap());
+    }
+
+    /// No log at all, or values within their ranges that break a rule together.
+    #[test]
+    fn with_unusable_settings_runs_on_the_defaults_and_says_so() {
+        let no_log = Flash::holding(vec![0; Flash::blank().bytes().len()]);
+        let no_rule = Flash::blank();
+        let (mut store, _) = SettingsStore::load(no_rule.clone(), |_| true);
+        store.set(SettingKey::Microsteps, 12).unwrap();
+        store.set(SettingKey::TelemetryMs, 250).unwrap();
+        for flash in [no_log, no_rule] {
+            let mut bench = Bench::start(flash.clone(), FRESH, ResetCause::PowerOn);
+            let unusable = rig_event(RigEvent::SettingsUnusable);
+            assert_eq!(bench.told(), [What::Booted(ResetCause::PowerOn), unusable]);
+            assert_eq!(bench.board().telemetry_ms, [0]);
+            assert_eq!(bench.status().steps_per_rev, 3_200);
+            for key in SettingKey::ALL {
+                assert_eq!(bench.value(key), key.range().default);
+            }
+            // A reset to the defaults makes the flash usable again.
+            bench.accepted(Request::FactoryReset(FactoryReset));
+            assert_eq!(bench.told(), [rig_event(RigEvent::SettingsReset)]);
+            let mut bench = Bench::start(flash, FRESH, ResetCause::PowerOn);
+            assert_eq!(bench.told(), [What::Booted(ResetCause::PowerOn)]);
+        }
+    }
+
+    #[test]
+    fn before_it_telemetry_shows_an_unhomed_rig() {
+        let Snapshot {
+            state,
+            residual_steps,
+            axis,
+        } = Snapshot::START;
+        assert_eq!((state, residual_steps), (RigState::Unhomed, 0));
+        assert_eq!(axis, Axis::REFERENCE);
+    }
+}
+
+mod settings {
+    use super::*;
+
+    #[test]
+    fn are_in_force_at_once_and_after_the_next_start() {
+        let mut bench = Bench::homed();
+        for (key, value) in [
+            (SettingKey::DeadManMs, 200),
+            (SettingKey::SwitchFilterUs, 11),
+            (SettingKey::TelemetryMs, 250),
+        ] {
+            let setting = Setting { key, value };
+            let response = bench.accepted(set(key, value));
+            assert_eq!(response, Response::SetSetting(setting));
+            let changed = rig_event(RigEvent::SettingChanged(key));
+            assert_eq!(bench.told(), [changed]);
+            assert_eq!(bench.value(key), value);
+        }
+        // The filter is handed on each time; telemetry has its own request.
+        assert_eq!(bench.board().filters_us, [21, 21, 11, 11]);
+        assert_eq!(bench.board().telemetry_ms, [0]);
+        assert_eq!(bench.state(), RigState::Ready, "positions mean the same");
+        let response = bench.accepted(name("left bench"));
+        assert!(matches!(response, Response::SetName(_)));
+        assert_eq!(bench.told(), []);
+        let flash = bench.flash.clone();
+        let mut bench = Bench::start(flash, FRESH, ResetCause::Pin);
+        assert_eq!(bench.value(SettingKey::DeadManMs), 200);
+        assert_eq!(bench.board().telemetry_ms, [250]);
+        assert_eq!(bench.name(), "left bench");
+    }
+
+    #[test]
+    fn that_give_positions_another_meaning_unhome_the_rig() {
+        let mut bench = Bench::homed();
+        bench.accepted(set(SettingKey::FlagUm, 1_100));
+        assert_eq!(bench.state(), RigState::Unhomed);
+        assert!(!bench.status().homed);
+        let mut bench = Bench::homed();
+        bench.accepted(set(SettingKey::StrokeUm, 100_000));
+        assert_eq!(bench.control.snapshot().axis.stroke().0, 100_000);
+        // And so does the reset that takes it back.
+        bench.accepted(Request::Home(rig::Home));
+        bench.finish();
+        assert_eq!(bench.state(), RigState::Ready);
+        bench.accepted(Request::FactoryReset(FactoryReset));
+        assert_eq!(bench.state(), RigState::Unhomed);
+        assert_eq!(bench.control.snapshot().axis, Axis::REFERENCE);
+        assert_eq!(bench.value(SettingKey::StrokeUm), 130_000);
+    }
+
+    #[test]
+    fn that_are_refused_change_nothing() {
+        let mut bench = Bench::homed();
+        let operations = bench.flash.operations();
+        let key = SettingKey::Microsteps;
+        let rule = SettingRule::Microsteps;
+        assert_eq!(
+            bench.refused(set(key, 12)),
+            Refusal::SettingRule { key, rule }
+        );
+        let requested = 257;
+        let range = Refusal::SettingRange { key, requested };
+        assert_eq!(bench.refused(set(key, requested)), range);
+        assert_eq!(bench.told(), []);
+        assert_eq!(bench.value(key), 16);
+        assert_eq!(bench.flash.operations(), operations);
+    }
+
+    #[test]
+    fn are_not_written_while_something_moves() {
+        let mut bench = Bench::homed();
+        bench.accepted(run(LinkLossPolicy::Stop));
+        let operations = bench.flash.operations();
+        let busy = Refusal::RigBusy(RigState::Running);
+        for request in [
+            set(SettingKey::DeadManMs, 200),
+            name("left bench"),
+            Request::FactoryReset(FactoryReset),
+        ] {
+            assert_eq!(bench.refused(request), busy);
+        }
+        assert_eq!(bench.flash.operations(), operations);
+    }
+
+    /// The reply says what happened, not what was wanted.
+    #[test]
+    fn that_the_flash_does_not_take_are_not_in_force() {
+        let mut bench = Bench::homed();
+        bench.accepted(set(SettingKey::DeadManMs, 200));
+        bench.accepted(name("left bench"));
+        bench.told();
+        let filters = bench.board().filters_us.clone();
+        bench.flash.wear();
+        for request in [
+            set(SettingKey::StrokeUm, 100_000),
+            name("right bench"),
+            Request::FactoryReset(FactoryReset),
+        ] {
+            assert_eq!(bench.refused(request), Refusal::StorageFailed);
+        }
+        assert_eq!(bench.told(), []);
+        assert_eq!(bench.board().filters_us, filters);
+        assert_eq!(bench.value(SettingKey::StrokeUm), 130_000);
+        assert_eq!(bench.value(SettingKey::DeadManMs), 200);
+        assert_eq!(bench.name(), "left bench");
+        assert_eq!(bench.state(), RigState::Ready);
+    }
+
+    /// The supply fails within a change, at each of its operations: the next start has the old value or the new one.
+    #[test]
+    fn survive_a_cut_of_the_supply() {
+        for number in 0..4 {
+            for cut in Cut::ALL {
+                let mut bench = Bench::new();
+                bench.accepted(set(SettingKey::DeadManMs, 200));
+                bench.flash.cut(number, cut, 1);
+                let _ = bench.ask(set(SettingKey::DeadManMs, 400));
+                let flash = Flash::holding(bench.flash.bytes());
+                let mut bench = Bench::start(flash, FRESH, ResetCause::PowerOn);
+                assert_eq!(bench.told().len(), 1, "usable");
+                let found = bench.value(SettingKey::DeadManMs);
+                assert!(found == 200 || found == 400, "{found}");
+            }
+        }
+    }
+}
+
+mod button {
+    use super::*;
+
+    fn hold_down(bench: &mut Bench, rounds: u32) {
+        bench.board().button = true;
+        bench.ticks(rounds);
+        bench.board().button = false;
+    }
+
+    #[test]
+    fn counts_when_it_is_down_for_three_rounds() {
+        let mut bench = Bench::new();
+        for _ in 0..5 {
+            hold_down(&mut bench, 2);
+            bench.tick();
+            assert_eq!(bench.state(), RigState::Unhomed);
+        }
+        hold_down(&mut bench, 3);
+        assert_eq!(bench.state(), RigState::Homing);
+    }
+
+    #[test]
+    fn counts_once_however_long_it_is_down() {
+        let mut bench = Bench::new();
+        bench.tick();
+        bench.board().button = true;
+        bench.ticks(3);
+        assert_eq!(bench.state(), RigState::Homing);
+        bench.finish();
+        // It has been down all the time: neither a stop nor a run.
+        assert_eq!(bench.state(), RigState::Ready);
+        bench.ticks(300);
+        assert_eq!(bench.state(), RigState::Ready);
+        bench.board().button = false;
+        bench.tick();
+        hold_down(&mut bench, 3);
+        assert_eq!(bench.state(), RigState::Running);
+        assert_eq!(bench.record().strokes, 0);
+        assert_eq!(bench.status().strokes, 10, "the paper's run");
+        bench.tick();
+        hold_down(&mut bench, 3);
+        assert_eq!(bench.state(), RigState::Stopping);
+        bench.finish();
+        assert_eq!(bench.record().outcome, RunOutcome::Stopped);
+    }
+
+    /// A button that hangs, or an operator who leans on it.
+    #[test]
+    fn that_is_down_at_the_start_has_to_be_released_first() {
+        let down = |board: &mut Board| board.button = true;
+        let flash = Flash::blank();
+        let mut bench = Bench::start_with(flash, FRESH, ResetCause::PowerOn, down);
+        bench.ticks(100);
+        assert_eq!(bench.state(), RigState::Unhomed);
+        bench.board().button = false;
+        bench.tick();
+        hold_down(&mut bench, 3);
+        assert_eq!(bench.state(), RigState::Homing);
+    }
+
+    #[test]
+    fn that_is_ignored_says_so() {
+        let left = Left {
+            latched: Some(EStop::Loop),
+            ..FRESH
+        };
+        let mut bench = Bench::start(Flash::blank(), left, ResetCause::Pin);
+        bench.tick();
+        bench.told();
+        hold_down(&mut bench, 3);
+        assert_eq!(bench.told(), [rig_event(RigEvent::ButtonIgnored)]);
+        assert_eq!(bench.state(), RigState::Faulted);
+        assert!(!bench.carriage().moving());
+        // An accepted one does not.
+        let mut bench = Bench::new();
+        bench.tick();
+        bench.told();
+        hold_down(&mut bench, 3);
+        assert_eq!((bench.told(), bench.state()), (vec![], RigState::Homing));
+    }
+
+    #[test]
+    fn runs_what_the_settings_say() {
+        let mut bench = Bench::homed();
+        for (key, value) in [
+            (SettingKey::ButtonCycles, 1),
+            (SettingKey::ButtonStrokeUm, 5_000),
+            (SettingKey::ButtonTotalMs, 1_000),
+            (SettingKey::ButtonAccelUmS2, 200_000),
+        ] {
+            bench.accepted(set(key, value));
+        }
+        hold_down(&mut bench, 3);
+        // Nobody listens; it runs to its end.
+        bench.board().silence_us = u32::MAX;
+        bench.finish();
+        let record = bench.record();
+        assert_eq!(record.outcome, RunOutcome::Complete);
+        assert_eq!((record.strokes, record.counted_edges), (2, 8_000));
+        assert_eq!(record.ticks, 100_000_000);
+    }
+}
+
+mod link {
+    use super::*;
+
+    /// A second is allowed by default.
+    const TIMEOUT_US: u32 = 1_000_000;
+
+    #[test]
+    fn that_is_silent_for_too_long_stops_what_moves() {
+        for request in [
+            run(LinkLossPolicy::Stop),
+            Request::MoveTo(rig::MoveTo {
+                position_um: 100_000,
+                speed_um_s: 40_000,
+            }),
+            Request::Home(rig::Home),
+        ] {
+            let mut bench = Bench::homed();
+            bench.accepted(request);
+            bench.told();
+            bench.board().silence_us = TIMEOUT_US;
+            bench.ticks(2);
+            assert_ne!(bench.state(), RigState::Stopping, "in time");
+            assert_eq!(bench.told(), []);
+            bench.board().silence_us = TIMEOUT_US + 1;
+            bench.tick();
+            assert_eq!(bench.state(), RigState::Stopping);
+            assert_eq!(bench.told(), [What::LinkLost]);
+            bench.finish();
+            bench.ticks(10);
+            let told = bench.told();
+            assert!(!told.contains(&What::LinkLost), "once: {told:?}");
+        }
+    }
+
+    #[test]
+    fn that_is_silent_does_not_matter_at_rest_or_to_a_run_that_shall_finish() {
+        let mut bench = Bench::homed();
+        bench.board().silence_us = u32::MAX;
+        bench.ticks(10);
+        assert_eq!((bench.state(), bench.told()), (RigState::Ready, vec![]));
+        bench.accepted(run(LinkLossPolicy::Finish));
+        bench.finish();
+        assert_eq!(bench.record().outcome, RunOutcome::Complete);
+        assert!(!bench.told().contains(&What::LinkLost));
+    }
+
+    #[test]
+    fn has_the_time_that_is_set() {
+        let mut bench = Bench::homed();
+        bench.accepted(set(SettingKey::LinkTimeoutMs, 200));
+        bench.accepted(run(LinkLossPolicy::Stop));
+        bench.board().silence_us = 200_000;
+        bench.tick();
+        assert_eq!(bench.state(), RigState::Running);
+        bench.board().silence_us = 200_001;
+        bench.tick();
+        assert_eq!(bench.state(), RigState::Stopping);
+    }
+}
+
+mod emergency_stop {
+    use super::*;
+
+    fn faulted(fault: RigFault) -> What {
+        rig_event(RigEvent::Faulted(fault))
+    }
+
+    /// The interrupt is only there while pulses are armed; at rest control looks itself.
+    #[test]
+    fn by_the_loop_at_rest_is_latched() {
+        let mut bench = Bench::homed();
+        bench.carriage().pressed = true;
+        bench.ticks(5);
+        assert_eq!(bench.state(), RigState::Faulted);
+        let fault = RigFault::EStopLoop;
+        assert_eq!(bench.told(), [faulted(fault)], "once");
+        assert_eq!(bench.board().latched, [Some(EStop::Loop)]);
+        assert_eq!(bench.board().cuts, 1);
+        let acknowledge = || Request::Acknowledge(Acknowledge);
+        assert_eq!(bench.refused(acknowledge()), Refusal::CauseStillPresent);
+        assert_eq!(bench.board().latched, [Some(EStop::Loop)]);
+        assert_eq!(bench.told(), []);
+        bench.carriage().pressed = false;
+        assert_eq!(bench.accepted(acknowledge()), Response::Acknowledge(Done));
+        assert_eq!(bench.board().latched, [Some(EStop::Loop), None]);
+        assert_eq!(bench.told(), [What::Acknowledged]);
+        bench.ticks(5);
+        assert_eq!(bench.state(), RigState::Unhomed);
+    }
+
+    #[test]
+    fn by_the_loop_in_a_run_is_latched_once() {
+        let mut bench = Bench::homed();
+        bench.accepted(run(LinkLossPolicy::Stop));
+        bench.steps_until(1_000);
+        bench.told();
+        let pulses = bench.carriage().pulses;
+        bench.press();
+        bench.finish();
+        bench.ticks(5);
+        let fault = RigFault::EStopLoop;
+        let (run, outcome) = (1, RunOutcome::Faulted(fault));
+        let ended = rig_event(RigEvent::RunEnded { run, outcome });
+        assert_eq!(bench.told(), [ended, faulted(fault)]);
+        assert_eq!(bench.board().latched, [Some(EStop::Loop)]);
+        assert_eq!(bench.carriage().pulses, pulses);
+        assert_eq!(bench.record().counted_edges, 1_000);
+    }
+
+    #[test]
+    fn by_frame_is_latched_and_answered() {
+        let mut bench = Bench::homed();
+        bench.accepted(run(LinkLossPolicy::Stop));
+        bench.steps_until(1_000);
+        bench.told();
+        let pulses = bench.carriage().pulses;
+        let reply = bench.control.answer(Inbound::Urgent(Urgent::EStop));
+        assert_eq!(reply, Reply::Urgent(Urgent::EStop));
+        bench.finish();
+        assert_eq!(bench.carriage().pulses, pulses);
+        assert_eq!(bench.status().fault, Some(RigFault::EStopFrame));
+        assert_eq!(bench.board().latched, [Some(EStop::Frame)]);
+        assert!(bench.told().contains(&faulted(RigFault::EStopFrame)));
+        // Each copy of the frame cuts again; there is nothing more to tell.
+        let cuts = bench.board().cuts;
+        let reply = bench.control.answer(Inbound::Urgent(Urgent::EStop));
+        assert_eq!(reply, Reply::Urgent(Urgent::EStop));
+        assert_eq!(bench.board().cuts, cuts + 1);
+        assert_eq!(bench.told(), []);
+    }
+
+    #[test]
+    fn of_category_1_brakes() {
+        let mut bench = Bench::homed();
+        bench.accepted(run(LinkLossPolicy::Stop));
+        bench.steps_until(1_000);
+        let reply = bench.control.answer(Inbound::Urgent(Urgent::Stop));
+        assert_eq!(reply, Reply::Urgent(Urgent::Stop));
+        assert_eq!(bench.state(), RigState::Stopping);
+        bench.finish();
+        assert_eq!(bench.state(), RigState::Ready);
+        assert_eq!(bench.record().outcome, RunOutcome::Stopped);
+        assert!(bench.carriage().pulses > 1_000);
+        assert_eq!(bench.board().latched, []);
+    }
+
+    /// After a reset, another fault is no E-stop any more.
+    #[test]
+    fn is_forgotten_when_another_fault_is_latched() {
+        let mut bench = Bench::homed();
+        bench.control.event(Event::FarLimit);
+        assert_eq!(bench.status().fault, Some(RigFault::FarLimit));
+        assert_eq!(bench.board().latched, [None]);
+    }
+}
+
+mod requests {
+    use super::*;
+
+    #[test]
+    fn carry_a_run_from_home_to_its_record() {
+        let mut bench = Bench::new();
+        bench.told();
+        bench.accepted(Request::Home(rig::Home));
+        bench.finish();
+        let homed = RigEvent::Homed {
+            repeat_steps: 0,
+            shift_steps: 0,
+        };
+        assert_eq!(bench.told(), [rig_event(homed)]);
+        bench.accepted(run(LinkLossPolicy::Stop));
+        bench.steps_until(5_000);
+        assert_eq!((bench.status().stroke, bench.status().strokes), (1, 4));
+        let began_us = bench.status().time_us - bench.status().elapsed_us;
+        bench.accepted(Request::Hold(rig::Hold));
+        bench.finish();
+        assert_eq!(bench.state(), RigState::Held);
+        bench.accepted(Request::Resume(rig::Resume));
+        bench.finish();
+        let told = bench.told();
+        let strokes = (0..4).map(|stroke| {
+            rig_event(RigEvent::StrokeDone {
+                stroke,
+                residual_steps: 0,
+            })
+        });
+        let (run, outcome) = (1, RunOutcome::Complete);
+        let mut expected = vec![rig_event(RigEvent::RunStarted { run })];
+        expected.extend(strokes);
+        expected.push(rig_event(RigEvent::RunEnded { run, outcome }));
+        let held = |what: &&What| {
+            !matches!(
+                what,
+                What::Rig(RigEvent::Held { .. }) | What::Rig(RigEvent::Resumed)
+            )
+        };
+        let without: Vec<_> = told.iter().filter(held).copied().collect();
+        assert_eq!((without, told.len()), (expected, 8));
+        let record = bench.record();
+        assert_eq!((record.outcome, record.holds), (outcome, 1));
+        assert_eq!(
+            (record.commanded_edges, record.counted_edges),
+            (16_000, 16_000)
+        );
+        assert_eq!(record.image_hash, IMAGE_HASH);
+        assert_eq!(bench.status().elapsed_us, 0);
+        assert!(began_us > 1_234);
+        assert_eq!(bench.control.snapshot().residual_steps, 0);
+    }
+
+    #[test]
+    fn that_find_the_carriage_elsewhere_have_their_actions_carried_out() {
+        let mut bench = Bench::homed();
+        bench.accepted(run(LinkLossPolicy::Stop));
+        bench.steps_until(1_000);
+        bench.accepted(Request::Hold(rig::Hold));
+        bench.finish();
+        bench.told();
+        bench.carriage().ring.counted += 1;
+        let commanded = bench.carriage().place;
+        let counted = commanded + 1;
+        let fault = RigFault::ReadBack { commanded, counted };
+        let refusal = bench.refused(Request::Resume(rig::Resume));
+        assert_eq!(refusal, Refusal::RigFaulted(fault));
+        assert_eq!(bench.state(), RigState::Faulted);
+        assert_eq!(bench.told().len(), 2, "the end of the run, and the fault");
+    }
+
+    #[test]
+    fn set_the_interval_of_telemetry() {
+        let mut bench = Bench::new();
+        let request = |period_ms| Request::SetTelemetry(SetTelemetry { period_ms });
+        for period_ms in [10, 0, 1_000] {
+            bench.accepted(request(period_ms));
+        }
+        assert!(matches!(
+            bench.refused(request(4)),
+            Refusal::OutOfRange { .. }
+        ));
+        assert_eq!(bench.board().telemetry_ms, [0, 10, 0, 1_000]);
+        assert_eq!(bench.value(SettingKey::TelemetryMs), 0, "not in flash");
+    }
+
+    /// Every event is numbered, timed, told at once and kept.
+    #[test]
+    fn fetch_the_events_that_were_told() {
+        let mut bench = Bench::new();
+        bench.accepted(Request::Home(rig::Home));
+        bench.finish();
+        bench.carriage().pressed = true;
+        bench.tick();
+        let told = bench.board().told.clone();
+        let indices: Vec<_> = told.iter().map(|event| event.index).collect();
+        assert_eq!(indices, [0, 1, 2]);
+        let now_us = bench.carriage().now / 100;
+        assert_eq!((told[0].time_us, told[2].time_us), (1_234, now_us));
+        let response = bench.accepted(Request::GetEvents(GetEvents { from: 0 }));
+        let Response::GetEvents(events) = response else {
+            panic!("{response:?}")
+        };
+        assert_eq!((events.oldest, events.next), (0, 3));
+        assert_eq!(events.events.as_slice(), told);
+    }
+}
+
+mod health {
+    use super::*;
+
+    #[test]
+    fn counts_underruns() {
+        let mut bench = Bench::homed();
+        bench.accepted(run(LinkLossPolicy::Stop));
+        bench.steps_until(1_000);
+        // Nobody looks after the ring for 20 ms.
+        let until = bench.carriage().now + 2 * CONTROL_ROUND;
+        while bench.carriage().now < until && bench.carriage().moving() {
+            bench.carriage().next_round = until;
+            bench.step();
+        }
+        bench.finish();
+        assert_eq!(bench.status().fault, Some(RigFault::Underrun));
+        assert_eq!(bench.health().underruns, 1);
+        assert_eq!(bench.board().latched, [None]);
+        // Other ends are none.
+        let mut bench = Bench::homed();
+        bench
+            .control
+            .event(carriage::path_ended(PathEnd::Guard, 0, 0));
+        assert_eq!(bench.health().underruns, 0);
+    }
+
+    #[test]
+    fn is_the_boards_and_what_control_counts() {
+        let mut bench = Bench::new();
+        let expected = RigHealth {
+            image_hash: IMAGE_HASH,
+            ..COUNTED
+        };
+        assert_eq!(bench.health(), expected);
+    }
+
+    /// The worst round since the start, from the clock of the start on.
+    #[test]
+    fn tells_how_late_control_was() {
+        let mut bench = Bench::new();
+        bench.ticks(10);
+        assert_eq!(bench.health().control_late_us, 0);
+        for (late_us, worst_us) in [(300, 300), (4_000, 4_000), (299, 4_000)] {
+            let next_tick = bench.next_tick;
+            bench.carriage().now = next_tick + late_us * 100;
+            bench.tick();
+            assert_eq!(bench.health().control_late_us, worst_us);
+        }
+        assert_eq!(CONTROL_ROUND, ROUND_US * 100);
+    }
+}

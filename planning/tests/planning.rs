@@ -1,0 +1,342 @@
+//! From a requested run to its plan, and from the plan or its refusal back to the wire.
+
+use motion::{
+    axis::{self, Axis, AxisError},
+    run::{Limits, RunError, RunPlan},
+    trapezoid::StrokeError,
+    units::{Micrometres, Ticks},
+};
+use planning::{accepted, direction, refusal, solve, stroke};
+use protocol::{
+    error::{Field, Refusal},
+    rig::{self, LinkLossPolicy, Run, RunAccepted, RunTiming, Stroke},
+};
+
+const AXIS: Axis = Axis::REFERENCE;
+
+const LIMITS: Limits = Limits {
+    max_speed_um_s: 49_000,
+    max_accel_um_s2: 2_000_000,
+    min_interval_ticks: 400,
+    min_turnaround_ticks: 100_000,
+};
+
+const PAPER: Run = Run {
+    cycles: 5,
+    stroke_um: 130_000,
+    timing: RunTiming::Total {
+        total_us: 40_000_000,
+        accel_um_s2: 100_000,
+    },
+    far_dwell_us: 0,
+    home_dwell_us: 0,
+    start_delay_us: 0,
+    link_loss: LinkLossPolicy::Stop,
+};
+
+fn speeds(forward_um_s: u32, return_um_s: u32, accel_um_s2: u32) -> RunTiming {
+    RunTiming::Speeds {
+        forward_um_s,
+        return_um_s,
+        accel_um_s2,
+    }
+}
+
+/// Ticks of a stroke of `um` at `um_s`, ramps of `ms` included.
+fn ticks(um: u64, um_s: u64, ramp_ms: u64) -> u64 {
+    um * 100_000_000 / um_s + ramp_ms * 100_000
+}
+
+fn solved(run: &Run) -> RunPlan {
+    solve(run, &AXIS, &LIMITS).unwrap()
+}
+
+fn refused(run: &Run) -> Refusal {
+    let error = solve(run, &AXIS, &LIMITS).unwrap_err();
+    refusal(&error, run, &AXIS, &LIMITS)
+}
+
+fn out_of_range(field: Field, requested: u64, min: u64, max: u64) -> Refusal {
+    Refusal::OutOfRange {
+        field,
+        requested,
+        min,
+        max,
+    }
+}
+
+#[test]
+fn directions_have_the_same_names_on_both_sides() {
+    assert_eq!(direction(rig::Direction::Away), axis::Direction::Away);
+    assert_eq!(direction(rig::Direction::Home), axis::Direction::Home);
+}
+
+#[test]
+fn the_papers_run_is_planned_exactly() {
+    let plan = solved(&PAPER);
+    // The shortest ramp r with r (T - r) >= n (100 MHz)^2 / (100 mm/s2 at 800 steps/mm) = 1.3e16.
+    let stroke = Stroke {
+        steps: 104_000,
+        duration_ticks: 400_000_000,
+        ramp_ticks: 35_683_233,
+        peak_um_s: 35_683,
+        accel_um_s2: 100_000,
+    };
+    let expected = RunAccepted {
+        run: 17,
+        requested: PAPER,
+        forward: stroke,
+        back: stroke,
+        total_ticks: 4_000_000_000,
+        edges: 1_040_000,
+        plan_hash: plan.hash(),
+    };
+    assert_eq!(accepted(17, PAPER, &plan, &AXIS), expected);
+}
+
+/// Each value of a request has its own effect on the plan.
+#[test]
+fn every_value_of_a_request_is_in_its_plan() {
+    let run = Run {
+        cycles: 3,
+        stroke_um: 1_000,
+        timing: speeds(10_000, 20_000, 500_000),
+        far_dwell_us: 3_000,
+        home_dwell_us: 7_000,
+        start_delay_us: 50_000,
+        link_loss: LinkLossPolicy::Finish,
+    };
+    let plan = solved(&run);
+    let reported = accepted(1, run, &plan, &AXIS);
+    assert_eq!(reported.requested, run);
+    let profile = |um_s: u32, ramp_ms: u64| Stroke {
+        steps: 800,
+        duration_ticks: ticks(1_000, um_s.into(), ramp_ms),
+        ramp_ticks: ramp_ms * 100_000,
+        peak_um_s: um_s,
+        accel_um_s2: 500_000,
+    };
+    assert_eq!(reported.forward, profile(10_000, 20));
+    assert_eq!(reported.back, profile(20_000, 40));
+    assert_eq!(stroke(plan.forward(), &AXIS), reported.forward);
+    assert_eq!(stroke(plan.return_(), &AXIS), reported.back);
+    assert_eq!(reported.edges, 3 * 2 * 800);
+    let strokes = 3 * (reported.forward.duration_ticks + reported.back.duration_ticks);
+    let rests_us = 50_000 + 3 * 3_000 + 2 * 7_000;
+    assert_eq!(reported.total_ticks, strokes + rests_us * 100);
+    // Which dwell is where: after the delay comes the forward stroke, then the far dwell.
+    let start = |stroke| plan.stroke_start(stroke).unwrap().0;
+    assert_eq!(start(0), 5_000_000);
+    assert_eq!(
+        start(1) - start(0),
+        reported.forward.duration_ticks + 300_000
+    );
+    assert_eq!(start(2) - start(1), reported.back.duration_ticks + 700_000);
+    // A total counts delay and dwells in.
+    let total = Run {
+        timing: RunTiming::Total {
+            total_us: 2_000_000,
+            accel_um_s2: 500_000,
+        },
+        ..run
+    };
+    assert_eq!(solved(&total).total(), Ticks(200_000_000));
+}
+
+#[test]
+fn a_refusal_names_the_value_and_what_is_allowed() {
+    for stroke_um in [0, 1, 130_001, u32::MAX] {
+        // One step is 1.25 um.
+        let expected = out_of_range(Field::StrokeUm, stroke_um.into(), 2, 130_000);
+        assert_eq!(refused(&Run { stroke_um, ..PAPER }), expected);
+    }
+    for cycles in [0, 10_001] {
+        let expected = out_of_range(Field::Cycles, cycles.into(), 1, 10_000);
+        assert_eq!(refused(&Run { cycles, ..PAPER }), expected);
+    }
+    let timed = |timing| refused(&Run { timing, ..PAPER });
+    for (timing, expected) in [
+        (
+            speeds(10_000, 10_000, 2_000_001),
+            out_of_range(Field::AccelUmS2, 2_000_001, 1, 2_000_000),
+        ),
+        (
+            speeds(10_000, 10_000, 0),
+            out_of_range(Field::AccelUmS2, 0, 1, 2_000_000),
+        ),
+        (
+            speeds(0, 10_000, 100_000),
+            out_of_range(Field::ForwardUmS, 0, 1, 49_000),
+        ),
+        (
+            speeds(10_000, 0, 100_000),
+            out_of_range(Field::ReturnUmS, 0, 1, 49_000),
+        ),
+        (
+            speeds(0, 0, 100_000),
+            out_of_range(Field::ForwardUmS, 0, 1, 49_000),
+        ),
+        (
+            speeds(10_000, 49_001, 100_000),
+            Refusal::SpeedLimit {
+                needed_um_s: 49_001,
+                max_um_s: 49_000,
+            },
+        ),
+    ] {
+        assert_eq!(timed(timing), expected, "{timing:?}");
+    }
+    let total = |total_us, accel_um_s2| RunTiming::Total {
+        total_us,
+        accel_um_s2,
+    };
+    assert_eq!(
+        timed(total(40_000_000, 0)),
+        out_of_range(Field::AccelUmS2, 0, 1, 2_000_000)
+    );
+    // Ten triangles at 100 mm/s2: 10 * 2 sqrt(0.13 / 0.1) s. In 1 s each: 4 * 0.13 / 1 m/s2.
+    assert_eq!(
+        timed(total(10_000_000, 100_000)),
+        Refusal::TooFast {
+            requested_us: 10_000_000,
+            min_us: 22_803_509,
+            min_accel_um_s2: 520_000,
+        }
+    );
+    // With that acceleration it is the speed.
+    assert_eq!(
+        timed(total(10_000_000, 520_000)),
+        Refusal::SpeedLimit {
+            needed_um_s: 260_000,
+            max_um_s: 49_000,
+        }
+    );
+    assert_eq!(timed(total(u64::MAX, 100_000)), Refusal::TooSlow);
+    // Dwells that leave no time at all: no acceleration would do.
+    let dwelling = Run {
+        far_dwell_us: 9_000_000,
+        ..PAPER
+    };
+    assert_eq!(
+        refused(&dwelling),
+        Refusal::TooFast {
+            requested_us: 40_000_000,
+            min_us: 67_803_509,
+            min_accel_um_s2: u64::MAX,
+        }
+    );
+}
+
+/// The axis is in the numbers: 1/256 microsteps make 12,800 steps per mm.
+#[test]
+fn a_refusal_counts_in_the_steps_of_the_axis() {
+    let fine = Axis::new(4_000, 200, 256, 100_000).unwrap();
+    let refused = |run: &Run| {
+        let error = solve(run, &fine, &LIMITS).unwrap_err();
+        refusal(&error, run, &fine, &LIMITS)
+    };
+    let too_long = Run {
+        stroke_um: 100_001,
+        ..PAPER
+    };
+    assert_eq!(
+        refused(&too_long),
+        out_of_range(Field::StrokeUm, 100_001, 1, 100_000)
+    );
+    let fast = Run {
+        stroke_um: 100_000,
+        timing: speeds(25_000, 25_000, 100_000),
+        ..PAPER
+    };
+    let Refusal::StepRateLimit { needed_hz, max_hz } = refused(&fast) else {
+        panic!("{:?}", refused(&fast))
+    };
+    // 25 mm/s are 320 kHz, in whole ticks.
+    assert!((320_000..322_000).contains(&needed_hz), "{needed_hz}");
+    assert_eq!(max_hz, 250_000);
+    let dwells = |far_dwell_us, home_dwell_us| Run {
+        stroke_um: 1_000,
+        timing: speeds(10_000, 10_000, 2_000_000),
+        far_dwell_us,
+        home_dwell_us,
+        ..PAPER
+    };
+    for (run, expected, requested) in [
+        (dwells(3, 1_000), Field::FarDwellUs, 3),
+        (dwells(1_000, 5), Field::HomeDwellUs, 5),
+    ] {
+        let refused = refused(&run);
+        let Refusal::OutOfRange {
+            field,
+            requested: told,
+            min,
+            max,
+        } = refused
+        else {
+            panic!("{refused:?}")
+        };
+        assert_eq!(
+            (field, told, max),
+            (expected, requested, u64::from(u32::MAX))
+        );
+        // 1 ms less the time of the first step: sqrt(2 * 78 nm / 2 m/s2) = 280 us.
+        assert!((720..722).contains(&min), "{min}");
+    }
+}
+
+/// What the solver finds and no request above reaches, and numbers that a division would trip over.
+#[test]
+fn every_error_has_its_words() {
+    let words = |error, run: &Run| refusal(&error, run, &AXIS, &LIMITS);
+    let paced = Run {
+        timing: speeds(10_000, 10_000, 100_000),
+        ..PAPER
+    };
+    let too_short = |minimal_accel_um_s2| RunError::TotalTooShort {
+        minimal_total_us: 7,
+        minimal_accel_um_s2,
+    };
+    // Nobody asked for a total.
+    assert_eq!(
+        words(too_short(Some(9)), &paced),
+        Refusal::TooFast {
+            requested_us: 0,
+            min_us: 7,
+            min_accel_um_s2: 9,
+        }
+    );
+    let rate = |interval, min_interval| RunError::StepRate {
+        interval: Ticks(interval),
+        min_interval: Ticks(min_interval),
+        max_um_s: 1,
+    };
+    for (interval, min_interval, needed_hz, max_hz) in [
+        (200, 400, 500_000, 250_000),
+        (0, 0, 100_000_000, 100_000_000),
+        (1, 1, 100_000_000, 100_000_000),
+    ] {
+        assert_eq!(
+            words(rate(interval, min_interval), &PAPER),
+            Refusal::StepRateLimit { needed_hz, max_hz }
+        );
+    }
+    let below = RunError::StrokeBelowOneStep {
+        stroke: Micrometres(1),
+    };
+    let one = Run {
+        stroke_um: 1,
+        ..PAPER
+    };
+    assert_eq!(
+        words(below, &one),
+        out_of_range(Field::StrokeUm, 1, 2, 130_000)
+    );
+    assert_eq!(words(RunError::TooLong, &PAPER), Refusal::TooSlow);
+    let profile = RunError::Profile(StrokeError::NoSteps);
+    assert_eq!(words(profile, &PAPER), Refusal::TooSlow);
+    let zero = RunError::Rate(AxisError::NoAcceleration);
+    assert_eq!(
+        words(zero, &paced),
+        out_of_range(Field::AccelUmS2, 0, 1, 2_000_000)
+    );
+}
