@@ -7,7 +7,7 @@
 //! sees `duty * (battery - back-EMF) / R` and never regenerates. At part duty the inrush is therefore smaller and
 //! lasts longer (6 ms / duty), and an unloaded motor turns almost as fast as at full duty.
 
-use crate::mechanics::{Counts, FORCE_MA, MOTOR_MILLIOHM, RISE_START_MA, divide};
+use crate::mechanics::{Counts, FORCE_MA, MOTOR_MILLIOHM, RISE_START_MA};
 
 /// One reading of the sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -65,7 +65,7 @@ const DRIVER_DEBOUNCE_US: u64 = 3_000;
 const SPEED_WINDOW_US: u64 = 4_000;
 /// Speed times this is the stopping distance of a braked motor: its time constant with the bridge's resistance
 /// (0.6 ohm) in the loop, 6.9 ms, less a tenth for friction, plus 1 ms between two samples.
-const STOP_US: u64 = 7_300;
+const STOP_US: i64 = 7_300;
 /// The no-load current is averaged over this time after the blanking.
 const NO_LOAD_US: u64 = 50_000;
 
@@ -138,7 +138,7 @@ pub struct Detector {
     rise: Debounce,
     no_load: Mean,
     speed_from: Option<(Counts, u64)>,
-    counts_per_s: u32,
+    counts_per_s: i64,
 }
 
 impl Detector {
@@ -264,7 +264,7 @@ impl Detector {
 
     /// How far the motor runs on in the leg's direction if it is braked now.
     pub fn stopping_distance(&self) -> Counts {
-        let counts = divide(u64::from(self.counts_per_s) * STOP_US, 1_000_000);
+        let counts = self.counts_per_s.saturating_mul(STOP_US) / 1_000_000;
         Counts(i32::try_from(counts).unwrap_or(i32::MAX))
     }
 
@@ -275,9 +275,9 @@ impl Detector {
         if elapsed_us < SPEED_WINDOW_US {
             return;
         }
-        let travel = u64::try_from(self.spooling.travel(from, counts).0).unwrap_or(0);
-        let elapsed_us = u32::try_from(elapsed_us).unwrap_or(u32::MAX).min(1 << 24);
-        self.counts_per_s = divide(travel * 1_000_000, elapsed_us);
+        let travel = self.spooling.travel(from, counts);
+        let elapsed_us = i64::try_from(elapsed_us).unwrap_or(i64::MAX);
+        self.counts_per_s = (i64::from(travel.0) * 1_000_000 / elapsed_us).max(0);
         self.speed_from = Some((counts, now_us));
     }
 
@@ -300,7 +300,6 @@ fn is_stall(current_ma: u16, drive_mv: u16) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mechanics::Thread;
 
     /// A detector that gets one sample per millisecond from a motor that turns by 20 counts per ms.
     struct Feed {
@@ -613,14 +612,13 @@ mod tests {
     }
 
     #[test]
-    fn a_leap_of_the_encoder_is_a_stopping_distance_beyond_all_travel() {
+    fn a_leap_of_the_encoder_saturates_the_stopping_distance() {
         let mut detector = Detector::new(Spooling::Wind, 0);
         let mut sample = HEALTHY;
         let _ = detector.check(0, &sample, 1_500, 16);
         sample.counts.0 += i32::MAX - HEALTHY.counts.0;
         let _ = detector.check(4_000, &sample, 1_500, 16);
-        // 30 m, and no overflow.
-        assert!(detector.stopping_distance().thread() > Thread(30_000_000));
+        assert_eq!(detector.stopping_distance(), Counts(i32::MAX));
     }
 
     /// First trip, and its time in ms, of a leg with these counts and this current.

@@ -13,9 +13,9 @@ pub struct Counts(pub i32);
 pub struct Thread(pub i32);
 
 /// One count is `2 pi * 1500 um / (4 * 30 * 64)` of thread. With pi = 355/113 (8e-8 off) that is 8875/7232 um.
-const THREAD_NUMERATOR: i32 = 8875;
+const THREAD_NUMERATOR: i64 = 8875;
 /// Denominator of the same fraction.
-const THREAD_DENOMINATOR: i32 = 7232;
+const THREAD_DENOMINATOR: i64 = 7232;
 
 impl Counts {
     /// Counts from `origin` to here, also across a wrap of the 32-bit counter.
@@ -41,32 +41,22 @@ impl Thread {
     }
 }
 
-/// `value * numerator / denominator`, rounded to the nearest. `numerator` and `denominator` are less than 2^15.
-const fn rescale(value: i32, numerator: i32, denominator: i32) -> i32 {
-    // Wholes and rest apart, because the product needs 64 bits: |rest * numerator| < 2^30.
-    let wholes = value / denominator;
-    let rest = value % denominator * numerator;
-    let half = if value < 0 {
+const fn rescale(value: i32, numerator: i64, denominator: i64) -> i32 {
+    // |value * numerator| < 2^31 * 2^14: no overflow.
+    let product = value as i64 * numerator;
+    let half = if product < 0 {
         -denominator / 2
     } else {
         denominator / 2
     };
-    wholes
-        .saturating_mul(numerator)
-        .saturating_add((rest + half) / denominator)
-}
-
-/// `dividend / divisor`, saturating, for a divisor from 1 to 2^24. Divides digit by digit: the compiler's 64-bit
-/// routine takes 1 KB of flash.
-pub(crate) fn divide(dividend: u64, divisor: u32) -> u32 {
-    let (mut quotient, mut rest) = (0_u64, 0_u32);
-    for digit in dividend.to_be_bytes() {
-        // rest < divisor, so that the sum fits and its quotient is one digit.
-        rest = rest << 8 | u32::from(digit);
-        quotient = quotient << 8 | u64::from(rest / divisor);
-        rest %= divisor;
+    let quotient = (product + half) / denominator;
+    if quotient > i32::MAX as i64 {
+        i32::MAX
+    } else if quotient < i32::MIN as i64 {
+        i32::MIN
+    } else {
+        quotient as i32
     }
-    u32::try_from(quotient).unwrap_or(u32::MAX)
 }
 
 /// Winding resistance of the motor.
@@ -142,44 +132,6 @@ mod tests {
         // The counter covers more than any length in um.
         assert_eq!(Thread(i32::MAX).counts(), Counts(1_749_926_956));
         assert_eq!(Thread(i32::MIN).counts(), Counts(-1_749_926_957));
-    }
-
-    #[test]
-    fn long_division_is_division() {
-        let divisors = [
-            1,
-            2,
-            3,
-            1_000,
-            4_000,
-            4_001,
-            1_953_125,
-            (1 << 24) - 1,
-            1 << 24,
-        ];
-        let dividends = [
-            0,
-            1,
-            255,
-            256,
-            999,
-            1_000,
-            1_001,
-            0x00FF_00FF,
-            u64::from(u32::MAX),
-        ];
-        for divisor in divisors {
-            for factor in [1, 7, 1_000, 4_095, u64::from(divisor), 1 << 31, 1 << 32] {
-                for dividend in dividends {
-                    let dividend: u64 = dividend * factor;
-                    let exact = dividend / u64::from(divisor);
-                    let expected = u32::try_from(exact).unwrap_or(u32::MAX);
-                    let quotient = divide(dividend, divisor);
-                    assert_eq!(quotient, expected, "{dividend} / {divisor}");
-                }
-            }
-        }
-        assert_eq!(divide(u64::MAX, 1), u32::MAX);
     }
 
     #[test]

@@ -1,9 +1,6 @@
 //! Keeps the record of the present or last actuation: duration, currents, energy, how it ended.
 
-use crate::{
-    detect::Sample,
-    mechanics::{Thread, divide},
-};
+use crate::{detect::Sample, mechanics::Thread};
 use protocol::capsule::{ActuationKind, ActuationOutcome, ActuationRecord};
 
 /// Fills an [`ActuationRecord`] while the actuation runs.
@@ -66,9 +63,8 @@ impl Recorder {
 
     /// Notes a sample of the running actuation.
     pub(crate) fn update(&mut self, duration_us: u64, battery_mv: u16) {
-        self.record.duration_ms = divide(duration_us, 1_000);
-        // pJ to mJ: 10^9 is 2^9 * 1953125.
-        self.record.energy_mj = divide(self.energy_pj >> 9, 1_953_125);
+        self.record.duration_ms = u32::try_from(duration_us / 1_000).unwrap_or(u32::MAX);
+        self.record.energy_mj = u32::try_from(self.energy_pj / 1_000_000_000).unwrap_or(u32::MAX);
         self.record.min_battery_mv = self.record.min_battery_mv.min(battery_mv);
     }
 
