@@ -74,7 +74,7 @@ fn respond(
         return Ok(answer);
     }
     let mut command = |machine: &mut Machine, command| {
-        *actions = machine.step(&context.now, Event::Command(command));
+        *actions = machine.step(&context.now, Event::Command(&command));
         actions.refusal.map_or(Ok(()), Err)
     };
     let response = match request {
@@ -187,7 +187,7 @@ pub fn press_button(machine: &mut Machine, values: &Values, now: &Now) -> Action
         link_loss: LinkLossPolicy::Finish,
     };
     let plan = solve(&run, machine).ok();
-    machine.step(now, Event::Command(Command::Button(plan)))
+    machine.step(now, Event::Command(&Command::Button(plan)))
 }
 
 fn status(machine: &Machine, context: &Context<'_>) -> RigStatus {

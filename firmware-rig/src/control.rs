@@ -153,7 +153,7 @@ impl<S: Surroundings, R: Rig, F: NorFlash> Control<S, R, F> {
     }
 
     /// Takes a notice of the motion task or of an interrupt.
-    pub fn event(&mut self, event: Event) {
+    pub fn event(&mut self, event: Event<'_>) {
         if let Event::PathEnded(PathEnd::Underrun, _) = event {
             self.underruns = self.underruns.saturating_add(1);
         }
@@ -169,8 +169,8 @@ impl<S: Surroundings, R: Rig, F: NorFlash> Control<S, R, F> {
             Inbound::Request(request) => self.request(request),
             Inbound::Urgent(urgent) => {
                 self.event(Event::Command(match urgent {
-                    Urgent::Stop => Command::Stop,
-                    Urgent::EStop => Command::EStop,
+                    Urgent::Stop => &Command::Stop,
+                    Urgent::EStop => &Command::EStop,
                 }));
                 Reply::Urgent(urgent)
             }

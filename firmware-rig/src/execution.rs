@@ -83,7 +83,7 @@ pub trait Mailbox {
     fn take_stop(&mut self) -> bool;
 
     /// Tells control; false if it cannot take more now.
-    fn notify(&mut self, event: Event) -> bool;
+    fn notify(&mut self, event: Event<'static>) -> bool;
 
     /// Shows stroke and position of the present path to whoever wants to know.
     fn show(&mut self, stroke: u32, commanded: StepPosition);
@@ -118,7 +118,7 @@ pub enum Pace {
 pub struct Motion {
     execution: Option<Execution>,
     /// An end that control could not take yet.
-    untold: Option<Event>,
+    untold: Option<Event<'static>>,
 }
 
 impl Motion {
@@ -187,7 +187,7 @@ impl Execution {
         ring: &mut impl Ring,
         mailbox: &mut impl Mailbox,
         order: Order,
-    ) -> Result<Self, Event> {
+    ) -> Result<Self, Event<'static>> {
         let stroke = order.path.first_stroke();
         ring.clear(order.pulse_ticks);
         ring.enable_driver();
@@ -221,7 +221,7 @@ impl Execution {
     }
 
     /// One round; the notice of the end when it is over.
-    fn advance(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) -> Option<Event> {
+    fn advance(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) -> Option<Event<'static>> {
         ring.update();
         if self.filling == Filling::Full {
             let waiting = ring.waiting() as u16; // the ring holds fewer than that by far
@@ -257,7 +257,7 @@ impl Execution {
         missed.0 > ring.waiting_pulses()
     }
 
-    fn end(&self, ring: &mut impl Ring, mailbox: &mut impl Mailbox, end: PathEnd) -> Event {
+    fn end(&self, ring: &mut impl Ring, mailbox: &mut impl Mailbox, end: PathEnd) -> Event<'static> {
         ring.halt();
         let report = PathReport {
             commanded: self.periods.position(),

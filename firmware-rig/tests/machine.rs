@@ -367,7 +367,7 @@ mod running {
         let mut rig = started(LinkLossPolicy::Stop);
         rig.pulses(7_990);
         let counted = rig.ring.counted;
-        let stop = Event::Command(Command::Stop);
+        let stop = Event::Command(&Command::Stop);
         let actions = rig.machine.step(&now(0, counted, CLOSED), stop);
         assert_eq!((kinds(&actions), actions.refusal), (vec!["StopPath"], None));
         // Execution has not heard of it yet.
@@ -454,7 +454,7 @@ mod running {
             assert_eq!(rig.fault(), Some(fault));
             assert_record(&rig, RunOutcome::Faulted(fault), 0);
             // The cause is reported after the path's end: no second fault.
-            let estop = Event::Command(Command::EStop);
+            let estop = Event::Command(&Command::EStop);
             let actions = rig.machine.step(&now, estop);
             assert_eq!((kinds(&actions), actions.refusal), (vec!["Cut"], None));
             assert_eq!(rig.fault(), Some(fault));
@@ -612,7 +612,7 @@ fn a_fault_of_the_last_start_has_to_be_acknowledged() {
     for fault in [RigFault::Watchdog, RigFault::Panic] {
         let mut machine = Machine::new(SETTINGS, Some(fault), 0);
         let mut refusal = |command| {
-            let actions = machine.step(&now(0, 0, CLOSED), Event::Command(command));
+            let actions = machine.step(&now(0, 0, CLOSED), Event::Command(&command));
             assert!(actions.list.is_empty());
             (actions.refusal, machine.state())
         };
@@ -854,7 +854,7 @@ mod table {
     }
 
     /// When it comes, us, and what.
-    fn sample(input: Input) -> (u64, Event) {
+    fn sample(input: Input) -> (u64, Event<'static>) {
         let time_us = match input {
             TickInTime => 300_000,
             TickLate => 60_000_001,
@@ -878,7 +878,7 @@ mod table {
             EndMismatch => path_ended(PathEnd::Complete, 0, 1),
             LinkSilent => Event::LinkSilent,
             TickInTime | TickLate => Event::Tick,
-            _ => Event::Command(command(input)),
+            _ => Event::Command(Box::leak(Box::new(command(input)))),
         };
         (time_us, event)
     }
@@ -927,7 +927,7 @@ mod table {
     impl Setup {
         fn command(&mut self, command: Command, inputs: RigInputs) {
             let now = now(0, 0, inputs);
-            let actions = self.0.step(&now, Event::Command(command));
+            let actions = self.0.step(&now, Event::Command(&command));
             assert_eq!(actions.refusal, None);
         }
 
