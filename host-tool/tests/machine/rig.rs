@@ -130,7 +130,7 @@ impl Rig {
     }
 
     /// What happens on the carriage now. Its notices come back.
-    fn step(&mut self) -> Vec<Event> {
+    fn step(&mut self) -> Vec<Event<'static>> {
         let timer_stands = self.timer_stands;
         let carriage = self.carriage();
         if timer_stands {
