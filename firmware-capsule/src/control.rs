@@ -31,17 +31,16 @@ pub trait Capsule {
 }
 
 /// Owns the state machine and the events.
-pub struct Control<S: Surroundings, C: Capsule> {
-    surroundings: S,
+pub struct Control<C: Capsule + Surroundings> {
     capsule: C,
     machine: fold::Capsule,
     events: EventRing,
     last_words: LastWords,
 }
 
-impl<S: Surroundings, C: Capsule> Control<S, C> {
+impl<C: Capsule + Surroundings> Control<C> {
     /// Control after a start, from what the previous one left.
-    pub fn new(surroundings: S, capsule: C, left: Left, reset_cause: ResetCause) -> Self {
+    pub fn new(capsule: C, left: Left, reset_cause: ResetCause) -> Self {
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(CapsuleFault::Panic),
             (ResetCause::Watchdog, _) => Some(CapsuleFault::Watchdog),
@@ -49,7 +48,6 @@ impl<S: Surroundings, C: Capsule> Control<S, C> {
             (_, None) => None,
         };
         let mut control = Self {
-            surroundings,
             capsule,
             machine: fold::Capsule::new(fault),
             events: EventRing::new(),
@@ -77,7 +75,7 @@ impl<S: Surroundings, C: Capsule> Control<S, C> {
         match inbound {
             Inbound::Request(request) => self.request(request),
             Inbound::Urgent(urgent) => {
-                let now_us = self.surroundings.now_us();
+                let now_us = self.capsule.now_us();
                 let actions = commands::urgent(urgent, &mut self.machine, now_us);
                 self.perform(&actions);
                 Reply::Urgent(urgent)
@@ -88,7 +86,7 @@ impl<S: Surroundings, C: Capsule> Control<S, C> {
     #[inline(never)]
     fn request(&mut self, request: Request) -> Reply {
         let context = Context {
-            now_us: self.surroundings.now_us(),
+            now_us: self.capsule.now_us(),
             about: About {
                 events: &self.events,
                 last_words: &self.last_words,
@@ -100,9 +98,9 @@ impl<S: Surroundings, C: Capsule> Control<S, C> {
         }
         match executed.effect {
             Effect::None => {}
-            Effect::Telemetry { period_ms } => self.surroundings.set_telemetry(period_ms),
+            Effect::Telemetry { period_ms } => self.capsule.set_telemetry(period_ms),
             Effect::Acknowledged => {
-                self.surroundings.keep_latched(None);
+                self.capsule.keep_latched(None);
                 self.emit(What::Acknowledged);
             }
         }
@@ -110,31 +108,28 @@ impl<S: Surroundings, C: Capsule> Control<S, C> {
     }
 
     fn watch_link(&mut self) {
-        if self.machine.is_moving() && self.surroundings.silence_us() > LINK_TIMEOUT_US {
+        if self.machine.is_moving() && self.capsule.silence_us() > LINK_TIMEOUT_US {
             self.emit(What::LinkLost);
-            let actions = self
-                .machine
-                .step(self.surroundings.now_us(), Event::LinkSilent);
+            let actions = self.machine.step(self.capsule.now_us(), Event::LinkSilent);
             self.perform(&actions);
         }
     }
 
     fn perform(&mut self, actions: &Actions) {
         self.capsule.drive(actions.drive);
-        let telemetry = commands::telemetry(&self.machine, self.surroundings.now_us());
+        let telemetry = commands::telemetry(&self.machine, self.capsule.now_us());
         self.capsule.show(telemetry);
         for event in &actions.events {
             if let CapsuleEvent::Faulted(fault) = event {
                 let estop = matches!(fault, CapsuleFault::EStopFrame);
-                self.surroundings
-                    .keep_latched(estop.then_some(EStop::Frame));
+                self.capsule.keep_latched(estop.then_some(EStop::Frame));
             }
             self.emit(What::Capsule(*event));
         }
     }
 
     fn emit(&mut self, what: What) {
-        let event = self.events.record(self.surroundings.now_us(), what);
-        self.surroundings.tell(&event);
+        let event = self.events.record(self.capsule.now_us(), what);
+        self.capsule.tell(&event);
     }
 }

@@ -69,8 +69,7 @@ pub struct Snapshot {
 }
 
 /// Owns the state machine, the settings and the events.
-pub struct Control<S: Surroundings, R: Rig, F: NorFlash> {
-    surroundings: S,
+pub struct Control<R: Rig + Surroundings, F: NorFlash> {
     rig: R,
     machine: Machine,
     settings: SettingsStore<F>,
@@ -84,16 +83,9 @@ pub struct Control<S: Surroundings, R: Rig, F: NorFlash> {
     button_rounds: u8,
 }
 
-impl<S: Surroundings, R: Rig, F: NorFlash> Control<S, R, F> {
+impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
     /// Control after a start, from what the previous one left and what is in flash.
-    pub fn new(
-        surroundings: S,
-        rig: R,
-        flash: F,
-        left: Left,
-        reset_cause: ResetCause,
-        image_hash: u32,
-    ) -> Self {
+    pub fn new(rig: R, flash: F, left: Left, reset_cause: ResetCause, image_hash: u32) -> Self {
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(RigFault::Panic),
             (ResetCause::Watchdog, _) => Some(RigFault::Watchdog),
@@ -103,9 +95,8 @@ impl<S: Surroundings, R: Rig, F: NorFlash> Control<S, R, F> {
         };
         let (store, usable) = SettingsStore::load(flash, |values| Settings::new(values).is_ok());
         let settings = Settings::new(store.values()).unwrap_or(Settings::REFERENCE);
-        let round_us = surroundings.now_us();
+        let round_us = rig.now_us();
         let mut control = Self {
-            surroundings,
             rig,
             machine: Machine::new(settings, fault, image_hash),
             settings: store,
@@ -124,7 +115,7 @@ impl<S: Surroundings, R: Rig, F: NorFlash> Control<S, R, F> {
         }
         control.apply_settings();
         let period_ms = control.values().get(SettingKey::TelemetryMs) as u16;
-        control.surroundings.set_telemetry(period_ms);
+        control.rig.set_telemetry(period_ms);
         control
     }
 
@@ -194,9 +185,9 @@ impl<S: Surroundings, R: Rig, F: NorFlash> Control<S, R, F> {
         let mut reply = executed.reply;
         match executed.effect {
             Effect::None => {}
-            Effect::Telemetry { period_ms } => self.surroundings.set_telemetry(period_ms),
+            Effect::Telemetry { period_ms } => self.rig.set_telemetry(period_ms),
             Effect::Acknowledged => {
-                self.surroundings.keep_latched(None);
+                self.rig.keep_latched(None);
                 self.emit(What::Acknowledged);
             }
             Effect::Store(change) => {
@@ -276,7 +267,7 @@ impl<S: Surroundings, R: Rig, F: NorFlash> Control<S, R, F> {
             RigState::Homing | RigState::Running | RigState::Moving
         );
         let timeout_us = self.machine.settings().link_timeout_us;
-        if moving && u64::from(self.surroundings.silence_us()) > timeout_us {
+        if moving && u64::from(self.rig.silence_us()) > timeout_us {
             self.event(Event::LinkSilent);
             if self.machine.state() != before {
                 self.emit(What::LinkLost);
@@ -293,7 +284,7 @@ impl<S: Surroundings, R: Rig, F: NorFlash> Control<S, R, F> {
                 Action::SetPosition(position) => self.rig.set_position(position),
                 Action::Emit(event) => {
                     if let RigEvent::Faulted(fault) = event {
-                        self.surroundings.keep_latched(match fault {
+                        self.rig.keep_latched(match fault {
                             RigFault::EStopLoop => Some(EStop::Loop),
                             RigFault::EStopFrame => Some(EStop::Frame),
                             _ => None,
@@ -316,7 +307,7 @@ impl<S: Surroundings, R: Rig, F: NorFlash> Control<S, R, F> {
     }
 
     fn emit(&mut self, what: What) {
-        let event = self.events.record(self.surroundings.now_us(), what);
-        self.surroundings.tell(&event);
+        let event = self.events.record(self.rig.now_us(), what);
+        self.rig.tell(&event);
     }
 }

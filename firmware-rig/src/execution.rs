@@ -221,7 +221,11 @@ impl Execution {
     }
 
     /// One round; the notice of the end when it is over.
-    fn advance(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) -> Option<Event<'static>> {
+    fn advance(
+        &mut self,
+        ring: &mut impl Ring,
+        mailbox: &mut impl Mailbox,
+    ) -> Option<Event<'static>> {
         ring.update();
         if self.filling == Filling::Full {
             let waiting = ring.waiting() as u16; // the ring holds fewer than that by far
@@ -257,7 +261,12 @@ impl Execution {
         missed.0 > ring.waiting_pulses()
     }
 
-    fn end(&self, ring: &mut impl Ring, mailbox: &mut impl Mailbox, end: PathEnd) -> Event<'static> {
+    fn end(
+        &self,
+        ring: &mut impl Ring,
+        mailbox: &mut impl Mailbox,
+        end: PathEnd,
+    ) -> Event<'static> {
         ring.halt();
         let report = PathReport {
             commanded: self.periods.position(),

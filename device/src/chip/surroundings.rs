@@ -9,10 +9,10 @@ use core::sync::atomic::Ordering;
 use embassy_time::Instant;
 use protocol::system::{Event, What};
 
-/// The chip around control.
-pub struct Chip;
+/// A machine that is surrounded by this chip.
+pub trait OnChip {}
 
-impl Surroundings for Chip {
+impl<M: OnChip> Surroundings for M {
     fn now_us(&self) -> u64 {
         Instant::now().as_micros()
     }

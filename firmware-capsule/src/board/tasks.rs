@@ -8,7 +8,7 @@ use device::{
     chip::{
         channels::{REPLIES, REQUESTS},
         link,
-        surroundings::Chip,
+        surroundings::OnChip,
         telemetry,
         watchdog::{self, CHECK_IN, check_in},
     },
@@ -79,7 +79,7 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
 /// At every reading (1 ms while moving, else 100 ms) and at every request.
 #[embassy_executor::task]
 pub(crate) async fn control(left: Left, cause: ResetCause) -> ! {
-    let mut control = Control::new(Chip, Capsule, left, cause);
+    let mut control = Control::new(Capsule, left, cause);
     loop {
         check_in(Client::Control);
         match select3(REQUESTS.wait(), READINGS.wait(), Timer::after(CHECK_IN)).await {
@@ -93,6 +93,8 @@ pub(crate) async fn control(left: Left, cause: ResetCause) -> ! {
 
 /// The rest of the capsule, as control sees it.
 struct Capsule;
+
+impl OnChip for Capsule {}
 
 impl control::Capsule for Capsule {
     fn drive(&mut self, drive: Drive) {

@@ -14,7 +14,7 @@ use device::{
         channels::{BAD_FRAMES, REPLIES, REQUESTS, UART_ERRORS, UNSENT_FRAMES},
         flash::Sectors,
         image, link,
-        surroundings::Chip,
+        surroundings::OnChip,
         telemetry,
         watchdog::{self, CHECK_IN, check_in},
     },
@@ -66,7 +66,7 @@ pub async fn motion(mut generator: StepGenerator) -> ! {
 /// Every 10 ms and at every notice or request.
 #[embassy_executor::task]
 pub async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
-    let mut control = Control::new(Chip, Rig, sectors, left, cause, image::hash());
+    let mut control = Control::new(Rig, sectors, left, cause, image::hash());
     let mut ticker = Ticker::every(Duration::from_micros(ROUND_US));
     loop {
         check_in(Client::Control);
@@ -81,6 +81,8 @@ pub async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
 
 /// The rest of the rig, as control sees it.
 pub struct Rig;
+
+impl OnChip for Rig {}
 
 impl control::Rig for Rig {
     #[inline(never)]
