@@ -3,7 +3,6 @@
 #[path = "../../../firmware-capsule/tests/plant/mod.rs"]
 mod plant;
 
-use device::common::Surroundings;
 use device::retained::Left;
 use device::service::Inbound;
 use firmware_capsule::control::{self, Control};
@@ -13,7 +12,7 @@ use protocol::capsule::CapsuleTelemetry;
 use protocol::system::ResetCause;
 use protocol::table::{Reply, Telemetry};
 
-use super::port::Port;
+use super::port::{At, Port};
 use super::{Device, World};
 
 /// Interval of readings while the bridge is awake, and while it sleeps, us.
@@ -26,13 +25,12 @@ const STEP_US: u64 = 20;
 
 /// A capsule.
 pub struct Capsule {
-    control: Control<Port, Board>,
+    control: Control<At<Board>>,
     port: Port,
     next_reading_us: u64,
 }
 
 struct Board {
-    port: Port,
     plant: Plant,
     /// So far has the plant come, device time.
     plant_us: u64,
@@ -42,28 +40,29 @@ struct Board {
     shown: Option<CapsuleTelemetry>,
 }
 
-impl Board {
+impl At<Board> {
     /// Lets the motor turn until now.
     fn turn(&mut self) {
-        let steps = (self.port.now_us() - self.plant_us) / STEP_US;
-        self.plant_us += steps * STEP_US;
+        let board = &mut self.board;
+        let steps = (self.port.now_us() - board.plant_us) / STEP_US;
+        board.plant_us += steps * STEP_US;
         // At rest without drive nothing changes: the worm holds.
-        let rests = self.drive == Drive::Off && self.plant.speed == 0.0;
+        let rests = board.drive == Drive::Off && board.plant.speed == 0.0;
         let steps = if rests { steps.min(1) } else { steps };
-        self.plant.run(self.drive, (steps * STEP_US) as u32);
+        board.plant.run(board.drive, (steps * STEP_US) as u32);
     }
 }
 
-impl control::Capsule for Board {
+impl control::Capsule for At<Board> {
     fn drive(&mut self, drive: Drive) {
-        if self.drive != drive {
+        if self.board.drive != drive {
             self.turn();
-            (self.drive, self.changed) = (drive, true);
+            (self.board.drive, self.board.changed) = (drive, true);
         }
     }
 
     fn show(&mut self, telemetry: CapsuleTelemetry) {
-        self.shown = Some(telemetry);
+        self.board.shown = Some(telemetry);
     }
 }
 
@@ -75,23 +74,27 @@ impl Capsule {
 
     fn start(port: &Port, left: Left, cause: ResetCause, plant: Plant) -> Self {
         let board = Board {
-            port: port.clone(),
             plant,
             plant_us: 0,
             drive: Drive::Off,
             changed: false,
             shown: None,
         };
-        Self {
-            control: Control::new(port.clone(), board, left, cause),
+        let port = port.clone();
+        let at = At {
             port: port.clone(),
+            board,
+        };
+        Self {
+            control: Control::new(at, left, cause),
+            port,
             next_reading_us: 0,
         }
     }
 
     /// The motor task reads at once after a new order.
     fn read_if_changed(&mut self) {
-        if self.control.capsule().changed {
+        if self.control.capsule().board.changed {
             self.next_reading_us = self.port.now_us();
         }
     }
@@ -99,7 +102,7 @@ impl Capsule {
 
 impl Device for Capsule {
     fn reset(&mut self, left: Left, cause: ResetCause) {
-        let plant = std::mem::replace(&mut self.control.capsule().plant, Plant::at(START_MM));
+        let plant = std::mem::replace(&mut self.control.capsule().board.plant, Plant::at(START_MM));
         *self = Self::start(&self.port, left, cause, plant);
     }
 
@@ -111,12 +114,12 @@ impl Device for Capsule {
         while self.next_reading_us <= until_us {
             let now_us = self.next_reading_us;
             self.port.set_now_us(now_us);
-            let board = self.control.capsule();
-            board.turn();
-            board.changed = false;
-            let sample = board.plant.sample();
+            let at = self.control.capsule();
+            at.turn();
+            at.board.changed = false;
+            let sample = at.board.plant.sample();
             self.control.read(now_us, sample);
-            let asleep = self.control.capsule().drive == Drive::Off;
+            let asleep = self.control.capsule().board.drive == Drive::Off;
             self.next_reading_us = now_us + if asleep { ASLEEP_US } else { AWAKE_US };
             self.read_if_changed();
         }
@@ -131,7 +134,7 @@ impl Device for Capsule {
 
     fn telemetry(&mut self) -> Option<Telemetry> {
         let time_us = self.port.now_us();
-        let shown = self.control.capsule().shown?;
+        let shown = self.control.capsule().board.shown?;
         Some(Telemetry::Capsule(CapsuleTelemetry { time_us, ..shown }))
     }
 

@@ -78,6 +78,10 @@ impl Port {
         retained::start(&mut *state)
     }
 
+    pub fn now_us(&self) -> u64 {
+        self.state().now_us
+    }
+
     pub fn set_now_us(&self, now_us: u64) {
         self.state().now_us = now_us;
     }
@@ -116,28 +120,34 @@ impl Port {
     }
 }
 
-impl Surroundings for Port {
+/// A machine's board at this port.
+pub struct At<B> {
+    pub port: Port,
+    pub board: B,
+}
+
+impl<B> Surroundings for At<B> {
     fn now_us(&self) -> u64 {
-        self.state().now_us
+        self.port.now_us()
     }
 
     fn silence_us(&self) -> u32 {
-        let state = self.state();
+        let state = self.port.state();
         (state.now_us - state.heard_us) as u32
     }
 
     fn set_telemetry(&mut self, period_ms: u16) {
-        let mut state = self.state();
+        let mut state = self.port.state();
         state.telemetry_us = u64::from(period_ms) * 1_000;
         state.next_telemetry_us = (period_ms > 0).then_some(state.now_us + state.telemetry_us);
     }
 
     fn keep_latched(&mut self, estop: Option<EStop>) {
-        retained::keep_latched(&mut *self.state(), estop);
+        retained::keep_latched(&mut *self.port.state(), estop);
     }
 
     fn tell(&mut self, event: &Event) {
-        let mut state = self.state();
+        let mut state = self.port.state();
         // Before the first session nobody listens.
         if state.session != 0 {
             state.send(Kind::Event, event.index as u16, event);

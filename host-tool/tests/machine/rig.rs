@@ -17,7 +17,7 @@ use protocol::system::{ResetCause, Urgent};
 use protocol::table::{Reply, Telemetry};
 
 use super::chip::Flash;
-use super::port::Port;
+use super::port::{At, Port};
 use super::{Device, World};
 
 /// Ticks of 10 ns per us.
@@ -27,7 +27,7 @@ const START: i32 = 4_000;
 
 /// A rig.
 pub struct Rig {
-    control: Control<Port, Board, Flash>,
+    control: Control<At<Board>, Flash>,
     flash: Flash,
     port: Port,
     /// When control's next round is due, ticks.
@@ -42,17 +42,17 @@ struct Board {
     button_is_down: bool,
 }
 
-impl control::Rig for Board {
+impl control::Rig for At<Board> {
     fn now(&self) -> Now {
-        self.carriage.look()
+        self.board.carriage.look()
     }
 
     fn button_is_down(&self) -> bool {
-        self.button_is_down
+        self.board.button_is_down
     }
 
     fn stroke(&self) -> u32 {
-        self.carriage.mail.stroke
+        self.board.carriage.mail.stroke
     }
 
     fn health(&self) -> RigHealth {
@@ -75,19 +75,19 @@ impl control::Rig for Board {
     }
 
     fn start(&mut self, order: Order) {
-        self.carriage.order(order);
+        self.board.carriage.order(order);
     }
 
     fn stop_path(&mut self) {
-        self.carriage.stop();
+        self.board.carriage.stop();
     }
 
     fn cut(&mut self) {
-        self.carriage.cut();
+        self.board.carriage.cut();
     }
 
     fn set_position(&mut self, position: StepPosition) {
-        self.carriage.set_position(position);
+        self.board.carriage.set_position(position);
     }
 
     fn set_switch_filter(&mut self, _: u32) {}
@@ -105,11 +105,15 @@ impl Rig {
             button_is_down: false,
         };
         board.carriage.ring.ahead = Ahead::Slots;
-        let (surroundings, memory) = (port.clone(), flash.clone());
-        Self {
-            control: Control::new(surroundings, board, memory, left, cause, IMAGE_HASH),
-            flash: flash.clone(),
+        let port = port.clone();
+        let at = At {
             port: port.clone(),
+            board,
+        };
+        Self {
+            control: Control::new(at, flash.clone(), left, cause, IMAGE_HASH),
+            flash: flash.clone(),
+            port,
             next_control: CONTROL_ROUND,
             timer_stands: false,
             sampled: (0, StepPosition::HOME),
@@ -117,7 +121,7 @@ impl Rig {
     }
 
     fn carriage(&mut self) -> &mut Carriage {
-        &mut self.control.rig().carriage
+        &mut self.control.rig().board.carriage
     }
 
     /// When something happens on the carriage, ticks.
@@ -186,7 +190,7 @@ impl Device for Rig {
 
     fn telemetry(&mut self) -> Option<Telemetry> {
         let snapshot = self.control.snapshot();
-        let carriage = &self.control.rig().carriage;
+        let carriage = &self.control.rig().board.carriage;
         let (now, commanded_steps, stroke) = (
             carriage.look(),
             carriage.mail.commanded,
@@ -219,7 +223,7 @@ impl Device for Rig {
                     self.control.event(Event::LoopOpened);
                 }
             }
-            World::Button { down } => self.control.rig().button_is_down = down,
+            World::Button { down } => self.control.rig().board.button_is_down = down,
             World::TimerStands => self.timer_stands = true,
             World::Reset | World::StopFrame => unreachable!("{event:?} is of the device"),
         }
