@@ -199,7 +199,7 @@ fn status(machine: &Machine, context: &Context<'_>) -> RigStatus {
         fault: machine.fault(),
         homed: machine.homed(),
         position_steps: context.now.position.0,
-        position_um: machine.settings().um(context.now.position),
+        position_um: axis.um_from_home(context.now.position),
         stroke_um: axis.stroke().0,
         steps_per_rev: axis.steps_per_rev(),
         lead_um: axis.lead().0,

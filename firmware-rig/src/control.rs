@@ -5,7 +5,6 @@ use crate::{
     commands::{Change, Context, execute, press_button},
     execution::Order,
     machine::{Action, Actions, Command, Event, Machine, Now, PathEnd},
-    periods::Path,
     settings::Settings,
 };
 use device::{
@@ -13,14 +12,11 @@ use device::{
     last_words::LastWords,
     retained::{EStop, Left},
     service::Inbound,
-    settings::{SettingsStore, Values},
+    settings::SettingsStore,
     store::StorageFailed,
 };
 use embedded_storage_async::nor_flash::NorFlash;
-use motion::{
-    axis::Axis,
-    units::{StepPosition, Window},
-};
+use motion::{axis::Axis, units::StepPosition};
 use protocol::{
     error::Refusal,
     events::EventRing,
@@ -114,7 +110,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
             control.emit(What::Rig(RigEvent::SettingsUnusable));
         }
         control.apply_settings();
-        let period_ms = control.values().get(SettingKey::TelemetryMs) as u16;
+        let period_ms = control.settings.values().get(SettingKey::TelemetryMs) as u16;
         control.rig.set_telemetry(period_ms);
         control
     }
@@ -133,13 +129,9 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         &mut self.rig
     }
 
-    fn values(&self) -> &Values {
-        self.settings.values()
-    }
-
     /// Hands their settings to the others.
     fn apply_settings(&mut self) {
-        let filter_us = self.values().get(SettingKey::SwitchFilterUs);
+        let filter_us = self.settings.values().get(SettingKey::SwitchFilterUs);
         self.rig.set_switch_filter(filter_us);
     }
 
@@ -278,7 +270,15 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
     fn perform(&mut self, actions: Actions) {
         for action in actions.list {
             match action {
-                Action::Start { path, window } => self.start(path, window),
+                Action::Start { path, window } => {
+                    let settings = self.machine.settings();
+                    self.rig.start(Order {
+                        path,
+                        window,
+                        stop_accel: settings.stop_accel,
+                        pulse_ticks: settings.pulse_ticks,
+                    });
+                }
                 Action::StopPath => self.rig.stop_path(),
                 Action::Cut => self.rig.cut(),
                 Action::SetPosition(position) => self.rig.set_position(position),
@@ -294,16 +294,6 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
                 }
             }
         }
-    }
-
-    fn start(&mut self, path: Path, window: Window) {
-        let settings = self.machine.settings();
-        self.rig.start(Order {
-            path,
-            window,
-            stop_accel: settings.stop_accel,
-            pulse_ticks: settings.pulse_ticks,
-        });
     }
 
     fn emit(&mut self, what: What) {

@@ -35,10 +35,7 @@ use firmware_rig::{
     execution::{Motion, Order, Pace},
     machine::Now,
 };
-use motion::{
-    axis::Axis,
-    units::{StepPosition, Steps},
-};
+use motion::units::StepPosition;
 use protocol::{
     rig::{RigHealth, RigInputs, RigState, RigTelemetry},
     system::{Identity, ResetCause, Urgent},
@@ -182,20 +179,15 @@ pub async fn telemetry() -> ! {
             state: snapshot.state,
             position_steps: position.0,
             commanded_steps: COMMANDED.load(Ordering::Relaxed),
-            speed_um_s: speed_um_s(&snapshot.axis, position.since(from), elapsed_us),
+            speed_um_s: snapshot
+                .axis
+                .mean_speed_um_s(position.since(from), elapsed_us),
             stroke: STROKE.load(Ordering::Relaxed),
             residual_steps: snapshot.residual_steps,
             inputs: pins::inputs(),
         }))
     })
     .await
-}
-
-fn speed_um_s(axis: &Axis, steps: i32, time_us: u64) -> i32 {
-    let nm = axis.length_of(Steps(steps.unsigned_abs())).0;
-    let speed = nm.saturating_mul(1_000) / time_us.max(1);
-    let speed = i32::try_from(speed).unwrap_or(i32::MAX);
-    if steps < 0 { -speed } else { speed }
 }
 
 /// Every 150 ms; also shows the state on the LED.
