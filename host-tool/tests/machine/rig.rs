@@ -11,7 +11,7 @@ use firmware_rig::control::{self, Control};
 use firmware_rig::execution::Order;
 use firmware_rig::machine::{Event, Now};
 use firmware_rig::settings::Settings;
-use motion::units::{StepPosition, Steps};
+use motion::units::StepPosition;
 use protocol::rig::{Glitches, RigHealth, RigTelemetry};
 use protocol::system::{ResetCause, Urgent};
 use protocol::table::{Reply, Telemetry};
@@ -197,15 +197,13 @@ impl Device for Rig {
             carriage.mail.stroke,
         );
         let (before_us, from) = std::mem::replace(&mut self.sampled, (now.time_us, now.position));
-        let steps = now.position.since(from);
-        let nm = snapshot.axis.length_of(Steps(steps.unsigned_abs())).0;
-        let speed_um_s = (nm * 1_000 / (now.time_us - before_us).max(1)) as i32;
+        let (steps, time_us) = (now.position.since(from), now.time_us - before_us);
         Some(Telemetry::Rig(RigTelemetry {
             time_us: now.time_us,
             state: snapshot.state,
             position_steps: now.position.0,
             commanded_steps,
-            speed_um_s: speed_um_s * steps.signum(),
+            speed_um_s: snapshot.axis.mean_speed_um_s(steps, time_us),
             stroke,
             residual_steps: snapshot.residual_steps,
             inputs: now.inputs,
