@@ -9,5 +9,6 @@ pub mod last_resort;
 pub mod link;
 pub mod retained;
 pub mod start;
+pub mod surroundings;
 pub mod telemetry;
 pub mod watchdog;

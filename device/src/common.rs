@@ -1,11 +1,70 @@
-//! Requests that both machines answer alike.
+//! What the control of both machines has in common: its surroundings, and the requests that both answer alike.
 
+use crate::retained::EStop;
 use protocol::{
     error::{Field, Refusal},
     events::EventRing,
-    system::{Done, LastWords, SetTelemetry},
-    table::{Request, Response},
+    system::{Done, Event, LastWords},
+    table::{Reply, Request, Response},
 };
+
+/// What surrounds control in either machine.
+pub trait Surroundings {
+    /// Device time.
+    fn now_us(&self) -> u64;
+    /// How long the host has been silent, us.
+    fn silence_us(&self) -> u32;
+    /// Sets the interval of telemetry, ms; 0 = none.
+    fn set_telemetry(&mut self, period_ms: u16);
+    /// Keeps an E-stop over a reset, or forgets it.
+    fn keep_latched(&mut self, estop: Option<EStop>);
+    /// Logs an event, and sends it to whoever listens.
+    fn tell(&mut self, event: &Event);
+}
+
+/// What is to be done after a request, besides the machine's actions. `C` is a change of what is kept in flash.
+// One exists at a time, on the stack.
+#[allow(clippy::large_enum_variant)]
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Effect<C> {
+    /// Nothing.
+    None,
+    /// Change the interval of telemetry.
+    Telemetry {
+        /// In ms; 0 = none.
+        period_ms: u16,
+    },
+    /// Record that a fault was acknowledged.
+    Acknowledged,
+    /// Write this to flash; then it is in force.
+    Store(C),
+}
+
+/// Outcome of a request.
+#[derive(Clone, Debug)]
+pub struct Executed<A, C> {
+    /// Answer for the host.
+    pub reply: Reply,
+    /// What the state machine wants done.
+    pub actions: A,
+    /// What else is to be done.
+    pub effect: Effect<C>,
+}
+
+impl<A, C> Executed<A, C> {
+    /// Of a request that was answered or refused.
+    pub fn new(answer: Result<(Response, Effect<C>), Refusal>, actions: A) -> Self {
+        let (reply, effect) = match answer {
+            Ok((response, effect)) => (Reply::Accepted(response), effect),
+            Err(refusal) => (Reply::Refused(refusal), Effect::None),
+        };
+        Self {
+            reply,
+            actions,
+            effect,
+        }
+    }
+}
 
 /// Shortest and longest interval of telemetry, ms.
 pub const TELEMETRY_MS: (u16, u16) = (5, 1_000);
@@ -20,24 +79,26 @@ pub struct About<'a> {
 }
 
 impl About<'_> {
-    /// Answers a request that changes nothing but the interval of telemetry, which the caller sets; none if the
-    /// request is not a common one.
+    /// Answers a request; none if it is not a common one.
     ///
     /// # Errors
     /// An interval out of range.
-    pub fn answer(&self, request: &Request) -> Result<Option<Response>, Refusal> {
-        Ok(Some(match request {
+    pub fn answer<C>(&self, request: &Request) -> Result<Option<(Response, Effect<C>)>, Refusal> {
+        let response = match request {
             Request::KeepAlive(_) => Response::KeepAlive(Done),
             Request::GetLastWords(_) => Response::GetLastWords(LastWords {
                 text: self.last_words.try_into().unwrap_or_default(),
             }),
             Request::SetTelemetry(set) => {
-                telemetry_interval(set.period_ms)?;
-                Response::SetTelemetry(*set)
+                let period_ms = set.period_ms;
+                telemetry_interval(period_ms)?;
+                let response = Response::SetTelemetry(*set);
+                return Ok(Some((response, Effect::Telemetry { period_ms })));
             }
             Request::GetEvents(get) => Response::GetEvents(self.events.since(get.from)),
             _ => return Ok(None),
-        }))
+        };
+        Ok(Some((response, Effect::None)))
     }
 }
 
@@ -52,13 +113,4 @@ fn telemetry_interval(period_ms: u16) -> Result<(), Refusal> {
         min: min.into(),
         max: max.into(),
     })
-}
-
-/// The interval of telemetry that an accepted request asks for, ms; 0 = none.
-#[must_use]
-pub fn asked_telemetry_ms(response: &Response) -> Option<u16> {
-    match response {
-        Response::SetTelemetry(SetTelemetry { period_ms }) => Some(*period_ms),
-        _ => None,
-    }
 }

@@ -31,13 +31,9 @@ pub enum Incoming {
     Ignore,
 }
 
-/// Where an answer goes.
+/// Where an answer goes: session, sequence, and the ticket of a request that may be repeated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Return {
-    session: u8,
-    seq: u16,
-    ticket: Option<Ticket>,
-}
+pub struct Return(u8, u16, Option<Ticket>);
 
 /// The device's end.
 #[derive(Debug)]
@@ -92,55 +88,43 @@ fn serve(session: &mut Session, identity: &Identity, frame: &Frame<'_>) -> Incom
                 ..*identity
             };
             let reply = Reply::Accepted(Response::Hello(identity));
-            (once(number, seq), reply)
+            (Return(number, seq, None), reply)
         }
         Decision::Execute { request, ticket } => {
-            return Incoming::Ask(Inbound::Request(request), remembered(ticket));
+            return Incoming::Ask(
+                Inbound::Request(request),
+                Return(ticket.session, ticket.seq, Some(ticket)),
+            );
         }
         Decision::Urgent {
             urgent,
             session,
             seq,
-        } => return Incoming::Ask(Inbound::Urgent(urgent), once(session, seq)),
+        } => return Incoming::Ask(Inbound::Urgent(urgent), Return(session, seq, None)),
         Decision::Resend(frame) => return Incoming::Send(frame),
-        Decision::Refuse { refusal, ticket } => (remembered(ticket), Reply::Refused(refusal)),
+        Decision::Refuse { refusal, ticket } => (
+            Return(ticket.session, ticket.seq, Some(ticket)),
+            Reply::Refused(refusal),
+        ),
         Decision::Reject {
             error,
             session,
             seq,
-        } => (once(session, seq), Reply::Wire(error)),
+        } => (Return(session, seq, None), Reply::Wire(error)),
         Decision::Ignore => return Incoming::Ignore,
     };
     answer(session, to, &reply).map_or(Incoming::Ignore, Incoming::Send)
 }
 
-fn once(session: u8, seq: u16) -> Return {
-    Return {
-        session,
-        seq,
-        ticket: None,
-    }
-}
-
-fn remembered(ticket: Ticket) -> Return {
-    Return {
-        session: ticket.session,
-        seq: ticket.seq,
-        ticket: Some(ticket),
-    }
-}
-
 /// Not inlined: one copy of the whole encoder.
 #[inline(never)]
-fn answer(session: &mut Session, to: Return, reply: &Reply) -> Option<Encoded> {
-    let header = Header {
-        kind: Kind::Reply,
-        session: to.session,
-        seq: to.seq,
-    };
+fn answer(open: &mut Session, to: Return, reply: &Reply) -> Option<Encoded> {
+    let Return(session, seq, ticket) = to;
+    let kind = Kind::Reply;
+    let header = Header { kind, session, seq };
     let frame = encode(header, reply).ok()?;
-    if let Some(ticket) = to.ticket {
-        session.remember(ticket, &frame);
+    if let Some(ticket) = ticket {
+        open.remember(ticket, &frame);
     }
     Some(frame)
 }

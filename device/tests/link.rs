@@ -2,7 +2,7 @@
 //! answers alike.
 
 use device::{
-    common::{About, TELEMETRY_MS, asked_telemetry_ms},
+    common::{About, Effect, Executed, TELEMETRY_MS},
     identity::identity,
     service::{Inbound, Incoming, Return, Service},
 };
@@ -332,7 +332,13 @@ fn common_requests_have_one_answer_for_all_devices() {
             events: &events,
             last_words: text,
         };
-        let answer = |request| about.answer(&request).unwrap();
+        let answer = |request| match about.answer::<()>(&request).unwrap() {
+            Some((response, effect)) => {
+                assert_eq!(effect, Effect::None);
+                Some(response)
+            }
+            None => None,
+        };
         let keep_alive = Some(Response::KeepAlive(Done));
         assert_eq!(answer(Request::KeepAlive(KeepAlive)), keep_alive);
         let words = LastWords {
@@ -362,8 +368,8 @@ fn the_interval_of_telemetry_has_bounds() {
     assert_eq!(TELEMETRY_MS, (5, 1_000));
     for period_ms in [0, 5, 6, 999, 1_000] {
         let response = Response::SetTelemetry(SetTelemetry { period_ms });
-        assert_eq!(about.answer(&set(period_ms)), Ok(Some(response.clone())));
-        assert_eq!(asked_telemetry_ms(&response), Some(period_ms));
+        let effect = Effect::<()>::Telemetry { period_ms };
+        assert_eq!(about.answer(&set(period_ms)), Ok(Some((response, effect))));
     }
     for period_ms in [1, 4, 1_001, u16::MAX] {
         let refusal = Refusal::OutOfRange {
@@ -372,7 +378,17 @@ fn the_interval_of_telemetry_has_bounds() {
             min: 5,
             max: 1_000,
         };
-        assert_eq!(about.answer(&set(period_ms)), Err(refusal));
+        assert_eq!(about.answer::<()>(&set(period_ms)), Err(refusal));
     }
-    assert_eq!(asked_telemetry_ms(&Response::KeepAlive(Done)), None);
+}
+
+#[test]
+fn an_answer_has_its_effect_and_a_refusal_has_none() {
+    let accepted = Executed::new(Ok((Response::KeepAlive(Done), Effect::Store(3))), "actions");
+    let reply = Reply::Accepted(Response::KeepAlive(Done));
+    assert_eq!((accepted.reply, accepted.effect), (reply, Effect::Store(3)));
+    assert_eq!(accepted.actions, "actions");
+    let refused = Executed::<_, u8>::new(Err(Refusal::NotHomed), ());
+    let reply = Reply::Refused(Refusal::NotHomed);
+    assert_eq!((refused.reply, refused.effect), (reply, Effect::None));
 }

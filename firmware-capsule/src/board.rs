@@ -2,6 +2,7 @@
 
 pub(crate) mod channels;
 pub(crate) mod pins;
+mod start;
 pub(crate) mod tasks;
 
 device::last_resort!(pins::outputs_off);

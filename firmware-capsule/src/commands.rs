@@ -1,12 +1,12 @@
 //! Requests to replies: the only place where the protocol's messages meet the state machine.
 
 use crate::fold::{Actions, Capsule, Command, Drive, Event};
-use device::common::{About, asked_telemetry_ms};
+use device::common::{About, Effect, Executed};
 use protocol::{
     capsule::{ActuationAccepted, ActuationKind, CapsuleFault, CapsuleStatus, CapsuleTelemetry},
     error::Refusal,
     system::{Done, Urgent},
-    table::{Reply, Request, Response},
+    table::{Request, Response},
 };
 
 /// What a request may need to know.
@@ -17,77 +17,39 @@ pub struct Context<'a> {
     pub about: About<'a>,
 }
 
-/// What the caller has to do besides the machine's actions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Effect {
-    /// Nothing.
-    None,
-    /// Change the interval of telemetry.
-    Telemetry {
-        /// In ms; 0 = none.
-        period_ms: u16,
-    },
-    /// Record that a fault was acknowledged.
-    Acknowledged,
-}
+/// A capsule keeps no settings yet.
+pub type Change = core::convert::Infallible;
 
-/// Outcome of a request.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Executed {
-    /// To the host.
-    pub reply: Reply,
-    /// From the machine; `None` if it was not asked for anything.
-    pub actions: Option<Actions>,
-    /// The rest.
-    pub effect: Effect,
-}
-
-/// Carries out one request.
-pub fn execute(request: Request, capsule: &mut Capsule, context: &Context<'_>) -> Executed {
+/// Carries out one request; no actions after a query.
+pub fn execute(
+    request: Request,
+    capsule: &mut Capsule,
+    context: &Context<'_>,
+) -> Executed<Option<Actions>, Change> {
     let command = match request {
         Request::Reference(_) => Command::Reference,
         Request::Fold(_) => Command::Fold,
         Request::Unfold(_) => Command::Unfold,
         Request::Acknowledge(_) => Command::Acknowledge,
-        query => return answer(query, capsule, context),
+        query => return Executed::new(respond(query, capsule, context), None),
     };
     let actions = capsule.step(context.now_us, Event::Command(command));
     let accepted = |kind| ActuationAccepted {
         actuation: capsule.record().actuation,
         timeout_ms: Capsule::timeout_ms(kind),
     };
-    let reply = match (actions.refusal, command) {
-        (Some(refusal), _) => Reply::Refused(refusal),
-        (None, Command::Reference) => {
-            Reply::Accepted(Response::Reference(accepted(ActuationKind::Reference)))
-        }
-        (None, Command::Fold) => Reply::Accepted(Response::Fold(accepted(ActuationKind::Fold))),
-        (None, Command::Unfold) => {
-            Reply::Accepted(Response::Unfold(accepted(ActuationKind::Unfold)))
-        }
-        (None, _) => Reply::Accepted(Response::Acknowledge(Done)),
+    let response = match command {
+        Command::Reference => Response::Reference(accepted(ActuationKind::Reference)),
+        Command::Fold => Response::Fold(accepted(ActuationKind::Fold)),
+        Command::Unfold => Response::Unfold(accepted(ActuationKind::Unfold)),
+        _ => Response::Acknowledge(Done),
     };
     let effect = match command {
-        Command::Acknowledge if actions.refusal.is_none() => Effect::Acknowledged,
+        Command::Acknowledge => Effect::Acknowledged,
         _ => Effect::None,
     };
-    Executed {
-        reply,
-        actions: Some(actions),
-        effect,
-    }
-}
-
-fn answer(query: Request, capsule: &Capsule, context: &Context<'_>) -> Executed {
-    let (reply, effect) = match respond(query, capsule, context) {
-        Ok((response, effect)) => (Reply::Accepted(response), effect),
-        Err(refusal) => (Reply::Refused(refusal), Effect::None),
-    };
-    Executed {
-        reply,
-        actions: None,
-        effect,
-    }
+    let answer = actions.refusal.map_or(Ok((response, effect)), Err);
+    Executed::new(answer, Some(actions))
 }
 
 #[inline(never)]
@@ -95,11 +57,9 @@ fn respond(
     query: Request,
     capsule: &Capsule,
     context: &Context<'_>,
-) -> Result<(Response, Effect), Refusal> {
-    if let Some(response) = context.about.answer(&query)? {
-        let effect = asked_telemetry_ms(&response)
-            .map_or(Effect::None, |period_ms| Effect::Telemetry { period_ms });
-        return Ok((response, effect));
+) -> Result<(Response, Effect<Change>), Refusal> {
+    if let Some(answer) = context.about.answer(&query)? {
+        return Ok(answer);
     }
     let response = match query {
         Request::GetCapsuleStatus(_) => Response::GetCapsuleStatus(status(capsule, context.now_us)),

@@ -2,12 +2,12 @@
 //! of the capsule is a trait, so that the host tests run what the control task runs.
 
 use crate::{
-    commands::{self, Context, Effect},
+    commands::{self, Context},
     detect::Sample,
     fold::{self, Actions, Drive, Event},
 };
 use device::{
-    common::About,
+    common::{About, Effect, Surroundings},
     last_words::LastWords,
     retained::{EStop, Left},
     service::Inbound,
@@ -15,7 +15,7 @@ use device::{
 use protocol::{
     capsule::{CapsuleEvent, CapsuleFault, CapsuleTelemetry},
     events::EventRing,
-    system::{self, ResetCause, What},
+    system::{ResetCause, What},
     table::{Reply, Request},
 };
 
@@ -24,31 +24,21 @@ const LINK_TIMEOUT_US: u32 = 1_000_000;
 
 /// The rest of the capsule, as control sees it.
 pub trait Capsule {
-    /// Device time.
-    fn now_us(&self) -> u64;
-    /// How long the host has been silent.
-    fn silence_us(&self) -> u32;
     /// Sets the bridge, or confirms what it is set to.
     fn drive(&mut self, drive: Drive);
     /// Shows this to telemetry.
     fn show(&mut self, telemetry: CapsuleTelemetry);
-    /// Sets the interval of telemetry, ms; 0 = none.
-    fn set_telemetry(&mut self, period_ms: u16);
-    /// Keeps an E-stop over a reset, or forgets it.
-    fn keep_latched(&mut self, estop: Option<EStop>);
-    /// Logs an event, and sends it to whoever listens.
-    fn tell(&mut self, event: &system::Event);
 }
 
 /// Owns the state machine and the events.
-pub struct Control<C: Capsule> {
+pub struct Control<C: Capsule + Surroundings> {
     capsule: C,
     machine: fold::Capsule,
     events: EventRing,
     last_words: LastWords,
 }
 
-impl<C: Capsule> Control<C> {
+impl<C: Capsule + Surroundings> Control<C> {
     /// Control after a start, from what the previous one left.
     pub fn new(capsule: C, left: Left, reset_cause: ResetCause) -> Self {
         let fault = match (reset_cause, left.latched) {

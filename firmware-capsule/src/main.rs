@@ -1,49 +1,9 @@
-//! The capsule's image. This file only wires: who runs at which priority is the table in this package's README.
+//! The capsule's image. What decides is the library; `board` wires it to the chip.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 #![deny(unsafe_code)]
 
 #[cfg(target_os = "none")]
 mod board;
-
-#[cfg(target_os = "none")]
-mod start {
-    use crate::board::{pins, tasks};
-    use defmt_rtt as _;
-    use device::{
-        chip::{retained, start},
-        identity::{identity, reset_cause},
-    };
-    use embassy_executor::{InterruptExecutor, Spawner};
-    use embassy_stm32::interrupt;
-    use protocol::system::DeviceKind;
-
-    static MOTOR_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
-
-    #[interrupt]
-    #[allow(unsafe_code)]
-    unsafe fn SPI5() {
-        // SAFETY: called from the interrupt that the executor was started with.
-        unsafe { MOTOR_EXECUTOR.on_interrupt() }
-    }
-
-    #[embassy_executor::main]
-    async fn main(spawner: Spawner) {
-        let left = retained::start();
-        let board = pins::init();
-        let cause = reset_cause(start::reset_cause(), left.last_words.is_some());
-        let identity = identity(DeviceKind::Capsule, start::uid(), left.boot_id, cause);
-        defmt::info!("capsule, start {=u32}, {}", left.boot_id, cause);
-        let (transmitter, receiver) = board.serial;
-
-        let motor_spawner = MOTOR_EXECUTOR.start(interrupt::SPI5);
-        motor_spawner.spawn(tasks::motor(board.drive_train).unwrap());
-        spawner.spawn(tasks::control(left, cause).unwrap());
-        spawner.spawn(tasks::transmit(transmitter).unwrap());
-        spawner.spawn(tasks::receive(receiver, identity).unwrap());
-        spawner.spawn(tasks::telemetry().unwrap());
-        spawner.spawn(tasks::watchdog(board.watchdog).unwrap());
-    }
-}
 
 #[cfg(not(target_os = "none"))]
 #[allow(clippy::print_stdout)]

@@ -169,7 +169,7 @@ fn a_thread_that_slipped_on_the_spool_is_a_timeout_and_a_reference_helps() {
     let mut sim = Simulation::referenced();
     sim.plant.slipped_mm = 4.0;
     sim.run(Command::Fold);
-    // It pulls, but not with the end force where it should have been felt at last.
+    // At the soft maximum it pulls, but with less than the end force.
     assert_fault(&sim, CapsuleFault::Timeout);
     assert!(sim.plant.force() > 1.0, "{} N", sim.plant.force());
     assert!(sim.highest_mm < 25.2, "{} mm", sim.highest_mm);

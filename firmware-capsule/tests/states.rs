@@ -3,9 +3,9 @@
 #[allow(dead_code)] // the scenarios use all of it
 mod plant;
 
-use device::common::About;
+use device::common::{About, Effect};
 use firmware_capsule::{
-    commands::{self, Context, Effect},
+    commands::{self, Change, Context},
     fold::{Capsule, Command, Drive, Event},
 };
 use plant::{Plant, Simulation};
@@ -18,7 +18,7 @@ use protocol::{
     events::EventRing,
     rig, settings,
     system::{Acknowledge, GetEvents, GetLastWords, KeepAlive, SetTelemetry, Urgent},
-    table::{Changes, Reply, Request, Response},
+    table::{Impact, Reply, Request, Response},
 };
 
 const STATES: [CapsuleState; 8] = [
@@ -187,7 +187,7 @@ fn nothing_starts_before_the_battery_was_measured() {
     ));
 }
 
-fn reply(sim: &mut Simulation, request: Request) -> (Reply, Effect) {
+fn reply(sim: &mut Simulation, request: Request) -> (Reply, Effect<Change>) {
     let ring = EventRing::new();
     let context = Context {
         now_us: sim.now_us,
@@ -276,12 +276,12 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
                     assert!(!is_for_the_rig(&request));
                     let starts = sim.capsule.is_moving() && !before.is_moving();
                     assert!(state != CapsuleState::Faulted || !starts);
-                    let changes = match effect {
-                        Effect::Acknowledged => Changes::Fault,
-                        _ if starts => Changes::Motion,
-                        _ => Changes::Nothing,
+                    let impact = match effect {
+                        Effect::Acknowledged => Impact::Fault,
+                        _ if starts => Impact::Motion,
+                        _ => Impact::None,
                     };
-                    assert_eq!(request.changes(), changes, "{name}");
+                    assert_eq!(request.impact(), impact, "{name}");
                 }
                 Reply::Refused(refusal) => {
                     assert_eq!(
@@ -289,7 +289,7 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
                         is_for_the_rig(&request),
                         "{name}"
                     );
-                    let query = request.changes() == Changes::Nothing && !is_for_the_rig(&request);
+                    let query = request.impact() == Impact::None && !is_for_the_rig(&request);
                     assert!(!query, "{name} refused in {state:?}");
                 }
                 other => panic!("{other:?}"),

@@ -518,7 +518,7 @@ fn an_emergency_stop_replaces_another_fault_once() {
     }
 }
 
-/// Folds to the end force at `end_um`; returns where the machine says it is before and after it judges the end.
+/// Folds to the end force at `end_um`. Returns the thread counted from the zero before the fold, um.
 fn fold_to(end_um: i32) -> (i32, Feed) {
     let mut feed = Feed::unfolded();
     let offset = feed.sample.counts.since(feed.capsule.thread().counts());

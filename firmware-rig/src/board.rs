@@ -2,6 +2,7 @@
 
 pub mod channels;
 pub mod pins;
+mod start;
 pub mod step_generator;
 pub mod switches;
 pub mod tasks;

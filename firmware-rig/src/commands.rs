@@ -5,7 +5,7 @@ use crate::{
     settings::Settings,
 };
 use device::{
-    common::{About, asked_telemetry_ms},
+    common::{About, Effect, Executed},
     settings::Values,
 };
 use motion::{run::RunPlan, units::Micrometres};
@@ -14,7 +14,7 @@ use protocol::{
     rig::{self, LinkLossPolicy, RigFault, RigHealth, RigStatus, RunTiming},
     settings::{GetSetting, MAX_NAME, Name, Setting, SettingKey},
     system::Done,
-    table::{Reply, Request, Response},
+    table::{Request, Response},
 };
 
 /// What a request may need to know.
@@ -32,24 +32,6 @@ pub struct Context<'a> {
     pub name: &'a str,
     /// Counters, when they are asked for.
     pub health: Option<RigHealth>,
-}
-
-/// What the caller has to do besides the machine's actions.
-// One exists at a time, on the stack.
-#[allow(clippy::large_enum_variant)]
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Effect {
-    /// Nothing.
-    None,
-    /// Change the interval of telemetry.
-    Telemetry {
-        /// In ms; 0 = none.
-        period_ms: u16,
-    },
-    /// Record that a fault was acknowledged.
-    Acknowledged,
-    /// Write this to flash; then it is in force.
-    Store(Change),
 }
 
 /// A change of the settings.
@@ -70,29 +52,15 @@ pub enum Change {
     Reset,
 }
 
-/// Outcome of a request.
-#[derive(Clone, Debug)]
-pub struct Executed {
-    /// To the host.
-    pub reply: Reply,
-    /// From the machine.
-    pub actions: Actions,
-    /// The rest.
-    pub effect: Effect,
-}
-
 /// Carries out one request.
-pub fn execute(request: Request, machine: &mut Machine, context: &Context<'_>) -> Executed {
+pub fn execute(
+    request: Request,
+    machine: &mut Machine,
+    context: &Context<'_>,
+) -> Executed<Actions, Change> {
     let mut actions = Actions::default();
-    let (reply, effect) = match respond(request, machine, context, &mut actions) {
-        Ok((response, effect)) => (Reply::Accepted(response), effect),
-        Err(refusal) => (Reply::Refused(refusal), Effect::None),
-    };
-    Executed {
-        reply,
-        actions,
-        effect,
-    }
+    let answer = respond(request, machine, context, &mut actions);
+    Executed::new(answer, actions)
 }
 
 #[inline(never)]
@@ -101,14 +69,12 @@ fn respond(
     machine: &mut Machine,
     context: &Context<'_>,
     actions: &mut Actions,
-) -> Result<(Response, Effect), Refusal> {
-    if let Some(response) = context.about.answer(&request)? {
-        let effect = asked_telemetry_ms(&response)
-            .map_or(Effect::None, |period_ms| Effect::Telemetry { period_ms });
-        return Ok((response, effect));
+) -> Result<(Response, Effect<Change>), Refusal> {
+    if let Some(answer) = context.about.answer(&request)? {
+        return Ok(answer);
     }
     let mut command = |machine: &mut Machine, command| {
-        *actions = machine.step(&context.now, Event::Command(command));
+        *actions = machine.step(&context.now, Event::Command(&command));
         actions.refusal.map_or(Ok(()), Err)
     };
     let response = match request {
@@ -221,7 +187,7 @@ pub fn press_button(machine: &mut Machine, values: &Values, now: &Now) -> Action
         link_loss: LinkLossPolicy::Finish,
     };
     let plan = solve(&run, machine).ok();
-    machine.step(now, Event::Command(Command::Button(plan)))
+    machine.step(now, Event::Command(&Command::Button(plan)))
 }
 
 fn status(machine: &Machine, context: &Context<'_>) -> RigStatus {
@@ -233,7 +199,7 @@ fn status(machine: &Machine, context: &Context<'_>) -> RigStatus {
         fault: machine.fault(),
         homed: machine.homed(),
         position_steps: context.now.position.0,
-        position_um: machine.settings().um(context.now.position),
+        position_um: axis.um_from_home(context.now.position),
         stroke_um: axis.stroke().0,
         steps_per_rev: axis.steps_per_rev(),
         lead_um: axis.lead().0,

@@ -2,31 +2,27 @@
 //! rest of the rig is a trait, so that the host tests run what the control task runs.
 
 use crate::{
-    commands::{Change, Context, Effect, execute, press_button},
+    commands::{Change, Context, execute, press_button},
     execution::Order,
     machine::{Action, Actions, Command, Event, Machine, Now, PathEnd},
-    periods::Path,
     settings::Settings,
 };
 use device::{
-    common::About,
+    common::{About, Effect, Surroundings},
     last_words::LastWords,
     retained::{EStop, Left},
     service::Inbound,
-    settings::{SettingsStore, Values},
+    settings::SettingsStore,
     store::StorageFailed,
 };
 use embedded_storage_async::nor_flash::NorFlash;
-use motion::{
-    axis::Axis,
-    units::{StepPosition, Window},
-};
+use motion::{axis::Axis, units::StepPosition};
 use protocol::{
     error::Refusal,
     events::EventRing,
     rig::{RigEvent, RigFault, RigHealth, RigState},
     settings::SettingKey,
-    system::{self, ResetCause, Urgent, What},
+    system::{ResetCause, Urgent, What},
     table::{Reply, Request},
 };
 
@@ -43,8 +39,6 @@ pub trait Rig {
     fn button_is_down(&self) -> bool;
     /// Stroke in progress, from 0.
     fn stroke(&self) -> u32;
-    /// How long the host has been silent.
-    fn silence_us(&self) -> u32;
     /// Counters of line, switches and stack; the others are control's.
     fn health(&self) -> RigHealth;
     /// Executes a path.
@@ -55,14 +49,8 @@ pub trait Rig {
     fn cut(&mut self);
     /// Sets the read-back counter. Only while no pulse can come.
     fn set_position(&mut self, position: StepPosition);
-    /// Sets the interval of telemetry, ms; 0 = none.
-    fn set_telemetry(&mut self, period_ms: u16);
     /// Sets how long a switch must keep its level, us.
     fn set_switch_filter(&mut self, filter_us: u32);
-    /// Keeps an E-stop over a reset, or forgets it.
-    fn keep_latched(&mut self, estop: Option<EStop>);
-    /// Logs an event, and sends it to whoever listens.
-    fn tell(&mut self, event: &system::Event);
 }
 
 /// What telemetry and the LED show of the state machine.
@@ -76,17 +64,8 @@ pub struct Snapshot {
     pub axis: Axis,
 }
 
-impl Snapshot {
-    /// Before control has begun.
-    pub const START: Self = Self {
-        state: RigState::Unhomed,
-        residual_steps: 0,
-        axis: Axis::REFERENCE,
-    };
-}
-
 /// Owns the state machine, the settings and the events.
-pub struct Control<R: Rig, F: NorFlash> {
+pub struct Control<R: Rig + Surroundings, F: NorFlash> {
     rig: R,
     machine: Machine,
     settings: SettingsStore<F>,
@@ -100,7 +79,7 @@ pub struct Control<R: Rig, F: NorFlash> {
     button_rounds: u8,
 }
 
-impl<R: Rig, F: NorFlash> Control<R, F> {
+impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
     /// Control after a start, from what the previous one left and what is in flash.
     pub fn new(rig: R, flash: F, left: Left, reset_cause: ResetCause, image_hash: u32) -> Self {
         let fault = match (reset_cause, left.latched) {
@@ -112,7 +91,7 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
         };
         let (store, usable) = SettingsStore::load(flash, |values| Settings::new(values).is_ok());
         let settings = Settings::new(store.values()).unwrap_or(Settings::REFERENCE);
-        let round_us = rig.now().time_us;
+        let round_us = rig.now_us();
         let mut control = Self {
             rig,
             machine: Machine::new(settings, fault, image_hash),
@@ -131,7 +110,7 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
             control.emit(What::Rig(RigEvent::SettingsUnusable));
         }
         control.apply_settings();
-        let period_ms = control.values().get(SettingKey::TelemetryMs) as u16;
+        let period_ms = control.settings.values().get(SettingKey::TelemetryMs) as u16;
         control.rig.set_telemetry(period_ms);
         control
     }
@@ -150,18 +129,14 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
         &mut self.rig
     }
 
-    fn values(&self) -> &Values {
-        self.settings.values()
-    }
-
     /// Hands their settings to the others.
     fn apply_settings(&mut self) {
-        let filter_us = self.values().get(SettingKey::SwitchFilterUs);
+        let filter_us = self.settings.values().get(SettingKey::SwitchFilterUs);
         self.rig.set_switch_filter(filter_us);
     }
 
     /// Takes a notice of the motion task or of an interrupt.
-    pub fn event(&mut self, event: Event) {
+    pub fn event(&mut self, event: Event<'_>) {
         if let Event::PathEnded(PathEnd::Underrun, _) = event {
             self.underruns = self.underruns.saturating_add(1);
         }
@@ -177,8 +152,8 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
             Inbound::Request(request) => self.request(request),
             Inbound::Urgent(urgent) => {
                 self.event(Event::Command(match urgent {
-                    Urgent::Stop => Command::Stop,
-                    Urgent::EStop => Command::EStop,
+                    Urgent::Stop => &Command::Stop,
+                    Urgent::EStop => &Command::EStop,
                 }));
                 Reply::Urgent(urgent)
             }
@@ -295,7 +270,15 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
     fn perform(&mut self, actions: Actions) {
         for action in actions.list {
             match action {
-                Action::Start { path, window } => self.start(path, window),
+                Action::Start { path, window } => {
+                    let settings = self.machine.settings();
+                    self.rig.start(Order {
+                        path,
+                        window,
+                        stop_accel: settings.stop_accel,
+                        pulse_ticks: settings.pulse_ticks,
+                    });
+                }
                 Action::StopPath => self.rig.stop_path(),
                 Action::Cut => self.rig.cut(),
                 Action::SetPosition(position) => self.rig.set_position(position),
@@ -313,18 +296,8 @@ impl<R: Rig, F: NorFlash> Control<R, F> {
         }
     }
 
-    fn start(&mut self, path: Path, window: Window) {
-        let settings = self.machine.settings();
-        self.rig.start(Order {
-            path,
-            window,
-            stop_accel: settings.stop_accel,
-            pulse_ticks: settings.pulse_ticks,
-        });
-    }
-
     fn emit(&mut self, what: What) {
-        let event = self.events.record(self.rig.now().time_us, what);
+        let event = self.events.record(self.rig.now_us(), what);
         self.rig.tell(&event);
     }
 }

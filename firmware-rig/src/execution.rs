@@ -58,10 +58,7 @@ pub trait Ring {
     /// The E-stop loop is open; nothing was started.
     fn start(&mut self) -> Result<(), LoopOpen>;
 
-    /// No further pulse; the motor holds.
-    fn cut(&mut self);
-
-    /// [`Ring::cut`], and the ring stands still.
+    /// No further pulse, and the ring stands still; the motor holds.
     fn halt(&mut self);
 
     /// Switches the driver on.
@@ -86,7 +83,7 @@ pub trait Mailbox {
     fn take_stop(&mut self) -> bool;
 
     /// Tells control; false if it cannot take more now.
-    fn notify(&mut self, event: Event) -> bool;
+    fn notify(&mut self, event: Event<'static>) -> bool;
 
     /// Shows stroke and position of the present path to whoever wants to know.
     fn show(&mut self, stroke: u32, commanded: StepPosition);
@@ -121,18 +118,10 @@ pub enum Pace {
 pub struct Motion {
     execution: Option<Execution>,
     /// An end that control could not take yet.
-    untold: Option<Event>,
+    untold: Option<Event<'static>>,
 }
 
 impl Motion {
-    /// Nothing to do.
-    pub const fn new() -> Self {
-        Self {
-            execution: None,
-            untold: None,
-        }
-    }
-
     /// How soon the next round has to come.
     pub fn pace(&self) -> Pace {
         match &self.execution {
@@ -198,7 +187,7 @@ impl Execution {
         ring: &mut impl Ring,
         mailbox: &mut impl Mailbox,
         order: Order,
-    ) -> Result<Self, Event> {
+    ) -> Result<Self, Event<'static>> {
         let stroke = order.path.first_stroke();
         ring.clear(order.pulse_ticks);
         ring.enable_driver();
@@ -232,7 +221,11 @@ impl Execution {
     }
 
     /// One round; the notice of the end when it is over.
-    fn advance(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) -> Option<Event> {
+    fn advance(
+        &mut self,
+        ring: &mut impl Ring,
+        mailbox: &mut impl Mailbox,
+    ) -> Option<Event<'static>> {
         ring.update();
         if self.filling == Filling::Full {
             let waiting = ring.waiting() as u16; // the ring holds fewer than that by far
@@ -252,10 +245,7 @@ impl Execution {
         mailbox.show(self.stroke, self.periods.position());
         let played_out = ring.has_played_out();
         let end = match self.filling {
-            Filling::Failed(end) => {
-                ring.cut();
-                end
-            }
+            Filling::Failed(end) => end,
             Filling::Done if played_out && self.stopped => PathEnd::Stopped,
             Filling::Done if played_out => PathEnd::Complete,
             // It played out with periods still to come.
@@ -271,7 +261,12 @@ impl Execution {
         missed.0 > ring.waiting_pulses()
     }
 
-    fn end(&self, ring: &mut impl Ring, mailbox: &mut impl Mailbox, end: PathEnd) -> Event {
+    fn end(
+        &self,
+        ring: &mut impl Ring,
+        mailbox: &mut impl Mailbox,
+        end: PathEnd,
+    ) -> Event<'static> {
         ring.halt();
         let report = PathReport {
             commanded: self.periods.position(),

@@ -72,13 +72,12 @@ pub struct Now {
     pub glitches: u32,
 }
 
-/// What happened.
-// One exists at a time, on the stack.
-#[allow(clippy::large_enum_variant)]
+/// What happened. Notices of interrupts and motion are among it and lie in a channel, so a command, which may hold a
+/// whole plan, is only pointed to.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Event {
+pub enum Event<'a> {
     /// The host or the start button orders something.
-    Command(Command),
+    Command(&'a Command),
     /// The home flag changed, filtered.
     FlagEdge {
         /// Opened (actuated).
@@ -337,7 +336,7 @@ impl Machine {
     }
 
     /// Takes one event.
-    pub fn step(&mut self, now: &Now, event: Event) -> Actions {
+    pub fn step(&mut self, now: &Now, event: Event<'_>) -> Actions {
         let mut actions = Actions::default();
         if self.recording {
             self.record.glitches = now.glitches.wrapping_sub(self.glitches_at_start);
@@ -364,10 +363,10 @@ impl Machine {
     fn command(
         &mut self,
         now: &Now,
-        command: Command,
+        command: &Command,
         actions: &mut Actions,
     ) -> Result<(), Refusal> {
-        match command {
+        match *command {
             Command::Home => self.home(now, LinkLossPolicy::Stop, actions),
             Command::Run { plan, link_loss } => self.start_run(now, plan, link_loss, actions),
             Command::Hold => self.hold(actions),

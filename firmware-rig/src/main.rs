@@ -1,51 +1,9 @@
-//! The rig's image. This file only wires: who runs at which priority is the table in this package's README.
+//! The rig's image. What decides is the library; `board` wires it to the chip.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 #![cfg_attr(target_os = "none", deny(unsafe_code))]
 
 #[cfg(target_os = "none")]
 mod board;
-
-#[cfg(target_os = "none")]
-mod start {
-    use crate::board::{channels::HOME_FLAG_OPEN, pins, step_generator::StepGenerator, tasks};
-    use core::sync::atomic::Ordering;
-    use defmt_rtt as _;
-    use device::{
-        chip::{retained, start},
-        identity::{identity, reset_cause},
-    };
-    use embassy_executor::{InterruptExecutor, Spawner};
-    use embassy_stm32::{interrupt, pac};
-    use protocol::system::DeviceKind;
-
-    static MOTION_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
-
-    #[pac::interrupt]
-    #[allow(unsafe_code)]
-    unsafe fn SPI5() {
-        // SAFETY: called from the interrupt that the executor was started with.
-        unsafe { MOTION_EXECUTOR.on_interrupt() }
-    }
-
-    #[embassy_executor::main]
-    async fn main(spawner: Spawner) {
-        let left = retained::start();
-        let board = pins::init();
-        let cause = reset_cause(start::reset_cause(), left.last_words.is_some());
-        let identity = identity(DeviceKind::Rig, start::uid(), left.boot_id, cause);
-        defmt::info!("rig, start {=u32}, {}", left.boot_id, cause);
-        HOME_FLAG_OPEN.store(pins::inputs().home_flag, Ordering::Relaxed);
-        let (transmitter, receiver) = board.serial;
-
-        let motion_spawner = MOTION_EXECUTOR.start(interrupt::SPI5);
-        motion_spawner.spawn(tasks::motion(StepGenerator::new()).unwrap());
-        spawner.spawn(tasks::control(board.sectors, left, cause).unwrap());
-        spawner.spawn(tasks::transmit(transmitter).unwrap());
-        spawner.spawn(tasks::receive(receiver, identity).unwrap());
-        spawner.spawn(tasks::telemetry().unwrap());
-        spawner.spawn(tasks::watchdog(board.watchdog, board.led).unwrap());
-    }
-}
 
 #[cfg(not(target_os = "none"))]
 fn main() {

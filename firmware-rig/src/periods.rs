@@ -2,8 +2,8 @@
 //!
 //! A period is one round of the step timer, or some equal ones; a pulse, if it has one, sits at its start. The list begins with
 //! blank periods up to the first step. Between two strokes comes one [`Item::Turn`]: everything before it has
-//! to leave the pin before DIR may change, everything after it needs the new DIR. The periods of the pause are
-//! handed out before the turn, so that the time line never breaks.
+//! to leave the pin before DIR may change, everything after it needs the new DIR. The periods of the pause come
+//! before the turn, so that the time line never breaks.
 
 use motion::{
     axis::{Acceleration, Direction},
@@ -37,7 +37,7 @@ pub struct Period {
     pub sync: bool,
 }
 
-/// What comes next.
+/// An entry of the list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Item {
     /// A period for the timer.
@@ -49,13 +49,13 @@ pub enum Item {
         /// Direction of the next stroke.
         next: Direction,
     },
-    /// Nothing more; the pulses have all been handed out.
+    /// The path is complete.
     End,
-    /// The next step would leave the window: nothing more is handed out.
+    /// The next step would leave the window: nothing more comes.
     Guard,
 }
 
-/// What is to be executed.
+/// One uninterrupted travel, or several with turns between them.
 // One exists at a time, in the motion task.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug)]
@@ -133,7 +133,7 @@ pub struct Periods {
     stroke: u32,
     times: StepTimes,
     direction: Direction,
-    /// Everything before this tick has been handed out.
+    /// Everything before this tick has been given out.
     cursor: u64,
     /// Ticks from the cursor to what comes `after`.
     gap: u64,
@@ -150,9 +150,8 @@ pub struct Periods {
 }
 
 impl Periods {
-    /// The periods of `path`, begun at `position`; no step outside `window` (both ends allowed) will be
-    /// handed out, whatever the path says.
-    /// A path without strokes has none.
+    /// The periods of `path`, begun at `position`. No step leaves `window`, whatever the path says. A path without
+    /// strokes has no periods.
     pub fn new(path: Path, position: StepPosition, window: Window) -> Option<Self> {
         let stroke = path.first_stroke();
         let (start, profile, direction) = path.stroke(stroke)?;
@@ -181,12 +180,12 @@ impl Periods {
         self.direction
     }
 
-    /// Position after everything handed out so far.
+    /// Position after everything given out so far.
     pub fn position(&self) -> StepPosition {
         self.position
     }
 
-    /// Tick up to which periods have been handed out, from the start of the path.
+    /// Tick up to which periods have been given out, from the start of the path.
     pub fn cursor(&self) -> u64 {
         self.cursor
     }
@@ -196,12 +195,12 @@ impl Periods {
         self.stroke
     }
 
-    /// Tick of the last step handed out so far, 0 before the first.
+    /// Tick of the last step given out so far, 0 before the first.
     pub fn last_step(&self) -> u64 {
         self.last_step
     }
 
-    /// Decelerates to rest from what has been handed out so far. Between two strokes, or before the first
+    /// Decelerates to rest behind what has been given out so far. Between two strokes, or before the first
     /// step, no step follows at all.
     pub fn stop(&mut self, deceleration: Acceleration) {
         match self.after {
@@ -222,7 +221,7 @@ impl Periods {
         self.after = After::End;
     }
 
-    /// What comes next.
+    /// The next entry.
     pub fn next_item(&mut self) -> Item {
         loop {
             if self.gap > 0 {

@@ -140,17 +140,6 @@ impl Settings {
         })
     }
 
-    /// A position in um, to the nearest. 2^31 um are 2 km: no carriage gets there.
-    pub fn um(&self, position: StepPosition) -> i32 {
-        let distance = position.distance_to(StepPosition::HOME);
-        let um = self.axis.length_of(distance).to_um() as i32;
-        if position < StepPosition::HOME {
-            -um
-        } else {
-            um
-        }
-    }
-
     /// A speed of a jog or a move.
     ///
     /// # Errors

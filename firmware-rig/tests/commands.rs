@@ -3,9 +3,12 @@
 mod carriage;
 
 use carriage::{Rig, now, run, settings};
-use device::{common::About, settings::Values};
+use device::{
+    common::{About, Effect, Executed},
+    settings::Values,
+};
 use firmware_rig::{
-    commands::{Change, Context, Effect, Executed, execute},
+    commands::{Change, Context, execute},
     machine::{Command, Machine},
     settings::Settings,
 };
@@ -21,7 +24,7 @@ use protocol::{
     },
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{self, Done, Hello, LastWords, ResetCause, SetTelemetry, What},
-    table::{Changes, Reply, Request, Response},
+    table::{Impact, Reply, Request, Response},
 };
 
 const SETTINGS: Settings = Settings::REFERENCE;
@@ -59,7 +62,7 @@ const HEALTH: RigHealth = RigHealth {
 };
 
 /// Sends a request: the reply, what the caller has to do, and how many actions there are.
-fn send(rig: &mut Rig, request: Request) -> (Reply, Effect, usize) {
+fn send(rig: &mut Rig, request: Request) -> (Reply, Effect<Change>, usize) {
     let mut events = EventRing::new();
     events.record(7, What::Booted(ResetCause::PowerOn));
     let context = Context {
@@ -228,7 +231,7 @@ fn is_for_the_capsule(request: &Request) -> bool {
 
 /// By the protocol's table.
 fn moves(request: &Request) -> bool {
-    matches!(request.changes(), Changes::Motion | Changes::Pace)
+    matches!(request.impact(), Impact::Motion | Impact::Pace)
 }
 
 /// What refuses a request in a state; none: nothing does.
@@ -258,7 +261,7 @@ fn refused_in(request: &Request, state: RigState) -> Option<Refusal> {
     }
 }
 
-fn expected_effect(request: &Request) -> Effect {
+fn expected_effect(request: &Request) -> Effect<Change> {
     match request {
         Request::SetTelemetry(_) => Effect::Telemetry { period_ms: 10 },
         Request::Acknowledge(_) => Effect::Acknowledged,
@@ -298,16 +301,16 @@ fn every_row_in_every_state() {
             let renewed = state == RigState::Moving && matches!(request, Request::Jog(_));
             assert_eq!(actions > 0, moves(&request) && !renewed);
             assert_eq!(effect, expected_effect(&request));
-            // What the protocol's table says that it changes.
+            // Its impact by the protocol's table.
             let in_a_run = matches!(state, RigState::Running | RigState::Held);
-            let changes = match effect {
-                Effect::Acknowledged => Changes::Fault,
-                Effect::Store(_) => Changes::Flash,
-                _ if actions > 0 && in_a_run => Changes::Pace,
-                _ if actions > 0 || renewed => Changes::Motion,
-                _ => Changes::Nothing,
+            let impact = match effect {
+                Effect::Acknowledged => Impact::Fault,
+                Effect::Store(_) => Impact::Flash,
+                _ if actions > 0 && in_a_run => Impact::Pace,
+                _ if actions > 0 || renewed => Impact::Motion,
+                _ => Impact::None,
             };
-            assert_eq!(request.changes(), changes);
+            assert_eq!(request.impact(), impact);
         }
     }
 }

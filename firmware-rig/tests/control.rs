@@ -8,13 +8,14 @@ mod chip;
 use carriage::{CONTROL_ROUND, Carriage, IMAGE_HASH, ring::Ahead};
 use chip::{Cut, Flash};
 use device::{
+    common::Surroundings,
     last_words::LastWords,
     retained::{EStop, Left},
     service::Inbound,
     settings::SettingsStore,
 };
 use firmware_rig::{
-    control::{self, Control, ROUND_US, Snapshot},
+    control::{self, Control, ROUND_US},
     execution::Order,
     machine::{Event, Now, PathEnd},
     settings::Settings,
@@ -67,6 +68,28 @@ struct Board {
     cuts: u32,
 }
 
+impl Surroundings for Board {
+    fn now_us(&self) -> u64 {
+        self.carriage.look().time_us
+    }
+
+    fn silence_us(&self) -> u32 {
+        self.silence_us
+    }
+
+    fn set_telemetry(&mut self, period_ms: u16) {
+        self.telemetry_ms.push(period_ms);
+    }
+
+    fn keep_latched(&mut self, estop: Option<EStop>) {
+        self.latched.push(estop);
+    }
+
+    fn tell(&mut self, event: &system::Event) {
+        self.told.push(*event);
+    }
+}
+
 impl control::Rig for Board {
     fn now(&self) -> Now {
         self.carriage.look()
@@ -78,10 +101,6 @@ impl control::Rig for Board {
 
     fn stroke(&self) -> u32 {
         self.carriage.mail.stroke
-    }
-
-    fn silence_us(&self) -> u32 {
-        self.silence_us
     }
 
     fn health(&self) -> RigHealth {
@@ -105,20 +124,8 @@ impl control::Rig for Board {
         self.carriage.set_position(position);
     }
 
-    fn set_telemetry(&mut self, period_ms: u16) {
-        self.telemetry_ms.push(period_ms);
-    }
-
     fn set_switch_filter(&mut self, filter_us: u32) {
         self.filters_us.push(filter_us);
-    }
-
-    fn keep_latched(&mut self, estop: Option<EStop>) {
-        self.latched.push(estop);
-    }
-
-    fn tell(&mut self, event: &system::Event) {
-        self.told.push(*event);
     }
 }
 
@@ -442,17 +449,6 @@ mod start {
             let mut bench = Bench::start(flash, FRESH, ResetCause::PowerOn);
             assert_eq!(bench.told(), [What::Booted(ResetCause::PowerOn)]);
         }
-    }
-
-    #[test]
-    fn before_it_telemetry_shows_an_unhomed_rig() {
-        let Snapshot {
-            state,
-            residual_steps,
-            axis,
-        } = Snapshot::START;
-        assert_eq!((state, residual_steps), (RigState::Unhomed, 0));
-        assert_eq!(axis, Axis::REFERENCE);
     }
 }
 

@@ -367,7 +367,7 @@ mod running {
         let mut rig = started(LinkLossPolicy::Stop);
         rig.pulses(7_990);
         let counted = rig.ring.counted;
-        let stop = Event::Command(Command::Stop);
+        let stop = Event::Command(&Command::Stop);
         let actions = rig.machine.step(&now(0, counted, CLOSED), stop);
         assert_eq!((kinds(&actions), actions.refusal), (vec!["StopPath"], None));
         // Execution has not heard of it yet.
@@ -454,7 +454,7 @@ mod running {
             assert_eq!(rig.fault(), Some(fault));
             assert_record(&rig, RunOutcome::Faulted(fault), 0);
             // The cause is reported after the path's end: no second fault.
-            let estop = Event::Command(Command::EStop);
+            let estop = Event::Command(&Command::EStop);
             let actions = rig.machine.step(&now, estop);
             assert_eq!((kinds(&actions), actions.refusal), (vec!["Cut"], None));
             assert_eq!(rig.fault(), Some(fault));
@@ -575,7 +575,7 @@ mod running {
         let mut rig = started(LinkLossPolicy::Stop);
         for (queue, shortest) in [(Some(50), 50), (Some(70), 50), (Some(30), 30), (None, 30)] {
             let now = now(0, 100, CLOSED);
-            let hold = rig.machine.step(&now, Event::Command(Command::Hold));
+            let hold = rig.machine.step(&now, Event::Command(&Command::Hold));
             assert_eq!(hold.refusal, None);
             let report = PathReport {
                 min_queue: queue,
@@ -584,7 +584,7 @@ mod running {
             let ended = Event::PathEnded(PathEnd::Stopped, report);
             assert_eq!(kinds(&rig.machine.step(&now, ended)), ["Held"]);
             assert_eq!(rig.machine.record().min_queue, shortest);
-            let resume = rig.machine.step(&now, Event::Command(Command::Resume));
+            let resume = rig.machine.step(&now, Event::Command(&Command::Resume));
             assert_eq!(resume.refusal, None);
         }
         let mut rig = started(LinkLossPolicy::Stop);
@@ -688,7 +688,7 @@ fn a_fault_of_the_last_start_has_to_be_acknowledged() {
     for fault in [RigFault::Watchdog, RigFault::Panic] {
         let mut machine = Machine::new(SETTINGS, Some(fault), 0);
         let mut refusal = |command| {
-            let actions = machine.step(&now(0, 0, CLOSED), Event::Command(command));
+            let actions = machine.step(&now(0, 0, CLOSED), Event::Command(&command));
             assert!(actions.list.is_empty());
             (actions.refusal, machine.state())
         };
@@ -940,7 +940,7 @@ mod table {
     }
 
     /// When it comes, us, and what.
-    fn sample(input: Input) -> (u64, Event) {
+    fn sample(input: Input) -> (u64, Event<'static>) {
         let time_us = match input {
             TickInTime => 300_000,
             TickAtDeadline => 60_000_000,
@@ -969,7 +969,7 @@ mod table {
             EndMismatch => path_ended(PathEnd::Complete, 0, 1),
             LinkSilent => Event::LinkSilent,
             TickInTime | TickAtDeadline | TickLate => Event::Tick,
-            _ => Event::Command(command(input)),
+            _ => Event::Command(Box::leak(Box::new(command(input)))),
         };
         (time_us, event)
     }
@@ -1018,7 +1018,7 @@ mod table {
     impl Setup {
         fn command(&mut self, command: Command, inputs: RigInputs) {
             let now = now(0, 0, inputs);
-            let actions = self.0.step(&now, Event::Command(command));
+            let actions = self.0.step(&now, Event::Command(&command));
             assert_eq!(actions.refusal, None);
         }
 

@@ -69,7 +69,7 @@ mod anything {
 
     enum Input {
         /// At this time, us.
-        Event(u64, Event),
+        Event(u64, Event<'static>),
         /// At this position.
         Command(Command, i32),
         /// So far from 0 lies the flag now, um.
@@ -77,7 +77,7 @@ mod anything {
     }
 
     /// At no special time.
-    fn event(event: Event) -> Input {
+    fn event(event: Event<'static>) -> Input {
         Input::Event(1, event)
     }
 
@@ -212,7 +212,7 @@ mod anything {
                 }
                 Input::Command(asked, position) => {
                     let now = now(1, position, inputs);
-                    actions = self.machine.step(&now, Event::Command(asked));
+                    actions = self.machine.step(&now, Event::Command(&asked));
                     let found_elsewhere = before == RigState::Held
                         && matches!(asked, Command::Resume | Command::Button(_))
                         && matches!(self.machine.fault(), Some(RigFault::ReadBack { .. }));

@@ -14,16 +14,18 @@ use protocol::capsule::{
 use protocol::client::{Client, Output, Poll};
 use protocol::error::{Refusal, WireError};
 use protocol::rig::{self, HomeAccepted, RigEvent, RigState, RigStatus, RunAccepted, RunRecord};
+use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{
     Acknowledge, DeviceKind, Event, Events, GetEvents, GetLastWords, Identity, KeepAlive,
     SetTelemetry, Urgent, What,
 };
-use protocol::table::{Changes, Endpoint, Request, Response, SCHEMA_KEY, Telemetry};
+use protocol::table::{Endpoint, Impact, Request, Response, SCHEMA_KEY, Telemetry};
 
 use crate::error::ClientError;
 use crate::link::Link;
 
-/// The longest time between two requests while waiting, us. A moving device stops after 1 s without one.
+/// The longest time between two requests while waiting, us. A moving device stops after 1 s without one, or after the
+/// rig's `link_timeout_ms`: three requests go out in that time, should it be shorter.
 pub const KEEP_ALIVE_US: u64 = 250_000;
 
 /// Interval between two requests for the status of a move, us.
@@ -31,6 +33,9 @@ const POLL_US: u64 = 50_000;
 
 /// The longest wait for bytes before the [`Interrupt`] is polled again, us.
 const SLICE_US: u64 = 20_000;
+
+/// Interval between two looks at the record of an actuation that has ended, us: several readings of the capsule.
+const BRAKING_US: u64 = 20_000;
 
 /// How much later than announced an action may end before it is stopped as overdue, us.
 const OVERDUE_US: u64 = 3_000_000;
@@ -79,7 +84,8 @@ pub enum Progress {
     },
     /// A run.
     Run {
-        /// Into the run, us, without the time it was held.
+        /// Into the run, us, without the time it was held; at most `total_us`, although a hold and a resume make the
+        /// run a little longer.
         elapsed_us: u64,
         /// Duration of the whole run, us.
         total_us: u64,
@@ -119,7 +125,7 @@ pub trait Observer {
     fn event(&mut self, event: &Event) {
         let _ = event;
     }
-    /// Called about four times a second.
+    /// Called about four times a second, more often if the rig wants to hear the host more often.
     fn progress(&mut self, progress: &Progress) {
         let _ = progress;
     }
@@ -200,6 +206,8 @@ pub struct Device {
     link: Box<dyn Link>,
     client: Client,
     identity: Option<Identity>,
+    /// Time between two requests while waiting, us.
+    keep_alive_us: u64,
     interrupt: Option<Interrupt>,
     pacer: Option<Pacer>,
     /// The strongest urgent stop that the interrupt has returned so far.
@@ -228,6 +236,7 @@ impl Device {
             link,
             client: Client::new(),
             identity: None,
+            keep_alive_us: KEEP_ALIVE_US,
             interrupt: None,
             pacer: None,
             interrupted: None,
@@ -278,8 +287,19 @@ impl Device {
         if matches(&identity) {
             // Events from before this session are not reported.
             self.next_event = self.events(u32::MAX)?.next;
+            self.keep_alive_us = self.asked_keep_alive_us(identity.device)?;
         }
         Ok(identity)
+    }
+
+    /// How often this device wants to hear the host while it moves, us.
+    fn asked_keep_alive_us(&mut self, device: DeviceKind) -> Result<u64, ClientError> {
+        if device == DeviceKind::Capsule {
+            return Ok(KEEP_ALIVE_US);
+        }
+        let key = SettingKey::LinkTimeoutMs;
+        let timeout_ms = self.call(GetSetting { key })?.value;
+        Ok(KEEP_ALIVE_US.min(u64::from(timeout_ms) * 1_000 / 3))
     }
 
     /// Makes sure that this is the wanted machine and that both ends speak the same protocol.
@@ -586,7 +606,7 @@ impl Device {
             }
             let status = device.rig_status()?;
             if status.state == RigState::Running && held_since_us.is_none() {
-                elapsed_us = status.elapsed_us.saturating_sub(paused_us);
+                elapsed_us = status.elapsed_us.saturating_sub(paused_us).min(total_us);
             }
             observer.progress(&Progress::Run {
                 elapsed_us,
@@ -619,7 +639,8 @@ impl Device {
         }
     }
 
-    /// Waits until an actuation of the capsule ends, however it ends, and returns the device's record of it.
+    /// Waits until an actuation of the capsule ends, however it ends, and its motor stands, and returns the device's
+    /// record of it.
     ///
     /// # Errors
     /// [`ClientError::Overdue`], or as [`Device::call`].
@@ -656,7 +677,24 @@ impl Device {
                 ))
             },
         )?;
-        self.actuation_record()
+        self.final_record(observer)
+    }
+
+    /// The record of the actuation that has just ended, when it no longer changes: while the motor is braked, it runs
+    /// on for a tenth of a millimetre of thread.
+    fn final_record(
+        &mut self,
+        observer: &mut dyn Observer,
+    ) -> Result<ActuationRecord, ClientError> {
+        let mut record = self.actuation_record()?;
+        loop {
+            self.idle(BRAKING_US, observer)?;
+            let later = self.actuation_record()?;
+            if later == record || later.actuation != record.actuation {
+                return Ok(record);
+            }
+            record = later;
+        }
     }
 
     /// Waits for `duration_us` of link time with keep-alives; passes telemetry and events to the observer.
@@ -670,7 +708,7 @@ impl Device {
     ) -> Result<(), ClientError> {
         let end_us = self.now_us().saturating_add(duration_us);
         while self.now_us() < end_us {
-            let until_us = self.now_us().saturating_add(KEEP_ALIVE_US).min(end_us);
+            let until_us = self.now_us().saturating_add(self.keep_alive_us).min(end_us);
             self.listen(until_us)?;
             self.keep_alive()?;
             self.hand_out(observer);
@@ -680,8 +718,8 @@ impl Device {
         Ok(())
     }
 
-    /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every [`KEEP_ALIVE_US`]
-    /// without one. Then it requests the device's status, which is also the keep-alive and shows the end even if its
+    /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every
+    /// `keep_alive_us` without one. Then it requests the device's status, which is also the keep-alive and shows the end even if its
     /// event was lost.
     fn wait<C: Into<ActionState>>(
         &mut self,
@@ -712,7 +750,7 @@ impl Device {
             }
             self.pace(observer)?;
             let now_us = self.now_us();
-            if now_us >= asked_us.saturating_add(KEEP_ALIVE_US) {
+            if now_us >= asked_us.saturating_add(self.keep_alive_us) {
                 match state(self, None, observer)?.into() {
                     ActionState::Ended => {
                         // The action has ended: an event that has not arrived by now was lost.
@@ -733,7 +771,7 @@ impl Device {
                     });
                 }
             }
-            self.step(asked_us.saturating_add(KEEP_ALIVE_US))?;
+            self.step(asked_us.saturating_add(self.keep_alive_us))?;
         }
     }
 
@@ -827,9 +865,9 @@ impl Device {
     // Bytes.
 
     fn exchange(&mut self, request: &Request) -> Result<Response, ClientError> {
-        let (place, request_name, changes) = (self.place(), request.name(), request.changes());
+        let (place, request_name, impact) = (self.place(), request.name(), request.impact());
         self.ask_interrupt();
-        let command = changes != Changes::Nothing;
+        let command = impact != Impact::None;
         if command && self.interrupted.is_some() {
             while self.urgent_pending {
                 self.step(u64::MAX)?;
@@ -841,7 +879,7 @@ impl Device {
         if self.client.request(request).is_err() {
             return Err(self.session_lost());
         }
-        let abandonable = command && changes != Changes::Pace;
+        let abandonable = command && impact != Impact::Pace;
         self.commanding = abandonable;
         let answer = self.answer();
         let abandoned = abandonable && !std::mem::take(&mut self.commanding);
@@ -853,7 +891,7 @@ impl Device {
             Some(Output::Refused(refusal)) => Err(ClientError::Refused {
                 place,
                 request: request_name,
-                changes,
+                impact,
                 refusal,
             }),
             Some(Output::Rejected(WireError::NoSession)) => Err(self.session_lost()),

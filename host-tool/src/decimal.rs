@@ -64,6 +64,13 @@ pub fn parse(text: &str, decimals: u32, max: u64) -> Result<u64, DecimalError> {
         .ok_or(too_large)
 }
 
+/// As [`parse`], with the largest `u32` as the limit.
+fn parse_u32(text: &str, decimals: u32) -> Result<u32, DecimalError> {
+    let max = u64::from(u32::MAX);
+    let value = parse(text, decimals, max)?;
+    u32::try_from(value).map_err(|_| DecimalError::TooLarge(max / 10_u64.pow(decimals)))
+}
+
 /// Millimetres, millimetres per second or per second squared, kept in thousandths: um, um/s, um/s2.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Milli(pub u32);
@@ -71,10 +78,7 @@ pub struct Milli(pub u32);
 impl FromStr for Milli {
     type Err = DecimalError;
     fn from_str(text: &str) -> Result<Self, DecimalError> {
-        let value = parse(text, 3, u32::MAX.into())?;
-        u32::try_from(value)
-            .map(Self)
-            .map_err(|_| DecimalError::TooLarge(u64::from(u32::MAX) / 1_000))
+        parse_u32(text, 3).map(Self)
     }
 }
 
@@ -85,10 +89,7 @@ pub struct ShortSeconds(pub u32);
 impl FromStr for ShortSeconds {
     type Err = DecimalError;
     fn from_str(text: &str) -> Result<Self, DecimalError> {
-        let value = parse(text, 6, u32::MAX.into())?;
-        u32::try_from(value)
-            .map(Self)
-            .map_err(|_| DecimalError::TooLarge(u64::from(u32::MAX) / 1_000_000))
+        parse_u32(text, 6).map(Self)
     }
 }
 

@@ -5,7 +5,7 @@ use protocol::VERSION;
 use protocol::error::{Refusal, WireError};
 use protocol::rig::RigFault;
 use protocol::system::{DeviceKind, Identity};
-use protocol::table::{Changes, SCHEMA_KEY};
+use protocol::table::{Impact, SCHEMA_KEY};
 
 use crate::identity;
 use crate::link::LinkError;
@@ -69,14 +69,14 @@ pub enum ClientError {
 
     /// The device understood the request and refused it; nothing moved, nothing changed.
     #[error("{place} refused {request}: {refusal}")]
-    #[diagnostic(code(retrograde::refused), help("{}", unharmed(*changes)))]
+    #[diagnostic(code(retrograde::refused), help("{}", unharmed(*impact)))]
     Refused {
         /// What the link leads to.
         place: String,
         /// Name of the request.
         request: &'static str,
         /// What it would have changed.
-        changes: Changes,
+        impact: Impact,
         /// The device's reason.
         refusal: Refusal,
     },
@@ -154,7 +154,7 @@ pub enum ClientError {
     #[diagnostic(
         code(retrograde::interrupted),
         help(
-            "the device has confirmed the stop and nothing moves; `retrograde info` shows where it stands"
+            "the device has confirmed the stop and nothing moves; `retrograde info` shows where it is"
         )
     )]
     Interrupted {
@@ -218,9 +218,9 @@ fn mismatch_text(place: &str, found: &Identity) -> String {
 }
 
 /// What a refused request has not done.
-fn unharmed(changes: Changes) -> &'static str {
-    match changes {
-        Changes::Flash => "nothing was changed",
+fn unharmed(impact: Impact) -> &'static str {
+    match impact {
+        Impact::Flash => "nothing was changed",
         _ => "nothing was moved",
     }
 }

@@ -273,9 +273,9 @@ pub struct Procedure {
 /// The experiment's records, in the order of the steps.
 #[derive(Clone, Debug)]
 pub struct Experiment {
-    /// Zero of the thread.
+    /// Search for the thread's zero.
     pub reference: ActuationTrial,
-    /// Zero of the rig.
+    /// Result of homing the rig.
     pub homed: Homed,
     /// The run with the capsule unfolded.
     pub unfolded_run: RunTrial,
@@ -325,58 +325,44 @@ pub fn paper(
         &identity(capsule, DeviceKind::Capsule)?,
     );
 
-    hooks.begins("reference the capsule");
-    let reference = complete_actuation(
-        "referencing",
-        actuate(
-            capsule,
-            ActuationKind::Reference,
-            &recording("reference", None),
-            hooks.observer(),
-        )?,
-    )?;
+    let mut actuated = |kind: ActuationKind, hooks: &mut dyn Hooks| {
+        let (begins, stem, step) = match kind {
+            ActuationKind::Reference => ("reference the capsule", "reference", "referencing"),
+            ActuationKind::Fold => ("fold the capsule", "fold", "folding"),
+            ActuationKind::Unfold => ("unfold the capsule", "unfold", "unfolding"),
+        };
+        hooks.begins(begins);
+        let trial = actuate(capsule, kind, &recording(stem, None), hooks.observer())?;
+        complete(step, &trial.trial, &trial.sidecar)?;
+        Ok::<_, ExperimentError>(trial)
+    };
+    let ran = |rig: &mut Device, shape: Shape, hooks: &mut dyn Hooks| {
+        hooks.begins(match shape {
+            Shape::Unfolded => "run, capsule unfolded",
+            Shape::Folded => "run, capsule folded",
+        });
+        let recording = recording(&format!("run-{}", shape.name()), Some(shape));
+        let trial = run(rig, procedure.run, &recording, hooks.observer())?;
+        complete("the run", &trial.trial, &trial.sidecar)?;
+        hooks.ran(shape, &trial);
+        Ok::<_, ExperimentError>(trial)
+    };
+
+    let reference = actuated(ActuationKind::Reference, hooks)?;
     hooks.referenced(&reference);
 
     hooks.begins("home the rig");
     let homed = home(rig, hooks.observer())?;
     hooks.homed(&homed);
 
-    let run_shaped = |rig: &mut Device, shape: Shape, hooks: &mut dyn Hooks| {
-        hooks.begins(match shape {
-            Shape::Unfolded => "run, capsule unfolded",
-            Shape::Folded => "run, capsule folded",
-        });
-        let recording = recording(&format!("run-{}", shape.name()), Some(shape));
-        let trial = complete_run(run(rig, procedure.run, &recording, hooks.observer())?)?;
-        hooks.ran(shape, &trial);
-        Ok::<_, ExperimentError>(trial)
-    };
-    let unfolded_run = run_shaped(rig, Shape::Unfolded, hooks)?;
+    let unfolded_run = ran(rig, Shape::Unfolded, hooks)?;
 
-    hooks.begins("fold the capsule");
-    let fold = complete_actuation(
-        "folding",
-        actuate(
-            capsule,
-            ActuationKind::Fold,
-            &recording("fold", None),
-            hooks.observer(),
-        )?,
-    )?;
+    let fold = actuated(ActuationKind::Fold, hooks)?;
     hooks.folded(&fold);
 
-    let folded_run = run_shaped(rig, Shape::Folded, hooks)?;
+    let folded_run = ran(rig, Shape::Folded, hooks)?;
 
-    hooks.begins("unfold the capsule");
-    let unfold = complete_actuation(
-        "unfolding",
-        actuate(
-            capsule,
-            ActuationKind::Unfold,
-            &recording("unfold", None),
-            hooks.observer(),
-        )?,
-    )?;
+    let unfold = actuated(ActuationKind::Unfold, hooks)?;
     hooks.unfolded(&unfold);
 
     Ok(Experiment {
@@ -389,19 +375,7 @@ pub fn paper(
     })
 }
 
-fn complete_run(run: RunTrial) -> Result<RunTrial, ExperimentError> {
-    complete("the run", &run.trial, &run.sidecar)?;
-    Ok(run)
-}
-
-fn complete_actuation(
-    step: &'static str,
-    actuation: ActuationTrial,
-) -> Result<ActuationTrial, ExperimentError> {
-    complete(step, &actuation.trial, &actuation.sidecar)?;
-    Ok(actuation)
-}
-
+/// Fails unless a step is complete.
 fn complete(
     step: &'static str,
     trial: &Trial,

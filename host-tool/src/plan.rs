@@ -3,11 +3,11 @@
 use std::io::{self, Write};
 
 use motion::axis::{Axis, Direction};
-use motion::run::{Limits, RunError, RunPlan, RunRequest, Timing};
+use motion::run::{Limits, RunError, RunPlan};
 use motion::step_times::StepTimes;
-use motion::trapezoid::{MIN_INTERVAL, StrokeProfile};
+use motion::trapezoid::MIN_INTERVAL;
 use motion::units::{TICK_HZ, TICKS_PER_US, Ticks};
-use protocol::rig::{Run, RunTiming, Stroke};
+use protocol::rig::Run;
 use protocol::settings::SettingKey;
 use serde::Serialize;
 
@@ -30,47 +30,13 @@ const WIDEST_LIMITS: Limits = Limits {
     min_turnaround_ticks: 0,
 };
 
-/// Solves a run as the rig does. A total duration includes the start delay.
-///
-/// # Errors
-/// What makes the run infeasible, and what would make it feasible.
-pub fn solve(run: &Run, axis: &Axis, limits: &Limits) -> Result<RunPlan, RunError> {
-    let timing = match run.timing {
-        RunTiming::Total {
-            total_us,
-            accel_um_s2,
-        } => Timing::Total {
-            total_us,
-            accel_um_s2,
-        },
-        RunTiming::Speeds {
-            forward_um_s,
-            return_um_s,
-            accel_um_s2,
-        } => Timing::Speeds {
-            forward_um_s,
-            return_um_s,
-            accel_um_s2,
-        },
-    };
-    let request = RunRequest {
-        cycles: run.cycles,
-        stroke_um: run.stroke_um,
-        timing,
-        far_dwell_us: run.far_dwell_us,
-        home_dwell_us: run.home_dwell_us,
-        start_delay_us: run.start_delay_us,
-    };
-    RunPlan::solve(axis, limits, &request)
-}
-
 /// Refuses what every rig would refuse, before a link is opened. The rig itself checks what depends on its screw and
 /// limits.
 ///
 /// # Errors
 /// What is wrong with the request, and what to do about it.
 pub fn check(run: &Run) -> Result<(), RunError> {
-    match solve(run, &Axis::REFERENCE, &WIDEST_LIMITS) {
+    match planning::solve(run, &Axis::REFERENCE, &WIDEST_LIMITS) {
         Err(
             RunError::StrokeBelowOneStep { .. }
             | RunError::StepRate { .. }
@@ -111,26 +77,9 @@ pub fn summary(run: &Run, axis: &Axis, plan: &RunPlan) -> Summary {
             steps_per_rev: axis.steps_per_rev(),
             stroke_um: axis.stroke().0,
         },
-        achieved: Achieved {
-            run: 0,
-            forward: stroke(plan.forward(), axis),
-            back: stroke(plan.return_(), axis),
-            total_ticks: plan.total().0,
-            edges: plan.edges(),
-            plan_hash: format!("{:016x}", plan.hash()),
-        },
+        achieved: Achieved::from(&planning::accepted(0, *run, plan, axis)),
         strokes: plan.strokes(),
         peak_step_hz: TICK_HZ.div_ceil(shortest.0.max(1)),
-    }
-}
-
-fn stroke(profile: &StrokeProfile, axis: &Axis) -> Stroke {
-    Stroke {
-        steps: profile.steps().0,
-        duration_ticks: profile.duration().0,
-        ramp_ticks: profile.ramp().0,
-        peak_um_s: profile.peak_um_s(axis),
-        accel_um_s2: profile.accel_um_s2(axis),
     }
 }
 
@@ -138,7 +87,7 @@ fn stroke(profile: &StrokeProfile, axis: &Axis) -> Stroke {
 /// instant of the start, also in seconds.
 ///
 /// # Errors
-/// The writer's.
+/// Those of the writer.
 pub fn write_edges(plan: &RunPlan, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "stroke,position_steps,tick_10ns,time_s")?;
     for index in 0..plan.strokes() {
@@ -166,6 +115,8 @@ pub fn write_edges(plan: &RunPlan, out: &mut dyn Write) -> io::Result<()> {
 mod tests {
     use super::*;
     use crate::experiment::PAPER_RUN;
+    use planning::solve;
+    use protocol::rig::RunTiming;
 
     #[test]
     fn the_papers_run_is_solved_as_the_design_says() {

@@ -5,15 +5,17 @@ mod machine;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use firmware_capsule::mechanics::FOLDED;
 use host_tool::client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
 use host_tool::error::ClientError;
 use host_tool::experiment::PAPER_RUN;
 use host_tool::link::Link;
-use machine::{Script, link};
+use machine::{Script, World, link};
 use protocol::capsule::ActuationOutcome;
 use protocol::error::Refusal;
-use protocol::rig::{RigEvent, RigState, Run, RunOutcome, RunTiming};
-use protocol::system::{DeviceKind, Event, Urgent, What};
+use protocol::rig::{RigEvent, RigFault, RigState, Run, RunOutcome, RunTiming};
+use protocol::settings::SettingKey;
+use protocol::system::{DeviceKind, Event, ResetCause, Urgent, What};
 use protocol::table::Telemetry;
 
 const SHORT_RUN: Run = Run {
@@ -104,20 +106,27 @@ fn the_capsule_is_referenced_folded_and_unfolded() {
             ..
         })
     ));
+    // Unfolded is at zero, or up to half a tenth before it; folded is where the thread pulls with the end force, within a
+    // tenth and a half of the estimate.
+    let unfolded = 0..=60;
+    let folded = FOLDED.0 - 150..=FOLDED.0 + 150;
     for (begin, thread_um) in [
-        (Device::reference as fn(&mut Device) -> _, 0),
-        (Device::fold, 42_000),
-        (Device::unfold, 0),
+        (Device::reference as fn(&mut Device) -> _, unfolded.clone()),
+        (Device::fold, folded),
+        (Device::unfold, unfolded),
     ] {
         let accepted = begin(&mut capsule).expect("accepted");
         let record = capsule
             .wait_actuation(&accepted, &mut Unobserved)
             .expect("ends");
         assert_eq!(record.outcome, ActuationOutcome::Complete);
-        assert_eq!(
-            (record.actuation, record.thread_um),
-            (accepted.actuation, thread_um)
-        );
+        assert_eq!(record.actuation, accepted.actuation);
+        assert!(thread_um.contains(&record.thread_um), "{record:?}");
+        // The record is that of the motor at rest.
+        capsule.idle(500_000, &mut Unobserved).expect("there");
+        let status = capsule.capsule_status().expect("status");
+        assert_eq!(record.thread_um, status.thread_um);
+        assert_eq!(record, capsule.actuation_record().expect("record"));
     }
 }
 
@@ -242,7 +251,7 @@ fn another_protocol_is_refused_with_the_remedy_and_can_still_be_stopped() {
 #[test]
 fn a_reset_under_way_ends_the_session_and_starts_nothing_again() {
     let mut script = Script::new(DeviceKind::Rig);
-    script.reset_at_us = Some(5_000_000);
+    script.world = vec![(5_000_000, World::Reset)];
     let (mut rig, log) = homed_rig(script);
     let accepted = rig.run(SHORT_RUN).expect("accepted");
     let error = rig
@@ -257,10 +266,26 @@ fn a_reset_under_way_ends_the_session_and_starts_nothing_again() {
         Err(ClientError::SessionLost { .. })
     ));
     assert_eq!(count(&log.lock().expect("log").executed, "Run"), 1);
-    // A new Hello finds the restarted machine at rest.
+    // A new Hello finds the restarted machine at rest: its second start, and nothing moves before somebody has looked.
     let identity = rig.hello(12).expect("there");
-    assert_eq!(identity.boot_id, 8);
-    assert_eq!(rig.rig_status().expect("status").state, RigState::Unhomed);
+    assert_eq!(
+        (identity.boot_id, identity.reset_cause),
+        (2, ResetCause::Watchdog)
+    );
+    let status = rig.rig_status().expect("status");
+    assert_eq!(
+        (status.state, status.fault, status.needs_acknowledge),
+        (RigState::Faulted, Some(RigFault::Watchdog), true)
+    );
+    assert!(matches!(
+        rig.home(),
+        Err(ClientError::Refused {
+            refusal: Refusal::AcknowledgeFirst,
+            ..
+        })
+    ));
+    rig.acknowledge().expect("looked");
+    rig.home().expect("home again");
 }
 
 #[test]
@@ -475,7 +500,8 @@ fn a_run_is_held_and_resumed_by_the_one_who_waits_for_it() {
 #[test]
 fn a_resumed_run_that_does_not_end_is_stopped_all_the_same() {
     let mut script = Script::new(DeviceKind::Rig);
-    script.never_ends = true;
+    // Homing takes 2.2 s, and the hold comes after 1 s of the run.
+    script.world = vec![(3_500_000, World::TimerStands)];
     let (mut rig, log) = homed_rig(script);
     let accepted = rig.run(SHORT_RUN).expect("accepted");
     let begin_us = rig.now_us();
@@ -492,6 +518,7 @@ fn a_resumed_run_that_does_not_end_is_stopped_all_the_same() {
     assert!(matches!(error, ClientError::Overdue { .. }), "{error:?}");
     let late_us = rig.now_us() - begin_us;
     assert!((66_500_000..70_000_000).contains(&late_us), "{late_us}");
+    assert_eq!(rig.run_record().expect("record").holds, 1);
 }
 
 #[test]
@@ -546,7 +573,8 @@ fn a_held_run_is_stopped_by_the_operator() {
 #[test]
 fn a_run_that_does_not_end_is_stopped() {
     let mut script = Script::new(DeviceKind::Rig);
-    script.never_ends = true;
+    // In the middle of the run.
+    script.world = vec![(3_500_000, World::TimerStands)];
     let (mut rig, log) = homed_rig(script);
     let accepted = rig.run(SHORT_RUN).expect("accepted");
     let error = rig
@@ -585,4 +613,66 @@ fn the_memory_link_takes_no_time_to_send_and_waits_no_longer_than_asked() {
     assert_eq!(link.now_us(), 0);
     assert_eq!(link.receive(&mut [0; 8], 1_000).expect("alive"), 0);
     assert_eq!(link.now_us(), 1_000);
+}
+
+/// The time in which the rig wants to hear the host is a setting of the rig.
+#[test]
+fn a_rig_with_the_shortest_link_timeout_hears_the_host_often_enough() {
+    let mut script = Script::new(DeviceKind::Rig);
+    let shortest_ms = SettingKey::LinkTimeoutMs.range().min;
+    script.settings = vec![(SettingKey::LinkTimeoutMs, shortest_ms)];
+    let (mut rig, _) = homed_rig(script);
+    let accepted = rig.run(SHORT_RUN).expect("accepted");
+    let mut seen = Seen::default();
+    let record = rig.wait_run(&accepted, &mut seen).expect("ends");
+    assert_eq!(record.outcome, RunOutcome::Complete);
+    rig.run(SHORT_RUN).expect("accepted");
+    rig.idle(5_000_000, &mut seen).expect("there");
+    let record = rig.run_record().expect("record");
+    assert_eq!(record.outcome, RunOutcome::Complete);
+    let lost = seen.events.iter().any(|event| event.what == What::LinkLost);
+    assert!(!lost, "{:?}", seen.events);
+}
+
+#[test]
+fn a_run_that_the_rig_has_stopped_in_silence_is_recorded_as_that() {
+    let mut script = Script::new(DeviceKind::Rig);
+    script.settings = vec![(SettingKey::LinkTimeoutMs, 500)];
+    // Asked for after a third of that, and again every 0.1 s.
+    script.deaf_to = vec![("GetRigStatus", 6)];
+    script.ready = true;
+    let (link, log) = link(script);
+    let mut rig = Device::connect(link, DeviceKind::Rig, 11).expect("a rig");
+    let accepted = rig.run(SHORT_RUN).expect("accepted");
+    let begin_us = rig.now_us();
+    let mut seen = Seen::default();
+    let record = rig.wait_run(&accepted, &mut seen).expect("ends");
+    assert_eq!(record.outcome, RunOutcome::LinkLost);
+    assert_eq!(record.counted_edges, record.commanded_edges);
+    assert!(rig.now_us() - begin_us < 800_000);
+    let what: Vec<_> = seen.events.iter().map(|event| event.what).collect();
+    let run = accepted.run;
+    let stopped = match what[..] {
+        [
+            What::Rig(RigEvent::RunStarted { .. }),
+            What::LinkLost,
+            What::Rig(ended),
+            What::Rig(RigEvent::Stopped { position_steps }),
+        ] if ended
+            == (RigEvent::RunEnded {
+                run,
+                outcome: RunOutcome::LinkLost,
+            }) =>
+        {
+            position_steps
+        }
+        _ => panic!("{what:?}"),
+    };
+    let status = rig.rig_status().expect("status");
+    assert_eq!(
+        (status.state, status.position_steps),
+        (RigState::Ready, stopped)
+    );
+    assert!(stopped > 0);
+    assert!(log.lock().expect("log").urgent.is_empty());
 }

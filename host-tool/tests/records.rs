@@ -5,6 +5,7 @@ mod machine;
 use std::fs;
 use std::path::Path;
 
+use firmware_capsule::mechanics::FOLDED;
 use host_tool::client::{Begun, Device, Homed, Observer, Progress, Unobserved};
 use host_tool::experiment::{
     self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
@@ -278,6 +279,9 @@ fn the_papers_experiment_goes_step_by_step_and_ends_in_a_report() {
     .expect("there");
     let mut steps = Steps::default();
     let done = paper(&mut rig, &mut capsule, folder.path(), &mut steps).expect("complete");
+    let (folded, unfolded) = (done.fold.record.thread_um, done.unfold.record.thread_um);
+    assert!(folded.abs_diff(FOLDED.0) < 150, "{folded}");
+    assert!((0..=60).contains(&unfolded), "{unfolded}");
     assert_eq!(
         steps.names,
         [
@@ -285,9 +289,9 @@ fn the_papers_experiment_goes_step_by_step_and_ends_in_a_report() {
             "referenced",
             "homed",
             "ran unfolded 4",
-            "folded 42000",
+            &format!("folded {folded}"),
             "ran folded 4",
-            "unfolded 0"
+            &format!("unfolded {unfolded}"),
         ]
     );
     assert_eq!(steps.watch.begun, 6);

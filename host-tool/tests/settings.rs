@@ -5,8 +5,8 @@ mod machine;
 use std::fs;
 use std::path::PathBuf;
 
-use machine::Script;
 use machine::tool::{Memory, ready};
+use machine::{Log, Script};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 use serde_json::Value;
@@ -40,11 +40,14 @@ impl Bench {
         self.settings(&["import", file.to_str().expect("UTF-8")])
     }
 
-    /// Values of the rig that was spoken to last.
-    fn values(&self) -> Vec<u32> {
+    /// Asks the log of the rig that was spoken to last.
+    fn log<T>(&self, ask: impl FnOnce(&Log) -> T) -> T {
         let logs = self.rig.logs.lock().expect("logs");
-        let log = logs.last().expect("a rig").lock().expect("log");
-        log.settings.clone()
+        ask(&logs.last().expect("a rig").lock().expect("log"))
+    }
+
+    fn values(&self) -> Vec<u32> {
+        self.log(Log::settings)
     }
 
     fn value(&self, key: SettingKey) -> u32 {
@@ -52,9 +55,7 @@ impl Bench {
     }
 
     fn name(&self) -> String {
-        let logs = self.rig.logs.lock().expect("logs");
-        let log = logs.last().expect("a rig").lock().expect("log");
-        log.name.clone()
+        self.log(Log::name)
     }
 
     fn heard(&self, name: &str) -> usize {
@@ -65,6 +66,15 @@ impl Bench {
 
 fn rig() -> Bench {
     Bench::new(ready(DeviceKind::Rig))
+}
+
+/// How often an import of this file writes to the flash.
+fn writes(text: &str) -> usize {
+    let bench = rig();
+    assert_eq!(bench.import(text).0, 0);
+    let writes = bench.log(Log::writes);
+    assert!(writes > 0);
+    writes
 }
 
 fn defaults() -> Vec<u32> {
@@ -178,21 +188,25 @@ fn what_the_rig_refuses_in_the_middle_is_put_back() {
         assert_eq!(bench.values(), defaults());
         assert_eq!(bench.name(), "");
     }
-    // The name goes last, and its refusal undoes the rest.
+    // The name goes last, and its refusal undoes the rest. It is tried twice.
+    let before = writes(r#"{"name": "", "settings": {"dead_man_ms": 350}}"#);
     let bench = Bench::new(Script {
-        broken_name: true,
+        failing_writes: before..before + 2,
         ..ready(DeviceKind::Rig)
     });
     let (code, _, err) = bench.import(r#"{"name": "new", "settings": {"dead_man_ms": 350}}"#);
     assert_eq!(code, 3, "{err}");
     assert!(err.contains("name: test rig refused SetName"), "{err}");
-    assert_eq!(bench.values(), defaults());
+    assert!(err.contains("all settings are as before"), "{err}");
+    assert_eq!((bench.values(), bench.name()), (defaults(), String::new()));
+    assert!(bench.log(Log::writes) > before, "it began, and went back");
 }
 
 #[test]
 fn what_cannot_be_put_back_is_listed() {
+    let before = writes(r#"{"name": "", "settings": {"dead_man_ms": 350, "seek_um_s": 500}}"#);
     let bench = Bench::new(Script {
-        writes_left: Some(2),
+        failing_writes: before..usize::MAX,
         ..ready(DeviceKind::Rig)
     });
     let text = r#"{"name": "",
@@ -245,11 +259,13 @@ fn what_the_rig_refuses_has_changed_nothing() {
     assert_eq!(code, 3, "{err}");
     assert!(err.contains("help: nothing was changed"), "{err}");
     let broken = Bench::new(Script {
-        broken_name: true,
+        failing_writes: 0..usize::MAX,
         ..ready(DeviceKind::Rig)
     });
-    let (_, _, err) = broken.settings(&["name", "new"]);
+    let (code, _, err) = broken.settings(&["name", "new"]);
+    assert_eq!(code, 3, "{err}");
     assert!(err.contains("help: nothing was changed"), "{err}");
+    assert_eq!(broken.name(), "");
 }
 
 #[test]

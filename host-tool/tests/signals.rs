@@ -20,8 +20,7 @@ use protocol::system::{DeviceKind, Urgent};
 fn serve(script: Script) -> (String, Arc<Mutex<Log>>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = format!("tcp:{}", listener.local_addr().expect("bound"));
-    let log = Arc::new(Mutex::new(Log::default()));
-    let mut machine = Machine::new(script, Arc::clone(&log));
+    let (mut machine, log) = Machine::new(script);
     thread::spawn(move || {
         let (mut stream, _) = listener.accept().expect("the client");
         stream

@@ -123,3 +123,67 @@ proptest! {
         prop_assert!(body.displacement_mm() <= 0.0);
     }
 }
+
+/// Where the roller's arc meets the body it is indented by the gap, and its slope is the one stated.
+#[test]
+fn a_pushed_body_touches_the_rollers_arc() {
+    for a in [4.6, 5.05, 6.0, 9.0] {
+        let body = FoldedBody::new(
+            Params {
+                tail_mm: 40.0,
+                ..Params::PAPER
+            },
+            a,
+        )
+        .unwrap();
+        let Contact::Pushed { slope, ahead_mm } = body.contact() else {
+            panic!("{:?}", body.contact());
+        };
+        let wall = |x| locomotion::roller::wall_mm(a, 20.0, x);
+        let gap_mm = (24.40 - 15.771) / 2.0;
+        assert!((wall(ahead_mm) - gap_mm).abs() < 1e-12);
+        let rise = (wall(ahead_mm - 1e-4) - wall(ahead_mm + 1e-4)) / 2e-4;
+        assert!((rise - slope).abs() < 1e-6, "{rise} {slope}");
+    }
+}
+
+#[test]
+fn the_tail_is_where_the_body_went() {
+    let mut body = FoldedBody::new(Params::PAPER, 5.05).unwrap();
+    assert_eq!(body.tail_mm(), 65.0);
+    body.carriage_to(90.0).unwrap();
+    assert!(body.displacement_mm() < -1.0);
+    assert!((body.tail_mm() - 65.0 - body.displacement_mm()).abs() < 1e-12);
+}
+
+/// At home the roller just touches a body that lies as far to the right as it may.
+#[test]
+fn a_body_is_laid_down_clear_of_the_roller() {
+    let Contact::Pushed { ahead_mm, .. } = FoldedBody::new(Params::PAPER, 5.05).unwrap().contact()
+    else {
+        panic!("it is pushed");
+    };
+    let last_mm = 130.0 - ahead_mm - Params::PAPER.length_mm;
+    let at = |tail_mm| {
+        FoldedBody::new(
+            Params {
+                tail_mm,
+                ..Params::PAPER
+            },
+            5.05,
+        )
+    };
+    assert!(at(last_mm - 1e-9).is_ok());
+    assert!(at(last_mm + 1e-9).is_err());
+}
+
+#[test]
+fn the_carriage_may_overtravel_by_100_mm() {
+    let mut body = FoldedBody::new(Params::PAPER, 5.05).unwrap();
+    for good in [-100.0, 230.0] {
+        assert!(body.carriage_to(good).is_ok(), "{good}");
+    }
+    for bad in [-100.1, 230.1] {
+        assert!(body.carriage_to(bad).is_err(), "{bad}");
+    }
+}

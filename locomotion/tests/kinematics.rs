@@ -257,6 +257,40 @@ fn equation_6_has_no_root_near_the_papers_angle() {
     assert!(repaired_eq6_residual(&design(golden + 0.01), 0.0) < 0.0);
 }
 
+/// Eq. (6) in angles as the paper prints it, and with its right side repaired.
+#[test]
+fn the_residuals_are_those_of_equation_6() {
+    for alpha_deg in [2.0f64, 12.53, 25.0, 31.0] {
+        let alpha = alpha_deg.to_radians();
+        let design = Design::with_slopes(24.40, 4.88, alpha.tan(), 2.0 / 3.0, 9).unwrap();
+        let sec_squared = alpha.cos().powi(-2);
+        let left = sec_squared * (1.0 - (2.0 - sec_squared).powi(2) * alpha.tan().powi(2));
+        let k: f64 = 2.0 / (24.40 - 4.88);
+        for a in [0.0f64, 0.05, 3.0, 9.76] {
+            let printed = left - k.powi(2) * (k - a).powi(2);
+            assert!((printed_eq6_residual(&design, a) - printed).abs() < 1e-12);
+            let repaired = left - ((9.76 - a) / 9.76).powi(2);
+            assert!((repaired_eq6_residual(&design, a) - repaired).abs() < 1e-12);
+        }
+    }
+}
+
+#[test]
+fn the_papers_designs_have_the_papers_dimensions() {
+    let rig = (24.40, 4.88, 9.76, 9);
+    for (design, (width, core, half_gap, crescents)) in [
+        (Design::paper_printed(), rig),
+        (Design::paper_ratios(), rig),
+        (Design::paper_tube(), (24.00, 4.80, 9.60, 9)),
+    ] {
+        assert_eq!((design.width_mm(), design.core_mm()), (width, core));
+        close("h", design.half_gap_mm(), half_gap, 1e-15);
+        assert_eq!(design.crescents(), crescents);
+        close("tan alpha", design.tan_alpha(), 2.0 / 9.0, 2e-4);
+        close("tan beta", design.tan_beta(), 2.0 / 3.0, 2e-4);
+    }
+}
+
 #[test]
 fn the_papers_rules_put_the_papers_design_in_the_middle() {
     for rule in RULES {

@@ -1,6 +1,6 @@
 //! The roller rig: the reference series, any movement of the carriage, and what must not matter.
 
-use locomotion::roller::{PARAMETERS, Params, UnfoldedBody, isolated_pass, run};
+use locomotion::roller::{PARAMETERS, Params, UnfoldedBody, isolated_pass, run, wall_mm};
 use proptest::prelude::*;
 
 const SERIES: [(f64, &str); 5] = [
@@ -168,6 +168,33 @@ proptest! {
             at = turn;
             prop_assert_eq!(whole.displacement_mm().to_bits(), again.displacement_mm().to_bits());
             prop_assert_eq!(whole.displacement_mm().to_bits(), divided.displacement_mm().to_bits());
+        }
+    }
+}
+
+#[test]
+fn the_carriage_may_overtravel_by_100_mm() {
+    let mut body = UnfoldedBody::new(Params::PAPER, 5.05).unwrap();
+    for good in [-100.0, 230.0] {
+        assert!(body.carriage_to(good).is_ok(), "{good}");
+    }
+}
+
+/// The wall lies on the roller's circle where it is indented, and outside of it elsewhere.
+#[test]
+fn the_wave_is_the_rollers_arc() {
+    for (peak, radius) in [(5.05, 20.0), (1.0, 20.0), (9.76, 10.0)] {
+        assert!((wall_mm(peak, radius, 0.0) - peak).abs() < 1e-12);
+        for tenths in -300..=300 {
+            let x = f64::from(tenths) / 10.0;
+            let wall = wall_mm(peak, radius, x);
+            assert!((0.0..=peak + 1e-12).contains(&wall));
+            let from_axis = (x * x + (radius - peak + wall).powi(2)).sqrt();
+            if wall > 0.0 {
+                assert!((from_axis - radius).abs() < 1e-9, "{x}: {from_axis}");
+            } else {
+                assert!(from_axis >= radius - 1e-9, "{x}: {from_axis}");
+            }
         }
     }
 }

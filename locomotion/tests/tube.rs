@@ -132,3 +132,33 @@ fn every_parameter_has_a_source() {
             .all(|p| !p.source.is_empty() && p.value.is_finite())
     );
 }
+
+/// Straight between the middles of two segments, level beyond the outer ones.
+#[test]
+fn the_wall_between_the_middles_is_straight() {
+    let mut tube = Tube::new(Params::PAPER, 7000.0).unwrap();
+    while tube.time_s() < 6.4 {
+        tube.step().unwrap();
+    }
+    let walls = tube.walls_mm().to_vec();
+    assert!(walls.iter().any(|wall| *wall > 0.1));
+    let close = |x_mm: f64, expected: f64| {
+        let wall = tube.wall_at_mm(x_mm);
+        assert!(
+            (wall - expected).abs() < 1e-12,
+            "{wall} for {expected} at {x_mm}"
+        );
+    };
+    for (segment, pair) in (0..).zip(walls.windows(2)) {
+        let middle_mm = (f64::from(segment) + 0.5) * 8.4;
+        close(middle_mm, pair[0]);
+        close(middle_mm + 2.1, 0.75 * pair[0] + 0.25 * pair[1]);
+        close(middle_mm + 6.3, 0.25 * pair[0] + 0.75 * pair[1]);
+    }
+    for x_mm in [-50.0, 0.0, 4.1] {
+        close(x_mm, walls[0]);
+    }
+    for x_mm in [79.9, 84.0, 130.0] {
+        close(x_mm, walls[9]);
+    }
+}

@@ -164,6 +164,23 @@ impl Axis {
         Nanometres((numerator + self.ratio.steps as u64 / 2) / self.ratio.steps as u64)
     }
 
+    /// A position from home in um, to the nearest, negative behind home. It wraps beyond 2^31 um, 2 km.
+    #[must_use]
+    pub const fn um_from_home(&self, position: StepPosition) -> i32 {
+        let um = self.length_of(Steps(position.0.unsigned_abs())).to_um() as i32;
+        if position.0 < 0 { -um } else { um }
+    }
+
+    /// Mean speed over `steps`, which are negative toward home, in a time of at least 1 us; um/s, rounded toward zero.
+    /// Saturates at 2 km/s.
+    #[must_use]
+    pub fn mean_speed_um_s(&self, steps: i32, time_us: u64) -> i32 {
+        let nm = self.length_of(Steps(steps.unsigned_abs())).0;
+        let speed = nm.saturating_mul(1_000) / time_us.max(1);
+        let speed = i32::try_from(speed).unwrap_or(i32::MAX);
+        if steps < 0 { -speed } else { speed }
+    }
+
     /// Home, the right end.
     #[must_use]
     pub const fn home(&self) -> Position {

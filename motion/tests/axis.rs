@@ -408,3 +408,43 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_position_in_um_is_to_the_nearest_on_both_sides_of_home() {
+    // 1.25 um per step.
+    let axis = Axis::REFERENCE;
+    for (steps, um) in [
+        (0, 0),
+        (1, 1),
+        (2, 3),
+        (3, 4),
+        (800, 1_000),
+        (104_000, 130_000),
+        (-1, -1),
+        (-2, -3),
+        (-3, -4),
+        (-800, -1_000),
+    ] {
+        assert_eq!(axis.um_from_home(StepPosition(steps)), um, "{steps}");
+    }
+}
+
+#[test]
+fn a_mean_speed_has_the_sign_of_its_steps() {
+    let axis = Axis::REFERENCE;
+    // 28,500 steps in a second are 35.625 mm; 285 in 10 ms as many.
+    for (steps, time_us, um_s) in [
+        (28_500, 1_000_000, 35_625),
+        (285, 10_000, 35_625),
+        (-285, 10_000, -35_625),
+        (0, 10_000, 0),
+        (1, 3, 416_666),
+        (-1, 3, -416_666),
+        (8, 0, 10_000_000),
+        (i32::MAX, 1, i32::MAX),
+        (i32::MIN, 1, -i32::MAX),
+    ] {
+        let speed = axis.mean_speed_um_s(steps, time_us);
+        assert_eq!(speed, um_s, "{steps} in {time_us} us");
+    }
+}

@@ -7,7 +7,7 @@ use crate::{
     error::{Refusal, WireError},
     frame::{Deframer, Encoded, Header, Kind, encode},
     system::{Event, Hello, Identity, Urgent},
-    table::{Changes, Reply, Request, Response, SCHEMA_KEY, Telemetry},
+    table::{Impact, Reply, Request, Response, SCHEMA_KEY, Telemetry},
 };
 
 /// How long to wait for an answer before the request is sent again. A full frame takes 19 ms at 115200 baud.
@@ -158,8 +158,8 @@ impl Client {
         };
         // The messages of this crate all fit; see the test `every_message_fits`.
         let frame = encode(header, request).map_err(|_| NotNow)?;
-        let attempts = match request.changes() {
-            Changes::Flash => FLASH_ATTEMPTS,
+        let attempts = match request.impact() {
+            Impact::Flash => FLASH_ATTEMPTS,
             _ => ATTEMPTS,
         };
         self.pending = Some(Pending::new(header, frame, attempts));

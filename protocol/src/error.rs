@@ -186,7 +186,7 @@ impl fmt::Display for RigFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             RigFault::EStopLoop => f.write_str(
-                "the E-stop / end-of-travel loop opened: release the button (or mend the loop), acknowledge, home",
+                "the E-stop / end-of-travel loop opened: release the button (or fix the loop), acknowledge, home",
             ),
             RigFault::EStopFrame => f.write_str("emergency stop by command: acknowledge, then home"),
             RigFault::FarLimit => f.write_str(

@@ -11,7 +11,7 @@ const CRC: usize = 4;
 /// Largest frame before COBS.
 const MAX_RAW: usize = HEAD + MAX_BODY + CRC;
 /// Largest COBS block: one byte of overhead per 254.
-const MAX_COBS: usize = MAX_RAW + MAX_RAW / 254 + 1;
+const MAX_COBS: usize = cobs::max_encoding_length(MAX_RAW);
 /// Largest frame on the wire, with both delimiters.
 pub const MAX_FRAME: usize = MAX_COBS + 2;
 

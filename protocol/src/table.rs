@@ -2,7 +2,7 @@
 //!
 //! The module of a request's type says which machine serves it: `system` both, `rig` and `settings` the rig, `capsule`
 //! the capsule. The other machine refuses it with [`Refusal::WrongDevice`]. While a fault is latched, a machine refuses
-//! what moves it ([`Changes::Pace`], [`Changes::Motion`]) and serves the rest.
+//! what moves it ([`Impact::Pace`], [`Impact::Motion`]) and serves the rest.
 
 use crate::{capsule, error::Refusal, error::WireError, rig, settings, system};
 use postcard_schema::Schema;
@@ -12,9 +12,9 @@ use serde::{Deserialize, Serialize};
 /// What carrying out a request changes. It tells the sender how long to wait for the answer, whether to give the
 /// request up for a stop, and what is certain without an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Changes {
-    /// Nothing that moves or lasts. Safe to send at any time; without an answer nothing was done.
-    Nothing,
+pub enum Impact {
+    /// Changes nothing that moves or lasts. Safe to send at any time; without an answer nothing was done.
+    None,
     /// Clears the latched fault. A copy that arrives after an emergency stop would clear the fault of that stop.
     Fault,
     /// Writes settings or the name to flash. The device receives nothing while it erases, so the sender waits longer.
@@ -36,7 +36,7 @@ pub trait Endpoint: Sized {
 }
 
 macro_rules! table {
-    ($($name:ident: $request:ty => $response:ty, match $matched:literal, changes $changes:ident;)*) => {
+    ($($name:ident: $request:ty => $response:ty, match $matched:literal, impact $impact:ident;)*) => {
         /// All requests. Index-coded: append only.
         #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -64,8 +64,8 @@ macro_rules! table {
             }
 
             /// What it changes when it is carried out.
-            pub const fn changes(&self) -> Changes {
-                match self { $(Request::$name(_) => Changes::$changes),* }
+            pub const fn impact(&self) -> Impact {
+                match self { $(Request::$name(_) => Impact::$impact),* }
             }
         }
 
@@ -81,31 +81,31 @@ macro_rules! table {
 
 table! {
     // Append only.
-    Hello: system::Hello => system::Identity, match false, changes Nothing;
-    KeepAlive: system::KeepAlive => system::Done, match false, changes Nothing;
-    GetLastWords: system::GetLastWords => system::LastWords, match false, changes Nothing;
-    SetTelemetry: system::SetTelemetry => system::SetTelemetry, match true, changes Nothing;
-    GetEvents: system::GetEvents => system::Events, match true, changes Nothing;
-    Acknowledge: system::Acknowledge => system::Done, match true, changes Fault;
-    GetRigStatus: rig::GetRigStatus => rig::RigStatus, match true, changes Nothing;
-    Home: rig::Home => rig::HomeAccepted, match true, changes Motion;
-    Run: rig::Run => rig::RunAccepted, match true, changes Motion;
-    GetRunRecord: rig::GetRunRecord => rig::RunRecord, match true, changes Nothing;
-    GetCapsuleStatus: capsule::GetCapsuleStatus => capsule::CapsuleStatus, match true, changes Nothing;
-    Reference: capsule::Reference => capsule::ActuationAccepted, match true, changes Motion;
-    Fold: capsule::Fold => capsule::ActuationAccepted, match true, changes Motion;
-    Unfold: capsule::Unfold => capsule::ActuationAccepted, match true, changes Motion;
-    GetActuationRecord: capsule::GetActuationRecord => capsule::ActuationRecord, match true, changes Nothing;
-    Hold: rig::Hold => system::Done, match true, changes Pace;
-    Resume: rig::Resume => system::Done, match true, changes Pace;
-    Jog: rig::Jog => system::Done, match true, changes Motion;
-    MoveTo: rig::MoveTo => rig::MoveAccepted, match true, changes Motion;
-    GetSetting: settings::GetSetting => settings::Setting, match true, changes Nothing;
-    SetSetting: settings::Setting => settings::Setting, match true, changes Flash;
-    FactoryReset: settings::FactoryReset => system::Done, match true, changes Flash;
-    GetName: settings::GetName => settings::Name, match true, changes Nothing;
-    SetName: settings::Name => settings::Name, match true, changes Flash;
-    GetRigHealth: rig::GetRigHealth => rig::RigHealth, match true, changes Nothing;
+    Hello: system::Hello => system::Identity, match false, impact None;
+    KeepAlive: system::KeepAlive => system::Done, match false, impact None;
+    GetLastWords: system::GetLastWords => system::LastWords, match false, impact None;
+    SetTelemetry: system::SetTelemetry => system::SetTelemetry, match true, impact None;
+    GetEvents: system::GetEvents => system::Events, match true, impact None;
+    Acknowledge: system::Acknowledge => system::Done, match true, impact Fault;
+    GetRigStatus: rig::GetRigStatus => rig::RigStatus, match true, impact None;
+    Home: rig::Home => rig::HomeAccepted, match true, impact Motion;
+    Run: rig::Run => rig::RunAccepted, match true, impact Motion;
+    GetRunRecord: rig::GetRunRecord => rig::RunRecord, match true, impact None;
+    GetCapsuleStatus: capsule::GetCapsuleStatus => capsule::CapsuleStatus, match true, impact None;
+    Reference: capsule::Reference => capsule::ActuationAccepted, match true, impact Motion;
+    Fold: capsule::Fold => capsule::ActuationAccepted, match true, impact Motion;
+    Unfold: capsule::Unfold => capsule::ActuationAccepted, match true, impact Motion;
+    GetActuationRecord: capsule::GetActuationRecord => capsule::ActuationRecord, match true, impact None;
+    Hold: rig::Hold => system::Done, match true, impact Pace;
+    Resume: rig::Resume => system::Done, match true, impact Pace;
+    Jog: rig::Jog => system::Done, match true, impact Motion;
+    MoveTo: rig::MoveTo => rig::MoveAccepted, match true, impact Motion;
+    GetSetting: settings::GetSetting => settings::Setting, match true, impact None;
+    SetSetting: settings::Setting => settings::Setting, match true, impact Flash;
+    FactoryReset: settings::FactoryReset => system::Done, match true, impact Flash;
+    GetName: settings::GetName => settings::Name, match true, impact None;
+    SetName: settings::Name => settings::Name, match true, impact Flash;
+    GetRigHealth: rig::GetRigHealth => rig::RigHealth, match true, impact None;
 }
 
 /// Answer to a request.

@@ -1,4 +1,4 @@
-//! The host's client alone: whose frames it takes, when it sends, what it counts.
+//! The host's client alone: which frames it accepts, when it sends, what it counts.
 
 #[allow(missing_docs, dead_code, unreachable_pub)]
 mod exemplars;
@@ -17,7 +17,7 @@ use serde::Serialize;
 const KEEP_ALIVE: Request = Request::KeepAlive(KeepAlive);
 const SESSION: u8 = 7;
 
-/// The only output, if there is one, of a frame from the device.
+/// Feeds a frame from the device; its output, at most one.
 fn hear<T: Serialize>(client: &mut Client, kind: Kind, seq: u16, body: &T) -> Option<Output> {
     let session = SESSION;
     let frame = encode(Header { kind, session, seq }, body).expect("it fits");
@@ -58,7 +58,7 @@ fn connected() -> Client {
     client
 }
 
-/// The sample came through, and so many were missed before it.
+/// Samples reported as lost before this one; none if it was ignored.
 fn missed(client: &mut Client, seq: u16) -> Option<u16> {
     let [sample, ..] = exemplars::telemetry()[..] else {
         panic!("no exemplar")
@@ -73,7 +73,7 @@ fn missed(client: &mut Client, seq: u16) -> Option<u16> {
     }
 }
 
-/// The event came through.
+/// Whether an event is passed on.
 fn told(client: &mut Client) -> bool {
     let event = exemplars::events()[0];
     match hear(client, Kind::Event, 302, &event) {
@@ -145,7 +145,7 @@ fn an_answer_to_something_else_leaves_the_request_pending() {
         let done = Reply::Accepted(Response::KeepAlive(Done));
         assert_eq!(hear(&mut client, kind, seq, &done), None);
     }
-    // Its own frames, as a looped line returns them.
+    // An echo of its own frames.
     assert_eq!(hear(&mut client, Kind::Request, seq, &KEEP_ALIVE), None);
     assert_eq!(sent(&mut client, RETRY_AFTER_US), first);
 
@@ -175,7 +175,7 @@ fn a_request_is_repeated_on_time_and_byte_for_byte() {
     }
     let end_us = again_us + u64::from(ATTEMPTS) * RETRY_AFTER_US;
     assert_eq!(client.poll(end_us), Poll::TimedOut);
-    // Said once; then the next request may come.
+    // Reported once; then the next request may come.
     assert_eq!(client.poll(end_us), Poll::WaitUntil(u64::MAX));
     client.request(&KEEP_ALIVE).unwrap();
 }
@@ -215,7 +215,7 @@ fn a_stop_goes_ahead_of_a_request_and_the_request_follows_it() {
     client.urgent(Urgent::Stop);
     let stop = header(&sent(&mut client, 10));
     assert_eq!((stop.kind, stop.seq), (Kind::Urgent, request.seq + 1));
-    // The request's time has come, and it waits.
+    // The request is due, and waits.
     assert_eq!(
         client.poll(RETRY_AFTER_US),
         Poll::WaitUntil(10 + RETRY_AFTER_US)

@@ -21,7 +21,7 @@ fn bodies(deframer: &mut Deframer, bytes: &[u8]) -> Vec<Vec<u8>> {
     found
 }
 
-/// A frame around any bytes, with a good CRC behind them.
+/// Any bytes as a frame with a good CRC.
 fn with_crc(content: &[u8]) -> Vec<u8> {
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(content);
     let raw = [content, &crc.to_le_bytes()].concat();
@@ -85,7 +85,7 @@ fn noise_longer_than_any_frame_is_one_bad_block() {
     }
 }
 
-/// The longest frame is good, but with more bytes before its end it is another block.
+/// A good frame of the greatest length is no frame if more bytes follow before the delimiter.
 #[test]
 fn a_frame_does_not_end_before_its_delimiter() {
     let longest = encode(HEADER, &Raw(vec![0xA5; MAX_BODY])).unwrap();

@@ -30,7 +30,7 @@ fn request(device: &mut Session, session: u8, seq: u16, request: &Request) -> De
     receive(device, Kind::Request, session, seq, request)
 }
 
-/// The number of the session that the greeting got.
+/// Greets; the number of the session.
 fn greet(device: &mut Session, nonce: u32) -> u8 {
     let hello = Request::Hello(Hello {
         protocol: VERSION,
@@ -57,7 +57,7 @@ fn execute(device: &mut Session, session: u8, seq: u16, what: &Request) -> Ticke
     }
 }
 
-/// Executes, and keeps `answer`.
+/// Executes a request and remembers `answer`.
 fn served(device: &mut Session, session: u8, seq: u16, what: &Request, answer: u8) {
     let ticket = execute(device, session, seq, what);
     device.remember(ticket, &reply(answer));
@@ -87,7 +87,7 @@ fn a_new_greeting_begins_a_new_session() {
     assert_eq!(device.number(), second);
     let old = request(&mut device, first, 101, &set(2));
     assert_eq!(rejected(&old), Some(WireError::NoSession));
-    // Numbers begin anew, and nothing of the old session is sent again.
+    // Any sequence number may come first, and no answer of the old session is sent again.
     execute(&mut device, second, 100, &set(1));
 }
 
@@ -162,7 +162,7 @@ fn an_answer_that_comes_after_a_new_greeting_is_not_kept() {
     execute(&mut device, session, 100, &set(1));
 }
 
-/// One differing bit is enough to be another request.
+/// A single bit makes it another request.
 #[test]
 fn a_number_is_good_for_one_body() {
     let name = "a bench by the window".try_into().expect("it fits");
@@ -188,7 +188,7 @@ fn a_number_is_good_for_one_body() {
     for bit in 0..8 * body.len() {
         let mut other: [u8; 23] = body[..].try_into().expect("kind, length and 21 letters");
         other[bit / 8] ^= 1 << (bit % 8);
-        // An array is its bytes and nothing else.
+        // An array is encoded as its bytes and nothing else.
         let again = receive(&mut device, Kind::Request, session, 100, &other);
         assert_eq!(
             rejected(&again),

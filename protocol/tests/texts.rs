@@ -1,4 +1,4 @@
-//! The texts of faults and refusals: each says something, and not the same as another.
+//! The texts of faults and refusals: each says something of its own.
 
 #[allow(missing_docs, dead_code, unreachable_pub)]
 mod exemplars;
@@ -12,7 +12,7 @@ use protocol::{
 };
 use std::{collections::BTreeSet, fmt::Display};
 
-/// Distinct texts of more than a word.
+/// The texts, which must all differ.
 fn distinct<T: Display>(values: impl IntoIterator<Item = T>) -> Vec<String> {
     let texts: Vec<_> = values.into_iter().map(|value| value.to_string()).collect();
     let different: BTreeSet<_> = texts.iter().collect();
@@ -132,7 +132,7 @@ fn each_field_has_its_own_name() {
     }
 }
 
-/// A rule is told in the words that the operator types.
+/// A rule uses the names that the operator types.
 #[test]
 fn each_rule_names_a_setting() {
     let rules = [

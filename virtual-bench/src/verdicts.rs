@@ -25,7 +25,7 @@ const PARTS: u128 = 1_000;
 /// One stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stroke {
-    /// Steps.
+    /// Number of steps.
     pub steps: u64,
     /// Duration, ticks.
     pub duration_ticks: u64,
@@ -83,7 +83,7 @@ impl Stroke {
 /// A run: `cycles` times away from home and back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Run {
-    /// Cycles.
+    /// Number of cycles.
     pub cycles: u32,
     /// Away from home.
     pub forward: Stroke,

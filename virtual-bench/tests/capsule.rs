@@ -7,13 +7,14 @@ use host_tool::{
 use protocol::{
     capsule::{ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState},
     error::Refusal,
-    system::{DeviceKind, Urgent},
+    system::{DeviceKind, ResetCause, Urgent},
 };
 use virtual_bench::{
     bench::Bench,
     boards::capsule::{self, CapsuleBoard},
     link::VirtualLink,
     plants::capsule::{Action, Capsule, CapsuleOptions},
+    sabotage::{Misbehaviour, Sabotage},
 };
 
 struct CapsuleRun {
@@ -348,4 +349,105 @@ fn nothing_moves_before_the_reference() {
     }
     capsule.check_at_rest();
     capsule.check_clean();
+}
+
+/// An E-stop that nobody has acknowledged is still latched after a reset; acknowledged, or without power, it is not.
+#[test]
+fn a_latched_estop_survives_a_reset() {
+    let mut capsule = referenced();
+    capsule.device.urgent(Urgent::EStop).expect("it is heard");
+    let latched = (CapsuleState::Faulted, Some(CapsuleFault::EStopFrame), false);
+    for nonce in [2, 3] {
+        capsule.bench.reset().expect("the bench runs");
+        capsule.device.hello(nonce).expect("it answers again");
+        assert_eq!(capsule.state(), latched, "{}", capsule.log());
+        match capsule.device.reference() {
+            Err(ClientError::Refused { refusal, .. }) => {
+                assert_eq!(refusal, Refusal::CapsuleFaulted(CapsuleFault::EStopFrame));
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+    capsule.device.acknowledge().expect("it can be cleared");
+    capsule.bench.reset().expect("the bench runs");
+    capsule.device.hello(4).expect("it answers again");
+    assert_eq!(capsule.state(), (CapsuleState::Unreferenced, None, false));
+
+    capsule.device.urgent(Urgent::EStop).expect("it is heard");
+    capsule
+        .bench
+        .power_cycle(1_000_000)
+        .expect("the bench runs");
+    capsule.device.hello(5).expect("it answers again");
+    assert_eq!(capsule.state(), (CapsuleState::Unreferenced, None, false));
+    capsule.check_at_rest();
+    capsule.check_clean();
+}
+
+/// Lets `client` misbehave while the capsule folds, until the device has restarted: motor off, bridge asleep, latched.
+/// Returns how long that took, and the last words.
+fn sabotaged(client: u8, deed: Misbehaviour, cause: ResetCause) -> (u64, String) {
+    let mut capsule = referenced();
+    capsule.device.fold().expect("folding is accepted");
+    capsule
+        .device
+        .idle(300_000, &mut Unobserved)
+        .expect("the link stays");
+    assert!(capsule.look(|capsule| capsule.is_moving()));
+    let sabotage =
+        Sabotage::new(&capsule::image(), client, deed).expect("an image with its symbols");
+    capsule
+        .bench
+        .visit(move |visit| sabotage.apply(visit))
+        .expect("the bench runs");
+    let armed_ns = capsule.bench.now_ns();
+    capsule.bench.advance_us(1_500_000).expect("the bench runs");
+    let resets = capsule.bench.bus().expect("the bench runs").resets;
+    assert_eq!(resets.len(), 1, "{resets:?}\n{}", capsule.log());
+    let identity = capsule.device.hello(2).expect("it answers again");
+    assert_eq!(identity.reset_cause, cause);
+    let fault = match cause {
+        ResetCause::Panic => CapsuleFault::Panic,
+        _ => CapsuleFault::Watchdog,
+    };
+    let (state, latched, referenced) = capsule.state();
+    assert_eq!(
+        (state, latched, referenced),
+        (CapsuleState::Faulted, Some(fault), false)
+    );
+    capsule.check_at_rest();
+    let words = capsule.device.last_words().expect("they are kept");
+    capsule.device.acknowledge().expect("the cause is gone");
+    (resets[0].0 - armed_ns, words)
+}
+
+/// Longer than the watchdog's period and the two check-ins before it, ns.
+const HANG_NS: u64 = 800_000_000 + 100_000_000 + 150_000_000;
+
+#[test]
+fn a_task_that_hangs_is_ended_by_the_watchdog() {
+    for client in [1, 2, 4] {
+        let (took_ns, words) = sabotaged(client, Misbehaviour::Hang, ResetCause::Watchdog);
+        assert!(took_ns <= HANG_NS, "client {client}: {took_ns} ns");
+        assert_eq!(words, "");
+    }
+}
+
+#[test]
+fn a_panic_switches_off_and_leaves_its_callers() {
+    for client in [1, 2, 4] {
+        let (took_ns, words) = sabotaged(client, Misbehaviour::Panic, ResetCause::Panic);
+        assert!(took_ns <= 101_000_000, "client {client}: {took_ns} ns");
+        let callers = words.strip_prefix("panic, called from 0x");
+        let callers = callers.unwrap_or_else(|| panic!("client {client}: {words:?}"));
+        let callers: Vec<_> = callers
+            .split(" 0x")
+            .map(|number| u32::from_str_radix(number, 16).expect("an address"))
+            .collect();
+        assert!(callers.len() >= 4, "client {client}: {words:?}");
+        assert!(
+            (0x0801_0000..0x0808_0000).contains(&callers[0]),
+            "{words:?}"
+        );
+    }
 }

@@ -19,14 +19,14 @@ const IMAGES: [Image; 2] = [
     Image {
         name: "firmware-rig",
         budget: Budget {
-            flash_bytes: 64 * 1024,
+            flash_bytes: 62_208,
             ram_bytes: 48 * 1024,
         },
     },
     Image {
         name: "firmware-capsule",
         budget: Budget {
-            flash_bytes: 48 * 1024,
+            flash_bytes: 36_000,
             ram_bytes: 24 * 1024,
         },
     },

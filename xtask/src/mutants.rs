@@ -6,9 +6,10 @@ use std::path::Path;
 use crate::process::{Failure, Result, host_cargo, installed, root, status_of};
 
 /// The packages that decide what moves. What of them is not mutated, and why, is in `.cargo/mutants.toml`.
-const PACKAGES: [&str; 5] = [
+const PACKAGES: [&str; 6] = [
     "protocol",
     "motion",
+    "planning",
     "device",
     "firmware-rig",
     "firmware-capsule",

@@ -57,14 +57,3 @@ pub fn send_event(event: &Event) {
         send_if_free(frame);
     }
 }
-
-/// Sets the interval of telemetry, ms; 0 = none.
-pub fn set_telemetry(period_ms: u16) {
-    TELEMETRY_MS.store(period_ms, Ordering::Relaxed);
-    TELEMETRY_CHANGED.signal(());
-}
-
-/// How long the host has been silent at the time `now_us`, us. Right up to 71 minutes, then it begins again.
-pub fn silence_us(now_us: u64) -> u32 {
-    (now_us as u32).wrapping_sub(LAST_FRAME_US.load(Ordering::Relaxed))
-}

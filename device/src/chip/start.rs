@@ -54,22 +54,14 @@ pub fn uid() -> [u8; 12] {
     embassy_stm32::uid::uid()
 }
 
-/// What the serial port needs.
-pub struct SerialPins {
-    /// USART2.
-    pub usart: Peri<'static, peripherals::USART2>,
-    /// Receives.
-    pub pa3: Peri<'static, peripherals::PA3>,
-    /// Transmits.
-    pub pa2: Peri<'static, peripherals::PA2>,
-    /// DMA1 stream 6, transmits.
-    pub transmit_dma: Peri<'static, peripherals::DMA1_CH6>,
-    /// DMA1 stream 5, receives.
-    pub receive_dma: Peri<'static, peripherals::DMA1_CH5>,
-}
-
 /// Opens the serial port, and sets priorities: the time base at 2, the port below everything else at 7.
-pub fn open_serial(pins: SerialPins) -> (UartTx<'static, Async>, RingBufferedUartRx<'static>) {
+pub fn open_serial(
+    usart: Peri<'static, peripherals::USART2>,
+    rx: Peri<'static, peripherals::PA3>,
+    tx: Peri<'static, peripherals::PA2>,
+    tx_dma: Peri<'static, peripherals::DMA1_CH6>,
+    rx_dma: Peri<'static, peripherals::DMA1_CH5>,
+) -> (UartTx<'static, Async>, RingBufferedUartRx<'static>) {
     static RECEIVE_BUFFER: StaticCell<[u8; 512]> = StaticCell::new();
     interrupt::TIM5.set_priority(Priority::P2);
     interrupt::USART2.set_priority(Priority::P7);
@@ -77,15 +69,7 @@ pub fn open_serial(pins: SerialPins) -> (UartTx<'static, Async>, RingBufferedUar
     interrupt::DMA1_STREAM6.set_priority(Priority::P7);
     let mut config = usart::Config::default();
     config.baudrate = BAUD;
-    let uart = Uart::new(
-        pins.usart,
-        pins.pa3,
-        pins.pa2,
-        pins.transmit_dma,
-        pins.receive_dma,
-        Interrupts,
-        config,
-    );
+    let uart = Uart::new(usart, rx, tx, tx_dma, rx_dma, Interrupts, config);
     let Ok(uart) = uart else {
         defmt::panic!("USART2: the clock does not divide to the baud rate")
     };

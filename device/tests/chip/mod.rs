@@ -7,7 +7,10 @@ use device::store::{SECTOR, SECTORS};
 use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
-use std::{cell::RefCell, rc::Rc};
+use std::{
+    ops::Range,
+    sync::{Arc, Mutex, MutexGuard},
+};
 
 /// SplitMix64 (Steele, Lea, Flood 2014).
 #[derive(Clone, Debug)]
@@ -78,14 +81,15 @@ struct Array {
     /// The supply fails in this operation from now on.
     cut: Option<(usize, Cut)>,
     powered: bool,
-    /// Every write and erasure fails.
-    worn: bool,
+    /// Writes and erasures that were asked for since the start, and those of them that fail.
+    asked: usize,
+    failing: Range<usize>,
     noise: Random,
 }
 
 /// The flash; clones are the same one.
 #[derive(Clone, Debug)]
-pub struct Flash(Rc<RefCell<Array>>);
+pub struct Flash(Arc<Mutex<Array>>);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Error {
@@ -108,34 +112,45 @@ impl Flash {
     /// After a start, with this content.
     pub fn holding(bytes: Vec<u8>) -> Self {
         assert_eq!(bytes.len(), SECTORS.end as usize);
-        Self(Rc::new(RefCell::new(Array {
+        Self(Arc::new(Mutex::new(Array {
             bytes,
             operations: Vec::new(),
             cut: None,
             powered: true,
-            worn: false,
+            asked: 0,
+            failing: 0..0,
             noise: Random(1),
         })))
     }
 
+    fn array(&self) -> MutexGuard<'_, Array> {
+        self.0.lock().unwrap()
+    }
+
     pub fn bytes(&self) -> Vec<u8> {
-        self.0.borrow().bytes.clone()
+        self.array().bytes.clone()
     }
 
     /// Writes and erasures since the start.
     pub fn operations(&self) -> Vec<Operation> {
-        self.0.borrow().operations.clone()
+        self.array().operations.clone()
     }
 
     /// The supply fails in the operation after so many more.
     pub fn cut(&self, after: usize, cut: Cut, seed: u64) {
-        let mut array = self.0.borrow_mut();
+        let mut array = self.array();
         array.cut = Some((array.operations.len() + after, cut));
         array.noise = Random(seed);
     }
 
     pub fn wear(&self) {
-        self.0.borrow_mut().worn = true;
+        self.fail(0..usize::MAX);
+    }
+
+    /// Of the writes and erasures from now on, these fail.
+    pub fn fail(&self, failing: Range<usize>) {
+        let mut array = self.array();
+        (array.asked, array.failing) = (0, failing);
     }
 }
 
@@ -145,7 +160,8 @@ impl Array {
         if !self.powered {
             return Err(Error::Off);
         }
-        if self.worn {
+        self.asked += 1;
+        if self.failing.contains(&(self.asked - 1)) {
             return Err(Error::Worn);
         }
         self.operations.push(operation);
@@ -225,7 +241,7 @@ impl ReadNorFlash for Flash {
     const READ_SIZE: usize = 1;
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
-        let array = self.0.borrow();
+        let array = self.array();
         array.end()?;
         bytes.copy_from_slice(&array.bytes[offset as usize..][..bytes.len()]);
         Ok(())
@@ -243,7 +259,7 @@ impl NorFlash for Flash {
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
         assert!(SECTORS.start <= from && from < to && to <= SECTORS.end);
         for sector in (from..to).step_by(SECTOR as usize) {
-            self.0.borrow_mut().erase(sector)?;
+            self.array().erase(sector)?;
         }
         Ok(())
     }
@@ -252,6 +268,6 @@ impl NorFlash for Flash {
         let end = offset + bytes.len() as u32;
         assert!(SECTORS.start <= offset && end <= SECTORS.end && offset.is_multiple_of(4));
         assert!(bytes.len().is_multiple_of(4) && !bytes.is_empty());
-        self.0.borrow_mut().write(offset, bytes)
+        self.array().write(offset, bytes)
     }
 }

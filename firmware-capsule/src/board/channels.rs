@@ -17,17 +17,8 @@ pub(crate) struct Order {
     pub(crate) confirmed_us: u64,
 }
 
-/// A reading with its time.
-#[derive(Clone, Copy)]
-pub(crate) struct Reading {
-    /// Device time.
-    pub(crate) at_us: u64,
-    /// Of all sensors.
-    pub(crate) sample: Sample,
-}
-
-/// Fed by motor, drained by control; the newest one counts.
-pub(crate) static READINGS: Signal<Raw, Reading> = Signal::new();
+/// Device time in us and what the sensors read. Fed by motor, drained by control; the newest one counts.
+pub(crate) static READINGS: Signal<Raw, (u64, Sample)> = Signal::new();
 /// Set by control, read by motor.
 pub(crate) static ORDER: Mutex<Raw, Cell<Order>> = Mutex::new(Cell::new(Order {
     drive: Drive::Off,

@@ -27,7 +27,7 @@
 
 #![allow(unsafe_code)]
 
-use device::chip::start::{self, SerialPins};
+use device::chip::start;
 use embassy_stm32::{
     Config,
     adc::AdcChannel,
@@ -123,13 +123,7 @@ pub(crate) fn init() -> Board {
     // The motor's control runs above the serial port (7), the time base above both (2).
     interrupt::SPI5.set_priority(Priority::P6);
     Board {
-        serial: start::open_serial(SerialPins {
-            usart: p.USART2,
-            pa3: p.PA3,
-            pa2: p.PA2,
-            transmit_dma: p.DMA1_CH6,
-            receive_dma: p.DMA1_CH5,
-        }),
+        serial: start::open_serial(p.USART2, p.PA3, p.PA2, p.DMA1_CH6, p.DMA1_CH5),
         drive_train: DriveTrain {
             current,
             battery,

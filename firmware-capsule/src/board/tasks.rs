@@ -1,16 +1,18 @@
 //! The tasks; the table in this package's README says how often each runs and why.
 
 use super::{
-    channels::{ORDER, ORDER_CHANGED, Order, READINGS, Reading, SNAPSHOT},
+    channels::{ORDER, ORDER_CHANGED, Order, READINGS, SNAPSHOT},
     pins::DriveTrain,
 };
 use device::{
     chip::{
-        channels::{REPLIES, REQUESTS, send_event, set_telemetry, silence_us},
-        link, retained, telemetry,
+        channels::{REPLIES, REQUESTS},
+        link,
+        surroundings::OnChip,
+        telemetry,
         watchdog::{self, CHECK_IN, check_in},
     },
-    retained::{EStop, Left},
+    retained::Left,
     supervision::Client,
 };
 use embassy_futures::select::{Either3, select, select3};
@@ -27,7 +29,7 @@ use firmware_capsule::{
 };
 use protocol::{
     capsule::CapsuleTelemetry,
-    system::{Event, Identity, ResetCause, What},
+    system::{Identity, ResetCause},
     table::Telemetry,
 };
 
@@ -47,10 +49,7 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
         check_in(Client::Motion);
         let sample = drive_train.sample();
         let now = Instant::now();
-        READINGS.signal(Reading {
-            at_us: now.as_micros(),
-            sample,
-        });
+        READINGS.signal((now.as_micros(), sample));
         let order = ORDER.lock(|order| order.get());
         let age_us = now.as_micros().saturating_sub(order.confirmed_us);
         let was_stale = core::mem::replace(
@@ -85,7 +84,7 @@ pub(crate) async fn control(left: Left, cause: ResetCause) -> ! {
         check_in(Client::Control);
         match select3(REQUESTS.wait(), READINGS.wait(), Timer::after(CHECK_IN)).await {
             Either3::First(inbound) => REPLIES.signal(control.answer(inbound)),
-            Either3::Second(reading) => control.read(reading.at_us, reading.sample),
+            Either3::Second((at_us, sample)) => control.read(at_us, sample),
             // Motor is silent; the watchdog will see to it.
             Either3::Third(()) => {}
         }
@@ -95,17 +94,11 @@ pub(crate) async fn control(left: Left, cause: ResetCause) -> ! {
 /// The rest of the capsule, as control sees it.
 struct Capsule;
 
+impl OnChip for Capsule {}
+
 impl control::Capsule for Capsule {
-    fn now_us(&self) -> u64 {
-        Instant::now().as_micros()
-    }
-
-    fn silence_us(&self) -> u32 {
-        silence_us(self.now_us())
-    }
-
     fn drive(&mut self, drive: Drive) {
-        let confirmed_us = self.now_us();
+        let confirmed_us = Instant::now().as_micros();
         let before = ORDER.lock(|order| {
             order.replace(Order {
                 drive,
@@ -119,21 +112,6 @@ impl control::Capsule for Capsule {
 
     fn show(&mut self, telemetry: CapsuleTelemetry) {
         SNAPSHOT.lock(|snapshot| snapshot.set(Some(telemetry)));
-    }
-
-    fn set_telemetry(&mut self, period_ms: u16) {
-        set_telemetry(period_ms);
-    }
-
-    fn keep_latched(&mut self, estop: Option<EStop>) {
-        retained::keep_latched(estop);
-    }
-
-    fn tell(&mut self, event: &Event) {
-        if let What::Capsule(event) = event.what {
-            defmt::info!("{}", event);
-        }
-        send_event(event);
     }
 }
 

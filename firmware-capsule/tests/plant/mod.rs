@@ -95,7 +95,7 @@ impl Plant {
     }
 
     /// Runs for `us` with a constant drive.
-    fn run(&mut self, drive: Drive, us: u32) {
+    pub(crate) fn run(&mut self, drive: Drive, us: u32) {
         match self.defect {
             Some(Defect::Snap(at)) if self.thread_mm() > at => self.snapped = true,
             _ => {}
@@ -148,7 +148,7 @@ impl Plant {
         }
     }
 
-    fn sample(&mut self) -> Sample {
+    pub(crate) fn sample(&mut self) -> Sample {
         let count = (self.angle / (2.0 * core::f64::consts::PI) * 64.0).floor() as i32;
         let thread = self.thread_mm();
         let mut sample = Sample {

@@ -19,7 +19,7 @@ use motion::units::StepPosition;
 use protocol::settings::SettingKey;
 
 /// Fed by interrupts and motion, drained by control.
-pub static NOTICES: Channel<Raw, Event, 16> = Channel::new();
+pub static NOTICES: Channel<Raw, Event<'static>, 16> = Channel::new();
 /// Fed by control, drained by motion.
 pub static ORDERS: Signal<Raw, Order> = Signal::new();
 /// Decelerate. Fed by control, drained by motion.
@@ -29,7 +29,7 @@ pub static CUT: AtomicBool = AtomicBool::new(false);
 /// Wakes motion: the ring has room, or something is wanted.
 pub static MOTION_WAKE: Signal<Raw, ()> = Signal::new();
 /// Set by control, read by telemetry and the LED.
-pub static SNAPSHOT: Mutex<Raw, Cell<Snapshot>> = Mutex::new(Cell::new(Snapshot::START));
+pub static SNAPSHOT: Mutex<Raw, Cell<Option<Snapshot>>> = Mutex::new(Cell::new(None));
 /// Position by the generator, steps. Set by motion.
 pub static COMMANDED: AtomicI32 = AtomicI32::new(0);
 /// Stroke in progress, from 0. Set by motion.
@@ -78,7 +78,7 @@ pub fn wake_after_cut() {
 }
 
 /// Tells motion and control that the pulses were cut.
-pub fn pulses_were_cut(why: Event) {
+pub fn pulses_were_cut(why: Event<'static>) {
     wake_after_cut();
     // 16 notices cannot pile up within control's 10 ms; and if one did get lost, the path's end says that it was cut.
     let _ = NOTICES.try_send(why);
@@ -103,7 +103,7 @@ impl Mailbox for MotionMailbox {
         STOP.swap(false, Ordering::AcqRel)
     }
 
-    fn notify(&mut self, event: Event) -> bool {
+    fn notify(&mut self, event: Event<'static>) -> bool {
         NOTICES.try_send(event).is_ok()
     }
 

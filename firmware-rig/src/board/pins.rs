@@ -19,10 +19,7 @@
 
 #![allow(unsafe_code)]
 
-use device::chip::{
-    flash::Sectors,
-    start::{self, SerialPins},
-};
+use device::chip::{flash::Sectors, start};
 use embassy_stm32::{
     Config,
     gpio::{Level, Output, Speed},
@@ -59,13 +56,7 @@ pub fn init() -> Board {
     configure_pins();
     configure_priorities();
     Board {
-        serial: start::open_serial(SerialPins {
-            usart: p.USART2,
-            pa3: p.PA3,
-            pa2: p.PA2,
-            transmit_dma: p.DMA1_CH6,
-            receive_dma: p.DMA1_CH5,
-        }),
+        serial: start::open_serial(p.USART2, p.PA3, p.PA2, p.DMA1_CH6, p.DMA1_CH5),
         led: Output::new(p.PA5, Level::Low, Speed::Low),
         watchdog: start::watchdog(p.IWDG),
         sectors: Sectors::new(p.FLASH),

@@ -272,10 +272,6 @@ impl Ring for StepGenerator {
         self.running = false;
     }
 
-    fn cut(&mut self) {
-        pins::cut_pulses();
-    }
-
     fn enable_driver(&mut self) {
         pins::enable_driver();
     }

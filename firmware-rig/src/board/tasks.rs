@@ -11,15 +11,14 @@ use super::{
 use core::sync::atomic::Ordering;
 use device::{
     chip::{
-        channels::{
-            BAD_FRAMES, REPLIES, REQUESTS, UART_ERRORS, UNSENT_FRAMES, send_event, set_telemetry,
-            silence_us,
-        },
+        channels::{BAD_FRAMES, REPLIES, REQUESTS, UART_ERRORS, UNSENT_FRAMES},
         flash::Sectors,
-        image, link, retained, telemetry,
+        image, link,
+        surroundings::OnChip,
+        telemetry,
         watchdog::{self, CHECK_IN, check_in},
     },
-    retained::{EStop, Left},
+    retained::Left,
     supervision::Client,
 };
 use embassy_futures::select::{Either3, select3};
@@ -36,13 +35,10 @@ use firmware_rig::{
     execution::{Motion, Order, Pace},
     machine::Now,
 };
-use motion::{
-    axis::Axis,
-    units::{StepPosition, Steps},
-};
+use motion::units::StepPosition;
 use protocol::{
     rig::{RigHealth, RigInputs, RigState, RigTelemetry},
-    system::{Event, Identity, ResetCause, Urgent, What},
+    system::{Identity, ResetCause, Urgent},
     table::Telemetry,
 };
 
@@ -50,7 +46,7 @@ use protocol::{
 /// it twice a round. While a turn or the end is awaited: every 0.1 ms.
 #[embassy_executor::task]
 pub async fn motion(mut generator: StepGenerator) -> ! {
-    let mut motion = Motion::new();
+    let mut motion = Motion::default();
     loop {
         check_in(Client::Motion);
         let wait = match motion.pace() {
@@ -71,7 +67,7 @@ pub async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
     let mut ticker = Ticker::every(Duration::from_micros(ROUND_US));
     loop {
         check_in(Client::Control);
-        SNAPSHOT.lock(|snapshot| snapshot.set(control.snapshot()));
+        SNAPSHOT.lock(|snapshot| snapshot.set(Some(control.snapshot())));
         match select3(NOTICES.receive(), REQUESTS.wait(), ticker.next()).await {
             Either3::First(event) => control.event(event),
             Either3::Second(inbound) => REPLIES.signal(control.answer(inbound)),
@@ -82,6 +78,8 @@ pub async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
 
 /// The rest of the rig, as control sees it.
 pub struct Rig;
+
+impl OnChip for Rig {}
 
 impl control::Rig for Rig {
     #[inline(never)]
@@ -105,10 +103,6 @@ impl control::Rig for Rig {
 
     fn stroke(&self) -> u32 {
         STROKE.load(Ordering::Relaxed)
-    }
-
-    fn silence_us(&self) -> u32 {
-        silence_us(Instant::now().as_micros())
     }
 
     fn health(&self) -> RigHealth {
@@ -146,23 +140,8 @@ impl control::Rig for Rig {
         step_generator::set_counted(position);
     }
 
-    fn set_telemetry(&mut self, period_ms: u16) {
-        set_telemetry(period_ms);
-    }
-
     fn set_switch_filter(&mut self, filter_us: u32) {
         SWITCH_FILTER_US.store(filter_us, Ordering::Relaxed);
-    }
-
-    fn keep_latched(&mut self, estop: Option<EStop>) {
-        retained::keep_latched(estop);
-    }
-
-    fn tell(&mut self, event: &Event) {
-        if let What::Rig(event) = event.what {
-            defmt::info!("{}", event);
-        }
-        send_event(event);
     }
 }
 
@@ -193,27 +172,22 @@ pub async fn telemetry() -> ! {
         let (before, from) = last;
         let position = step_generator::counted();
         last = (now, position);
-        let snapshot = SNAPSHOT.lock(|snapshot| snapshot.get());
+        let snapshot = SNAPSHOT.lock(|snapshot| snapshot.get())?;
         let elapsed_us = now.saturating_duration_since(before).as_micros();
         Some(Telemetry::Rig(RigTelemetry {
             time_us: now.as_micros(),
             state: snapshot.state,
             position_steps: position.0,
             commanded_steps: COMMANDED.load(Ordering::Relaxed),
-            speed_um_s: speed_um_s(&snapshot.axis, position.since(from), elapsed_us),
+            speed_um_s: snapshot
+                .axis
+                .mean_speed_um_s(position.since(from), elapsed_us),
             stroke: STROKE.load(Ordering::Relaxed),
             residual_steps: snapshot.residual_steps,
             inputs: pins::inputs(),
         }))
     })
     .await
-}
-
-fn speed_um_s(axis: &Axis, steps: i32, time_us: u64) -> i32 {
-    let nm = axis.length_of(Steps(steps.unsigned_abs())).0;
-    let speed = nm.saturating_mul(1_000) / time_us.max(1);
-    let speed = i32::try_from(speed).unwrap_or(i32::MAX);
-    if steps < 0 { -speed } else { speed }
 }
 
 /// Every 150 ms; also shows the state on the LED.
@@ -225,8 +199,8 @@ pub async fn watchdog(
     let mut round = 0_u8;
     let show_state = || {
         round = (round + 1) % 8;
-        let state = SNAPSHOT.lock(|snapshot| snapshot.get().state);
-        led.set_level((pattern(state) >> round & 1 == 1).into());
+        let state = SNAPSHOT.lock(|snapshot| snapshot.get().map(|snapshot| snapshot.state));
+        led.set_level((state.map_or(0, pattern) >> round & 1 == 1).into());
     };
     watchdog::run(watchdog, show_state).await
 }

@@ -72,7 +72,7 @@ impl Machine {
         self.refuse_unless_ready(&now.inputs)?;
         if now.position != StepPosition::HOME {
             return Err(Refusal::NotAtHome {
-                position_um: self.settings.um(now.position),
+                position_um: self.settings.axis.um_from_home(now.position),
             });
         }
         if now.inputs.far_limit {

@@ -51,7 +51,7 @@ pub fn now(time_us: u64, position: i32, inputs: RigInputs) -> Now {
 }
 
 /// The end of a path after its last step at tick 1.
-pub fn path_ended(end: PathEnd, commanded: i32, counted: i32) -> Event {
+pub fn path_ended(end: PathEnd, commanded: i32, counted: i32) -> Event<'static> {
     let report = PathReport {
         commanded: StepPosition(commanded),
         counted: StepPosition(counted),
@@ -62,7 +62,7 @@ pub fn path_ended(end: PathEnd, commanded: i32, counted: i32) -> Event {
 }
 
 /// The end of a stroke.
-pub fn stroke_done(stroke: u32, commanded: i32, counted: i32) -> Event {
+pub fn stroke_done(stroke: u32, commanded: i32, counted: i32) -> Event<'static> {
     Event::StrokeDone {
         stroke,
         commanded: StepPosition(commanded),
@@ -71,7 +71,7 @@ pub fn stroke_done(stroke: u32, commanded: i32, counted: i32) -> Event {
 }
 
 /// An edge of the home flag.
-pub fn flag_edge(opening: bool, count: i32) -> Event {
+pub fn flag_edge(opening: bool, count: i32) -> Event<'static> {
     let count = StepPosition(count);
     Event::FlagEdge { opening, count }
 }
@@ -84,7 +84,7 @@ pub struct Mail {
     pub cut: bool,
     /// Control takes no notices.
     pub full: bool,
-    pub notices: Vec<Event>,
+    pub notices: Vec<Event<'static>>,
     pub stroke: u32,
     pub commanded: i32,
 }
@@ -104,7 +104,7 @@ impl Mailbox for Mail {
         std::mem::take(&mut self.stop)
     }
 
-    fn notify(&mut self, event: Event) -> bool {
+    fn notify(&mut self, event: Event<'static>) -> bool {
         if !self.full {
             self.notices.push(event);
         }
@@ -167,7 +167,7 @@ impl Carriage {
     pub fn new(mounted: Settings, place: i32) -> Self {
         let mut carriage = Self {
             mounted,
-            motion: Motion::new(),
+            motion: Motion::default(),
             mail: Mail::default(),
             ring: Slots::new(),
             next_round: u64::MAX,
@@ -269,7 +269,7 @@ impl Carriage {
     }
 
     /// A round of motion. Its notices come back.
-    pub fn motion_round(&mut self) -> Vec<Event> {
+    pub fn motion_round(&mut self) -> Vec<Event<'static>> {
         self.ring.loop_open = self.inputs().estop_loop;
         self.motion.round(&mut self.ring, &mut self.mail);
         self.next_round = match self.pace() {
@@ -283,9 +283,14 @@ impl Carriage {
         std::mem::take(&mut self.mail.notices)
     }
 
+    /// When [`Carriage::step`] is due next with a ring that queues ahead.
+    pub fn due(&self) -> u64 {
+        self.next_round.min(self.round_end.unwrap_or(u64::MAX))
+    }
+
     /// Lets motion look after the ring if that is due; else plays the next round of the ring. What control hears of
     /// it comes back.
-    pub fn step(&mut self) -> Vec<Event> {
+    pub fn step(&mut self) -> Vec<Event<'static>> {
         match self.ring.ahead {
             Ahead::Nothing => {
                 if self.motion_is_due() {
@@ -323,7 +328,7 @@ impl Carriage {
         }
     }
 
-    fn play(&mut self, begun: u64, round: Round) -> Vec<Event> {
+    fn play(&mut self, begun: u64, round: Round) -> Vec<Event<'static>> {
         if !round.pulse {
             return Vec::new();
         }
@@ -339,7 +344,7 @@ impl Carriage {
         self.pulse(direction)
     }
 
-    fn pulse(&mut self, direction: Direction) -> Vec<Event> {
+    fn pulse(&mut self, direction: Direction) -> Vec<Event<'static>> {
         let before = self.inputs();
         let step = direction.sign();
         let mut events = Vec::new();
@@ -432,7 +437,7 @@ impl Rig {
     pub fn command(&mut self, command: Command) -> Result<(), Refusal> {
         let actions = self
             .machine
-            .step(&self.carriage.look(), Event::Command(command));
+            .step(&self.carriage.look(), Event::Command(&command));
         let refusal = actions.refusal;
         if refusal.is_some() {
             // A resume looks first whether the carriage is where it was held.

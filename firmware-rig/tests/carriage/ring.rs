@@ -209,10 +209,6 @@ impl Ring for Slots {
         Ok(())
     }
 
-    fn cut(&mut self) {
-        self.armed = false;
-    }
-
     fn halt(&mut self) {
         self.cut += self.pulses_left();
         self.periods.clear();

@@ -19,7 +19,7 @@ use crate::report::ReportError;
 use crate::report::figures::FigureError;
 use crate::trial::Status;
 
-/// Done.
+/// Success.
 pub const DONE: u8 = 0;
 /// A file or this program failed.
 pub const FAILED: u8 = 1;

@@ -182,7 +182,7 @@ pub(crate) fn run(
         trial.sidecar.display(),
     ));
     let help = format!(
-        "the data is in {}; `retrograde info` shows where the rig stands, a new run needs it at 0: `retrograde home`",
+        "the data is in {}; `retrograde info` shows where the rig is; a new run has to start at 0: `retrograde home`",
         trial.sidecar.display()
     );
     completed(

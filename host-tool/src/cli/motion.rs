@@ -21,20 +21,24 @@ pub(crate) fn hold(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value
     let mut rig = finder.connect(DeviceKind::Rig)?;
     rig.call(rig::Hold)?;
     let status = rig.wait_rest()?;
+    if status.state == RigState::Running {
+        return Err(Failure::Refused {
+            why: "the run was held, and goes on again: somebody has resumed it, the start button does that"
+                .to_owned(),
+            help: "`retrograde hold` holds it again, `retrograde stop` ends it".to_owned(),
+        });
+    }
     if status.state != RigState::Held {
         return Err(match Status::from(rig.run_record()?.outcome) {
             Status::Complete => Failure::Refused {
                 why: "too late, the run is complete".to_owned(),
-                help: format!(
-                    "nothing is held; the rig stands at {} mm",
-                    millimetres(&status)
-                ),
+                help: format!("nothing is held; the rig is at {} mm", millimetres(&status)),
             },
             ending => ended("the run", ending, &status, None),
         });
     }
     screen.say(&format!(
-        "Held at {} mm; `retrograde resume` goes on, `retrograde stop` ends the run.",
+        "Held at {} mm; `retrograde resume` continues the run, `retrograde stop` ends it.",
         millimetres(&status)
     ));
     Ok(json!({ "held": true, "status": status }))
@@ -94,7 +98,7 @@ pub(crate) fn jog(
     if status.fault.is_some() || !as_asked {
         return Err(cut_short("the jog", &rig, &status));
     }
-    screen.say(&format!("Stands at {} mm.", millimetres(&status)));
+    screen.say(&format!("The carriage is at {} mm.", millimetres(&status)));
     Ok(json!({ "status": status }))
 }
 
@@ -118,7 +122,7 @@ pub(crate) fn move_to(
     if status.fault.is_some() || status.position_steps != accepted.to_steps {
         return Err(cut_short("the move", &rig, &status));
     }
-    screen.say(&format!("Stands at {} mm.", millimetres(&status)));
+    screen.say(&format!("The carriage is at {} mm.", millimetres(&status)));
     Ok(json!({ "accepted": accepted, "status": status }))
 }
 
@@ -151,10 +155,10 @@ fn ended(
             .or(reason.map(str::to_owned)),
         help: if status.fault.is_some() {
             format!(
-                "the carriage stands at {place} mm by the step counter; `retrograde ack rig`, then `retrograde home`"
+                "the carriage is at {place} mm by the step counter; `retrograde ack rig`, then `retrograde home`"
             )
         } else {
-            format!("the carriage stands at {place} mm")
+            format!("the carriage is at {place} mm")
         },
     }
 }

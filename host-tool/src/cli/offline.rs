@@ -23,7 +23,7 @@ pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Fa
         args.microsteps,
         MAX_STROKE.0,
     )?;
-    let plan = plan::solve(&run, &axis, &REFERENCE_LIMITS)?;
+    let plan = planning::solve(&run, &axis, &REFERENCE_LIMITS)?;
     let summary = plan::summary(&run, &axis, &plan);
     screen.say(&text(&summary));
     if let Some(path) = &args.edges {

@@ -370,8 +370,9 @@ fn span(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
 mod tests {
     use super::*;
     use crate::experiment::PAPER_RUN;
-    use crate::plan::{REFERENCE_LIMITS, solve, summary};
+    use crate::plan::{REFERENCE_LIMITS, summary};
     use motion::axis::Axis;
+    use planning::solve;
 
     #[test]
     fn the_planned_curve_goes_out_and_home_and_ends_with_the_run() {

@@ -4,7 +4,7 @@
 use plotters::style::RGBColor;
 
 use crate::report::figures::{Chart, Curve, FigureError, Mark, figure};
-use crate::science::design::Maps;
+use crate::science::design::{Curves, Maps};
 use crate::science::series::{FoldTest, IsolatedRow, RollerRow, TubeRow, TubeRun};
 
 const MODEL: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
@@ -21,6 +21,29 @@ fn curve(label: &str, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> 
         mark,
         points,
     }
+}
+
+/// A chart whose y axis includes 0.
+fn chart(x_label: &'static str, y_label: &str, curves: Vec<Curve>) -> Chart {
+    Chart {
+        x_label,
+        y_label: y_label.to_owned(),
+        y_from_zero: true,
+        curves,
+    }
+}
+
+/// A figure of two curves of the model.
+fn two_curves(
+    x_label: &'static str,
+    y_label: &str,
+    [first, second]: [(&str, Vec<(f64, f64)>); 2],
+) -> Result<String, FigureError> {
+    let curves = vec![
+        curve(first.0, MODEL, Mark::Line(4), first.1),
+        curve(second.0, SECOND, Mark::Line(4), second.1),
+    ];
+    figure(vec![chart(x_label, y_label, curves)])
 }
 
 /// Colour of a curve in a family, from light to dark.
@@ -94,22 +117,13 @@ fn tube_figure(
         .iter()
         .filter_map(|row| Some((x(row), row.paper_about_mm?)))
         .collect();
+    let ends = vec![
+        curve("model (calibrated)", MODEL, Mark::Line(4), model),
+        curve("paper's text (about)", PAPER, Mark::Dots(9), paper),
+    ];
     figure(vec![
-        Chart {
-            x_label: "time / s",
-            y_label: "displacement / mm".to_owned(),
-            y_from_zero: true,
-            curves: family(courses, 3),
-        },
-        Chart {
-            x_label,
-            y_label: "displacement in 20 s / mm".to_owned(),
-            y_from_zero: true,
-            curves: vec![
-                curve("model (calibrated)", MODEL, Mark::Line(4), model),
-                curve("paper's text (about)", PAPER, Mark::Dots(9), paper),
-            ],
-        },
+        chart("time / s", "displacement / mm", family(courses, 3)),
+        chart(x_label, "displacement in 20 s / mm", ends),
     ])
 }
 
@@ -139,27 +153,27 @@ pub fn comparison(rig: &[RollerRow], tube: &[TubeRow]) -> Result<String, FigureE
         .iter()
         .filter_map(|row| Some((row.pressure_pa, row.paper_about_mm?)))
         .collect();
+    // Wide below narrow, so that both can be seen: the model gives them the same values.
+    let on_rig = vec![
+        rig_curve("without", "not lubricated (model, prediction)", SECOND, 10),
+        rig_curve("with", "lubricated (model, prediction)", MODEL, 3),
+    ];
+    let in_tube = vec![
+        tube_curve(0.20, SECOND, 10),
+        tube_curve(0.08, MODEL, 3),
+        curve("paper's text (about)", PAPER, Mark::Dots(9), paper),
+    ];
     figure(vec![
-        Chart {
-            x_label: "peristaltic indentation / mm",
-            y_label: "displacement in 40 s / mm".to_owned(),
-            y_from_zero: true,
-            // Wide below narrow, so that both can be seen: the model gives them the same values.
-            curves: vec![
-                rig_curve("without", "not lubricated (model, prediction)", SECOND, 10),
-                rig_curve("with", "lubricated (model, prediction)", MODEL, 3),
-            ],
-        },
-        Chart {
-            x_label: "peristaltic pressure / Pa",
-            y_label: "displacement in 20 s / mm".to_owned(),
-            y_from_zero: true,
-            curves: vec![
-                tube_curve(0.20, SECOND, 10),
-                tube_curve(0.08, MODEL, 3),
-                curve("paper's text (about)", PAPER, Mark::Dots(9), paper),
-            ],
-        },
+        chart(
+            "peristaltic indentation / mm",
+            "displacement in 40 s / mm",
+            on_rig,
+        ),
+        chart(
+            "peristaltic pressure / Pa",
+            "displacement in 20 s / mm",
+            in_tube,
+        ),
     ])
 }
 
@@ -174,25 +188,14 @@ pub fn fold(test: &FoldTest) -> Result<String, FigureError> {
             .map(|row| (row.travel_mm, value(row)))
             .collect()
     };
-    figure(vec![Chart {
-        x_label: "travel of the carriage / mm",
-        y_label: "displacement / mm".to_owned(),
-        y_from_zero: true,
-        curves: vec![
-            curve(
-                "unfolded (model)",
-                MODEL,
-                Mark::Line(4),
-                points(|row| row.unfolded_mm),
-            ),
-            curve(
-                "folded (model)",
-                SECOND,
-                Mark::Line(4),
-                points(|row| row.folded_mm),
-            ),
+    two_curves(
+        "travel of the carriage / mm",
+        "displacement / mm",
+        [
+            ("unfolded (model)", points(|row| row.unfolded_mm)),
+            ("folded (model)", points(|row| row.folded_mm)),
         ],
-    }])
+    )
 }
 
 /// One pass in each direction over indentation.
@@ -205,25 +208,14 @@ pub fn isolated(rows: &[IsolatedRow]) -> Result<String, FigureError> {
             .map(|row| (row.indentation_mm, value(row)))
             .collect()
     };
-    figure(vec![Chart {
-        x_label: "peristaltic indentation / mm",
-        y_label: "displacement by one pass / mm".to_owned(),
-        y_from_zero: true,
-        curves: vec![
-            curve(
-                "antegrade (model)",
-                MODEL,
-                Mark::Line(4),
-                points(|row| row.antegrade_mm),
-            ),
-            curve(
-                "returning (model)",
-                SECOND,
-                Mark::Line(4),
-                points(|row| row.returning_mm),
-            ),
+    two_curves(
+        "peristaltic indentation / mm",
+        "displacement by one pass / mm",
+        [
+            ("antegrade (model)", points(|row| row.antegrade_mm)),
+            ("returning (model)", points(|row| row.returning_mm)),
         ],
-    }])
+    )
 }
 
 /// A sweep: displacement over pressure or indentation, a curve for each friction.
@@ -242,12 +234,7 @@ pub fn sweep(
             (format!("friction {} (model)", part[0].0), points)
         })
         .collect();
-    figure(vec![Chart {
-        x_label,
-        y_label: y_label.to_owned(),
-        y_from_zero: true,
-        curves: family(members, 4),
-    }])
+    figure(vec![chart(x_label, y_label, family(members, 4))])
 }
 
 /// Shortening over each angle, with a dot for the design.
@@ -255,26 +242,19 @@ pub fn sweep(
 /// # Errors
 /// If the drawing library fails.
 pub fn maps(maps: &Maps) -> Result<String, FigureError> {
-    let chart = |x_label, members: &[(String, Vec<(f64, f64)>)], design| {
-        let mut curves = family(members.to_vec(), 4);
+    let y_label = format!("d at a = {:.2} mm / mm", maps.indentation_mm);
+    let over = |x_label, members: &Curves, design| {
+        let mut curves = family(members.clone(), 4);
         curves.push(curve("this design", PAPER, Mark::Dots(9), vec![design]));
-        Chart {
-            x_label,
-            y_label: format!("d at a = {:.2} mm / mm", maps.indentation_mm),
-            y_from_zero: true,
-            curves,
-        }
+        chart(x_label, &y_label, curves)
     };
+    let (over_alpha, over_beta) = (&maps.over_alpha, &maps.over_beta);
     figure(vec![
-        chart(
+        over(
             "alpha / deg",
-            &maps.over_alpha,
+            over_alpha,
             (maps.alpha_deg, maps.shortening_mm),
         ),
-        chart(
-            "beta / deg",
-            &maps.over_beta,
-            (maps.beta_deg, maps.shortening_mm),
-        ),
+        over("beta / deg", over_beta, (maps.beta_deg, maps.shortening_mm)),
     ])
 }

@@ -70,7 +70,7 @@ pub struct Equation6 {
 /// The best alpha of the admissible range.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Best {
-    /// Degrees.
+    /// The best alpha, degrees.
     pub alpha_deg: f64,
     /// d with this alpha at the drawn indentation, mm.
     pub shortening_mm: f64,
@@ -85,7 +85,7 @@ pub struct Report {
     pub width_mm: f64,
     /// Width c of the core, mm.
     pub core_mm: f64,
-    /// c/W.
+    /// c/W: width of the core over the overall width.
     pub core_ratio: f64,
     /// h = (W-c)/2, mm: the largest indentation.
     pub half_gap_mm: f64,
@@ -93,7 +93,7 @@ pub struct Report {
     pub alpha_deg: f64,
     /// Long side to the transverse axis, degrees.
     pub beta_deg: f64,
-    /// m.
+    /// m: number of crescents.
     pub crescents: u8,
     /// Eq. (1): l1, mm.
     pub long_side_mm: f64,

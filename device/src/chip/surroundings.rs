@@ -1,0 +1,42 @@
+//! What surrounds control on the chip.
+
+use super::{
+    channels::{LAST_FRAME_US, TELEMETRY_CHANGED, TELEMETRY_MS, send_event},
+    retained,
+};
+use crate::{common::Surroundings, retained::EStop};
+use core::sync::atomic::Ordering;
+use embassy_time::Instant;
+use protocol::system::{Event, What};
+
+/// A machine that is surrounded by this chip.
+pub trait OnChip {}
+
+impl<M: OnChip> Surroundings for M {
+    fn now_us(&self) -> u64 {
+        Instant::now().as_micros()
+    }
+
+    fn silence_us(&self) -> u32 {
+        // Of the low 32 bits: right up to 71 minutes, then it begins again.
+        (self.now_us() as u32).wrapping_sub(LAST_FRAME_US.load(Ordering::Relaxed))
+    }
+
+    fn set_telemetry(&mut self, period_ms: u16) {
+        TELEMETRY_MS.store(period_ms, Ordering::Relaxed);
+        TELEMETRY_CHANGED.signal(());
+    }
+
+    fn keep_latched(&mut self, estop: Option<EStop>) {
+        retained::keep_latched(estop);
+    }
+
+    fn tell(&mut self, event: &Event) {
+        match event.what {
+            What::Rig(event) => defmt::info!("{}", event),
+            What::Capsule(event) => defmt::info!("{}", event),
+            What::Booted(_) | What::Acknowledged | What::LinkLost => {}
+        }
+        send_event(event);
+    }
+}

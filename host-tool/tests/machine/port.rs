@@ -1,0 +1,156 @@
+//! What surrounds control in both machines: clock, retained RAM, and the port with everything that leaves it.
+
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use device::common::Surroundings;
+use device::retained::{self, EStop, Left, WORDS, Words};
+use protocol::frame::{Encoded, Header, Kind, encode};
+use protocol::system::Event;
+use protocol::table::Telemetry;
+use serde::Serialize;
+
+/// Clones are the same port. Times are the device's, us.
+#[derive(Clone)]
+pub struct Port(Arc<Mutex<State>>);
+
+struct State {
+    now_us: u64,
+    /// Number of the present session, 0 before the first, and when its last good frame came.
+    session: u8,
+    heard_us: u64,
+    telemetry_us: u64,
+    next_telemetry_us: Option<u64>,
+    telemetry_seq: u16,
+    /// Frames, and when they were sent.
+    outbound: Vec<(u64, Encoded)>,
+    retained: [u32; WORDS],
+}
+
+impl Words for State {
+    fn get(&self, index: usize) -> u32 {
+        self.retained[index]
+    }
+
+    fn set(&mut self, index: usize, value: u32) {
+        self.retained[index] = value;
+    }
+}
+
+impl State {
+    fn new(retained: [u32; WORDS]) -> Self {
+        Self {
+            now_us: 0,
+            session: 0,
+            heard_us: 0,
+            telemetry_us: 0,
+            next_telemetry_us: None,
+            telemetry_seq: 0,
+            outbound: vec![],
+            retained,
+        }
+    }
+
+    fn send(&mut self, kind: Kind, seq: u16, body: &impl Serialize) {
+        let header = Header {
+            kind,
+            session: self.session,
+            seq,
+        };
+        let frame = encode(header, body).expect("every message fits");
+        self.outbound.push((self.now_us, frame));
+    }
+}
+
+impl Port {
+    /// Before the first start.
+    pub fn new() -> Self {
+        Self(Arc::new(Mutex::new(State::new([0; WORDS]))))
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.lock().expect("no test panics while it sends")
+    }
+
+    /// The device starts; only what is retained stays.
+    pub fn start(&self) -> Left {
+        let mut state = self.state();
+        *state = State::new(state.retained);
+        retained::start(&mut *state)
+    }
+
+    pub fn now_us(&self) -> u64 {
+        self.state().now_us
+    }
+
+    pub fn set_now_us(&self, now_us: u64) {
+        self.state().now_us = now_us;
+    }
+
+    /// A good frame of this session has come.
+    pub fn hear(&self, session: u8) {
+        let mut state = self.state();
+        (state.session, state.heard_us) = (session, state.now_us);
+    }
+
+    pub fn reply(&self, frame: Encoded) {
+        let mut state = self.state();
+        let now_us = state.now_us;
+        state.outbound.push((now_us, frame));
+    }
+
+    /// What was sent since the last time, and when.
+    pub fn sent(&self) -> Vec<(u64, Encoded)> {
+        std::mem::take(&mut self.state().outbound)
+    }
+
+    /// When the next sample of telemetry is due.
+    pub fn sample_us(&self) -> u64 {
+        self.state().next_telemetry_us.unwrap_or(u64::MAX)
+    }
+
+    /// Sends the sample that is due, if there is anything to show.
+    pub fn send_sample(&self, sample: Option<Telemetry>) {
+        let mut state = self.state();
+        state.next_telemetry_us = Some(state.now_us + state.telemetry_us);
+        if let Some(sample) = sample {
+            let seq = state.telemetry_seq;
+            state.send(Kind::Telemetry, seq, &sample);
+            state.telemetry_seq = seq.wrapping_add(1);
+        }
+    }
+}
+
+/// A machine's board at this port.
+pub struct At<B> {
+    pub port: Port,
+    pub board: B,
+}
+
+impl<B> Surroundings for At<B> {
+    fn now_us(&self) -> u64 {
+        self.port.now_us()
+    }
+
+    fn silence_us(&self) -> u32 {
+        let state = self.port.state();
+        (state.now_us - state.heard_us) as u32
+    }
+
+    fn set_telemetry(&mut self, period_ms: u16) {
+        let mut state = self.port.state();
+        state.telemetry_us = u64::from(period_ms) * 1_000;
+        state.next_telemetry_us = (period_ms > 0).then_some(state.now_us + state.telemetry_us);
+    }
+
+    fn keep_latched(&mut self, estop: Option<EStop>) {
+        retained::keep_latched(&mut *self.port.state(), estop);
+    }
+
+    fn tell(&mut self, event: &Event) {
+        let mut state = self.port.state();
+        // Before the first session nobody listens.
+        if state.session != 0 {
+            state.send(Kind::Event, event.index as u16, event);
+        }
+    }
+}
