@@ -130,6 +130,31 @@ fn config() -> ProptestConfig {
     }
 }
 
+/// The next image may be another: it finds its words where this one left them.
+#[test]
+fn the_layout_stays() {
+    let mut ram = Ram::blank();
+    start(&mut ram);
+    keep_latched(&mut ram, Some(EStop::Loop));
+    keep_last_words(&mut ram, b"oh");
+    let check = (((0x5245_5430_u32 ^ 2).rotate_left(5) ^ 0x6F).rotate_left(5)) ^ 0x68;
+    let words = [
+        0x5245_5430,
+        1,
+        0x5245_5431,
+        0x5245_5430,
+        2,
+        check,
+        0x6F,
+        0x68,
+        0,
+    ];
+    assert_eq!(ram.0[..9], words);
+    keep_latched(&mut ram, Some(EStop::Frame));
+    assert_eq!(ram.0[2], 0x5245_5432);
+    assert_eq!(WORDS, 126);
+}
+
 proptest! {
     #![proptest_config(config())]
 

@@ -136,6 +136,32 @@ proptest! {
     }
 }
 
+/// By its 257th successor a record is old, whichever it is: neither the name nor any setting hides another.
+#[test]
+fn a_record_is_old_after_256_others() {
+    assert_eq!(Ages::OLDEST, 256);
+    let keys = SettingKey::ALL.into_iter().map(|key| key as u8);
+    for number in keys.chain([NAME_RECORD]) {
+        let others = [
+            SettingKey::LeadUm as u8,
+            SettingKey::ButtonAccelUmS2 as u8,
+            NAME_RECORD,
+        ];
+        for other in others.into_iter().filter(|other| *other != number) {
+            let mut ages = Ages::new();
+            ages.wrote(number);
+            for _ in 0..Ages::OLDEST {
+                ages.wrote(other);
+                assert_eq!(ages.overdue(), None);
+            }
+            ages.wrote(other);
+            assert_eq!(ages.overdue(), Some(number));
+            ages.wrote(number);
+            assert_eq!(ages.overdue(), None);
+        }
+    }
+}
+
 #[test]
 fn a_number_of_another_firmware_does_not_count() {
     let mut ages = Ages::new();

@@ -6,13 +6,15 @@ mod chip;
 use chip::{Cut, Flash, Operation, Random};
 use device::{
     settings::{SettingsStore, Values},
-    store::{SECTOR, SECTORS, StorageFailed},
+    store::{self, NAME_RECORD, SECTOR, SECTORS, StorageFailed},
 };
 use proptest::prelude::*;
 use protocol::settings::{MAX_NAME, SettingKey};
 use std::sync::LazyLock;
 
 type Store = SettingsStore<Flash>;
+/// What lies below them.
+type Log = store::Store<Flash>;
 
 /// What a device finds at its start.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -298,6 +300,34 @@ fn a_worn_flash_changes_nothing() {
     assert_eq!(store.reset(), Err(StorageFailed));
     assert_eq!(Content::of(&store), before);
     assert_eq!(Content::of(&start(&Flash::holding(flash.bytes()))), before);
+}
+
+/// Longer than any record of this firmware.
+#[test]
+fn a_record_that_is_too_long_is_not_written() {
+    let flash = Flash::blank();
+    let mut log = Log::new(flash.clone());
+    assert_eq!(log.save(NAME_RECORD, &[7; 28]), Err(StorageFailed));
+    assert_eq!(flash.operations(), []);
+    log.save(NAME_RECORD, &[7; 27]).unwrap();
+    let mut records = Vec::new();
+    let note = |number, record: &[u8]| records.push((number, record.to_vec()));
+    Log::new(flash).load(note).unwrap();
+    assert_eq!(records, [(NAME_RECORD, vec![7; 27])]);
+}
+
+/// An erasure takes half a second, and wears the flash.
+#[test]
+fn a_blank_sector_is_not_erased() {
+    let flash = Flash::blank();
+    start(&flash).set(SettingKey::FlagUm, 900).unwrap();
+    let erasures = |operation: &Operation| matches!(operation, Operation::Erase { .. });
+    assert!(!flash.operations().iter().any(erasures));
+    assert_eq!(
+        flash.operations().len(),
+        4,
+        "the sector's mark, and a record's head and two parts"
+    );
 }
 
 #[test]

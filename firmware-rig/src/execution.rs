@@ -40,7 +40,7 @@ pub trait Ring {
     /// Periods that wait, without the one that plays and the one that is prepared to play next.
     fn waiting(&self) -> u32;
 
-    /// Ticks from the start of the period that plays to the end of the last one.
+    /// Ticks from the end of the period that plays to the end of the last one.
     fn lead(&self) -> u32;
 
     /// Pulses that have not left for certain: those of the period that plays, and of all behind it.

@@ -382,6 +382,25 @@ fn moves_and_jogs_out_of_range() {
     ));
 }
 
+/// 32 kHz are 40 mm/s at 800 steps per mm, exactly.
+#[test]
+fn a_move_may_be_as_fast_as_the_driver() {
+    let mut rig = Rig::homed(settings(&[(SettingKey::MaxStepHz, 32_000)]));
+    let to = |speed_um_s| {
+        Request::MoveTo(rig::MoveTo {
+            position_um: 50_000,
+            speed_um_s,
+        })
+    };
+    let max_hz = 32_000;
+    for (speed_um_s, interval) in [(40_001, 3_124), (49_000, 2_551)] {
+        let needed_hz = 100_000_000 / interval;
+        let refused = Refusal::StepRateLimit { needed_hz, max_hz };
+        assert_eq!(refusal(&mut rig, to(speed_um_s)), refused);
+    }
+    assert!(matches!(send(&mut rig, to(40_000)).0, Reply::Accepted(_)));
+}
+
 /// Without a known position no target is "already there".
 #[test]
 fn a_move_to_where_the_counter_stands_needs_a_position() {

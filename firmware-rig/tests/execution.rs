@@ -6,7 +6,7 @@ mod runs;
 
 use carriage::{Carriage, Pulse, Rig, ring::Ahead, run};
 use firmware_rig::{
-    execution::{LEAD_TICKS, Order},
+    execution::{LEAD_TICKS, Order, Pace},
     machine::{Command, Event, PathEnd, PathReport},
     periods::Path,
     settings::Settings,
@@ -278,6 +278,56 @@ fn a_stop_in_cruise_takes_effect_soon() {
         // 6 ms of 28.5 kHz before a look, and what a repetition adds after it.
         assert!((171..=252).contains(&queued), "{queued}");
     }
+}
+
+/// How soon motion wants to look again: soon, while something is awaited.
+#[test]
+fn motion_looks_often_only_when_it_has_to() {
+    let path = strokes_of_10_mm();
+    let mut bench = Bench::before(&path, EVERYWHERE, stop_accel());
+    assert_eq!(
+        bench.carriage.pace(),
+        Pace::Idle,
+        "it is woken for an order"
+    );
+    bench.motion_round();
+    assert_eq!(bench.carriage.pace(), Pace::Filled);
+    bench.run_for(50 * MS);
+    assert_eq!(bench.carriage.pace(), Pace::Filled);
+    // The whole stroke and its dwell are queued: now the turn has to be met.
+    bench.run_for(bench.plan[7_999].at - 10 * US - bench.carriage.now);
+    assert_eq!(bench.carriage.pace(), Pace::Waiting);
+    bench.finish();
+    assert_eq!(bench.carriage.pace(), Pace::Idle);
+}
+
+/// The rest of a run of which nothing is left.
+#[test]
+fn a_path_without_strokes_ends_where_it_stands() {
+    let plan = carriage::plan(&SETTINGS, 1, 10_000, 40_000);
+    let path = Path::Rest {
+        plan,
+        stroke: plan.strokes(),
+        first: *plan.forward(),
+    };
+    let mut carriage = Carriage::new(SETTINGS, 0);
+    carriage.ring.counted = 7;
+    carriage.order(Order {
+        path,
+        window: EVERYWHERE,
+        stop_accel: stop_accel(),
+        pulse_ticks: 200,
+    });
+    let report = PathReport {
+        commanded: StepPosition(7),
+        counted: StepPosition(7),
+        last_tick: 0,
+        min_queue: None,
+    };
+    let ended = Event::PathEnded(PathEnd::Complete, report);
+    assert_eq!(carriage.motion_round(), [ended]);
+    assert_eq!((carriage.mail.stroke, carriage.mail.commanded), (2, 7));
+    assert!(!carriage.moving());
 }
 
 #[test]

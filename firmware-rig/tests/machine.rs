@@ -6,12 +6,12 @@ use carriage::{
     CLOSED, IMAGE_HASH, Rig, flag_edge, now, path_ended, plan, run, small, stroke_done,
 };
 use firmware_rig::{
-    machine::{Action, Actions, Command, Event, Machine, PathEnd},
+    machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
     settings::Settings,
 };
 use motion::{
     axis::Direction,
-    units::{Steps, Window},
+    units::{StepPosition, Steps, Window},
 };
 use protocol::{
     error::Refusal,
@@ -491,6 +491,7 @@ mod running {
             rig.finish();
             // Lost on the way out, the flag comes so much too early on the way back.
             let residual_steps = slipping as i32;
+            assert_eq!(rig.machine.residual(), residual_steps);
             if slipping <= SETTINGS.ledger_limit_steps {
                 assert_eq!(rig.machine.state(), RigState::Ready);
                 let record = rig.machine.record();
@@ -527,6 +528,81 @@ mod running {
             rig.finish();
             let residual_steps = -SETTINGS.flag.0;
             assert_latched(rig, RigFault::LostSteps { residual_steps });
+        }
+    }
+
+    /// The first of two equal residuals stays the worst, whatever its sign; a greater one takes its place.
+    #[test]
+    fn the_worst_residual_is_the_first_of_its_size() {
+        let mut rig = Rig::homed(SETTINGS);
+        rig.command(run(&SETTINGS, 4, 10_000, LinkLossPolicy::Stop))
+            .unwrap();
+        let mut back = |stroke, count| {
+            rig.event(stroke_done(stroke, 8_000, 8_000));
+            rig.event(flag_edge(true, count));
+            rig.event(stroke_done(stroke + 1, 0, 0));
+            (
+                rig.machine.residual(),
+                rig.machine.record().worst_residual_steps,
+            )
+        };
+        assert_eq!(back(0, 803), (3, 3));
+        assert_eq!(back(2, 797), (-3, 3));
+        assert_eq!(back(4, 796), (-4, -4));
+        assert_eq!(back(6, 801), (1, -4));
+    }
+
+    /// A stroke that ends within what the ledger tolerates of the flag need not meet it.
+    #[test]
+    fn a_stroke_has_to_meet_the_flag_if_it_reaches_beyond_it() {
+        // 1 mm and 8 steps; one step more.
+        for (stroke_um, steps, complete) in [(1_010, 808, true), (1_012, 809, false)] {
+            let mut rig = Rig::homed(SETTINGS);
+            rig.command(run(&SETTINGS, 1, stroke_um, LinkLossPolicy::Stop))
+                .unwrap();
+            rig.stuck_flag = Some(true);
+            rig.finish();
+            assert_eq!(rig.machine.record().max_steps, steps);
+            let residual_steps = -800;
+            let fault = (!complete).then_some(RigFault::LostSteps { residual_steps });
+            assert_eq!(rig.fault(), fault, "{steps}");
+        }
+    }
+
+    /// Of all paths of the run; one that was queued as a whole never left the ring short.
+    #[test]
+    fn the_shortest_queue_is_that_of_all_paths() {
+        let mut rig = started(LinkLossPolicy::Stop);
+        for (queue, shortest) in [(Some(50), 50), (Some(70), 50), (Some(30), 30), (None, 30)] {
+            let now = now(0, 100, CLOSED);
+            let hold = rig.machine.step(&now, Event::Command(&Command::Hold));
+            assert_eq!(hold.refusal, None);
+            let report = PathReport {
+                min_queue: queue,
+                ..rest_at(100)
+            };
+            let ended = Event::PathEnded(PathEnd::Stopped, report);
+            assert_eq!(kinds(&rig.machine.step(&now, ended)), ["Held"]);
+            assert_eq!(rig.machine.record().min_queue, shortest);
+            let resume = rig.machine.step(&now, Event::Command(&Command::Resume));
+            assert_eq!(resume.refusal, None);
+        }
+        let mut rig = started(LinkLossPolicy::Stop);
+        let report = PathReport {
+            min_queue: None,
+            ..rest_at(100)
+        };
+        let ended = Event::PathEnded(PathEnd::Stopped, report);
+        rig.machine.step(&now(0, 100, CLOSED), ended);
+        assert_eq!(rig.machine.record().min_queue, u16::MAX);
+    }
+
+    fn rest_at(position: i32) -> PathReport {
+        PathReport {
+            commanded: StepPosition(position),
+            counted: StepPosition(position),
+            last_tick: 1,
+            min_queue: None,
         }
     }
 
@@ -692,6 +768,7 @@ mod table {
         Jogging,
         StopHoming,
         StopRun,
+        StopBack,
         StopLost,
         StopMove,
         Faulted,
@@ -700,7 +777,7 @@ mod table {
         Panicked,
     }
 
-    const STARTS: [Start; 32] = [
+    const STARTS: [Start; 33] = [
         Unhomed,
         Clear,
         Seek,
@@ -727,6 +804,7 @@ mod table {
         Jogging,
         StopHoming,
         StopRun,
+        StopBack,
         StopLost,
         StopMove,
         Faulted,
@@ -741,6 +819,7 @@ mod table {
         FlagOpens,
         FlagOpensLate,
         FlagCloses,
+        FlagClosesLate,
         FarLimit,
         LoopOpened,
         StrokeDone,
@@ -749,12 +828,15 @@ mod table {
         Stopped,
         StoppedFar,
         StoppedNear,
+        StoppedAtLimit,
+        StoppedBehind,
         Cut,
         Underrun,
         Guard,
         EndMismatch,
         LinkSilent,
         TickInTime,
+        TickAtDeadline,
         TickLate,
         Home,
         Run,
@@ -771,10 +853,11 @@ mod table {
         Acknowledge,
     }
 
-    const INPUTS: [Input; 31] = [
+    const INPUTS: [Input; 35] = [
         FlagOpens,
         FlagOpensLate,
         FlagCloses,
+        FlagClosesLate,
         FarLimit,
         LoopOpened,
         StrokeDone,
@@ -783,12 +866,15 @@ mod table {
         Stopped,
         StoppedFar,
         StoppedNear,
+        StoppedAtLimit,
+        StoppedBehind,
         Cut,
         Underrun,
         Guard,
         EndMismatch,
         LinkSilent,
         TickInTime,
+        TickAtDeadline,
         TickLate,
         Home,
         Run,
@@ -809,19 +895,19 @@ mod table {
     fn inputs_of_event(event: &Event) -> &'static [Input] {
         match event {
             Event::Command(command) => inputs_of_command(command),
-            Event::FlagEdge { .. } => &[FlagOpens, FlagOpensLate, FlagCloses],
+            Event::FlagEdge { .. } => &[FlagOpens, FlagOpensLate, FlagCloses, FlagClosesLate],
             Event::FarLimit => &[FarLimit],
             Event::LoopOpened => &[LoopOpened],
             Event::StrokeDone { .. } => &[StrokeDone, StrokeMismatch],
             Event::PathEnded(end, _) => match end {
                 PathEnd::Complete => &[Complete, EndMismatch],
-                PathEnd::Stopped => &[Stopped, StoppedFar, StoppedNear],
+                PathEnd::Stopped => STOPPED,
                 PathEnd::Cut => &[Cut],
                 PathEnd::Underrun => &[Underrun],
                 PathEnd::Guard => &[Guard],
             },
             Event::LinkSilent => &[LinkSilent],
-            Event::Tick => &[TickInTime, TickLate],
+            Event::Tick => TICKS,
         }
     }
 
@@ -857,6 +943,7 @@ mod table {
     fn sample(input: Input) -> (u64, Event<'static>) {
         let time_us = match input {
             TickInTime => 300_000,
+            TickAtDeadline => 60_000_000,
             TickLate => 60_000_001,
             _ => 0,
         };
@@ -864,6 +951,7 @@ mod table {
             FlagOpens => flag_edge(true, 800),
             FlagOpensLate => flag_edge(true, 700),
             FlagCloses => flag_edge(false, 800),
+            FlagClosesLate => flag_edge(false, 700),
             FarLimit => Event::FarLimit,
             LoopOpened => Event::LoopOpened,
             StrokeDone => stroke_done(1, 0, 0),
@@ -872,12 +960,15 @@ mod table {
             Stopped => path_ended(PathEnd::Stopped, 0, 0),
             StoppedFar => path_ended(PathEnd::Stopped, 4_000, 4_000),
             StoppedNear => path_ended(PathEnd::Stopped, 500, 500),
+            // The ledger tolerates 8 steps.
+            StoppedAtLimit => path_ended(PathEnd::Stopped, 792, 792),
+            StoppedBehind => path_ended(PathEnd::Stopped, 791, 791),
             Cut => path_ended(PathEnd::Cut, 0, 0),
             Underrun => path_ended(PathEnd::Underrun, 0, 0),
             Guard => path_ended(PathEnd::Guard, 0, 0),
             EndMismatch => path_ended(PathEnd::Complete, 0, 1),
             LinkSilent => Event::LinkSilent,
-            TickInTime | TickLate => Event::Tick,
+            TickInTime | TickAtDeadline | TickLate => Event::Tick,
             _ => Event::Command(Box::leak(Box::new(command(input)))),
         };
         (time_us, event)
@@ -1029,7 +1120,8 @@ mod table {
                     setup.event(Event::FarLimit);
                 }
             }
-            Back | BackMet | StopLost | StopHoldBack | StopHoldMet | HeldBack | HeldMet => {
+            Back | BackMet | StopBack | StopLost | StopHoldBack | StopHoldMet | HeldBack
+            | HeldMet => {
                 setup.home(Ready);
                 setup.command(run, ON_FLAG);
                 setup.first_stroke();
@@ -1039,6 +1131,7 @@ mod table {
                     _ => {}
                 }
                 match start {
+                    StopBack => setup.command(Command::Stop, CLOSED),
                     StopHoldBack | StopHoldMet => setup.command(Command::Hold, CLOSED),
                     HeldBack => setup.hold(4_000),
                     HeldMet => setup.hold(500),
@@ -1101,6 +1194,7 @@ mod table {
     const STOPPING: &[Start] = &[
         StopHoming,
         StopRun,
+        StopBack,
         StopLost,
         StopMove,
         StopHoldOut,
@@ -1119,6 +1213,7 @@ mod table {
         BackMet,
         Finish,
         StopRun,
+        StopBack,
         StopLost,
         StopHoldOut,
         StopHoldBack,
@@ -1138,7 +1233,8 @@ mod table {
     ];
     const IN_MOVE: &[Start] = &[Moving, Jogging, StopMove];
 
-    const EDGES: &[Input] = &[FlagOpens, FlagOpensLate, FlagCloses];
+    const EDGES: &[Input] = &[FlagOpens, FlagOpensLate, FlagCloses, FlagClosesLate];
+    const CLOSINGS: &[Input] = &[FlagCloses, FlagClosesLate];
     const OPENINGS: &[Input] = &[FlagOpens, FlagOpensLate];
     const STROKES: &[Input] = &[StrokeDone, StrokeMismatch];
     const ENDS: &[Input] = &[
@@ -1146,14 +1242,33 @@ mod table {
         Stopped,
         StoppedFar,
         StoppedNear,
+        StoppedAtLimit,
+        StoppedBehind,
         Cut,
         Underrun,
         Guard,
         EndMismatch,
     ];
-    const FINE_ENDS: &[Input] = &[Complete, Stopped, StoppedFar, StoppedNear];
-    const STOPPED: &[Input] = &[Stopped, StoppedFar, StoppedNear];
-    const TICKS: &[Input] = &[TickInTime, TickLate];
+    const FINE_ENDS: &[Input] = &[
+        Complete,
+        Stopped,
+        StoppedFar,
+        StoppedNear,
+        StoppedAtLimit,
+        StoppedBehind,
+    ];
+    const STOPPED: &[Input] = &[
+        Stopped,
+        StoppedFar,
+        StoppedNear,
+        StoppedAtLimit,
+        StoppedBehind,
+    ];
+    const TICKS: &[Input] = &[TickInTime, TickAtDeadline, TickLate];
+    /// Until its end homing has time.
+    const TICKS_IN_TIME: &[Input] = &[TickInTime, TickAtDeadline];
+    /// Of a jog, which has less.
+    const TICKS_LATE: &[Input] = &[TickAtDeadline, TickLate];
     const MOVES: &[Input] = &[Home, Run, JogSame, JogOther, MoveTo];
     const RESUMES: &[Input] = &[Resume, ResumeElsewhere];
     const BUTTONS: &[Input] = &[Button, ButtonNoPlan];
@@ -1310,7 +1425,7 @@ mod table {
         (HOMING, &[Stop], "Stopping StopPath"),
         (BY_HOST, &[LinkSilent], "Stopping StopPath"),
         (&[HomingByButton], &[LinkSilent], "Homing"),
-        (HOMING, &[TickInTime], "Homing"),
+        (HOMING, TICKS_IN_TIME, "Homing"),
         (&[Clear], &[TickLate], "HomingTimeout(Clear) Cut Faulted"),
         (
             &[Seek, SeekFound, HomingByButton],
@@ -1328,11 +1443,11 @@ mod table {
             "HomingTimeout(Locate) Cut Faulted",
         ),
         (&[ToZero], &[TickLate], "HomingTimeout(ToZero) Cut Faulted"),
-        (&[Clear], &[FlagCloses], "Homing StopPath"),
+        (&[Clear], CLOSINGS, "Homing StopPath"),
         (&[Clear], OPENINGS, "Homing"),
         (&[Clear, PullOff], FINE_ENDS, "FlagStuck Cut Faulted"),
         (&[Seek, HomingByButton, Locate], OPENINGS, "Homing StopPath"),
-        (&[Seek, HomingByButton, Locate], &[FlagCloses], "Homing"),
+        (&[Seek, HomingByButton, Locate], CLOSINGS, "Homing"),
         (
             &[Seek, HomingByButton],
             FINE_ENDS,
@@ -1343,6 +1458,8 @@ mod table {
         (&[SeekFound], &[Complete, Stopped], "Homing Start 0..2410"),
         (&[SeekFound], &[StoppedFar], "Homing Start 2410..4000"),
         (&[SeekFound], &[StoppedNear], "Homing Start 500..2410"),
+        (&[SeekFound], &[StoppedAtLimit], "Homing Start 792..2410"),
+        (&[SeekFound], &[StoppedBehind], "Homing Start 791..2410"),
         (
             &[LocateFound],
             &[Complete, Stopped],
@@ -1358,11 +1475,21 @@ mod table {
             &[StoppedNear],
             "Homing SetPosition Start 0..1290",
         ),
+        (
+            &[LocateFound],
+            &[StoppedAtLimit],
+            "Homing SetPosition Start 0..1582",
+        ),
+        (
+            &[LocateFound],
+            &[StoppedBehind],
+            "Homing SetPosition Start 0..1581",
+        ),
         (&[ToZero], FINE_ENDS, "Ready Homed"),
         // Runs: the flag counts on the way home, once.
         (RUNNING, TICKS, "Running"),
         (&[Away, BackMet, Finish], EDGES, "Running"),
-        (&[Back], &[FlagOpens, FlagCloses], "Running"),
+        (&[Back], &[FlagOpens, FlagCloses, FlagClosesLate], "Running"),
         (&[Back], &[FlagOpensLate], "Stopping StopPath"),
         (
             &[Away, BackMet, Finish],
@@ -1391,13 +1518,14 @@ mod table {
         (MOVING, FINE_ENDS, "Ready Moved"),
         (MOVING, &[LinkSilent, Stop], "Stopping StopPath"),
         (MOVING, &[TickInTime], "Moving"),
-        (&[Moving], &[TickLate], "Moving"),
-        (&[Jogging], &[TickLate], "Stopping StopPath"),
+        (&[Moving], TICKS_LATE, "Moving"),
+        (&[Jogging], TICKS_LATE, "Stopping StopPath"),
         // Stopping.
         (
             &[
                 StopHoming,
                 StopRun,
+                StopBack,
                 StopLost,
                 StopMove,
                 StopHoldOut,
@@ -1410,14 +1538,19 @@ mod table {
         (STOPPING, &[LinkSilent, Stop], "Stopping"),
         (&[StopHoming, StopMove], STROKES, "Stopping"),
         (
-            &[StopRun, StopLost, StopHoldOut, StopHoldMet],
+            &[StopRun, StopBack, StopLost, StopHoldOut, StopHoldMet],
             &[StrokeDone],
             "Stopping StrokeDone",
         ),
         (&[StopHoming], FINE_ENDS, "Unhomed Stopped"),
         (&[StopMove], FINE_ENDS, "Ready Stopped"),
-        (&[StopRun], STOPPED, "Ready RunEnded Stopped"),
-        (&[StopRun], &[Complete], "Ready StrokeDone RunEnded Stopped"),
+        (&[StopRun, StopBack], STOPPED, "Ready RunEnded Stopped"),
+        // The stop came too late to stop anything.
+        (
+            &[StopRun, StopBack],
+            &[Complete],
+            "Ready StrokeDone RunEnded Stopped",
+        ),
         (
             &[StopLost],
             FINE_ENDS,
@@ -1426,9 +1559,18 @@ mod table {
         // Stopping to be held: the ledger goes on; behind the flag it has to have been met.
         (&[StopHoldOut], STOPPED, "Held Held"),
         (&[StopHoldOut], &[Complete], "Ready StrokeDone RunEnded"),
-        (&[StopHoldBack], &[FlagOpens, FlagCloses], "Stopping"),
+        (
+            &[StopHoldBack],
+            &[FlagOpens, FlagCloses, FlagClosesLate],
+            "Stopping",
+        ),
         (&[StopHoldBack], &[FlagOpensLate], "Stopping StopPath"),
-        (&[StopHoldBack], &[StoppedFar], "Held Held"),
+        (&[StopHoldBack], &[StoppedFar, StoppedAtLimit], "Held Held"),
+        (
+            &[StopHoldBack],
+            &[StoppedBehind],
+            "LostSteps { residual_steps: -9 } Cut RunEnded Faulted",
+        ),
         (
             &[StopHoldBack],
             &[StoppedNear],
@@ -1439,7 +1581,11 @@ mod table {
             &[StrokeDone, Complete, Stopped],
             "LostSteps { residual_steps: -800 } Cut RunEnded Faulted",
         ),
-        (&[StopHoldMet], &[StoppedFar, StoppedNear], "Held Held"),
+        (
+            &[StopHoldMet],
+            &[StoppedFar, StoppedNear, StoppedAtLimit, StoppedBehind],
+            "Held Held",
+        ),
         // It came to rest at the end of the last stroke: the run is complete.
         (
             &[StopHoldMet],

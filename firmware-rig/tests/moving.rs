@@ -122,7 +122,7 @@ mod jogging {
             rig.now = renewed + 299 * MS;
             assert_eq!(rig.command(jog(Direction::Away, 10_000)), busy);
             assert_eq!(rig.place, place);
-            rig.now = renewed + 301 * MS;
+            rig.now = renewed + 300 * MS;
             rig.command(jog(Direction::Away, 10_000)).unwrap();
             run_for(&mut rig, 100 * MS);
             assert!(rig.place > place);
@@ -320,6 +320,8 @@ mod homing {
             for command in [Command::Home, Command::Button(None)] {
                 assert!(rig.command(command).is_err());
             }
+            let present = Err(Refusal::CauseStillPresent);
+            assert_eq!(rig.command(Command::Acknowledge), present);
             assert!(!rig.moving());
         }
     }

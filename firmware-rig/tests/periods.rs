@@ -7,7 +7,7 @@ use firmware_rig::{
     settings::Settings,
 };
 use motion::{
-    axis::Direction,
+    axis::{Axis, Direction},
     run::{Limits, RunPlan, RunRequest, Timing},
     step_times::StepTimes,
     trapezoid::StrokeProfile,
@@ -43,6 +43,8 @@ struct Walk {
     /// Pulses of the stroke in progress.
     pulses: u32,
     last_pulse: u64,
+    /// Length of the last period without a pulse.
+    last_blank: u32,
 }
 
 impl Walk {
@@ -54,6 +56,7 @@ impl Walk {
             window,
             pulses: 0,
             last_pulse: 0,
+            last_blank: 0,
         }
     }
 
@@ -76,6 +79,9 @@ impl Walk {
                     "{item:?}"
                 );
                 let further = u64::from(ticks) * u64::from(repeats);
+                if !pulse {
+                    self.last_blank = ticks;
+                }
                 if pulse {
                     self.position += direction.sign() * (1 + i32::from(repeats));
                     assert!(self.window.contains(StepPosition(self.position)));
@@ -141,6 +147,7 @@ fn check_whole(path: &Path, shortest: u32) -> u64 {
         // The last pulse of a stroke has a period of its own: pulse and hold time of DIR.
         assert_eq!(walk.tick - walk.last_pulse, 1_000);
         let (blanks, ticks, then) = walk.blanks();
+        let last_blank = walk.last_blank;
         if let Some((start, profile, next)) = strokes.get(index + 1) {
             let completed = number as u32;
             assert_eq!(
@@ -151,6 +158,8 @@ fn check_whole(path: &Path, shortest: u32) -> u64 {
                 }
             );
             assert!(blanks >= 2 && ticks >= TURN_TICKS, "{blanks}, {ticks}");
+            // The turn comes while blanks play: the last one is short, so that it is not kept waiting.
+            assert!((4_097..=8_192).contains(&last_blank), "{last_blank}");
             // No further blank: the turn comes before the period that begins with the pulse.
             assert_eq!(walk.tick, start + profile.first_interval().0);
         } else {
@@ -416,6 +425,92 @@ fn pieces_of_a_pause_are_long() {
         }
         assert_eq!(walk.last_pulse, ticks);
     }
+}
+
+/// The pieces of pauses whose lengths are bounds: the longest period, that and the shortest piece, one tick more or less.
+#[test]
+fn pieces_at_their_bounds() {
+    let pieces = |ticks: u64| -> Vec<u32> {
+        let profile = StrokeProfile::from_parts(Steps(1), Ticks(ticks), Ticks(ticks / 2)).unwrap();
+        let path = Path::Move {
+            profile,
+            direction: Direction::Away,
+        };
+        let mut walk = Walk::new(&path, 0, window(0, 1));
+        let mut pieces = Vec::new();
+        while let Item::Period(Period {
+            pulse: false,
+            ticks,
+            ..
+        }) = walk.next()
+        {
+            pieces.push(ticks);
+        }
+        pieces
+    };
+    assert_eq!(pieces(65_536), [65_536]);
+    assert_eq!(pieces(65_537), [32_768, 32_769]);
+    assert_eq!(pieces(98_303), [49_151, 49_152]);
+    assert_eq!(pieces(98_304), [65_536, 32_768]);
+    assert_eq!(pieces(131_072), [65_536, 65_536]);
+}
+
+/// Before a turn a pause of one longest period is halved too, down to 8,192 ticks.
+#[test]
+fn pieces_before_a_turn_at_their_bounds() {
+    let limits = Limits {
+        min_turnaround_ticks: 40_000,
+        ..LIMITS
+    };
+    let axis = Axis::new(4_000, 200, 256, 130_000).unwrap();
+    let mut found = std::collections::BTreeSet::new();
+    // Accelerations whose first step takes such a time that whole microseconds make up the pause.
+    for accel_um_s2 in (400_000..2_000_000).step_by(997) {
+        let request = |far_dwell_us| RunRequest {
+            cycles: 1,
+            stroke_um: 1_000,
+            timing: Timing::Speeds {
+                forward_um_s: 5_000,
+                return_um_s: 5_000,
+                accel_um_s2,
+            },
+            far_dwell_us,
+            home_dwell_us: 0,
+            start_delay_us: 0,
+        };
+        let solve = |dwell_us| {
+            let request = request(dwell_us);
+            RunPlan::solve(&axis, &limits, &request).unwrap()
+        };
+        let first = solve(1_000).return_().first_interval().0;
+        for (pause, pieces) in [
+            (65_536_u64, &[32_768, 16_384, 8_192, 8_192][..]),
+            (65_537, &[32_768, 16_384, 8_192, 4_096, 4_097]),
+            (65_535, &[32_767, 16_384, 8_192, 8_192]),
+        ] {
+            // The last pulse has its period first.
+            let Some(dwell) = (pause + 1_000).checked_sub(first) else {
+                continue;
+            };
+            if !dwell.is_multiple_of(100) {
+                continue;
+            }
+            found.insert(pause);
+            let path = Path::Run(solve((dwell / 100) as u32));
+            let mut walk = Walk::new(&path, 0, window(0, 12_800));
+            let mut blanks = Vec::new();
+            loop {
+                match walk.next() {
+                    Item::Turn { .. } => break,
+                    Item::Period(period) if period.pulse => blanks.clear(),
+                    Item::Period(period) => blanks.push(period.ticks),
+                    other => panic!("{other:?}"),
+                }
+            }
+            assert_eq!(blanks, pieces, "{pause}");
+        }
+    }
+    assert_eq!(found.len(), 3, "{found:?}");
 }
 
 #[test]

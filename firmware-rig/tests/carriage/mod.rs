@@ -220,8 +220,13 @@ impl Carriage {
         }
     }
 
+    /// How soon motion wants to look after the ring again.
+    pub fn pace(&self) -> Pace {
+        self.motion.pace()
+    }
+
     pub fn moving(&self) -> bool {
-        self.motion.pace() != Pace::Idle || self.mail.order.is_some()
+        self.pace() != Pace::Idle || self.mail.order.is_some()
     }
 
     /// Pulses that come whatever is ordered, unless they are cut.
@@ -267,7 +272,7 @@ impl Carriage {
     pub fn motion_round(&mut self) -> Vec<Event<'static>> {
         self.ring.loop_open = self.inputs().estop_loop;
         self.motion.round(&mut self.ring, &mut self.mail);
-        self.next_round = match self.motion.pace() {
+        self.next_round = match self.pace() {
             Pace::Idle => u64::MAX,
             Pace::Filled => self.now + 200_000,
             Pace::Waiting => self.now + 10_000,

@@ -47,8 +47,6 @@ pub struct Slots {
     pub driver_on: bool,
     /// Pulses that were queued and cut, since the start.
     pub cut: u64,
-    /// Shortest queue that was pushed to while the ring ran.
-    pub least: u64,
 }
 
 /// What a round of the timer begins with.
@@ -77,7 +75,6 @@ impl Slots {
             pulse_ticks: 0,
             driver_on: false,
             cut: 0,
-            least: u64::MAX,
         }
     }
 
@@ -157,12 +154,10 @@ impl Ring for Slots {
     }
 
     fn push(&mut self, period: Period) -> Result<(), Underrun> {
-        if self.ahead == Ahead::Slots && self.running {
-            if self.queue() < 2 {
-                return Err(Underrun);
-            }
-            self.least = self.least.min(self.queue() as u64);
+        if self.ahead == Ahead::Slots && self.running && self.queue() < 2 {
+            return Err(Underrun);
         }
+        assert!(self.has_room(), "a slot that waits is overwritten");
         let rounds = u32::from(period.repeats) + 1;
         self.ticks += u64::from(period.ticks) * u64::from(rounds);
         self.pulses += if period.pulse { rounds } else { 0 };
