@@ -11,7 +11,7 @@ use device::{
     common::Surroundings,
     last_words::LastWords,
     retained::{EStop, Retained},
-    service::Inbound,
+    service::{Answers, Inbound},
     settings::SettingsStore,
 };
 use firmware_rig::{
