@@ -1,4 +1,5 @@
 //! The build script of both images: how an image is linked.
+#![allow(clippy::print_stdout, reason = "cargo reads it")]
 
 fn main() {
     println!("cargo:rerun-if-changed=../memory.x");
