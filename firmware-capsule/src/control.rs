@@ -4,7 +4,7 @@
 use crate::{
     commands::{self, Context},
     detect::Sample,
-    fold::{self, Actions, Drive, Event},
+    fold::{self, Actions, Command, Drive, Event},
 };
 use device::retained::{EStop, Retained};
 use device::{
@@ -122,8 +122,11 @@ impl<C: Capsule + Surroundings> Answers for Control<C> {
     }
 
     fn stop(&mut self, urgent: Urgent) {
-        let now_us = self.capsule.now_us();
-        let actions = commands::urgent(urgent, &mut self.machine, now_us);
+        let command = Event::Command(match urgent {
+            Urgent::Stop => Command::Stop,
+            Urgent::EStop => Command::EStop,
+        });
+        let actions = self.machine.step(self.capsule.now_us(), command);
         self.perform(&actions);
     }
 }
