@@ -397,6 +397,18 @@ fn an_open_loop_lets_nothing_start() {
     bench.assert_complete(&path);
 }
 
+/// The notice of the loop is lost, but not the end: it says that the pulses were cut.
+#[test]
+fn an_open_loop_that_control_does_not_hear_of_is_an_end() {
+    let mut bench = Bench::before(&strokes_of_10_mm(), EVERYWHERE, stop_accel());
+    (bench.carriage.pressed, bench.carriage.mail.full) = (true, true);
+    bench.run_for(MS);
+    assert!(bench.end.is_none() && bench.carriage.moving());
+    bench.carriage.mail.full = false;
+    assert_eq!(bench.finish().0, PathEnd::Cut);
+    assert!(!bench.loop_opened && bench.trace().is_empty());
+}
+
 /// Orders follow each other; nothing of the one before is left.
 #[test]
 fn a_path_after_a_stop_is_whole_again() {
