@@ -41,7 +41,7 @@ pub enum EStop {
 
 /// What the previous start left.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Left {
+pub struct Retained {
     /// Number of this start, from 1 after the supply was switched on.
     pub boot_id: u32,
     /// Text of a panic or processor fault; told once.
@@ -51,7 +51,7 @@ pub struct Left {
 }
 
 /// Takes what the previous start left, and counts this one.
-pub fn start(words: &mut impl Words) -> Left {
+pub fn start(words: &mut impl Words) -> Retained {
     let boot_id = if words.get(BOOT_MAGIC) == MAGIC {
         words.get(BOOT_ID).wrapping_add(1)
     } else {
@@ -72,7 +72,7 @@ pub fn start(words: &mut impl Words) -> Left {
         LATCHED_FRAME => Some(EStop::Frame),
         _ => None,
     };
-    Left {
+    Retained {
         boot_id,
         last_words,
         latched,

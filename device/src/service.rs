@@ -18,6 +18,26 @@ pub enum Inbound {
     Urgent(Urgent),
 }
 
+/// Control of a machine, as the link's questions reach it.
+pub trait Answers {
+    /// Carries out a request of the session.
+    fn request(&mut self, request: Request) -> Reply;
+
+    /// Carries out a stop, which cannot be refused.
+    fn stop(&mut self, urgent: Urgent);
+
+    /// Answers a question.
+    fn answer(&mut self, inbound: Inbound) -> Reply {
+        match inbound {
+            Inbound::Request(request) => self.request(request),
+            Inbound::Urgent(urgent) => {
+                self.stop(urgent);
+                Reply::Urgent(urgent)
+            }
+        }
+    }
+}
+
 /// What a good frame asks for.
 // One exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]

@@ -4,7 +4,7 @@
 use device::{
     identity::reset_cause,
     last_words::{Draft, LONGEST},
-    retained::{EStop, Left, WORDS, Words, keep_last_words, keep_latched, start},
+    retained::{EStop, Retained, WORDS, Words, keep_last_words, keep_latched, start},
 };
 use proptest::prelude::*;
 use protocol::system::ResetCause;
@@ -29,7 +29,7 @@ impl Words for Ram {
     }
 }
 
-fn text(left: &Left) -> Option<&str> {
+fn text(left: &Retained) -> Option<&str> {
     left.last_words.as_deref()
 }
 
@@ -37,7 +37,7 @@ fn text(left: &Left) -> Option<&str> {
 fn starts_are_counted_from_one() {
     let mut ram = Ram::blank();
     for number in 1..=5 {
-        let left = Left {
+        let left = Retained {
             boot_id: number,
             last_words: None,
             latched: None,
@@ -163,7 +163,7 @@ proptest! {
     #[test]
     fn a_ram_of_noise_says_nothing(noise in prop::collection::vec(any::<u32>(), WORDS)) {
         let mut ram = Ram(noise);
-        let first = Left { boot_id: 1, last_words: None, latched: None };
+        let first = Retained { boot_id: 1, last_words: None, latched: None };
         prop_assert_eq!(start(&mut ram), first);
         prop_assert_eq!(start(&mut ram).boot_id, 2);
     }

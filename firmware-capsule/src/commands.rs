@@ -5,7 +5,7 @@ use device::common::{About, Effect, Executed};
 use protocol::{
     capsule::{ActuationAccepted, ActuationKind, CapsuleFault, CapsuleStatus, CapsuleTelemetry},
     error::Refusal,
-    system::{Done, Urgent},
+    system::Done,
     table::{Request, Response},
 };
 
@@ -68,15 +68,6 @@ fn respond(
         _ => return Err(Refusal::WrongDevice),
     };
     Ok((response, Effect::None))
-}
-
-/// Carries out an urgent stop.
-pub fn urgent(urgent: Urgent, capsule: &mut Capsule, now_us: u64) -> Actions {
-    let command = match urgent {
-        Urgent::Stop => Command::Stop,
-        Urgent::EStop => Command::EStop,
-    };
-    capsule.step(now_us, Event::Command(command))
 }
 
 fn status(capsule: &Capsule, time_us: u64) -> CapsuleStatus {

@@ -4,18 +4,18 @@
 use crate::{
     commands::{self, Context},
     detect::Sample,
-    fold::{self, Actions, Drive, Event},
+    fold::{self, Actions, Command, Drive, Event},
 };
+use device::retained::{EStop, Retained};
 use device::{
     common::{About, Effect, Surroundings},
     last_words::LastWords,
-    retained::{EStop, Left},
-    service::Inbound,
+    service::Answers,
 };
 use protocol::{
     capsule::{CapsuleEvent, CapsuleFault, CapsuleTelemetry},
     events::EventRing,
-    system::{ResetCause, What},
+    system::{ResetCause, Urgent, What},
     table::{Reply, Request},
 };
 
@@ -40,7 +40,7 @@ pub struct Control<C: Capsule + Surroundings> {
 
 impl<C: Capsule + Surroundings> Control<C> {
     /// Control after a start, from what the previous one left.
-    pub fn new(capsule: C, left: Left, reset_cause: ResetCause) -> Self {
+    pub fn new(capsule: C, left: Retained, reset_cause: ResetCause) -> Self {
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(CapsuleFault::Panic),
             (ResetCause::Watchdog, _) => Some(CapsuleFault::Watchdog),
@@ -69,44 +69,6 @@ impl<C: Capsule + Surroundings> Control<C> {
         self.watch_link();
     }
 
-    /// Answers a question of the link.
-    #[inline(never)]
-    pub fn answer(&mut self, inbound: Inbound) -> Reply {
-        match inbound {
-            Inbound::Request(request) => self.request(request),
-            Inbound::Urgent(urgent) => {
-                let now_us = self.capsule.now_us();
-                let actions = commands::urgent(urgent, &mut self.machine, now_us);
-                self.perform(&actions);
-                Reply::Urgent(urgent)
-            }
-        }
-    }
-
-    #[inline(never)]
-    fn request(&mut self, request: Request) -> Reply {
-        let context = Context {
-            now_us: self.capsule.now_us(),
-            about: About {
-                events: &self.events,
-                last_words: &self.last_words,
-            },
-        };
-        let executed = commands::execute(request, &mut self.machine, &context);
-        if let Some(actions) = &executed.actions {
-            self.perform(actions);
-        }
-        match executed.effect {
-            Effect::None => {}
-            Effect::Telemetry { period_ms } => self.capsule.set_telemetry(period_ms),
-            Effect::Acknowledged => {
-                self.capsule.keep_latched(None);
-                self.emit(What::Acknowledged);
-            }
-        }
-        executed.reply
-    }
-
     fn watch_link(&mut self) {
         if self.machine.is_moving() && self.capsule.silence_us() > LINK_TIMEOUT_US {
             self.emit(What::LinkLost);
@@ -131,5 +93,40 @@ impl<C: Capsule + Surroundings> Control<C> {
     fn emit(&mut self, what: What) {
         let event = self.events.record(self.capsule.now_us(), what);
         self.capsule.tell(&event);
+    }
+}
+
+impl<C: Capsule + Surroundings> Answers for Control<C> {
+    #[inline(never)]
+    fn request(&mut self, request: Request) -> Reply {
+        let context = Context {
+            now_us: self.capsule.now_us(),
+            about: About {
+                events: &self.events,
+                last_words: &self.last_words,
+            },
+        };
+        let executed = commands::execute(request, &mut self.machine, &context);
+        if let Some(actions) = &executed.actions {
+            self.perform(actions);
+        }
+        match executed.effect {
+            Effect::None => {}
+            Effect::Telemetry { period_ms } => self.capsule.set_telemetry(period_ms),
+            Effect::Acknowledged => {
+                self.capsule.keep_latched(None);
+                self.emit(What::Acknowledged);
+            }
+        }
+        executed.reply
+    }
+
+    fn stop(&mut self, urgent: Urgent) {
+        let command = Event::Command(match urgent {
+            Urgent::Stop => Command::Stop,
+            Urgent::EStop => Command::EStop,
+        });
+        let actions = self.machine.step(self.capsule.now_us(), command);
+        self.perform(&actions);
     }
 }

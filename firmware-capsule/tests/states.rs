@@ -17,7 +17,7 @@ use protocol::{
     error::{Field, Refusal},
     events::EventRing,
     rig, settings,
-    system::{Acknowledge, GetEvents, GetLastWords, KeepAlive, SetTelemetry, Urgent},
+    system::{Acknowledge, GetEvents, GetLastWords, KeepAlive, SetTelemetry},
     table::{Impact, Reply, Request, Response},
 };
 
@@ -125,28 +125,24 @@ fn every_state_with_every_event() {
 }
 
 #[test]
-fn an_urgent_stop_acts_at_once_in_every_state() {
+fn a_stop_acts_at_once_in_every_state() {
     for state in STATES {
         let sim = sim_in(state);
         let moving = sim.capsule.is_moving();
-        for urgent in [Urgent::Stop, Urgent::EStop] {
-            let command = match urgent {
-                Urgent::Stop => Command::Stop,
-                Urgent::EStop => Command::EStop,
-            };
+        for command in [Command::Stop, Command::EStop] {
             let mut capsule = sim.capsule.clone();
-            let actions = commands::urgent(urgent, &mut capsule, sim.now_us);
+            let actions = capsule.step(sim.now_us, Event::Command(command));
             let next = expected(state, Event::Command(command)).expect("never refused");
             assert_eq!(actions.refusal, None);
-            assert_eq!(capsule.state(), next, "{state:?} {urgent:?}");
+            assert_eq!(capsule.state(), next, "{state:?} {command:?}");
             let drive = if moving { Drive::Brake } else { Drive::Off };
-            assert_eq!(actions.drive, drive, "{state:?} {urgent:?}");
+            assert_eq!(actions.drive, drive, "{state:?} {command:?}");
             let ended = CapsuleEvent::Ended {
                 actuation: capsule.record().actuation,
                 outcome: capsule.record().outcome,
             };
             assert_eq!(actions.events.contains(&ended), moving);
-            let fault = (urgent == Urgent::EStop).then_some(CapsuleFault::EStopFrame);
+            let fault = (command == Command::EStop).then_some(CapsuleFault::EStopFrame);
             if let Some(fault) = fault {
                 assert_eq!(capsule.fault(), Some(fault));
                 let outcome = ActuationOutcome::Faulted(fault);

@@ -171,7 +171,6 @@ fn respond(
 }
 
 /// The start button was pressed: what [`Command::Button`] says, with the run that the settings describe.
-///
 pub fn press_button(machine: &mut Machine, values: &Values, now: &Now) -> Actions {
     let run = rig::Run {
         // The range of the setting fits.

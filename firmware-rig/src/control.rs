@@ -10,8 +10,8 @@ use crate::{
 use device::{
     common::{About, Effect, Surroundings},
     last_words::LastWords,
-    retained::{EStop, Left},
-    service::Inbound,
+    retained::{EStop, Retained},
+    service::Answers,
     settings::SettingsStore,
     store::StorageFailed,
 };
@@ -81,7 +81,7 @@ pub struct Control<R: Rig + Surroundings, F: NorFlash> {
 
 impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
     /// Control after a start, from what the previous one left and what is in flash.
-    pub fn new(rig: R, flash: F, left: Left, reset_cause: ResetCause, image_hash: u32) -> Self {
+    pub fn new(rig: R, flash: F, left: Retained, reset_cause: ResetCause, image_hash: u32) -> Self {
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(RigFault::Panic),
             (ResetCause::Watchdog, _) => Some(RigFault::Watchdog),
@@ -143,53 +143,6 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         let now = self.rig.now();
         let actions = self.machine.step(&now, event);
         self.perform(actions);
-    }
-
-    /// Answers a question of the link.
-    #[inline(never)]
-    pub fn answer(&mut self, inbound: Inbound) -> Reply {
-        match inbound {
-            Inbound::Request(request) => self.request(request),
-            Inbound::Urgent(urgent) => {
-                self.event(Event::Command(match urgent {
-                    Urgent::Stop => &Command::Stop,
-                    Urgent::EStop => &Command::EStop,
-                }));
-                Reply::Urgent(urgent)
-            }
-        }
-    }
-
-    #[inline(never)]
-    fn request(&mut self, request: Request) -> Reply {
-        let context = Context {
-            now: self.rig.now(),
-            stroke: self.rig.stroke(),
-            about: About {
-                events: &self.events,
-                last_words: &self.last_words,
-            },
-            values: self.settings.values(),
-            name: self.settings.name(),
-            health: matches!(request, Request::GetRigHealth(_)).then(|| self.health()),
-        };
-        let executed = execute(request, &mut self.machine, &context);
-        let mut reply = executed.reply;
-        match executed.effect {
-            Effect::None => {}
-            Effect::Telemetry { period_ms } => self.rig.set_telemetry(period_ms),
-            Effect::Acknowledged => {
-                self.rig.keep_latched(None);
-                self.emit(What::Acknowledged);
-            }
-            Effect::Store(change) => {
-                if self.change(change).is_err() {
-                    reply = Reply::Refused(Refusal::StorageFailed);
-                }
-            }
-        }
-        self.perform(executed.actions);
-        reply
     }
 
     /// Flash first: what is in force is what the next start will find.
@@ -299,5 +252,46 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
     fn emit(&mut self, what: What) {
         let event = self.events.record(self.rig.now_us(), what);
         self.rig.tell(&event);
+    }
+}
+
+impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
+    #[inline(never)]
+    fn request(&mut self, request: Request) -> Reply {
+        let context = Context {
+            now: self.rig.now(),
+            stroke: self.rig.stroke(),
+            about: About {
+                events: &self.events,
+                last_words: &self.last_words,
+            },
+            values: self.settings.values(),
+            name: self.settings.name(),
+            health: matches!(request, Request::GetRigHealth(_)).then(|| self.health()),
+        };
+        let executed = execute(request, &mut self.machine, &context);
+        let mut reply = executed.reply;
+        match executed.effect {
+            Effect::None => {}
+            Effect::Telemetry { period_ms } => self.rig.set_telemetry(period_ms),
+            Effect::Acknowledged => {
+                self.rig.keep_latched(None);
+                self.emit(What::Acknowledged);
+            }
+            Effect::Store(change) => {
+                if self.change(change).is_err() {
+                    reply = Reply::Refused(Refusal::StorageFailed);
+                }
+            }
+        }
+        self.perform(executed.actions);
+        reply
+    }
+
+    fn stop(&mut self, urgent: Urgent) {
+        self.event(Event::Command(match urgent {
+            Urgent::Stop => &Command::Stop,
+            Urgent::EStop => &Command::EStop,
+        }));
     }
 }

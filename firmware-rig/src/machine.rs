@@ -11,7 +11,7 @@
 //! A fault is latched, and after it the position is unknown until homed again. Neither a release of the
 //! E-stop nor a reset nor a new connection moves anything: only an accepted command does.
 //!
-//! This file has the states and what ends a path; [`homing`], [`running`] and [`moving`] have what their names say.
+//! This file has the states and what ends a path; `homing`, `running` and `moving` have what their names say.
 
 mod homing;
 mod moving;

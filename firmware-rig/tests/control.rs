@@ -10,8 +10,8 @@ use chip::{Cut, Flash};
 use device::{
     common::Surroundings,
     last_words::LastWords,
-    retained::{EStop, Left},
-    service::Inbound,
+    retained::{EStop, Retained},
+    service::{Answers, Inbound},
     settings::SettingsStore,
 };
 use firmware_rig::{
@@ -136,20 +136,20 @@ struct Bench {
     next_tick: u64,
 }
 
-const FRESH: Left = Left {
+const FRESH: Retained = Retained {
     boot_id: 1,
     last_words: None,
     latched: None,
 };
 
 impl Bench {
-    fn start(flash: Flash, left: Left, cause: ResetCause) -> Self {
+    fn start(flash: Flash, left: Retained, cause: ResetCause) -> Self {
         Self::start_with(flash, left, cause, |_| ())
     }
 
     fn start_with(
         flash: Flash,
-        left: Left,
+        left: Retained,
         cause: ResetCause,
         prepare: impl FnOnce(&mut Board),
     ) -> Self {
@@ -362,7 +362,7 @@ mod start {
                     (_, Some(EStop::Frame)) => Some(RigFault::EStopFrame),
                     (_, None) => None,
                 };
-                let left = Left { latched, ..FRESH };
+                let left = Retained { latched, ..FRESH };
                 let mut bench = Bench::start(Flash::blank(), left, cause);
                 assert_eq!(bench.told(), [What::Booted(cause)]);
                 let status = bench.status();
@@ -390,7 +390,7 @@ mod start {
     fn tells_the_last_words_of_the_one_before() {
         for text in [None, Some("tasks/link.rs:1: oh")] {
             let last_words = text.map(|text| LastWords::try_from(text).unwrap());
-            let left = Left {
+            let left = Retained {
                 last_words,
                 ..FRESH
             };
@@ -642,7 +642,7 @@ mod button {
 
     #[test]
     fn that_is_ignored_says_so() {
-        let left = Left {
+        let left = Retained {
             latched: Some(EStop::Loop),
             ..FRESH
         };

@@ -1,6 +1,6 @@
 //! The kilobyte of RAM that survives a reset; see [`crate::retained`] for what is in it.
 
-use crate::retained::{EStop, Left, WORDS, Words};
+use crate::retained::{EStop, Retained, WORDS, Words};
 use core::ptr::{addr_of_mut, read_volatile, write_volatile};
 
 unsafe extern "C" {
@@ -30,7 +30,7 @@ impl Words for Ram {
 }
 
 /// Takes what the previous start left. Once, before anything else.
-pub fn start() -> Left {
+pub fn start() -> Retained {
     crate::retained::start(&mut Ram)
 }
 

@@ -2,10 +2,8 @@
 
 use super::{pins, tasks};
 use defmt_rtt as _;
-use device::{
-    chip::{retained, start},
-    identity::{identity, reset_cause},
-};
+use device::chip::{retained, start};
+use device::identity::{identity, reset_cause};
 use embassy_executor::{InterruptExecutor, Spawner};
 use embassy_stm32::interrupt;
 use protocol::system::DeviceKind;

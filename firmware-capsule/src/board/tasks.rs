@@ -4,15 +4,16 @@ use super::{
     channels::{ORDER, ORDER_CHANGED, Order, READINGS, SNAPSHOT},
     pins::DriveTrain,
 };
+use device::chip::watchdog::{self, CHECK_IN, check_in};
 use device::{
     chip::{
         channels::{REPLIES, REQUESTS},
         link,
         surroundings::OnChip,
         telemetry,
-        watchdog::{self, CHECK_IN, check_in},
     },
-    retained::Left,
+    retained::Retained,
+    service::Answers,
     supervision::Client,
 };
 use embassy_futures::select::{Either3, select, select3};
@@ -78,7 +79,7 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
 
 /// At every reading (1 ms while moving, else 100 ms) and at every request.
 #[embassy_executor::task]
-pub(crate) async fn control(left: Left, cause: ResetCause) -> ! {
+pub(crate) async fn control(left: Retained, cause: ResetCause) -> ! {
     let mut control = Control::new(Capsule, left, cause);
     loop {
         check_in(Client::Control);

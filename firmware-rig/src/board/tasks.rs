@@ -18,7 +18,8 @@ use device::{
         telemetry,
         watchdog::{self, CHECK_IN, check_in},
     },
-    retained::Left,
+    retained::Retained,
+    service::Answers,
     supervision::Client,
 };
 use embassy_futures::select::{Either3, select3};
@@ -62,7 +63,7 @@ pub async fn motion(mut generator: StepGenerator) -> ! {
 
 /// Every 10 ms and at every notice or request.
 #[embassy_executor::task]
-pub async fn control(sectors: Sectors, left: Left, cause: ResetCause) -> ! {
+pub async fn control(sectors: Sectors, left: Retained, cause: ResetCause) -> ! {
     let mut control = Control::new(Rig, sectors, left, cause, image::hash());
     let mut ticker = Ticker::every(Duration::from_micros(ROUND_US));
     loop {

@@ -149,15 +149,13 @@ impl Machine {
             HomingPhase::Clear | HomingPhase::PullOff => {
                 homing.flag_open.then_some(RigFault::FlagStuck)
             }
-            phase @ HomingPhase::Seek => {
-                let missing = homing.seek.is_none();
-                missing.then_some(RigFault::FlagNotFound(phase))
+            phase @ HomingPhase::Seek if homing.seek.is_none() => {
+                Some(RigFault::FlagNotFound(phase))
             }
-            phase @ HomingPhase::Locate => {
-                let missing = homing.locate.is_none();
-                missing.then_some(RigFault::FlagNotFound(phase))
+            phase @ HomingPhase::Locate if homing.locate.is_none() => {
+                Some(RigFault::FlagNotFound(phase))
             }
-            HomingPhase::ToZero => None,
+            HomingPhase::Seek | HomingPhase::Locate | HomingPhase::ToZero => None,
         };
         if let Some(fault) = missing {
             return self.latch(fault, actions);

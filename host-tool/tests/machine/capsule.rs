@@ -3,7 +3,8 @@
 #[path = "../../../firmware-capsule/tests/plant/mod.rs"]
 mod plant;
 
-use device::retained::Left;
+use device::retained::Retained;
+use device::service::Answers;
 use device::service::Inbound;
 use firmware_capsule::control::{self, Control};
 use firmware_capsule::fold::Drive;
@@ -68,11 +69,11 @@ impl control::Capsule for At<Board> {
 
 impl Capsule {
     /// A capsule that has just been switched on.
-    pub fn new(port: &Port, left: Left) -> Self {
+    pub fn new(port: &Port, left: Retained) -> Self {
         Self::start(port, left, ResetCause::PowerOn, Plant::at(START_MM))
     }
 
-    fn start(port: &Port, left: Left, cause: ResetCause, plant: Plant) -> Self {
+    fn start(port: &Port, left: Retained, cause: ResetCause, plant: Plant) -> Self {
         let board = Board {
             plant,
             plant_us: 0,
@@ -101,7 +102,7 @@ impl Capsule {
 }
 
 impl Device for Capsule {
-    fn reset(&mut self, left: Left, cause: ResetCause) {
+    fn reset(&mut self, left: Retained, cause: ResetCause) {
         let plant = std::mem::replace(&mut self.control.capsule().board.plant, Plant::at(START_MM));
         *self = Self::start(&self.port, left, cause, plant);
     }

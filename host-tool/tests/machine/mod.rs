@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use chip::Flash;
 use device::identity::identity;
-use device::retained::Left;
+use device::retained::Retained;
 use device::service::{Inbound, Incoming, Service};
 use device::settings::SettingsStore;
 use host_tool::client::{self, Unobserved};
@@ -164,7 +164,7 @@ fn stored(flash: &Flash) -> SettingsStore<Flash> {
 /// Control and mechanics of one of the two machines. Times are the device's, us.
 trait Device: Send {
     /// Control starts again; the mechanics stay as they are.
-    fn reset(&mut self, left: Left, cause: ResetCause);
+    fn reset(&mut self, left: Retained, cause: ResetCause);
     /// When something happens next by itself.
     fn due_us(&mut self) -> u64;
     fn live(&mut self, until_us: u64);

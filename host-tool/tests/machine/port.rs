@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use device::common::Surroundings;
-use device::retained::{self, EStop, Left, WORDS, Words};
+use device::retained::{self, EStop, Retained, WORDS, Words};
 use protocol::frame::{Encoded, Header, Kind, encode};
 use protocol::system::Event;
 use protocol::table::Telemetry;
@@ -72,7 +72,7 @@ impl Port {
     }
 
     /// The device starts; only what is retained stays.
-    pub fn start(&self) -> Left {
+    pub fn start(&self) -> Retained {
         let mut state = self.state();
         *state = State::new(state.retained);
         retained::start(&mut *state)

@@ -5,7 +5,8 @@ mod carriage;
 
 use carriage::ring::Ahead;
 use carriage::{CONTROL_ROUND, Carriage, IMAGE_HASH};
-use device::retained::Left;
+use device::retained::Retained;
+use device::service::Answers;
 use device::service::Inbound;
 use firmware_rig::control::{self, Control};
 use firmware_rig::execution::Order;
@@ -95,11 +96,11 @@ impl control::Rig for At<Board> {
 
 impl Rig {
     /// A rig that has just been switched on.
-    pub fn new(port: &Port, flash: &Flash, left: Left) -> Self {
+    pub fn new(port: &Port, flash: &Flash, left: Retained) -> Self {
         Self::start(port, flash, left, ResetCause::PowerOn, START)
     }
 
-    fn start(port: &Port, flash: &Flash, left: Left, cause: ResetCause, place: i32) -> Self {
+    fn start(port: &Port, flash: &Flash, left: Retained, cause: ResetCause, place: i32) -> Self {
         let mut board = Board {
             carriage: Carriage::new(Settings::REFERENCE, place),
             button_is_down: false,
@@ -146,7 +147,7 @@ impl Rig {
 }
 
 impl Device for Rig {
-    fn reset(&mut self, left: Left, cause: ResetCause) {
+    fn reset(&mut self, left: Retained, cause: ResetCause) {
         let place = self.carriage().place;
         *self = Self::start(&self.port, &self.flash, left, cause, place);
     }

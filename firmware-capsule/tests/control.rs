@@ -1,0 +1,355 @@
+//! Control as the board runs it: readings and questions in; drive, replies and events out.
+
+use device::{
+    common::Surroundings,
+    last_words::LastWords,
+    retained::{EStop, Retained},
+    service::{Answers, Inbound},
+};
+use firmware_capsule::{
+    control::{self, Control},
+    detect::Sample,
+    fold::Drive,
+    mechanics::Counts,
+};
+use protocol::{
+    capsule::{
+        ActuationKind, ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState,
+        CapsuleTelemetry, Fold, GetCapsuleStatus, Reference,
+    },
+    error::Refusal,
+    rig,
+    system::{
+        self, Acknowledge, Done, GetEvents, GetLastWords, ResetCause, SetTelemetry, Urgent, What,
+    },
+    table::{Reply, Request, Response},
+};
+
+/// A motor without a load, and a note of everything that control says.
+#[derive(Default)]
+struct Board {
+    now_us: u64,
+    silence_us: u32,
+    drives: Vec<Drive>,
+    shown: Option<CapsuleTelemetry>,
+    told: Vec<system::Event>,
+    telemetry_ms: Vec<u16>,
+    latched: Vec<Option<EStop>>,
+}
+
+impl control::Capsule for Board {
+    fn drive(&mut self, drive: Drive) {
+        self.drives.push(drive);
+    }
+
+    fn show(&mut self, telemetry: CapsuleTelemetry) {
+        self.shown = Some(telemetry);
+    }
+}
+
+impl Surroundings for Board {
+    fn now_us(&self) -> u64 {
+        self.now_us
+    }
+
+    fn silence_us(&self) -> u32 {
+        self.silence_us
+    }
+
+    fn set_telemetry(&mut self, period_ms: u16) {
+        self.telemetry_ms.push(period_ms);
+    }
+
+    fn keep_latched(&mut self, estop: Option<EStop>) {
+        self.latched.push(estop);
+    }
+
+    fn tell(&mut self, event: &system::Event) {
+        self.told.push(*event);
+    }
+}
+
+const FRESH: Retained = Retained {
+    boot_id: 1,
+    last_words: None,
+    latched: None,
+};
+
+struct Device {
+    control: Control<Board>,
+    counts: i32,
+}
+
+impl Device {
+    fn start(left: Retained, cause: ResetCause) -> Self {
+        let board = Board {
+            now_us: 1_000,
+            ..Board::default()
+        };
+        Self {
+            control: Control::new(board, left, cause),
+            counts: 0,
+        }
+    }
+
+    /// Started, with a reading of a full battery, and with nothing told.
+    fn ready() -> Self {
+        let mut device = Self::start(FRESH, ResetCause::PowerOn);
+        device.read();
+        device.told();
+        device
+    }
+
+    fn board(&mut self) -> &mut Board {
+        self.control.capsule()
+    }
+
+    /// A millisecond later: the motor has turned if it is driven.
+    fn read(&mut self) {
+        self.board().now_us += 1_000;
+        if let Some(Drive::Millivolts(millivolts)) = self.board().drives.last() {
+            self.counts += i32::from(millivolts.signum()) * 17;
+        }
+        let sample = Sample {
+            counts: Counts(self.counts),
+            current_ma: 16,
+            battery_mv: 3_900,
+            driver_fault: false,
+        };
+        let at_us = self.board().now_us;
+        self.control.read(at_us, sample);
+    }
+
+    fn ask(&mut self, request: Request) -> Reply {
+        self.control.answer(Inbound::Request(request))
+    }
+
+    fn accepted(&mut self, request: Request) -> Response {
+        match self.ask(request) {
+            Reply::Accepted(response) => response,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn state(&mut self) -> (CapsuleState, Option<CapsuleFault>) {
+        match self.accepted(Request::GetCapsuleStatus(GetCapsuleStatus)) {
+            Response::GetCapsuleStatus(status) => (status.state, status.fault),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// Referencing, with the motor driven.
+    fn referencing() -> Self {
+        let mut device = Self::ready();
+        device.accepted(Request::Reference(Reference));
+        for _ in 0..50 {
+            device.read();
+        }
+        assert_eq!(device.state().0, CapsuleState::Referencing);
+        assert!(matches!(device.drive(), Drive::Millivolts(1..)));
+        device.told();
+        device
+    }
+
+    fn drive(&mut self) -> Drive {
+        *self.board().drives.last().expect("control has driven")
+    }
+
+    fn told(&mut self) -> Vec<What> {
+        let told = std::mem::take(&mut self.board().told);
+        told.into_iter().map(|event| event.what).collect()
+    }
+}
+
+fn ended(outcome: ActuationOutcome) -> What {
+    What::Capsule(CapsuleEvent::Ended {
+        actuation: 1,
+        outcome,
+    })
+}
+
+#[test]
+fn a_start_latches_what_the_last_one_left() {
+    let frame = Some(EStop::Frame);
+    for (cause, latched, fault) in [
+        (ResetCause::PowerOn, None, None),
+        (ResetCause::Pin, None, None),
+        (ResetCause::Pin, frame, Some(CapsuleFault::EStopFrame)),
+        (ResetCause::Software, frame, Some(CapsuleFault::EStopFrame)),
+        (ResetCause::Watchdog, None, Some(CapsuleFault::Watchdog)),
+        (ResetCause::Watchdog, frame, Some(CapsuleFault::Watchdog)),
+        (ResetCause::Panic, None, Some(CapsuleFault::Panic)),
+        (ResetCause::Panic, frame, Some(CapsuleFault::Panic)),
+    ] {
+        let left = Retained { latched, ..FRESH };
+        let mut device = Device::start(left, cause);
+        assert_eq!(device.told(), [What::Booted(cause)]);
+        assert_eq!(device.state().1, fault, "{cause:?} {latched:?}");
+        assert!(device.board().latched.is_empty(), "nothing is forgotten");
+    }
+}
+
+#[test]
+fn last_words_are_told_on_request() {
+    for text in ["", "panic, called from 0x8010100"] {
+        let last_words = (!text.is_empty()).then(|| LastWords::try_from(text).unwrap());
+        let left = Retained {
+            last_words,
+            ..FRESH
+        };
+        let mut device = Device::start(left, ResetCause::Pin);
+        let text = text.try_into().unwrap();
+        assert_eq!(
+            device.accepted(Request::GetLastWords(GetLastWords)),
+            Response::GetLastWords(system::LastWords { text })
+        );
+    }
+}
+
+#[test]
+fn every_reading_confirms_the_drive_and_is_shown() {
+    let mut device = Device::ready();
+    assert_eq!(device.drive(), Drive::Off);
+    device.accepted(Request::Reference(Reference));
+    let started = CapsuleEvent::Started {
+        actuation: 1,
+        kind: ActuationKind::Reference,
+    };
+    assert_eq!(device.told(), [What::Capsule(started)]);
+    assert!(matches!(device.drive(), Drive::Millivolts(1..)));
+    let before = device.board().drives.len();
+    for _ in 0..10 {
+        device.read();
+    }
+    assert_eq!(device.board().drives.len(), before + 10);
+    let (now_us, Drive::Millivolts(drive_mv)) = (device.board().now_us, device.drive()) else {
+        panic!("still driven");
+    };
+    let shown = device.board().shown.expect("a sample");
+    assert_eq!(
+        (shown.time_us, shown.state, shown.battery_mv, shown.drive_mv),
+        (now_us, CapsuleState::Referencing, 3_900, drive_mv)
+    );
+}
+
+#[test]
+fn a_silent_host_stops_the_motor_after_a_second() {
+    let mut device = Device::referencing();
+    device.board().silence_us = 1_000_000;
+    device.read();
+    assert_eq!(
+        (device.told(), device.state().0),
+        (vec![], CapsuleState::Referencing)
+    );
+    device.board().silence_us = 1_000_001;
+    device.read();
+    assert_eq!(
+        device.told(),
+        [What::LinkLost, ended(ActuationOutcome::LinkLost)]
+    );
+    assert_eq!(device.drive(), Drive::Brake);
+    assert_eq!(device.state().0, CapsuleState::Unreferenced);
+    // At rest nobody has to speak.
+    for _ in 0..100 {
+        device.read();
+    }
+    assert_eq!((device.told(), device.drive()), (vec![], Drive::Off));
+}
+
+#[test]
+fn a_stop_ends_the_motion_and_nothing_is_latched() {
+    let mut device = Device::referencing();
+    let reply = device.control.answer(Inbound::Urgent(Urgent::Stop));
+    assert_eq!(reply, Reply::Urgent(Urgent::Stop));
+    assert_eq!(device.told(), [ended(ActuationOutcome::Stopped)]);
+    assert_eq!(device.drive(), Drive::Brake);
+    assert_eq!(device.state(), (CapsuleState::Unreferenced, None));
+    assert!(device.board().latched.is_empty());
+}
+
+#[test]
+fn an_estop_is_kept_over_a_reset_until_it_is_acknowledged() {
+    let mut device = Device::referencing();
+    let fault = CapsuleFault::EStopFrame;
+    let reply = device.control.answer(Inbound::Urgent(Urgent::EStop));
+    assert_eq!(reply, Reply::Urgent(Urgent::EStop));
+    assert_eq!(
+        device.told(),
+        [
+            ended(ActuationOutcome::Faulted(fault)),
+            What::Capsule(CapsuleEvent::Faulted(fault))
+        ]
+    );
+    assert_eq!(device.board().latched, [Some(EStop::Frame)]);
+    assert_eq!(
+        device.ask(Request::Fold(Fold)),
+        Reply::Refused(Refusal::CapsuleFaulted(fault))
+    );
+    assert_eq!(device.board().latched, [Some(EStop::Frame)]);
+    let done = Response::Acknowledge(Done);
+    assert_eq!(device.accepted(Request::Acknowledge(Acknowledge)), done);
+    assert_eq!(device.board().latched, [Some(EStop::Frame), None]);
+    assert_eq!(device.told(), [What::Acknowledged]);
+    assert_eq!(device.state(), (CapsuleState::Unreferenced, None));
+}
+
+#[test]
+fn other_faults_are_not_kept_over_a_reset() {
+    let mut device = Device::referencing();
+    // The encoder stands although the motor is driven.
+    let counts = device.counts;
+    for _ in 0..200 {
+        device.counts = counts;
+        device.board().drives.push(Drive::Off);
+        device.read();
+    }
+    let (state, fault) = device.state();
+    assert_eq!(state, CapsuleState::Faulted);
+    assert_ne!(fault, Some(CapsuleFault::EStopFrame));
+    assert_eq!(device.board().latched, [None]);
+}
+
+#[test]
+fn the_host_sets_the_interval_of_telemetry() {
+    let mut device = Device::ready();
+    for period_ms in [10, 0] {
+        let set = SetTelemetry { period_ms };
+        let response = device.accepted(Request::SetTelemetry(set));
+        assert_eq!(response, Response::SetTelemetry(set));
+    }
+    assert_eq!(device.board().telemetry_ms, [10, 0]);
+    let refused = device.ask(Request::SetTelemetry(SetTelemetry { period_ms: 4 }));
+    assert!(matches!(
+        refused,
+        Reply::Refused(Refusal::OutOfRange { .. })
+    ));
+    assert_eq!(device.board().telemetry_ms, [10, 0]);
+}
+
+#[test]
+fn events_are_numbered_timed_and_told_again() {
+    let mut device = Device::referencing();
+    device.control.answer(Inbound::Urgent(Urgent::Stop));
+    let stopped_us = device.board().now_us;
+    match device.accepted(Request::GetEvents(GetEvents { from: 0 })) {
+        Response::GetEvents(events) => {
+            assert_eq!((events.oldest, events.next), (0, 3));
+            assert_eq!(events.events[0].what, What::Booted(ResetCause::PowerOn));
+            assert_eq!(events.events[0].time_us, 1_000);
+            assert_eq!(events.events[2].what, ended(ActuationOutcome::Stopped));
+            assert_eq!(events.events[2].time_us, stopped_us);
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn what_is_the_rigs_is_refused() {
+    let mut device = Device::ready();
+    let before = device.board().drives.len();
+    assert_eq!(
+        device.ask(Request::Home(rig::Home)),
+        Reply::Refused(Refusal::WrongDevice)
+    );
+    assert_eq!(device.board().drives.len(), before, "nothing was ordered");
+}

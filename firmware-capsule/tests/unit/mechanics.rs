@@ -1,0 +1,66 @@
+//! Counts and thread.
+
+use super::*;
+
+/// Thread per count: the spool's circumference over gears and encoder edges.
+const UM_PER_COUNT: f64 = 2.0 * core::f64::consts::PI * 1_500.0 / (4.0 * 30.0) / 64.0;
+
+#[test]
+fn a_motor_revolution_winds_the_spool_by_its_share() {
+    assert_eq!(Counts(64).thread(), Thread(79)); // 78.54 um
+    assert_eq!(Counts(-64).thread(), Thread(-79));
+    let exact_um = 64_000.0 * UM_PER_COUNT;
+    assert!((f64::from(Counts(64_000).thread().0) - exact_um).abs() < 1.0);
+}
+
+#[test]
+fn lengths_and_counts_are_rounded_to_the_nearest() {
+    // Over the travel of the thread both ways; 355/113 for pi is 3 nm off there.
+    for value in -30_000..=30_000 {
+        let um = f64::from(value) * UM_PER_COUNT;
+        let error = f64::from(Counts(value).thread().0) - um;
+        assert!(error.abs() < 0.504, "{value} counts: {error} um");
+        let counts = f64::from(value) / UM_PER_COUNT;
+        let error = f64::from(Thread(value).counts().0) - counts;
+        assert!(error.abs() < 0.504, "{value} um: {error} counts");
+    }
+}
+
+#[test]
+fn the_ends_of_the_counter_saturate() {
+    assert_eq!(Counts(i32::MIN).thread(), Thread(i32::MIN));
+    assert_eq!(Counts(i32::MAX).thread(), Thread(i32::MAX));
+    // The counter covers more than any length in um.
+    assert_eq!(Thread(i32::MAX).counts(), Counts(1_749_926_956));
+    assert_eq!(Thread(i32::MIN).counts(), Counts(-1_749_926_957));
+}
+
+#[test]
+fn distances_survive_the_wrap_of_the_counter() {
+    assert_eq!(Counts(i32::MIN + 4).since(Counts(i32::MAX - 5)), Counts(10));
+    assert_eq!(Counts(i32::MIN + 4).back(Counts(10)), Counts(i32::MAX - 5));
+    assert_eq!(Counts(7).since(Counts(-3)), Counts(10));
+    assert_eq!(Counts(7).back(Counts(10)), Counts(-3));
+}
+
+/// Current above no-load at a thread force: spool, gears and motor as in the data sheets.
+fn current_ma(newton: f64) -> f64 {
+    let torque_mnm = newton * 1.5 / (120.0 * 0.8 * 0.315);
+    f64::from(NO_LOAD_MA) + torque_mnm / 2.11 * 1e3
+}
+
+#[test]
+fn currents_are_the_forces_they_stand_for() {
+    assert!((f64::from(FORCE_MA) - current_ma(6.1)).abs() < 1.0);
+    assert!((f64::from(RISE_START_MA) - current_ma(3.0)).abs() < 1.0);
+}
+
+#[test]
+fn the_ends_of_the_travel_are_in_order() {
+    // 20.7 mm of travel, 1.0 mm of slack, 0.2 mm of reserve in the slack.
+    assert_eq!(FOLDED, Thread(21_500));
+    assert!(END_WINDOW < FOLDED && FOLDED < SOFT_MAXIMUM);
+    // The wall stops the origami at 23.5 mm.
+    assert_eq!(SOFT_MAXIMUM, Thread(24_500));
+    assert_eq!(SEEK_LIMIT.0 - SOFT_MAXIMUM.0, BACK_OFF.0);
+}
