@@ -136,20 +136,12 @@ fn the_layout_stays() {
     let mut ram = Ram::blank();
     start(&mut ram);
     keep_latched(&mut ram, Some(EStop::Loop));
-    keep_last_words(&mut ram, b"oh");
-    let check = (((0x5245_5430_u32 ^ 2).rotate_left(5) ^ 0x6F).rotate_left(5)) ^ 0x68;
-    let words = [
-        0x5245_5430,
-        1,
-        0x5245_5431,
-        0x5245_5430,
-        2,
-        check,
-        0x6F,
-        0x68,
-        0,
-    ];
-    assert_eq!(ram.0[..9], words);
+    let text = b"tasks/link.rs:12";
+    keep_last_words(&mut ram, text);
+    let head = [0x5245_5430, 1, 0x5245_5431, 0x5245_5430, 16, 0x460B_6E9D];
+    assert_eq!(ram.0[..6], head);
+    let letters: Vec<_> = text.iter().map(|letter| u32::from(*letter)).collect();
+    assert_eq!(ram.0[6..22], letters);
     keep_latched(&mut ram, Some(EStop::Frame));
     assert_eq!(ram.0[2], 0x5245_5432);
     assert_eq!(WORDS, 126);
