@@ -137,7 +137,7 @@ fn lose(rig: &mut common::RigRun, lost: u64, homewards: bool, beyond: bool) {
         (4 * STROKE, i64::from(-residual)),
         "{what}"
     );
-    // Homing finds the reference displaced by as much, and mends it.
+    // Homing finds the reference displaced by as much, and corrects it.
     let accepted = rig.device.home().expect(&what);
     let homed = rig.device.wait_homing(&accepted, &mut Unobserved);
     let homed = homed.expect(&what);
@@ -296,7 +296,7 @@ fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
 #[test]
 fn a_noisy_line_delays_and_changes_nothing() {
     let mut rig = homed();
-    let spoilt = rig.bench.visit(|visit| {
+    let corrupted = rig.bench.visit(|visit| {
         let mut serial = visit.serial();
         let (taken, sent) = serial.counts();
         for n in 0..40 {
@@ -304,7 +304,7 @@ fn a_noisy_line_delays_and_changes_nothing() {
             serial.corrupt_from_machine(sent + 11 + 97 * n, ByteFault::Lost);
         }
     });
-    spoilt.expect("the bench runs");
+    corrupted.expect("the bench runs");
     let edges = rig.edge_count();
     let (accepted, record) = execute(&mut rig, short(3));
     assert_eq!(record.commanded_edges, accepted.edges);

@@ -93,7 +93,7 @@ fn last_edge_ns(ended: &Ended) -> u64 {
     edges.iter().next().map_or(0, |edge| edge.at_ns)
 }
 
-fn mended(mut ended: Ended) {
+fn fixed(mut ended: Ended) {
     ended.rig.device.acknowledge().expect("the cause is gone");
     ended.rig.home();
 }
@@ -112,7 +112,7 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
             );
             assert!(last_edge_ns(&ended) <= ended.reset_ns);
             ended.rig.check_clean(1);
-            mended(ended);
+            fixed(ended);
         }
     }
 }
@@ -129,7 +129,7 @@ fn last_words_of_all(misbehaviour: Misbehaviour, mut look: impl FnMut(&str, &str
             assert!(took_ns <= 101_000_000, "{name}: reset after {took_ns} ns");
             let words = ended.rig.device.last_words().expect("they are kept");
             look(name, &words, &ended);
-            mended(ended);
+            fixed(ended);
         }
     }
 }

@@ -53,7 +53,7 @@ fn run_with(rig: &mut RigRun, within: u64, action: Action) -> (RunRecord, u64) {
     (record, rig.edge_count() as u64 - edges - within)
 }
 
-/// Homing ends with `fault`; the rig does not move any more and can be homed when the contact is mended.
+/// Homing ends with `fault`; the rig does not move any more and can be homed when the contact is fixed.
 fn homing_ends_with(rig: &mut RigRun, switch: Switch, expected: RigFault) {
     let accepted = rig.device.home().expect("homing is accepted");
     let ended = rig.device.wait_homing(&accepted, &mut Unobserved);
@@ -61,11 +61,11 @@ fn homing_ends_with(rig: &mut RigRun, switch: Switch, expected: RigFault) {
         Err(ClientError::NotHomed { fault }) => assert_eq!(fault, Some(expected)),
         other => panic!("{other:?}\n{}", rig.log()),
     }
-    mended(rig, switch);
+    fixed(rig, switch);
 }
 
 /// At rest and latched; then the contact is sound again.
-fn mended(rig: &mut RigRun, switch: Switch) {
+fn fixed(rig: &mut RigRun, switch: Switch) {
     let edges = rig.edge_count();
     idle(rig, 100_000);
     acts(rig, Action::Stick(switch, None));
@@ -127,7 +127,7 @@ fn a_flag_that_is_cut_or_welded_within_a_run_is_missed_by_the_ledger() {
             after <= 2 * STROKE - within,
             "open {open} at edge {within}: it went on for {after} steps"
         );
-        mended(&mut rig, Switch::Home);
+        fixed(&mut rig, Switch::Home);
     }
 }
 
@@ -168,7 +168,7 @@ fn a_cut_wire_of_the_loop_stops_everything_also_at_rest() {
         "{}",
         rig.log()
     );
-    mended(&mut rig, Switch::EStop);
+    fixed(&mut rig, Switch::EStop);
     acts(&rig, cut);
     idle(&mut rig, 50_000);
     assert_eq!(
@@ -176,7 +176,7 @@ fn a_cut_wire_of_the_loop_stops_everything_also_at_rest() {
         Some(fault)
     );
     refused(rig.device.acknowledge(), Refusal::CauseStillPresent);
-    mended(&mut rig, Switch::EStop);
+    fixed(&mut rig, Switch::EStop);
 }
 
 /// The cable of both switches is pulled within a run, on the way out and on the way back.
