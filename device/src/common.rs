@@ -90,8 +90,15 @@ impl About<'_> {
                 text: self.last_words.try_into().unwrap_or_default(),
             }),
             Request::SetTelemetry(set) => {
-                let period_ms = set.period_ms;
-                telemetry_interval(period_ms)?;
+                let (period_ms, (min, max)) = (set.period_ms, TELEMETRY_MS);
+                if period_ms != 0 && !(min..=max).contains(&period_ms) {
+                    return Err(Refusal::OutOfRange {
+                        field: Field::PeriodMs,
+                        requested: period_ms.into(),
+                        min: min.into(),
+                        max: max.into(),
+                    });
+                }
                 let response = Response::SetTelemetry(*set);
                 return Ok(Some((response, Effect::Telemetry { period_ms })));
             }
@@ -100,17 +107,4 @@ impl About<'_> {
         };
         Ok(Some((response, Effect::None)))
     }
-}
-
-fn telemetry_interval(period_ms: u16) -> Result<(), Refusal> {
-    let (min, max) = TELEMETRY_MS;
-    if period_ms == 0 || (min..=max).contains(&period_ms) {
-        return Ok(());
-    }
-    Err(Refusal::OutOfRange {
-        field: Field::PeriodMs,
-        requested: period_ms.into(),
-        min: min.into(),
-        max: max.into(),
-    })
 }

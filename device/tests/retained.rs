@@ -211,3 +211,22 @@ proptest! {
         prop_assert_eq!(start(&mut ram).last_words, None);
     }
 }
+
+/// A single bit that tipped over in any letter of any text is noticed.
+#[test]
+fn last_words_with_a_wrong_bit_are_not_told() {
+    let words = "panic, called from 0x801a2b4 0x80107c0 0x8012f3e";
+    let mut kept = Ram::blank();
+    start(&mut kept);
+    keep_last_words(&mut kept, words.as_bytes());
+    assert_eq!(text(&start(&mut kept.clone())), Some(words));
+    let first = (0..WORDS).find(|index| kept.0[*index] == u32::from(b'p'));
+    let first = first.expect("the text lies in RAM, one letter per word");
+    for index in first..first + words.len() {
+        for bit in 0..32 {
+            let mut tipped = kept.clone();
+            tipped.0[index] ^= 1 << bit;
+            assert_eq!(text(&start(&mut tipped)), None, "letter {index}, bit {bit}");
+        }
+    }
+}

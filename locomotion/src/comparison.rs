@@ -461,3 +461,21 @@ fn ring_buckling_pa(params: &tube::Params) -> f64 {
     let ratio = params.thickness_mm / (params.radius_mm + params.thickness_mm / 2.0);
     params.modulus_pa * ratio * ratio * ratio / (4.0 * (1.0 - params.poisson * params.poisson))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_level_step_does_not_rise_and_a_straight_series_does_not_bend() {
+        for (series, rising, convex) in [
+            (&[1.0, 2.0, 3.0, 4.0][..], 3.0, 0.0),
+            (&[1.0, 1.0, 2.0, 2.0], 1.0, 1.0),
+            (&[4.0, 5.0, 7.0, 6.0], 2.0, 1.0),
+            (&[8.0, 4.0, 2.0, 1.0], 0.0, 2.0),
+        ] {
+            assert_eq!(Runs::rising(series), rising, "{series:?}");
+            assert_eq!(Runs::convex(series), convex, "{series:?}");
+        }
+    }
+}

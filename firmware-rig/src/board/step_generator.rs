@@ -39,6 +39,8 @@ const SYNC_TICKS: u32 = 5_000;
 const STREAM: usize = 5;
 /// TIM1_UP (RM0383 table 28).
 const DMA_CHANNEL: u8 = 6;
+/// So many reads find MOE set unless the loop is open.
+const MOE_READS: u32 = 16;
 /// DCR.DBA of ARR: register offset 0x2C / 4.
 const DBA_ARR: u8 = 11;
 
@@ -254,7 +256,9 @@ impl Ring for StepGenerator {
             w.set_bie(true);
         });
         TIM1.bdtr().modify(|w| w.set_moe(true));
-        if !TIM1.bdtr().read().moe() {
+        // MOE reads back right only after a resynchronisation of some clocks (RM0383 section 12.3.12).
+        let armed = (0..MOE_READS).any(|_| is_armed());
+        if !armed {
             self.halt();
             return Err(LoopOpen);
         }

@@ -1,8 +1,8 @@
 //! A timer that records the exact instant of each change of its outputs.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
-use rigless::soc::RegisterSpec;
 use rigless::soc::st::tim::{Channel, Family, Tim};
+use rigless::soc::{Layout, RegisterSpec};
 use rigless::time::EventId;
 
 /// A change of one compare output.
@@ -24,6 +24,20 @@ pub(super) struct Watched<F: Family> {
     watched: &'static [u8],
     high: [bool; 4],
     pub(super) edges: Vec<OutputEdge>,
+    /// Before this instant MOE reads as 0 although it is set.
+    moe_reads_from_ns: u64,
+    /// By the last write.
+    moe_was_set: bool,
+}
+
+/// Offset of BDTR, and its bit MOE.
+const BDTR: u32 = 0x44;
+const MOE: u64 = 1 << 15;
+/// How long MOE takes to read back: four clocks of the timer, longer than an instruction. The manual names no figure.
+const MOE_DELAY_NS: u64 = 40;
+
+fn is_bdtr<R: Layout>(register: R) -> bool {
+    register.spec().offset == BDTR
 }
 
 impl<F: Family> Watched<F> {
@@ -33,6 +47,8 @@ impl<F: Family> Watched<F> {
             watched,
             high: [false; 4],
             edges: Vec::new(),
+            moe_reads_from_ns: 0,
+            moe_was_set: false,
         }
     }
 
@@ -73,7 +89,11 @@ impl<F: Family> Device for Watched<F> {
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
         let value = Device::read(&mut self.tim, register, registers, context);
-        self.note(registers, context.now().0);
+        let now_ns = context.now().0;
+        self.note(registers, now_ns);
+        if now_ns < self.moe_reads_from_ns && is_bdtr(register) {
+            return Some(value.unwrap_or_else(|| registers.get(register)) & !MOE);
+        }
         value
     }
 
@@ -94,7 +114,15 @@ impl<F: Family> Device for Watched<F> {
         context: &mut DeviceContext<'_>,
     ) {
         Device::write(&mut self.tim, register, value, registers, context);
-        self.note(registers, context.now().0);
+        let now_ns = context.now().0;
+        self.note(registers, now_ns);
+        if is_bdtr(register) {
+            let set = value & MOE != 0;
+            if set && !self.moe_was_set {
+                self.moe_reads_from_ns = now_ns + MOE_DELAY_NS;
+            }
+            self.moe_was_set = set;
+        }
     }
 
     fn on_event(
