@@ -4,7 +4,7 @@
 use device::{
     common::{About, Effect, Executed, TELEMETRY_MS},
     identity::identity,
-    service::{Inbound, Incoming, Return, Service},
+    service::{Answers, Inbound, Incoming, Return, Service},
 };
 use proptest::prelude::*;
 use protocol::{
@@ -233,6 +233,40 @@ fn a_host_of_another_protocol_moves_nothing() {
     }
     let (inbound, _) = link.asked(&urgent(session, 2, Urgent::Stop));
     assert_eq!(inbound, Inbound::Urgent(Urgent::Stop));
+}
+
+/// A machine's control that notes what it is asked.
+#[derive(Default)]
+struct Control {
+    requests: Vec<Request>,
+    stops: Vec<Urgent>,
+}
+
+impl Answers for Control {
+    fn request(&mut self, request: Request) -> Reply {
+        self.requests.push(request);
+        reply(10)
+    }
+
+    fn stop(&mut self, urgent: Urgent) {
+        self.stops.push(urgent);
+    }
+}
+
+#[test]
+fn every_question_reaches_control_and_is_answered() {
+    let mut control = Control::default();
+    assert_eq!(control.answer(Inbound::Request(set(10))), reply(10));
+    assert_eq!(
+        (control.requests.as_slice(), control.stops.len()),
+        (&[set(10)][..], 0)
+    );
+    for urgent in [Urgent::Stop, Urgent::EStop] {
+        let answer = control.answer(Inbound::Urgent(urgent));
+        assert_eq!(answer, Reply::Urgent(urgent));
+    }
+    assert_eq!(control.stops, [Urgent::Stop, Urgent::EStop]);
+    assert_eq!(control.requests.len(), 1);
 }
 
 /// An echo of what the device sent, or another device on the same line.
