@@ -4,7 +4,7 @@ use crate::retained::EStop;
 use protocol::{
     error::{Field, Refusal},
     events::EventRing,
-    system::{Done, Event, LastWords},
+    system::{Chip, Done, Event, LastWords},
     table::{Reply, Request, Response},
 };
 
@@ -12,6 +12,8 @@ use protocol::{
 pub trait Surroundings {
     /// Device time.
     fn now_us(&self) -> u64;
+    /// What the chip says of its clock, its supply and its option bytes.
+    fn chip(&self) -> Chip;
     /// How long the host has been silent, us.
     fn silence_us(&self) -> u32;
     /// Sets the interval of telemetry, ms; 0 = none.
@@ -76,6 +78,8 @@ pub struct About<'a> {
     pub events: &'a EventRing,
     /// Text of the last panic or processor fault.
     pub last_words: &'a str,
+    /// Clock, supply and option bytes.
+    pub chip: Chip,
 }
 
 impl About<'_> {
@@ -102,6 +106,7 @@ impl About<'_> {
                 let response = Response::SetTelemetry(*set);
                 return Ok(Some((response, Effect::Telemetry { period_ms })));
             }
+            Request::GetChip(_) => Response::GetChip(self.chip),
             Request::GetEvents(get) => Response::GetEvents(self.events.since(get.from)),
             _ => return Ok(None),
         };

@@ -15,8 +15,8 @@ use protocol::{
     rig::{GetRigStatus, Home},
     session::CACHED_REPLIES,
     system::{
-        BuildProfile, DeviceKind, Done, GetEvents, GetLastWords, Hello, Identity, KeepAlive,
-        LastWords, ResetCause, SetTelemetry, Urgent, What,
+        BrownOut, BuildProfile, Chip, Clock, DeviceKind, Done, GetChip, GetEvents, GetLastWords,
+        Hello, Identity, KeepAlive, LastWords, ResetCause, SetTelemetry, Urgent, What,
     },
     table::{Reply, Request, Response, SCHEMA_KEY},
 };
@@ -358,6 +358,13 @@ fn events() -> EventRing {
     events
 }
 
+const CHIP: Chip = Chip {
+    clock: Clock::Internal,
+    brown_out: BrownOut::Level1,
+    supply_low: true,
+    option_bytes: 0x00FF_AAE9,
+};
+
 #[test]
 fn common_requests_have_one_answer_for_all_devices() {
     let events = events();
@@ -365,6 +372,7 @@ fn common_requests_have_one_answer_for_all_devices() {
         let about = About {
             events: &events,
             last_words: text,
+            chip: CHIP,
         };
         let answer = |request| match about.answer::<()>(&request).unwrap() {
             Some((response, effect)) => {
@@ -378,6 +386,10 @@ fn common_requests_have_one_answer_for_all_devices() {
         let words = LastWords {
             text: text.try_into().unwrap(),
         };
+        assert_eq!(
+            answer(Request::GetChip(GetChip)),
+            Some(Response::GetChip(CHIP))
+        );
         assert_eq!(
             answer(Request::GetLastWords(GetLastWords)),
             Some(Response::GetLastWords(words))
@@ -398,6 +410,7 @@ fn the_interval_of_telemetry_has_bounds() {
     let about = About {
         events: &events,
         last_words: "",
+        chip: CHIP,
     };
     assert_eq!(TELEMETRY_MS, (5, 1_000));
     for period_ms in [0, 5, 6, 999, 1_000] {

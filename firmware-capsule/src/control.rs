@@ -104,6 +104,7 @@ impl<C: Capsule + Surroundings> Answers for Control<C> {
             about: About {
                 events: &self.events,
                 last_words: &self.last_words,
+                chip: self.capsule.chip(),
             },
         };
         let executed = commands::execute(request, &mut self.machine, &context);

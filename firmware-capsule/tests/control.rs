@@ -37,6 +37,14 @@ struct Board {
     latched: Vec<Option<EStop>>,
 }
 
+/// A healthy chip.
+const CHIP: system::Chip = system::Chip {
+    clock: system::Clock::External,
+    brown_out: system::BrownOut::Off,
+    supply_low: false,
+    option_bytes: 0x00FF_AAED,
+};
+
 impl control::Capsule for Board {
     fn drive(&mut self, drive: Drive) {
         self.drives.push(drive);
@@ -50,6 +58,10 @@ impl control::Capsule for Board {
 impl Surroundings for Board {
     fn now_us(&self) -> u64 {
         self.now_us
+    }
+
+    fn chip(&self) -> system::Chip {
+        CHIP
     }
 
     fn silence_us(&self) -> u32 {

@@ -17,7 +17,7 @@ use protocol::{
     error::{Field, Refusal},
     events::EventRing,
     rig, settings,
-    system::{Acknowledge, GetEvents, GetLastWords, KeepAlive, SetTelemetry},
+    system::{self, Acknowledge, GetEvents, GetLastWords, KeepAlive, SetTelemetry},
     table::{Impact, Reply, Request, Response},
 };
 
@@ -190,6 +190,12 @@ fn reply(sim: &mut Simulation, request: Request) -> (Reply, Effect<Change>) {
         about: About {
             events: &ring,
             last_words: "it ended badly",
+            chip: system::Chip {
+                clock: system::Clock::Internal,
+                brown_out: system::BrownOut::Level2,
+                supply_low: true,
+                option_bytes: 0x00FF_AAE5,
+            },
         },
     };
     let executed = commands::execute(request, &mut sim.capsule, &context);
@@ -255,6 +261,7 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
             name: "capsule".try_into().unwrap(),
         }),
         Request::GetRigHealth(rig::GetRigHealth),
+        Request::GetChip(system::GetChip),
     ];
     // Hello belongs to the session; Run differs from the other rig rows in its body only.
     assert_eq!(requests.len() + 2, Request::NAMES.len());

@@ -158,6 +158,10 @@ fn respond(
         }
         Request::SetName(name) => {
             machine.may_change_settings()?;
+            // A terminal would obey an escape sequence in it.
+            if name.name.chars().any(char::is_control) {
+                return Err(Refusal::NameNotPrintable);
+            }
             let change = Change::Name(name.name.clone());
             return Ok((Response::SetName(name), Effect::Store(change)));
         }

@@ -264,6 +264,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
             about: About {
                 events: &self.events,
                 last_words: &self.last_words,
+                chip: self.rig.chip(),
             },
             values: self.settings.values(),
             name: self.settings.name(),
@@ -279,7 +280,9 @@ impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
                 self.emit(What::Acknowledged);
             }
             Effect::Store(change) => {
-                if self.change(change).is_err() {
+                if self.rig.chip().supply_low {
+                    reply = Reply::Refused(Refusal::SupplyLow);
+                } else if self.change(change).is_err() {
                     reply = Reply::Refused(Refusal::StorageFailed);
                 }
             }

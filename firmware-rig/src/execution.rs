@@ -7,7 +7,7 @@ use crate::{
 };
 use motion::{
     axis::{Acceleration, Direction},
-    units::{StepPosition, Window},
+    units::{StepPosition, Steps, Window},
 };
 
 /// Time that is kept prepared in the ring: what a stop has to wait for before it takes effect. 8 ms.
@@ -270,6 +270,7 @@ impl Execution {
         ring.halt();
         let report = PathReport {
             commanded: self.periods.position(),
+            unemitted: Steps(0),
             counted: ring.counted(),
             last_tick: self.periods.last_step(),
             min_queue: self.min_queue,

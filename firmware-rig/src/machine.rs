@@ -22,7 +22,7 @@ use homing::Homing;
 use motion::{
     axis::{Direction, Position, Speed},
     run::RunPlan,
-    units::{StepPosition, Window},
+    units::{StepPosition, Steps, Window},
 };
 use moving::Jog;
 use protocol::{
@@ -51,9 +51,11 @@ pub enum PathEnd {
 pub struct PathReport {
     /// Position by the generator.
     pub commanded: StepPosition,
+    /// Steps that were prepared and did not leave any more.
+    pub unemitted: Steps,
     /// Position by the read-back counter.
     pub counted: StepPosition,
-    /// Tick of the last step, from the path's start.
+    /// Tick of the last step that left, from the path's start.
     pub last_tick: u64,
     /// Shortest queue seen while periods were still to come; none if the path was queued as a whole at once.
     pub min_queue: Option<u16>,
@@ -399,10 +401,10 @@ impl Machine {
             _ => return Err(Refusal::RigBusy(self.state())),
         }
         if inputs.estop_loop {
-            return Err(Refusal::RigFaulted(RigFault::EStopLoop));
+            return Err(Refusal::LoopOpen);
         }
         if inputs.home_flag && inputs.far_limit {
-            return Err(Refusal::RigFaulted(RigFault::BothSwitchesOpen));
+            return Err(Refusal::BothSwitchesOpen);
         }
         Ok(())
     }

@@ -46,10 +46,12 @@ const HEALTH: RigHealth = RigHealth {
     home_flag: Glitches {
         count: 1,
         last_us: 2,
+        masked: 0,
     },
     far_limit: Glitches {
         count: 3,
         last_us: 4,
+        masked: 0,
     },
     uart_errors: 5,
     bad_frames: 6,
@@ -71,6 +73,12 @@ fn send(rig: &mut Rig, request: Request) -> (Reply, Effect<Change>, usize) {
         about: About {
             events: &events,
             last_words: "tasks/link.rs:1: oh",
+            chip: system::Chip {
+                clock: system::Clock::Internal,
+                brown_out: system::BrownOut::Level2,
+                supply_low: true,
+                option_bytes: 0x00FF_AAE5,
+            },
         },
         values: &Values::DEFAULT,
         name: "left bench",
@@ -212,6 +220,7 @@ fn requests() -> Vec<Request> {
         Request::GetName(GetName),
         Request::SetName(name("right bench")),
         Request::GetRigHealth(rig::GetRigHealth),
+        Request::GetChip(system::GetChip),
     ];
     let names: Vec<_> = requests.iter().map(|request| request.name()).collect();
     assert_eq!(names, Request::NAMES);

@@ -41,10 +41,12 @@ const COUNTED: RigHealth = RigHealth {
     home_flag: Glitches {
         count: 1,
         last_us: 2,
+        masked: 0,
     },
     far_limit: Glitches {
         count: 3,
         last_us: 4,
+        masked: 0,
     },
     uart_errors: 5,
     bad_frames: 6,
@@ -57,9 +59,18 @@ const COUNTED: RigHealth = RigHealth {
 };
 
 /// The board: a carriage, and a note of everything that control says to it.
+/// A healthy chip.
+const CHIP: system::Chip = system::Chip {
+    clock: system::Clock::External,
+    brown_out: system::BrownOut::Off,
+    supply_low: false,
+    option_bytes: 0x00FF_AAED,
+};
+
 struct Board {
     carriage: Carriage,
     button: bool,
+    supply_low: bool,
     silence_us: u32,
     told: Vec<system::Event>,
     telemetry_ms: Vec<u16>,
@@ -71,6 +82,13 @@ struct Board {
 impl Surroundings for Board {
     fn now_us(&self) -> u64 {
         self.carriage.look().time_us
+    }
+
+    fn chip(&self) -> system::Chip {
+        system::Chip {
+            supply_low: self.supply_low,
+            ..CHIP
+        }
     }
 
     fn silence_us(&self) -> u32 {
@@ -158,6 +176,7 @@ impl Bench {
         let mut board = Board {
             carriage,
             button: false,
+            supply_low: false,
             silence_us: 0,
             told: Vec::new(),
             telemetry_ms: Vec::new(),
@@ -535,6 +554,47 @@ mod settings {
             assert_eq!(bench.refused(request), busy);
         }
         assert_eq!(bench.flash.operations(), operations);
+    }
+
+    /// Below 2.7 V the flash must not be written: nothing is, and the old value stands.
+    #[test]
+    fn are_not_written_while_the_supply_is_too_low() {
+        let mut bench = Bench::new();
+        bench.board().supply_low = true;
+        let operations = bench.flash.operations();
+        for request in [
+            set(SettingKey::LeadUm, 2_000),
+            name("right bench"),
+            Request::FactoryReset(FactoryReset),
+        ] {
+            assert_eq!(bench.refused(request), Refusal::SupplyLow);
+        }
+        assert_eq!(bench.flash.operations(), operations);
+        assert_eq!(bench.value(SettingKey::LeadUm), 4_000);
+        bench.board().supply_low = false;
+        bench.accepted(set(SettingKey::LeadUm, 2_000));
+    }
+
+    /// A terminal would obey what is in such a name.
+    #[test]
+    fn a_name_with_an_escape_sequence_is_refused() {
+        let mut bench = Bench::new();
+        bench.accepted(name("left bench"));
+        for bad in [
+            "\x1b[31mred",
+            "two\nlines",
+            "bell\x07",
+            "c1 \u{9b}2J",
+            "\x7f",
+        ] {
+            assert_eq!(
+                bench.refused(name(bad)),
+                Refusal::NameNotPrintable,
+                "{bad:?}"
+            );
+        }
+        assert_eq!(bench.name(), "left bench");
+        bench.accepted(name("Labor für Därme"));
     }
 
     /// The reply says what happened, not what was wanted.

@@ -321,8 +321,7 @@ fn a_path_without_strokes_ends_where_it_stands() {
     let report = PathReport {
         commanded: StepPosition(7),
         counted: StepPosition(7),
-        last_tick: 0,
-        min_queue: None,
+        ..PathReport::default()
     };
     let ended = Event::PathEnded(PathEnd::Complete, report);
     assert_eq!(carriage.motion_round(), [ended]);

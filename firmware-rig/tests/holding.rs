@@ -326,16 +326,10 @@ fn a_resume_with_an_open_switch_is_refused() {
     hold(&mut rig);
     (rig.pressed, rig.far_wire_cut) = (true, true);
     for command in [Command::Resume, Command::Button(None)] {
-        assert_eq!(
-            rig.command(command),
-            Err(Refusal::RigFaulted(RigFault::EStopLoop))
-        );
+        assert_eq!(rig.command(command), Err(Refusal::LoopOpen));
     }
     rig.pressed = false;
-    assert_eq!(
-        rig.command(Command::Resume),
-        Err(Refusal::RigFaulted(RigFault::FarLimit))
-    );
+    assert_eq!(rig.command(Command::Resume), Err(Refusal::FarLimitOpen));
     rig.far_wire_cut = false;
     assert_eq!(rig.machine.state(), RigState::Held);
     rig.command(Command::Resume).unwrap();

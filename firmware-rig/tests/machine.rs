@@ -136,15 +136,9 @@ mod homing {
     fn an_unplugged_cable_is_refused() {
         let mut rig = Rig::new(SETTINGS, 2_000);
         (rig.stuck_flag, rig.far_wire_cut) = (Some(true), true);
-        assert_eq!(
-            rig.command(Command::Home),
-            Err(Refusal::RigFaulted(RigFault::BothSwitchesOpen))
-        );
+        assert_eq!(rig.command(Command::Home), Err(Refusal::BothSwitchesOpen));
         rig.pressed = true;
-        assert_eq!(
-            rig.command(Command::Home),
-            Err(Refusal::RigFaulted(RigFault::EStopLoop))
-        );
+        assert_eq!(rig.command(Command::Home), Err(Refusal::LoopOpen));
         assert_eq!((rig.machine.state(), rig.pulses), (RigState::Unhomed, 0));
     }
 
@@ -254,7 +248,7 @@ mod running {
         assert_eq!(record.commanded_edges, rig.pulses + rig.ring.cut);
         assert_eq!(record.counted_edges, rig.pulses);
         assert_eq!(record.strokes, strokes);
-        assert_eq!(record.min_queue, 60);
+        assert_eq!(record.min_queue, Some(60));
         assert_eq!(record.plan_hash, plan(&SETTINGS, 2, 10_000, 40_000).hash());
     }
 
@@ -292,10 +286,13 @@ mod running {
                 min_steps: 0,
                 max_steps: 8_000,
                 worst_residual_steps: 0,
-                min_queue: 60,
+                min_queue: Some(60),
                 glitches: 3,
                 holds: 0,
                 image_hash: IMAGE_HASH,
+                prepared_edges: 32_000,
+                edges_timed: 0,
+                worst_interval_error_ticks: 0,
             }
         );
         // 10 us for the last pulse and 10 us without one follow.
@@ -478,7 +475,7 @@ mod running {
         rig.stuck_flag = Some(false);
         assert_eq!(
             rig.command(run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop)),
-            Err(Refusal::RigFaulted(RigFault::FarLimit))
+            Err(Refusal::FarLimitOpen)
         );
     }
 
@@ -583,7 +580,7 @@ mod running {
             };
             let ended = Event::PathEnded(PathEnd::Stopped, report);
             assert_eq!(kinds(&rig.machine.step(&now, ended)), ["Held"]);
-            assert_eq!(rig.machine.record().min_queue, shortest);
+            assert_eq!(rig.machine.record().min_queue, Some(shortest));
             let resume = rig.machine.step(&now, Event::Command(&Command::Resume));
             assert_eq!(resume.refusal, None);
         }
@@ -594,7 +591,7 @@ mod running {
         };
         let ended = Event::PathEnded(PathEnd::Stopped, report);
         rig.machine.step(&now(0, 100, CLOSED), ended);
-        assert_eq!(rig.machine.record().min_queue, u16::MAX);
+        assert_eq!(rig.machine.record().min_queue, None);
     }
 
     fn rest_at(position: i32) -> PathReport {
@@ -602,7 +599,7 @@ mod running {
             commanded: StepPosition(position),
             counted: StepPosition(position),
             last_tick: 1,
-            min_queue: None,
+            ..PathReport::default()
         }
     }
 

@@ -1,7 +1,7 @@
 //! The manual agrees with the code: every fault with its text, every setting with unit, range and default, every rule.
 
 use protocol::{
-    rig::{HomingPhase, RigFault},
+    rig::{HomingPhase, RigFault, Switch},
     settings::{SettingKey, SettingRule},
 };
 
@@ -35,6 +35,9 @@ fn every_fault_is_in_the_manual() {
         RigFault::WindowGuard,
         RigFault::Watchdog,
         RigFault::Panic,
+        RigFault::ClockMissing,
+        RigFault::ClockFailed,
+        RigFault::SwitchNoise(Switch::FarLimit),
     ];
     for fault in faults {
         let name = match fault {
@@ -51,6 +54,9 @@ fn every_fault_is_in_the_manual() {
             RigFault::WindowGuard => "WindowGuard",
             RigFault::Watchdog => "Watchdog",
             RigFault::Panic => "Panic",
+            RigFault::ClockMissing => "ClockMissing",
+            RigFault::ClockFailed => "ClockFailed",
+            RigFault::SwitchNoise(_) => "SwitchNoise",
         };
         let row = row(name);
         assert_eq!(row.len(), 4, "{name}: text, meaning, remedy");

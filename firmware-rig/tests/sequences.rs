@@ -139,6 +139,7 @@ mod anything {
             counted: StepPosition(other),
             last_tick: random.below(1 << 40),
             min_queue: (!random.one_in(4)).then_some(random.next() as u16),
+            ..PathReport::default()
         };
         match random.below(56) {
             40 => Input::Command(Command::Hold, position_now),

@@ -259,7 +259,8 @@ fn run(
                 (row4("steps", "", planned_of(&|a| a.edges.to_string()), done(&|e| format!("{} commanded, {} counted at the pin", e.commanded_edges, e.counted_edges))))
                 (row4("fingerprint of the plan", "", planned_of(&|a| a.plan_hash.clone()), done(&|e| e.plan_hash.clone())))
                 (row4("residual at the home flag", "", "", done(&|e| format!("{} steps at worst", e.worst_residual_steps))))
-                (row4("shortest queue of the step generator", "", "", done(&|e| e.min_queue.to_string())))
+                (row4("shortest queue of the step generator", "", "", done(&|e| e.min_queue.map_or_else(|| "never short".to_owned(), |periods| periods.to_string()))))
+                (row4("intervals between steps, timed at the pin", "", "", done(&intervals)))
                 (row4("filtered pulses on the switches", "", "", done(&|e| e.glitches.to_string())))
                 (row4("holds", "", "", done(&|e| e.holds.to_string())))
                 (row4("fingerprint of the image", "", "", done(&|e| e.image_hash.clone())))
@@ -267,6 +268,17 @@ fn run(
             }
         }
     })
+}
+
+/// What the rig found when it timed its own steps.
+fn intervals(executed: &Executed) -> String {
+    match executed.edges_timed {
+        0 => "not timed".to_owned(),
+        timed => format!(
+            "{timed} steps timed, {} ns off the plan at worst",
+            u64::from(executed.worst_interval_error_ticks) * 10
+        ),
+    }
 }
 
 fn actuation_section(

@@ -184,14 +184,23 @@ pub struct Executed {
     pub max_steps: i32,
     /// Largest residual of the position ledger.
     pub worst_residual_steps: i32,
-    /// Shortest queue of prepared timer periods.
-    pub min_queue: u16,
+    /// Shortest queue of prepared timer periods; none if every path was queued as a whole.
+    pub min_queue: Option<u16>,
     /// False pulses on the limit inputs.
     pub glitches: u32,
     /// Number of holds.
     pub holds: u32,
     /// Fingerprint of the firmware's image, 8 hex digits, as `retrograde health` shows it.
     pub image_hash: String,
+    /// Steps that were prepared: those emitted, and those that a cut kept from leaving.
+    #[serde(default)]
+    pub prepared_edges: Option<u64>,
+    /// Steps whose instant was captured at the pin and compared with the plan; 0 = not timed.
+    #[serde(default)]
+    pub edges_timed: u64,
+    /// Largest difference between a captured interval and the planned one, ticks of 10 ns.
+    #[serde(default)]
+    pub worst_interval_error_ticks: u32,
 }
 
 impl From<&RunRecord> for Executed {
@@ -210,6 +219,9 @@ impl From<&RunRecord> for Executed {
             glitches: record.glitches,
             holds: record.holds,
             image_hash: format!("{:08x}", record.image_hash),
+            prepared_edges: Some(record.prepared_edges),
+            edges_timed: record.edges_timed,
+            worst_interval_error_ticks: record.worst_interval_error_ticks,
         }
     }
 }

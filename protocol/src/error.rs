@@ -2,7 +2,7 @@
 
 use crate::{
     capsule::{CapsuleFault, CapsuleState},
-    rig::{HomingPhase, RigFault, RigState},
+    rig::{HomingPhase, RigFault, RigState, Switch},
     settings::{SettingKey, SettingRule},
 };
 use core::fmt;
@@ -105,6 +105,16 @@ pub enum Refusal {
     NothingToHold,
     /// No run is held.
     NothingToResume,
+    /// The E-stop loop is open; no fault is latched.
+    LoopOpen,
+    /// Home flag and far limit are both open; no fault is latched.
+    BothSwitchesOpen,
+    /// The far limit is open; no fault is latched.
+    FarLimitOpen,
+    /// The supply is too low to write the flash; the old value stands.
+    SupplyLow,
+    /// A name has a character that cannot be printed.
+    NameNotPrintable,
 }
 
 /// The values that a request checks against a range.
@@ -222,6 +232,20 @@ impl fmt::Display for RigFault {
             ),
             RigFault::Watchdog => f.write_str("a task hung and the watchdog reset the device: acknowledge, then home"),
             RigFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then home"),
+            RigFault::ClockMissing => f.write_str(
+                "the board gets no 8 MHz clock from its ST-LINK, and without it nothing moves: check jumpers JP5 and JP1 and bridges SB16 and SB50 (a board MB1136 C-01 lacks them), then reset",
+            ),
+            RigFault::ClockFailed => f.write_str(
+                "the 8 MHz clock from the ST-LINK stopped: feed board and ST-LINK so that they outlive the USB cable, acknowledge, home",
+            ),
+            RigFault::SwitchNoise(switch) => write!(
+                f,
+                "the line of the {} is too noisy to be watched: check its pull-up, its shield and the motor's wires, acknowledge, home",
+                match switch {
+                    Switch::HomeFlag => "home flag",
+                    Switch::FarLimit => "far limit",
+                }
+            ),
         }
     }
 }
@@ -323,6 +347,11 @@ impl fmt::Display for Refusal {
             Refusal::StorageFailed => f.write_str("the flash could not be written; the old value stands. Try again; if it happens twice, set everything back to the defaults; if that fails too, replace the board"),
             Refusal::NothingToHold => f.write_str("no run is going on that could be held"),
             Refusal::NothingToResume => f.write_str("no run is held"),
+            Refusal::LoopOpen => f.write_str("the E-stop / end-of-travel loop is open: release the button, or fix the loop"),
+            Refusal::BothSwitchesOpen => f.write_str("home flag and far limit are both open: plug in the switch cable"),
+            Refusal::FarLimitOpen => f.write_str("the far limit is open: check its switch and its wire, or move the carriage off it by hand"),
+            Refusal::SupplyLow => f.write_str("the supply is below 2.7 V, too low to write the flash; the old value stands: check the supply, then try again"),
+            Refusal::NameNotPrintable => f.write_str("the name has a character that cannot be printed: use letters, digits, spaces and signs"),
         }
     }
 }

@@ -175,6 +175,8 @@ pub struct Glitches {
     pub count: u32,
     /// Device time of the last one, low 32 bits of us; 0 = none.
     pub last_us: u32,
+    /// How often the line was so noisy that it was masked for a millisecond.
+    pub masked: u32,
 }
 
 /// Health counters since the start of the device.
@@ -236,7 +238,7 @@ pub struct RunRecord {
     pub outcome: RunOutcome,
     /// Completed strokes.
     pub strokes: u32,
-    /// Steps that the generator emitted.
+    /// Steps that the generator emitted. After a cut these are the steps up to the cut, not those that were prepared.
     pub commanded_edges: u64,
     /// Steps that the read-back counter saw at the pin.
     pub counted_edges: u64,
@@ -251,14 +253,21 @@ pub struct RunRecord {
     pub max_steps: i32,
     /// Largest residual of the position ledger at the home flag.
     pub worst_residual_steps: i32,
-    /// Fewest timer periods left in the queue at any time; 0 would be an underrun.
-    pub min_queue: u16,
+    /// Fewest timer periods left in the queue at any time; 0 would be an underrun. None if every path of the run was
+    /// queued as a whole.
+    pub min_queue: Option<u16>,
     /// False pulses on home flag and far limit that were filtered out.
     pub glitches: u32,
     /// Number of holds.
     pub holds: u32,
     /// Fingerprint of the image, as in [`RigHealth`].
     pub image_hash: u32,
+    /// Steps that were prepared: those emitted, and those that a cut kept from leaving.
+    pub prepared_edges: u64,
+    /// Steps whose instant was captured at the pin and compared with the plan; 0 = not timed.
+    pub edges_timed: u64,
+    /// Largest difference between a captured interval and the planned one, in timer ticks of 10 ns.
+    pub worst_interval_error_ticks: u32,
 }
 
 /// Asks for the rig's status.
@@ -342,6 +351,22 @@ pub enum RigFault {
     Panic,
     /// Homing took longer than its time-out.
     HomingTimeout(HomingPhase),
+    /// The board's 8 MHz clock did not come at the start: no tick has its length, so nothing moves.
+    ClockMissing,
+    /// The board's 8 MHz clock stopped; the pulses ended with it and the device was reset.
+    ClockFailed,
+    /// A switch's line changes so often that its interrupt had to be masked again and again.
+    SwitchNoise(Switch),
+}
+
+/// The switches that interrupts watch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Switch {
+    /// Home flag.
+    HomeFlag,
+    /// Far limit.
+    FarLimit,
 }
 
 /// State of the rig's inputs; true = open (actuated, or wire cut).

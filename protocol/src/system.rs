@@ -133,6 +133,49 @@ pub struct Acknowledge;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Done;
 
+/// Asks for what the chip says of its clock, its supply and its option bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GetChip;
+
+/// Clock, supply and option bytes of the microcontroller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Chip {
+    /// What the processor's clock is made from.
+    pub clock: Clock,
+    /// Supply below which the chip holds itself in reset, by its option bytes.
+    pub brown_out: BrownOut,
+    /// The supply is below 2.7 V, where the flash must not be written (DS10314 table 14).
+    pub supply_low: bool,
+    /// The option bytes as FLASH_OPTCR shows them (RM0383 section 3.8.7).
+    pub option_bytes: u32,
+}
+
+/// Sources of the processor's clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Clock {
+    /// 8 MHz from outside: of the ST-LINK, or a crystal.
+    External,
+    /// The chip's own oscillator, accurate to 1 %.
+    Internal,
+}
+
+/// Brown-out levels of the option bytes, by falling threshold (DS10314 table 19).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BrownOut {
+    /// 1.7 V: only the power-down reset.
+    Off,
+    /// Level 1, about 2.2 V.
+    Level1,
+    /// Level 2, about 2.5 V.
+    Level2,
+    /// Level 3, about 2.8 V.
+    Level3,
+}
+
 /// Asks for events by index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

@@ -106,6 +106,7 @@ table! {
     GetName: settings::GetName => settings::Name, match true, impact None;
     SetName: settings::Name => settings::Name, match true, impact Flash;
     GetRigHealth: rig::GetRigHealth => rig::RigHealth, match true, impact None;
+    GetChip: system::GetChip => system::Chip, match true, impact None;
 }
 
 /// Answer to a request.

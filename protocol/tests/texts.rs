@@ -6,7 +6,7 @@ mod exemplars;
 use protocol::{
     capsule::CapsuleFault,
     error::Field,
-    rig::{HomingPhase, RigFault},
+    rig::{HomingPhase, RigFault, Switch},
     settings::{SettingKey, SettingRule},
     table::Reply,
 };
@@ -47,6 +47,10 @@ fn a_fault_of_the_rig_says_what_to_do() {
         RigFault::WindowGuard,
         RigFault::Watchdog,
         RigFault::Panic,
+        RigFault::ClockMissing,
+        RigFault::ClockFailed,
+        RigFault::SwitchNoise(Switch::HomeFlag),
+        RigFault::SwitchNoise(Switch::FarLimit),
     ];
     faults.extend(PHASES.map(RigFault::FlagNotFound));
     faults.extend(PHASES.map(RigFault::HomingTimeout));

@@ -100,7 +100,7 @@ fn both_switches_open_is_an_unplugged_cable() {
         .expect("the link stays");
     match rig.device.home() {
         Err(host_tool::error::ClientError::Refused { refusal, .. }) => {
-            assert_eq!(refusal, Refusal::RigFaulted(RigFault::BothSwitchesOpen));
+            assert_eq!(refusal, Refusal::BothSwitchesOpen);
         }
         other => panic!("{other:?}"),
     }

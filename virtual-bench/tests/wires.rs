@@ -146,7 +146,7 @@ fn a_cut_wire_of_the_far_limit_stops_what_moves_away() {
     let edges = rig.edge_count();
     refused(
         rig.device.run(quick(1, 5_000, 40_000, 500_000)),
-        Refusal::RigFaulted(RigFault::BothSwitchesOpen),
+        Refusal::BothSwitchesOpen,
     );
     idle(&mut rig, 100_000);
     assert_eq!(rig.edge_count(), edges, "a refused run moved the carriage");

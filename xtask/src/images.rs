@@ -19,7 +19,7 @@ const IMAGES: [Image; 2] = [
     Image {
         name: "firmware-rig",
         budget: Budget {
-            flash_bytes: 62_208,
+            flash_bytes: 80 * 1024,
             ram_bytes: 48 * 1024,
         },
     },

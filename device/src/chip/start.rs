@@ -8,7 +8,7 @@ use embassy_stm32::{
     usart::{self, RingBufferedUartRx, Uart, UartTx},
     wdg::IndependentWatchdog,
 };
-use protocol::system::ResetCause;
+use protocol::system::{BrownOut, Chip, Clock, ResetCause};
 use static_cell::StaticCell;
 
 bind_interrupts!(struct Interrupts {
@@ -46,6 +46,28 @@ pub fn reset_cause() -> ResetCause {
         ResetCause::Software
     } else {
         ResetCause::Pin
+    }
+}
+
+/// Clock, supply and option bytes as they are now.
+pub fn chip() -> Chip {
+    let option_bytes = pac::FLASH.optcr().read().0;
+    let external = pac::RCC.pllcfgr().read().pllsrc() == pac::rcc::vals::Pllsrc::HSE;
+    Chip {
+        clock: if external && pac::RCC.cr().read().hserdy() {
+            Clock::External
+        } else {
+            Clock::Internal
+        },
+        // BOR_LEV, bits 3:2 (RM0383 section 3.8.7).
+        brown_out: match option_bytes >> 2 & 3 {
+            0 => BrownOut::Level3,
+            1 => BrownOut::Level2,
+            2 => BrownOut::Level1,
+            _ => BrownOut::Off,
+        },
+        supply_low: pac::PWR.csr1().read().pvdo(),
+        option_bytes,
     }
 }
 

@@ -2,12 +2,12 @@
 
 use super::{
     channels::{LAST_FRAME_US, TELEMETRY_CHANGED, TELEMETRY_MS, send_event},
-    retained,
+    retained, start,
 };
 use crate::{common::Surroundings, retained::EStop};
 use core::sync::atomic::Ordering;
 use embassy_time::Instant;
-use protocol::system::{Event, What};
+use protocol::system::{Chip, Event, What};
 
 /// A machine that is surrounded by this chip.
 pub trait OnChip {}
@@ -15,6 +15,10 @@ pub trait OnChip {}
 impl<M: OnChip> Surroundings for M {
     fn now_us(&self) -> u64 {
         Instant::now().as_micros()
+    }
+
+    fn chip(&self) -> Chip {
+        start::chip()
     }
 
     fn silence_us(&self) -> u32 {

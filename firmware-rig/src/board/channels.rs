@@ -67,6 +67,7 @@ impl Glitches {
         protocol::rig::Glitches {
             count: self.count.load(Ordering::Relaxed),
             last_us: self.last_us.load(Ordering::Relaxed),
+            masked: 0,
         }
     }
 }

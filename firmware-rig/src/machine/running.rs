@@ -23,10 +23,13 @@ pub(super) const NO_RUN: RunRecord = RunRecord {
     min_steps: 0,
     max_steps: 0,
     worst_residual_steps: 0,
-    min_queue: 0,
+    min_queue: None,
     glitches: 0,
     holds: 0,
     image_hash: 0,
+    prepared_edges: 0,
+    edges_timed: 0,
+    worst_interval_error_ticks: 0,
 };
 
 /// The run that is going on or held.
@@ -76,7 +79,7 @@ impl Machine {
             });
         }
         if now.inputs.far_limit {
-            return Err(Refusal::RigFaulted(RigFault::FarLimit));
+            return Err(Refusal::FarLimitOpen);
         }
         let run = self.record.run + 1;
         self.record = RunRecord {
@@ -129,10 +132,10 @@ impl Machine {
             });
         };
         if now.inputs.estop_loop {
-            return Err(Refusal::RigFaulted(RigFault::EStopLoop));
+            return Err(Refusal::LoopOpen);
         }
         if now.inputs.far_limit {
-            return Err(Refusal::RigFaulted(RigFault::FarLimit));
+            return Err(Refusal::FarLimitOpen);
         }
         if now.position != self.last.1 {
             let fault = read_back(self.last.1, now.position);
@@ -249,7 +252,9 @@ impl Machine {
         let record = &mut self.record;
         record.min_steps = record.min_steps.min(commanded.0);
         record.max_steps = record.max_steps.max(commanded.0);
-        record.commanded_edges += u64::from(commanded.distance_to(self.last.0).0);
+        let commanded_edges = u64::from(commanded.distance_to(self.last.0).0);
+        record.commanded_edges += commanded_edges;
+        record.prepared_edges += commanded_edges;
         record.counted_edges += u64::from(counted.distance_to(self.last.1).0);
         self.last = (commanded, counted);
     }
@@ -260,13 +265,9 @@ impl Machine {
             return;
         }
         self.record.ticks += report.last_tick;
-        // A path that was queued as a whole never left the ring short: the record says 65535.
-        let min_queue = report.min_queue.unwrap_or(u16::MAX);
-        self.record.min_queue = if self.record.holds == 0 {
-            min_queue
-        } else {
-            self.record.min_queue.min(min_queue)
-        };
+        self.record.prepared_edges += u64::from(report.unemitted.0);
+        let queues = [self.record.min_queue, report.min_queue];
+        self.record.min_queue = queues.into_iter().flatten().min();
         self.track(report.commanded, report.counted);
     }
 

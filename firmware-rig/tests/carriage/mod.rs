@@ -57,6 +57,7 @@ pub fn path_ended(end: PathEnd, commanded: i32, counted: i32) -> Event<'static> 
         counted: StepPosition(counted),
         last_tick: 1,
         min_queue: Some(60),
+        ..PathReport::default()
     };
     Event::PathEnded(end, report)
 }

@@ -2,7 +2,7 @@
 
 use protocol::capsule::{ActuationKind, CapsuleStatus};
 use protocol::rig::RigStatus;
-use protocol::system::{DeviceKind, Urgent};
+use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip, Urgent};
 use serde_json::{Map, Value, json};
 
 use crate::cli::args::{RecordArgs, RunArgs, Which};
@@ -85,6 +85,14 @@ pub(crate) fn info(
             screen.say(&capsule_text(&status));
             json!(status)
         };
+        let chip = match matches(&identity) {
+            true => {
+                let chip = device.call(GetChip)?;
+                screen.say(&chip_text(&chip));
+                json!(chip)
+            }
+            false => Value::Null,
+        };
         all.insert(
             identity::kind_name(kind).to_owned(),
             json!({
@@ -92,10 +100,30 @@ pub(crate) fn info(
                 "identity": IdentityRecord::from(&identity),
                 "last_words": last_words,
                 "status": status,
+                "chip": chip,
             }),
         );
     }
     Ok(Value::Object(all))
+}
+
+/// Clock, supply and option bytes in one line.
+fn chip_text(chip: &Chip) -> String {
+    format!(
+        "  clock: {}; supply {} 2.7 V; brown-out {}, option bytes {:08x}",
+        match chip.clock {
+            Clock::External => "8 MHz from the board",
+            Clock::Internal => "the chip's own, 1 %",
+        },
+        if chip.supply_low { "below" } else { "above" },
+        match chip.brown_out {
+            BrownOut::Off => "off",
+            BrownOut::Level1 => "level 1",
+            BrownOut::Level2 => "level 2",
+            BrownOut::Level3 => "level 3",
+        },
+        chip.option_bytes,
+    )
 }
 
 fn rig_text(status: &RigStatus) -> String {

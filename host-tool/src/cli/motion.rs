@@ -178,8 +178,9 @@ fn health_text(health: &RigHealth) -> String {
     let glitches = |glitches: rig::Glitches| match glitches.count {
         0 => "none".to_owned(),
         count => format!(
-            "{count}, the last one {} s after the start",
-            decimal::write(glitches.last_us.into(), 6)
+            "{count}, the last one {} s after the start, masked {} times",
+            decimal::write(glitches.last_us.into(), 6),
+            glitches.masked,
         ),
     };
     format!(

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use device::common::Surroundings;
 use device::retained::{self, EStop, Retained, WORDS, Words};
 use protocol::frame::{Encoded, Header, Kind, encode};
-use protocol::system::Event;
+use protocol::system::{BrownOut, Chip, Clock, Event};
 use protocol::table::Telemetry;
 use serde::Serialize;
 
@@ -129,6 +129,15 @@ pub struct At<B> {
 impl<B> Surroundings for At<B> {
     fn now_us(&self) -> u64 {
         self.port.now_us()
+    }
+
+    fn chip(&self) -> Chip {
+        Chip {
+            clock: Clock::External,
+            brown_out: BrownOut::Off,
+            supply_low: false,
+            option_bytes: 0x00FF_AAED,
+        }
     }
 
     fn silence_us(&self) -> u32 {

@@ -60,6 +60,7 @@ impl control::Rig for At<Board> {
         let glitches = Glitches {
             count: 0,
             last_us: 0,
+            masked: 0,
         };
         RigHealth {
             home_flag: glitches,

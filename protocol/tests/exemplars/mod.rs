@@ -61,6 +61,7 @@ pub fn requests() -> std::vec::Vec<Request> {
         Request::GetName(GetName),
         Request::SetName(lab_name()),
         Request::GetRigHealth(GetRigHealth),
+        Request::GetChip(GetChip),
     ]
 }
 
@@ -228,10 +229,13 @@ pub fn responses() -> std::vec::Vec<Response> {
             min_steps: -1,
             max_steps: 104_000,
             worst_residual_steps: -3,
-            min_queue: 101,
+            min_queue: Some(101),
             glitches: 5,
             holds: 1,
             image_hash: 0x811c_9dc5,
+            prepared_edges: 1_040_185,
+            edges_timed: 1_039_998,
+            worst_interval_error_ticks: 2,
         }),
         Response::GetCapsuleStatus(CapsuleStatus {
             time_us: 12_345_678,
@@ -285,10 +289,12 @@ pub fn responses() -> std::vec::Vec<Response> {
             home_flag: Glitches {
                 count: 300,
                 last_us: 12_345_678,
+                masked: 7,
             },
             far_limit: Glitches {
                 count: 2,
                 last_us: 11_222_333,
+                masked: 8,
             },
             uart_errors: 3,
             bad_frames: 4,
@@ -298,6 +304,12 @@ pub fn responses() -> std::vec::Vec<Response> {
             stack_size: 118_000,
             control_late_us: 900,
             image_hash: 0x811c_9dc5,
+        }),
+        Response::GetChip(Chip {
+            clock: Clock::Internal,
+            brown_out: BrownOut::Level3,
+            supply_low: true,
+            option_bytes: 0x00ff_aaed,
         }),
     ]
 }
@@ -352,6 +364,11 @@ pub fn replies() -> std::vec::Vec<Reply> {
         Refusal::StorageFailed,
         Refusal::NothingToHold,
         Refusal::NothingToResume,
+        Refusal::LoopOpen,
+        Refusal::BothSwitchesOpen,
+        Refusal::FarLimitOpen,
+        Refusal::SupplyLow,
+        Refusal::NameNotPrintable,
     ];
     let wire = [
         WireError::NoSession,
