@@ -47,6 +47,8 @@ pub trait Rig {
     fn stop_path(&mut self);
     /// No further pulse.
     fn cut(&mut self);
+    /// Makes the E-stop loop's latch ready for the next opening. An opening that lasts is noticed again.
+    fn rearm_loop(&mut self);
     /// Sets the read-back counter. Only while no pulse can come.
     fn set_position(&mut self, position: StepPosition);
     /// Sets how long a switch must keep its level, us.
@@ -258,6 +260,10 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
 impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
     #[inline(never)]
     fn request(&mut self, request: Request) -> Reply {
+        // First, so that an opening in this very moment is a new fault.
+        if matches!(request, Request::Acknowledge(_)) {
+            self.rig.rearm_loop();
+        }
         let context = Context {
             now: self.rig.now(),
             stroke: self.rig.stroke(),

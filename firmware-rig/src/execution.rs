@@ -19,9 +19,14 @@ const MIN_QUEUE: u32 = 8;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Underrun;
 
-/// The E-stop loop is open: the outputs cannot be armed.
+/// Why the ring does not start. Nothing has left the pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LoopOpen;
+pub enum StartError {
+    /// The E-stop loop is open, or was since it was last rearmed.
+    LoopOpen,
+    /// The first periods were not fetched.
+    NotFetched,
+}
 
 /// The step generator: a ring of periods that plays by itself, and the counter of the edges that left.
 pub trait Ring {
@@ -46,6 +51,13 @@ pub trait Ring {
     /// Pulses that have not left for certain: those of the period that plays, and of all behind it.
     fn waiting_pulses(&self) -> u32;
 
+    /// Pulses that cannot have left: those of all periods behind the one that plays.
+    fn queued_pulses(&self) -> u32;
+
+    /// Ticks from the last pulse that left to the end of the last period, where `unemitted` pulses have not left. None if
+    /// that pulse is longer ago than the ring remembers.
+    fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32>;
+
     /// The last period has ended, and nothing can come any more.
     fn has_played_out(&self) -> bool;
 
@@ -55,8 +67,8 @@ pub trait Ring {
     /// Arms the outputs and starts to play.
     ///
     /// # Errors
-    /// The E-stop loop is open; nothing was started.
-    fn start(&mut self) -> Result<(), LoopOpen>;
+    /// Nothing was started.
+    fn start(&mut self) -> Result<(), StartError>;
 
     /// No further pulse, and the ring stands still; the motor holds.
     fn halt(&mut self);
@@ -126,7 +138,11 @@ impl Motion {
     pub fn pace(&self) -> Pace {
         match &self.execution {
             None if self.untold.is_none() => Pace::Idle,
-            Some(execution) if execution.filling == Filling::Full => Pace::Filled,
+            Some(execution)
+                if execution.filling == Filling::Full && execution.ended_stroke.is_none() =>
+            {
+                Pace::Filled
+            }
             _ => Pace::Waiting,
         }
     }
@@ -161,7 +177,7 @@ enum Filling {
     /// It is full.
     Full,
     /// The last pulse of a stroke has to leave the pin first.
-    Turn { completed: u32, next: Direction },
+    Turn { next: Direction },
     /// Everything is queued.
     Done,
     /// Nothing more may be queued.
@@ -175,6 +191,14 @@ struct Execution {
     stop_accel: Acceleration,
     /// Stroke whose pulses leave.
     stroke: u32,
+    /// Direction of the pulses in the ring.
+    direction: Direction,
+    /// A stroke whose last pulse is in the ring.
+    ended_stroke: Option<u32>,
+    /// Every step up to here had left for certain in the last round.
+    passed: StepPosition,
+    /// Tick of the last step before the ring's pulses.
+    passed_tick: u64,
     filling: Filling,
     min_queue: Option<u16>,
     stopped: bool,
@@ -201,11 +225,16 @@ impl Execution {
             };
             return Err(Event::PathEnded(PathEnd::Complete, report));
         };
-        ring.set_direction(periods.direction());
+        let direction = periods.direction();
+        ring.set_direction(direction);
         let mut execution = Self {
             periods,
             stop_accel: order.stop_accel,
             stroke,
+            direction,
+            ended_stroke: None,
+            passed: position,
+            passed_tick: 0,
             filling: Filling::Full,
             min_queue: None,
             stopped: false,
@@ -213,10 +242,11 @@ impl Execution {
         execution.fill(ring, mailbox);
         match ring.start() {
             Ok(()) => Ok(execution),
-            Err(LoopOpen) => {
+            Err(StartError::LoopOpen) => {
                 let _ = mailbox.notify(Event::LoopOpened);
                 Err(execution.end(ring, mailbox, PathEnd::Cut))
             }
+            Err(StartError::NotFetched) => Err(execution.end(ring, mailbox, PathEnd::Underrun)),
         }
     }
 
@@ -226,6 +256,9 @@ impl Execution {
         ring: &mut impl Ring,
         mailbox: &mut impl Mailbox,
     ) -> Option<Event<'static>> {
+        // By the last look: after a cut the periods play on without pulses until the ring is halted.
+        let waiting = ring.waiting_pulses();
+        self.passed = self.before_the_last(waiting);
         ring.update();
         if self.filling == Filling::Full {
             let waiting = ring.waiting() as u16; // the ring holds fewer than that by far
@@ -262,29 +295,66 @@ impl Execution {
     }
 
     fn end(
-        &self,
+        &mut self,
         ring: &mut impl Ring,
         mailbox: &mut impl Mailbox,
         end: PathEnd,
     ) -> Event<'static> {
         ring.halt();
+        ring.update();
+        let counted = ring.counted();
+        let unemitted = match end {
+            PathEnd::Complete | PathEnd::Stopped => 0,
+            PathEnd::Cut | PathEnd::Underrun | PathEnd::Guard => self.unemitted(ring, counted),
+        };
+        if unemitted == 0 {
+            self.tell_stroke_end(ring, mailbox);
+        }
+        let last_tick = match ring.ticks_since_last_pulse(unemitted) {
+            _ if unemitted == 0 => self.periods.last_step(),
+            Some(ticks) => self.periods.cursor() - u64::from(ticks),
+            None => self.passed_tick,
+        };
         let report = PathReport {
-            commanded: self.periods.position(),
-            unemitted: Steps(0),
-            counted: ring.counted(),
-            last_tick: self.periods.last_step(),
+            commanded: self.before_the_last(unemitted),
+            unemitted: Steps(unemitted),
+            counted,
+            last_tick,
             min_queue: self.min_queue,
         };
         mailbox.show(self.stroke, report.commanded);
         Event::PathEnded(end, report)
     }
 
+    /// Prepared steps that did not leave the pin: by the counter, within what the ring says. Without its jumper the
+    /// counter says nothing, and those count as emitted that were sure to have left.
+    fn unemitted(&self, ring: &impl Ring, counted: StepPosition) -> u32 {
+        let to_come = |from: StepPosition| {
+            let steps = self.periods.position().since(from);
+            i64::from(steps) * i64::from(self.direction.sign())
+        };
+        let most = to_come(self.passed).max(0);
+        let least = i64::from(ring.queued_pulses()).min(most);
+        // Neither is more than the ring holds.
+        to_come(counted).clamp(least, most) as u32
+    }
+
+    /// The position so many steps before the last prepared one, which all go in one direction.
+    fn before_the_last(&self, steps: u32) -> StepPosition {
+        let end = self.periods.position();
+        StepPosition(end.0 - steps as i32 * self.direction.sign())
+    }
+
     fn fill(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) {
+        if ring.waiting_pulses() == 0 {
+            self.tell_stroke_end(ring, mailbox);
+        }
         loop {
             match self.filling {
                 Filling::Full => {}
-                Filling::Turn { completed, next } if ring.waiting_pulses() == 0 => {
-                    self.turn(ring, mailbox, completed, next);
+                Filling::Turn { next } if ring.waiting_pulses() == 0 => {
+                    self.tell_stroke_end(ring, mailbox);
+                    self.turn(ring, next);
                 }
                 Filling::Turn { .. } | Filling::Done | Filling::Failed(_) => return,
             }
@@ -308,27 +378,37 @@ impl Execution {
                         return Filling::Failed(PathEnd::Underrun);
                     }
                 }
-                Item::Turn { completed, next } => return Filling::Turn { completed, next },
+                Item::StrokeEnd { stroke } => self.ended_stroke = Some(stroke),
+                Item::Turn { next } => return Filling::Turn { next },
                 Item::End => return Filling::Done,
                 Item::Guard => return Filling::Failed(PathEnd::Guard),
             }
         }
     }
 
-    /// All pulses of a stroke have left: the counter must show them, and DIR may change.
-    fn turn(
-        &mut self,
-        ring: &mut impl Ring,
-        mailbox: &mut impl Mailbox,
-        completed: u32,
-        next: Direction,
-    ) {
-        let _ = mailbox.notify(Event::StrokeDone {
-            stroke: completed,
+    /// The last pulse of a stroke has left: the counter must show it.
+    fn tell_stroke_end(&mut self, ring: &impl Ring, mailbox: &mut impl Mailbox) {
+        let Some(stroke) = self.ended_stroke else {
+            return;
+        };
+        let told = mailbox.notify(Event::StrokeDone {
+            stroke,
             commanded: self.periods.position(),
             counted: ring.counted(),
         });
+        if told {
+            self.ended_stroke = None;
+        }
+        self.stroke = stroke + 1;
+    }
+
+    /// All pulses have left: DIR may change.
+    fn turn(&mut self, ring: &mut impl Ring, next: Direction) {
+        // If control could not take the notice until now, the record at the end makes up for it.
+        self.ended_stroke = None;
         ring.set_direction(next);
-        self.stroke = completed + 1;
+        self.direction = next;
+        self.passed = self.periods.position();
+        self.passed_tick = self.periods.last_step();
     }
 }

@@ -1,9 +1,9 @@
 //! Turns step times into timer periods: one uninterrupted list for a whole move or run.
 //!
 //! A period is one round of the step timer, or some equal ones; a pulse, if it has one, sits at its start. The list begins with
-//! blank periods up to the first step. Between two strokes comes one [`Item::Turn`]: everything before it has
-//! to leave the pin before DIR may change, everything after it needs the new DIR. The periods of the pause come
-//! before the turn, so that the time line never breaks.
+//! blank periods up to the first step. Between two strokes comes one [`Item::StrokeEnd`], right behind the last pulse, and
+//! one [`Item::Turn`]: everything before it has to leave the pin before DIR may change, everything after it needs the new
+//! DIR. The periods of the pause come before the turn, so that the time line never breaks.
 
 use motion::{
     axis::{Acceleration, Direction},
@@ -42,10 +42,13 @@ pub struct Period {
 pub enum Item {
     /// A period for the timer.
     Period(Period),
-    /// The stroke is complete: wait until its last pulse has left, then change DIR.
+    /// The period before was the last pulse of a stroke that another one follows.
+    StrokeEnd {
+        /// The stroke, from 0.
+        stroke: u32,
+    },
+    /// The pause is over: when the last pulse has left, change DIR.
     Turn {
-        /// The completed stroke, from 0.
-        completed: u32,
         /// Direction of the next stroke.
         next: Direction,
     },
@@ -120,6 +123,10 @@ impl Path {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum After {
     Pulse,
+    /// The end of a stroke; the pause before the next one follows.
+    StrokeEnd {
+        pause: u64,
+    },
     Turn,
     End,
     Ended,
@@ -206,6 +213,7 @@ impl Periods {
         match self.after {
             After::Ended | After::Guarded | After::End => {}
             After::Turn => self.end_here(),
+            After::StrokeEnd { .. } => self.stopping = true,
             // The first step of a stroke is only announced: drop it.
             After::Pulse if self.times.emitted().0 <= 1 => self.end_here(),
             After::Pulse => {
@@ -244,14 +252,21 @@ impl Periods {
                     }
                     self.pulse = true;
                 }
+                After::StrokeEnd { pause } => {
+                    if self.stopping {
+                        self.end_here();
+                    } else {
+                        self.gap = pause;
+                        self.after = After::Turn;
+                    }
+                    let stroke = self.stroke - 1;
+                    return Item::StrokeEnd { stroke };
+                }
                 After::Turn => {
-                    let completed = self.stroke - 1;
                     self.after = After::Pulse;
                     self.sync = true;
-                    return Item::Turn {
-                        completed,
-                        next: self.direction,
-                    };
+                    let next = self.direction;
+                    return Item::Turn { next };
                 }
                 After::End => {
                     self.after = After::Ended;
@@ -305,8 +320,10 @@ impl Periods {
         let mut times = StepTimes::new(profile);
         // A profile has at least one step.
         let first = times.next().unwrap_or(0);
-        self.gap = start + first - self.cursor;
-        self.after = After::Turn;
+        self.gap = LAST_PULSE;
+        // A turnaround is longer than the last pulse by far.
+        let pause = start + first - self.cursor - LAST_PULSE;
+        self.after = After::StrokeEnd { pause };
         (self.stroke, self.direction, self.times) = (self.stroke + 1, direction, times);
     }
 

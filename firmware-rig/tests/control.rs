@@ -71,6 +71,7 @@ struct Board {
     carriage: Carriage,
     button: bool,
     supply_low: bool,
+    rearmed: u32,
     silence_us: u32,
     told: Vec<system::Event>,
     telemetry_ms: Vec<u16>,
@@ -129,6 +130,10 @@ impl control::Rig for Board {
         self.carriage.order(order);
     }
 
+    fn rearm_loop(&mut self) {
+        self.rearmed += 1;
+    }
+
     fn stop_path(&mut self) {
         self.carriage.stop();
     }
@@ -177,6 +182,7 @@ impl Bench {
             carriage,
             button: false,
             supply_low: false,
+            rearmed: 0,
             silence_us: 0,
             told: Vec::new(),
             telemetry_ms: Vec::new(),

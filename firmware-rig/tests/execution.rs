@@ -61,6 +61,8 @@ struct Bench {
     plan: Vec<Pulse>,
     /// Strokes that were reported as done.
     done: Vec<u32>,
+    /// How long after its last pulse each of them was, 10 ns each.
+    done_after: Vec<u64>,
     end: Option<(PathEnd, PathReport)>,
     /// Stroke that was shown at each pulse.
     shown: Vec<u32>,
@@ -84,6 +86,7 @@ impl Bench {
             began: 0,
             plan: Vec::new(),
             done: Vec::new(),
+            done_after: Vec::new(),
             end: None,
             shown: Vec::new(),
             loop_opened: false,
@@ -119,6 +122,8 @@ impl Bench {
                         assert_eq!(commanded, counted);
                     }
                     self.done.push(stroke);
+                    let after = self.carriage.now - self.carriage.last_pulse;
+                    self.done_after.push(after);
                 }
                 Event::PathEnded(end, report) => self.end = Some((end, report)),
                 Event::LoopOpened => self.loop_opened = true,
@@ -329,6 +334,94 @@ fn a_path_without_strokes_ends_where_it_stands() {
     assert!(!carriage.moving());
 }
 
+/// Out 1 mm, 2 s of dwell, and back.
+fn with_a_long_dwell() -> Path {
+    let request = RunRequest {
+        cycles: 1,
+        stroke_um: 1_000,
+        timing: Timing::Speeds {
+            forward_um_s: 10_000,
+            return_um_s: 10_000,
+            accel_um_s2: 1_000_000,
+        },
+        far_dwell_us: 2_000_000,
+        home_dwell_us: 0,
+        start_delay_us: 0,
+    };
+    Path::Run(RunPlan::solve(&SETTINGS.axis, &LIMITS, &request).unwrap())
+}
+
+/// A stroke is done when its last pulse has left, not when the next one begins.
+#[test]
+fn a_stroke_is_reported_with_its_last_pulse() {
+    let path = with_a_long_dwell();
+    let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+    bench.finish();
+    assert_eq!(bench.done, [0]);
+    assert!(
+        bench.done_after[0] < 3 * MS,
+        "{} ticks",
+        bench.done_after[0]
+    );
+    // A stop, and a cut, in the dwell.
+    for cut in [false, true] {
+        let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+        let last = bench.plan[799].at;
+        bench.run_for(last + 500 * MS - bench.carriage.now);
+        if cut {
+            bench.carriage.cut();
+        } else {
+            bench.carriage.stop();
+        }
+        let (_, report) = bench.finish();
+        assert_eq!(bench.done, [0], "cut: {cut}");
+        assert_eq!(report.commanded, StepPosition(800));
+        assert_eq!(
+            (report.unemitted, report.last_tick),
+            (Steps(0), last - bench.began)
+        );
+    }
+}
+
+/// However a path is cut, the report has the steps that left and the instant of the last one; the others are counted apart.
+#[test]
+fn a_cut_path_reports_what_left() {
+    let path = strokes_of_10_mm();
+    let pulses = [
+        1, 2, 100, 4_321, 7_990, 7_999, 8_000, 8_001, 8_002, 12_000, 15_999,
+    ];
+    for counter_is_dead in [false, true] {
+        for count in pulses {
+            let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+            bench.run_for(bench.plan[count - 1].at + 1 - bench.carriage.now);
+            let left = bench.carriage.pulses;
+            let queued = bench.carriage.ring.pulses_left();
+            if counter_is_dead {
+                (bench.carriage.ring.counted, bench.carriage.jumper_cut) = (0, true);
+            }
+            bench.carriage.cut();
+            let (end, report) = bench.finish();
+            assert_eq!(end, PathEnd::Cut);
+            let place = bench.carriage.place;
+            let what = format!("{count} pulses, dead counter: {counter_is_dead}: {report:?}");
+            if counter_is_dead {
+                // Those that were sure to have left in the last round: 2 ms and a period before.
+                let missing = report.commanded.distance_to(StepPosition(place)).0;
+                assert!(missing <= 200, "{missing}: {what}");
+            } else {
+                assert_eq!(
+                    (report.commanded.0, report.counted.0),
+                    (place, place),
+                    "{what}"
+                );
+                assert_eq!(u64::from(report.unemitted.0), queued, "{what}");
+                let last = bench.plan[left as usize - 1].at - bench.began;
+                assert_eq!(report.last_tick, last, "{what}");
+            }
+        }
+    }
+}
+
 #[test]
 fn nothing_follows_a_stop_in_a_dwell() {
     let request = RunRequest {
@@ -373,7 +466,7 @@ fn a_stop_before_a_turn_ends_at_the_end_of_the_stroke() {
             (PathEnd::Stopped, &bench.plan[..8_000])
         );
         bench.assert_rest(&report);
-        assert_eq!(bench.done, [], "the next stroke does not come");
+        assert_eq!(bench.done, [0], "all its pulses have left");
     }
 }
 
@@ -556,7 +649,10 @@ proptest! {
         prop_assert_eq!((end, bench.carriage.place), (PathEnd::Cut, place));
         prop_assert_eq!(bench.trace(), &bench.plan[..left]);
         prop_assert_eq!(report.counted, StepPosition(place));
-        prop_assert_eq!(u64::from(report.commanded.distance_to(report.counted).0), queued);
+        prop_assert_eq!(report.commanded, report.counted);
+        prop_assert_eq!(u64::from(report.unemitted.0), queued);
+        let last_tick = left.checked_sub(1).map_or(0, |last| bench.plan[last].at - bench.began);
+        prop_assert_eq!(report.last_tick, last_tick);
         prop_assert_eq!(bench.carriage.ring.cut, queued);
     }
 
@@ -601,7 +697,9 @@ proptest! {
         prop_assert!(window.contains(report.commanded));
         if above < plan.forward().steps().0 as i32 {
             prop_assert_eq!(end, PathEnd::Guard);
-            prop_assert_eq!(report.commanded, StepPosition(above), "queued up to the edge");
+            prop_assert_eq!(report.commanded, report.counted);
+            let prepared = report.commanded.0 + report.unemitted.0 as i32;
+            prop_assert_eq!(prepared, above, "prepared up to the edge");
             prop_assert!(left <= above as usize);
         } else {
             bench.assert_complete(&path);
@@ -727,7 +825,8 @@ mod with_the_machine {
         let fault = RigFault::EStopLoop;
         assert_eq!(record.outcome, RunOutcome::Faulted(fault));
         assert_eq!(record.counted_edges, pulses);
-        assert_eq!(record.commanded_edges, pulses + rig.ring.cut);
+        assert_eq!(record.commanded_edges, pulses);
+        assert_eq!(record.prepared_edges, pulses + rig.ring.cut);
         assert!(rig.ring.cut > 100);
     }
 }

@@ -241,11 +241,12 @@ mod running {
         RigEvent::RunEnded { run: 1, outcome }
     }
 
-    /// The record has the pulses that were queued and those that left the pin, however the run ended.
+    /// The record has the pulses that were prepared and those that left the pin, however the run ended.
     fn assert_record(rig: &Rig, outcome: RunOutcome, strokes: u32) {
         let record = rig.machine.record();
         assert_eq!(record.outcome, outcome);
-        assert_eq!(record.commanded_edges, rig.pulses + rig.ring.cut);
+        assert_eq!(record.prepared_edges, rig.pulses + rig.ring.cut);
+        assert_eq!(record.commanded_edges, rig.pulses);
         assert_eq!(record.counted_edges, rig.pulses);
         assert_eq!(record.strokes, strokes);
         assert_eq!(record.min_queue, Some(60));

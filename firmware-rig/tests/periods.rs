@@ -20,6 +20,8 @@ const LIMITS: Limits = Settings::REFERENCE.limits;
 
 /// Time for DIR to change between two strokes and for the ring to be filled again: 300 us.
 const TURN_TICKS: u64 = 30_000;
+/// Period of the last pulse of a stroke.
+const LAST_PULSE: u64 = 1_000;
 
 /// Repeated rounds cannot be recalled: 0.8 ms of them at most.
 const LONGEST_REPETITION: u64 = 80_000;
@@ -91,6 +93,7 @@ impl Walk {
                 self.tick += u64::from(ticks) + further;
                 assert_eq!(self.periods.cursor(), self.tick);
             }
+            Item::StrokeEnd { .. } => assert_eq!(self.tick - self.last_pulse, LAST_PULSE),
             Item::Turn { .. } => self.pulses = 0,
             Item::End => assert_eq!(self.periods.last_step(), self.last_pulse),
             Item::Guard => {}
@@ -145,18 +148,15 @@ fn check_whole(path: &Path, shortest: u32) -> u64 {
             assert!(period.ticks >= shortest, "{period:?}");
         }
         // The last pulse of a stroke has a period of its own: pulse and hold time of DIR.
-        assert_eq!(walk.tick - walk.last_pulse, 1_000);
+        assert_eq!(walk.tick - walk.last_pulse, LAST_PULSE);
+        if index + 1 < strokes.len() {
+            let stroke = number as u32;
+            assert_eq!(walk.next(), Item::StrokeEnd { stroke });
+        }
         let (blanks, ticks, then) = walk.blanks();
         let last_blank = walk.last_blank;
         if let Some((start, profile, next)) = strokes.get(index + 1) {
-            let completed = number as u32;
-            assert_eq!(
-                then,
-                Item::Turn {
-                    completed,
-                    next: *next
-                }
-            );
+            assert_eq!(then, Item::Turn { next: *next });
             assert!(blanks >= 2 && ticks >= TURN_TICKS, "{blanks}, {ticks}");
             // The turn comes while blanks play: the last one is short, so that it is not kept waiting.
             assert!((4_097..=8_192).contains(&last_blank), "{last_blank}");
@@ -304,7 +304,7 @@ proptest! {
             match walk.next() {
                 Item::Period(Period { pulse: true, repeats, .. }) => pulses += 1 + u32::from(repeats),
                 Item::Period(_) => {}
-                Item::Turn { .. } => {}
+                Item::StrokeEnd { .. } | Item::Turn { .. } => {}
                 end => break end,
             }
         };
@@ -378,10 +378,11 @@ proptest! {
                         positions.extend((0..=i32::from(repeats)).rev().map(|more| walk.position - more * back));
                     }
                     Item::Period(_) => {}
-                    Item::Turn { completed, .. } => {
-                        prop_assert_eq!(completed, stroke);
-                        (stroke, before) = (completed + 1, None);
+                    Item::StrokeEnd { stroke: ended } => {
+                        prop_assert_eq!(ended, stroke);
+                        (stroke, before) = (ended + 1, None);
                     }
+                    Item::Turn { .. } => {}
                     Item::End => break,
                     Item::Guard => prop_assert!(false, "outside at {}", walk.position),
                 }
@@ -502,6 +503,7 @@ fn pieces_before_a_turn_at_their_bounds() {
             loop {
                 match walk.next() {
                     Item::Turn { .. } => break,
+                    Item::StrokeEnd { .. } => {}
                     Item::Period(period) if period.pulse => blanks.clear(),
                     Item::Period(period) => blanks.push(period.ticks),
                     other => panic!("{other:?}"),
@@ -579,7 +581,12 @@ fn a_stop_at_rest_emits_nothing() {
                 walk.next();
             }
             walk.periods.stop(deceleration);
-            let (_, ticks, end) = walk.blanks();
+            let (_, mut ticks, mut end) = walk.blanks();
+            // The end of a stroke is told, whether it was before the stop or not.
+            if let Item::StrokeEnd { .. } = end {
+                let (_, more, then) = walk.blanks();
+                (ticks, end) = (ticks + more, then);
+            }
             assert_eq!((end, walk.position), (Item::End, position), "{pulses}");
             // 10 us after what was in the queue, not the rest of the dwell.
             assert!(ticks <= 1_000, "{ticks}");

@@ -4,11 +4,15 @@
 //! register order {ARR, RCR, CCR1, CCR2, CCR3}, written through TIM1_DMAR at every update event (RM0383 sections
 //! 12.3.3 and 12.3.20). PWM mode 1 puts the pulse at the start of a period; CCR1 makes the sync pulse in the same way, so
 //! both have no latency at all. Everything is preloaded: while slot j plays, slot j+1 sits in the preload
-//! registers and slot j+2 is fetched at the next update.
+//! registers and slot j+2 is fetched at the next update. Its first word is already in the stream by then, which in direct
+//! mode loads one item ahead.
 //!
 //! The slot after the last written one is always zero. A zero period blocks the counter with the output low
 //! (ARR = 0, RM0383 section 12.4.12): end marker, underrun guard and clean stop in one. However late the
 //! producer is, no pulse is ever repeated, doubled or misplaced; the generator only stops.
+//!
+//! The break flag BIF is the latch of the E-stop loop: every opening sets it, at rest too, and only [`rearm_loop`] clears
+//! it. Nothing starts while it is set.
 
 #![allow(unsafe_code)]
 
@@ -22,7 +26,7 @@ use embassy_stm32::{
     pac::{self, DMA2, TIM1, TIM2},
 };
 use firmware_rig::{
-    execution::{LoopOpen, Ring, Underrun},
+    execution::{Ring, StartError, Underrun},
     machine::Event,
     periods::Period,
 };
@@ -41,8 +45,18 @@ const STREAM: usize = 5;
 const DMA_CHANNEL: u8 = 6;
 /// So many reads find MOE set unless the loop is open.
 const MOE_READS: u32 = 16;
+/// So many reads find a slot fetched.
+const FETCH_READS: u32 = 1_000;
 /// DCR.DBA of ARR: register offset 0x2C / 4.
 const DBA_ARR: u8 = 11;
+/// How long a request of the timer may take to its first transfer; about 0.5 us is expected. 2 us at 100 MHz.
+const REQUEST_CYCLES: u32 = 200;
+/// So many of these waits are longer than any burst.
+const BURST_WAITS: u32 = 50;
+/// The stream stops within some cycles of the bus, or never.
+const STREAM_READS: u32 = 1_000;
+/// In TIM1's SR a written 0 clears a flag and a 1 leaves it: everything but the break flag.
+const ALL_BUT_BREAK: pac::timer::regs::SrAdv = pac::timer::regs::SrAdv(1 << 7);
 
 #[repr(C, align(4))]
 struct Slots(UnsafeCell<[[u16; WORDS]; SLOTS]>);
@@ -77,25 +91,7 @@ pub struct StepGenerator {
 impl StepGenerator {
     /// Sets up TIM1, its DMA stream and TIM2. Outputs stay off.
     pub fn new() -> Self {
-        TIM1.psc().write_value(0);
-        TIM1.cr1().write(|w| w.set_arpe(true));
-        for channel in [0, 2] {
-            TIM1.ccmr_output(channel / 2).modify(|w| {
-                w.set_ocm(channel % 2, pac::timer::vals::Ocm::PWM_MODE1);
-                w.set_ocpe(channel % 2, true);
-            });
-            TIM1.ccer().modify(|w| w.set_cce(channel, true));
-        }
-        TIM1.bdtr().write(|w| {
-            w.set_ossi(pac::timer::vals::Ossi::IDLE_LEVEL); // MOE = 0 drives the idle level, low
-            w.set_bke(0, true);
-            w.set_bkp(0, pac::timer::vals::Bkp::ACTIVE_HIGH); // the loop is closed to ground: high = open = break
-        });
-        TIM1.dcr().write(|w| {
-            w.set_dba(DBA_ARR);
-            w.set_dbl(WORDS as u8 - 1);
-        });
-
+        configure_timer();
         let stream = DMA2.st(STREAM);
         stream.par().write_value(TIM1.dmar().as_ptr() as u32);
         stream.m0ar().write_value(RING.0.get() as u32);
@@ -111,6 +107,7 @@ impl StepGenerator {
             interrupt::DMA2_STREAM5.enable();
             interrupt::TIM1_BRK_TIM9.enable();
         }
+        rearm_loop();
         Self {
             pushed: 0,
             fetched: 0,
@@ -150,9 +147,7 @@ impl Ring for StepGenerator {
     }
 
     fn push(&mut self, period: Period) -> Result<(), Underrun> {
-        if self.running && self.queue() < 2 {
-            return Err(Underrun);
-        }
+        let late = self.running && self.queue() < 2;
         let slot = self.pushed as usize % SLOTS;
         let sync = if period.sync {
             SYNC_TICKS.min(period.ticks - 1)
@@ -161,6 +156,15 @@ impl Ring for StepGenerator {
         };
         let rounds = u32::from(period.repeats) + 1;
         let pulse = if period.pulse { self.pulse_ticks } else { 0 };
+        self.pushed = self.pushed.wrapping_add(1);
+        self.end.ticks = self.end.ticks.wrapping_add(period.ticks * rounds);
+        if period.pulse {
+            self.end.pulses = self.end.pulses.wrapping_add(rounds);
+        }
+        self.marks[slot] = self.end;
+        if late {
+            return Err(Underrun);
+        }
         end_slot(slot + 1);
         write_slot(
             slot,
@@ -172,15 +176,11 @@ impl Ring for StepGenerator {
             ],
         );
         self.update();
-        self.pushed = self.pushed.wrapping_add(1);
-        if self.running && self.queue() < 1 {
+        // With one slot in the queue the one before it has been fetched, and with its last word the first one of this slot:
+        // perhaps still as the zero that stops the counter.
+        if self.running && self.queue() < 2 {
             return Err(Underrun);
         }
-        self.end.ticks = self.end.ticks.wrapping_add(period.ticks * rounds);
-        if period.pulse {
-            self.end.pulses = self.end.pulses.wrapping_add(rounds);
-        }
-        self.marks[slot] = self.end;
         Ok(())
     }
 
@@ -207,6 +207,28 @@ impl Ring for StepGenerator {
         self.end.pulses.wrapping_sub(self.mark(3).pulses)
     }
 
+    fn queued_pulses(&self) -> u32 {
+        self.end.pulses.wrapping_sub(self.mark(2).pulses)
+    }
+
+    fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32> {
+        let last = self.end.pulses.wrapping_sub(unemitted);
+        let mut after = self.end;
+        for back in 2..=SLOTS as u32 {
+            let before = self.marks[self.pushed.wrapping_sub(back) as usize % SLOTS];
+            let pulses = after.pulses.wrapping_sub(before.pulses);
+            // From 1 where the slot has this pulse.
+            let nth = last.wrapping_sub(before.pulses);
+            if (1..=pulses).contains(&nth) {
+                let round = after.ticks.wrapping_sub(before.ticks) / pulses;
+                let at = before.ticks.wrapping_add((nth - 1) * round);
+                return Some(self.end.ticks.wrapping_sub(at));
+            }
+            after = before;
+        }
+        None
+    }
+
     // At least once per round of the ring. Once per step: no call, although the image is optimised for size.
     #[inline(always)]
     fn update(&mut self) {
@@ -217,7 +239,7 @@ impl Ring for StepGenerator {
         self.read_slot = slot;
     }
 
-    fn start(&mut self) -> Result<(), LoopOpen> {
+    fn start(&mut self) -> Result<(), StartError> {
         let stream = DMA2.st(STREAM);
         DMA2.ifcr(STREAM / 4).write(|w| {
             w.set_htif(STREAM % 4, true);
@@ -239,28 +261,27 @@ impl Ring for StepGenerator {
         });
         compiler_fence(Ordering::SeqCst);
         stream.cr().modify(|w| w.set_en(true));
-        TIM1.dier().write(|w| w.set_ude(true));
+        TIM1.dier().modify(|w| w.set_ude(true));
         // The first update brings period 0 into the preload registers, the second one makes it active.
         for fetched in 1..=2 {
             TIM1.egr().write(|w| w.set_ug(true));
-            for _ in 0..1_000 {
+            let fetches = (0..FETCH_READS).any(|_| {
                 self.update();
-                if self.fetched >= fetched {
-                    break;
-                }
+                self.fetched >= fetched
+            });
+            if !fetches {
+                self.halt();
+                return Err(StartError::NotFetched);
             }
         }
-        TIM1.sr().write_value(pac::timer::regs::SrAdv(0));
-        TIM1.dier().write(|w| {
-            w.set_ude(true);
-            w.set_bie(true);
-        });
+        TIM1.sr().write_value(ALL_BUT_BREAK);
         TIM1.bdtr().modify(|w| w.set_moe(true));
         // MOE reads back right only after a resynchronisation of some clocks (RM0383 section 12.3.12).
         let armed = (0..MOE_READS).any(|_| is_armed());
-        if !armed {
+        // An opening that is over has left its flag.
+        if !armed || TIM1.sr().read().bif(0) {
             self.halt();
-            return Err(LoopOpen);
+            return Err(StartError::LoopOpen);
         }
         TIM1.cr1().modify(|w| w.set_cen(true));
         self.running = true;
@@ -270,9 +291,14 @@ impl Ring for StepGenerator {
     fn halt(&mut self) {
         pins::cut_pulses();
         TIM1.cr1().modify(|w| w.set_cen(false));
-        TIM1.dier().write(|_| ());
+        // Without its request a burst would end in its middle, and the timer may go on there with the next path's words.
+        let whole = burst_is_whole();
+        TIM1.dier().modify(|w| w.set_ude(false));
         DMA2.st(STREAM).cr().modify(|w| w.set_en(false));
-        while DMA2.st(STREAM).cr().read().en() {}
+        let stopped = (0..STREAM_READS).any(|_| !DMA2.st(STREAM).cr().read().en());
+        if !(whole && stopped) {
+            restart_timer();
+        }
         self.running = false;
     }
 
@@ -293,6 +319,48 @@ impl Ring for StepGenerator {
     fn counted(&self) -> StepPosition {
         counted()
     }
+}
+
+/// All of TIM1's registers that no path changes. The outputs are off.
+fn configure_timer() {
+    TIM1.psc().write_value(0);
+    TIM1.cr1().write(|w| w.set_arpe(true));
+    for channel in [0, 2] {
+        TIM1.ccmr_output(channel / 2).modify(|w| {
+            w.set_ocm(channel % 2, pac::timer::vals::Ocm::PWM_MODE1);
+            w.set_ocpe(channel % 2, true);
+        });
+        TIM1.ccer().modify(|w| w.set_cce(channel, true));
+    }
+    TIM1.bdtr().write(|w| {
+        w.set_ossi(pac::timer::vals::Ossi::IDLE_LEVEL); // MOE = 0 drives the idle level, low
+        w.set_bke(0, true);
+        w.set_bkp(0, pac::timer::vals::Bkp::ACTIVE_HIGH); // the loop is closed to ground: high = open = break
+    });
+    TIM1.dcr().write(|w| {
+        w.set_dba(DBA_ARR);
+        w.set_dbl(WORDS as u8 - 1);
+    });
+}
+
+/// Brings TIM1 back to the state after a reset of the chip, with its settings: its burst begins at ARR again.
+fn restart_timer() {
+    pac::RCC.apb2rstr().modify(|w| w.set_tim1rst(true));
+    let _ = pac::RCC.apb2rstr().read();
+    pac::RCC.apb2rstr().modify(|w| w.set_tim1rst(false));
+    configure_timer();
+    rearm_loop();
+}
+
+/// The burst in progress has been transferred as a whole: then the stream stands between two slots, and stays there for
+/// longer than a request needs. False if it does not come to that.
+fn burst_is_whole() -> bool {
+    let between_slots = || u32::from(DMA2.st(STREAM).ndtr().read().ndt()) % WORDS as u32 == 0;
+    (0..BURST_WAITS).any(|_| {
+        let before = between_slots();
+        cortex_m::asm::delay(REQUEST_CYCLES);
+        before && between_slots()
+    })
 }
 
 /// Makes a slot the end of the queue. The counter has to stop before the outputs lose their pulses.
@@ -354,10 +422,16 @@ fn DMA2_STREAM5() {
 /// The E-stop loop opened; the hardware has already cleared MOE.
 #[pac::interrupt]
 fn TIM1_BRK_TIM9() {
-    // The flag cannot be cleared while the loop is open: no more interrupts until the next start.
+    // The flag stays: it keeps everything from starting until somebody acknowledges. No more interrupts until then.
     TIM1.dier().modify(|w| w.set_bie(false));
-    TIM1.sr().modify(|w| w.set_bif(0, false));
     channels::pulses_were_cut(Event::LoopOpened);
+}
+
+/// Forgets that the loop was open. If it still is, that is noticed at once.
+pub fn rearm_loop() {
+    TIM1.sr()
+        .write_value(pac::timer::regs::SrAdv(!ALL_BUT_BREAK.0));
+    TIM1.dier().modify(|w| w.set_bie(true));
 }
 
 /// Pulses can leave the pin.

@@ -137,6 +137,10 @@ impl control::Rig for Rig {
         wake_after_cut();
     }
 
+    fn rearm_loop(&mut self) {
+        step_generator::rearm_loop();
+    }
+
     fn set_position(&mut self, position: StepPosition) {
         step_generator::set_counted(position);
     }

@@ -1,7 +1,7 @@
 //! A step ring in virtual time: plays queued periods round by round, as the board's timer and DMA do.
 
 use firmware_rig::{
-    execution::{LoopOpen, Ring, Underrun},
+    execution::{Ring, StartError, Underrun},
     periods::Period,
 };
 use motion::{axis::Direction, units::StepPosition};
@@ -47,7 +47,16 @@ pub struct Slots {
     pub driver_on: bool,
     /// Pulses that were queued and cut, since the start.
     pub cut: u64,
+    /// The path from its start to the end of the last queued period.
+    path_ticks: u64,
+    /// When the latest queued pulses are due, on the same clock.
+    due: VecDeque<u64>,
+    /// Pulses behind the period that played at the halt.
+    queued_at_halt: u32,
 }
+
+/// So many pulses the ring remembers: more than it holds.
+const REMEMBERED: usize = 65_536;
 
 /// What a round of the timer begins with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,6 +84,9 @@ impl Slots {
             pulse_ticks: 0,
             driver_on: false,
             cut: 0,
+            path_ticks: 0,
+            due: VecDeque::new(),
+            queued_at_halt: 0,
         }
     }
 
@@ -151,6 +163,8 @@ impl Ring for Slots {
     fn clear(&mut self, pulse_ticks: u16) {
         self.halt();
         self.pulse_ticks = pulse_ticks;
+        self.path_ticks = 0;
+        self.due.clear();
     }
 
     fn push(&mut self, period: Period) -> Result<(), Underrun> {
@@ -160,6 +174,15 @@ impl Ring for Slots {
         assert!(self.has_room(), "a slot that waits is overwritten");
         let rounds = u32::from(period.repeats) + 1;
         self.ticks += u64::from(period.ticks) * u64::from(rounds);
+        if period.pulse {
+            let start = self.path_ticks;
+            let rounds = 0..u64::from(rounds);
+            self.due
+                .extend(rounds.map(|round| start + round * u64::from(period.ticks)));
+            let forgotten = self.due.len().saturating_sub(REMEMBERED);
+            self.due.drain(..forgotten);
+        }
+        self.path_ticks += u64::from(period.ticks) * u64::from(rounds);
         self.pulses += if period.pulse { rounds } else { 0 };
         self.periods.push_back(period);
         Ok(())
@@ -194,16 +217,25 @@ impl Ring for Slots {
         self.pulses
     }
 
+    fn queued_pulses(&self) -> u32 {
+        self.queued_at_halt
+    }
+
+    fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32> {
+        let last = self.due.len().checked_sub(1 + unemitted as usize)?;
+        Some((self.path_ticks - self.due[last]) as u32)
+    }
+
     fn has_played_out(&self) -> bool {
         self.running && self.periods.is_empty()
     }
 
     fn update(&mut self) {}
 
-    fn start(&mut self) -> Result<(), LoopOpen> {
+    fn start(&mut self) -> Result<(), StartError> {
         if self.loop_open {
             self.halt();
-            return Err(LoopOpen);
+            return Err(StartError::LoopOpen);
         }
         (self.armed, self.running) = (true, true);
         Ok(())
@@ -211,6 +243,11 @@ impl Ring for Slots {
 
     fn halt(&mut self) {
         self.cut += self.pulses_left();
+        let playing = match self.periods.front() {
+            Some(period) if period.pulse && self.running => u32::from(period.repeats) + 1,
+            _ => 0,
+        };
+        self.queued_at_halt = self.pulses - playing;
         self.periods.clear();
         (self.begun, self.played, self.ticks, self.pulses) = (0, 0, 0, 0);
         (self.armed, self.running) = (false, false);

@@ -80,6 +80,8 @@ impl control::Rig for At<Board> {
         self.board.carriage.order(order);
     }
 
+    fn rearm_loop(&mut self) {}
+
     fn stop_path(&mut self) {
         self.board.carriage.stop();
     }
