@@ -1,7 +1,7 @@
 //! The device's end of the link without its wires: bytes in, frames and questions to the state machine out.
 
 use protocol::{
-    frame::{Deframer, Encoded, Frame, Header, Kind, encode},
+    frame::{Deframer, Encoded, Header, Kind, encode},
     session::{Decision, Session, Ticket},
     system::{Identity, Urgent},
     table::{Reply, Request, Response},
@@ -51,6 +51,28 @@ pub enum Incoming {
     Ignore,
 }
 
+/// A good frame.
+#[derive(Debug, PartialEq)]
+pub struct Received {
+    /// What it asks for.
+    pub incoming: Incoming,
+    /// It shows that the host of the session, or somebody who stops the machine, is there.
+    pub is_sign_of_life: bool,
+}
+
+/// A host is alive that opens a session, sends a request of it, or stops the machine. A frame of another session is a host
+/// that was left behind; a malformed one may be anybody's; one that only devices send is an echo on the line.
+fn is_sign_of_life(decision: &Decision) -> bool {
+    match decision {
+        Decision::Greet { .. }
+        | Decision::Execute { .. }
+        | Decision::Urgent { .. }
+        | Decision::Resend(_)
+        | Decision::Refuse { .. } => true,
+        Decision::Reject { .. } | Decision::Ignore => false,
+    }
+}
+
 /// Where an answer goes: session, sequence, and the ticket of a request that may be repeated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Return(u8, u16, Option<Ticket>);
@@ -86,9 +108,13 @@ impl Service {
 
     /// Takes a byte; something comes back when it completes a good frame.
     #[inline(never)]
-    pub fn receive(&mut self, byte: u8) -> Option<Incoming> {
+    pub fn receive(&mut self, byte: u8) -> Option<Received> {
         let frame = self.deframer.push(byte)?;
-        Some(serve(&mut self.session, &self.identity, &frame))
+        let decision = self.session.receive(&frame);
+        Some(Received {
+            is_sign_of_life: is_sign_of_life(&decision),
+            incoming: serve(&mut self.session, &self.identity, decision),
+        })
     }
 
     /// The frame of a reply, kept for the case that its request is repeated.
@@ -97,8 +123,8 @@ impl Service {
     }
 }
 
-fn serve(session: &mut Session, identity: &Identity, frame: &Frame<'_>) -> Incoming {
-    let (to, reply) = match session.receive(frame) {
+fn serve(session: &mut Session, identity: &Identity, decision: Decision) -> Incoming {
+    let (to, reply) = match decision {
         Decision::Greet {
             session: number,
             seq,

@@ -4,7 +4,7 @@
 use device::{
     common::{About, Effect, Executed, TELEMETRY_MS},
     identity::identity,
-    service::{Answers, Inbound, Incoming, Return, Service},
+    service::{Answers, Inbound, Incoming, Received, Return, Service},
 };
 use proptest::prelude::*;
 use protocol::{
@@ -65,8 +65,20 @@ impl Link {
     }
 
     fn receive(&mut self, bytes: &[u8]) -> Vec<Incoming> {
+        let received = self.received(bytes).into_iter();
+        received.map(|received| received.incoming).collect()
+    }
+
+    fn received(&mut self, bytes: &[u8]) -> Vec<Received> {
         let take = |byte: &u8| self.service.receive(*byte);
         bytes.iter().filter_map(take).collect()
+    }
+
+    /// These bytes show that the host is there.
+    fn shows_life(&mut self, bytes: &[u8]) -> bool {
+        let mut received = self.received(bytes);
+        assert_eq!(received.len(), 1, "{received:?}");
+        received.remove(0).is_sign_of_life
     }
 
     /// The one thing that these bytes ask for.
@@ -287,6 +299,44 @@ fn frames_of_devices_are_ignored() {
         assert_eq!(link.one(&frame), Incoming::Ignore);
     }
     assert_eq!(link.service.bad_frames(), 0);
+}
+
+/// Whose frames show that the host is still there: not an echo of the device's own, not a host that was left behind, not
+/// a body that is no request.
+#[test]
+fn a_sign_of_life_comes_from_the_host_of_the_session() {
+    let mut link = Link::open();
+    let old = link.session;
+    let session = link.greet(2, SCHEMA_KEY);
+    assert_ne!(old, session);
+    let hello = Request::Hello(Hello {
+        protocol: VERSION,
+        schema_key: SCHEMA_KEY,
+        nonce: 2,
+    });
+    assert!(link.shows_life(&request(0, 1, &hello)));
+    let good = request(session, 2, &set(10));
+    assert!(link.shows_life(&good));
+    assert!(link.shows_life(&urgent(old, 1, Urgent::Stop)));
+    // An old host's, one before any session, nonsense, a number that is used twice, one that is too old.
+    assert!(!link.shows_life(&request(old, 7, &set(10))));
+    assert!(!link.shows_life(&request(0, 8, &set(10))));
+    let header = |kind, seq| Header { kind, session, seq };
+    assert!(!link.shows_life(&encode(header(Kind::Request, 3), &[0xFF_u8; 3]).unwrap()));
+    assert!(!link.shows_life(&encode(header(Kind::Urgent, 3), &[0xFF_u8; 3]).unwrap()));
+    assert!(link.shows_life(&request(session, 4, &set(10))));
+    assert!(!link.shows_life(&request(session, 3, &set(10))));
+    // What the device itself sends.
+    for kind in [Kind::Reply, Kind::Telemetry, Kind::Event] {
+        assert!(!link.shows_life(&encode(header(kind, 9), &0_u8).unwrap()));
+    }
+    // With another schema the host is refused and is there all the same; a repetition is its own.
+    link.session = link.greet(3, SCHEMA_KEY ^ 1);
+    let refused = request(link.session, 1, &set(10));
+    let (to, reply) = link.sent(&refused);
+    assert_eq!((to.seq, reply), (1, Reply::Refused(Refusal::Incompatible)));
+    assert!(link.shows_life(&request(link.session, 2, &set(10))));
+    assert!(link.shows_life(&refused));
 }
 
 #[test]

@@ -27,7 +27,7 @@ use motion::{
 use moving::Jog;
 use protocol::{
     error::Refusal,
-    rig::{LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome, RunRecord},
+    rig::{LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome, RunRecord, Switch},
 };
 use running::ActiveRun;
 
@@ -89,6 +89,8 @@ pub enum Event<'a> {
     },
     /// The far limit opened while the carriage moved away from home. The pulses are already cut.
     FarLimit,
+    /// A switch's line is too noisy to be watched. The pulses are already cut.
+    SwitchNoise(Switch),
     /// The E-stop loop opened. The pulses are already cut, by hardware.
     LoopOpened,
     /// A stroke of a run is complete and its last pulse has left.
@@ -349,6 +351,7 @@ impl Machine {
             }
             Event::FlagEdge { opening, count } => self.flag_edge(opening, count, &mut actions),
             Event::FarLimit => self.latch(RigFault::FarLimit, &mut actions),
+            Event::SwitchNoise(switch) => self.latch(RigFault::SwitchNoise(switch), &mut actions),
             Event::LoopOpened => self.latch(RigFault::EStopLoop, &mut actions),
             Event::StrokeDone {
                 stroke,

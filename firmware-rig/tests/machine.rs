@@ -16,7 +16,8 @@ use motion::{
 use protocol::{
     error::Refusal,
     rig::{
-        HomingPhase, LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome, RunRecord,
+        HomingPhase, LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome,
+        RunRecord, Switch,
     },
 };
 
@@ -819,6 +820,7 @@ mod table {
         FlagCloses,
         FlagClosesLate,
         FarLimit,
+        SwitchNoise,
         LoopOpened,
         StrokeDone,
         StrokeMismatch,
@@ -851,12 +853,13 @@ mod table {
         Acknowledge,
     }
 
-    const INPUTS: [Input; 35] = [
+    const INPUTS: [Input; 36] = [
         FlagOpens,
         FlagOpensLate,
         FlagCloses,
         FlagClosesLate,
         FarLimit,
+        SwitchNoise,
         LoopOpened,
         StrokeDone,
         StrokeMismatch,
@@ -895,6 +898,7 @@ mod table {
             Event::Command(command) => inputs_of_command(command),
             Event::FlagEdge { .. } => &[FlagOpens, FlagOpensLate, FlagCloses, FlagClosesLate],
             Event::FarLimit => &[FarLimit],
+            Event::SwitchNoise(_) => &[SwitchNoise],
             Event::LoopOpened => &[LoopOpened],
             Event::StrokeDone { .. } => &[StrokeDone, StrokeMismatch],
             Event::PathEnded(end, _) => match end {
@@ -951,6 +955,7 @@ mod table {
             FlagCloses => flag_edge(false, 800),
             FlagClosesLate => flag_edge(false, 700),
             FarLimit => Event::FarLimit,
+            SwitchNoise => Event::SwitchNoise(Switch::HomeFlag),
             LoopOpened => Event::LoopOpened,
             StrokeDone => stroke_done(1, 0, 0),
             StrokeMismatch => stroke_done(1, 0, 1),
@@ -1278,21 +1283,42 @@ mod table {
     const TABLE: &[(&[Start], &[Input], &str)] = &[
         // Whatever cuts the pulses is latched, at rest as well; the first cause stays.
         (AT_REST, &[FarLimit], "FarLimit Cut Faulted"),
+        (AT_REST, &[SwitchNoise], "SwitchNoise(HomeFlag) Cut Faulted"),
         (AT_REST, &[LoopOpened], "EStopLoop Cut Faulted"),
         (AT_REST, &[EStop], "EStopFrame Cut Faulted"),
         (IN_HOMING, &[FarLimit], "FarLimit Cut Faulted"),
+        (
+            IN_HOMING,
+            &[SwitchNoise],
+            "SwitchNoise(HomeFlag) Cut Faulted",
+        ),
         (IN_HOMING, &[LoopOpened], "EStopLoop Cut Faulted"),
         (IN_HOMING, &[EStop, Cut], "EStopFrame Cut Faulted"),
         (IN_MOVE, &[FarLimit], "FarLimit Cut Faulted"),
+        (IN_MOVE, &[SwitchNoise], "SwitchNoise(HomeFlag) Cut Faulted"),
         (IN_MOVE, &[LoopOpened], "EStopLoop Cut Faulted"),
         (IN_MOVE, &[EStop, Cut], "EStopFrame Cut Faulted"),
         (IN_RUN, &[FarLimit], "FarLimit Cut RunEnded Faulted"),
+        (
+            IN_RUN,
+            &[SwitchNoise],
+            "SwitchNoise(HomeFlag) Cut RunEnded Faulted",
+        ),
         (IN_RUN, &[LoopOpened], "EStopLoop Cut RunEnded Faulted"),
         (IN_RUN, &[EStop, Cut], "EStopFrame Cut RunEnded Faulted"),
         (HELD, &[FarLimit], "FarLimit Cut RunEnded Faulted"),
+        (
+            HELD,
+            &[SwitchNoise],
+            "SwitchNoise(HomeFlag) Cut RunEnded Faulted",
+        ),
         (HELD, &[LoopOpened], "EStopLoop Cut RunEnded Faulted"),
         (HELD, &[EStop], "EStopFrame Cut RunEnded Faulted"),
-        (FAULTED, &[FarLimit, LoopOpened, EStop], "Faulted Cut"),
+        (
+            FAULTED,
+            &[FarLimit, SwitchNoise, LoopOpened, EStop],
+            "Faulted Cut",
+        ),
         // So is every failure of a path.
         (IN_HOMING, &[Underrun], "Underrun Cut Faulted"),
         (IN_HOMING, &[Guard], "WindowGuard Cut Faulted"),

@@ -29,6 +29,10 @@
 //! sent again (same session, same `seq`, same body) is answered from a cache and never executed twice.
 //! [`system::Urgent`] (stop, emergency stop) needs a good CRC and nothing else.
 //!
+//! While the machine moves, the device counts how long its host has been silent. A Hello, a request of the session (a
+//! repeated one, too) and a stop are signs of life. A frame of another session, a body that is no request, and whatever
+//! only devices send, such as an echo on a shorted line, are none.
+//!
 //! # Compatibility
 //!
 //! - `Hello`, `Identity` and `Urgent` keep their encoding forever, so that any tool can name any device and stop it.

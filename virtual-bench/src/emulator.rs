@@ -6,6 +6,7 @@
 //! refer to it.
 
 mod array;
+mod dma;
 mod exti;
 mod map;
 mod timer;
@@ -35,6 +36,8 @@ pub use timer::OutputEdge;
 
 pub use array::CutAt;
 use array::{Array, BUSY, Touched};
+pub use dma::Beats;
+use dma::Paced;
 use exti::{Exti, Syscfg};
 use timer::Watched;
 
@@ -265,6 +268,7 @@ fn on_bench_clock(edges: &mut Vec<OutputEdge>, epoch_ns: u64) -> Vec<OutputEdge>
 struct Slots {
     tim1: usize,
     tim3: usize,
+    dma2: usize,
     exti: usize,
     syscfg: usize,
     flash: usize,
@@ -276,9 +280,11 @@ struct Chip<W> {
     part: Stm32f427,
     tim1: Watched<Advanced>,
     tim3: Watched<General>,
+    dma2: Paced,
     exti: Exti,
     syscfg: Syscfg,
     slots: Slots,
+    options: ChipOptions,
     serial: Arc<Mutex<Serial>>,
     epoch_ns: u64,
     /// When the next look is scheduled, on the emulator's clock.
@@ -289,6 +295,7 @@ struct Chip<W> {
 impl<W: Wiring> Chip<W> {
     fn new(
         wiring: W,
+        options: ChipOptions,
         serial: Arc<Mutex<Serial>>,
         epoch_ns: u64,
     ) -> Result<Self, rigless::soc::Error> {
@@ -301,6 +308,7 @@ impl<W: Wiring> Chip<W> {
         let slots = Slots {
             tim1: bus.slot("TIM1")?,
             tim3: bus.slot("TIM3")?,
+            dma2: bus.slot("DMA2")?,
             exti: bus.slot("EXTI")?,
             syscfg: bus.slot("SYSCFG")?,
             flash: bus.slot("FLASH")?,
@@ -308,6 +316,8 @@ impl<W: Wiring> Chip<W> {
         let mut chip = Self {
             tim1: Watched::new(hollow_advanced(), &[1, 3]),
             tim3: Watched::new(hollow_general(), &[1, 2]),
+            dma2: Paced::new(map::hollow_controller(), None),
+            options,
             part,
             exti: Exti::default(),
             syscfg: Syscfg,
@@ -325,7 +335,9 @@ impl<W: Wiring> Chip<W> {
     /// Installs the bench's own devices in a part that was just reset.
     fn adopt(&mut self) {
         let part = &mut self.part;
-        part.dma = map::controllers();
+        let [dma1, dma2] = map::controllers();
+        part.dma = [dma1, map::hollow_controller()];
+        self.dma2 = Paced::new(dma2, self.options.burst);
         let tim1 = std::mem::replace(&mut part.advanced[TIM1], hollow_advanced());
         let tim3 = std::mem::replace(&mut part.tim[TIM3], hollow_general());
         self.tim1 = Watched::new(tim1, &[1, 3]);
@@ -431,11 +443,12 @@ impl<W: Wiring> Mcu for Chip<W> {
         let Slots {
             tim1,
             tim3,
+            dma2,
             exti,
             syscfg,
             ..
         } = self.slots;
-        if ![tim1, tim3, exti, syscfg].contains(&slot) {
+        if ![tim1, tim3, dma2, exti, syscfg].contains(&slot) {
             return self.part.split(slot);
         }
         let bus = self.part.bus_mut();
@@ -443,6 +456,8 @@ impl<W: Wiring> Mcu for Chip<W> {
             &mut self.tim1
         } else if slot == tim3 {
             &mut self.tim3
+        } else if slot == dma2 {
+            &mut self.dma2
         } else if slot == exti {
             &mut self.exti
         } else {
@@ -485,6 +500,8 @@ pub struct ChipOptions {
     pub instructions_per_second: u64,
     /// The chip's unique number.
     pub uid: [u8; 12],
+    /// How long the bursts of the step timer take; none = no time, which is quicker to emulate.
+    pub burst: Option<Beats>,
 }
 
 impl Default for ChipOptions {
@@ -493,6 +510,7 @@ impl Default for ChipOptions {
             core_hz: 100_000_000,
             instructions_per_second: 65_000_000,
             uid: *b"virtual rig\0",
+            burst: None,
         }
     }
 }
@@ -526,7 +544,7 @@ impl<W: Wiring> Emulator<W> {
         serial: Arc<Mutex<Serial>>,
         epoch_ns: u64,
     ) -> Result<Self, rigless::soc::Error> {
-        let chip = Chip::new(wiring, serial, epoch_ns)?;
+        let chip = Chip::new(wiring, options, serial, epoch_ns)?;
         let peripherals: Vec<_> = chip.bus().peripherals().copied().collect();
         let bus = Bus::builder(chip.bus().cpu(), &map::MEMORY, peripherals).build()?;
         Ok(Self {

@@ -27,6 +27,8 @@ pub struct Serial {
     /// Whether the machine's pins carry its serial output and input.
     pub(crate) sends: bool,
     pub(crate) hears: bool,
+    /// TX and RX touch: the machine hears what it sends.
+    pub echo: bool,
     sent: u64,
     taken: u64,
     /// When the machine began to receive the host's last byte, ns.
@@ -110,6 +112,9 @@ impl Serial {
         self.sent += 1;
         if !self.sends {
             return;
+        }
+        if self.echo {
+            self.to_machine.push_back(byte);
         }
         match fault(&self.faults_from_machine, number) {
             None => self.from_machine.push((at_ns, byte)),

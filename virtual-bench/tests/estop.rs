@@ -57,6 +57,9 @@ fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
             (within, number),
             "{what}"
         );
+        // What was prepared beyond the cut is told apart.
+        assert_eq!(record.commanded_edges, within, "{what}");
+        assert!(record.prepared_edges >= within, "{what}");
         places.insert(carriage);
         let now_ns = rig.bench.now_ns();
         rig.look(move |rig| rig.act(Action::EStop(false), now_ns));

@@ -6,13 +6,16 @@ use common::{Dice, LIMIT_NS, Recorder, RigRun, exact, home_quickly, paper, quick
 use host_tool::{
     client::{Device, Unobserved},
     error::ClientError,
+    link::Link,
 };
 use protocol::{
+    frame::{Header, Kind, encode},
     rig::{
         Direction, Hold, Jog, LinkLossPolicy, MoveTo, Resume, RigFault, RigState, Run, RunOutcome,
         RunRecord,
     },
-    system::{DeviceKind, Urgent},
+    system::{DeviceKind, KeepAlive, Urgent},
+    table::Request,
 };
 use virtual_bench::{link::VirtualLink, serial::ByteFault, verdicts::Verdict};
 
@@ -263,4 +266,79 @@ fn resumed(rig: &mut RigRun) {
         (record.outcome, record.counted_edges, rig.carriage()),
         (RunOutcome::Complete, 64_000, 0)
     );
+}
+
+/// What reaches a rig whose host is gone.
+#[derive(Clone, Copy, Debug)]
+enum Heard {
+    /// Its own telemetry, on a line whose TX and RX touch.
+    Echo,
+    /// A host that was left behind by a newer session.
+    OldSession,
+    /// Frames with a good checksum around something that is no request.
+    Nonsense,
+    /// Replies, as another device would send them.
+    Replies,
+}
+
+/// Only a request of the session, or a stop, shows that the host is there.
+#[test]
+fn what_is_no_host_does_not_keep_a_run_going() {
+    for heard in [
+        Heard::Echo,
+        Heard::OldSession,
+        Heard::Nonsense,
+        Heard::Replies,
+    ] {
+        let mut rig = rig();
+        home_quickly(&mut rig);
+        rig.home();
+        let session = rig.device.identity().expect("connected").session;
+        let (kind, session) = match heard {
+            Heard::Echo | Heard::Nonsense => (Kind::Request, session),
+            Heard::OldSession => (Kind::Request, session.wrapping_sub(1)),
+            Heard::Replies => (Kind::Reply, session),
+        };
+        rig.device.set_telemetry(5).expect("telemetry");
+        let run = Run {
+            link_loss: LinkLossPolicy::Stop,
+            ..quick(200, 20_000, 40_000, 500_000)
+        };
+        rig.device.run(run).expect("accepted");
+        let echo = matches!(heard, Heard::Echo);
+        rig.bench
+            .visit(move |visit| visit.serial().echo = echo)
+            .expect("the bench runs");
+        let mut line = VirtualLink::new(&rig.bench, "somebody else");
+        // The time-out is 1 s.
+        for seq in 0..15 {
+            if !echo {
+                let header = Header {
+                    kind,
+                    session,
+                    seq: 1_000 + seq,
+                };
+                let frame = match heard {
+                    Heard::OldSession => encode(header, &Request::KeepAlive(KeepAlive)),
+                    _ => encode(header, &[0xFF_u8; 3]),
+                };
+                line.send(&frame.expect("fits")).expect("sent");
+            }
+            rig.bench.advance_us(100_000).expect("the bench runs");
+        }
+        let edges = rig.edge_count();
+        rig.bench
+            .visit(|visit| visit.serial().echo = false)
+            .expect("the bench runs");
+        rig.bench.advance_us(200_000).expect("the bench runs");
+        assert_eq!(
+            rig.edge_count(),
+            edges,
+            "{heard:?}: it goes on without its host"
+        );
+        rig.device.hello(77).expect("it answers");
+        let record = rig.device.run_record().expect("a record");
+        assert_eq!(record.outcome, RunOutcome::LinkLost, "{heard:?}");
+        rig.check_clean(0);
+    }
 }

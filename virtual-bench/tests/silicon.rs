@@ -2,9 +2,22 @@
 
 mod common;
 
-use common::{LIMIT_NS, RigRun, exact, execute, homed, paper};
-use protocol::rig::RigState;
-use virtual_bench::verdicts::Verdict;
+use common::{
+    Dice, LIMIT_NS, RigRun, exact, execute, home_quickly, homed, paper, quick, rig, start,
+};
+use host_tool::client::Unobserved;
+use protocol::{
+    rig::{GetRigHealth, Hold, RigFault, RigState, Run, RunOutcome},
+    system::Urgent,
+};
+use virtual_bench::{
+    bench::BenchOptions,
+    boards::rig as board,
+    emulator::Beats,
+    faults::When,
+    plants::rig::{Action, RigOptions, Switch},
+    verdicts::Verdict,
+};
 
 fn state(rig: &mut RigRun) -> RigState {
     rig.device.rig_status().expect("a status").state
@@ -21,4 +34,287 @@ fn a_start_waits_until_moe_reads_back() {
         .unwrap_or_else(|why| panic!("{why}"));
     assert_eq!(state(&mut rig), RigState::Ready);
     rig.check_clean(0);
+}
+
+fn at_home() -> RigRun {
+    let mut rig = rig();
+    home_quickly(&mut rig);
+    rig.home();
+    rig
+}
+
+fn acts(rig: &RigRun, action: Action) {
+    let now_ns = rig.bench.now_ns();
+    rig.look(move |rig| rig.act(action, now_ns));
+}
+
+fn idle(rig: &mut RigRun, us: u64) {
+    rig.device
+        .idle(us, &mut Unobserved)
+        .expect("the link stays");
+}
+
+/// A fault is latched, by the loop, and nothing moves until it is acknowledged.
+fn loop_is_latched(rig: &mut RigRun, what: &str) {
+    idle(rig, 20_000);
+    let status = rig.device.rig_status().expect(what);
+    assert_eq!(status.fault, Some(RigFault::EStopLoop), "{what}");
+    let edges = rig.edge_count();
+    assert!(rig.device.home().is_err(), "{what}");
+    idle(rig, 20_000);
+    assert_eq!(rig.edge_count(), edges, "{what}: it moved");
+    rig.device.acknowledge().expect(what);
+}
+
+const OPENINGS_NS: [u64; 6] = [1_000, 10_000, 200_000, 1_000_000, 5_000_000, 10_000_000];
+
+/// Item 19: the loop's opening is latched however short it is and whatever the rig does. Its level is only asked every 10 ms.
+#[test]
+fn every_opening_of_the_loop_is_latched() {
+    let mut rig = rig();
+    home_quickly(&mut rig);
+    // Not homed, at many phases of control's round.
+    for width_ns in OPENINGS_NS {
+        for phase_us in (500..10_500).step_by(1_700) {
+            idle(&mut rig, phase_us);
+            acts(&rig, Action::Disturb(Switch::EStop, width_ns));
+            loop_is_latched(&mut rig, &format!("not homed, {width_ns} ns"));
+        }
+    }
+    for width_ns in OPENINGS_NS {
+        rig.home();
+        idle(&mut rig, 3_300);
+        acts(&rig, Action::Disturb(Switch::EStop, width_ns));
+        loop_is_latched(&mut rig, &format!("ready, {width_ns} ns"));
+        // Held.
+        rig.home();
+        let run = quick(2, 20_000, 20_000, 500_000);
+        let accepted = rig.device.run(run).expect("accepted");
+        idle(&mut rig, 100_000);
+        rig.device.call(Hold).expect("it moves");
+        rig.device.wait_rest().expect("it rests");
+        acts(&rig, Action::Disturb(Switch::EStop, width_ns));
+        loop_is_latched(&mut rig, &format!("held, {width_ns} ns"));
+        let record = rig.device.run_record().expect("a record");
+        let fault = RunOutcome::Faulted(RigFault::EStopLoop);
+        assert_eq!((record.run, record.outcome), (accepted.run, fault));
+    }
+    // After another fault: that one stays the first cause, and one acknowledgement clears both.
+    rig.device.urgent(Urgent::EStop).expect("it stops");
+    idle(&mut rig, 20_000);
+    acts(&rig, Action::Disturb(Switch::EStop, 200_000));
+    idle(&mut rig, 20_000);
+    let status = rig.device.rig_status().expect("a status");
+    assert_eq!(status.fault, Some(RigFault::EStopFrame));
+    rig.device.acknowledge().expect("the loop is closed");
+    rig.home();
+    rig.check_clean_after(0, 0);
+}
+
+/// Item 19: a press of 1 ms that ends before the first step, at 40 instants from the order on.
+#[test]
+fn a_press_before_the_first_step_lets_nothing_start() {
+    let mut rig = at_home();
+    for trial in 0..40 {
+        let edges = rig.edge_count();
+        let run = Run {
+            start_delay_us: 12_000,
+            ..quick(1, 2_000, 20_000, 500_000)
+        };
+        // The request takes some 3 ms on the line; the outputs are armed soon after it, the first step comes 12 ms later.
+        let at_ns = rig.bench.now_ns() + trial * 150_000;
+        rig.look(move |rig| rig.plan(When::At(at_ns), Action::Disturb(Switch::EStop, 1_000_000)));
+        let what = format!("trial {trial}");
+        if let Ok(accepted) = rig.device.run(run) {
+            let record = rig
+                .device
+                .wait_run(&accepted, &mut Unobserved)
+                .expect(&what);
+            let fault = RunOutcome::Faulted(RigFault::EStopLoop);
+            assert_eq!(record.outcome, fault, "{what}");
+        }
+        assert_eq!(rig.edge_count(), edges, "{what}: it moved");
+        loop_is_latched(&mut rig, &what);
+        rig.home();
+    }
+}
+
+/// Item 20: what is only prepared has not left the pin. The record of a cut run has the steps that did, and when.
+#[test]
+fn the_record_of_a_cut_run_shows_what_left_the_pin() {
+    let mut rig = at_home();
+    // From the start to the first step, by a run that nothing ends.
+    let ran = |rig: &mut RigRun, cut: Option<(u64, Action)>| {
+        let edges = rig.edge_count();
+        if let Some((within, action)) = cut {
+            let edge = When::Edge(edges as u64 + within);
+            rig.look(move |rig| rig.plan(edge, action));
+        }
+        let (_, record) = execute(rig, paper(1));
+        let log = rig.edges(edges);
+        let at: Vec<u64> = log.iter().map(|edge| edge.at_ns).collect();
+        let lasted_ns = at[at.len() - 1] - at[0];
+        (record, log.len() as u64, record.ticks * 10 - lasted_ns)
+    };
+    let (whole, edges, first_ns) = ran(&mut rig, None);
+    assert_eq!(
+        (whole.commanded_edges, whole.prepared_edges),
+        (edges, edges)
+    );
+    for within in [1, 43_297, 104_000, 104_001, 150_000] {
+        let open = Action::Disturb(Switch::EStop, 2_000_000);
+        let (record, edges, first) = ran(&mut rig, Some((within, open)));
+        let what = format!("edge {within}: {record:?}");
+        assert_eq!(edges, within, "{what}");
+        assert_eq!(record.outcome, RunOutcome::Faulted(RigFault::EStopLoop));
+        assert_eq!(
+            (record.commanded_edges, record.counted_edges),
+            (within, within),
+            "{what}"
+        );
+        assert_eq!(
+            u64::from(record.max_steps.unsigned_abs()),
+            within.min(104_000),
+            "{what}"
+        );
+        assert!(first.abs_diff(first_ns) <= 10, "{first} {first_ns}: {what}");
+        assert!(
+            (within..within + 400).contains(&record.prepared_edges),
+            "{what}"
+        );
+        rig.device.acknowledge().expect("the loop is closed");
+        rig.home();
+    }
+    rig.check_clean_after(0, 5);
+}
+
+/// Item 18: a stroke is complete with its last step, not after the dwell that follows.
+#[test]
+fn a_stroke_is_done_with_its_last_step() {
+    let dwelling = Run {
+        far_dwell_us: 2_000_000,
+        ..quick(1, 5_000, 20_000, 500_000)
+    };
+    for end in [None, Some(Urgent::Stop), Some(Urgent::EStop)] {
+        let mut rig = at_home();
+        let edges = rig.edge_count();
+        let accepted = rig.device.run(dwelling).expect("accepted");
+        while rig.edge_count() - edges < 4_000 {
+            rig.bench.advance_us(500).expect("the bench runs");
+        }
+        rig.bench.advance_us(4_000).expect("the bench runs");
+        let status = rig.device.rig_status().expect("a status");
+        assert_eq!(
+            (status.state, status.stroke),
+            (RigState::Running, 1),
+            "{end:?}"
+        );
+        let record = rig.device.run_record().expect("a record");
+        assert_eq!((record.strokes, record.commanded_edges), (1, 4_000));
+        idle(&mut rig, 500_000);
+        if let Some(urgent) = end {
+            rig.device.urgent(urgent).expect("it stops");
+        }
+        let record = rig
+            .device
+            .wait_run(&accepted, &mut Unobserved)
+            .expect("a record");
+        let strokes = if end.is_some() { 1 } else { 2 };
+        assert_eq!(record.strokes, strokes, "{end:?}: {record:?}");
+        assert_eq!(rig.edge_count() - edges, strokes as usize * 4_000);
+    }
+}
+
+/// Item 8: noise of 1 MHz on a switch's line, in a run and on either line. The rig answers all the time, every step up to the
+/// end is where it belongs, and the end has a name.
+#[test]
+fn noise_of_1_mhz_on_a_switch_starves_nothing() {
+    for switch in [Switch::Home, Switch::Far] {
+        let mut rig = homed();
+        let edges = rig.edge_count();
+        let edge = When::Edge(edges as u64 + 20_000);
+        rig.look(move |rig| rig.plan(edge, Action::Noise(switch, Some(500))));
+        let accepted = rig.device.run(paper(1)).expect("accepted");
+        while rig.edge_count() - edges < 20_000 {
+            idle(&mut rig, 2_000);
+        }
+        // While it lasts, a status takes no longer than 100 ms.
+        for _ in 0..4 {
+            let asked_us = rig.device.now_us();
+            rig.device.rig_status().expect("a status");
+            let took_us = rig.device.now_us() - asked_us;
+            assert!(took_us < 100_000, "{switch:?}: {took_us} us");
+            idle(&mut rig, 20_000);
+        }
+        let now_ns = rig.bench.now_ns();
+        rig.look(move |rig| rig.act(Action::Noise(switch, None), now_ns));
+        let record = rig
+            .device
+            .wait_run(&accepted, &mut Unobserved)
+            .expect("a record");
+        let named = match record.outcome {
+            RunOutcome::Complete => true,
+            RunOutcome::Faulted(RigFault::SwitchNoise(_)) => true,
+            RunOutcome::Faulted(RigFault::FarLimit) => switch == Switch::Far,
+            _ => false,
+        };
+        assert!(named, "{switch:?}: {record:?}\n{}", rig.log());
+        let verdict = Verdict::of(&exact(1), &rig.edges(edges));
+        assert!(verdict.worst.0 <= LIMIT_NS, "{switch:?}: {verdict}");
+        assert_eq!(verdict.wrong_direction, 0, "{switch:?}");
+        assert_eq!(
+            i64::from(rig.device.rig_status().expect("a status").position_steps),
+            rig.carriage()
+        );
+        let health = rig.device.call(GetRigHealth).expect("it answers");
+        let masked = [health.home_flag.masked, health.far_limit.masked];
+        assert!(
+            masked[usize::from(switch == Switch::Far)] > 0
+                || record.outcome != RunOutcome::Complete,
+            "{health:?}"
+        );
+        assert!(health.control_late_us < 20_000, "{health:?}");
+        rig.check_clean_after(0, 1);
+    }
+}
+
+/// Item 5: on a chip the five words of a burst come one after the other, and a stop may come between any two. Whatever it
+/// leaves behind, the next path's words go where they belong.
+#[test]
+fn a_halt_within_a_burst_shifts_no_word() {
+    let seed = 0x5EED_0B57;
+    let mut dice = Dice(seed);
+    let mut options = BenchOptions::new(board::image());
+    options.chip.burst = Some(Beats {
+        first_ns: 500,
+        apart_ns: 2_000,
+    });
+    let mut rig = start(RigOptions::default(), options);
+    home_quickly(&mut rig);
+    rig.home();
+    for trial in 0..30 {
+        let run = quick(1, 4_000, 40_000, 2_000_000);
+        let at_ns = rig.bench.now_ns() + dice.roll(20_000_000..90_000_000);
+        rig.look(move |rig| rig.plan(When::At(at_ns), Action::Disturb(Switch::EStop, 1_000_000)));
+        let what = format!("seed {seed:#x}, trial {trial}");
+        let accepted = rig.device.run(run).expect(&what);
+        let record = rig
+            .device
+            .wait_run(&accepted, &mut Unobserved)
+            .expect(&what);
+        assert_eq!(
+            record.outcome,
+            RunOutcome::Faulted(RigFault::EStopLoop),
+            "{what}"
+        );
+        idle(&mut rig, 5_000);
+        rig.device.acknowledge().expect(&what);
+        rig.home();
+        let edges = rig.edge_count();
+        let (_, record) = execute(&mut rig, quick(1, 1_000, 20_000, 2_000_000));
+        let complete = (record.outcome, record.counted_edges);
+        assert_eq!(complete, (RunOutcome::Complete, 1_600), "{what}");
+        assert_eq!(rig.edge_count() - edges, 1_600, "{what}");
+    }
+    rig.check_clean_after(0, 30);
 }

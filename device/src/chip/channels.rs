@@ -23,8 +23,8 @@ pub static TELEMETRY_MS: AtomicU16 = AtomicU16::new(0);
 pub static TELEMETRY_CHANGED: Signal<Raw, ()> = Signal::new();
 /// Present session, for frames that nobody asked for. Set by link.
 pub static SESSION: AtomicU8 = AtomicU8::new(0);
-/// Low 32 bits of the time of the last good frame, us. Set by link, read by control.
-pub static LAST_FRAME_US: AtomicU32 = AtomicU32::new(0);
+/// Low 32 bits of the time of the host's last sign of life, us. Set by link, read by control.
+pub static LAST_SIGN_US: AtomicU32 = AtomicU32::new(0);
 /// Receptions that failed. Set by link.
 pub static UART_ERRORS: AtomicU32 = AtomicU32::new(0);
 /// Blocks of bytes that were no good frames. Set by link.

@@ -1,7 +1,7 @@
 //! The serial link: bytes to the service, its questions to control, frames to the port.
 
 use super::{
-    channels::{BAD_FRAMES, LAST_FRAME_US, OUTBOUND, REPLIES, REQUESTS, SESSION, UART_ERRORS},
+    channels::{BAD_FRAMES, LAST_SIGN_US, OUTBOUND, REPLIES, REQUESTS, SESSION, UART_ERRORS},
     watchdog::{CHECK_IN, check_in},
 };
 use crate::{
@@ -47,13 +47,15 @@ pub async fn receive(
         };
         BAD_FRAMES.store(service.bad_frames(), Ordering::Relaxed);
         for byte in &buffer[..count] {
-            let Some(incoming) = service.receive(*byte) else {
+            let Some(received) = service.receive(*byte) else {
                 continue;
             };
-            LAST_FRAME_US.store(Instant::now().as_micros() as u32, Ordering::Relaxed);
+            if received.is_sign_of_life {
+                LAST_SIGN_US.store(Instant::now().as_micros() as u32, Ordering::Relaxed);
+            }
             SESSION.store(service.session(), Ordering::Relaxed);
             // One way out: each `await` is a copy of the state, so there are few.
-            let frame = match incoming {
+            let frame = match received.incoming {
                 Incoming::Send(frame) => Some(frame),
                 Incoming::Ask(inbound, to) => {
                     if let Inbound::Urgent(urgent) = inbound {

@@ -1,7 +1,7 @@
 //! What surrounds control on the chip.
 
 use super::{
-    channels::{LAST_FRAME_US, TELEMETRY_CHANGED, TELEMETRY_MS, send_event},
+    channels::{LAST_SIGN_US, TELEMETRY_CHANGED, TELEMETRY_MS, send_event},
     retained, start,
 };
 use crate::{common::Surroundings, retained::EStop};
@@ -23,7 +23,7 @@ impl<M: OnChip> Surroundings for M {
 
     fn silence_us(&self) -> u32 {
         // Of the low 32 bits: right up to 71 minutes, then it begins again.
-        (self.now_us() as u32).wrapping_sub(LAST_FRAME_US.load(Ordering::Relaxed))
+        (self.now_us() as u32).wrapping_sub(LAST_SIGN_US.load(Ordering::Relaxed))
     }
 
     fn set_telemetry(&mut self, period_ms: u16) {

@@ -45,6 +45,7 @@ pub static HOME_FLAG_OPEN: AtomicBool = AtomicBool::new(false);
 pub struct Glitches {
     count: AtomicU32,
     last_us: AtomicU32,
+    masked: AtomicU32,
 }
 
 impl Glitches {
@@ -52,6 +53,7 @@ impl Glitches {
         Self {
             count: AtomicU32::new(0),
             last_us: AtomicU32::new(0),
+            masked: AtomicU32::new(0),
         }
     }
 
@@ -62,12 +64,17 @@ impl Glitches {
         self.last_us.store(now, Ordering::Relaxed);
     }
 
+    /// The line was masked once more.
+    pub fn add_masking(&self) {
+        self.masked.fetch_add(1, Ordering::Relaxed);
+    }
+
     /// As on the wire.
     pub fn get(&self) -> protocol::rig::Glitches {
         protocol::rig::Glitches {
             count: self.count.load(Ordering::Relaxed),
             last_us: self.last_us.load(Ordering::Relaxed),
-            masked: 0,
+            masked: self.masked.load(Ordering::Relaxed),
         }
     }
 }

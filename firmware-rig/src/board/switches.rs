@@ -2,7 +2,8 @@
 //!
 //! The handler samples the contact for 21 us (a setting) after the edge. Shorter pulses (electrical noise of the motor) are
 //! counted and have no effect; a contact that stays open stops the pulses 21 us after its edge, within 50 us at the
-//! longest setting and two sampling windows. A pulse that ends and begins again raises the next interrupt.
+//! longest setting and two sampling windows. A pulse that ends and begins again raises the next interrupt, but a noisy line
+//! only so often: then it is masked for a millisecond, so that it starves neither motion nor link.
 
 #![allow(unsafe_code)]
 
@@ -11,7 +12,7 @@ use super::{
     pins::{self, FAR_LINE, HOME_LINE},
     step_generator,
 };
-use core::sync::atomic::Ordering;
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use embassy_stm32::{
     interrupt,
     pac::{self, EXTI},
@@ -19,9 +20,90 @@ use embassy_stm32::{
 use embassy_time::Instant;
 use firmware_rig::machine::Event;
 use motion::axis::Direction;
+use protocol::rig::Switch;
 
-/// A contact that is still bouncing after this many sampling windows counts as open: the safe side.
+/// A contact that is still bouncing after this many sampling windows has no level.
 const WINDOWS: u32 = 2;
+/// A line that changes more often than this within a millisecond is masked for a millisecond. With the longest filter
+/// three services take 15 % of the processor.
+const SERVICES_PER_MS: u32 = 3;
+const MASKED_US: u32 = 1_000;
+/// A line that is masked more often than this within 100 ms cannot be watched: a fault.
+const MASKINGS_PER_100_MS: u32 = 20;
+
+/// How busy a line keeps its interrupt. Changed by the interrupt only, but for `masked_at_us`.
+struct Watch {
+    line: usize,
+    since_us: AtomicU32,
+    services: AtomicU32,
+    masked_since_us: AtomicU32,
+    maskings: AtomicU32,
+    /// The line is masked since then.
+    masked_at_us: AtomicU32,
+    is_masked: AtomicBool,
+}
+
+impl Watch {
+    const fn new(line: usize) -> Self {
+        Self {
+            line,
+            since_us: AtomicU32::new(0),
+            services: AtomicU32::new(0),
+            masked_since_us: AtomicU32::new(0),
+            maskings: AtomicU32::new(0),
+            masked_at_us: AtomicU32::new(0),
+            is_masked: AtomicBool::new(false),
+        }
+    }
+
+    /// Notes a service; masks the line if there were too many. True if it had to be masked too often.
+    fn serve(&self) -> bool {
+        if count_within(&self.since_us, &self.services, 1_000) <= SERVICES_PER_MS {
+            return false;
+        }
+        EXTI.imr(0).modify(|w| w.set_line(self.line, false));
+        self.masked_at_us.store(now_us(), Ordering::Relaxed);
+        self.is_masked.store(true, Ordering::Release);
+        count_within(&self.masked_since_us, &self.maskings, 100_000) > MASKINGS_PER_100_MS
+    }
+
+    /// Watches the line again when its time is over, beginning with a look at its level.
+    fn unmask_when_due(&self) {
+        let masked_us = now_us().wrapping_sub(self.masked_at_us.load(Ordering::Relaxed));
+        if self.is_masked.load(Ordering::Acquire) && masked_us >= MASKED_US {
+            self.is_masked.store(false, Ordering::Relaxed);
+            cortex_m::interrupt::free(|_| {
+                EXTI.pr(0).write(|w| w.set_line(self.line, true));
+                EXTI.imr(0).modify(|w| w.set_line(self.line, true));
+                EXTI.swier(0).write(|w| w.set_line(self.line, true));
+            });
+        }
+    }
+}
+
+/// Home flag and far limit, in the order of [`channels::GLITCHES`].
+static WATCHES: [Watch; 2] = [Watch::new(HOME_LINE), Watch::new(FAR_LINE)];
+
+fn now_us() -> u32 {
+    Instant::now().as_micros() as u32
+}
+
+/// How many there were since a window of this length began, this one included.
+fn count_within(since_us: &AtomicU32, count: &AtomicU32, window_us: u32) -> u32 {
+    let now_us = now_us();
+    let mut number = count.load(Ordering::Relaxed);
+    if now_us.wrapping_sub(since_us.load(Ordering::Relaxed)) >= window_us {
+        since_us.store(now_us, Ordering::Relaxed);
+        number = 0;
+    }
+    count.store(number + 1, Ordering::Relaxed);
+    number + 1
+}
+
+/// Watches noisy lines again whose time is over. Every 10 ms, and every 2 ms while something moves.
+pub fn tend() {
+    WATCHES.iter().for_each(Watch::unmask_when_due);
+}
 
 #[pac::interrupt]
 fn EXTI9_5() {
@@ -29,24 +111,43 @@ fn EXTI9_5() {
     let count = step_generator::counted();
     let pending = EXTI.pr(0).read();
     if pending.line(FAR_LINE) {
-        let open = settle(FAR_LINE, 1, false, || pins::inputs().far_limit);
-        if open && pins::direction() == Direction::Away && step_generator::is_armed() {
+        let level = settle(FAR_LINE, 1, false, || pins::inputs().far_limit);
+        // Without a level it counts as open: the safe side.
+        if level.unwrap_or(true) && pins::direction() == Direction::Away {
+            let armed = step_generator::is_armed();
             pins::cut_pulses();
-            channels::pulses_were_cut(Event::FarLimit);
+            if armed {
+                channels::pulses_were_cut(Event::FarLimit);
+            }
         }
+        watch(1, Switch::FarLimit);
     }
     if pending.line(HOME_LINE) {
         let before = channels::HOME_FLAG_OPEN.load(Ordering::Relaxed);
-        let opening = settle(HOME_LINE, 0, before, || pins::inputs().home_flag);
-        if opening != before {
+        let level = settle(HOME_LINE, 0, before, || pins::inputs().home_flag);
+        // Without a level there is no edge to measure by.
+        if let Some(opening) = level.filter(|opening| *opening != before) {
             channels::HOME_FLAG_OPEN.store(opening, Ordering::Relaxed);
             let _ = channels::NOTICES.try_send(Event::FlagEdge { opening, count });
         }
+        watch(0, Switch::HomeFlag);
     }
 }
 
-/// Samples a contact until it keeps its level for a whole window; counts the pulses that did not last.
-fn settle(line: usize, counter: usize, before: bool, level: impl Fn() -> bool) -> bool {
+fn watch(index: usize, switch: Switch) {
+    let too_often = WATCHES[index].serve();
+    if WATCHES[index].is_masked.load(Ordering::Relaxed) {
+        channels::GLITCHES[index].add_masking();
+    }
+    if too_often {
+        pins::cut_pulses();
+        channels::pulses_were_cut(Event::SwitchNoise(switch));
+    }
+}
+
+/// Samples a contact until it keeps its level for a whole window; counts the pulses that did not last. None if it does
+/// not come to rest.
+fn settle(line: usize, counter: usize, before: bool, level: impl Fn() -> bool) -> Option<bool> {
     let window_us = u64::from(channels::SWITCH_FILTER_US.load(Ordering::Relaxed));
     for window in 0..WINDOWS {
         EXTI.pr(0).write(|w| w.set_line(line, true));
@@ -61,9 +162,9 @@ fn settle(line: usize, counter: usize, before: bool, level: impl Fn() -> bool) -
             if window == 0 && first == before {
                 channels::GLITCHES[counter].add();
             }
-            return first;
+            return Some(first);
         }
         channels::GLITCHES[counter].add();
     }
-    true
+    None
 }

@@ -7,6 +7,7 @@ use super::{
     },
     pins,
     step_generator::{self, StepGenerator},
+    switches,
 };
 use core::sync::atomic::Ordering;
 use device::{
@@ -57,6 +58,7 @@ pub async fn motion(mut generator: StepGenerator) -> ! {
         };
         // Either way there is something to do.
         let _ = with_timeout(wait, MOTION_WAKE.wait()).await;
+        switches::tend();
         motion.round(&mut generator, &mut MotionMailbox);
     }
 }
@@ -72,7 +74,10 @@ pub async fn control(sectors: Sectors, left: Retained, cause: ResetCause) -> ! {
         match select3(NOTICES.receive(), REQUESTS.wait(), ticker.next()).await {
             Either3::First(event) => control.event(event),
             Either3::Second(inbound) => REPLIES.signal(control.answer(inbound)),
-            Either3::Third(()) => control.tick(),
+            Either3::Third(()) => {
+                switches::tend();
+                control.tick();
+            }
         }
     }
 }

@@ -329,11 +329,12 @@ impl Machine {
     /// Bytes reach the device's port.
     fn receive(&mut self, bytes: &[u8]) {
         for byte in bytes {
-            let Some(incoming) = self.service.receive(*byte) else {
+            let Some(received) = self.service.receive(*byte) else {
                 continue;
             };
-            self.port.hear(self.service.session());
-            let frame = match incoming {
+            self.port
+                .hear(self.service.session(), received.is_sign_of_life);
+            let frame = match received.incoming {
                 Incoming::Send(frame) => Some(frame),
                 Incoming::Ask(inbound, to) => {
                     self.note(&inbound);

@@ -87,9 +87,12 @@ impl Port {
     }
 
     /// A good frame of this session has come.
-    pub fn hear(&self, session: u8) {
+    pub fn hear(&self, session: u8, is_sign_of_life: bool) {
         let mut state = self.state();
-        (state.session, state.heard_us) = (session, state.now_us);
+        state.session = session;
+        if is_sign_of_life {
+            state.heard_us = state.now_us;
+        }
     }
 
     pub fn reply(&self, frame: Encoded) {

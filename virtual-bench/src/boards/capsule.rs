@@ -149,6 +149,7 @@ pub fn start(capsule: CapsuleOptions) -> Result<Bench<CapsuleBoard>, BenchError>
         core_hz: 16_000_000,
         instructions_per_second: 10_400_000,
         uid: *b"virtual caps",
+        ..ChipOptions::default()
     };
     Bench::start(CapsuleBoard::new(Capsule::new(capsule)), options)
 }

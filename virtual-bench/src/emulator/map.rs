@@ -111,6 +111,11 @@ pub(super) fn controllers() -> [Dma; 2] {
     ]
 }
 
+/// What stands in the part for a controller of the bench's own.
+pub(super) fn hollow_controller() -> Dma {
+    Dma::new(&[], &[], true)
+}
+
 /// The factory's data: the 96-bit unique number at 0x1FFF_7A10 and the flash size in KiB at 0x1FFF_7A22
 /// (RM0383 section 24), and the calibration of reference and temperature sensor (DS10314 table 70 and 76).
 pub(super) fn factory_image(uid: [u8; 12]) -> Result<Image, rigless::image::Error> {

@@ -18,6 +18,15 @@ pub struct Contact {
     bounce: Option<Bounce>,
     /// Changes to come: instant in ns, and whether it opens.
     coming: Vec<(u64, bool)>,
+    noise: Option<Noise>,
+}
+
+/// A level that toggles on the wire, whatever the contact does.
+#[derive(Clone, Copy, Debug)]
+struct Noise {
+    half_period_ns: u64,
+    next_ns: u64,
+    high: bool,
 }
 
 impl Contact {
@@ -30,13 +39,24 @@ impl Contact {
             stuck: None,
             bounce: None,
             coming: Vec::new(),
+            noise: None,
         }
     }
 
     /// Whether it is open now.
     #[must_use]
     pub fn is_open(&self) -> bool {
-        self.stuck.unwrap_or(self.open)
+        let level = self.noise.map_or(self.open, |noise| noise.high);
+        self.stuck.unwrap_or(level)
+    }
+
+    /// Puts noise on its wire that toggles at this interval, or takes it off.
+    pub fn set_noise(&mut self, half_period_ns: Option<u64>, at_ns: u64) {
+        self.noise = half_period_ns.map(|half_period_ns| Noise {
+            half_period_ns,
+            next_ns: at_ns + half_period_ns,
+            high: !self.open,
+        });
     }
 
     /// Actuates or releases it.
@@ -74,6 +94,10 @@ impl Contact {
 
     /// Makes the changes that are due by `now_ns`.
     pub fn advance(&mut self, now_ns: u64) {
+        while let Some(noise) = self.noise.as_mut().filter(|noise| noise.next_ns <= now_ns) {
+            noise.next_ns += noise.half_period_ns;
+            noise.high = !noise.high;
+        }
         while let Some(&(at, open)) = self.coming.first() {
             if at > now_ns {
                 break;
@@ -86,7 +110,9 @@ impl Contact {
     /// When it next changes by itself, ns.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {
-        self.coming.first().map(|&(at, _)| at)
+        let change = self.coming.first().map(|&(at, _)| at);
+        let noise = self.noise.map(|noise| noise.next_ns);
+        change.into_iter().chain(noise).min()
     }
 }
 

@@ -89,6 +89,8 @@ pub enum Action {
     Bounce(Switch, Option<Bounce>),
     /// Inject a pulse of this width in ns on a contact's wire.
     Disturb(Switch, u64),
+    /// Put noise on a contact's wire that toggles at this interval in ns, or take it off.
+    Noise(Switch, Option<u64>),
     /// Make the motor ignore this many steps.
     LoseSteps(u64),
 }
@@ -281,6 +283,9 @@ impl Rig {
             Action::Stick(switch, open) => self.contact(switch).stick(open),
             Action::Bounce(switch, bounce) => self.contact(switch).set_bounce(bounce),
             Action::Disturb(switch, width_ns) => self.contact(switch).disturb(at_ns, width_ns),
+            Action::Noise(switch, half_period_ns) => {
+                self.contact(switch).set_noise(half_period_ns, at_ns);
+            }
             Action::LoseSteps(steps) => self.lose += steps,
         }
     }

@@ -64,7 +64,7 @@ pub fn rig_from_flash(flash: Vec<u8>) -> RigRun {
     start(RigOptions::default(), options)
 }
 
-fn start(rig: RigOptions, options: BenchOptions) -> RigRun {
+pub fn start(rig: RigOptions, options: BenchOptions) -> RigRun {
     let board = RigBoard::new(Rig::new(rig));
     let bench = Bench::start(board, options).expect("the image boots");
     let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
