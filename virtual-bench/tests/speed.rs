@@ -2,13 +2,16 @@
 
 mod common;
 
-use common::{LIMIT_NS, RigRun, homed, paper, rig_as_quick_as};
+use common::{LIMIT_NS, RigRun, homed, paper, start};
 use host_tool::client::Unobserved;
 use protocol::{
-    rig::{GetRigHealth, RigFault, Run, RunTiming},
+    rig::{GetRigHealth, RigFault, Run, RunOutcome, RunTiming},
     settings::{Setting, SettingKey},
 };
 use virtual_bench::{
+    bench::BenchOptions,
+    boards::rig as board,
+    emulator::Beats,
     plants::rig::RigOptions,
     verdicts::{self, Stroke, Verdict},
 };
@@ -25,6 +28,12 @@ const DWELL_US: u32 = 1_000;
 
 /// A homed rig with a screw and a driver for it.
 fn quick_rig(instructions_per_second: u64) -> RigRun {
+    let mut options = BenchOptions::new(board::image());
+    options.chip.instructions_per_second = instructions_per_second;
+    quick_rig_on(options)
+}
+
+fn quick_rig_on(bench: BenchOptions) -> RigRun {
     let default = RigOptions::default();
     let scale = STEPS_PER_MM / default.steps_per_mm;
     let options = RigOptions {
@@ -34,7 +43,7 @@ fn quick_rig(instructions_per_second: u64) -> RigRun {
         stops: (default.stops.0 * scale, default.stops.1 * scale),
         ..default
     };
-    let mut rig = rig_as_quick_as(options, instructions_per_second);
+    let mut rig = start(options, bench);
     set(&mut rig, SettingKey::Microsteps, 32);
     set(&mut rig, SettingKey::MaxSpeedUmS, 156_250);
     rig.home();
@@ -140,4 +149,41 @@ fn steps_that_share_no_entry_are_exact_too() {
         .check(LIMIT_NS)
         .unwrap_or_else(|why| panic!("{why}\n{record:?}\n{}", rig.log()));
     rig.check_clean(0);
+}
+
+/// On the edge of running dry, with bursts that take their time: a run ends whole or as an underrun. It never hangs with
+/// periods that the timer does not take any more.
+#[test]
+fn a_ring_that_is_nearly_dry_ends_and_says_how() {
+    let speeds: Vec<u64> = match std::env::var("RETROGRADE_SWEEP") {
+        Ok(range) => {
+            let (first, last) = range.split_once(':').expect("two numbers");
+            let number = |text: &str| text.parse::<u64>().expect("a number");
+            (number(first)..number(last)).step_by(250_000).collect()
+        }
+        Err(_) => vec![49_000_000],
+    };
+    for speed in speeds {
+        let mut options = BenchOptions::new(board::image());
+        options.chip.instructions_per_second = speed;
+        options.chip.burst = Some(Beats {
+            first_ns: 500,
+            apart_ns: 300,
+        });
+        let mut rig = quick_rig_on(options);
+        let (request, _) = quick_run();
+        rig.device.run(request).expect("accepted");
+        rig.device
+            .idle(2_000_000, &mut Unobserved)
+            .expect("the link stays");
+        let record = rig.device.run_record().expect("a record");
+        println!("{speed}: {:?} {}", record.outcome, record.counted_edges);
+        assert!(
+            matches!(
+                record.outcome,
+                RunOutcome::Complete | RunOutcome::Faulted(RigFault::Underrun)
+            ),
+            "{speed}: {record:?}"
+        );
+    }
 }
