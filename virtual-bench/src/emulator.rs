@@ -50,7 +50,7 @@ const AF_SERIAL: u8 = 7;
 const HSE_HZ: u64 = 8_000_000;
 /// Duration of a store into the flash (DS10314 table 47, typical), ns.
 const STORE_NS: u64 = 16_000;
-/// Supply, mV.
+/// Supply, mV, unless the board gives another.
 const SUPPLY_MV: u32 = 3300;
 
 /// A pin of ports A to C.
@@ -250,6 +250,12 @@ impl Pads<'_> {
     pub fn set_adc_mv(&mut self, number: u8, millivolts: u32) {
         let channel = adc::Channel::new(number).expect("a pin's channel");
         self.part.adc[0].set_input(channel, millivolts);
+    }
+
+    /// Sets the chip's supply, VDD and VDDA together, mV.
+    pub fn set_supply_mv(&mut self, millivolts: u32) {
+        self.part.set_supply(millivolts);
+        self.part.adc[0].set_reference(millivolts);
     }
 }
 
