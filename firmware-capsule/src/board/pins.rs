@@ -81,7 +81,16 @@ pub(crate) struct Board {
 /// Clocks, pins and interrupts. The bridge stays asleep.
 pub(crate) fn init() -> Board {
     // Default clocks: HSI, no PLL. 16 MHz / 115200 baud is 138.9: 0.08 % off, and the HSI 1 % at most at 25 C.
-    let p = start::init_clearing_stale_tim5(Config::default());
+    let mut config = Config::default();
+    // Clocks for a debugger that stay on in sleep cost the battery. A debugger that needs them sets the bits itself.
+    config.enable_debug_during_sleep = false;
+    let p = start::init_clearing_stale_tim5(config);
+    // Flash: no wait states at 16 MHz, so prefetch and caches would save nothing, and prefetch disturbs the ADC (ES0287,
+    // docs/silicon.md). They stay off.
+    //
+    // Nothing is frozen while a debugger halts the core (DBGMCU). TIM3 has no MOE: frozen, its outputs would stay at the
+    // level of that instant, and the motor could stand under full voltage. Running, they keep the last duty, and the
+    // watchdog, which must not be frozen for that reason, ends it within 1.5 s.
 
     pac::RCC.ahb1enr().modify(|w| {
         w.set_gpioaen(true);
