@@ -254,9 +254,13 @@ impl Pads<'_> {
 
     /// Sets the chip's supply, VDD and VDDA together, mV.
     pub fn set_supply_mv(&mut self, millivolts: u32) {
-        self.part.set_supply(millivolts);
-        self.part.adc[0].set_reference(millivolts);
+        supply(self.part, millivolts);
     }
+}
+
+fn supply(part: &mut Stm32f427, millivolts: u32) {
+    part.set_supply(millivolts);
+    part.adc[0].set_reference(millivolts);
 }
 
 fn on_bench_clock(edges: &mut Vec<OutputEdge>, epoch_ns: u64) -> Vec<OutputEdge> {
@@ -300,8 +304,7 @@ impl<W: Wiring> Chip<W> {
     ) -> Result<Self, rigless::soc::Error> {
         let mut part = Stm32f427::new()?;
         part.rcc.attach_crystals(HSE_HZ, 0);
-        part.set_supply(SUPPLY_MV);
-        part.adc[0].set_reference(SUPPLY_MV);
+        supply(&mut part, SUPPLY_MV);
         part.usart[USART2].attach(Wire::new(Arc::clone(&serial), epoch_ns));
         let bus = part.bus();
         let slots = Slots {
@@ -604,6 +607,10 @@ impl<W: Wiring> Emulator<W> {
     /// Whether the operation given to [`Emulator::cut_flash`] has been reached.
     pub(crate) fn flash_is_cut(&self) -> bool {
         self.array.has_failed()
+    }
+
+    pub(crate) fn set_supply_mv(&mut self, millivolts: u32) {
+        supply(&mut self.chip.part, millivolts);
     }
 
     /// Overwrites code as a debugger does, bypassing the flash interface, until the next reset.

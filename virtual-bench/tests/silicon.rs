@@ -3,7 +3,13 @@
 mod common;
 
 use common::{LIMIT_NS, RigRun, exact, execute, homed, paper, rig};
-use protocol::rig::RigState;
+use host_tool::error::ClientError;
+use protocol::{
+    error::Refusal,
+    rig::RigState,
+    settings::{FactoryReset, GetSetting, Name, Setting, SettingKey},
+    table::Endpoint,
+};
 use virtual_bench::{
     bench::Bench, boards::capsule, emulator::Wiring, plants::capsule::CapsuleOptions,
     verdicts::Verdict,
@@ -67,4 +73,42 @@ fn a_debugger_finds_the_chip_as_it_should() {
     assert_eq!(register(&capsule, DBGMCU_CR), 0, "it sleeps");
     assert_eq!(register(&capsule, DBGMCU_APB1_FZ), 0);
     assert_eq!(register(&capsule, DBGMCU_APB2_FZ), 0);
+}
+
+fn refused(rig: &mut RigRun, request: impl Endpoint) {
+    match rig.device.call(request) {
+        Err(ClientError::Refused { refusal, .. }) => assert_eq!(refusal, Refusal::StorageFailed),
+        Err(error) => panic!("{error}\n{}", rig.log()),
+        Ok(_) => panic!("accepted\n{}", rig.log()),
+    }
+}
+
+/// Item 10: flash is not written below 2.7 V, where the detector says so with a margin. What was stored stands.
+#[test]
+fn nothing_is_stored_while_the_supply_is_low() {
+    let mut rig = rig();
+    let key = SettingKey::SeekUmS;
+    rig.device
+        .call(Setting { key, value: 15_000 })
+        .expect("accepted");
+    let operations = |rig: &RigRun| rig.bench.visit(|visit| visit.flash_operations());
+    let before = operations(&rig).expect("the bench runs");
+    let supply = |rig: &RigRun, mv| rig.bench.visit(move |visit| visit.set_supply_mv(mv));
+    supply(&rig, 2_760).expect("the bench runs");
+    refused(&mut rig, Setting { key, value: 12_000 });
+    let name = "low".try_into().expect("short");
+    refused(&mut rig, Name { name });
+    refused(&mut rig, FactoryReset);
+    assert_eq!(operations(&rig).expect("the bench runs"), before);
+    let kept = |rig: &mut RigRun| rig.device.call(GetSetting { key }).expect("it answers");
+    assert_eq!(kept(&mut rig).value, 15_000);
+    supply(&rig, 3_300).expect("the bench runs");
+    rig.device
+        .call(Setting { key, value: 12_000 })
+        .expect("accepted");
+    rig.bench.power_cycle(1_000_000).expect("the bench runs");
+    rig.bench.advance_us(300_000).expect("the bench runs");
+    rig.device.hello(2).expect("it answers again");
+    assert_eq!(kept(&mut rig).value, 12_000);
+    rig.check_clean(0);
 }

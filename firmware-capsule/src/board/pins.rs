@@ -27,7 +27,7 @@
 
 #![allow(unsafe_code)]
 
-use device::chip::start;
+use device::chip::{start, supply};
 use embassy_stm32::{
     Config,
     adc::AdcChannel,
@@ -92,6 +92,7 @@ pub(crate) fn init() -> Board {
     // level of that instant, and the motor could stand under full voltage. Running, they keep the last duty, and the
     // watchdog, which must not be frozen for that reason, ends it within 1.5 s.
 
+    supply::watch();
     pac::RCC.ahb1enr().modify(|w| {
         w.set_gpioaen(true);
         w.set_gpioben(true);
