@@ -9,6 +9,7 @@ pub mod last_resort;
 pub mod link;
 pub mod retained;
 pub mod start;
+pub mod supply;
 pub mod surroundings;
 pub mod telemetry;
 pub mod watchdog;

@@ -10,6 +10,7 @@ pub mod chip;
 pub mod common;
 pub mod identity;
 pub mod last_words;
+pub mod option_bytes;
 pub mod retained;
 pub mod service;
 pub mod settings;

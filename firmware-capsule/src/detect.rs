@@ -16,6 +16,8 @@ pub struct Sample {
     pub counts: Counts,
     /// Magnitude of the motor current.
     pub current_ma: u16,
+    /// The shunt amplifier's offset, taken at rest; `current_ma` is without it, unless it is too large.
+    pub offset_ma: u16,
     /// Battery voltage.
     pub battery_mv: u16,
     /// The bridge pulls nFAULT low.
@@ -191,6 +193,7 @@ impl Detector {
             current_ma,
             battery_mv,
             driver_fault,
+            ..
         } = *sample;
         if self
             .driver

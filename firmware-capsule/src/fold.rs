@@ -2,9 +2,10 @@
 //!
 //! | state | event \[guard\] | next |
 //! |---|---|---|
-//! | any at rest | Reference \[battery\] | Referencing |
-//! | Unfolded, Stopped | Fold \[battery\] | Folding |
-//! | Folded, Stopped | Unfold \[battery\] | Unfolding |
+//! | any at rest | Reference \[battery, amplifier\] | Referencing |
+//! | Unfolded, Stopped | Fold \[battery, amplifier\] | Folding |
+//! | Folded, Stopped | Unfold \[battery, amplifier\] | Unfolding |
+//! | any at rest | Reference, Fold, Unfold \[amplifier shows a current\] | Faulted |
 //! | Referencing | zero found and reached | Unfolded |
 //! | Folding | end force in the end window | Folded |
 //! | Unfolding | zero reached | Unfolded |
@@ -25,6 +26,7 @@ use crate::{
     leg::{Decision, Leg},
     mechanics::{Counts, FOLDED, NO_LOAD_MA, Thread},
     record::Recorder,
+    sense::MOST_OFFSET_MA,
 };
 use protocol::{
     capsule::{
@@ -275,8 +277,18 @@ impl Capsule {
                 min_mv: LEAST_BATTERY_MV,
             });
         }
+        if let Some(fault) = self.amplifier_fault() {
+            self.fail(now_us, fault, actions);
+            return Err(Refusal::CapsuleFaulted(fault));
+        }
         self.start(now_us, kind, actions);
         Ok(())
+    }
+
+    /// The shunt amplifier shows a current at rest. Nothing it says under drive can then be relied on.
+    fn amplifier_fault(&self) -> Option<CapsuleFault> {
+        let current_ma = self.sample.offset_ma;
+        (current_ma > MOST_OFFSET_MA).then_some(CapsuleFault::OverCurrent { current_ma })
     }
 
     fn acknowledge(&mut self) -> Result<(), Refusal> {
@@ -286,6 +298,7 @@ impl Capsule {
         let persists = match fault {
             CapsuleFault::LowBattery { .. } => self.sample.battery_mv < LEAST_BATTERY_MV,
             CapsuleFault::DriverFault => self.sample.driver_fault,
+            CapsuleFault::OverCurrent { .. } => self.amplifier_fault().is_some(),
             _ => false,
         };
         if persists {

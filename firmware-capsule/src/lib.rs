@@ -10,3 +10,4 @@ pub mod fold;
 pub mod leg;
 pub mod mechanics;
 mod record;
+pub mod sense;

@@ -125,6 +125,7 @@ impl Device {
         let sample = Sample {
             counts: Counts(self.counts),
             current_ma: 16,
+            offset_ma: 0,
             battery_mv: 3_900,
             driver_fault: false,
         };

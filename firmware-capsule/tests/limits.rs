@@ -197,6 +197,7 @@ fn monitor(fault: Option<CapsuleFault>, start: i32) -> Monitor {
     let sample = Sample {
         counts: Counts(start),
         current_ma: 0,
+        offset_ma: 0,
         battery_mv: 3_900,
         driver_fault: false,
     };

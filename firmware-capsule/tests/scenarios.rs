@@ -423,6 +423,7 @@ fn a_clock_that_stops_cannot_keep_the_motor_on_for_ever() {
         let sample = Sample {
             counts: firmware_capsule::mechanics::Counts(count),
             current_ma: 16,
+            offset_ma: 0,
             battery_mv: 3_900,
             driver_fault: false,
         };

@@ -4,6 +4,7 @@ use firmware_capsule::{
     detect::Sample,
     fold::{Actions, BRAKE_US, Capsule, Command, Drive, Event, LEAST_BATTERY_MV},
     mechanics::{Counts, FOLDED, Thread},
+    sense::MOST_OFFSET_MA,
 };
 use protocol::{
     capsule::{
@@ -39,6 +40,7 @@ impl Feed {
             sample: Sample {
                 counts: Counts(1_000),
                 current_ma: UNLOADED_MA,
+                offset_ma: 0,
                 battery_mv: 4_000,
                 driver_fault: false,
             },
@@ -271,6 +273,36 @@ fn a_motion_starts_with_3000_mv_and_not_with_less() {
             other => panic!("{other:?}"),
         };
         assert!(millivolts <= 3_000, "no more than the battery has");
+    }
+}
+
+#[test]
+fn a_motion_is_refused_while_the_amplifier_shows_a_current_at_rest() {
+    let cases = [
+        (Feed::new(), Command::Reference),
+        (Feed::unfolded(), Command::Fold),
+        (Feed::folded(), Command::Unfold),
+    ];
+    for (mut feed, command) in cases {
+        feed.sample.offset_ma = MOST_OFFSET_MA + 1;
+        feed.tick();
+        assert_eq!(feed.capsule.fault(), None, "nobody wanted to move");
+        let fault = CapsuleFault::OverCurrent {
+            current_ma: MOST_OFFSET_MA + 1,
+        };
+        let refused = feed.give(Event::Command(command));
+        assert_eq!(refused.refusal, Some(Refusal::CapsuleFaulted(fault)));
+        assert_eq!(refused.drive, Drive::Off);
+        assert_eq!(feed.events, [CapsuleEvent::Faulted(fault)]);
+        assert_eq!(feed.capsule.fault(), Some(fault));
+        let acknowledge = Event::Command(Command::Acknowledge);
+        let refusal = feed.give(acknowledge).refusal;
+        assert_eq!(refusal, Some(Refusal::CauseStillPresent));
+        feed.sample.offset_ma = MOST_OFFSET_MA;
+        feed.tick();
+        feed.order(Command::Acknowledge);
+        feed.order(Command::Reference);
+        assert!(feed.capsule.is_moving());
     }
 }
 

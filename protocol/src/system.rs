@@ -168,11 +168,11 @@ pub enum Clock {
 pub enum BrownOut {
     /// 1.7 V: only the power-down reset.
     Off,
-    /// Level 1, about 2.2 V.
+    /// 2.13 to 2.24 V.
     Level1,
-    /// Level 2, about 2.5 V.
+    /// 2.44 to 2.56 V.
     Level2,
-    /// Level 3, about 2.8 V.
+    /// 2.75 to 2.88 V.
     Level3,
 }
 

@@ -164,6 +164,11 @@ impl<W: Wiring> Visit<'_, W> {
         emulator.overwrite(address, code, self.host);
     }
 
+    /// Sets the chip's supply, mV, until the next power-up. The capsule's board sets its own.
+    pub fn set_supply_mv(&mut self, millivolts: u32) {
+        self.session.board_mut().set_supply_mv(millivolts);
+    }
+
     /// Pulses the reset pin.
     pub fn reset(&mut self) {
         self.session

@@ -53,7 +53,7 @@ const AF_SERIAL: u8 = 7;
 const HSE_HZ: u64 = 8_000_000;
 /// Duration of a store into the flash (DS10314 table 47, typical), ns.
 const STORE_NS: u64 = 16_000;
-/// Supply, mV.
+/// Supply, mV, unless the board gives another.
 const SUPPLY_MV: u32 = 3300;
 
 /// A pin of ports A to C.
@@ -254,6 +254,16 @@ impl Pads<'_> {
         let channel = adc::Channel::new(number).expect("a pin's channel");
         self.part.adc[0].set_input(channel, millivolts);
     }
+
+    /// Sets the chip's supply, VDD and VDDA together, mV.
+    pub fn set_supply_mv(&mut self, millivolts: u32) {
+        supply(self.part, millivolts);
+    }
+}
+
+fn supply(part: &mut Stm32f427, millivolts: u32) {
+    part.set_supply(millivolts);
+    part.adc[0].set_reference(millivolts);
 }
 
 fn on_bench_clock(edges: &mut Vec<OutputEdge>, epoch_ns: u64) -> Vec<OutputEdge> {
@@ -301,8 +311,7 @@ impl<W: Wiring> Chip<W> {
     ) -> Result<Self, rigless::soc::Error> {
         let mut part = Stm32f427::new()?;
         part.rcc.attach_crystals(HSE_HZ, 0);
-        part.set_supply(SUPPLY_MV);
-        part.adc[0].set_reference(SUPPLY_MV);
+        supply(&mut part, SUPPLY_MV);
         part.usart[USART2].attach(Wire::new(Arc::clone(&serial), epoch_ns));
         let bus = part.bus();
         let slots = Slots {
@@ -616,6 +625,10 @@ impl<W: Wiring> Emulator<W> {
     /// Whether the operation given to [`Emulator::cut_flash`] has been reached.
     pub(crate) fn flash_is_cut(&self) -> bool {
         self.array.has_failed()
+    }
+
+    pub(crate) fn set_supply_mv(&mut self, millivolts: u32) {
+        supply(&mut self.chip.part, millivolts);
     }
 
     /// Overwrites code as a debugger does, bypassing the flash interface, until the next reset.

@@ -23,14 +23,22 @@ struct CapsuleRun {
 }
 
 fn start() -> CapsuleRun {
-    let bench = capsule::start(CapsuleOptions::default()).expect("the image boots");
+    start_with(CapsuleOptions::default())
+}
+
+fn start_with(options: CapsuleOptions) -> CapsuleRun {
+    let bench = capsule::start(options).expect("the image boots");
     let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
     let device = Device::connect(link, DeviceKind::Capsule, 1).expect("the capsule answers");
     CapsuleRun { bench, device }
 }
 
 fn referenced() -> CapsuleRun {
-    let mut capsule = start();
+    referenced_with(CapsuleOptions::default())
+}
+
+fn referenced_with(options: CapsuleOptions) -> CapsuleRun {
+    let mut capsule = start_with(options);
     let accepted = capsule.device.reference().expect("referencing is accepted");
     let record = capsule
         .device
@@ -159,7 +167,20 @@ fn it_folds_on_force_and_unfolds_by_count_again_and_again() {
 
 #[test]
 fn what_it_says_is_what_the_plant_did() {
-    let mut capsule = referenced();
+    says_what_the_plant_did(CapsuleOptions::default());
+}
+
+/// Current times voltage is the energy, so an offset that stayed in the current would show there.
+#[test]
+fn an_offset_of_the_current_amplifier_changes_nothing() {
+    says_what_the_plant_did(CapsuleOptions {
+        sense_offset_mv: 18.0,
+        ..CapsuleOptions::default()
+    });
+}
+
+fn says_what_the_plant_did(options: CapsuleOptions) {
+    let mut capsule = referenced_with(options);
     let zero = capsule.look(|capsule| capsule.wound_mm());
     // The pauses are those of a person: no reading of the idle bridge may leak into the next actuation.
     for pause_us in [0, 30_000, 77_000, 101_000] {
@@ -281,6 +302,86 @@ fn a_low_battery_is_refused_before_it_moves() {
     );
     capsule.check_at_rest();
     assert_eq!(capsule.look(|capsule| capsule.wound_mm()), before);
+}
+
+/// The chip's supply falls with an empty cell, and with it the ADC's reference.
+#[test]
+fn the_battery_is_read_right_down_to_an_empty_cell() {
+    let mut capsule = start();
+    for battery_mv in [
+        4_200, 3_700, 3_400, 3_300, 3_200, 3_000, 2_850, 2_700, 2_500,
+    ] {
+        capsule.look(move |capsule| capsule.act(Action::Battery(f64::from(battery_mv))));
+        capsule
+            .device
+            .idle(250_000, &mut Unobserved)
+            .expect("the link stays");
+        let read_mv = capsule
+            .device
+            .capsule_status()
+            .expect("a status")
+            .battery_mv;
+        let error = f64::from(read_mv) / f64::from(battery_mv) - 1.0;
+        assert!(error.abs() < 0.005, "{read_mv} mV read of {battery_mv} mV");
+    }
+    capsule.check_clean();
+}
+
+/// A tired cell has enough at rest and not under load.
+#[test]
+fn a_cell_that_sags_under_load_ends_the_fold() {
+    let mut capsule = referenced_with(CapsuleOptions {
+        battery_ohm: 4.0,
+        ..CapsuleOptions::default()
+    });
+    capsule.look(|capsule| capsule.act(Action::Battery(3_100.0)));
+    capsule
+        .device
+        .idle(200_000, &mut Unobserved)
+        .expect("the link stays");
+    let record = capsule.fold();
+    let ActuationOutcome::Faulted(CapsuleFault::LowBattery { battery_mv }) = record.outcome else {
+        panic!("{record:?}\n{}", capsule.log())
+    };
+    assert!((2_000..2_700).contains(&battery_mv), "{battery_mv} mV");
+    capsule.check_at_rest();
+    capsule.check_clean();
+}
+
+/// A bidirectional amplifier, with its zero at half of its supply, is not what the firmware is made for.
+#[test]
+fn a_current_at_rest_keeps_the_motor_off() {
+    let mut capsule = start_with(CapsuleOptions {
+        sense_offset_mv: 1_650.0,
+        ..CapsuleOptions::default()
+    });
+    capsule
+        .device
+        .idle(250_000, &mut Unobserved)
+        .expect("the link stays");
+    let before = capsule.look(|capsule| capsule.wound_mm());
+    let fault = match capsule.device.reference() {
+        Err(ClientError::Refused {
+            refusal: Refusal::CapsuleFaulted(fault @ CapsuleFault::OverCurrent { current_ma }),
+            ..
+        }) if (1_640..1_660).contains(&current_ma) => fault,
+        other => panic!("{other:?}\n{}", capsule.log()),
+    };
+    capsule.check_at_rest();
+    assert_eq!(capsule.look(|capsule| capsule.wound_mm()), before);
+    let (state, latched, _) = capsule.state();
+    assert_eq!((state, latched), (CapsuleState::Faulted, Some(fault)));
+    assert!(
+        matches!(
+            capsule.device.acknowledge(),
+            Err(ClientError::Refused {
+                refusal: Refusal::CauseStillPresent,
+                ..
+            })
+        ),
+        "it is still there"
+    );
+    capsule.check_clean();
 }
 
 #[test]

@@ -5,19 +5,31 @@ mod common;
 use common::{
     Dice, LIMIT_NS, RigRun, exact, execute, home_quickly, homed, paper, quick, rig, start,
 };
-use host_tool::client::Unobserved;
+use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
+    error::Refusal,
     rig::{GetRigHealth, Hold, RigFault, RigState, Run, RunOutcome},
+    settings::{FactoryReset, GetSetting, Name, Setting, SettingKey},
     system::Urgent,
+    table::Endpoint,
 };
 use virtual_bench::{
-    bench::BenchOptions,
-    boards::rig as board,
-    emulator::Beats,
+    bench::{Bench, BenchOptions},
+    boards::{capsule, rig as board},
+    emulator::{Beats, Wiring},
     faults::When,
-    plants::rig::{Action, RigOptions, Switch},
+    plants::{
+        capsule::CapsuleOptions,
+        rig::{Action, RigOptions, Switch},
+    },
     verdicts::Verdict,
 };
+
+/// Access control of the flash (RM0383 section 3.8.1), debug control and freeze registers (section 23.16).
+const FLASH_ACR: u32 = 0x4002_3C00;
+const DBGMCU_CR: u32 = 0xE004_2004;
+const DBGMCU_APB1_FZ: u32 = 0xE004_2008;
+const DBGMCU_APB2_FZ: u32 = 0xE004_200C;
 
 fn state(rig: &mut RigRun) -> RigState {
     rig.device.rig_status().expect("a status").state
@@ -317,4 +329,79 @@ fn a_halt_within_a_burst_shifts_no_word() {
         assert_eq!(rig.edge_count() - edges, 1_600, "{what}");
     }
     rig.check_clean_after(0, 30);
+}
+
+fn register<W: Wiring>(bench: &Bench<W>, address: u32) -> u32 {
+    bench
+        .visit(move |visit| visit.register(address))
+        .expect("the bench runs")
+        .expect("a register")
+}
+
+/// The capsule, some time after its start.
+fn started_capsule() -> common::Capsule {
+    let bench = capsule::start(CapsuleOptions::default()).expect("the image boots");
+    bench.advance_us(100_000).expect("the bench runs");
+    bench
+}
+
+/// Item 12: three wait states with prefetch and instruction cache, without the data cache that nobody flushes. The
+/// capsule needs none of them.
+#[test]
+fn the_flash_is_accelerated_where_it_is_slow() {
+    let rig = rig();
+    assert_eq!(register(&rig.bench, FLASH_ACR), 1 << 9 | 1 << 8 | 3);
+    rig.check_clean(0);
+    let capsule = started_capsule();
+    assert_eq!(register(&capsule, FLASH_ACR), 0);
+}
+
+/// Item 11: a halted core makes no pulse, the watchdog goes on in both machines, and the capsule's sleep is one.
+#[test]
+fn a_debugger_finds_the_chip_as_it_should() {
+    let rig = rig();
+    assert_eq!(register(&rig.bench, DBGMCU_APB2_FZ), 1, "TIM1 stops");
+    assert_eq!(register(&rig.bench, DBGMCU_APB1_FZ), 0);
+    let capsule = started_capsule();
+    assert_eq!(register(&capsule, DBGMCU_CR), 0, "it sleeps");
+    assert_eq!(register(&capsule, DBGMCU_APB1_FZ), 0);
+    assert_eq!(register(&capsule, DBGMCU_APB2_FZ), 0);
+}
+
+fn refused(rig: &mut RigRun, request: impl Endpoint) {
+    match rig.device.call(request) {
+        Err(ClientError::Refused { refusal, .. }) => assert_eq!(refusal, Refusal::SupplyLow),
+        Err(error) => panic!("{error}\n{}", rig.log()),
+        Ok(_) => panic!("accepted\n{}", rig.log()),
+    }
+}
+
+/// Item 10: flash is not written below 2.7 V, where the detector says so with a margin. What was stored stands.
+#[test]
+fn nothing_is_stored_while_the_supply_is_low() {
+    let mut rig = rig();
+    let key = SettingKey::SeekUmS;
+    rig.device
+        .call(Setting { key, value: 15_000 })
+        .expect("accepted");
+    let operations = |rig: &RigRun| rig.bench.visit(|visit| visit.flash_operations());
+    let before = operations(&rig).expect("the bench runs");
+    let supply = |rig: &RigRun, mv| rig.bench.visit(move |visit| visit.set_supply_mv(mv));
+    supply(&rig, 2_760).expect("the bench runs");
+    refused(&mut rig, Setting { key, value: 12_000 });
+    let name = "low".try_into().expect("short");
+    refused(&mut rig, Name { name });
+    refused(&mut rig, FactoryReset);
+    assert_eq!(operations(&rig).expect("the bench runs"), before);
+    let kept = |rig: &mut RigRun| rig.device.call(GetSetting { key }).expect("it answers");
+    assert_eq!(kept(&mut rig).value, 15_000);
+    supply(&rig, 3_300).expect("the bench runs");
+    rig.device
+        .call(Setting { key, value: 12_000 })
+        .expect("accepted");
+    rig.bench.power_cycle(1_000_000).expect("the bench runs");
+    rig.bench.advance_us(300_000).expect("the bench runs");
+    rig.device.hello(2).expect("it answers again");
+    assert_eq!(kept(&mut rig).value, 12_000);
+    rig.check_clean(0);
 }

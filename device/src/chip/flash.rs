@@ -2,7 +2,11 @@
 //!
 //! A write keeps the processor from fetching instructions for 16 us typically, an erasure for up to 500 ms (STM32F411
 //! datasheet, flash memory programming; x32).
+//!
+//! Below 2.7 V neither is allowed by words (x32). A start there leaves cells that read differently each time, so it is
+//! refused; what has begun goes on.
 
+use super::supply;
 use crate::store::{SECTOR, SECTORS};
 use embassy_stm32::{
     Peri,
@@ -18,12 +22,22 @@ pub struct Sectors(Bank1Region1<'static, Blocking>);
 impl Sectors {
     /// Those of this chip.
     pub fn new(flash: Peri<'static, peripherals::FLASH>) -> Self {
+        supply::watch();
         Self(
             Flash::new_blocking(flash)
                 .into_blocking_regions()
                 .bank1_region1,
         )
     }
+}
+
+/// Words are too many bits at once for a supply that is too low.
+fn check_supply() -> Result<(), Error> {
+    if supply::is_low() {
+        defmt::warn!("the supply is below 2.7 V: nothing is stored");
+        return Err(Error::Parallelism);
+    }
+    Ok(())
 }
 
 impl ErrorType for Sectors {
@@ -48,6 +62,7 @@ impl NorFlash for Sectors {
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
         for sector in (from..to).step_by(SECTOR as usize) {
+            check_supply()?;
             // No task runs during an erase.
             pac::IWDG
                 .kr()
@@ -64,6 +79,7 @@ impl NorFlash for Sectors {
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
+        check_supply()?;
         self.0.write(offset, bytes)
     }
 }

@@ -1,5 +1,7 @@
 //! The chip at its start: clocks, time base, identity, serial port, watchdog.
 
+use super::supply;
+use crate::option_bytes::brown_out;
 use embassy_stm32::{
     Config, Peri, bind_interrupts, dma,
     interrupt::{self, InterruptExt, Priority},
@@ -8,7 +10,7 @@ use embassy_stm32::{
     usart::{self, RingBufferedUartRx, Uart, UartTx},
     wdg::IndependentWatchdog,
 };
-use protocol::system::{BrownOut, Chip, Clock, ResetCause};
+use protocol::system::{Chip, Clock, ResetCause};
 use static_cell::StaticCell;
 
 bind_interrupts!(struct Interrupts {
@@ -51,7 +53,7 @@ pub fn reset_cause() -> ResetCause {
 
 /// Clock, supply and option bytes as they are now.
 pub fn chip() -> Chip {
-    let option_bytes = pac::FLASH.optcr().read().0;
+    let option_bytes = supply::option_bytes();
     let external = pac::RCC.pllcfgr().read().pllsrc() == pac::rcc::vals::Pllsrc::HSE;
     Chip {
         clock: if external && pac::RCC.cr().read().hserdy() {
@@ -59,14 +61,8 @@ pub fn chip() -> Chip {
         } else {
             Clock::Internal
         },
-        // BOR_LEV, bits 3:2 (RM0383 section 3.8.7).
-        brown_out: match option_bytes >> 2 & 3 {
-            0 => BrownOut::Level3,
-            1 => BrownOut::Level2,
-            2 => BrownOut::Level1,
-            _ => BrownOut::Off,
-        },
-        supply_low: pac::PWR.csr1().read().pvdo(),
+        brown_out: brown_out(option_bytes),
+        supply_low: supply::is_low(),
         option_bytes,
     }
 }

@@ -6,7 +6,7 @@
 //! | bridge nSLEEP (low = asleep; pull-down on the board) | PB10 | |
 //! | bridge nFAULT (low = fault) | PA8 | |
 //! | encoder A, B | PA0, PA1 | TIM2 in encoder mode, 32 bit |
-//! | motor current, 1 mV per mA (0.5 ohm, gain 2) | PA4 | ADC1_IN4 |
+//! | motor current's magnitude, 1 mV per mA (README, "Shunt amplifier") | PA4 | ADC1_IN4 |
 //! | battery through 1/2 | PB0 | ADC1_IN8 |
 //! | serial | PA2, PA3 | USART2, DMA1 streams 6 and 5 |
 //!
@@ -27,7 +27,7 @@
 
 #![allow(unsafe_code)]
 
-use device::chip::start;
+use device::chip::{start, supply};
 use embassy_stm32::{
     Config,
     adc::AdcChannel,
@@ -40,19 +40,24 @@ use embassy_stm32::{
     usart::{RingBufferedUartRx, UartTx},
     wdg::IndependentWatchdog,
 };
-use firmware_capsule::{detect::Sample, fold::Drive, mechanics::Counts};
+use firmware_capsule::{
+    detect::Sample,
+    fold::Drive,
+    mechanics::Counts,
+    sense::{Offset, Reference, millivolts},
+};
 
 /// 16 MHz / 800 = 20 kHz.
 const PWM_TICKS: u16 = 800;
-/// Supply and reference of the ADC.
-const VDDA_MV: u32 = 3_300;
-/// Full scale of the 12-bit ADC.
-const ADC_FULL: u32 = 4_095;
+/// The chip's reference (RM0383 section 11.10).
+const VREFINT: u8 = 17;
+/// Where the factory has left its reading of the reference (DS10314 table 75).
+const FACTORY_WORD: *const u16 = 0x1FFF_7A2A as *const u16;
 /// The battery's divider is 1/2.
 const BATTERY_RATIO: u32 = 2;
 /// Readings per sample while driving: together they take about one PWM period, so that their mean is the period's.
 const ADC_PAIRS: u32 = 5;
-/// A conversion takes 27 cycles of 8 MHz.
+/// A conversion takes 27 cycles of 8 MHz, that of the reference 124.
 const ADC_CYCLES: u32 = 54;
 /// How often to look for the end of a conversion, [`ADC_CYCLES`] apart.
 const ADC_PATIENCE: u32 = 20;
@@ -76,8 +81,18 @@ pub(crate) struct Board {
 /// Clocks, pins and interrupts. The bridge stays asleep.
 pub(crate) fn init() -> Board {
     // Default clocks: HSI, no PLL. 16 MHz / 115200 baud is 138.9: 0.08 % off, and the HSI 1 % at most at 25 C.
-    let p = start::init_clearing_stale_tim5(Config::default());
+    let mut config = Config::default();
+    // Clocks for a debugger that stay on in sleep cost the battery. A debugger that needs them sets the bits itself.
+    config.enable_debug_during_sleep = false;
+    let p = start::init_clearing_stale_tim5(config);
+    // Flash: no wait states at 16 MHz, so prefetch and caches would save nothing, and prefetch disturbs the ADC (ES0287,
+    // docs/silicon.md). They stay off.
+    //
+    // Nothing is frozen while a debugger halts the core (DBGMCU). TIM3 has no MOE: frozen, its outputs would stay at the
+    // level of that instant, and the motor could stand under full voltage. Running, they keep the last duty, and the
+    // watchdog, which must not be frozen for that reason, ends it within 1.5 s.
 
+    supply::watch();
     pac::RCC.ahb1enr().modify(|w| {
         w.set_gpioaen(true);
         w.set_gpioben(true);
@@ -127,6 +142,8 @@ pub(crate) fn init() -> Board {
         drive_train: DriveTrain {
             current,
             battery,
+            reference: reference(),
+            offset: Offset::default(),
             battery_mv: 0,
         },
         watchdog: start::watchdog(p.IWDG),
@@ -173,17 +190,32 @@ fn configure_pwm() {
     });
 }
 
-/// 8 MHz, 15 cycles of sampling and 12 of conversion. Switched on only for a reading at rest.
+/// 8 MHz, 15 cycles of sampling and 12 of conversion. Switched on only for a reading at rest. The reference stays on,
+/// because it needs 10 us to start, and is sampled for 14 us: at least 10 us are asked for (DS10314 table 74).
 fn configure_adc(current: u8, battery: u8) {
     use pac::{adc::vals::SampleTime, adccommon::vals::Adcpre};
-    pac::ADC1_COMMON
-        .ccr()
-        .modify(|w| w.set_adcpre(Adcpre::DIV2));
+    pac::ADC1_COMMON.ccr().modify(|w| {
+        w.set_adcpre(Adcpre::DIV2);
+        w.set_tsvrefe(true);
+    });
+    pac::ADC1
+        .smpr1()
+        .modify(|w| w.set_smp(usize::from(VREFINT - 10), SampleTime::CYCLES112));
     pac::ADC1.smpr2().modify(|w| {
         for channel in [current, battery] {
             w.set_smp(usize::from(channel), SampleTime::CYCLES15);
         }
     });
+}
+
+/// The chip's reference. A chip without the factory's word still tells its supply to 2.5 %.
+fn reference() -> Reference {
+    // SAFETY: a half-word of the chip's system memory, which can always be read.
+    let word = unsafe { FACTORY_WORD.read_volatile() };
+    Reference::from_factory(word).unwrap_or_else(|| {
+        defmt::warn!("no reading of the reference by the factory: {=u16}", word);
+        Reference::typical()
+    })
 }
 
 /// Bridge asleep, motor open. Registers only: callable from anywhere, also from a panic or a processor fault.
@@ -204,6 +236,8 @@ pub(crate) fn outputs_off() {
 pub(crate) struct DriveTrain {
     current: u8,
     battery: u8,
+    reference: Reference,
+    offset: Offset,
     battery_mv: u16,
 }
 
@@ -238,12 +272,15 @@ impl DriveTrain {
     }
 
     /// Reads everything. nFAULT means nothing while the bridge sleeps.
-    pub(crate) fn sample(&mut self) -> Sample {
+    ///
+    /// Without a supply that can be, the battery reads 0 mV: no drive, and refused as empty.
+    pub(crate) fn sample(&mut self, now_us: u64) -> Sample {
         pac::ADC1.cr2().modify(|w| w.set_adon(true));
         // 3 us to power up (DS9716 section 6.3.20).
         cortex_m::asm::delay(48);
         let awake = pac::TIM3.cr1().read().cen();
         let pairs = if awake { ADC_PAIRS } else { 1 };
+        let supply_mv = self.reference.supply_mv(convert(VREFINT)).unwrap_or(0);
         let (mut current, mut battery) = (0, 0);
         for _ in 0..pairs {
             current += u32::from(convert(self.current));
@@ -252,12 +289,14 @@ impl DriveTrain {
         if !awake {
             pac::ADC1.cr2().modify(|w| w.set_adon(false));
         }
-        let battery_mv = millivolts(battery, pairs) * BATTERY_RATIO;
-        let current_ma = millivolts(current, pairs); // 1 mV per mA
+        let battery_mv = millivolts(battery, pairs, supply_mv) * BATTERY_RATIO;
+        let current_ma = millivolts(current, pairs, supply_mv); // 1 mV per mA
+        let current_ma = u16::try_from(current_ma).unwrap_or(u16::MAX);
         self.battery_mv = u16::try_from(battery_mv).unwrap_or(u16::MAX);
         Sample {
             counts: Counts(pac::TIM2.cnt().read() as i32),
-            current_ma: u16::try_from(current_ma).unwrap_or(u16::MAX),
+            current_ma: self.offset.take_off(now_us, awake, current_ma),
+            offset_ma: self.offset.offset_ma(),
             battery_mv: self.battery_mv,
             driver_fault: awake
                 && pac::GPIOA.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW,
@@ -277,9 +316,4 @@ fn convert(channel: u8) -> u16 {
     }
     // Blind, with a motor running: outputs off, reset.
     panic!("the ADC does not finish a conversion")
-}
-
-/// Mean of `count` readings, rounded down.
-fn millivolts(sum: u32, count: u32) -> u32 {
-    sum * VDDA_MV / (ADC_FULL * count)
 }

@@ -48,7 +48,7 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
     let mut stale = false;
     loop {
         check_in(Client::Motion);
-        let sample = drive_train.sample();
+        let sample = drive_train.sample(Instant::now().as_micros());
         let now = Instant::now();
         READINGS.signal((now.as_micros(), sample));
         let order = ORDER.lock(|order| order.get());

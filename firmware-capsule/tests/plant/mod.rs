@@ -154,6 +154,7 @@ impl Plant {
         let mut sample = Sample {
             counts: Counts(count),
             current_ma: (self.current.abs() * 1e3).round() as u16,
+            offset_ma: 0,
             battery_mv: (self.battery * 1e3).round() as u16,
             driver_fault: false,
         };

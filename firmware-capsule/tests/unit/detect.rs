@@ -58,6 +58,7 @@ impl Feed {
 const HEALTHY: Sample = Sample {
     counts: Counts(500),
     current_ma: 20,
+    offset_ma: 0,
     battery_mv: 3_900,
     driver_fault: false,
 };

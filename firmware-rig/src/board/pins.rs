@@ -51,6 +51,8 @@ pub struct Board {
 /// Clocks, pins and interrupts. The driver stays off and no output is armed.
 pub fn init() -> Board {
     let p = start::init_clearing_stale_tim5(clocks());
+    accelerate_flash();
+    stop_pulses_while_halted();
     enable_peripherals();
     outputs_off();
     configure_pins();
@@ -88,6 +90,36 @@ fn clocks() -> Config {
     config.rcc.apb1_pre = APBPrescaler::DIV2; // 50 MHz; timers run at twice that
     config.rcc.apb2_pre = APBPrescaler::DIV1; // 100 MHz
     config
+}
+
+/// Prefetch and instruction cache on (RM0383 section 3.4.2); the HAL sets the wait states only. Without them code runs from
+/// flash with three wait states for every eight half-words, and prefetch off is also a condition of the erratum on a WFE
+/// with wait states (docs/silicon.md).
+///
+/// The data cache stays off: it keeps what it has read, and nobody flushes it after the settings were written. Code is
+/// never written, so the instruction cache needs no flush but this one, which it takes only while it is off.
+fn accelerate_flash() {
+    let acr = pac::FLASH.acr();
+    acr.modify(|w| {
+        w.set_icen(false);
+        w.set_dcen(false);
+    });
+    acr.modify(|w| w.set_icrst(true));
+    acr.modify(|w| w.set_icrst(false));
+    acr.modify(|w| {
+        w.set_prften(true);
+        w.set_icen(true);
+    });
+}
+
+/// A debugger that halts the core stops TIM1 and switches its outputs off as MOE = 0 does (RM0383 section 23.16.5), so
+/// that the prepared steps do not play out behind its back.
+///
+/// The watchdog goes on. A halt is the end of the motion: its reset switches the driver off within 1.5 s and is latched
+/// as a fault. Frozen, it would leave the driver on for as long as the debugger or its cable takes, and the steps would go
+/// on at full speed when the core does. TIM5 goes on with it: the time of the halt has passed.
+fn stop_pulses_while_halted() {
+    pac::DBGMCU.apb2fzr().modify(|w| w.set_tim1(true));
 }
 
 /// What the HAL does not drive for us.

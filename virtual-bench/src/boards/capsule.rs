@@ -8,6 +8,7 @@
 //! | PA0, PA1 | encoder A, B | TIM2 in encoder mode, AF1 |
 //! | PA4 | motor current | ADC1 channel 4, 1 mV per mA |
 //! | PB0 | battery | ADC1 channel 8, half its voltage |
+//! | VDD, VDDA | a linear regulator's 3.3 V, or less from an empty battery | supply, and reference of ADC1 |
 
 use std::path::PathBuf;
 
@@ -35,6 +36,7 @@ pub struct CapsuleBoard {
     encoder: [Option<bool>; 2],
     fault: Option<bool>,
     voltages: [Option<u32>; 2],
+    supply_mv: Option<u32>,
 }
 
 impl CapsuleBoard {
@@ -47,6 +49,7 @@ impl CapsuleBoard {
             encoder: [None; 2],
             fault: None,
             voltages: [None; 2],
+            supply_mv: None,
         }
     }
 
@@ -78,6 +81,7 @@ impl Wiring for CapsuleBoard {
         self.encoder = [None; 2];
         self.fault = None;
         self.voltages = [None; 2];
+        self.supply_mv = None;
     }
 
     fn look(&mut self, pads: &mut Pads<'_>) {
@@ -121,6 +125,10 @@ impl Wiring for CapsuleBoard {
             if known.replace(mv) != Some(mv) {
                 pads.set_adc_mv(channel, mv);
             }
+        }
+        let supply_mv = self.capsule.supply_mv().round() as u32;
+        if self.supply_mv.replace(supply_mv) != Some(supply_mv) {
+            pads.set_supply_mv(supply_mv);
         }
         if let Some(next_ns) = self.capsule.next_ns() {
             pads.wake_at(next_ns);

@@ -44,6 +44,12 @@ const FOLD: [(f64, f64); 5] = [
 /// Travel at which the folded crescents meet (a 13 mm body), mm, and the stiffness beyond it and of a jam, N/mm.
 const END_MM: f64 = 22.22;
 const STOP_N_PER_MM: f64 = 200.0;
+/// What the linear regulator of the chip gives, mV, as long as the battery has more.
+const REGULATED_MV: f64 = 3_300.0;
+/// What it drops of an empty battery, mV: the resistance of its pass transistor, 5 ohm, at the chip's 10 mA [assumed].
+const DROPOUT_MV: f64 = 50.0;
+/// The same resistance with 10 uF behind it, s [assumed].
+const SUPPLY_FILTER: f64 = 50e-6;
 /// Time constant of the amplifier's filter, s [assumed].
 const SENSE_FILTER: f64 = 160e-6;
 /// Longest step of the integration, ns.
@@ -62,6 +68,8 @@ pub struct CapsuleOptions {
     pub wound_mm: f64,
     /// Thread to wind before it is taut, mm.
     pub slack_mm: f64,
+    /// What the current amplifier shows without current, mV.
+    pub sense_offset_mv: f64,
 }
 
 impl Default for CapsuleOptions {
@@ -72,6 +80,7 @@ impl Default for CapsuleOptions {
             battery_ohm: 0.5,
             wound_mm: 0.0,
             slack_mm: 1.0,
+            sense_offset_mv: 0.0,
         }
     }
 }
@@ -116,6 +125,7 @@ pub struct Capsule {
     angle: f64,
     current: f64,
     sense_ma: f64,
+    supply_mv: f64,
     jam_mm: Option<f64>,
     snapped: bool,
     encoder_lost: bool,
@@ -141,6 +151,7 @@ impl Capsule {
             angle: 0.0,
             current: 0.0,
             sense_ma: 0.0,
+            supply_mv: REGULATED_MV,
             jam_mm: None,
             snapped: false,
             encoder_lost: false,
@@ -222,7 +233,21 @@ impl Capsule {
     /// Voltage at the current amplifier's output, mV.
     #[must_use]
     pub fn sense_mv(&self) -> f64 {
-        self.sense_ma * SENSE_MV_PER_MA
+        self.options.sense_offset_mv + self.sense_ma * SENSE_MV_PER_MA
+    }
+
+    /// Supply and analog reference of the chip, mV.
+    #[must_use]
+    pub fn supply_mv(&self) -> f64 {
+        if self.is_quiet() {
+            self.regulated_mv()
+        } else {
+            self.supply_mv
+        }
+    }
+
+    fn regulated_mv(&self) -> f64 {
+        (self.terminal_mv() - DROPOUT_MV).clamp(0.0, REGULATED_MV)
     }
 
     /// Voltage at the battery's divider, mV.
@@ -282,6 +307,7 @@ impl Capsule {
                 return;
             }
             if self.is_quiet() {
+                self.supply_mv = self.regulated_mv();
                 let next = self.faults.next_ns().unwrap_or(until_ns);
                 self.now_ns = next.clamp(self.now_ns + 1, until_ns);
                 continue;
@@ -358,8 +384,9 @@ impl Capsule {
         let wound = self.wound_mm();
         let (least, most) = self.extremes_mm;
         self.extremes_mm = (least.min(wound), most.max(wound));
-        let settled = 1.0 - (-dt / SENSE_FILTER).exp();
-        self.sense_ma += (self.current.abs() * 1e3 - self.sense_ma) * settled;
+        let settled = |filter: f64| 1.0 - (-dt / filter).exp();
+        self.sense_ma += (self.current.abs() * 1e3 - self.sense_ma) * settled(SENSE_FILTER);
+        self.supply_mv += (self.regulated_mv() - self.supply_mv) * settled(SUPPLY_FILTER);
     }
 
     fn turn_encoder(&mut self, edge: &mut impl FnMut((bool, bool))) {

@@ -1,0 +1,24 @@
+//! The chip's supply, and what its option bytes do about it.
+
+use embassy_stm32::pac;
+
+/// PLS of the one level that promises 2.7 V: it falls at 2.77 to 2.89 V (DS10314 table 19). Level 4 begins at 2.59 V.
+const LEVEL: u8 = 5;
+
+/// Switches the voltage detector on (PVD, RM0383 section 5.4.1). It interrupts nobody; it is asked.
+pub fn watch() {
+    pac::PWR.cr1().modify(|w| {
+        w.set_pls(LEVEL);
+        w.set_pvde(true);
+    });
+}
+
+/// The supply is below what a store into flash by words needs, 2.7 V (DS10314 table 45). Needs [`watch`] before.
+pub fn is_low() -> bool {
+    pac::PWR.csr1().read().pvdo()
+}
+
+/// The option bytes as they have been in force since the start (FLASH_OPTCR, RM0383 section 3.8.6).
+pub fn option_bytes() -> u32 {
+    pac::FLASH.optcr().read().0
+}

@@ -1,0 +1,14 @@
+//! What the chip's option bytes say. Nothing here changes them.
+
+use protocol::system::BrownOut;
+
+/// The brown-out level: BOR_LEV, bits 3 and 2 of FLASH_OPTCR (RM0383 section 3.8.6). A chip is delivered with it off; at
+/// level 3 the flash can be written as long as the chip runs.
+pub const fn brown_out(option_bytes: u32) -> BrownOut {
+    match option_bytes >> 2 & 3 {
+        0 => BrownOut::Level3,
+        1 => BrownOut::Level2,
+        2 => BrownOut::Level1,
+        _ => BrownOut::Off,
+    }
+}
