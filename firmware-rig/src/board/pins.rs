@@ -31,7 +31,7 @@ use embassy_stm32::{
     wdg::IndependentWatchdog,
 };
 use motion::axis::Direction;
-use protocol::rig::RigInputs;
+use protocol::{rig::RigInputs, system::Clock};
 
 /// AF1 carries TIM1 and TIM2 on every pin used here (DS9716 table 9).
 const AF_TIMER: u8 = 1;
@@ -50,7 +50,7 @@ pub struct Board {
 
 /// Clocks, pins and interrupts. The driver stays off and no output is armed.
 pub fn init() -> Board {
-    let p = start::init_clearing_stale_tim5(clocks());
+    let p = start::init_with_either_clock(clocks(Clock::External), clocks(Clock::Internal));
     accelerate_flash();
     stop_pulses_while_halted();
     enable_peripherals();
@@ -65,21 +65,31 @@ pub fn init() -> Board {
     }
 }
 
-/// 8 MHz from the ST-LINK (or a crystal) through the PLL to 100 MHz; both timer clocks are 100 MHz.
-fn clocks() -> Config {
+/// Through the PLL to 100 MHz; both timer clocks are 100 MHz. From 8 MHz of the ST-LINK (or a crystal), or from the
+/// chip's own 16 MHz, which are good enough for the link and not for a step.
+fn clocks(source: Clock) -> Config {
     use rcc::{
         AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllSource,
         Sysclk,
     };
     let mut config = Config::default();
-    config.rcc.hse = Some(Hse {
-        freq: Hertz(8_000_000),
-        mode: HseMode::Bypass,
-    });
-    config.rcc.pll_src = PllSource::HSE;
-    // 8 MHz / 4 * 100 / 2 = 100 MHz; VCO 200 MHz (RM0383 section 6.3.2: 100..432 MHz).
+    let prediv = match source {
+        Clock::External => {
+            config.rcc.hse = Some(Hse {
+                freq: Hertz(8_000_000),
+                mode: HseMode::Bypass,
+            });
+            config.rcc.pll_src = PllSource::HSE;
+            PllPreDiv::DIV4
+        }
+        Clock::Internal => {
+            config.rcc.pll_src = PllSource::HSI;
+            PllPreDiv::DIV8
+        }
+    };
+    // 2 MHz * 100 / 2 = 100 MHz; VCO 200 MHz (RM0383 section 6.3.2: 100..432 MHz).
     config.rcc.pll = Some(Pll {
-        prediv: PllPreDiv::DIV4,
+        prediv,
         mul: PllMul::MUL100,
         divp: Some(PllPDiv::DIV2),
         divq: None,

@@ -16,7 +16,7 @@
 
 #![allow(unsafe_code)]
 
-use super::{channels, pins};
+use super::{channels, pins, start::clock_failed};
 use core::{
     cell::UnsafeCell,
     sync::atomic::{Ordering, compiler_fence},
@@ -419,9 +419,13 @@ fn DMA2_STREAM5() {
     channels::MOTION_WAKE.signal(());
 }
 
-/// The E-stop loop opened; the hardware has already cleared MOE.
+/// The E-stop loop opened, or the clock security broke the timer; the hardware has already cleared MOE.
 #[pac::interrupt]
 fn TIM1_BRK_TIM9() {
+    // The NMI says so first; this is for the case that it is missed.
+    if pac::RCC.cir().read().cssf() {
+        clock_failed();
+    }
     // The flag stays: it keeps everything from starting until somebody acknowledges. No more interrupts until then.
     TIM1.dier().modify(|w| w.set_bie(false));
     channels::pulses_were_cut(Event::LoopOpened);

@@ -1,0 +1,19 @@
+//! The images on the bench. One program: its tests share what they are built from, and none of two cores waits for the
+//! longest test of a file.
+
+mod common;
+
+mod capsule;
+mod cli;
+mod endurance;
+mod estop;
+mod faults;
+mod limits;
+mod link;
+mod random;
+mod rig;
+mod settings;
+mod silicon;
+mod speed;
+mod watchdog;
+mod wires;
