@@ -2,21 +2,28 @@
 
 mod common;
 
-use common::{LIMIT_NS, RigRun, exact, execute, homed, paper, rig};
+use common::{Dice, LIMIT_NS, RigRun, exact, execute, homed, paper, rig};
 use host_tool::error::ClientError;
 use protocol::{
     error::Refusal,
-    rig::RigState,
+    rig::{RigState, RunOutcome},
     settings::{FactoryReset, GetSetting, Name, Setting, SettingKey},
     table::Endpoint,
 };
 use virtual_bench::{
-    bench::Bench, boards::capsule, emulator::Wiring, plants::capsule::CapsuleOptions,
+    bench::Bench,
+    boards::capsule,
+    emulator::Wiring,
+    faults::When,
+    plants::{capsule::CapsuleOptions, rig::Action},
     verdicts::Verdict,
 };
 
-/// Access control of the flash (RM0383 section 3.8.1), debug control and freeze registers (section 23.16).
+/// Access control of the flash (RM0383 section 3.8.1), speed of the pins (section 8.4.3), debug control and freeze registers
+/// (section 23.16).
 const FLASH_ACR: u32 = 0x4002_3C00;
+const GPIOA_OSPEEDR: u32 = 0x4002_0008;
+const GPIOB_OSPEEDR: u32 = 0x4002_0408;
 const DBGMCU_CR: u32 = 0xE004_2004;
 const DBGMCU_APB1_FZ: u32 = 0xE004_2008;
 const DBGMCU_APB2_FZ: u32 = 0xE004_200C;
@@ -110,5 +117,41 @@ fn nothing_is_stored_while_the_supply_is_low() {
     rig.bench.advance_us(300_000).expect("the bench runs");
     rig.device.hello(2).expect("it answers again");
     assert_eq!(kept(&mut rig).value, 12_000);
+    rig.check_clean(0);
+}
+
+/// Item 13: a spike on the read-back's wire is no step, whether the motor moves, dwells or stands.
+#[test]
+fn a_spike_on_the_read_back_is_not_counted() {
+    const SPIKE_NS: u64 = 250;
+    let mut rig = homed();
+    let first = rig.edge_count();
+    let mut dice = Dice(0x0013_5EED);
+    let now_ns = rig.bench.now_ns();
+    rig.look(move |rig| {
+        for _ in 0..200 {
+            let at_ns = now_ns + dice.roll(0..9_000_000_000);
+            rig.plan(When::At(at_ns), Action::Spike(SPIKE_NS));
+        }
+    });
+    let (_, record) = execute(&mut rig, paper(1));
+    assert_eq!(record.outcome, RunOutcome::Complete, "{}", rig.log());
+    assert_eq!(record.counted_edges, record.commanded_edges);
+    Verdict::of(&exact(1), &rig.edges(first))
+        .check(LIMIT_NS)
+        .unwrap_or_else(|why| panic!("{why}"));
+    rig.bench.advance_us(1_500_000).expect("the bench runs");
+    assert_eq!(state(&mut rig), RigState::Ready, "{}", rig.log());
+    // The pins that carry it are slow; what the debugger uses (PA13) is not ours.
+    let outputs = [
+        (GPIOA_OSPEEDR, [8, 9, 10].as_slice()),
+        (GPIOB_OSPEEDR, &[4]),
+    ];
+    for (address, pins) in outputs {
+        let speeds = register(&rig.bench, address);
+        for pin in pins {
+            assert_eq!(speeds >> (2 * pin) & 3, 0, "{address:#x}, pin {pin}");
+        }
+    }
     rig.check_clean(0);
 }

@@ -110,8 +110,7 @@ impl RigBoard {
         if self.broken.replace(broken) != Some(broken) {
             pads.drive_break(broken);
         }
-        let counted =
-            self.step_high && self.rig.has_jumper() && pads.function(READ_BACK) == AF_TIMER;
+        let counted = self.rig.read_back() && pads.function(READ_BACK) == AF_TIMER;
         if self.read_back.replace(counted) != Some(counted) {
             pads.drive_tim2_etr(counted);
         }
