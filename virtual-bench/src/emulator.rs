@@ -23,7 +23,7 @@ use rigless::mcu::Mcu;
 use rigless::session::Session;
 use rigless::snapshot::Store;
 use rigless::soc::stm32f427::Stm32f427;
-use rigless::soc::stm32f427::generated::{flash, gpioa, tim1};
+use rigless::soc::stm32f427::generated::{flash, gpioa, rcc, tim1};
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin as PortPin};
 use rigless::soc::stm32f427::peripherals::tim::{Advanced, General, Tim};
 use rigless::soc::stm32f427::peripherals::{ADVANCED_TIMERS, TIMERS, adc};
@@ -206,6 +206,13 @@ impl Pads<'_> {
         (registers.get(tim1::Register::Bdtr) >> 15) & 1 == 1
     }
 
+    /// Whether the high-speed clock from outside has been switched on: RCC_CR.HSEON (RM0383 section 6.3.1).
+    #[must_use]
+    pub fn hse_is_on(&self) -> bool {
+        let registers = self.part.bus().slots()[self.slots.rcc].registers();
+        (registers.get(rcc::Register::Cr) >> 16) & 1 == 1
+    }
+
     /// TIM3's output `channel` now.
     #[must_use]
     pub fn tim3_high(&self, channel: u8) -> bool {
@@ -278,6 +285,7 @@ struct Slots {
     exti: usize,
     syscfg: usize,
     flash: usize,
+    rcc: usize,
 }
 
 /// The chip with a board around it.
@@ -313,6 +321,7 @@ impl<W: Wiring> Chip<W> {
             exti: bus.slot("EXTI")?,
             syscfg: bus.slot("SYSCFG")?,
             flash: bus.slot("FLASH")?,
+            rcc: bus.slot("RCC")?,
         };
         let mut chip = Self {
             tim1: Watched::new(hollow_advanced(), &[1, 3]),

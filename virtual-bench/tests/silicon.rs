@@ -155,3 +155,18 @@ fn a_spike_on_the_read_back_is_not_counted() {
     }
     rig.check_clean(0);
 }
+
+/// Item 7: a driver without a pull-up at EN is off before the firmware waits for a clock.
+#[test]
+fn the_driver_is_off_before_the_clock_is_waited_for() {
+    let rig = rig();
+    let was_safe = |rig: &RigRun| {
+        rig.bench
+            .visit(|visit| visit.board().was_safe_before_clock())
+    };
+    assert_eq!(was_safe(&rig).expect("the bench runs"), Some(true));
+    rig.bench.reset().expect("the bench runs");
+    rig.bench.advance_us(300_000).expect("the bench runs");
+    assert_eq!(was_safe(&rig).expect("the bench runs"), Some(true));
+    rig.check_clean(1);
+}

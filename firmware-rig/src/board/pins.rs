@@ -48,6 +48,30 @@ pub struct Board {
     pub sectors: Sectors,
 }
 
+/// Driver off and no step: EN high, DIR and STEP low. Before anything else: until then the driver's own resistor decides, a
+/// DRV8825's means "on", and the clocks may take long to come. The HAL enables the ports once more and does not reset
+/// them. Registers only.
+pub fn make_outputs_safe() {
+    use pac::gpio::vals::Moder;
+    pac::RCC.ahb1enr().modify(|w| {
+        w.set_gpioaen(true);
+        w.set_gpioben(true);
+    });
+    // An access within two cycles of the enabling may be lost (ES0287 2.1.6).
+    let _ = pac::RCC.ahb1enr().read();
+    // First the levels, then the modes.
+    pac::GPIOA.bsrr().write(|w| {
+        w.set_bs(9, true);
+        w.set_br(10, true);
+    });
+    pac::GPIOB.bsrr().write(|w| w.set_br(4, true));
+    pac::GPIOA.moder().modify(|w| {
+        w.set_moder(9, Moder::OUTPUT);
+        w.set_moder(10, Moder::OUTPUT);
+    });
+    pac::GPIOB.moder().modify(|w| w.set_moder(4, Moder::OUTPUT));
+}
+
 /// Clocks, pins and interrupts. The driver stays off and no output is armed.
 pub fn init() -> Board {
     let p = start::init_clearing_stale_tim5(clocks());
@@ -139,10 +163,6 @@ fn enable_peripherals() {
 
 fn configure_pins() {
     use pac::gpio::vals::{Moder, Pupdr};
-    // Outputs first get their level, then their mode: EN high = driver off.
-    pac::GPIOA.bsrr().write(|w| w.set_bs(9, true));
-    pac::GPIOA.moder().modify(|w| w.set_moder(9, Moder::OUTPUT));
-    pac::GPIOB.moder().modify(|w| w.set_moder(4, Moder::OUTPUT));
     for (port, pin) in [(pac::GPIOC, 7), (pac::GPIOB, 6), (pac::GPIOC, 13)] {
         port.pupdr().modify(|w| w.set_pupdr(pin, Pupdr::PULL_UP));
         port.moder().modify(|w| w.set_moder(pin, Moder::INPUT));
