@@ -6,10 +6,10 @@
 //! refer to it.
 
 mod array;
+mod clocks;
 mod dma;
 mod exti;
 mod map;
-mod rcc;
 mod timer;
 
 use std::fmt;
@@ -25,7 +25,7 @@ use rigless::mcu::Mcu;
 use rigless::session::Session;
 use rigless::snapshot::Store;
 use rigless::soc::stm32f427::Stm32f427;
-use rigless::soc::stm32f427::generated::{flash, gpioa, tim1};
+use rigless::soc::stm32f427::generated::{flash, gpioa, rcc, tim1};
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin as PortPin};
 use rigless::soc::stm32f427::peripherals::rcc::Rcc;
 use rigless::soc::stm32f427::peripherals::tim::{Advanced, General, Tim};
@@ -38,10 +38,10 @@ pub use timer::OutputEdge;
 
 pub use array::CutAt;
 use array::{Array, BUSY, Touched};
+use clocks::Clocked;
 pub use dma::Beats;
 use dma::Paced;
 use exti::{Exti, Syscfg};
-use rcc::Clocked;
 use timer::Watched;
 
 const TARGET: &str = "stm32f411re";
@@ -210,6 +210,13 @@ impl Pads<'_> {
     pub fn tim1_armed(&self) -> bool {
         let registers = self.part.bus().slots()[self.slots.tim1].registers();
         (registers.get(tim1::Register::Bdtr) >> 15) & 1 == 1
+    }
+
+    /// Whether the high-speed clock from outside has been switched on: RCC_CR.HSEON (RM0383 section 6.3.1).
+    #[must_use]
+    pub fn hse_is_on(&self) -> bool {
+        let registers = self.part.bus().slots()[self.slots.rcc].registers();
+        (registers.get(rcc::Register::Cr) >> 16) & 1 == 1
     }
 
     /// TIM3's output `channel` now.

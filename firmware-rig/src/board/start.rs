@@ -36,6 +36,7 @@ pub fn clock_failed() -> ! {
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
+    pins::make_outputs_safe();
     let left = retained::start();
     let board = pins::init();
     HOME_FLAG_OPEN.store(pins::inputs().home_flag, Ordering::Relaxed);

@@ -25,6 +25,9 @@ use virtual_bench::{
 
 /// Access control of the flash (RM0383 section 3.8.1), debug control and freeze registers (section 23.16).
 const FLASH_ACR: u32 = 0x4002_3C00;
+/// Speed of the pins (section 8.4.3).
+const GPIOA_OSPEEDR: u32 = 0x4002_0008;
+const GPIOB_OSPEEDR: u32 = 0x4002_0408;
 const DBGMCU_CR: u32 = 0xE004_2004;
 const DBGMCU_APB1_FZ: u32 = 0xE004_2008;
 const DBGMCU_APB2_FZ: u32 = 0xE004_200C;
@@ -540,4 +543,55 @@ fn the_clock_keeps_time_over_an_erase() {
         assert!(lost_us.abs() < 5_000, "{what}: {lost_us} us lost");
         rig.check_clean(0);
     }
+}
+
+/// Item 13: a spike on the read-back's wire is no step, whether the motor moves, dwells or stands.
+#[test]
+fn a_spike_on_the_read_back_is_not_counted() {
+    const SPIKE_NS: u64 = 250;
+    let mut rig = homed();
+    let first = rig.edge_count();
+    let mut dice = Dice(0x0013_5EED);
+    let now_ns = rig.bench.now_ns();
+    rig.look(move |rig| {
+        for _ in 0..200 {
+            let at_ns = now_ns + dice.roll(0..9_000_000_000);
+            rig.plan(When::At(at_ns), Action::Spike(SPIKE_NS));
+        }
+    });
+    let (_, record) = execute(&mut rig, paper(1));
+    assert_eq!(record.outcome, RunOutcome::Complete, "{}", rig.log());
+    assert_eq!(record.counted_edges, record.commanded_edges);
+    Verdict::of(&exact(1), &rig.edges(first))
+        .check(LIMIT_NS)
+        .unwrap_or_else(|why| panic!("{why}"));
+    rig.bench.advance_us(1_500_000).expect("the bench runs");
+    assert_eq!(state(&mut rig), RigState::Ready, "{}", rig.log());
+    // The pins that carry it are slow; what the debugger uses (PA13) is not ours.
+    let outputs = [
+        (GPIOA_OSPEEDR, [8, 9, 10].as_slice()),
+        (GPIOB_OSPEEDR, &[4]),
+    ];
+    for (address, pins) in outputs {
+        let speeds = register(&rig.bench, address);
+        for pin in pins {
+            assert_eq!(speeds >> (2 * pin) & 3, 0, "{address:#x}, pin {pin}");
+        }
+    }
+    rig.check_clean(0);
+}
+
+/// Item 7: a driver without a pull-up at EN is off before the firmware waits for a clock.
+#[test]
+fn the_driver_is_off_before_the_clock_is_waited_for() {
+    let rig = rig();
+    let was_safe = |rig: &RigRun| {
+        rig.bench
+            .visit(|visit| visit.board().was_safe_before_clock())
+    };
+    assert_eq!(was_safe(&rig).expect("the bench runs"), Some(true));
+    rig.bench.reset().expect("the bench runs");
+    rig.bench.advance_us(300_000).expect("the bench runs");
+    assert_eq!(was_safe(&rig).expect("the bench runs"), Some(true));
+    rig.check_clean(1);
 }
