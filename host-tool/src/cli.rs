@@ -2,6 +2,7 @@
 //! too.
 
 pub mod args;
+mod commission;
 pub mod failure;
 mod finding;
 mod flash;
@@ -98,6 +99,7 @@ fn carry_out(
         Subcommand::Info(which) => machines::info(which, finder, screen),
         Subcommand::Home => machines::home(finder, screen),
         Subcommand::Run(args) => machines::run(args, finder, screen),
+        Subcommand::Commission(args) => commission::commission(args, finder, screen),
         Subcommand::Stop(which) => machines::stop(Urgent::Stop, which, finder, screen),
         Subcommand::Estop(which) => machines::stop(Urgent::EStop, which, finder, screen),
         Subcommand::Ack(which) => machines::acknowledge(which, finder, screen),

@@ -22,7 +22,7 @@ use protocol::system::{
 use protocol::table::{Endpoint, Impact, Request, Response, SCHEMA_KEY, Telemetry};
 
 use crate::error::ClientError;
-use crate::link::Link;
+use crate::link::{Link, LinkError};
 
 /// The longest time between two requests while waiting, us. A moving device stops after 1 s without one, or after the
 /// rig's `link_timeout_ms`: three requests go out in that time, should it be shorter.
@@ -336,6 +336,16 @@ impl Device {
     #[must_use]
     pub fn place(&self) -> String {
         self.link.place()
+    }
+
+    /// Gives the link up, so that another one can be opened to the same port. From now on everything fails as with a
+    /// pulled cable; the operator's stop is still noticed.
+    pub fn hang_up(&mut self) {
+        let gone = Gone {
+            place: self.link.place(),
+            now_us: self.link.now_us(),
+        };
+        self.link = Box::new(gone);
     }
 
     /// The link's clock.
@@ -718,6 +728,14 @@ impl Device {
         Ok(())
     }
 
+    /// Sends nothing for `duration_us` of link time, as a host that is gone. The operator's stop goes out all the same.
+    ///
+    /// # Errors
+    /// The link's, or [`ClientError::StopUnconfirmed`].
+    pub fn fall_silent(&mut self, duration_us: u64) -> Result<(), ClientError> {
+        self.listen(self.now_us().saturating_add(duration_us))
+    }
+
     /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every
     /// `keep_alive_us` without one. Then it requests the device's status, which is also the keep-alive and shows the end even if its
     /// event was lost.
@@ -1006,6 +1024,39 @@ impl Device {
         ClientError::StopUnconfirmed {
             place: self.place(),
         }
+    }
+}
+
+/// What is left of a link that was given up.
+struct Gone {
+    place: String,
+    now_us: u64,
+}
+
+impl Gone {
+    fn lost(&self) -> LinkError {
+        LinkError::Lost {
+            place: self.place.clone(),
+            why: "it was given up".to_owned(),
+        }
+    }
+}
+
+impl Link for Gone {
+    fn place(&self) -> String {
+        self.place.clone()
+    }
+
+    fn now_us(&self) -> u64 {
+        self.now_us
+    }
+
+    fn send(&mut self, _: &[u8]) -> Result<(), LinkError> {
+        Err(self.lost())
+    }
+
+    fn receive(&mut self, _: &mut [u8], _: u64) -> Result<usize, LinkError> {
+        Err(self.lost())
     }
 }
 

@@ -6,6 +6,7 @@ use std::hash::{BuildHasher, RandomState};
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
 
+use crate::commission::hands::Hands;
 use crate::link::address::Address;
 use crate::link::serial::{self, Serial};
 use crate::link::tcp::Tcp;
@@ -45,6 +46,13 @@ pub trait Connector {
 
     /// The time of day, for records.
     fn now(&self) -> Timestamp;
+
+    /// Hands at the machine of this kind and address, where they are part of this program. A board needs those of a
+    /// person.
+    fn hands(&self, kind: DeviceKind, address: Option<&Address>) -> Option<Box<dyn Hands>> {
+        let _ = (kind, address);
+        None
+    }
 }
 
 /// Serial ports and TCP, random nonces, the computer's clock.

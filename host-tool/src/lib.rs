@@ -12,12 +12,14 @@
 //! * [`plan`]: a run, calculated before it is sent.
 //! * [`report`]: recorded trials as one HTML file.
 //! * [`science`]: the paper's design, simulations and series, without a machine.
+//! * [`commission`]: the steps from a new board to a machine that may run, measured and recorded.
 //! * [`progress`]: progress for people, as a bar or as lines.
 //! * [`cli`]: the command line, a thin layer over all this.
 #![forbid(unsafe_code)]
 
 pub mod cli;
 pub mod client;
+pub mod commission;
 pub mod connector;
 pub mod decimal;
 pub mod error;

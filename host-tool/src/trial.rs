@@ -518,19 +518,20 @@ impl Recorder {
         }
     }
 
-    /// Replaces the sidecar by renaming: a reader finds the old one or the new one, never a part of it.
     fn write_sidecar(&self) -> Result<(), RecordError> {
         let path = &self.sidecar;
-        let write = || -> io::Result<()> {
-            let part = path.with_extension("json.part");
-            let mut file = File::create(&part)?;
-            serde_json::to_writer_pretty(&mut file, &self.trial)?;
-            file.write_all(b"\n")?;
-            file.sync_all()?;
-            fs::rename(&part, path)
-        };
-        write().map_err(|io| RecordError::write(path, io))
+        replace(path, &self.trial).map_err(|io| RecordError::write(path, io))
     }
+}
+
+/// Replaces a JSON file by renaming: a reader finds the old one or the new one, never a part of it.
+pub(crate) fn replace(path: &Path, value: &impl Serialize) -> io::Result<()> {
+    let part = path.with_extension("json.part");
+    let mut file = File::create(&part)?;
+    serde_json::to_writer_pretty(&mut file, value)?;
+    file.write_all(b"\n")?;
+    file.sync_all()?;
+    fs::rename(&part, path)
 }
 
 /// The end of a trial.

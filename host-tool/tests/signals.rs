@@ -176,7 +176,8 @@ fn a_key_holds_the_run_and_another_resumes_it() {
     );
     assert_eq!(code, 0, "{out}{err}");
     assert!(begin.elapsed() > Duration::from_millis(3_300), "{out}");
-    assert_eq!(err.lines().count(), 1, "{err}");
+    // The hint, and that the board was not commissioned.
+    assert_eq!(err.lines().count(), 2, "{err}");
     assert!(err.contains("h and Enter"), "{err}");
     assert_eq!(out.matches("  held at ").count(), 1, "{out}");
     assert_eq!(out.matches("  resumed").count(), 1, "{out}");

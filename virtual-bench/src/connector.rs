@@ -1,7 +1,9 @@
 //! Connects the host tool to the machines on the bench: `--rig virtual` and `--capsule virtual`.
 
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 
+use host_tool::commission::hands::Hands;
 use host_tool::connector::{Candidate, Connector, Ports};
 use host_tool::link::address::Address;
 use host_tool::link::{Link, OpenError};
@@ -9,15 +11,29 @@ use jiff::Timestamp;
 use protocol::system::DeviceKind;
 
 use crate::boards::{capsule, rig};
+use crate::hands::{BenchHands, Machine, Plug};
 use crate::link::VirtualLink;
 use crate::plants::capsule::CapsuleOptions;
 use crate::plants::rig::RigOptions;
 
-/// Powers a machine up when its link is opened; passes all other addresses to [`Ports`].
-#[derive(Debug, Default)]
+/// Powers a machine up when its link is opened, unless hands are at one; passes all other addresses to [`Ports`].
+#[derive(Default)]
 pub struct BenchPorts {
     /// The last link opened does not lead to the bench.
     elsewhere: AtomicBool,
+    /// A machine that hands are at: it stays, and every link leads to it.
+    handled: Mutex<Option<(Machine, Plug)>>,
+}
+
+impl BenchPorts {
+    fn handled(&self) -> std::sync::MutexGuard<'_, Option<(Machine, Plug)>> {
+        self.handled.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Each session with a machine that goes on needs a nonce of its own.
+fn session_nonce(now_ns: u64) -> u32 {
+    (now_ns / 1_000) as u32 + 2
 }
 
 impl Connector for BenchPorts {
@@ -31,6 +47,16 @@ impl Connector for BenchPorts {
         self.elsewhere.store(elsewhere, Ordering::Relaxed);
         if elsewhere {
             return Ports.open(kind, address, baud);
+        }
+        if let Some((machine, plug)) = &*self.handled() {
+            return Ok(match machine {
+                Machine::Rig(bench) => {
+                    Box::new(VirtualLink::new(bench, "virtual rig").with_plug(plug.clone()))
+                }
+                Machine::Capsule(bench) => {
+                    Box::new(VirtualLink::new(bench, "virtual capsule").with_plug(plug.clone()))
+                }
+            });
         }
         let opened: Result<Box<dyn Link>, _> = match kind {
             DeviceKind::Rig => rig::start(RigOptions::default())
@@ -52,10 +78,30 @@ impl Connector for BenchPorts {
     /// Always the same for a machine on the bench, so that its behaviour does not depend on chance.
     fn nonce(&self) -> u32 {
         if self.elsewhere.load(Ordering::Relaxed) {
-            Ports.nonce()
-        } else {
-            1
+            return Ports.nonce();
         }
+        match &*self.handled() {
+            None => 1,
+            Some((Machine::Rig(bench), _)) => session_nonce(bench.now_ns()),
+            Some((Machine::Capsule(bench), _)) => session_nonce(bench.now_ns()),
+        }
+    }
+
+    /// Powers a machine up and keeps it.
+    fn hands(&self, kind: DeviceKind, address: Option<&Address>) -> Option<Box<dyn Hands>> {
+        if address != Some(&Address::Virtual) {
+            return None;
+        }
+        // Without an image there are no hands; opening the link says why.
+        let machine = match kind {
+            DeviceKind::Rig => Machine::Rig(rig::start(RigOptions::default()).ok()?),
+            DeviceKind::Capsule => {
+                Machine::Capsule(capsule::start(CapsuleOptions::default()).ok()?)
+            }
+        };
+        let plug = Plug::default();
+        *self.handled() = Some((machine.clone(), plug.clone()));
+        Some(Box::new(BenchHands::new(machine, plug)))
     }
 
     fn now(&self) -> Timestamp {

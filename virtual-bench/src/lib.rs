@@ -16,6 +16,7 @@ pub mod demo;
 pub mod emulator;
 pub mod faults;
 pub mod figures;
+pub mod hands;
 pub mod link;
 pub mod log;
 pub mod pins;

@@ -4,11 +4,13 @@ use host_tool::link::{Link, LinkError};
 
 use crate::bench::{Bench, BenchError};
 use crate::emulator::Wiring;
+use crate::hands::Plug;
 
 /// A serial cable to a machine on the bench. Its clock is the machine's, which runs only during `receive`.
 pub struct VirtualLink<W: Wiring> {
     bench: Bench<W>,
     place: &'static str,
+    plug: Plug,
 }
 
 impl<W: Wiring> VirtualLink<W> {
@@ -18,7 +20,25 @@ impl<W: Wiring> VirtualLink<W> {
         Self {
             bench: bench.clone(),
             place,
+            plug: Plug::default(),
         }
+    }
+
+    /// The same with a plug that a hand can pull.
+    #[must_use]
+    pub fn with_plug(self, plug: Plug) -> Self {
+        Self { plug, ..self }
+    }
+
+    /// As a port whose board is gone.
+    fn unless_pulled(&self) -> Result<(), LinkError> {
+        if self.plug.is_in() {
+            return Ok(());
+        }
+        Err(LinkError::Lost {
+            place: self.place.into(),
+            why: "the cable is pulled".into(),
+        })
     }
 
     fn lost(&self, why: &BenchError) -> LinkError {
@@ -39,11 +59,13 @@ impl<W: Wiring> Link for VirtualLink<W> {
     }
 
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.unless_pulled()?;
         self.bench.cable().send(bytes);
         Ok(())
     }
 
     fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        self.unless_pulled()?;
         let mut cable = self.bench.cable();
         loop {
             let count = cable.take_received(buffer);

@@ -14,6 +14,7 @@ use virtual_bench::connector::BenchPorts;
 use virtual_bench::demo::{self, DemoOptions};
 use virtual_bench::emulator::Wiring;
 use virtual_bench::figures;
+use virtual_bench::hands::{BenchHands, HandsServer, Machine, Plug};
 use virtual_bench::link::VirtualLink;
 use virtual_bench::plants::capsule::CapsuleOptions;
 use virtual_bench::plants::rig::RigOptions;
@@ -44,6 +45,10 @@ enum Subcommand {
         /// Port of the capsule; 0 for a free one.
         #[arg(long, value_name = "PORT")]
         capsule: Option<u16>,
+        /// Also serve hands at each machine, for `retrograde commission --yes --hands`: on this port at the rig, on
+        /// the next one at the capsule; 0 for free ones.
+        #[arg(long, value_name = "PORT")]
+        hands: Option<u16>,
     },
     /// Any command of the host tool, which here also takes `--rig virtual` and `--capsule virtual`.
     #[command(external_subcommand)]
@@ -59,9 +64,11 @@ fn main() -> ExitCode {
         }
         Subcommand::Bench => figures::run(&mut |line| drop(writeln!(std::io::stdout(), "{line}")))
             .map_err(miette::Report::from),
-        Subcommand::Serve { rig, capsule } => {
-            serve(rig, capsule).map_err(|why| miette::miette!("{why}"))
-        }
+        Subcommand::Serve {
+            rig,
+            capsule,
+            hands,
+        } => serve(rig, capsule, hands).map_err(|why| miette::miette!("{why}")),
         Subcommand::Retrograde(arguments) => {
             let program = OsString::from("virtual-bench");
             return host_tool::cli::run(
@@ -79,7 +86,7 @@ fn main() -> ExitCode {
     }
 }
 
-fn serve(rig: Option<u16>, capsule: Option<u16>) -> Result<(), BenchError> {
+fn serve(rig: Option<u16>, capsule: Option<u16>, hands: Option<u16>) -> Result<(), BenchError> {
     let (rig, capsule) = match (rig, capsule) {
         (None, None) => (Some(7001), Some(7002)),
         chosen => chosen,
@@ -87,11 +94,20 @@ fn serve(rig: Option<u16>, capsule: Option<u16>) -> Result<(), BenchError> {
     let mut serving = Vec::new();
     if let Some(port) = rig {
         let bench = boards::rig::start(RigOptions::default())?;
-        serving.push(serve_one(bench, "rig", port)?);
+        let plug = Plug::default();
+        if let Some(port) = hands {
+            lend_hands(Machine::Rig(bench.clone()), &plug, "rig", port)?;
+        }
+        serving.push(serve_one(bench, "rig", port, plug)?);
     }
     if let Some(port) = capsule {
         let bench = boards::capsule::start(CapsuleOptions::default())?;
-        serving.push(serve_one(bench, "capsule", port)?);
+        let plug = Plug::default();
+        if let Some(port) = hands {
+            let port = if port == 0 { 0 } else { port.saturating_add(1) };
+            lend_hands(Machine::Capsule(bench.clone()), &plug, "capsule", port)?;
+        }
+        serving.push(serve_one(bench, "capsule", port, plug)?);
     }
     for server in serving {
         server
@@ -105,11 +121,28 @@ fn serve_one<W: Wiring>(
     bench: Bench<W>,
     name: &'static str,
     port: u16,
+    plug: Plug,
 ) -> Result<thread::JoinHandle<Result<(), BenchError>>, BenchError> {
     let server = Server::listen(port)?;
     eprintln!("{name}: --{name} tcp:127.0.0.1:{}", server.port());
     Ok(thread::spawn(move || {
         let mut link = VirtualLink::new(&bench, name);
-        server.serve(&mut link)
+        server.serve(&mut link, &plug)
     }))
+}
+
+fn lend_hands(
+    machine: Machine,
+    plug: &Plug,
+    name: &'static str,
+    port: u16,
+) -> Result<(), BenchError> {
+    let server = HandsServer::listen(port)?;
+    eprintln!(
+        "hands at the {name}: --yes --hands 127.0.0.1:{}",
+        server.port()
+    );
+    let hands = BenchHands::new(machine, plug.clone()).served();
+    thread::spawn(move || server.serve(&hands));
+    Ok(())
 }

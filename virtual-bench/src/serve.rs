@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use host_tool::link::Link;
 
 use crate::bench::BenchError;
+use crate::hands::Plug;
 
 /// Interval between two exchanges with the socket.
 const TURN: Duration = Duration::from_millis(1);
@@ -40,11 +41,12 @@ impl Server {
     }
 
     /// Runs the machine behind `link` forever, for one client at a time: the latest to connect. Connecting and
-    /// disconnecting have no effect on the machine.
+    /// disconnecting have no effect on the machine. While `plug` is out there is no client, and what the machine sends is
+    /// lost.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the machine is gone.
-    pub fn serve(&self, link: &mut dyn Link) -> Result<(), BenchError> {
+    pub fn serve(&self, link: &mut dyn Link, plug: &Plug) -> Result<(), BenchError> {
         let began = Instant::now();
         let epoch_us = link.now_us();
         let mut client: Option<TcpStream> = None;
@@ -55,6 +57,9 @@ impl Server {
             {
                 let _ = stream.set_nodelay(true);
                 client = Some(stream);
+            }
+            if !plug.is_in() {
+                client = None;
             }
             let heard = client
                 .as_mut()

@@ -49,6 +49,9 @@ pub enum Subcommand {
     /// Run the waves: cycles away from home and back, recorded. The rig must be homed. At a terminal, h and Enter holds
     /// the run, r and Enter resumes it.
     Run(Box<RunArgs>),
+    /// Take a new board into service: switches, pulses, travel and stops, measured step by step and recorded. It can be
+    /// left at any time; the same command goes on where it was left.
+    Commission(Box<CommissionArgs>),
     /// Stop: the rig decelerates and keeps its position, the capsule is held by its worm gear.
     Stop(Which),
     /// Emergency stop: cut pulses and motor current at once. It is latched, and the rig's position is lost.
@@ -246,11 +249,14 @@ pub struct Which {
     pub machine: Option<MachineKind>,
 }
 
+/// Folder of all records, unless the user names another.
+pub const DATA_FOLDER: &str = "retrograde-data";
+
 /// Where a trial is recorded.
 #[derive(Debug, Args)]
 pub struct RecordArgs {
     /// Folder of the records (telemetry CSV and JSON).
-    #[arg(long, value_name = "DIR", default_value = "retrograde-data")]
+    #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
     pub out: PathBuf,
     /// Interval of telemetry in ms, 5 to 1000.
     #[arg(long, value_name = "MS", default_value_t = 10, value_parser = clap::value_parser!(u16).range(5..=1000))]
@@ -272,6 +278,37 @@ pub struct RunArgs {
     /// The record.
     #[command(flatten)]
     pub record: RecordArgs,
+}
+
+/// Arguments of `commission`.
+#[derive(Debug, Args)]
+pub struct CommissionArgs {
+    /// The machine.
+    pub machine: MachineKind,
+    /// Ask nobody. What needs a hand at the machine is recorded as not shown, unless the virtual bench lends its own.
+    #[arg(long)]
+    pub yes: bool,
+    /// Where the virtual bench's hands listen, as `virtual-bench serve` says.
+    #[arg(long, value_name = "HOST:PORT", requires = "yes")]
+    pub hands: Option<String>,
+    /// Folder of the record.
+    #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
+    pub out: PathBuf,
+    /// The record, instead of a file in the folder that is named after the board.
+    #[arg(long, value_name = "FILE", conflicts_with = "out")]
+    pub record: Option<PathBuf>,
+    /// The image (ELF) that should be on the rig; by default the one built in this workspace.
+    #[arg(long, value_name = "ELF")]
+    pub image: Option<PathBuf>,
+    /// Strokes of the read-back test without motor power.
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(2..=20_000))]
+    pub strokes: u32,
+    /// Cycles of the run at the end.
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=100))]
+    pub cycles: u16,
+    /// How long the board's clock is compared with the host's, in s.
+    #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=3600))]
+    pub clock_s: u16,
 }
 
 /// What the rig does when it no longer hears from the host.

@@ -17,7 +17,7 @@ use crate::identity;
 use crate::link::OpenError;
 use crate::report::ReportError;
 use crate::report::figures::FigureError;
-use crate::trial::Status;
+use crate::trial::{RecordError, Status};
 
 /// Success.
 pub const DONE: u8 = 0;
@@ -53,6 +53,10 @@ pub enum Failure {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Experiment(#[from] ExperimentError),
+    /// A record could not be written or read.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Record(#[from] RecordError),
     /// The report could not be written.
     #[error(transparent)]
     #[diagnostic(transparent)]
@@ -168,6 +172,17 @@ pub enum Failure {
         /// Changes that could not be undone; empty if everything is as before.
         changed: Vec<String>,
     },
+    /// A commissioning that is not complete.
+    #[error("{why}")]
+    #[diagnostic(code(retrograde::commission), help("{help}"))]
+    Commission {
+        /// What kept it from completion.
+        ending: Unfinished,
+        /// The reason.
+        why: String,
+        /// What the user can do.
+        help: String,
+    },
     /// The image could not be flashed.
     #[error("{why}")]
     #[diagnostic(code(retrograde::flash), help("{help}"))]
@@ -177,6 +192,17 @@ pub enum Failure {
         /// What the user can do.
         help: String,
     },
+}
+
+/// What kept a commissioning from completion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unfinished {
+    /// A step has found something wrong.
+    Defect,
+    /// Nobody was there to show something.
+    NotShown,
+    /// The operator left.
+    Left,
 }
 
 /// The options that make the run feasible, from the planner's numbers.
@@ -251,9 +277,15 @@ impl Failure {
                     UNKNOWN
                 }
             }
+            Self::Commission { ending, .. } => match ending {
+                Unfinished::Defect => FAULT,
+                Unfinished::NotShown => REFUSED,
+                Unfinished::Left => STOPPED,
+            },
             Self::Input { .. } | Self::Range(_) => USAGE,
             Self::Run(_) | Self::Axis(_) | Self::Refused { .. } => REFUSED,
             Self::Experiment(ExperimentError::Record(_))
+            | Self::Record(_)
             | Self::Report(_)
             | Self::Figure(_)
             | Self::File { .. }

@@ -27,7 +27,8 @@ pub(crate) struct Finder<'a> {
 }
 
 impl Finder<'_> {
-    fn address(&self, kind: DeviceKind) -> Option<&Address> {
+    /// The address that the user gave.
+    pub(crate) fn address(&self, kind: DeviceKind) -> Option<&Address> {
         match kind {
             DeviceKind::Rig => self.cli.rig.as_ref(),
             DeviceKind::Capsule => self.cli.capsule.as_ref(),

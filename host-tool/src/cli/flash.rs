@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::process::Command;
 
+use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
 use crate::cli::args::FlashArgs;
@@ -12,13 +13,20 @@ use crate::identity;
 
 const CHIP: &str = "STM32F411RETx";
 
+/// Where `cargo xtask images` leaves a machine's image.
+pub(crate) fn built(machine: DeviceKind) -> PathBuf {
+    let name = identity::kind_name(machine);
+    PathBuf::from(format!(
+        "target/thumbv7em-none-eabihf/firmware/firmware-{name}"
+    ))
+}
+
 pub(crate) fn flash(args: &FlashArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let name = identity::kind_name(args.machine.into());
-    let image = args.image.clone().unwrap_or_else(|| {
-        PathBuf::from(format!(
-            "target/thumbv7em-none-eabihf/firmware/firmware-{name}"
-        ))
-    });
+    let image = args
+        .image
+        .clone()
+        .unwrap_or_else(|| built(args.machine.into()));
     if !image.is_file() {
         return Err(Failure::Flash {
             why: format!("there is no image at {}", image.display()),

@@ -5,12 +5,13 @@ use protocol::rig::RigStatus;
 use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip, Urgent};
 use serde_json::{Map, Value, json};
 
-use crate::cli::args::{RecordArgs, RunArgs, Which};
+use crate::cli::args::{DATA_FOLDER, RecordArgs, RunArgs, Which};
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, line};
 use crate::cli::keyboard;
 use crate::cli::screen::Screen;
 use crate::client::matches;
+use crate::commission::record;
 use crate::decimal;
 use crate::experiment;
 use crate::identity::{self, IdentityRecord};
@@ -192,6 +193,10 @@ pub(crate) fn run(
     let request = args.waves.request(args.on_link_loss);
     plan::check(&request)?;
     let mut rig = finder.connect(DeviceKind::Rig)?;
+    let folders = [args.record.out.clone(), DATA_FOLDER.into()];
+    if let Some(warning) = record::warning(&mut rig, &folders)? {
+        screen.hint(&format!("warning: {warning}"));
+    }
     if let Some(keyboard) = screen.keyboard.take() {
         screen.hint(keyboard::HINT);
         rig.set_pacer(keyboard::pacer(keyboard));

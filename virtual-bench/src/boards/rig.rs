@@ -3,7 +3,7 @@
 //! | pin | signal | electrically |
 //! |---|---|---|
 //! | PA10 | STEP | TIM1_CH3 as AF1, or a plain output; low while nothing drives it |
-//! | PB4, PA9 | DIR, EN | plain outputs; EN has the shield's pull-up, so the driver is off while nothing drives it |
+//! | PB4, PA9 | DIR, EN | plain outputs; EN has a pull-up unless the rig is without, so the driver is off while nothing drives it |
 //! | PA6 | E-stop loop | contact to ground, TIM1_BKIN as AF1 |
 //! | PC7, PB6 | home flag, far limit | contacts to ground, the chip's pull-ups |
 //! | PA0 | read-back | jumper from STEP, TIM2_ETR as AF1 |
@@ -162,7 +162,9 @@ impl Wiring for RigBoard {
         };
         self.sync(sync, now_ns);
         self.rig.turn(pads.output(DIR).unwrap_or(false), now_ns);
-        self.rig.set_enabled(pads.output(ENABLE) == Some(false));
+        // While nothing drives EN a pull-up keeps the driver off; without one the driver's own resistor switches it on.
+        let enable_high = pads.output(ENABLE).unwrap_or(self.rig.pulls_enable_up());
+        self.rig.set_enabled(!enable_high);
         if !pads.hse_is_on() {
             self.outputs_safe = pads.output(ENABLE) == Some(true)
                 && pads.output(DIR).is_some()

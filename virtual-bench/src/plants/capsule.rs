@@ -256,6 +256,12 @@ impl Capsule {
         self.terminal_mv() / BATTERY_DIVIDER
     }
 
+    /// Voltage at the battery's terminals, mV.
+    #[must_use]
+    pub fn battery_terminal_mv(&self) -> f64 {
+        self.terminal_mv()
+    }
+
     /// Level of the driver's fault output, low while there is a fault.
     #[must_use]
     pub fn fault_high(&self) -> bool {

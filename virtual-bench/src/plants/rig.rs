@@ -46,6 +46,12 @@ pub struct RigOptions {
     pub driver: DriverTiming,
     /// Indentation of the intestine by the rollers (the paper's a_n), mm.
     pub indentation_mm: f64,
+    /// A coil of the motor is the wrong way round: it turns against DIR.
+    pub reversed: bool,
+    /// Home flag and far limit are plugged into each other's input.
+    pub swapped_switches: bool,
+    /// EN is pulled up on the board; without it the driver's own resistor switches it on.
+    pub enable_pull_up: bool,
 }
 
 impl Default for RigOptions {
@@ -59,6 +65,25 @@ impl Default for RigOptions {
             stops: (-3 * 800, 133 * 800),
             driver: DriverTiming::DRV8825,
             indentation_mm: 3.0,
+            reversed: false,
+            swapped_switches: false,
+            enable_pull_up: true,
+        }
+    }
+}
+
+impl RigOptions {
+    /// The same rig with a driver or a screw that takes so many steps per millimetre.
+    #[must_use]
+    pub fn with_steps_per_mm(self, steps_per_mm: i64) -> Self {
+        let scaled = |steps: i64| steps * steps_per_mm / self.steps_per_mm;
+        Self {
+            carriage: scaled(self.carriage),
+            steps_per_mm,
+            flag: scaled(self.flag),
+            limit: scaled(self.limit),
+            stops: (scaled(self.stops.0), scaled(self.stops.1)),
+            ..self
         }
     }
 }
@@ -72,6 +97,17 @@ pub enum Switch {
     Far,
     /// E-stop loop.
     EStop,
+}
+
+/// What opens the E-stop loop: its contacts are in series.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LoopContact {
+    /// The E-stop button.
+    Button,
+    /// The end-of-travel switch beyond home.
+    HomeEnd,
+    /// The end-of-travel switch beyond the far end.
+    FarEnd,
 }
 
 /// Actions and faults of the rig.
@@ -95,6 +131,14 @@ pub enum Action {
     Noise(Switch, Option<u64>),
     /// Make the motor ignore this many steps.
     LoseSteps(u64),
+    /// Actuate (or let go) an end-of-travel switch by hand.
+    Loop(LoopContact, bool),
+    /// Actuate (or let go) the home flag or the far limit by hand.
+    Actuate(Switch, bool),
+    /// Switch the motor supply.
+    Supply(bool),
+    /// Move the carriage by hand to this position in steps, which needs a motor without supply.
+    Place(i64),
 }
 
 /// Violations of what the driver and the mechanics require. All zero in a correct run.
@@ -140,6 +184,11 @@ pub struct Rig {
     home: Contact,
     far: Contact,
     estop: Contact,
+    /// Contacts of the E-stop loop that are open: button, home end, far end.
+    loop_open: [bool; 3],
+    /// Home flag and far limit are actuated by hand.
+    by_hand: [bool; 2],
+    supplied: bool,
     button: bool,
     jumper: bool,
     /// When the spike on the read-back's wire ends.
@@ -173,6 +222,9 @@ impl Rig {
             home: Contact::new(options.carriage <= options.flag),
             far: Contact::new(options.carriage >= options.limit),
             estop: Contact::new(false),
+            loop_open: [false; 3],
+            by_hand: [false; 2],
+            supplied: true,
             button: false,
             jumper: true,
             spike_until_ns: None,
@@ -252,14 +304,35 @@ impl Rig {
         self.enabled
     }
 
-    /// Whether `switch` is open.
+    /// Whether the input of `switch` is open.
     #[must_use]
     pub fn is_open(&self, switch: Switch) -> bool {
+        let swapped = self.options.swapped_switches;
         match switch {
+            Switch::Home if swapped => self.far.is_open(),
+            Switch::Far if swapped => self.home.is_open(),
             Switch::Home => self.home.is_open(),
             Switch::Far => self.far.is_open(),
             Switch::EStop => self.estop.is_open(),
         }
+    }
+
+    /// Position of the carriage from the right end, um.
+    #[must_use]
+    pub fn carriage_um(&self) -> i64 {
+        self.carriage * 1_000 / self.options.steps_per_mm
+    }
+
+    /// The middle between the mechanical ends, steps.
+    #[must_use]
+    pub fn middle(&self) -> i64 {
+        i64::midpoint(self.options.stops.0, self.options.stops.1)
+    }
+
+    /// Whether EN is pulled up on the board.
+    #[must_use]
+    pub fn pulls_enable_up(&self) -> bool {
+        self.options.enable_pull_up
     }
 
     /// Whether the start button is pressed.
@@ -282,7 +355,24 @@ impl Rig {
     /// Does `action` now.
     pub fn act(&mut self, action: Action, at_ns: u64) {
         match action {
-            Action::EStop(pressed) => self.estop.actuate(pressed, at_ns),
+            Action::EStop(pressed) => self.open_loop(LoopContact::Button, pressed, at_ns),
+            Action::Loop(contact, open) => self.open_loop(contact, open, at_ns),
+            Action::Actuate(switch, actuated) => {
+                match switch {
+                    Switch::Home => self.by_hand[0] = actuated,
+                    Switch::Far => self.by_hand[1] = actuated,
+                    Switch::EStop => self.open_loop(LoopContact::Button, actuated, at_ns),
+                }
+                self.actuate_switches(at_ns);
+            }
+            Action::Supply(on) => self.supplied = on,
+            Action::Place(steps) if !self.supplied => {
+                let (low, high) = self.options.stops;
+                self.carriage = steps.clamp(low, high);
+                self.actuate_switches(at_ns);
+            }
+            // A motor that holds cannot be turned by hand.
+            Action::Place(_) => {}
             Action::Button(pressed) => self.button = pressed,
             Action::Jumper(whole) => self.jumper = whole,
             Action::Spike(width_ns) => self.spike_until_ns = Some(at_ns + width_ns),
@@ -294,6 +384,20 @@ impl Rig {
             }
             Action::LoseSteps(steps) => self.lose += steps,
         }
+    }
+
+    fn open_loop(&mut self, contact: LoopContact, open: bool, at_ns: u64) {
+        self.loop_open[contact as usize] = open;
+        self.estop.actuate(self.loop_open.contains(&true), at_ns);
+    }
+
+    /// Home flag and far limit follow carriage and hand.
+    fn actuate_switches(&mut self, at_ns: u64) {
+        let [flag, limit] = self.by_hand;
+        let flag = flag || self.carriage <= self.options.flag;
+        let limit = limit || self.carriage >= self.options.limit;
+        self.home.actuate(flag, at_ns);
+        self.far.actuate(limit, at_ns);
     }
 
     fn contact(&mut self, switch: Switch) -> &mut Contact {
@@ -387,18 +491,20 @@ impl Rig {
         let away = self.away;
         self.edges.push(StepEdge { at_ns, away });
         self.move_carriage();
-        self.home.actuate(self.carriage <= self.options.flag, at_ns);
-        self.far.actuate(self.carriage >= self.options.limit, at_ns);
+        self.actuate_switches(at_ns);
         for action in self.faults.due_at_edge(self.edges.len() as u64) {
             self.act(action, at_ns);
         }
     }
 
     fn move_carriage(&mut self) {
-        let next = self.carriage + if self.away { 1 } else { -1 };
+        let left = self.away != self.options.reversed;
+        let next = self.carriage + if left { 1 } else { -1 };
         let (low, high) = self.options.stops;
         if !self.enabled {
             self.violations.disabled += 1;
+        } else if !self.supplied {
+            // The driver takes the step, the motor has no current.
         } else if self.lose > 0 {
             self.lose -= 1;
         } else if next < low || next > high {

@@ -5,6 +5,7 @@ mod common;
 
 mod capsule;
 mod cli;
+mod commission;
 mod endurance;
 mod estop;
 mod faults;

@@ -1,0 +1,176 @@
+//! `commission`: the way from a new board to a machine that may run.
+
+mod terminal;
+
+use std::path::PathBuf;
+
+use protocol::system::{DeviceKind, Urgent};
+use serde_json::{Value, json};
+
+use crate::cli::args::CommissionArgs;
+use crate::cli::failure::{Failure, Unfinished};
+use crate::cli::finding::Finder;
+use crate::cli::screen::Screen;
+use crate::cli::{flash, interrupt};
+use crate::commission::hands::{Bench, Hands, Nobody};
+use crate::commission::procedure;
+use crate::commission::record::{Commissioning, Outcome, Subject};
+use crate::commission::session::{self, Broken, Ending};
+use crate::commission::steps;
+use crate::commission::work::{Options, Work};
+use crate::identity::kind_name;
+use terminal::Terminal;
+
+pub(crate) fn commission(
+    args: &CommissionArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let kind = args.machine.into();
+    let mut hands = hands(args, kind, finder, screen)?;
+    let mut device = finder.connect(kind)?;
+    let subject = Subject::of(&mut device)?;
+    let path = args
+        .record
+        .clone()
+        .unwrap_or_else(|| args.out.join(subject.file_name()));
+    let mut record = Commissioning::resume(&path, &subject, finder.connector.now())?;
+    let all = steps::of(kind);
+    let open = procedure::open(all, &record, &subject);
+    screen.say(&format!(
+        "{} {}, image {}: {} of {} steps hold.",
+        kind_name(kind),
+        subject.uid,
+        subject.image,
+        all.len() - open.len(),
+        all.len()
+    ));
+    screen.say(&format!("Record: {}", path.display()));
+    for (step, standing) in &open {
+        let why = match standing {
+            procedure::Standing::OtherImage => "the image is another one".to_owned(),
+            procedure::Standing::OtherSetting(name) => format!("{name} has changed"),
+            procedure::Standing::NotPassed | procedure::Standing::Holds => continue,
+        };
+        screen.say(&format!("{} is due again: {why}", step.name));
+    }
+    if kind == DeviceKind::Rig && hands.present() && !open.is_empty() {
+        screen.say("No certified safety function: the motor supply needs a hard-wired switch.");
+    }
+    let options = Options {
+        strokes: args.strokes,
+        cycles: args.cycles,
+        clock_us: u64::from(args.clock_s) * 1_000_000,
+        image: image(args, kind),
+    };
+    let reopen = || finder.connect(kind).map_err(|failure| failure.to_string());
+    let mut say = |text: &str| screen.say(text);
+    let mut work = Work::new(device, subject, options, &mut *hands, &mut say, &reopen);
+    let now = || finder.connector.now();
+    let ended = session::carry_out(&mut work, &mut record, &path, &now);
+    let left = matches!(ended, Ok(Ending::Left(_)));
+    if left && work.device.interrupted().is_none() {
+        // Whoever leaves within a motion wants its end.
+        let _ = work.device.urgent(Urgent::Stop);
+    }
+    let off = work.supply_is_off();
+    let subject = work.subject;
+    if off {
+        screen.say("The motor supply is off.");
+    }
+    ended_as(ended, &path)?;
+    let open = procedure::open(all, &record, &subject);
+    if open.is_empty() {
+        screen.say(&format!("All {} steps hold: {}", all.len(), path.display()));
+        return Ok(json!({ "record": path, "commissioning": record }));
+    }
+    let names: Vec<_> = open.iter().map(|(step, _)| step.name).collect();
+    debug_assert!(
+        record
+            .steps
+            .iter()
+            .any(|step| step.outcome != Outcome::Passed)
+    );
+    Err(Failure::Commission {
+        ending: Unfinished::NotShown,
+        why: format!(
+            "commissioning is not complete: {} of {} steps were not shown: {}",
+            names.len(),
+            all.len(),
+            names.join(", ")
+        ),
+        help: format!(
+            "the reasons are in {}; the same command goes on where it is open",
+            path.display()
+        ),
+    })
+}
+
+/// Who is at the machine.
+fn hands(
+    args: &CommissionArgs,
+    kind: DeviceKind,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Box<dyn Hands>, Failure> {
+    if let Some(place) = &args.hands {
+        let bench = Bench::connect(place).map_err(|io| Failure::Input {
+            why: format!("no hands at {place}: {io}"),
+            help:
+                "`virtual-bench serve` says where its hands are; without hands leave the option out"
+                    .to_owned(),
+        })?;
+        return Ok(Box::new(bench));
+    }
+    if args.yes {
+        return Ok(finder
+            .connector
+            .hands(kind, finder.address(kind))
+            .unwrap_or_else(|| Box::new(Nobody)));
+    }
+    match screen.keyboard.take() {
+        Some(keyboard) => Ok(Box::new(Terminal::new(keyboard, interrupt::install()))),
+        None => Err(Failure::Refused {
+            why: "commissioning needs somebody at a terminal, and there is none".to_owned(),
+            help: "at a terminal, without `--json`; or `--yes`, which asks nobody and shows what needs no hand"
+                .to_owned(),
+        }),
+    }
+}
+
+/// The image that should be on the board: the one named, or the one built in this workspace, if there is one.
+fn image(args: &CommissionArgs, kind: DeviceKind) -> Option<PathBuf> {
+    args.image
+        .clone()
+        .or_else(|| Some(flash::built(kind)).filter(|image| image.is_file()))
+}
+
+fn ended_as(ended: Result<Ending, Broken>, path: &std::path::Path) -> Result<(), Failure> {
+    let help = format!(
+        "the results so far are in {}; the same command goes on from there",
+        path.display()
+    );
+    match ended {
+        Ok(Ending::Through) => Ok(()),
+        Ok(Ending::Defect(step, why)) => Err(Failure::Commission {
+            ending: Unfinished::Defect,
+            why: format!("{step}: {why}"),
+            help: format!("mend it; {help}"),
+        }),
+        Ok(Ending::Left(step)) => Err(Failure::Commission {
+            ending: Unfinished::Left,
+            why: step.map_or_else(
+                || "left between two steps".to_owned(),
+                |step| format!("left at the step {step}, which has no result"),
+            ),
+            help,
+        }),
+        Err(Broken::Client(error)) => Err(error.into()),
+        Err(Broken::Record(error)) => Err(error.into()),
+        Err(Broken::NoHands(why)) => Err(Failure::Commission {
+            ending: Unfinished::Left,
+            why,
+            help,
+        }),
+    }
+}

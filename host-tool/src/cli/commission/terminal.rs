@@ -1,0 +1,163 @@
+//! The person at the terminal as the hands of a commissioning.
+
+use std::io::BufRead;
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::thread;
+use std::time::Duration;
+
+use crate::cli::Keyboard;
+use crate::client::Interrupt;
+use crate::commission::hands::{Act, Hands, Part, Reading, Say, Watch};
+use crate::commission::session::wrapped;
+use crate::commission::work::Halt;
+use crate::decimal;
+
+/// Interval between two looks at the keyboard.
+const TURN: Duration = Duration::from_millis(20);
+
+/// A person who reads prompts and types.
+pub(super) struct Terminal {
+    typed: Receiver<String>,
+    interrupt: Interrupt,
+}
+
+/// What was typed.
+enum Answer {
+    Nothing,
+    Text(String),
+}
+
+impl Terminal {
+    /// Reads lines until the program ends, on a thread of its own because a read from a terminal cannot be interrupted.
+    pub(super) fn new(keyboard: Keyboard, interrupt: Interrupt) -> Self {
+        let (typing, typed) = channel();
+        thread::spawn(move || {
+            for line in keyboard.lines().map_while(Result::ok) {
+                if typing.send(line).is_err() {
+                    return;
+                }
+            }
+        });
+        Self { typed, interrupt }
+    }
+
+    /// The next line; `q`, the end of the input and Ctrl-C leave, `s` skips the step.
+    fn answer(&self) -> Result<Answer, Halt> {
+        if (self.interrupt)().is_some() {
+            return Err(Halt::Left);
+        }
+        match self.typed.try_recv() {
+            Err(TryRecvError::Empty) => Ok(Answer::Nothing),
+            Err(TryRecvError::Disconnected) => Err(Halt::Left),
+            Ok(line) => match line.trim() {
+                "q" => Err(Halt::Left),
+                "s" => Err(Halt::NotShown("skipped by the operator".to_owned())),
+                text => Ok(Answer::Text(text.to_owned())),
+            },
+        }
+    }
+}
+
+impl Hands for Terminal {
+    fn act(
+        &mut self,
+        act: Act,
+        shows: bool,
+        say: &mut Say<'_>,
+        watch: &mut Watch<'_>,
+    ) -> Result<(), Halt> {
+        prompt(act_text(act), say);
+        // An Enter by habit must not stand for an act that an input would have shown.
+        let (done, hint) = if shows {
+            (
+                "n",
+                "    It goes on when it sees that. n: done, nothing happens; s skips, q leaves",
+            )
+        } else {
+            (
+                "",
+                "    Enter when done; s and Enter skips the step, q and Enter leaves",
+            )
+        };
+        say(hint);
+        loop {
+            if watch()? {
+                return Ok(());
+            }
+            match self.answer()? {
+                Answer::Text(text) if text == done => return Ok(()),
+                Answer::Text(text) if text.is_empty() => {}
+                Answer::Text(_) => say(hint),
+                Answer::Nothing => thread::sleep(TURN),
+            }
+        }
+    }
+
+    fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt> {
+        let hint = "    The number and Enter; s and Enter skips the step, q and Enter leaves";
+        prompt(reading_text(reading), say);
+        say(hint);
+        loop {
+            match self.answer()? {
+                Answer::Nothing => thread::sleep(TURN),
+                Answer::Text(text) if text.is_empty() => {}
+                // Millimetres and volts have three decimals here: micrometres and millivolts.
+                Answer::Text(text) => match decimal::parse(&text, 3, 1_000_000_000) {
+                    Ok(value) => return Ok(i64::try_from(value).unwrap_or(i64::MAX)),
+                    Err(error) => {
+                        say(&format!("    {text}: {error}"));
+                        say(hint);
+                    }
+                },
+            }
+        }
+    }
+}
+
+fn prompt(text: &str, say: &mut Say<'_>) {
+    for line in wrapped(&format!("  > {text}"), "    ") {
+        say(&line);
+    }
+}
+
+fn act_text(act: Act) -> &'static str {
+    match (act.part, act.on) {
+        (Part::HomeFlag, true) => "Actuate the HOME FLAG by hand, and keep it so.",
+        (Part::HomeFlag, false) => "Let the home flag go.",
+        (Part::FarLimit, true) => "Actuate the FAR LIMIT by hand, and keep it so.",
+        (Part::FarLimit, false) => "Let the far limit go.",
+        (Part::EStop, true) => "Press the E-STOP button, and leave it pressed.",
+        (Part::EStop, false) => "Release the E-stop button.",
+        (Part::HomeEnd, true) => {
+            "Open the END-OF-TRAVEL SWITCH at the RIGHT end, beyond home, and keep it so."
+        }
+        (Part::HomeEnd, false) => "Let the end-of-travel switch at the right end go.",
+        (Part::FarEnd, true) => "Open the END-OF-TRAVEL SWITCH at the LEFT end, and keep it so.",
+        (Part::FarEnd, false) => "Let the end-of-travel switch at the left end go.",
+        (Part::Jumper, true) => "Put the jumper D2-A0 back.",
+        (Part::Jumper, false) => "Pull the read-back JUMPER D2-A0 while the carriage moves.",
+        (Part::Supply, true) => {
+            "Keep a hand on its switch, then switch the MOTOR SUPPLY ON. The carriage will move."
+        }
+        (Part::Supply, false) => "Switch the MOTOR SUPPLY OFF.",
+        (Part::Cable, true) => "Wait 3 s, then plug the cable in again.",
+        (Part::Cable, false) => {
+            "Pull the USB CABLE while the carriage moves (the board has to be fed by E5V or VIN)."
+        }
+        (Part::Carriage, _) => {
+            "Turn the screw by hand until the carriage is in the MIDDLE of its travel."
+        }
+    }
+}
+
+fn reading_text(reading: Reading) -> &'static str {
+    match reading {
+        Reading::EnableInReset => {
+            "Hold the black RESET button, measure D8 against GND, release the button. Volts:"
+        }
+        Reading::Carriage => {
+            "Measure with a caliper from a fixed point, such as the frame's right end, to the carriage. Millimetres:"
+        }
+        Reading::Battery => "Measure the BATTERY at the capsule's board. Volts:",
+    }
+}

@@ -1,0 +1,341 @@
+//! The record of a commissioning: one JSON file per board. It is replaced as a whole after each step, so that a session
+//! can end at any instant.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use jiff::Timestamp;
+use protocol::rig::GetRigHealth;
+use protocol::settings::{GetSetting, SettingKey};
+use protocol::system::{DeviceKind, Identity};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use crate::client::Device;
+use crate::commission::procedure::{self, Standing};
+use crate::commission::steps::{self, Step};
+use crate::error::ClientError;
+use crate::identity::{IdentityRecord, kind_name};
+use crate::trial::{RecordError, replace};
+
+/// Version of the format; incremented when a field changes its meaning.
+pub const FORMAT: u32 = 1;
+
+/// What came of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// Observed, and as it has to be.
+    Passed,
+    /// Observed, and not as it has to be.
+    Failed,
+    /// Not observed.
+    NotShown,
+}
+
+/// The machine that results are about.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Subject {
+    /// Kind of machine.
+    pub machine: DeviceKind,
+    /// Unique number of its board.
+    pub uid: String,
+    /// Fingerprint of the rig's image, 8 hex digits; of the capsule, which has none, the commit.
+    pub image: String,
+    /// Commit of the image.
+    pub firmware: String,
+    /// Protocol of the image.
+    pub protocol: String,
+    /// All settings by name; the capsule has none.
+    pub settings: BTreeMap<String, u32>,
+}
+
+impl Subject {
+    /// Asks a machine for everything that its results depend on.
+    ///
+    /// # Errors
+    /// As [`Device::call`]; [`ClientError::NoAnswer`] before [`Device::hello`].
+    pub fn of(device: &mut Device) -> Result<Self, ClientError> {
+        let Some(identity) = device.identity().copied() else {
+            let place = device.place();
+            return Err(ClientError::NoAnswer { place });
+        };
+        let mut subject = Self::of_identity(&identity);
+        if identity.device == DeviceKind::Rig {
+            let hash = device.call(GetRigHealth)?.image_hash;
+            subject.image = format!("{hash:08x}");
+            for key in SettingKey::ALL {
+                let value = device.call(GetSetting { key })?.value;
+                subject.settings.insert(key.name().to_owned(), value);
+            }
+        }
+        Ok(subject)
+    }
+
+    fn of_identity(identity: &Identity) -> Self {
+        let known = IdentityRecord::from(identity);
+        Self {
+            machine: identity.device,
+            uid: known.uid,
+            image: known.firmware.clone(),
+            firmware: known.firmware,
+            protocol: known.protocol,
+            settings: BTreeMap::new(),
+        }
+    }
+
+    /// Value of a setting.
+    #[must_use]
+    pub fn setting(&self, key: SettingKey) -> u32 {
+        let known = self.settings.get(key.name()).copied();
+        known.unwrap_or(key.range().default)
+    }
+
+    /// Name of the record's file.
+    #[must_use]
+    pub fn file_name(&self) -> String {
+        file_name(self.machine, &self.uid)
+    }
+}
+
+fn file_name(machine: DeviceKind, uid: &str) -> String {
+    format!("commissioning-{}-{uid}.json", kind_name(machine))
+}
+
+/// Result of one step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StepResult {
+    /// Name of the step.
+    pub step: String,
+    /// What a pass shows.
+    pub shows: String,
+    /// What came of it.
+    #[serde(rename = "result")]
+    pub outcome: Outcome,
+    /// The defect, or why nothing was shown; none with a pass.
+    pub reason: Option<String>,
+    /// The numbers that were measured, with the unit in their names.
+    pub measured: Map<String, Value>,
+    /// When.
+    pub date_utc: Timestamp,
+    /// The image that it is about; none if it does not depend on the image.
+    pub image: Option<String>,
+    /// The settings that it depends on.
+    pub settings: BTreeMap<String, u32>,
+}
+
+/// A commissioning, finished or not.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Commissioning {
+    /// [`FORMAT`].
+    pub format: u32,
+    /// `rig` or `capsule`.
+    pub machine: String,
+    /// Unique number of the board, 24 hex digits.
+    pub board_uid: String,
+    /// Name and version of the host tool that wrote it last.
+    pub tool: String,
+    /// The image at the last session, as in [`Subject::image`].
+    pub image: String,
+    /// Its commit.
+    pub firmware: String,
+    /// Its protocol.
+    pub protocol: String,
+    /// All settings at the last session.
+    pub settings: BTreeMap<String, u32>,
+    /// First session.
+    pub begun_utc: Timestamp,
+    /// Last result.
+    pub changed_utc: Timestamp,
+    /// All steps have passed with this image and these settings.
+    pub complete: bool,
+    /// Results, in the order of the steps.
+    pub steps: Vec<StepResult>,
+}
+
+/// What a session has found out about a step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Finding {
+    /// What came of it.
+    pub outcome: Outcome,
+    /// The defect, or why nothing was shown.
+    pub reason: Option<String>,
+    /// Measured numbers.
+    pub measured: Map<String, Value>,
+}
+
+impl Commissioning {
+    /// A board of which nothing is known yet.
+    #[must_use]
+    pub fn new(subject: &Subject, now: Timestamp) -> Self {
+        Self {
+            format: FORMAT,
+            machine: kind_name(subject.machine).to_owned(),
+            board_uid: subject.uid.clone(),
+            tool: concat!("retrograde ", env!("CARGO_PKG_VERSION")).to_owned(),
+            image: subject.image.clone(),
+            firmware: subject.firmware.clone(),
+            protocol: subject.protocol.clone(),
+            settings: subject.settings.clone(),
+            begun_utc: now,
+            changed_utc: now,
+            complete: false,
+            steps: vec![],
+        }
+    }
+
+    /// Reads a record; none if there is no such file.
+    ///
+    /// # Errors
+    /// The file cannot be read or is not a record of this format.
+    pub fn read(path: &Path) -> Result<Option<Self>, RecordError> {
+        let error = |why: String| RecordError {
+            path: path.to_owned(),
+            why,
+            remedy: "give the file that `retrograde commission` wrote for this board, or another name: `--record FILE`",
+        };
+        let text = match fs::read_to_string(path) {
+            Ok(text) => text,
+            Err(io) if io.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(io) => return Err(error(io.to_string())),
+        };
+        let record: Self = serde_json::from_str(&text).map_err(|json| error(json.to_string()))?;
+        if record.format != FORMAT {
+            return Err(error(format!(
+                "format {}, this tool reads {FORMAT}",
+                record.format
+            )));
+        }
+        Ok(Some(record))
+    }
+
+    /// Reads the record of `subject`, or begins one.
+    ///
+    /// # Errors
+    /// As [`Commissioning::read`]; the record is that of another board.
+    pub fn resume(path: &Path, subject: &Subject, now: Timestamp) -> Result<Self, RecordError> {
+        let Some(record) = Self::read(path)? else {
+            return Ok(Self::new(subject, now));
+        };
+        if record.board_uid != subject.uid || record.machine != kind_name(subject.machine) {
+            return Err(RecordError {
+                path: path.to_owned(),
+                why: format!(
+                    "this is the record of the {} with board {}, not of the {} with board {}",
+                    record.machine,
+                    record.board_uid,
+                    kind_name(subject.machine),
+                    subject.uid
+                ),
+                remedy: "each board has a record of its own: leave `--record` out, or give another file",
+            });
+        }
+        Ok(record)
+    }
+
+    /// The result of a step.
+    #[must_use]
+    pub fn result(&self, step: &str) -> Option<&StepResult> {
+        self.steps.iter().find(|result| result.step == step)
+    }
+
+    /// Enters what was found out about `step`.
+    pub fn enter(&mut self, step: &Step, finding: Finding, subject: &Subject, now: Timestamp) {
+        let depends = step.settings.iter().map(|key| {
+            let name = key.name().to_owned();
+            (name, subject.setting(*key))
+        });
+        let result = StepResult {
+            step: step.name.to_owned(),
+            shows: step.shows.to_owned(),
+            outcome: finding.outcome,
+            reason: finding.reason,
+            measured: finding.measured,
+            date_utc: now,
+            image: step.of_image.then(|| subject.image.clone()),
+            settings: depends.collect(),
+        };
+        self.steps.retain(|known| known.step != step.name);
+        self.steps.push(result);
+        let all = steps::of(subject.machine);
+        self.steps.sort_by_key(|result| {
+            let place = all.iter().position(|step| step.name == result.step);
+            place.unwrap_or(usize::MAX)
+        });
+        *self = Self {
+            begun_utc: self.begun_utc,
+            complete: procedure::open(all, self, subject).is_empty(),
+            steps: std::mem::take(&mut self.steps),
+            ..Self::new(subject, now)
+        };
+    }
+
+    /// Replaces the file by renaming: a reader finds the old record or the new one, never a part of it.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), RecordError> {
+        let folder = path.parent().filter(|folder| *folder != Path::new(""));
+        folder
+            .map_or(Ok(()), fs::create_dir_all)
+            .and_then(|()| replace(path, self))
+            .map_err(|io| RecordError {
+                path: path.to_owned(),
+                why: io.to_string(),
+                remedy: "choose a file in a folder that can be written, with free space: `--record FILE`",
+            })
+    }
+}
+
+/// Why a rig should not be trusted with a run yet; none if its record in one of `folders` is complete and still counts.
+///
+/// # Errors
+/// As [`Subject::of`].
+pub fn warning(rig: &mut Device, folders: &[PathBuf]) -> Result<Option<String>, ClientError> {
+    let Some(identity) = rig.identity().copied() else {
+        return Ok(None);
+    };
+    let name = Subject::of_identity(&identity).file_name();
+    let paths = folders.iter().map(|folder| folder.join(&name));
+    let found = paths.filter_map(|path| Commissioning::read(&path).transpose());
+    let record = match found.into_iter().next() {
+        None => {
+            return Ok(Some(
+                "this board has no commissioning record: `retrograde commission rig` makes one"
+                    .to_owned(),
+            ));
+        }
+        Some(Err(error)) => {
+            return Ok(Some(format!(
+                "the commissioning record cannot be read: {error}"
+            )));
+        }
+        Some(Ok(record)) => record,
+    };
+    let subject = Subject::of(rig)?;
+    let open = procedure::open(steps::of(subject.machine), &record, &subject);
+    let Some((step, standing)) = open.first() else {
+        return Ok(None);
+    };
+    let why = match standing {
+        Standing::OtherImage => format!(
+            "the commissioning record is of image {}, this is {}",
+            record
+                .result(step.name)
+                .and_then(|result| result.image.as_deref())
+                .unwrap_or("?"),
+            subject.image
+        ),
+        Standing::OtherSetting(name) => {
+            format!("the commissioning record is older than the present {name}")
+        }
+        Standing::NotPassed | Standing::Holds => {
+            format!("commissioning is not complete: {} is open", step.name)
+        }
+    };
+    Ok(Some(format!(
+        "{why}: `retrograde commission rig` shows what is left"
+    )))
+}

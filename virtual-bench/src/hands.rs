@@ -1,0 +1,230 @@
+//! Hands at the machines on the bench: they press, pull and measure as `retrograde commission` asks a person to.
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::{TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use host_tool::commission::hands::{Act, Hands, Part, Reading, Say, Watch, Wish};
+use host_tool::commission::work::Halt;
+
+use crate::bench::{Bench, BenchError};
+use crate::boards::capsule::CapsuleBoard;
+use crate::boards::rig::RigBoard;
+use crate::emulator::Wiring;
+use crate::plants::rig::{Action, LoopContact, Switch};
+
+/// How long a cable stays pulled, us.
+const PULLED_US: u64 = 3_000_000;
+/// EN in reset: 10 kohm to 3.3 V against the driver's own 100 kohm to ground, or that alone, mV.
+const ENABLE_MV: (i64, i64) = (3_000, 0);
+
+/// The cable between a machine and its host, which a hand can pull.
+#[derive(Clone, Debug)]
+pub struct Plug(Arc<AtomicBool>);
+
+impl Default for Plug {
+    fn default() -> Self {
+        Self(Arc::new(AtomicBool::new(true)))
+    }
+}
+
+impl Plug {
+    /// Whether it is plugged in.
+    #[must_use]
+    pub fn is_in(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    fn set(&self, plugged: bool) {
+        self.0.store(plugged, Ordering::Relaxed);
+    }
+}
+
+/// The machine that the hands are at.
+#[derive(Clone)]
+pub enum Machine {
+    /// A rig.
+    Rig(Bench<RigBoard>),
+    /// A capsule.
+    Capsule(Bench<CapsuleBoard>),
+}
+
+/// Hands at one machine.
+#[derive(Clone)]
+pub struct BenchHands {
+    machine: Machine,
+    plug: Plug,
+    /// A server lets time pass by itself.
+    served: bool,
+}
+
+impl BenchHands {
+    /// Hands at a machine whose link has this plug.
+    #[must_use]
+    pub fn new(machine: Machine, plug: Plug) -> Self {
+        Self {
+            machine,
+            plug,
+            served: false,
+        }
+    }
+
+    /// The same for a machine that a server runs in real time.
+    #[must_use]
+    pub fn served(self) -> Self {
+        Self {
+            served: true,
+            ..self
+        }
+    }
+
+    /// Does or measures something; the text says what this machine does not have.
+    ///
+    /// # Errors
+    /// The wish does not fit the machine, or the machine has ended.
+    pub fn carry_out(&self, wish: Wish) -> Result<Option<i64>, String> {
+        let ended = |why: BenchError| why.to_string();
+        match (&self.machine, wish) {
+            (
+                Machine::Rig(bench),
+                Wish::Do(Act {
+                    part: Part::Cable,
+                    on,
+                }),
+            ) => self.cable(bench, on).map_err(ended)?,
+            (
+                Machine::Capsule(bench),
+                Wish::Do(Act {
+                    part: Part::Cable,
+                    on,
+                }),
+            ) => self.cable(bench, on).map_err(ended)?,
+            (Machine::Rig(bench), Wish::Do(act)) => do_at_rig(bench, act).map_err(ended)?,
+            (Machine::Rig(bench), Wish::Read(Reading::Carriage)) => {
+                let um = bench.visit(|visit| visit.board().rig.carriage_um());
+                return um.map(Some).map_err(ended);
+            }
+            (Machine::Rig(bench), Wish::Read(Reading::EnableInReset)) => {
+                let pulled = bench.visit(|visit| {
+                    visit.reset();
+                    visit.board().rig.pulls_enable_up()
+                });
+                let (with, without) = ENABLE_MV;
+                let pulled = pulled.map_err(ended)?;
+                return Ok(Some(if pulled { with } else { without }));
+            }
+            (Machine::Capsule(bench), Wish::Read(Reading::Battery)) => {
+                let mv = bench.visit(|visit| visit.board().capsule.battery_terminal_mv());
+                return mv.map(|mv| Some(mv.round() as i64)).map_err(ended);
+            }
+            (_, wish) => return Err(format!("this machine cannot `{wish}`")),
+        }
+        Ok(None)
+    }
+
+    fn cable<W: Wiring>(&self, bench: &Bench<W>, plugged: bool) -> Result<(), BenchError> {
+        if !plugged {
+            self.plug.set(false);
+            return Ok(());
+        }
+        if self.served {
+            std::thread::sleep(Duration::from_micros(PULLED_US));
+        } else {
+            bench.advance_us(PULLED_US)?;
+            let mut cable = bench.cable();
+            // What the machine sent meanwhile went nowhere.
+            let mut lost = [0; 256];
+            while cable.take_received(&mut lost) > 0 {}
+        }
+        self.plug.set(true);
+        Ok(())
+    }
+}
+
+fn do_at_rig(bench: &Bench<RigBoard>, Act { part, on }: Act) -> Result<(), BenchError> {
+    bench.visit(move |visit| {
+        let now_ns = visit.now_ns();
+        let rig = &mut visit.board().rig;
+        let action = match part {
+            Part::HomeFlag => Action::Actuate(Switch::Home, on),
+            Part::FarLimit => Action::Actuate(Switch::Far, on),
+            Part::EStop => Action::EStop(on),
+            Part::HomeEnd => Action::Loop(LoopContact::HomeEnd, on),
+            Part::FarEnd => Action::Loop(LoopContact::FarEnd, on),
+            Part::Jumper => Action::Jumper(on),
+            Part::Supply => Action::Supply(on),
+            Part::Carriage => Action::Place(rig.middle()),
+            Part::Cable => return,
+        };
+        rig.act(action, now_ns);
+    })
+}
+
+impl Hands for BenchHands {
+    fn act(&mut self, act: Act, _: bool, say: &mut Say<'_>, _: &mut Watch<'_>) -> Result<(), Halt> {
+        say(&format!("  hands: {}", Wish::Do(act)));
+        self.carry_out(Wish::Do(act))
+            .map(|_| ())
+            .map_err(Halt::NotShown)
+    }
+
+    fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt> {
+        say(&format!("  hands: {}", Wish::Read(reading)));
+        match self.carry_out(Wish::Read(reading)) {
+            Ok(Some(value)) => Ok(value),
+            Ok(None) => Err(Halt::NotShown("nothing was measured".to_owned())),
+            Err(why) => Err(Halt::NotShown(why)),
+        }
+    }
+}
+
+/// The hands behind a port of the loopback interface.
+pub struct HandsServer {
+    listener: TcpListener,
+}
+
+impl HandsServer {
+    /// Listens on `port`, or on a free one if it is 0.
+    ///
+    /// # Errors
+    /// [`BenchError::Listen`] when the port is taken.
+    pub fn listen(port: u16) -> Result<Self, BenchError> {
+        let listener =
+            TcpListener::bind(("127.0.0.1", port)).map_err(|why| BenchError::Listen {
+                address: format!("127.0.0.1:{port}"),
+                why,
+            })?;
+        Ok(Self { listener })
+    }
+
+    /// The port it listens on.
+    #[must_use]
+    pub fn port(&self) -> u16 {
+        self.listener
+            .local_addr()
+            .map_or(0, |address| address.port())
+    }
+
+    /// Answers one client after the other, forever.
+    pub fn serve(&self, hands: &BenchHands) {
+        for stream in self.listener.incoming().flatten() {
+            // A client that is gone ends its conversation, not the server.
+            let _ = converse(&stream, hands);
+        }
+    }
+}
+
+fn converse(stream: &TcpStream, hands: &BenchHands) -> std::io::Result<()> {
+    let mut out = stream;
+    for line in BufReader::new(stream).lines() {
+        let answer = match line?.parse().and_then(|wish| hands.carry_out(wish)) {
+            Ok(None) => "done".to_owned(),
+            Ok(Some(value)) => format!("value {value}"),
+            Err(why) => format!("error {}", why.replace('\n', " ")),
+        };
+        writeln!(out, "{answer}")?;
+    }
+    Ok(())
+}

@@ -1,0 +1,574 @@
+//! Commissioning against the images: it passes in one go, goes on where it was left, and names what is wrong with a
+//! machine.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use host_tool::cli;
+use host_tool::client::Device;
+use host_tool::commission::hands::{Act, Bench as Remote, Hands, Part, Reading, Say, Watch, Wish};
+use host_tool::commission::image;
+use host_tool::commission::record::{Commissioning, Outcome, Subject};
+use host_tool::commission::session::{Ending, carry_out};
+use host_tool::commission::steps;
+use host_tool::commission::work::{Halt, Options, Work};
+use host_tool::connector::{Candidate, Connector, Ports};
+use host_tool::link::address::Address;
+use host_tool::link::{Link, OpenError};
+use jiff::Timestamp;
+use protocol::rig::GetRigHealth;
+use protocol::system::{DeviceKind, Urgent};
+use virtual_bench::bench::{Bench, BenchOptions};
+use virtual_bench::boards::rig::RigBoard;
+use virtual_bench::boards::{capsule, rig};
+use virtual_bench::hands::{BenchHands, HandsServer, Machine, Plug};
+use virtual_bench::link::VirtualLink;
+use virtual_bench::plants::capsule::CapsuleOptions;
+use virtual_bench::plants::rig::{Action, Rig, RigOptions, Switch};
+
+/// Steps that nothing shows: the bench has no second jumper from STEP yet.
+const NOT_SHOWN: &[&str] = &["edge-timing"];
+
+/// One machine with hands at it.
+struct Workshop {
+    machine: Machine,
+    plug: Plug,
+}
+
+impl Workshop {
+    fn new(machine: Machine) -> Self {
+        Self {
+            machine,
+            plug: Plug::default(),
+        }
+    }
+
+    fn now_ns(&self) -> u64 {
+        match &self.machine {
+            Machine::Rig(bench) => bench.now_ns(),
+            Machine::Capsule(bench) => bench.now_ns(),
+        }
+    }
+
+    fn link(&self) -> Box<dyn Link> {
+        let plug = self.plug.clone();
+        match &self.machine {
+            Machine::Rig(bench) => Box::new(VirtualLink::new(bench, "virtual rig").with_plug(plug)),
+            Machine::Capsule(bench) => {
+                Box::new(VirtualLink::new(bench, "virtual capsule").with_plug(plug))
+            }
+        }
+    }
+
+    /// Each session needs a nonce of its own.
+    fn session(&self) -> u32 {
+        (self.now_ns() / 1_000) as u32 + 7
+    }
+
+    fn lend(&self) -> BenchHands {
+        BenchHands::new(self.machine.clone(), self.plug.clone())
+    }
+}
+
+impl Connector for Workshop {
+    fn open(&self, _: DeviceKind, _: &Address, _: u32) -> Result<Box<dyn Link>, OpenError> {
+        Ok(self.link())
+    }
+    fn candidates(&self) -> Vec<Candidate> {
+        Ports.candidates()
+    }
+    fn nonce(&self) -> u32 {
+        self.session()
+    }
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+    fn hands(&self, _: DeviceKind, _: Option<&Address>) -> Option<Box<dyn Hands>> {
+        Some(Box::new(self.lend()))
+    }
+}
+
+fn rig_bench(options: RigOptions) -> Bench<RigBoard> {
+    let board = RigBoard::new(Rig::new(options));
+    Bench::start(board, BenchOptions::new(rig::image())).expect("the image boots")
+}
+
+fn act(bench: &Bench<RigBoard>, action: Action) {
+    let acted = bench.visit(|visit| {
+        let now_ns = visit.now_ns();
+        visit.board().rig.act(action, now_ns);
+    });
+    acted.expect("the bench runs");
+}
+
+/// Exit code, and what was printed on both streams.
+fn retrograde(workshop: &Workshop, arguments: &[&str]) -> (u8, String) {
+    let (mut out, mut err) = (vec![], vec![]);
+    let arguments = ["retrograde"].iter().chain(arguments).map(OsString::from);
+    let places = ["--rig", "virtual", "--capsule", "virtual"].map(OsString::from);
+    let line = arguments.chain(places);
+    let code = cli::run_on(line, workshop, &mut out, &mut err, false);
+    out.extend(err);
+    (code, String::from_utf8_lossy(&out).into_owned())
+}
+
+/// `commission --yes` with few strokes, and the record at `record`.
+fn commission(workshop: &Workshop, machine: &str, record: &Path, more: &[&str]) -> (u8, String) {
+    let image = rig::image();
+    let image = image.to_str().expect("UTF-8");
+    let record = record.to_str().expect("UTF-8");
+    let line = [
+        "commission",
+        machine,
+        "--yes",
+        "--strokes",
+        "200",
+        "--cycles",
+        "1",
+        "--clock-s",
+        "1",
+        "--record",
+        record,
+    ];
+    let image = ["--image", image];
+    let named = more.contains(&"--image");
+    let image = if named { &[][..] } else { &image[..] };
+    retrograde(workshop, &[&line, image, more].concat())
+}
+
+fn folder() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let record = folder.path().join("record.json");
+    (folder, record)
+}
+
+fn read(record: &Path) -> Commissioning {
+    let read = Commissioning::read(record).expect("a record");
+    read.expect("it was written")
+}
+
+/// Names of the steps that were begun, in order.
+fn begun(text: &str) -> Vec<String> {
+    text.lines()
+        .filter_map(|line| line.strip_prefix('[')?.split_once("] "))
+        .filter_map(|(_, rest)| rest.split_once(':'))
+        .map(|(name, _)| name.to_owned())
+        .collect()
+}
+
+fn names(kind: DeviceKind) -> Vec<String> {
+    steps::of(kind)
+        .iter()
+        .map(|step| step.name.to_owned())
+        .collect()
+}
+
+fn fits_the_screen(text: &str) {
+    // A terminal wraps the path, and the error at the end.
+    let mut lines = text.lines().take_while(|line| !line.starts_with("error"));
+    let long = lines.find(|line| line.chars().count() > 80 && !line.contains('/'));
+    assert_eq!(long, None);
+}
+
+#[test]
+fn a_good_rig_passes_in_one_go_and_a_run_knows_it() {
+    let (folder, record) = folder();
+    let workshop = Workshop::new(Machine::Rig(rig_bench(RigOptions::default())));
+    let (code, text) = commission(&workshop, "rig", &record, &[]);
+    let complete = NOT_SHOWN.is_empty();
+    assert_eq!(code, if complete { 0 } else { 3 }, "{text}");
+    fits_the_screen(&text);
+    assert_eq!(begun(&text), names(DeviceKind::Rig), "{text}");
+    let found = read(&record);
+    assert_eq!(found.complete, complete);
+    for result in &found.steps {
+        let expected = if NOT_SHOWN.contains(&&*result.step) {
+            Outcome::NotShown
+        } else {
+            Outcome::Passed
+        };
+        assert_eq!(result.outcome, expected, "{result:?}");
+    }
+    // 200 strokes of 1 mm at 800 steps.
+    let strokes = found.result("read-back").expect("a result");
+    assert_eq!(strokes.measured["counted_edges"], 160_000);
+    assert_eq!(
+        found.result("travel").expect("a result").measured["measured_um"],
+        40_000
+    );
+    eprintln!(
+        "{text}\nvirtual time: {} s",
+        workshop.now_ns() / 1_000_000_000
+    );
+
+    // Nothing that holds is repeated.
+    let (code, text) = commission(&workshop, "rig", &record, &[]);
+    assert_eq!(code, if complete { 0 } else { 3 }, "{text}");
+    assert_eq!(begun(&text), NOT_SHOWN, "{text}");
+
+    // A run takes the board's record from its own folder. The last step may have left the motor without supply.
+    let supply = Wish::Do(Act {
+        part: Part::Supply,
+        on: true,
+    });
+    workshop.lend().carry_out(supply).expect("done");
+    let home = || {
+        let (code, text) = retrograde(&workshop, &["home"]);
+        assert_eq!(code, 0, "{text}");
+    };
+    home();
+    let data = folder.path().join("data");
+    let run = |workshop: &Workshop| {
+        let out = data.to_str().expect("UTF-8");
+        let line = [
+            "run",
+            "--cycles",
+            "1",
+            "--stroke-mm",
+            "5",
+            "--duration-s",
+            "2",
+            "--out",
+            out,
+        ];
+        let (code, text) = retrograde(workshop, &line);
+        assert_eq!(code, 0, "{text}");
+        text
+    };
+    let text = run(&workshop);
+    assert!(text.contains("no commissioning record"), "{text}");
+    let name = format!("commissioning-rig-{}.json", found.board_uid);
+    std::fs::rename(&record, data.join(name)).expect("renamed");
+    let text = run(&workshop);
+    if complete {
+        assert!(!text.contains("warning"), "{text}");
+    } else {
+        assert!(text.contains("not complete: edge-timing is open"), "{text}");
+    }
+    let (code, text) = retrograde(&workshop, &["settings", "set", "lead_um", "5000"]);
+    assert_eq!(code, 0, "{text}");
+    home();
+    let text = run(&workshop);
+    assert!(text.contains("older than the present lead_um"), "{text}");
+}
+
+#[test]
+fn a_good_capsule_passes_in_one_go() {
+    let (_folder, record) = folder();
+    let bench = capsule::start(CapsuleOptions::default()).expect("the image boots");
+    let workshop = Workshop::new(Machine::Capsule(bench));
+    let (code, text) = commission(&workshop, "capsule", &record, &[]);
+    assert_eq!(code, 0, "{text}");
+    fits_the_screen(&text);
+    assert!(read(&record).complete);
+    eprintln!("{text}");
+    let (code, text) = commission(&workshop, "capsule", &record, &[]);
+    assert_eq!((code, begun(&text).len()), (0, 0), "{text}");
+}
+
+/// Hands that leave at the first thing they are asked for, once they are told to.
+struct Leaving {
+    hands: BenchHands,
+    leave: Arc<AtomicBool>,
+}
+
+impl Hands for Leaving {
+    fn act(
+        &mut self,
+        act: Act,
+        shows: bool,
+        say: &mut Say<'_>,
+        watch: &mut Watch<'_>,
+    ) -> Result<(), Halt> {
+        if self.leave.load(Ordering::Relaxed) {
+            return Err(Halt::Left);
+        }
+        self.hands.act(act, shows, say, watch)
+    }
+
+    fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt> {
+        if self.leave.load(Ordering::Relaxed) {
+            return Err(Halt::Left);
+        }
+        self.hands.read(reading, say)
+    }
+}
+
+/// One session that is left in step `leave`, by Ctrl-C as the step begins or at its first request for a hand. Returns
+/// how it ended and the steps that were begun.
+fn session(
+    workshop: &Workshop,
+    record: &Path,
+    leave: &'static str,
+    by_key: bool,
+) -> (Ending, Vec<String>) {
+    let leaves = Arc::new(AtomicBool::new(false));
+    let stop = Arc::clone(&leaves);
+    let connect = || {
+        let mut device = Device::new(workshop.link());
+        let stop = Arc::clone(&stop);
+        if by_key {
+            device.set_interrupt(Arc::new(move || {
+                stop.load(Ordering::Relaxed).then_some(Urgent::Stop)
+            }));
+        }
+        let hello = device.hello(workshop.session());
+        hello.map(|_| device).map_err(|error| error.to_string())
+    };
+    let mut device = connect().expect("the rig answers");
+    let subject = Subject::of(&mut device).expect("the rig answers");
+    let options = Options {
+        strokes: 100,
+        cycles: 1,
+        clock_us: 200_000,
+        image: Some(rig::image()),
+    };
+    let mut hands = Leaving {
+        hands: workshop.lend(),
+        leave: Arc::clone(&leaves),
+    };
+    let mut text = String::new();
+    let mut say = |line: &str| {
+        text.push_str(line);
+        text.push('\n');
+        if line.contains(&format!("] {leave}:")) {
+            leaves.store(true, Ordering::Relaxed);
+        }
+    };
+    let now = Timestamp::UNIX_EPOCH;
+    let mut known = Commissioning::resume(record, &subject, now).expect("a record");
+    let mut work = Work::new(device, subject, options, &mut hands, &mut say, &connect);
+    let ended = carry_out(&mut work, &mut known, record, &|| now);
+    drop(work);
+    let ended = ended.unwrap_or_else(|broken| panic!("{broken:?}\n{text}"));
+    (ended, begun(&text))
+}
+
+#[test]
+fn left_at_every_step_and_resumed_it_repeats_nothing() {
+    let (_folder, record) = folder();
+    let workshop = Workshop::new(Machine::Rig(rig_bench(short())));
+    set_short(&workshop);
+    let all = steps::of(DeviceKind::Rig);
+    let mut done: Vec<&str> = vec![];
+    for step in all {
+        // Both ways of leaving, where a hand is asked for.
+        let ways: &[bool] = if step.needs_hands {
+            &[true, false]
+        } else {
+            &[true]
+        };
+        for by_key in ways {
+            let (ended, begun) = session(&workshop, &record, step.name, *by_key);
+            assert!(
+                matches!(ended, Ending::Left(Some(name)) if name == step.name),
+                "{} by key {by_key}: {ended:?}",
+                step.name
+            );
+            let expected: Vec<&str> = all
+                .iter()
+                .map(|step| step.name)
+                .take_while(|name| *name != step.name)
+                .filter(|name| !done.contains(name))
+                .chain([step.name])
+                .collect();
+            assert_eq!(begun, expected, "{} by key {by_key}", step.name);
+            if record.is_file() {
+                let found = read(&record);
+                done = all
+                    .iter()
+                    .map(|step| step.name)
+                    .filter(|name| {
+                        found
+                            .result(name)
+                            .is_some_and(|one| one.outcome == Outcome::Passed)
+                    })
+                    .collect();
+            }
+        }
+    }
+    let (ended, begun) = session(&workshop, &record, "nothing", true);
+    assert!(matches!(ended, Ending::Through), "{ended:?}");
+    let expected: Vec<&str> = all
+        .iter()
+        .map(|step| step.name)
+        .filter(|name| !done.contains(name))
+        .collect();
+    assert_eq!(begun, expected);
+}
+
+/// A short rig: 30 mm of stroke, the far limit at 31 mm, the carriage anywhere.
+fn short() -> RigOptions {
+    RigOptions {
+        carriage: 20 * 800,
+        limit: 31 * 800,
+        stops: (-3 * 800, 33 * 800),
+        ..RigOptions::default()
+    }
+}
+
+/// The settings of a short rig that homes in a fraction of the time.
+fn set_short(workshop: &Workshop) {
+    for (key, value) in [
+        ("stroke_um", "30000"),
+        ("seek_um_s", "40000"),
+        ("locate_um_s", "5000"),
+        ("homing_accel_um_s2", "1000000"),
+        ("pull_off_um", "1000"),
+    ] {
+        let (code, text) = retrograde(workshop, &["settings", "set", key, value]);
+        assert_eq!(code, 0, "{text}");
+    }
+}
+
+/// A defective rig stops at `step`, and the text says why.
+fn defect(options: RigOptions, actions: &[Action], more: &[&str], step: &str, says: &str) {
+    let (_folder, record) = folder();
+    let bench = rig_bench(options);
+    for action in actions {
+        act(&bench, action.clone());
+    }
+    let workshop = Workshop::new(Machine::Rig(bench));
+    set_short(&workshop);
+    let (code, text) = commission(&workshop, "rig", &record, more);
+    assert_eq!(code, 6, "{text}");
+    assert_eq!(
+        begun(&text).last().map(String::as_str),
+        Some(step),
+        "{text}"
+    );
+    let found = read(&record);
+    let result = found.result(step).expect("a result");
+    assert_eq!(result.outcome, Outcome::Failed, "{text}");
+    let reason = result.reason.as_deref().unwrap_or_default();
+    eprintln!("{step}: {reason}");
+    assert!(
+        reason.contains(says),
+        "{reason} does not say {says:?}\n{text}"
+    );
+    fits_the_screen(&text);
+}
+
+#[test]
+fn swapped_switches_are_named() {
+    let options = RigOptions {
+        swapped_switches: true,
+        ..short()
+    };
+    defect(options, &[], &[], "home-flag", "swapped switches");
+}
+
+#[test]
+fn wrong_microsteps_are_named() {
+    // The driver is strapped for 1/32, and for 1/8.
+    for (steps_per_mm, says) in [(1_600, "strapped for 32"), (400, "strapped for 8")] {
+        let options = short().with_steps_per_mm(steps_per_mm);
+        defect(options, &[], &[], "travel", says);
+    }
+}
+
+#[test]
+fn a_missing_jumper_is_named() {
+    let options = short();
+    defect(
+        options,
+        &[Action::Jumper(false)],
+        &[],
+        "pulses",
+        "jumper D2-A0 is missing",
+    );
+}
+
+#[test]
+fn a_wrong_lead_is_named() {
+    // A screw of 5 mm: 640 steps per millimetre.
+    let options = short().with_steps_per_mm(640);
+    defect(
+        options,
+        &[],
+        &[],
+        "travel",
+        "wrong lead: 12.5 mm instead of 10, so the screw has a lead of about 5000 um",
+    );
+}
+
+#[test]
+fn a_reversed_motor_is_named() {
+    let options = RigOptions {
+        reversed: true,
+        ..short()
+    };
+    defect(options, &[], &[], "home", "the motor is reversed");
+}
+
+#[test]
+fn a_dead_flag_is_named() {
+    let dead = Action::Stick(Switch::Home, Some(false));
+    defect(short(), &[dead], &[], "home-flag", "the home flag is dead");
+    let stuck = Action::Stick(Switch::Home, Some(true));
+    defect(
+        short(),
+        &[stuck],
+        &[],
+        "home-flag",
+        "open in the middle of the travel",
+    );
+}
+
+#[test]
+fn a_noisy_loop_is_named() {
+    // It opens for 4 ms and closes for 4 ms, again and again.
+    let noisy = Action::Noise(Switch::EStop, Some(4_000_000));
+    defect(short(), &[noisy], &[], "quiet", "the E-stop loop is noisy");
+}
+
+#[test]
+fn an_enable_without_pull_up_is_named() {
+    let options = RigOptions {
+        enable_pull_up: false,
+        ..short()
+    };
+    defect(options, &[], &[], "enable", "EN has no pull-up");
+}
+
+#[test]
+fn a_stale_image_is_named() {
+    let other = capsule::image();
+    let other = other.to_str().expect("UTF-8");
+    defect(short(), &[], &["--image", other], "image", "stale image");
+}
+
+/// The file's fingerprint is the one that the image calculates over its flash.
+#[test]
+fn a_file_and_its_image_have_the_same_fingerprint() {
+    let mut rig = crate::common::rig();
+    let health = rig.device.call(GetRigHealth).expect("the rig answers");
+    let file = image::fingerprint(&rig::image()).expect("an image");
+    assert_eq!(format!("{file:08x}"), format!("{:08x}", health.image_hash));
+}
+
+#[test]
+fn hands_behind_a_port_do_what_they_are_asked() {
+    let bench = rig_bench(short());
+    let server = HandsServer::listen(0).expect("a port");
+    let place = format!("127.0.0.1:{}", server.port());
+    let hands = BenchHands::new(Machine::Rig(bench.clone()), Plug::default()).served();
+    std::thread::spawn(move || server.serve(&hands));
+    let mut hands = Remote::connect(&place).expect("they listen");
+    let mut say = |_: &str| {};
+    let mut watch = || Ok(false);
+    let mut act = |part, on| hands.act(Act { part, on }, true, &mut say, &mut watch);
+    act(Part::Supply, false).expect("done");
+    act(Part::Carriage, true).expect("done");
+    act(Part::HomeFlag, true).expect("done");
+    let open = bench.visit(|visit| visit.board().rig.is_open(Switch::Home));
+    assert!(open.expect("the bench runs"));
+    assert_eq!(
+        hands.read(Reading::Carriage, &mut say).expect("measured"),
+        15_000
+    );
+    let no = hands.read(Reading::Battery, &mut say);
+    assert!(matches!(no, Err(Halt::NotShown(why)) if why.contains("cannot")));
+}
