@@ -15,7 +15,7 @@ pub trait Words {
 }
 
 /// How many words are used.
-pub const WORDS: usize = TEXT + LONGEST;
+pub const WORDS: usize = CLOCK + 1;
 
 const MAGIC: u32 = 0x5245_5430;
 const LATCHED_LOOP: u32 = MAGIC ^ 1;
@@ -29,6 +29,7 @@ const TEXT_MAGIC: usize = 3;
 const LENGTH: usize = 4;
 const CHECK: usize = 5;
 const TEXT: usize = 6;
+const CLOCK: usize = TEXT + LONGEST;
 
 /// An emergency stop that stays latched over a reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,6 +49,8 @@ pub struct Retained {
     pub last_words: Option<LastWords>,
     /// An E-stop that nobody has acknowledged.
     pub latched: Option<EStop>,
+    /// The clock stopped, and that ended the previous start; told once.
+    pub clock_failed: bool,
 }
 
 /// Takes what the previous start left, and counts this one.
@@ -56,8 +59,11 @@ pub fn start(words: &mut impl Words) -> Retained {
         words.get(BOOT_ID).wrapping_add(1)
     } else {
         words.set(LATCHED, 0);
+        words.set(CLOCK, 0);
         1
     };
+    let clock_failed = words.get(CLOCK) == MAGIC;
+    words.set(CLOCK, 0);
     let length = (words.get(LENGTH) as usize).min(LONGEST);
     let told = words.get(TEXT_MAGIC) == MAGIC && words.get(CHECK) == check(words, length);
     let last_words = told.then(|| {
@@ -76,7 +82,13 @@ pub fn start(words: &mut impl Words) -> Retained {
         boot_id,
         last_words,
         latched,
+        clock_failed,
     }
+}
+
+/// Keeps for the next start that the clock stopped.
+pub fn keep_clock_failed(words: &mut impl Words) {
+    words.set(CLOCK, MAGIC);
 }
 
 /// Keeps an E-stop over a reset, or forgets it.

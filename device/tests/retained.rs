@@ -4,7 +4,9 @@
 use device::{
     identity::reset_cause,
     last_words::{Draft, LONGEST},
-    retained::{EStop, Retained, WORDS, Words, keep_last_words, keep_latched, start},
+    retained::{
+        EStop, Retained, WORDS, Words, keep_clock_failed, keep_last_words, keep_latched, start,
+    },
 };
 use proptest::prelude::*;
 use protocol::system::ResetCause;
@@ -41,6 +43,7 @@ fn starts_are_counted_from_one() {
             boot_id: number,
             last_words: None,
             latched: None,
+            clock_failed: false,
         };
         assert_eq!(start(&mut ram), left);
     }
@@ -144,7 +147,7 @@ fn the_layout_stays() {
     assert_eq!(ram.0[6..22], letters);
     keep_latched(&mut ram, Some(EStop::Frame));
     assert_eq!(ram.0[2], 0x5245_5432);
-    assert_eq!(WORDS, 126);
+    assert_eq!(WORDS, 127);
 }
 
 proptest! {
@@ -163,7 +166,7 @@ proptest! {
     #[test]
     fn a_ram_of_noise_says_nothing(noise in prop::collection::vec(any::<u32>(), WORDS)) {
         let mut ram = Ram(noise);
-        let first = Retained { boot_id: 1, last_words: None, latched: None };
+        let first = Retained { boot_id: 1, last_words: None, latched: None, clock_failed: false };
         prop_assert_eq!(start(&mut ram), first);
         prop_assert_eq!(start(&mut ram).boot_id, 2);
     }
@@ -204,7 +207,7 @@ proptest! {
     ) {
         let mut ram = Ram::blank();
         keep_last_words(&mut ram, words.as_bytes());
-        let text = WORDS - LONGEST; // the text lies at the end
+        let text = WORDS - LONGEST - 1; // one word lies behind the text
         let index = text + place.index(words.len());
         prop_assert_eq!(ram.0[index], u32::from(words.as_bytes()[index - text]));
         ram.0[index] ^= 1 << bit;
@@ -229,4 +232,14 @@ fn last_words_with_a_wrong_bit_are_not_told() {
             assert_eq!(text(&start(&mut tipped)), None, "letter {index}, bit {bit}");
         }
     }
+}
+
+/// Told once, and not after the supply was off.
+#[test]
+fn a_clock_that_failed_is_told_once() {
+    let mut ram = Ram::blank();
+    assert!(!start(&mut ram).clock_failed);
+    keep_clock_failed(&mut ram);
+    assert!(start(&mut ram).clock_failed);
+    assert!(!start(&mut ram).clock_failed);
 }

@@ -85,6 +85,7 @@ const FRESH: Retained = Retained {
     boot_id: 1,
     last_words: None,
     latched: None,
+    clock_failed: false,
 };
 
 struct Device {

@@ -22,7 +22,7 @@ use protocol::{
     events::EventRing,
     rig::{RigEvent, RigFault, RigHealth, RigState},
     settings::SettingKey,
-    system::{ResetCause, Urgent, What},
+    system::{Clock, ResetCause, Urgent, What},
     table::{Reply, Request},
 };
 
@@ -85,11 +85,12 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
     /// Control after a start, from what the previous one left and what is in flash.
     pub fn new(rig: R, flash: F, left: Retained, reset_cause: ResetCause, image_hash: u32) -> Self {
         let fault = match (reset_cause, left.latched) {
+            _ if rig.chip().clock == Clock::Internal => Some(RigFault::ClockMissing),
             (ResetCause::Panic, _) => Some(RigFault::Panic),
             (ResetCause::Watchdog, _) => Some(RigFault::Watchdog),
             (_, Some(EStop::Loop)) => Some(RigFault::EStopLoop),
             (_, Some(EStop::Frame)) => Some(RigFault::EStopFrame),
-            (_, None) => None,
+            (_, None) => left.clock_failed.then_some(RigFault::ClockFailed),
         };
         let (store, usable) = SettingsStore::load(flash, |values| Settings::new(values).is_ok());
         let settings = Settings::new(store.values()).unwrap_or(Settings::REFERENCE);

@@ -480,6 +480,8 @@ impl Machine {
         };
         let present = match fault {
             RigFault::EStopLoop if inputs.estop_loop => true,
+            // It is looked for at a start.
+            RigFault::ClockMissing => true,
             // No carriage is at both ends: whatever the fault was, the switches' cable is unplugged.
             _ => inputs.home_flag && inputs.far_limit,
         };

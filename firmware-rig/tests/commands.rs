@@ -595,7 +595,7 @@ fn a_run_in_ten_seconds_is_infeasible() {
         refused_run(total(10_000_000, 100_000)),
         Refusal::TooFast {
             requested_us: 10_000_000,
-            min_us: 22_803_509,
+            min_us: 31_430_630,
             min_accel_um_s2: 520_000,
         }
     );

@@ -71,6 +71,7 @@ struct Board {
     carriage: Carriage,
     button: bool,
     supply_low: bool,
+    clock: system::Clock,
     rearmed: u32,
     silence_us: u32,
     told: Vec<system::Event>,
@@ -87,6 +88,7 @@ impl Surroundings for Board {
 
     fn chip(&self) -> system::Chip {
         system::Chip {
+            clock: self.clock,
             supply_low: self.supply_low,
             ..CHIP
         }
@@ -163,6 +165,7 @@ const FRESH: Retained = Retained {
     boot_id: 1,
     last_words: None,
     latched: None,
+    clock_failed: false,
 };
 
 impl Bench {
@@ -182,6 +185,7 @@ impl Bench {
             carriage,
             button: false,
             supply_low: false,
+            clock: system::Clock::External,
             rearmed: 0,
             silence_us: 0,
             told: Vec::new(),
@@ -1066,4 +1070,48 @@ mod health {
         }
         assert_eq!(CONTROL_ROUND, ROUND_US * 100);
     }
+}
+
+/// Without its clock nothing moves, whatever was latched before; the link and the settings work.
+#[test]
+fn a_missing_clock_is_a_fault_that_nothing_clears() {
+    let left = Retained {
+        latched: Some(EStop::Loop),
+        ..FRESH
+    };
+    for cause in [ResetCause::PowerOn, ResetCause::Watchdog, ResetCause::Panic] {
+        let mut bench = Bench::start_with(Flash::blank(), left.clone(), cause, |board| {
+            board.clock = system::Clock::Internal;
+        });
+        let fault = RigFault::ClockMissing;
+        assert_eq!(bench.status().fault, Some(fault));
+        assert_eq!(
+            bench.refused(Request::Home(rig::Home)),
+            Refusal::RigFaulted(fault)
+        );
+        assert_eq!(
+            bench.refused(Request::Acknowledge(Acknowledge)),
+            Refusal::CauseStillPresent
+        );
+        bench.accepted(Request::SetTelemetry(SetTelemetry { period_ms: 5 }));
+    }
+}
+
+/// A clock that stopped is named after the restart, unless something worse is to be told; then the rig can go on.
+#[test]
+fn a_clock_that_failed_is_acknowledged() {
+    let left = Retained {
+        clock_failed: true,
+        ..FRESH
+    };
+    let mut bench = Bench::start(Flash::blank(), left.clone(), ResetCause::Software);
+    assert_eq!(bench.status().fault, Some(RigFault::ClockFailed));
+    bench.accepted(Request::Acknowledge(Acknowledge));
+    assert_eq!(bench.state(), RigState::Unhomed);
+    let left = Retained {
+        latched: Some(EStop::Frame),
+        ..left
+    };
+    let mut bench = Bench::start(Flash::blank(), left, ResetCause::Software);
+    assert_eq!(bench.status().fault, Some(RigFault::EStopFrame));
 }

@@ -199,7 +199,7 @@ fn a_refusal_names_the_value_and_what_is_allowed() {
         timed(total(10_000_000, 100_000)),
         Refusal::TooFast {
             requested_us: 10_000_000,
-            min_us: 22_803_509,
+            min_us: 31_430_630,
             min_accel_um_s2: 520_000,
         }
     );
@@ -221,7 +221,7 @@ fn a_refusal_names_the_value_and_what_is_allowed() {
         refused(&dwelling),
         Refusal::TooFast {
             requested_us: 40_000_000,
-            min_us: 67_803_509,
+            min_us: 76_430_630,
             min_accel_um_s2: u64::MAX,
         }
     );
@@ -339,4 +339,65 @@ fn every_error_has_its_words() {
         words(zero, &paced),
         out_of_range(Field::AccelUmS2, 0, 1, 2_000_000)
     );
+}
+
+/// Whoever takes the duration that a refusal names is not refused for the speed then.
+#[test]
+fn the_shortest_duration_is_one_that_the_speed_limit_allows() {
+    let mut asked = 0;
+    for stroke_um in (2_000..=130_000).step_by(3_700) {
+        for accel_um_s2 in [20_000, 100_000, 333_333, 1_000_000, 2_000_000] {
+            for cycles in [1, 5, 17] {
+                let run = |total_us| Run {
+                    cycles,
+                    stroke_um,
+                    timing: RunTiming::Total {
+                        total_us,
+                        accel_um_s2,
+                    },
+                    far_dwell_us: 200_000,
+                    home_dwell_us: 100_000,
+                    start_delay_us: 50_000,
+                    ..PAPER
+                };
+                let dwells_us = 50_000 + u64::from(cycles) * 300_000;
+                let Refusal::TooFast { min_us, .. } = refused(&run(dwells_us + 1_000)) else {
+                    panic!("{stroke_um} um in no time");
+                };
+                let solved = solve(&run(min_us), &AXIS, &LIMITS);
+                assert!(
+                    solved.is_ok(),
+                    "{stroke_um} {accel_um_s2} {cycles} {min_us}: {solved:?}"
+                );
+                asked += 1;
+            }
+        }
+    }
+    assert_eq!(asked, 35 * 15);
+}
+
+/// A peak that is hardly too high is rounded to the limit, and is still more than it.
+#[test]
+fn a_speed_above_the_limit_reads_as_more_than_the_limit() {
+    let run = |total_us| Run {
+        timing: RunTiming::Total {
+            total_us,
+            accel_um_s2: 100_000,
+        },
+        cycles: 1,
+        ..PAPER
+    };
+    let mut near = 0;
+    for total_us in (6_000_000..6_300_000).step_by(13) {
+        if let Err(error) = solve(&run(total_us), &AXIS, &LIMITS)
+            && let Refusal::SpeedLimit {
+                needed_um_s,
+                max_um_s,
+            } = refusal(&error, &run(total_us), &AXIS, &LIMITS)
+        {
+            assert!(needed_um_s > max_um_s, "{total_us}: {needed_um_s}");
+            near += u32::from(needed_um_s == max_um_s + 1);
+        }
+    }
+    assert!(near > 0);
 }

@@ -29,6 +29,10 @@
 //! sent again (same session, same `seq`, same body) is answered from a cache and never executed twice.
 //! [`system::Urgent`] (stop, emergency stop) needs a good CRC and nothing else.
 //!
+//! Session numbers repeat after 255 greetings: a frame that was held back for so long would be valid again. Numbers in a
+//! body are postcard's varints; a receiver also accepts one with superfluous bytes of zero, no sender makes it, and for the
+//! cache it is another request.
+//!
 //! While the machine moves, the device counts how long its host has been silent. A Hello, a request of the session (a
 //! repeated one, too) and a stop are signs of life. A frame of another session, a body that is no request, and whatever
 //! only devices send, such as an echo on a shorted line, are none.

@@ -169,6 +169,12 @@ impl<W: Wiring> Visit<'_, W> {
         self.session.board_mut().set_supply_mv(millivolts);
     }
 
+    /// The 8 MHz clock from the ST-LINK stops. After a reset it comes back or not.
+    pub fn fail_hse(&mut self, comes_back: bool) {
+        let at = self.stop.at;
+        self.session.board_mut().fail_hse(at, comes_back);
+    }
+
     /// Pulses the reset pin.
     pub fn reset(&mut self) {
         self.session

@@ -6,6 +6,7 @@
 //! refer to it.
 
 mod array;
+mod clocks;
 mod dma;
 mod exti;
 mod map;
@@ -24,8 +25,9 @@ use rigless::mcu::Mcu;
 use rigless::session::Session;
 use rigless::snapshot::Store;
 use rigless::soc::stm32f427::Stm32f427;
-use rigless::soc::stm32f427::generated::{flash, gpioa, tim1};
+use rigless::soc::stm32f427::generated::{flash, gpioa, rcc, tim1};
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin as PortPin};
+use rigless::soc::stm32f427::peripherals::rcc::Rcc;
 use rigless::soc::stm32f427::peripherals::tim::{Advanced, General, Tim};
 use rigless::soc::stm32f427::peripherals::{ADVANCED_TIMERS, TIMERS, adc};
 use rigless::soc::{Bus, Width};
@@ -36,6 +38,7 @@ pub use timer::OutputEdge;
 
 pub use array::CutAt;
 use array::{Array, BUSY, Touched};
+use clocks::Clocked;
 pub use dma::Beats;
 use dma::Paced;
 use exti::{Exti, Syscfg};
@@ -209,6 +212,13 @@ impl Pads<'_> {
         (registers.get(tim1::Register::Bdtr) >> 15) & 1 == 1
     }
 
+    /// Whether the high-speed clock from outside has been switched on: RCC_CR.HSEON (RM0383 section 6.3.1).
+    #[must_use]
+    pub fn hse_is_on(&self) -> bool {
+        let registers = self.part.bus().slots()[self.slots.rcc].registers();
+        (registers.get(rcc::Register::Cr) >> 16) & 1 == 1
+    }
+
     /// TIM3's output `channel` now.
     #[must_use]
     pub fn tim3_high(&self, channel: u8) -> bool {
@@ -279,6 +289,7 @@ struct Slots {
     tim1: usize,
     tim3: usize,
     dma2: usize,
+    rcc: usize,
     exti: usize,
     syscfg: usize,
     flash: usize,
@@ -291,6 +302,7 @@ struct Chip<W> {
     tim1: Watched<Advanced>,
     tim3: Watched<General>,
     dma2: Paced,
+    rcc: Clocked,
     exti: Exti,
     syscfg: Syscfg,
     slots: Slots,
@@ -318,6 +330,7 @@ impl<W: Wiring> Chip<W> {
             tim1: bus.slot("TIM1")?,
             tim3: bus.slot("TIM3")?,
             dma2: bus.slot("DMA2")?,
+            rcc: bus.slot("RCC")?,
             exti: bus.slot("EXTI")?,
             syscfg: bus.slot("SYSCFG")?,
             flash: bus.slot("FLASH")?,
@@ -326,6 +339,7 @@ impl<W: Wiring> Chip<W> {
             tim1: Watched::new(hollow_advanced(), &[1, 3]),
             tim3: Watched::new(hollow_general(), &[1, 2]),
             dma2: Paced::new(map::hollow_controller(), None),
+            rcc: Clocked::new(hollow_clocks(), true),
             options,
             part,
             exti: Exti::default(),
@@ -347,6 +361,8 @@ impl<W: Wiring> Chip<W> {
         let [dma1, dma2] = map::controllers();
         part.dma = [dma1, map::hollow_controller()];
         self.dma2 = Paced::new(dma2, self.options.burst);
+        let rcc = std::mem::replace(&mut part.rcc, hollow_clocks());
+        self.rcc = Clocked::new(rcc, self.options.has_hse);
         let tim1 = std::mem::replace(&mut part.advanced[TIM1], hollow_advanced());
         let tim3 = std::mem::replace(&mut part.tim[TIM3], hollow_general());
         self.tim1 = Watched::new(tim1, &[1, 3]);
@@ -424,6 +440,13 @@ fn hollow_advanced() -> Tim<Advanced> {
     Tim::with_clock(0, ADVANCED_TIMERS[TIM1].counter)
 }
 
+/// What stands in the part for the clock tree: after a reset the part makes the next one from it.
+fn hollow_clocks() -> Rcc {
+    let mut rcc = Rcc::new();
+    rcc.attach_crystals(HSE_HZ, 0);
+    rcc
+}
+
 fn hollow_general() -> Tim<General> {
     Tim::with_clock(0, TIMERS[TIM3].counter)
 }
@@ -453,11 +476,12 @@ impl<W: Wiring> Mcu for Chip<W> {
             tim1,
             tim3,
             dma2,
+            rcc,
             exti,
             syscfg,
             ..
         } = self.slots;
-        if ![tim1, tim3, dma2, exti, syscfg].contains(&slot) {
+        if ![tim1, tim3, dma2, rcc, exti, syscfg].contains(&slot) {
             return self.part.split(slot);
         }
         let bus = self.part.bus_mut();
@@ -467,6 +491,8 @@ impl<W: Wiring> Mcu for Chip<W> {
             &mut self.tim3
         } else if slot == dma2 {
             &mut self.dma2
+        } else if slot == rcc {
+            &mut self.rcc
         } else if slot == exti {
             &mut self.exti
         } else {
@@ -511,6 +537,10 @@ pub struct ChipOptions {
     pub uid: [u8; 12],
     /// How long the bursts of the step timer take; none = no time, which is quicker to emulate.
     pub burst: Option<Beats>,
+    /// The 8 MHz clock from the ST-LINK is there.
+    pub has_hse: bool,
+    /// How long an erase takes, ns; not less than the emulator's 250 ms.
+    pub erase_ns: u64,
 }
 
 impl Default for ChipOptions {
@@ -520,6 +550,8 @@ impl Default for ChipOptions {
             instructions_per_second: 65_000_000,
             uid: *b"virtual rig\0",
             burst: None,
+            has_hse: true,
+            erase_ns: 0,
         }
     }
 }
@@ -631,6 +663,15 @@ impl<W: Wiring> Emulator<W> {
         supply(&mut self.chip.part, millivolts);
     }
 
+    /// The 8 MHz clock stops. After a reset it comes back or not.
+    pub(crate) fn fail_hse(&mut self, at: VirtualNanos, comes_back: bool) {
+        let chip = &mut self.chip;
+        chip.options.has_hse = comes_back;
+        chip.rcc.set_present(comes_back);
+        let (registers, mut context) = chip.part.bus_mut().drive(at, chip.slots.rcc);
+        chip.rcc.rcc.fail_hse(registers, &mut context);
+    }
+
     /// Overwrites code as a debugger does, bypassing the flash interface, until the next reset.
     pub(crate) fn overwrite(&mut self, address: u64, code: &[u16], host: &mut dyn Host) {
         for (address, half) in (address..).step_by(2).zip(code) {
@@ -662,6 +703,14 @@ impl<W: Wiring> Emulator<W> {
         self.wiring().flash_began();
     }
 
+    /// The flash is busy until then: a stop is scheduled there.
+    fn busy_until(&mut self, until: VirtualNanos, now: VirtualNanos) {
+        self.storing_until = until;
+        let exti = self.chip.slots.exti;
+        let bus = self.chip.part.bus_mut();
+        bus.drive(now, exti).1.schedule(until);
+    }
+
     /// Lets the core continue once the flash is ready.
     fn unstall(&mut self, at: VirtualNanos, host: &mut dyn Host) {
         let busy = self.control_and_status().1 & BUSY != 0 || at < self.storing_until;
@@ -684,13 +733,13 @@ impl<W: Wiring> Emulator<W> {
         match self.array.settled(access, registers, host) {
             Touched::Nothing => {}
             Touched::Stored => {
-                self.storing_until = VirtualNanos(now.0 + STORE_NS);
-                let exti = self.chip.slots.exti;
-                let bus = self.chip.part.bus_mut();
-                bus.drive(now, exti).1.schedule(self.storing_until);
+                self.busy_until(VirtualNanos(now.0 + STORE_NS), now);
                 self.stall(host);
             }
-            Touched::EraseBegan => self.stall(host),
+            Touched::EraseBegan => {
+                self.busy_until(VirtualNanos(now.0 + self.options.erase_ns), now);
+                self.stall(host);
+            }
             Touched::Refused => self.flash_refused += 1,
         }
         if access.kind == AccessKind::Write && moves_pins(access.address) {

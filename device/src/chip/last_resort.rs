@@ -1,9 +1,13 @@
 //! Panic and processor faults: outputs off, last words kept over the reset, reset.
 
 use super::retained::Ram;
-use crate::{last_words::Draft, retained::keep_last_words};
+use crate::{
+    last_words::Draft,
+    retained::{keep_clock_failed, keep_last_words},
+};
 use core::{arch::asm, ptr::read_volatile};
 use cortex_m_rt::ExceptionFrame;
+use embassy_stm32::pac;
 
 /// Defines the handlers of an image: for a panic, for a failed check of defmt and for a processor fault. Each calls
 /// `$outputs_off`, the image's safe state, before anything else.
@@ -65,6 +69,14 @@ pub fn die_of_a_fault(frame: &ExceptionFrame) -> ! {
     words.push(", called from ");
     words.push_address(frame.lr());
     die(&words)
+}
+
+/// The clock stopped. The outputs are off; the chip runs on its own oscillator by now.
+pub fn die_of_the_clock() -> ! {
+    keep_clock_failed(&mut Ram);
+    // The NMI would come again until its flag is cleared.
+    pac::RCC.cir().modify(|w| w.set_cssc(true));
+    cortex_m::peripheral::SCB::sys_reset()
 }
 
 /// Return addresses, innermost first, as many as the last words hold.

@@ -22,6 +22,11 @@ bind_interrupts!(struct Interrupts {
 /// Speed of the serial port, baud.
 const BAUD: u32 = 115_200;
 
+/// The external clock has this long to come, ms: the ST-LINK has to start first.
+const CLOCK_MS: u32 = 300;
+/// The oscillator that a reset begins with, kHz.
+const RESET_KHZ: u32 = 16_000;
+
 /// Longer than the longest erasure of a settings sector, 500 ms, in which no task runs.
 const WATCHDOG_US: u32 = 800_000;
 
@@ -34,6 +39,59 @@ pub fn init_clearing_stale_tim5(config: Config) -> embassy_stm32::Peripherals {
         cortex_m::peripheral::NVIC::unpend(pac::Interrupt::TIM5);
         peripherals
     })
+}
+
+/// Starts the watchdog and then the HAL with `external` clocks, or with `internal` ones where the external clock does
+/// not come. A clock that stops later breaks TIM1, which ends all pulses, and raises the NMI (RM0383 section 6.2.7).
+///
+/// The HAL itself waits for the external clock for ever, and before the watchdog.
+pub fn init_with_either_clock(external: Config, internal: Config) -> embassy_stm32::Peripherals {
+    start_watchdog();
+    let comes = external_clock_comes();
+    let peripherals = init_clearing_stale_tim5(if comes { external } else { internal });
+    pac::RCC.cr().modify(|w| w.set_csson(comes));
+    peripherals
+}
+
+/// Starts the watchdog with what [`watchdog`] will ask for. The prescaler and the reload value are taken while its clock
+/// runs, so it is started first (RM0383 section 18.3).
+fn start_watchdog() {
+    use pac::iwdg::vals::{Key, Pr};
+    let key = |key| pac::IWDG.kr().write(|w| w.set_key(key));
+    key(Key::START);
+    key(Key::ENABLE);
+    pac::IWDG.pr().write(|w| w.set_pr(Pr::DIVIDE_BY8));
+    // 32 kHz / 8: four to the millisecond.
+    pac::IWDG
+        .rlr()
+        .write(|w| w.set_rl((WATCHDOG_US / 250 - 1) as u16));
+    // Five cycles of its clock; the longest wait is a millisecond.
+    let taken = |_| {
+        let status = pac::IWDG.sr().read();
+        !status.pvu() && !status.rvu()
+    };
+    let _ = (0..RESET_KHZ / 10).any(taken);
+    feed();
+}
+
+/// Feeds the watchdog.
+pub(super) fn feed() {
+    pac::IWDG
+        .kr()
+        .write(|w| w.set_key(pac::iwdg::vals::Key::RESET));
+}
+
+/// Switches the external clock on and waits for it, bounded. Off again if it does not come.
+fn external_clock_comes() -> bool {
+    pac::RCC.cr().modify(|w| w.set_hsebyp(true));
+    pac::RCC.cr().modify(|w| w.set_hseon(true));
+    let comes = (0..CLOCK_MS).any(|_| {
+        cortex_m::asm::delay(RESET_KHZ);
+        feed();
+        pac::RCC.cr().read().hserdy()
+    });
+    pac::RCC.cr().modify(|w| w.set_hseon(comes));
+    comes
 }
 
 /// Why the chip was reset; clears the flags (RM0383 section 6.3.21).

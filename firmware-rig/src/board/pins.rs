@@ -31,7 +31,7 @@ use embassy_stm32::{
     wdg::IndependentWatchdog,
 };
 use motion::axis::Direction;
-use protocol::rig::RigInputs;
+use protocol::{rig::RigInputs, system::Clock};
 
 /// AF1 carries TIM1 and TIM2 on every pin used here (DS9716 table 9).
 const AF_TIMER: u8 = 1;
@@ -48,9 +48,33 @@ pub struct Board {
     pub sectors: Sectors,
 }
 
+/// Driver off and no step: EN high, DIR and STEP low. Before anything else: until then the driver's own resistor decides, a
+/// DRV8825's means "on", and the clocks may take long to come. The HAL enables the ports once more and does not reset
+/// them. Registers only.
+pub fn make_outputs_safe() {
+    use pac::gpio::vals::Moder;
+    pac::RCC.ahb1enr().modify(|w| {
+        w.set_gpioaen(true);
+        w.set_gpioben(true);
+    });
+    // An access within two cycles of the enabling may be lost (ES0287 2.1.6).
+    let _ = pac::RCC.ahb1enr().read();
+    // First the levels, then the modes.
+    pac::GPIOA.bsrr().write(|w| {
+        w.set_bs(9, true);
+        w.set_br(10, true);
+    });
+    pac::GPIOB.bsrr().write(|w| w.set_br(4, true));
+    pac::GPIOA.moder().modify(|w| {
+        w.set_moder(9, Moder::OUTPUT);
+        w.set_moder(10, Moder::OUTPUT);
+    });
+    pac::GPIOB.moder().modify(|w| w.set_moder(4, Moder::OUTPUT));
+}
+
 /// Clocks, pins and interrupts. The driver stays off and no output is armed.
 pub fn init() -> Board {
-    let p = start::init_clearing_stale_tim5(clocks());
+    let p = start::init_with_either_clock(clocks(Clock::External), clocks(Clock::Internal));
     accelerate_flash();
     stop_pulses_while_halted();
     enable_peripherals();
@@ -65,21 +89,31 @@ pub fn init() -> Board {
     }
 }
 
-/// 8 MHz from the ST-LINK (or a crystal) through the PLL to 100 MHz; both timer clocks are 100 MHz.
-fn clocks() -> Config {
+/// Through the PLL to 100 MHz; both timer clocks are 100 MHz. From 8 MHz of the ST-LINK (or a crystal), or from the
+/// chip's own 16 MHz, which are good enough for the link and not for a step.
+fn clocks(source: Clock) -> Config {
     use rcc::{
         AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllSource,
         Sysclk,
     };
     let mut config = Config::default();
-    config.rcc.hse = Some(Hse {
-        freq: Hertz(8_000_000),
-        mode: HseMode::Bypass,
-    });
-    config.rcc.pll_src = PllSource::HSE;
-    // 8 MHz / 4 * 100 / 2 = 100 MHz; VCO 200 MHz (RM0383 section 6.3.2: 100..432 MHz).
+    let prediv = match source {
+        Clock::External => {
+            config.rcc.hse = Some(Hse {
+                freq: Hertz(8_000_000),
+                mode: HseMode::Bypass,
+            });
+            config.rcc.pll_src = PllSource::HSE;
+            PllPreDiv::DIV4
+        }
+        Clock::Internal => {
+            config.rcc.pll_src = PllSource::HSI;
+            PllPreDiv::DIV8
+        }
+    };
+    // 2 MHz * 100 / 2 = 100 MHz; VCO 200 MHz (RM0383 section 6.3.2: 100..432 MHz).
     config.rcc.pll = Some(Pll {
-        prediv: PllPreDiv::DIV4,
+        prediv,
         mul: PllMul::MUL100,
         divp: Some(PllPDiv::DIV2),
         divq: None,
@@ -138,11 +172,7 @@ fn enable_peripherals() {
 }
 
 fn configure_pins() {
-    use pac::gpio::vals::{Moder, Ospeedr, Pupdr};
-    // Outputs first get their level, then their mode: EN high = driver off.
-    pac::GPIOA.bsrr().write(|w| w.set_bs(9, true));
-    pac::GPIOA.moder().modify(|w| w.set_moder(9, Moder::OUTPUT));
-    pac::GPIOB.moder().modify(|w| w.set_moder(4, Moder::OUTPUT));
+    use pac::gpio::vals::{Moder, Pupdr};
     for (port, pin) in [(pac::GPIOC, 7), (pac::GPIOB, 6), (pac::GPIOC, 13)] {
         port.pupdr().modify(|w| w.set_pupdr(pin, Pupdr::PULL_UP));
         port.moder().modify(|w| w.set_moder(pin, Moder::INPUT));
@@ -154,13 +184,12 @@ fn configure_pins() {
         w.set_pupdr(10, Pupdr::PULL_DOWN);
         w.set_pupdr(8, Pupdr::PULL_DOWN);
     });
+    // The outputs keep their lowest speed from the reset: edges of at most 100 ns (DS10314 table 57, 50 pF) ring less on the
+    // wires than fast ones, and the shortest pulse is 1 us.
     for pin in [0, 6, 8, 10] {
         pac::GPIOA
             .afr(pin / 8)
             .modify(|w| w.set_afr(pin % 8, AF_TIMER));
-        pac::GPIOA
-            .ospeedr()
-            .modify(|w| w.set_ospeedr(pin, Ospeedr::HIGH_SPEED));
         pac::GPIOA
             .moder()
             .modify(|w| w.set_moder(pin, Moder::ALTERNATE));

@@ -4,7 +4,7 @@ use super::{channels::HOME_FLAG_OPEN, pins, step_generator::StepGenerator, tasks
 use core::sync::atomic::Ordering;
 use defmt_rtt as _;
 use device::{
-    chip::{retained, start},
+    chip::{last_resort::die_of_the_clock, retained, start},
     identity::{identity, reset_cause},
 };
 use embassy_executor::{InterruptExecutor, Spawner};
@@ -20,8 +20,23 @@ unsafe fn SPI5() {
     unsafe { MOTION_EXECUTOR.on_interrupt() }
 }
 
+/// The 8 MHz clock stopped, and the chip runs on its own oscillator. TIM1 is broken by hardware; the driver is switched
+/// off here.
+#[cortex_m_rt::exception]
+#[allow(unsafe_code)]
+unsafe fn NonMaskableInt() -> ! {
+    clock_failed()
+}
+
+/// Switches everything off and starts again; the next start says why.
+pub fn clock_failed() -> ! {
+    pins::outputs_off();
+    die_of_the_clock()
+}
+
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
+    pins::make_outputs_safe();
     let left = retained::start();
     let board = pins::init();
     HOME_FLAG_OPEN.store(pins::inputs().home_flag, Ordering::Relaxed);

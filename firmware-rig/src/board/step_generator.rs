@@ -16,7 +16,7 @@
 
 #![allow(unsafe_code)]
 
-use super::{channels, pins};
+use super::{channels, pins, start::clock_failed};
 use core::{
     cell::UnsafeCell,
     sync::atomic::{Ordering, compiler_fence},
@@ -96,9 +96,14 @@ impl StepGenerator {
         stream.par().write_value(TIM1.dmar().as_ptr() as u32);
         stream.m0ar().write_value(RING.0.get() as u32);
 
-        // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.4, external clock mode 2).
+        // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.4, external clock mode 2). A level counts
+        // after eight equal samples at 25 MHz: a spike of less than 280 ns is none, a pulse of more than 320 ns is one.
+        // The shortest step pulse is 1 us, and so is the shortest pause between two.
         TIM2.arr().write_value(u32::MAX);
-        TIM2.smcr().write(|w| w.set_ece(true));
+        TIM2.smcr().write(|w| {
+            w.set_ece(true);
+            w.set_etf(pac::timer::vals::FilterValue::FDTS_DIV4_N8);
+        });
         TIM2.egr().write(|w| w.set_ug(true));
         TIM2.cr1().modify(|w| w.set_cen(true));
 
@@ -419,9 +424,13 @@ fn DMA2_STREAM5() {
     channels::MOTION_WAKE.signal(());
 }
 
-/// The E-stop loop opened; the hardware has already cleared MOE.
+/// The E-stop loop opened, or the clock security broke the timer; the hardware has already cleared MOE.
 #[pac::interrupt]
 fn TIM1_BRK_TIM9() {
+    // The NMI says so first; this is for the case that it is missed.
+    if pac::RCC.cir().read().cssf() {
+        clock_failed();
+    }
     // The flag stays: it keeps everything from starting until somebody acknowledges. No more interrupts until then.
     TIM1.dier().modify(|w| w.set_bie(false));
     channels::pulses_were_cut(Event::LoopOpened);

@@ -52,6 +52,8 @@ pub struct RigBoard {
     button: Option<bool>,
     broken: Option<bool>,
     read_back: Option<bool>,
+    outputs_safe: bool,
+    safe_before_clock: Option<bool>,
 }
 
 impl RigBoard {
@@ -67,7 +69,16 @@ impl RigBoard {
             button: None,
             broken: None,
             read_back: None,
+            outputs_safe: false,
+            safe_before_clock: None,
         }
+    }
+
+    /// Whether EN was driven high, DIR at all and STEP low when the firmware last switched the high-speed clock on, which
+    /// may take long to come; `None` before that.
+    #[must_use]
+    pub fn was_safe_before_clock(&self) -> Option<bool> {
+        self.safe_before_clock
     }
 
     /// Whether the LED is lit.
@@ -110,8 +121,7 @@ impl RigBoard {
         if self.broken.replace(broken) != Some(broken) {
             pads.drive_break(broken);
         }
-        let counted =
-            self.step_high && self.rig.has_jumper() && pads.function(READ_BACK) == AF_TIMER;
+        let counted = self.rig.read_back() && pads.function(READ_BACK) == AF_TIMER;
         if self.read_back.replace(counted) != Some(counted) {
             pads.drive_tim2_etr(counted);
         }
@@ -124,6 +134,8 @@ impl Wiring for RigBoard {
         self.button = None;
         self.broken = None;
         self.read_back = None;
+        self.outputs_safe = false;
+        self.safe_before_clock = None;
     }
 
     fn look(&mut self, pads: &mut Pads<'_>) {
@@ -153,6 +165,13 @@ impl Wiring for RigBoard {
         // While nothing drives EN a pull-up keeps the driver off; without one the driver's own resistor switches it on.
         let enable_high = pads.output(ENABLE).unwrap_or(self.rig.pulls_enable_up());
         self.rig.set_enabled(!enable_high);
+        if !pads.hse_is_on() {
+            self.outputs_safe = pads.output(ENABLE) == Some(true)
+                && pads.output(DIR).is_some()
+                && pads.output(STEP) == Some(false);
+        } else if self.safe_before_clock.is_none() {
+            self.safe_before_clock = Some(self.outputs_safe);
+        }
         self.led_high = pads.output(LED).unwrap_or(false);
         self.rig.advance(now_ns);
         self.drive(pads);

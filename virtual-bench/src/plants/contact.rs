@@ -9,12 +9,18 @@ pub struct Bounce {
     pub apart_ns: u64,
 }
 
-/// A contact to ground.
+/// From a change of a contact to the change at the chip's pin, ns [assumed, the least]: the carriage follows its step, and
+/// the pull-up charges the wire. An RC on the wire takes longer.
+pub const TO_PIN_NS: u64 = 1_000;
+
+/// A contact to ground, at the chip's end of its wire.
 #[derive(Clone, Debug)]
 pub struct Contact {
     actuated: bool,
     open: bool,
     stuck: Option<bool>,
+    /// From when on it is stuck, or no longer.
+    sticking: Option<(u64, Option<bool>)>,
     bounce: Option<Bounce>,
     /// Changes to come: instant in ns, and whether it opens.
     coming: Vec<(u64, bool)>,
@@ -37,6 +43,7 @@ impl Contact {
             actuated,
             open: actuated,
             stuck: None,
+            sticking: None,
             bounce: None,
             coming: Vec::new(),
             noise: None,
@@ -65,8 +72,9 @@ impl Contact {
             return;
         }
         self.actuated = actuated;
-        self.coming.clear();
-        self.open = actuated;
+        let at_ns = at_ns + TO_PIN_NS;
+        self.coming.retain(|&(at, _)| at < at_ns);
+        self.coming.push((at_ns, actuated));
         if let Some(bounce) = self.bounce {
             let changes = (1..=u64::from(2 * bounce.times)).map(|n| {
                 let open = if n % 2 == 1 { !actuated } else { actuated };
@@ -78,13 +86,14 @@ impl Contact {
 
     /// Injects a pulse on its wire: the opposite level for `width_ns`.
     pub fn disturb(&mut self, at_ns: u64, width_ns: u64) {
-        self.open = !self.actuated;
+        let at_ns = at_ns + TO_PIN_NS;
+        self.coming.push((at_ns, !self.actuated));
         self.coming.push((at_ns + width_ns, self.actuated));
     }
 
     /// Makes it stay open (a cut wire) or closed (welded) although it is actuated or released, or work again.
-    pub fn stick(&mut self, open: Option<bool>) {
-        self.stuck = open;
+    pub fn stick(&mut self, open: Option<bool>, at_ns: u64) {
+        self.sticking = Some((at_ns + TO_PIN_NS, open));
     }
 
     /// Makes every change from now on bounce.
@@ -98,6 +107,9 @@ impl Contact {
             noise.next_ns += noise.half_period_ns;
             noise.high = !noise.high;
         }
+        if let Some((_, stuck)) = self.sticking.take_if(|(at, _)| *at <= now_ns) {
+            self.stuck = stuck;
+        }
         while let Some(&(at, open)) = self.coming.first() {
             if at > now_ns {
                 break;
@@ -110,15 +122,32 @@ impl Contact {
     /// When it next changes by itself, ns.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {
-        let change = self.coming.first().map(|&(at, _)| at);
+        let coming = self.coming.first().map(|&(at, _)| at);
+        let sticking = self.sticking.map(|(at, _)| at);
         let noise = self.noise.map(|noise| noise.next_ns);
-        change.into_iter().chain(noise).min()
+        coming.into_iter().chain(sticking).chain(noise).min()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_change_and_a_disturbance_reach_the_pin_later() {
+        let mut contact = Contact::new(false);
+        contact.actuate(true, 100);
+        contact.advance(100 + TO_PIN_NS - 1);
+        assert!(!contact.is_open());
+        contact.advance(100 + TO_PIN_NS);
+        assert!(contact.is_open());
+        contact.disturb(5_000, 300);
+        assert_eq!(contact.next_ns(), Some(5_000 + TO_PIN_NS));
+        contact.advance(5_000 + TO_PIN_NS);
+        assert!(!contact.is_open());
+        contact.advance(5_300 + TO_PIN_NS);
+        assert!(contact.is_open());
+    }
 
     #[test]
     fn a_bouncing_contact_settles_as_it_is_actuated() {
@@ -133,16 +162,20 @@ mod tests {
             contact.advance(at);
             seen.push(contact.is_open());
         }
-        assert_eq!(seen, [true, false, true, false, true]);
+        assert_eq!(seen, [false, true, false, true, false, true]);
     }
 
     #[test]
     fn a_stuck_contact_does_not_change_and_recovers() {
         let mut contact = Contact::new(false);
-        contact.stick(Some(false));
+        contact.stick(Some(false), 3);
         contact.actuate(true, 5);
+        contact.advance(5 + TO_PIN_NS);
         assert!(!contact.is_open());
-        contact.stick(None);
+        contact.stick(None, 9_000);
+        assert_eq!(contact.next_ns(), Some(9_000 + TO_PIN_NS));
+        contact.advance(9_000 + TO_PIN_NS);
         assert!(contact.is_open());
+        assert_eq!(contact.next_ns(), None);
     }
 }

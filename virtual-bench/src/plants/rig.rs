@@ -119,6 +119,8 @@ pub enum Action {
     Button(bool),
     /// Connect (or cut) the jumper from STEP to the read-back input.
     Jumper(bool),
+    /// Inject a high pulse of this width in ns on the read-back input's wire.
+    Spike(u64),
     /// Make a contact stay open or closed, or work again.
     Stick(Switch, Option<bool>),
     /// Make a contact bounce from now on, or stop that.
@@ -189,6 +191,8 @@ pub struct Rig {
     supplied: bool,
     button: bool,
     jumper: bool,
+    /// When the spike on the read-back's wire ends.
+    spike_until_ns: Option<u64>,
     faults: Faults<Action>,
     tissue: Option<roller::UnfoldedBody>,
 }
@@ -223,6 +227,7 @@ impl Rig {
             supplied: true,
             button: false,
             jumper: true,
+            spike_until_ns: None,
             faults: Faults::default(),
             tissue: None,
         };
@@ -336,10 +341,10 @@ impl Rig {
         self.button
     }
 
-    /// Whether STEP is wired to the read-back input.
+    /// Level at the read-back input.
     #[must_use]
-    pub fn has_jumper(&self) -> bool {
-        self.jumper
+    pub fn read_back(&self) -> bool {
+        self.spike_until_ns.is_some() || (self.jumper && self.step_high)
     }
 
     /// Plans a fault.
@@ -370,7 +375,8 @@ impl Rig {
             Action::Place(_) => {}
             Action::Button(pressed) => self.button = pressed,
             Action::Jumper(whole) => self.jumper = whole,
-            Action::Stick(switch, open) => self.contact(switch).stick(open),
+            Action::Spike(width_ns) => self.spike_until_ns = Some(at_ns + width_ns),
+            Action::Stick(switch, open) => self.contact(switch).stick(open, at_ns),
             Action::Bounce(switch, bounce) => self.contact(switch).set_bounce(bounce),
             Action::Disturb(switch, width_ns) => self.contact(switch).disturb(at_ns, width_ns),
             Action::Noise(switch, half_period_ns) => {
@@ -407,6 +413,7 @@ impl Rig {
         for action in self.faults.due_by(now_ns) {
             self.act(action, now_ns);
         }
+        self.spike_until_ns = self.spike_until_ns.filter(|&until_ns| now_ns < until_ns);
         for contact in [&mut self.home, &mut self.far, &mut self.estop] {
             contact.advance(now_ns);
         }
@@ -417,7 +424,10 @@ impl Rig {
     pub fn next_ns(&self) -> Option<u64> {
         let contacts = [&self.home, &self.far, &self.estop];
         let contacts = contacts.into_iter().filter_map(Contact::next_ns);
-        contacts.chain(self.faults.next_ns()).min()
+        contacts
+            .chain(self.faults.next_ns())
+            .chain(self.spike_until_ns)
+            .min()
     }
 
     /// EN changed: low switches the driver on.
@@ -535,6 +545,7 @@ impl Rig {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plants::contact::TO_PIN_NS;
 
     fn pulses(rig: &mut Rig, from_ns: u64, count: u64) {
         for n in 0..count {
@@ -551,8 +562,11 @@ mod tests {
         });
         rig.set_enabled(true);
         pulses(&mut rig, 10_000, 1);
+        rig.advance(20_000);
         assert!(!rig.is_open(Switch::Home));
         pulses(&mut rig, 30_000, 1);
+        assert_eq!(rig.next_ns(), Some(30_000 + TO_PIN_NS));
+        rig.advance(30_000 + TO_PIN_NS);
         assert!(rig.is_open(Switch::Home));
         assert_eq!(rig.carriage(), 800);
         assert_eq!(rig.violations(), Violations::default());
@@ -616,7 +630,21 @@ mod tests {
         pulses(&mut rig, 0, 1);
         assert!(!rig.is_open(Switch::EStop));
         rig.step(true, 50_000);
+        rig.advance(50_000 + TO_PIN_NS);
         assert!(rig.is_open(Switch::EStop));
+    }
+
+    #[test]
+    fn a_spike_is_on_the_read_back_and_not_on_step() {
+        let mut rig = Rig::new(RigOptions::default());
+        rig.act(Action::Spike(250), 1_000);
+        assert!(rig.read_back());
+        assert_eq!(rig.next_ns(), Some(1_250));
+        rig.advance(1_249);
+        assert!(rig.read_back());
+        rig.advance(1_250);
+        assert!(!rig.read_back());
+        assert!(rig.edges().is_empty());
     }
 
     #[test]

@@ -1,8 +1,6 @@
 //! The rig's settings on the image: kept, checked, and safe against a cut of the supply at every flash operation.
 
-mod common;
-
-use common::{RigRun, rig};
+use crate::common::{RigRun, rig};
 use host_tool::{error::ClientError, link::Link};
 use protocol::{
     error::Refusal,
@@ -114,7 +112,7 @@ fn what_cannot_be_is_refused_and_nothing_is_written() {
     refused(&mut rig, key, 256, Refusal::SettingRule { key, rule });
     rig.home();
     let before = operations(&rig);
-    rig.device.run(common::paper(1)).expect("accepted");
+    rig.device.run(crate::common::paper(1)).expect("accepted");
     refused(
         &mut rig,
         SettingKey::SeekUmS,
@@ -127,14 +125,14 @@ fn what_cannot_be_is_refused_and_nothing_is_written() {
 /// Other microsteps are other positions: the rig has to be homed again, and then moves by the new ones.
 #[test]
 fn a_change_of_the_axis_takes_the_position_away() {
-    let mut rig = common::homed();
+    let mut rig = crate::common::homed();
     set(&mut rig, SettingKey::LinkTimeoutMs, 2_000).expect("accepted");
     assert!(rig.device.rig_status().expect("a status").homed);
     set(&mut rig, SettingKey::StrokeUm, 100_000).expect("accepted");
     let status = rig.device.rig_status().expect("a status");
     assert_eq!((status.homed, status.state), (false, RigState::Unhomed));
     rig.home();
-    match rig.device.run(common::paper(1)) {
+    match rig.device.run(crate::common::paper(1)) {
         Err(ClientError::Refused {
             refusal: Refusal::OutOfRange { max: 100_000, .. },
             ..
@@ -255,7 +253,7 @@ fn a_cut_within_a_change_that_erases_a_sector_loses_nothing() {
     let (mut olds, mut news) = (0, 0);
     for operation in 0..count {
         for at in [CutAt::Before, CutAt::Within, CutAt::After] {
-            let mut rig = common::rig_from_flash(flash.clone());
+            let mut rig = crate::common::rig_from_flash(flash.clone());
             rig.bench
                 .visit(move |visit| visit.cut_flash(at, operation))
                 .expect("the bench runs");
@@ -289,7 +287,7 @@ fn a_sector_that_only_looks_blank_is_erased_before_it_is_used() {
     let words = &mut flash[SECTOR..2 * SECTOR];
     words[..4].fill(0xFF);
     words[SECTOR - 4..].fill(0xFF);
-    let mut rig = common::rig_from_flash(flash);
+    let mut rig = crate::common::rig_from_flash(flash);
     assert_eq!(name(&mut rig), long_name(number - 1));
     rig.device.call(long_name(number)).expect("accepted");
     power_cycle(&mut rig);

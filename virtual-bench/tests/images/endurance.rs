@@ -1,8 +1,6 @@
 //! Many runs on one start of the device.
 
-mod common;
-
-use common::{home_quickly, quick, rig};
+use crate::common::{home_quickly, quick, rig};
 use host_tool::client::{Device, Observer, Unobserved};
 use protocol::{
     rig::{RigEvent, RunOutcome},

@@ -1,22 +1,20 @@
 //! Where the chip is less kind than a plain model of it: the items of `docs/silicon.md` that the bench shows.
 
-mod common;
-
-use common::{
-    Dice, LIMIT_NS, RigRun, exact, execute, home_quickly, homed, paper, quick, rig, start,
+use crate::common::{
+    Dice, LIMIT_NS, Recorder, RigRun, exact, execute, home_quickly, homed, paper, quick, rig, start,
 };
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     error::Refusal,
     rig::{GetRigHealth, Hold, RigFault, RigState, Run, RunOutcome},
     settings::{FactoryReset, GetSetting, Name, Setting, SettingKey},
-    system::Urgent,
-    table::Endpoint,
+    system::{BrownOut, Clock, GetChip, Urgent},
+    table::{Endpoint, Telemetry},
 };
 use virtual_bench::{
     bench::{Bench, BenchOptions},
     boards::{capsule, rig as board},
-    emulator::{Beats, Wiring},
+    emulator::{Beats, ChipOptions, Wiring},
     faults::When,
     plants::{
         capsule::CapsuleOptions,
@@ -27,6 +25,9 @@ use virtual_bench::{
 
 /// Access control of the flash (RM0383 section 3.8.1), debug control and freeze registers (section 23.16).
 const FLASH_ACR: u32 = 0x4002_3C00;
+/// Speed of the pins (section 8.4.3).
+const GPIOA_OSPEEDR: u32 = 0x4002_0008;
+const GPIOB_OSPEEDR: u32 = 0x4002_0408;
 const DBGMCU_CR: u32 = 0xE004_2004;
 const DBGMCU_APB1_FZ: u32 = 0xE004_2008;
 const DBGMCU_APB2_FZ: u32 = 0xE004_200C;
@@ -339,7 +340,7 @@ fn register<W: Wiring>(bench: &Bench<W>, address: u32) -> u32 {
 }
 
 /// The capsule, some time after its start.
-fn started_capsule() -> common::Capsule {
+fn started_capsule() -> crate::common::Capsule {
     let bench = capsule::start(CapsuleOptions::default()).expect("the image boots");
     bench.advance_us(100_000).expect("the bench runs");
     bench
@@ -404,4 +405,193 @@ fn nothing_is_stored_while_the_supply_is_low() {
     rig.device.hello(2).expect("it answers again");
     assert_eq!(kept(&mut rig).value, 12_000);
     rig.check_clean(0);
+}
+
+fn with_chip(change: impl FnOnce(&mut ChipOptions)) -> RigRun {
+    let mut options = BenchOptions::new(board::image());
+    change(&mut options.chip);
+    start(RigOptions::default(), options)
+}
+
+/// Item 2: a board without the ST-LINK's clock answers, says what is missing, and moves nothing.
+#[test]
+fn a_rig_without_its_clock_says_so() {
+    let mut rig = with_chip(|chip| chip.has_hse = false);
+    assert!(
+        rig.bench.now_ns() < 1_000_000_000,
+        "it answers within a second"
+    );
+    let fault = RigFault::ClockMissing;
+    assert_eq!(
+        rig.device.rig_status().expect("a status").fault,
+        Some(fault)
+    );
+    let chip = rig.device.call(GetChip).expect("it answers");
+    assert_eq!(chip.clock, Clock::Internal);
+    match rig.device.home() {
+        Err(ClientError::Refused { refusal, .. }) => {
+            assert_eq!(refusal, Refusal::RigFaulted(fault))
+        }
+        other => panic!("{other:?}"),
+    }
+    assert!(rig.device.acknowledge().is_err());
+    idle(&mut rig, 3_000_000);
+    assert_eq!(rig.edge_count(), 0);
+    assert!(!rig.look(|rig| rig.is_enabled()), "the driver is off");
+    rig.check_clean(0);
+    // With it the same image works.
+    let mut rig = with_chip(|_| ());
+    let chip = rig.device.call(GetChip).expect("it answers");
+    assert_eq!(
+        (chip.clock, chip.brown_out),
+        (Clock::External, BrownOut::Off)
+    );
+}
+
+/// Item 3: a clock that stops in a run ends the pulses at once; the rig restarts and says why, with its clock or without.
+#[test]
+fn a_clock_that_stops_ends_the_run_and_is_named() {
+    for comes_back in [true, false] {
+        let mut rig = at_home();
+        rig.device.run(paper(1)).expect("accepted");
+        idle(&mut rig, 500_000);
+        let edges = rig.edge_count();
+        rig.bench
+            .visit(move |visit| visit.fail_hse(comes_back))
+            .expect("the bench runs");
+        rig.bench.advance_us(1_000_000).expect("the bench runs");
+        assert!(
+            rig.edge_count() <= edges + 1,
+            "{} steps more",
+            rig.edge_count() - edges
+        );
+        assert!(!rig.look(|rig| rig.is_enabled()), "the driver is off");
+        rig.device.hello(5).expect("it answers");
+        let fault = rig.device.rig_status().expect("a status").fault;
+        let expected = if comes_back {
+            RigFault::ClockFailed
+        } else {
+            RigFault::ClockMissing
+        };
+        assert_eq!(fault, Some(expected), "{}", rig.log());
+        if comes_back {
+            rig.device.acknowledge().expect("the clock is back");
+            rig.home();
+        }
+        rig.check_clean_after(1, 1);
+    }
+}
+
+fn name(number: u32) -> Name {
+    let name = format!("bench {number:014}").as_str().try_into();
+    Name {
+        name: name.expect("short"),
+    }
+}
+
+/// A flash in which the next name erases a sector, and that name's number.
+fn about_to_erase() -> (Vec<u8>, u32) {
+    let mut rig = rig();
+    for number in 0..2_000 {
+        let flash = rig.bench.visit(|visit| visit.flash());
+        let asked_us = rig.device.now_us();
+        rig.device.call(name(number)).expect("accepted");
+        if rig.device.now_us() - asked_us > 200_000 {
+            return (flash.expect("the bench runs"), number);
+        }
+    }
+    panic!("no sector was erased");
+}
+
+/// Item 4: the device's clock over an erase of any length, begun at any phase: it never steps back and loses nothing.
+#[test]
+fn the_clock_keeps_time_over_an_erase() {
+    let seed = 0x5EED_C10C;
+    let mut dice = Dice(seed);
+    let (flash, number) = about_to_erase();
+    for erase_ms in (250..=530).step_by(20) {
+        let mut options = BenchOptions::new(board::image());
+        options.chip.erase_ns = erase_ms * 1_000_000;
+        options.flash = Some(flash.clone());
+        let mut rig = start(RigOptions::default(), options);
+        let what = format!("seed {seed:#x}, {erase_ms} ms");
+        idle(&mut rig, dice.roll(1_000..66_536));
+        let offset = |rig: &mut RigRun| {
+            let time_us = rig.device.rig_status().expect("a status").time_us;
+            time_us as i64 - (rig.bench.now_ns() / 1_000) as i64
+        };
+        let before = offset(&mut rig);
+        let asked_us = rig.device.now_us();
+        rig.device.call(name(number)).expect(&what);
+        let took_us = rig.device.now_us() - asked_us;
+        assert!(
+            took_us > erase_ms * 1_000,
+            "{what}: no erase in {took_us} us"
+        );
+        rig.device.set_telemetry(5).expect("telemetry");
+        let mut recorder = Recorder::default();
+        let idled = rig.device.idle(300_000, &mut recorder);
+        idled.expect("the link stays");
+        let times = recorder.samples.iter().map(|sample| match sample {
+            Telemetry::Rig(sample) => sample.time_us,
+            Telemetry::Capsule(_) => panic!("a capsule's sample"),
+        });
+        let times: Vec<u64> = times.collect();
+        assert!(times.len() > 30 && times.is_sorted(), "{what}: {times:?}");
+        // The way of the bytes differs by some milliseconds.
+        let lost_us = before - offset(&mut rig);
+        assert!(lost_us.abs() < 5_000, "{what}: {lost_us} us lost");
+        rig.check_clean(0);
+    }
+}
+
+/// Item 13: a spike on the read-back's wire is no step, whether the motor moves, dwells or stands.
+#[test]
+fn a_spike_on_the_read_back_is_not_counted() {
+    const SPIKE_NS: u64 = 250;
+    let mut rig = homed();
+    let first = rig.edge_count();
+    let mut dice = Dice(0x0013_5EED);
+    let now_ns = rig.bench.now_ns();
+    rig.look(move |rig| {
+        for _ in 0..200 {
+            let at_ns = now_ns + dice.roll(0..9_000_000_000);
+            rig.plan(When::At(at_ns), Action::Spike(SPIKE_NS));
+        }
+    });
+    let (_, record) = execute(&mut rig, paper(1));
+    assert_eq!(record.outcome, RunOutcome::Complete, "{}", rig.log());
+    assert_eq!(record.counted_edges, record.commanded_edges);
+    Verdict::of(&exact(1), &rig.edges(first))
+        .check(LIMIT_NS)
+        .unwrap_or_else(|why| panic!("{why}"));
+    rig.bench.advance_us(1_500_000).expect("the bench runs");
+    assert_eq!(state(&mut rig), RigState::Ready, "{}", rig.log());
+    // The pins that carry it are slow; what the debugger uses (PA13) is not ours.
+    let outputs = [
+        (GPIOA_OSPEEDR, [8, 9, 10].as_slice()),
+        (GPIOB_OSPEEDR, &[4]),
+    ];
+    for (address, pins) in outputs {
+        let speeds = register(&rig.bench, address);
+        for pin in pins {
+            assert_eq!(speeds >> (2 * pin) & 3, 0, "{address:#x}, pin {pin}");
+        }
+    }
+    rig.check_clean(0);
+}
+
+/// Item 7: a driver without a pull-up at EN is off before the firmware waits for a clock.
+#[test]
+fn the_driver_is_off_before_the_clock_is_waited_for() {
+    let rig = rig();
+    let was_safe = |rig: &RigRun| {
+        rig.bench
+            .visit(|visit| visit.board().was_safe_before_clock())
+    };
+    assert_eq!(was_safe(&rig).expect("the bench runs"), Some(true));
+    rig.bench.reset().expect("the bench runs");
+    rig.bench.advance_us(300_000).expect("the bench runs");
+    assert_eq!(was_safe(&rig).expect("the bench runs"), Some(true));
+    rig.check_clean(1);
 }

@@ -1,8 +1,6 @@
 //! The highest step rate that the settings allow, with everything else going on.
 
-mod common;
-
-use common::{LIMIT_NS, RigRun, homed, paper, start};
+use crate::common::{LIMIT_NS, RigRun, homed, paper, start};
 use host_tool::client::Unobserved;
 use protocol::{
     rig::{GetRigHealth, RigFault, Run, RunOutcome, RunTiming},
@@ -78,7 +76,7 @@ fn the_highest_step_rate_is_sustained() {
     let mut rig = quick_rig(65_000_000);
     let first = rig.edge_count();
     let (request, exact) = quick_run();
-    let (accepted, record) = common::execute(&mut rig, request);
+    let (accepted, record) = crate::common::execute(&mut rig, request);
     assert!(
         accepted.forward.peak_um_s > 156_150,
         "{} um/s",
@@ -128,7 +126,7 @@ fn a_ring_that_runs_dry_emits_no_wrong_edge() {
 fn steps_that_share_no_entry_are_exact_too() {
     let mut rig = homed();
     let first = rig.edge_count();
-    let (_, record) = common::execute(
+    let (_, record) = crate::common::execute(
         &mut rig,
         Run {
             timing: RunTiming::Total {

@@ -1,8 +1,6 @@
 //! Commissioning against the images: it passes in one go, goes on where it was left, and names what is wrong with a
 //! machine.
 
-mod common;
-
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -545,7 +543,7 @@ fn a_stale_image_is_named() {
 /// The file's fingerprint is the one that the image calculates over its flash.
 #[test]
 fn a_file_and_its_image_have_the_same_fingerprint() {
-    let mut rig = common::rig();
+    let mut rig = crate::common::rig();
     let health = rig.device.call(GetRigHealth).expect("the rig answers");
     let file = image::fingerprint(&rig::image()).expect("an image");
     assert_eq!(format!("{file:08x}"), format!("{:08x}", health.image_hash));

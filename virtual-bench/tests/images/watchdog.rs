@@ -1,8 +1,6 @@
 //! Tasks that hang and processor faults, each where a task checks in with the watchdog.
 
-mod common;
-
-use common::{RigRun, homed, paper};
+use crate::common::{RigRun, homed, paper};
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     error::Refusal,
@@ -182,9 +180,9 @@ fn a_client_that_does_not_exist_changes_nothing() {
         .visit(move |visit| sabotage.apply(visit))
         .expect("the bench runs");
     let first = rig.edge_count();
-    common::execute(&mut rig, paper(1));
-    virtual_bench::verdicts::Verdict::of(&common::exact(1), &rig.edges(first))
-        .check(common::LIMIT_NS)
+    crate::common::execute(&mut rig, paper(1));
+    virtual_bench::verdicts::Verdict::of(&crate::common::exact(1), &rig.edges(first))
+        .check(crate::common::LIMIT_NS)
         .unwrap_or_else(|why| panic!("{why}"));
     rig.check_clean(0);
 }

@@ -1,8 +1,6 @@
 //! The switches of the rig: a true one stops, a disturbance does not.
 
-mod common;
-
-use common::{Dice, LIMIT_NS, exact, homed, paper};
+use crate::common::{Dice, LIMIT_NS, exact, homed, paper};
 use host_tool::client::Unobserved;
 use protocol::{
     error::Refusal,
@@ -89,7 +87,7 @@ fn disturbances_of_19_us_never_stop_a_run_and_are_all_counted() {
 
 #[test]
 fn both_switches_open_is_an_unplugged_cable() {
-    let mut rig = common::rig();
+    let mut rig = crate::common::rig();
     let now_ns = rig.bench.now_ns();
     rig.look(move |rig| {
         rig.act(Action::Stick(Switch::Far, Some(true)), now_ns);

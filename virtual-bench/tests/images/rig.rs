@@ -1,8 +1,6 @@
 //! The rig's image, judged from its pins.
 
-mod common;
-
-use common::{Dice, LIMIT_NS, Recorder, exact, execute, homed, paper, rig};
+use crate::common::{Dice, LIMIT_NS, Recorder, exact, execute, homed, paper, rig};
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     error::{Field, Refusal},

@@ -1,8 +1,6 @@
 //! What goes wrong around the rig: resets, cut supplies, lost steps, bad switches, a noisy line.
 
-mod common;
-
-use common::{
+use crate::common::{
     Dice, Recorder, execute, home_quickly, homed, paper, quick, rig_from_flash, rig_with,
 };
 use host_tool::{client::Unobserved, error::ClientError};
@@ -31,7 +29,7 @@ fn short(cycles: u16) -> Run {
 }
 
 /// Interrupts a run with `interrupt`; afterwards the rig stands, knows that it does not know where, and can be homed.
-fn restarted(cause: ResetCause, resets: usize, interrupt: impl FnOnce(&common::RigRun)) {
+fn restarted(cause: ResetCause, resets: usize, interrupt: impl FnOnce(&crate::common::RigRun)) {
     let mut rig = homed();
     rig.device.run(short(1)).expect("the run is accepted");
     rig.device
@@ -84,7 +82,7 @@ fn lost_steps_are_counted_and_beyond_the_limit_end_the_run() {
 }
 
 /// One run of two cycles with `lost` steps missing from its first one; the rig is homed before and after.
-fn lose(rig: &mut common::RigRun, lost: u64, homewards: bool, beyond: bool) {
+fn lose(rig: &mut crate::common::RigRun, lost: u64, homewards: bool, beyond: bool) {
     const STROKE: u64 = 3_200;
     // At 20 mm/s: control's period of 10 ms, and the way of the stop at 1 m/s2.
     const STOP: i64 = 160 + 160 + 5;

@@ -5,11 +5,9 @@
 //!
 //! `RETROGRADE_SEQUENCES` is how many sequences are tried, `RETROGRADE_SEED` repeats a single one.
 
-mod common;
-
 use std::time::{Duration, Instant};
 
-use common::{Dice, RigRun, home_quickly, quick, rig_with};
+use crate::common::{Dice, RigRun, home_quickly, quick, rig_with};
 use host_tool::{client::Unobserved, error::ClientError, link::Link};
 use protocol::{
     rig::{
@@ -319,7 +317,7 @@ impl Sequence {
             self.fail("the fault stays");
         }
         self.rig.home();
-        let (_, record) = common::execute(&mut self.rig, quick(1, 2_000, 30_000, 1_000_000));
+        let (_, record) = crate::common::execute(&mut self.rig, quick(1, 2_000, 30_000, 1_000_000));
         assert_eq!(record.outcome, RunOutcome::Complete);
         assert_eq!((record.counted_edges, self.rig.carriage()), (3_200, 0));
         let violations = self.rig.look(|rig| rig.violations());

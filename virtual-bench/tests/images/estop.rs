@@ -1,8 +1,6 @@
 //! The E-stop at many edges of short runs: what the read-back says afterwards is where the carriage is.
 
-mod common;
-
-use common::{Dice, home_quickly, quick, rig};
+use crate::common::{Dice, home_quickly, quick, rig};
 use host_tool::client::Unobserved;
 use protocol::rig::{RigFault, RigState, RunOutcome};
 use virtual_bench::{faults::When, plants::rig::Action};
@@ -81,7 +79,7 @@ fn an_estop_outlives_a_reset() {
     rig.home();
     let number = rig.edge_count() as u64 + 3_000;
     rig.look(move |rig| rig.plan(When::Edge(number), Action::EStop(true)));
-    let (_, record) = common::execute(&mut rig, quick(1, 8_000, 20_000, 500_000));
+    let (_, record) = crate::common::execute(&mut rig, quick(1, 8_000, 20_000, 500_000));
     let fault = RigFault::EStopLoop;
     assert_eq!(record.outcome, RunOutcome::Faulted(fault));
     let now_ns = rig.bench.now_ns();

@@ -1,9 +1,7 @@
 //! The command line against the rig's image: what cannot be done is refused with a text that helps, and no edge leaves
 //! the pin.
 
-mod common;
-
-use common::RigRun;
+use crate::common::RigRun;
 use host_tool::cli;
 use host_tool::connector::{Candidate, Connector, Ports};
 use host_tool::link::address::Address;
@@ -50,7 +48,7 @@ fn retrograde(rig: &RigRun, arguments: &[&str]) -> (u8, String) {
 fn a_refused_command_line_says_why_and_moves_nothing() {
     let data = tempfile::tempdir().expect("a folder");
     let folder = data.path().to_str().expect("a name");
-    let rig = common::rig();
+    let rig = crate::common::rig();
     let run = |rig: &RigRun, arguments: &[&str]| {
         let arguments: Vec<&str> = ["run", "--out", folder]
             .iter()

@@ -1,8 +1,6 @@
 //! Cut wires, welded and bouncing contacts, each on a rig that works otherwise.
 
-mod common;
-
-use common::{RigRun, execute, home_quickly, quick, rig};
+use crate::common::{RigRun, execute, home_quickly, quick, rig};
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     error::Refusal,

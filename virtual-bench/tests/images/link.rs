@@ -1,8 +1,6 @@
 //! A bad line and a line that falls silent, in every state of the rig.
 
-mod common;
-
-use common::{Dice, LIMIT_NS, Recorder, RigRun, exact, home_quickly, paper, quick, rig};
+use crate::common::{Dice, LIMIT_NS, Recorder, RigRun, exact, home_quickly, paper, quick, rig};
 use host_tool::{
     client::{Device, Unobserved},
     error::ClientError,
@@ -24,7 +22,7 @@ use virtual_bench::{link::VirtualLink, serial::ByteFault, verdicts::Verdict};
 fn a_byte_in_a_thousand_is_garbled_and_the_run_is_executed_once() {
     let seed = 0x5EED_6A2B;
     let mut dice = Dice(seed);
-    let mut rig = common::homed();
+    let mut rig = crate::common::homed();
     rig.device.set_telemetry(20).expect("telemetry");
     let mut faults = Vec::new();
     for number in 0..60_000_u64 {

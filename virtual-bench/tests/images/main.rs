@@ -1,0 +1,20 @@
+//! The images on the bench. One program: its tests share what they are built from, and none of two cores waits for the
+//! longest test of a file.
+
+mod common;
+
+mod capsule;
+mod cli;
+mod commission;
+mod endurance;
+mod estop;
+mod faults;
+mod limits;
+mod link;
+mod random;
+mod rig;
+mod settings;
+mod silicon;
+mod speed;
+mod watchdog;
+mod wires;
