@@ -425,11 +425,15 @@ fn set_short(workshop: &Workshop) {
 
 /// A defective rig stops at `step`, and the text says why.
 fn defect(options: RigOptions, actions: &[Action], more: &[&str], step: &str, says: &str) {
-    let (_folder, record) = folder();
     let bench = rig_bench(options);
     for action in actions {
         act(&bench, action.clone());
     }
+    is_named(bench, more, step, says);
+}
+
+fn is_named(bench: Bench<RigBoard>, more: &[&str], step: &str, says: &str) {
+    let (_folder, record) = folder();
     let workshop = Workshop::new(Machine::Rig(bench));
     set_short(&workshop);
     let (code, text) = commission(&workshop, "rig", &record, more);
@@ -534,6 +538,14 @@ fn an_enable_without_pull_up_is_named() {
 }
 
 #[test]
+fn a_missing_clock_is_named() {
+    let mut options = BenchOptions::new(rig::image());
+    options.chip.has_hse = false;
+    let bench = Bench::start(RigBoard::new(Rig::new(short())), options).expect("the image boots");
+    is_named(bench, &[], "clock", "the board gets no 8 MHz clock");
+}
+
+#[test]
 fn a_stale_image_is_named() {
     let other = capsule::image();
     let other = other.to_str().expect("UTF-8");
@@ -563,6 +575,7 @@ fn hands_behind_a_port_do_what_they_are_asked() {
     act(Part::Supply, false).expect("done");
     act(Part::Carriage, true).expect("done");
     act(Part::HomeFlag, true).expect("done");
+    bench.advance_us(10).expect("the bench runs");
     let open = bench.visit(|visit| visit.board().rig.is_open(Switch::Home));
     assert!(open.expect("the bench runs"));
     assert_eq!(
