@@ -256,9 +256,6 @@ impl Execution {
         ring: &mut impl Ring,
         mailbox: &mut impl Mailbox,
     ) -> Option<Event<'static>> {
-        // By the last look: after a cut the periods play on without pulses until the ring is halted.
-        let waiting = ring.waiting_pulses();
-        self.passed = self.before_the_last(waiting);
         ring.update();
         if self.filling == Filling::Full {
             let waiting = ring.waiting() as u16; // the ring holds fewer than that by far
@@ -267,6 +264,9 @@ impl Execution {
         if mailbox.is_cut() {
             return Some(self.end(ring, mailbox, PathEnd::Cut));
         }
+        // Not cut at the look, for it is not cut now. Later looks of this round may come after a cut: then the periods play
+        // on without pulses until the ring is halted.
+        self.passed = self.before_the_last(ring.waiting_pulses());
         if mailbox.take_stop() || (!self.stopped && self.misses_edges(ring)) {
             self.stopped = true;
             self.periods.stop(self.stop_accel);
@@ -346,13 +346,16 @@ impl Execution {
     }
 
     fn fill(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) {
-        if ring.waiting_pulses() == 0 {
+        // After a cut the ring runs empty, too.
+        let all_left =
+            |ring: &_, mailbox: &_| Ring::waiting_pulses(ring) == 0 && !Mailbox::is_cut(mailbox);
+        if all_left(ring, mailbox) {
             self.tell_stroke_end(ring, mailbox);
         }
         loop {
             match self.filling {
                 Filling::Full => {}
-                Filling::Turn { next } if ring.waiting_pulses() == 0 => {
+                Filling::Turn { next } if all_left(ring, mailbox) => {
                     self.tell_stroke_end(ring, mailbox);
                     self.turn(ring, next);
                 }
