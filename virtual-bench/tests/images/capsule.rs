@@ -331,10 +331,10 @@ fn the_battery_is_read_right_down_to_an_empty_cell() {
 #[test]
 fn a_cell_that_sags_under_load_ends_the_fold() {
     let mut capsule = referenced_with(CapsuleOptions {
-        battery_ohm: 4.0,
+        battery_ohm: 5.0,
         ..CapsuleOptions::default()
     });
-    capsule.look(|capsule| capsule.act(Action::Battery(3_100.0)));
+    capsule.look(|capsule| capsule.act(Action::Battery(3_050.0)));
     capsule
         .device
         .idle(200_000, &mut Unobserved)
