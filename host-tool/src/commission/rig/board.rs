@@ -10,6 +10,8 @@ use crate::commission::image;
 use crate::commission::work::{Halt, Work, fault_text};
 use crate::decimal;
 
+/// How often the clocks are compared, each time over a longer interval.
+const CLOCK_TRIES: u32 = 4;
 /// A pull-up of 10 kohm against the driver's own resistor gives more than this, mV.
 const LEAST_ENABLE_MV: i64 = 2_500;
 /// More than the 3.3 V of the board, mV.
@@ -99,18 +101,26 @@ pub(in crate::commission) fn compare_clocks(
         Ok::<_, Halt>(best)
     };
     let first = pair(work)?;
-    work.pause(work.options.clock_us)?;
-    let last = pair(work)?;
-    let (here, there) = (last.1 - first.1, last.2 - first.2);
-    let ppm = |us: i64| us.saturating_mul(1_000_000) / here.max(1);
-    let (off, unsure) = (ppm(there - here), ppm((first.0 + last.0) / 2) + 1);
-    work.note("compared_us", here);
-    work.note("clock_off_ppm", off);
-    work.note("uncertain_ppm", unsure);
-    if off.abs() > limit_ppm + unsure {
-        return Err(Halt::Defect(format!(
-            "the board's clock is off by {off} ppm (+-{unsure}) against this computer's"
-        )));
+    // A wrong clock goes on being wrong; an answer that was late once matters less and less.
+    let mut duration_us = work.options.clock_us;
+    for tries_left in (0..CLOCK_TRIES).rev() {
+        work.pause(duration_us)?;
+        duration_us *= 2;
+        let last = pair(work)?;
+        let (here, there) = (last.1 - first.1, last.2 - first.2);
+        let ppm = |us: i64| us.saturating_mul(1_000_000) / here.max(1);
+        let (off, unsure) = (ppm(there - here), ppm((first.0 + last.0) / 2) + 1);
+        work.note("compared_us", here);
+        work.note("clock_off_ppm", off);
+        work.note("uncertain_ppm", unsure);
+        if off.abs() <= limit_ppm + unsure {
+            return Ok(());
+        }
+        if tries_left == 0 {
+            return Err(Halt::Defect(format!(
+                "the board's clock is off by {off} ppm (+-{unsure}) against this computer's"
+            )));
+        }
     }
     Ok(())
 }
