@@ -34,6 +34,15 @@ impl Dice {
     }
 }
 
+/// How many trials of a campaign are made: all of them where RETROGRADE_CAMPAIGN is set, else a slice. Trials are the same
+/// ones either way: the first of a recorded seed.
+pub fn trials<N>(slice: N, all: N) -> N {
+    match std::env::var_os("RETROGRADE_CAMPAIGN") {
+        Some(_) => all,
+        None => slice,
+    }
+}
+
 pub struct RigRun {
     pub bench: Bench<RigBoard>,
     pub device: Device,
@@ -70,6 +79,14 @@ pub fn start(rig: RigOptions, options: BenchOptions) -> RigRun {
     let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
     let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
     RigRun { bench, device }
+}
+
+/// A rig at position 0 that also homes quickly from now on.
+pub fn quickly_homed() -> RigRun {
+    let mut rig = rig();
+    home_quickly(&mut rig);
+    rig.home();
+    rig
 }
 
 /// A rig at position 0.

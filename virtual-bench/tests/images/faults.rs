@@ -1,7 +1,7 @@
 //! What goes wrong around the rig: resets, cut supplies, lost steps, bad switches, a noisy line.
 
 use crate::common::{
-    Dice, Recorder, execute, home_quickly, homed, paper, quick, rig_from_flash, rig_with,
+    Dice, Recorder, execute, home_quickly, homed, paper, quick, rig_from_flash, rig_with, trials,
 };
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
@@ -246,7 +246,7 @@ fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
         .visit(|visit| visit.flash())
         .expect("the bench runs");
     let mut resets = Vec::new();
-    for seed in 0..12 {
+    for seed in 0..trials(4, 12) {
         let mut flash = blank.clone();
         let mut dice = Dice(0xF1A5_4005 + 7919 * seed);
         flash[SETTINGS].fill_with(|| dice.roll(0..256) as u8);
