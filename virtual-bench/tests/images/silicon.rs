@@ -81,7 +81,7 @@ fn loop_is_latched(rig: &mut RigRun, what: &str) {
 
 const OPENINGS_NS: [u64; 6] = [1_000, 10_000, 200_000, 1_000_000, 5_000_000, 10_000_000];
 
-/// Item 19: the loop's opening is latched however short it is and whatever the rig does. Its level is only asked every 10 ms.
+/// The loop's opening is latched however short it is and whatever the rig does. Its level is only asked every 10 ms.
 #[test]
 fn every_opening_of_the_loop_is_latched() {
     let mut rig = rig();
@@ -124,7 +124,7 @@ fn every_opening_of_the_loop_is_latched() {
     rig.check_clean_after(0, 0);
 }
 
-/// Item 19: a press of 1 ms that ends before the first step, at 40 instants from the order on.
+/// A press of 1 ms that ends before the first step, at 40 instants from the order on.
 #[test]
 fn a_press_before_the_first_step_lets_nothing_start() {
     let mut rig = at_home();
@@ -152,7 +152,7 @@ fn a_press_before_the_first_step_lets_nothing_start() {
     }
 }
 
-/// Item 20: what is only prepared has not left the pin. The record of a cut run has the steps that did, and when.
+/// What is only prepared has not left the pin. The record of a cut run has the steps that did, and when.
 #[test]
 fn the_record_of_a_cut_run_shows_what_left_the_pin() {
     let mut rig = at_home();
@@ -201,7 +201,7 @@ fn the_record_of_a_cut_run_shows_what_left_the_pin() {
     rig.check_clean_after(0, 5);
 }
 
-/// Item 18: a stroke is complete with its last step, not after the dwell that follows.
+/// A stroke is complete with its last step, not after the dwell that follows.
 #[test]
 fn a_stroke_is_done_with_its_last_step() {
     let dwelling = Run {
