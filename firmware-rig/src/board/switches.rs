@@ -12,14 +12,14 @@ use super::{
     pins::{self, FAR_LINE, HOME_LINE},
     step_generator,
 };
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU32, Ordering};
 use embassy_stm32::{
     interrupt,
     pac::{self, EXTI},
 };
 use embassy_time::Instant;
 use firmware_rig::machine::Event;
-use motion::axis::Direction;
+use motion::{axis::Direction, units::StepPosition};
 use protocol::rig::Switch;
 
 /// A contact that is still bouncing after this many sampling windows has no level.
@@ -84,6 +84,10 @@ impl Watch {
 /// Home flag and far limit, in the order of [`channels::GLITCHES`].
 static WATCHES: [Watch; 2] = [Watch::new(HOME_LINE), Watch::new(FAR_LINE)];
 
+/// The home flag had no level at its last service, and where the carriage was at the first edge of that. Of the interrupt.
+static BOUNCING: AtomicBool = AtomicBool::new(false);
+static FIRST_EDGE: AtomicI32 = AtomicI32::new(0);
+
 fn now_us() -> u32 {
     Instant::now().as_micros() as u32
 }
@@ -125,8 +129,13 @@ fn EXTI9_5() {
     if pending.line(HOME_LINE) {
         let before = channels::HOME_FLAG_OPEN.load(Ordering::Relaxed);
         let level = settle(HOME_LINE, 0, before, || pins::inputs().home_flag);
-        // Without a level there is no edge to measure by.
+        // While it bounces it has no level. When it has one again, the first of these edges is the one to measure by.
+        let bounces = BOUNCING.swap(level.is_none(), Ordering::Relaxed);
+        if !bounces {
+            FIRST_EDGE.store(count.0, Ordering::Relaxed);
+        }
         if let Some(opening) = level.filter(|opening| *opening != before) {
+            let count = StepPosition(FIRST_EDGE.load(Ordering::Relaxed));
             channels::HOME_FLAG_OPEN.store(opening, Ordering::Relaxed);
             let _ = channels::NOTICES.try_send(Event::FlagEdge { opening, count });
         }
