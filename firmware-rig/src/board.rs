@@ -1,5 +1,6 @@
 //! The rig's hardware: everything that touches registers, shares state or waits. What decides is beside this folder.
 
+mod captures;
 pub mod channels;
 pub mod pins;
 mod start;

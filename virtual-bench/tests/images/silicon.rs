@@ -12,13 +12,17 @@ use protocol::{
     table::{Endpoint, Telemetry},
 };
 use virtual_bench::{
-    bench::{Bench, BenchOptions},
-    boards::{capsule, rig as board},
+    bench::{Bench, BenchOptions, Visit},
+    boards::{
+        capsule,
+        rig::{self as board, RigBoard},
+    },
     emulator::{Beats, ChipOptions, Wiring},
     faults::When,
     plants::{
         capsule::CapsuleOptions,
         rig::{Action, RigOptions, Switch},
+        wire::Fault,
     },
     verdicts::Verdict,
 };
@@ -503,6 +507,49 @@ fn about_to_erase() -> (Vec<u8>, u32) {
     panic!("no sector was erased");
 }
 
+/// Erases a sector of `flash` with the name `number`, and checks that the device's clock neither steps back nor loses
+/// anything. Idles for `before_us` first.
+fn erase_and_check_the_clock(
+    flash: &[u8],
+    number: u32,
+    erase_ns: u64,
+    before_us: u64,
+    what: &str,
+) -> RigRun {
+    let mut options = BenchOptions::new(board::image());
+    options.chip.erase_ns = erase_ns;
+    options.flash = Some(flash.to_vec());
+    let mut rig = start(RigOptions::default(), options);
+    idle(&mut rig, before_us);
+    let offset = |rig: &mut RigRun| {
+        let time_us = rig.device.rig_status().expect("a status").time_us;
+        time_us as i64 - (rig.bench.now_ns() / 1_000) as i64
+    };
+    let before = offset(&mut rig);
+    let asked_us = rig.device.now_us();
+    rig.device.call(name(number)).expect(what);
+    let took_us = rig.device.now_us() - asked_us;
+    assert!(
+        took_us > erase_ns / 1_000,
+        "{what}: no erase in {took_us} us"
+    );
+    rig.device.set_telemetry(5).expect("telemetry");
+    let mut recorder = Recorder::default();
+    let idled = rig.device.idle(300_000, &mut recorder);
+    idled.expect("the link stays");
+    let times = recorder.samples.iter().map(|sample| match sample {
+        Telemetry::Rig(sample) => sample.time_us,
+        Telemetry::Capsule(_) => panic!("a capsule's sample"),
+    });
+    let times: Vec<u64> = times.collect();
+    assert!(times.len() > 30 && times.is_sorted(), "{what}: {times:?}");
+    // The way of the bytes differs by some milliseconds.
+    let lost_us = before - offset(&mut rig);
+    assert!(lost_us.abs() < 5_000, "{what}: {lost_us} us lost");
+    rig.check_clean(0);
+    rig
+}
+
 /// Item 4: the device's clock over an erase of any length, begun at any phase: it never steps back and loses nothing.
 #[test]
 fn the_clock_keeps_time_over_an_erase() {
@@ -510,38 +557,33 @@ fn the_clock_keeps_time_over_an_erase() {
     let mut dice = Dice(seed);
     let (flash, number) = about_to_erase();
     for erase_ms in (250..=530).step_by(20) {
-        let mut options = BenchOptions::new(board::image());
-        options.chip.erase_ns = erase_ms * 1_000_000;
-        options.flash = Some(flash.clone());
-        let mut rig = start(RigOptions::default(), options);
         let what = format!("seed {seed:#x}, {erase_ms} ms");
-        idle(&mut rig, dice.roll(1_000..66_536));
-        let offset = |rig: &mut RigRun| {
-            let time_us = rig.device.rig_status().expect("a status").time_us;
-            time_us as i64 - (rig.bench.now_ns() / 1_000) as i64
-        };
-        let before = offset(&mut rig);
-        let asked_us = rig.device.now_us();
-        rig.device.call(name(number)).expect(&what);
-        let took_us = rig.device.now_us() - asked_us;
-        assert!(
-            took_us > erase_ms * 1_000,
-            "{what}: no erase in {took_us} us"
-        );
-        rig.device.set_telemetry(5).expect("telemetry");
-        let mut recorder = Recorder::default();
-        let idled = rig.device.idle(300_000, &mut recorder);
-        idled.expect("the link stays");
-        let times = recorder.samples.iter().map(|sample| match sample {
-            Telemetry::Rig(sample) => sample.time_us,
-            Telemetry::Capsule(_) => panic!("a capsule's sample"),
-        });
-        let times: Vec<u64> = times.collect();
-        assert!(times.len() > 30 && times.is_sorted(), "{what}: {times:?}");
-        // The way of the bytes differs by some milliseconds.
-        let lost_us = before - offset(&mut rig);
-        assert!(lost_us.abs() < 5_000, "{what}: {lost_us} us lost");
-        rig.check_clean(0);
+        let before_us = dice.roll(1_000..66_536);
+        erase_and_check_the_clock(&flash, number, erase_ms * 1_000_000, before_us, &what);
+    }
+}
+
+/// Item 4: an erase that ends some microseconds around the end of one of the driver's half-periods.
+#[test]
+fn the_clock_keeps_time_over_an_erase_that_ends_with_a_half_period() {
+    const TIM4_CNT: u32 = 0x4000_0824;
+    const HALF_PERIOD_US: u64 = 32_768;
+    let (flash, number) = about_to_erase();
+    let look = |visit: &mut Visit<'_, RigBoard>| {
+        let count = visit.register(TIM4_CNT).expect("the time driver's timer");
+        (visit.erasing_from_ns(), visit.now_ns(), u64::from(count))
+    };
+    let first = erase_and_check_the_clock(&flash, number, 250_000_000, 0, "the first");
+    let (from_ns, now_ns, count) = first.bench.visit(look).expect("the bench runs");
+    let (from_ns, now_us) = (from_ns.expect("an erase"), now_ns / 1_000);
+    // The next end of a half-period, and then the one that a long enough erase ends with: the bench repeats itself.
+    let end_us = now_us + HALF_PERIOD_US - count % HALF_PERIOD_US;
+    let from_us = from_ns / 1_000;
+    let shortest_us = 250_000 + (end_us - from_us - 250_000) % HALF_PERIOD_US + HALF_PERIOD_US;
+    for off_us in (0..=60).step_by(3) {
+        let erase_us = shortest_us + off_us - 40;
+        let what = format!("{} us off", off_us as i64 - 40);
+        erase_and_check_the_clock(&flash, number, erase_us * 1_000, 0, &what);
     }
 }
 
@@ -556,7 +598,7 @@ fn a_spike_on_the_read_back_is_not_counted() {
     rig.look(move |rig| {
         for _ in 0..200 {
             let at_ns = now_ns + dice.roll(0..9_000_000_000);
-            rig.plan(When::At(at_ns), Action::Spike(SPIKE_NS));
+            rig.plan(When::At(at_ns), Action::ReadBack(Fault::Spike(SPIKE_NS)));
         }
     });
     let (_, record) = execute(&mut rig, paper(1));

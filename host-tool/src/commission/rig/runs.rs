@@ -55,8 +55,14 @@ pub(super) fn edge_timing(work: &mut Work<'_>) -> Result<(), Halt> {
     );
     if record.edges_timed == 0 {
         return Err(Halt::NotShown(
-            "not timed: there is no second jumper from STEP to the capture input".to_owned(),
+            "not timed: the second jumper, from D2 (STEP) to A1, is missing".to_owned(),
         ));
+    }
+    if record.worst_interval_error_ticks == u32::MAX {
+        return Err(Halt::Defect(format!(
+            "{} edges were captured, more than steps were made: noise on the wire from STEP to A1",
+            record.edges_timed
+        )));
     }
     if record.worst_interval_error_ticks > 0 {
         return Err(Halt::Defect(format!(
