@@ -124,7 +124,7 @@ fn image(work: &mut Work<'_>) -> Result<(), Halt> {
     }
     if identity.profile == BuildProfile::Debug {
         return Err(Halt::Defect(
-            "the image was built without optimisation: flash the one of `cargo xtask images`"
+            "the image was built without optimisation: `cargo capsule` flashes the optimised one"
                 .to_owned(),
         ));
     }
