@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use host_tool::commission::hands::{Act, Part, Reading, Wish};
+use host_tool::commission::image;
 use host_tool::commission::procedure::{Procedure, Standing, open, standing};
 use host_tool::commission::record::{Commissioning, Finding, Outcome, Subject};
 use host_tool::commission::rig::wrong_travel;
@@ -292,6 +293,119 @@ fn without_a_terminal_nobody_is_asked() {
     assert!(memory.heard().is_empty());
     let (code, _, err) = memory.run(&["--rig", "0", "commission", "rig", "--hands", "x:1"]);
     assert_eq!(code, 2, "{err}");
+}
+
+#[test]
+fn numbers_that_no_session_takes_are_refused_with_their_range() {
+    for (option, range, bad) in [
+        (
+            "--strokes",
+            "an even number from 2 to 20000",
+            &["0", "1", "3", "19999", "20001", "20002", "65536", "-2", "x"][..],
+        ),
+        ("--cycles", "1..=100", &["0", "101", "65536"]),
+        ("--clock-s", "1..=3600", &["0", "3601", "65536"]),
+    ] {
+        for number in bad {
+            let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
+            let option = format!("{option}={number}");
+            let (code, _, err) = memory.run(&["--rig", "0", "commission", "rig", &option]);
+            assert_eq!(code, 2, "{option}: {err}");
+            assert!(err.contains(range), "{option}: {err}");
+            assert!(memory.heard().is_empty());
+        }
+    }
+}
+
+/// An ELF file whose symbols are those of another chip, or of none: no gigabytes are hashed, and nothing reads as an image.
+#[test]
+fn a_file_that_is_no_image_of_this_chip_has_no_fingerprint() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("image.elf");
+    for (start, end, allowed) in [
+        (0x0800_0000, 0x0800_0004, true),
+        (0x0800_0000, 0x0808_0000, true),
+        (0x0800_0000, 0x0808_0004, false),
+        (0x0800_0000, 0xFFFF_FFFC, false),
+        (0x0800_0000, 0x0800_0000, false),
+        (0x0800_0004, 0x0800_0000, false),
+    ] {
+        std::fs::write(&path, elf(start, end)).expect("written");
+        match image::fingerprint(&path) {
+            Ok(_) => assert!(allowed, "{start:#x} {end:#x}"),
+            Err(error) => {
+                assert!(!allowed, "{start:#x} {end:#x}: {error}");
+                assert!(
+                    error.to_string().contains("allowed are 4 to 524288 bytes"),
+                    "{error}"
+                );
+            }
+        }
+    }
+}
+
+/// An ELF file with no segments and the linker's four names.
+fn elf(start: u32, end: u32) -> Vec<u8> {
+    let symbols = [
+        ("__stext", start),
+        ("__sidata", end),
+        ("__sdata", 0),
+        ("__edata", 0),
+    ];
+    let mut names = vec![0];
+    let mut table = vec![0; 16];
+    for (name, value) in symbols {
+        let at = u32::try_from(names.len()).expect("short");
+        // Name, value, size; global, default, absolute.
+        table.extend(
+            [at, value, 0, 0xFFF1_0010]
+                .iter()
+                .flat_map(|word| word.to_le_bytes()),
+        );
+        names.extend(name.bytes().chain([0]));
+    }
+    let section_names = b"\0.symtab\0.strtab\0";
+    let mut file = vec![0x7F, b'E', b'L', b'F', 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+    let length = |bytes: &[u8]| u32::try_from(bytes.len()).expect("short");
+    let (table_at, table_length) = (52, length(&table));
+    let names_at = table_at + table_length;
+    let section_names_at = names_at + length(&names);
+    let sections_at = section_names_at + length(section_names);
+    for half in [2_u16, 40] {
+        file.extend(half.to_le_bytes());
+    }
+    for word in [1, 0, 0, sections_at, 0] {
+        file.extend(word.to_le_bytes());
+    }
+    // Header 52 bytes; no segments; four sections of 40 bytes, their names in the last.
+    for half in [52_u16, 32, 0, 40, 4, 3] {
+        file.extend(half.to_le_bytes());
+    }
+    file.extend(&table);
+    file.extend(&names);
+    file.extend(section_names);
+    for section in [
+        [0; 10],
+        [1, 2, 0, 0, table_at, table_length, 2, 1, 4, 16],
+        [9, 3, 0, 0, names_at, length(&names), 0, 0, 1, 0],
+        [
+            9,
+            3,
+            0,
+            0,
+            section_names_at,
+            length(section_names),
+            0,
+            0,
+            1,
+            0,
+        ],
+    ] {
+        for word in section {
+            file.extend(word.to_le_bytes());
+        }
+    }
+    file
 }
 
 /// Leaving by key and by the end of the input; what was found is kept, and the next session begins with the rest.

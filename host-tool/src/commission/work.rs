@@ -79,8 +79,8 @@ pub fn fault_text(fault: RigFault) -> String {
 /// What the measurements may be told.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Strokes of the read-back test.
-    pub strokes: u32,
+    /// Cycles of the read-back test, of two strokes each.
+    pub read_back_cycles: u16,
     /// Cycles of the run at the end.
     pub cycles: u16,
     /// How long the clocks are compared, us.

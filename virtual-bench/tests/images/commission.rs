@@ -320,7 +320,7 @@ fn session(
     let mut device = connect().expect("the rig answers");
     let subject = Subject::of(&mut device).expect("the rig answers");
     let options = Options {
-        strokes: 100,
+        read_back_cycles: 50,
         cycles: 1,
         clock_us: 200_000,
         image: Some(rig::image()),

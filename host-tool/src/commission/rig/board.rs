@@ -93,9 +93,9 @@ pub(in crate::commission) fn compare_clocks(
             let before = work.device.now_us();
             let there = device_us(work)?;
             let after = work.device.now_us();
-            let trip = signed(after - before);
+            let trip = signed(after - before)?;
             if trip < best.0 {
-                best = (trip, signed(before) + trip / 2, signed(there));
+                best = (trip, signed(before)? + trip / 2, signed(there)?);
             }
         }
         Ok::<_, Halt>(best)
@@ -125,8 +125,13 @@ pub(in crate::commission) fn compare_clocks(
     Ok(())
 }
 
-pub(super) fn signed(us: u64) -> i64 {
-    i64::try_from(us).unwrap_or(i64::MAX)
+fn signed(us: u64) -> Result<i64, Halt> {
+    i64::try_from(us).map_err(|_| {
+        Halt::Defect(format!(
+            "a clock says {us} us, which is no time since a start: 0 to {} is",
+            i64::MAX
+        ))
+    })
 }
 
 pub(super) fn enable(work: &mut Work<'_>) -> Result<(), Halt> {
