@@ -11,7 +11,8 @@ use host_tool::commission::procedure::{Procedure, Standing, open, standing};
 use host_tool::commission::record::{Commissioning, Finding, Outcome, Subject};
 use host_tool::commission::rig::wrong_travel;
 use host_tool::commission::session::wrapped;
-use host_tool::commission::steps::{self, Step};
+use host_tool::commission::step::Step;
+use host_tool::commission::steps;
 use jiff::Timestamp;
 use machine::Script;
 use machine::tool::{Memory, ready};
@@ -41,11 +42,16 @@ fn finding(outcome: Outcome) -> Finding {
     }
 }
 
+fn enter(record: &mut Commissioning, name: &str, finding: Finding, subject: &Subject) {
+    let procedure = Procedure::new(steps::of(DeviceKind::Rig));
+    procedure.enter(record, step(name), finding, subject, NOW);
+}
+
 /// A record in which every step has passed.
 fn complete(subject: &Subject) -> Commissioning {
     let mut record = Commissioning::new(subject, NOW);
     for step in steps::of(DeviceKind::Rig) {
-        record.enter(step, finding(Outcome::Passed), subject, NOW);
+        enter(&mut record, step.name, finding(Outcome::Passed), subject);
     }
     record
 }
@@ -96,8 +102,8 @@ fn a_step_holds_for_the_image_and_the_settings_that_it_was_shown_with() {
 fn what_failed_or_was_not_shown_is_due_once_in_each_session() {
     let subject = subject();
     let mut record = complete(&subject);
-    record.enter(step("travel"), finding(Outcome::Failed), &subject, NOW);
-    record.enter(step("jumper"), finding(Outcome::NotShown), &subject, NOW);
+    enter(&mut record, "travel", finding(Outcome::Failed), &subject);
+    enter(&mut record, "jumper", finding(Outcome::NotShown), &subject);
     assert!(!record.complete);
     for _ in 0..2 {
         let mut procedure = Procedure::new(steps::of(DeviceKind::Rig));
@@ -107,8 +113,8 @@ fn what_failed_or_was_not_shown_is_due_once_in_each_session() {
             [Some("travel"), Some("jumper"), None]
         );
     }
-    record.enter(step("travel"), finding(Outcome::Passed), &subject, NOW);
-    record.enter(step("jumper"), finding(Outcome::Passed), &subject, NOW);
+    enter(&mut record, "travel", finding(Outcome::Passed), &subject);
+    enter(&mut record, "jumper", finding(Outcome::Passed), &subject);
     assert!(record.complete);
     // In the order of the steps, whatever the order of the results.
     let order: Vec<_> = record
@@ -152,7 +158,7 @@ fn a_record_is_read_back_as_it_was_written() {
     travel
         .measured
         .insert("measured_um".to_owned(), Value::from(50_000));
-    record.enter(step("travel"), travel, &subject, NOW);
+    enter(&mut record, "travel", travel, &subject);
     record.write(&path).expect("written");
     let read = Commissioning::resume(&path, &subject, NOW).expect("the same");
     assert_eq!(read, record);

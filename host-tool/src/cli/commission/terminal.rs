@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use crate::cli::Keyboard;
 use crate::client::Interrupt;
+use crate::commission::halt::Halt;
 use crate::commission::hands::{Act, Hands, Part, Reading, Say, Watch};
 use crate::commission::session::wrapped;
-use crate::commission::work::Halt;
 use crate::decimal;
 
 /// Interval between two looks at the keyboard.

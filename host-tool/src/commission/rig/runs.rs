@@ -7,9 +7,11 @@ use protocol::rig::{
 use protocol::settings::SettingKey as Key;
 use serde_json::json;
 
-use super::SCREW;
+use super::depends::SCREW;
+use crate::commission::halt::{Halt, fault_text};
 use crate::commission::hands::Part;
-use crate::commission::work::{Halt, Work, by_speed, fault_text};
+use crate::commission::work::Work;
+use crate::commission::work::rig::by_speed;
 
 /// The edges of so many cycles are timed: the intervals of all others are the same.
 const TIMED_CYCLES: u16 = 100;
