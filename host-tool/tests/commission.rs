@@ -242,24 +242,27 @@ fn outcomes(record: &Path) -> BTreeMap<String, Outcome> {
     steps.map(|result| (result.step, result.outcome)).collect()
 }
 
-#[test]
-fn without_hands_what_needs_them_is_not_shown() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let path = folder.path().join("record.json");
+/// The command line of a commissioning with its record at `path`.
+fn commission_rig(path: &Path) -> [&str; 8] {
     let record = path.to_str().expect("UTF-8");
-    let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
-    let line = [
+    [
         "--rig",
         "0",
         "commission",
         "rig",
-        "--yes",
         "--clock-s",
         "1",
         "--record",
         record,
-    ];
-    let (code, out, err) = memory.run(&line);
+    ]
+}
+
+#[test]
+fn without_hands_what_needs_them_is_not_shown() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("record.json");
+    let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
+    let (code, out, err) = memory.run(&[&commission_rig(&path)[..], &["--yes"]].concat());
     assert_eq!(code, 3, "{out}{err}");
     assert!(err.contains("commissioning is not complete"), "{err}");
     assert!(
@@ -419,18 +422,8 @@ fn elf(start: u32, end: u32) -> Vec<u8> {
 fn a_person_who_leaves_loses_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("record.json");
-    let record = path.to_str().expect("UTF-8");
     let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
-    let line = [
-        "--rig",
-        "0",
-        "commission",
-        "rig",
-        "--clock-s",
-        "1",
-        "--record",
-        record,
-    ];
+    let line = commission_rig(&path);
     for (typed, at) in [
         ("q\n", "enable"),
         ("", "enable"),
