@@ -242,6 +242,24 @@ fn a_refusal_names_the_value_and_what_is_allowed() {
     );
 }
 
+/// The shortest stroke is one step; what is short of a whole step is left out, and reported.
+#[test]
+fn a_stroke_of_one_step_is_planned() {
+    for (stroke_um, steps) in [(2, 1), (3, 2), (4, 3), (5, 4)] {
+        let run = Run {
+            stroke_um,
+            timing: speeds(10_000, 10_000, 200_000),
+            ..PAPER
+        };
+        let reported = accepted(1, run, &solved(&run), &AXIS);
+        assert_eq!(
+            (reported.forward.steps, reported.back.steps),
+            (steps, steps)
+        );
+        assert_eq!(reported.edges, 10 * u64::from(steps));
+    }
+}
+
 /// The axis is in the numbers: 1/256 microsteps make 12,800 steps per mm.
 #[test]
 fn a_refusal_counts_in_the_steps_of_the_axis() {

@@ -1,12 +1,13 @@
 //! The rig's image, judged from its pins.
 
 use crate::common::{
-    Dice, LIMIT_NS, Recorder, exact, execute, faulted, homed, paper, quickly_homed, rig, trials,
+    Dice, LIMIT_NS, Recorder, exact, execute, faulted, homed, paper, quick, quickly_homed, rig,
+    trials,
 };
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     error::{Field, Refusal},
-    rig::{LinkLossPolicy, RigFault, RigState, Run, RunOutcome, RunTiming},
+    rig::{LinkLossPolicy, MoveTo, RigFault, RigState, Run, RunOutcome, RunTiming},
     system::Urgent,
 };
 use virtual_bench::{faults::When, plants::rig::Action, verdicts::Verdict};
@@ -120,6 +121,41 @@ fn dwells_delay_and_separate_speeds_are_exact() {
         .check(LIMIT_NS)
         .unwrap_or_else(|why| panic!("{why}\n{}", rig.log()));
     assert_eq!(verdict.duration_ns / 10 + 10_000_000, accepted.total_ticks);
+    rig.check_clean(0);
+}
+
+/// A step is 1.25 um: 2 um hold one, 1 um holds none.
+#[test]
+fn a_stroke_and_a_move_of_one_step_are_made_and_less_is_refused() {
+    let mut rig = quickly_homed();
+    let first = rig.edge_count();
+    let (accepted, record) = execute(&mut rig, quick(3, 2, 10_000, 200_000));
+    assert_eq!((accepted.forward.steps, accepted.back.steps), (1, 1));
+    let made = (record.outcome, record.commanded_edges, record.counted_edges);
+    assert_eq!(made, (RunOutcome::Complete, 6, 6));
+    assert_eq!((rig.edge_count() - first, rig.carriage()), (6, 0));
+    let move_to = |position_um| MoveTo {
+        position_um,
+        speed_um_s: 10_000,
+    };
+    for (position_um, steps) in [(2, 1), (0, 0)] {
+        rig.device.call(move_to(position_um)).expect("accepted");
+        let status = rig.device.wait_rest().expect("it rests");
+        let found = (status.state, i64::from(status.position_steps));
+        assert_eq!(found, (RigState::Ready, steps), "to {position_um} um");
+        assert_eq!(rig.carriage(), steps, "to {position_um} um");
+    }
+    refused(
+        rig.device.run(quick(1, 1, 10_000, 200_000)),
+        Refusal::OutOfRange {
+            field: Field::StrokeUm,
+            requested: 1,
+            min: 2,
+            max: 130_000,
+        },
+    );
+    refused(rig.device.call(move_to(1)), Refusal::AlreadyThere);
+    assert_eq!(rig.edge_count() - first, 8);
     rig.check_clean(0);
 }
 

@@ -31,11 +31,12 @@ fn short_strokes(work: &Work<'_>, cycles: u16) -> Result<Run, Halt> {
         0 => within(stroke_um, um(work.setting(Key::LedgerLimitSteps))),
         flag_um => flag_um.min(stroke_um),
     };
-    if u64::from(stroke_um) < um(2).max(1) {
-        return Err(Halt::NotShown(
-            "flag_um and ledger_limit_steps are 0: there is no stroke without a look at the flag"
-                .to_owned(),
-        ));
+    // The rig takes strokes of one step.
+    let least_um = lead.div_ceil(steps_per_rev);
+    if u64::from(stroke_um) < least_um {
+        return Err(Halt::NotShown(format!(
+            "there is no stroke without a look at the flag: flag_um, or the way of ledger_limit_steps if it is 0, has to be {least_um} um or more"
+        )));
     }
     let fastest = um(work.setting(Key::MaxStepHz));
     let speed = within(work.setting(Key::MaxSpeedUmS), fastest);
