@@ -623,7 +623,7 @@ fn a_run_in_ten_seconds_is_infeasible() {
         refused_run(dwelling),
         Refusal::TooFast {
             requested_us: 40_000_000,
-            min_us: 76_430_630,
+            min_us: 76_430_613,
             ..
         }
     ));

@@ -218,7 +218,7 @@ fn a_refusal_names_the_value_and_what_is_allowed() {
             min_accel_um_s2: 800_000,
         }
     );
-    // Harder than that, it is the speed.
+    // With one that is enough for the time, the paper's stroke is too fast.
     assert_eq!(
         timed(total(10_000_000, 520_000)),
         Refusal::SpeedLimit {
