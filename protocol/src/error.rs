@@ -325,7 +325,7 @@ impl fmt::Display for Refusal {
                 "{requested_us} us is too short: at this acceleration the run takes at least {min_us} us; to do it in the requested time needs at least {min_accel_um_s2} um/s2"
             ),
             Refusal::SpeedLimit { needed_um_s, max_um_s } => {
-                write!(f, "needs {needed_um_s} um/s, the axis allows {max_um_s} um/s: give it more time or a higher acceleration")
+                write!(f, "needs {needed_um_s} um/s, the axis allows {max_um_s} um/s: give it more time, or less speed; a higher acceleration helps only where the mean speed of a stroke is allowed")
             }
             Refusal::StepRateLimit { needed_hz, max_hz } => {
                 write!(f, "needs {needed_hz} steps/s, the driver accepts {max_hz} steps/s: use fewer microsteps or more time")
