@@ -9,6 +9,7 @@ mod array;
 mod clocks;
 mod dma;
 mod exti;
+mod forward;
 mod map;
 mod timer;
 

@@ -8,12 +8,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use host_tool::cli;
 use host_tool::client::Device;
+use host_tool::commission::halt::Halt;
 use host_tool::commission::hands::{Act, Bench as Remote, Hands, Part, Reading, Say, Watch, Wish};
 use host_tool::commission::image;
 use host_tool::commission::record::{Commissioning, Outcome, Subject};
 use host_tool::commission::session::{Ending, carry_out};
 use host_tool::commission::steps;
-use host_tool::commission::work::{Halt, Options, Work};
+use host_tool::commission::work::{Options, Work};
 use host_tool::connector::{Candidate, Connector, Ports};
 use host_tool::link::address::Address;
 use host_tool::link::{Link, OpenError};
@@ -308,7 +309,7 @@ fn session(
     let mut device = connect().expect("the rig answers");
     let subject = Subject::of(&mut device).expect("the rig answers");
     let options = Options {
-        strokes: 100,
+        read_back_cycles: 50,
         cycles: 1,
         clock_us: 200_000,
         image: Some(rig::image()),

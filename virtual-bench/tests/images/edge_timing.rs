@@ -1,12 +1,15 @@
 //! The rig times its own steps through the second jumper, and finds each that is not where the plan has it.
 
 use crate::common::{RigRun, execute, home_quickly, paper, quick, rig_as_quick_as, rig_with};
+use crate::speed::{quick_rig_on, quick_run};
 use host_tool::client::Unobserved;
 use protocol::{
     rig::{Hold, Resume, RigFault, RigState, Run, RunOutcome, RunRecord, RunTiming},
     system::Urgent,
 };
 use virtual_bench::{
+    bench::BenchOptions,
+    boards::rig as board,
     faults::When,
     plants::{
         rig::{Action, RigOptions},
@@ -58,7 +61,20 @@ fn every_step_of_a_run_is_timed_and_right() {
     rig.check_clean(0);
 }
 
-/// A host that is slow to look and a processor that is hardly quick enough change nothing.
+/// The highest step rate that the settings allow, telemetry at 200 Hz meanwhile.
+#[test]
+fn every_step_of_the_highest_rate_is_timed() {
+    let mut rig = quick_rig_on(
+        RigOptions::WITH_BOTH_JUMPERS,
+        BenchOptions::new(board::image()),
+    );
+    let (request, _) = quick_run();
+    let (_, record) = execute(&mut rig, request);
+    assert_eq!(found(&record), (192_000, 0), "{record:?}");
+    rig.check_clean(0);
+}
+
+/// A processor that is hardly quick enough changes nothing.
 #[test]
 fn a_slow_processor_times_every_step() {
     let mut rig = rig_as_quick_as(RigOptions::WITH_BOTH_JUMPERS, 30_000_000);
@@ -74,13 +90,9 @@ fn a_held_run_is_timed_as_a_whole() {
     let mut rig = timed_rig();
     let accepted = rig.device.run(paper(1)).expect("accepted");
     for _ in 0..2 {
-        rig.device
-            .idle(700_000, &mut Unobserved)
-            .expect("the link stays");
+        rig.idle(700_000);
         rig.device.call(Hold).expect("held");
-        rig.device
-            .idle(700_000, &mut Unobserved)
-            .expect("the link stays");
+        rig.idle(700_000);
         let state = rig.device.rig_status().expect("a status").state;
         assert_eq!(state, RigState::Held);
         rig.device.call(Resume).expect("resumed");
@@ -95,7 +107,7 @@ fn a_held_run_is_timed_as_a_whole() {
 #[test]
 fn a_run_that_is_cut_is_timed_up_to_the_cut() {
     let mut rig = timed_rig();
-    for after_us in [300_000, 501_234, 777_777] {
+    for after_us in [200_000, 401_234, 577_777] {
         let accepted = rig.device.run(short()).expect("accepted");
         rig.bench.advance_us(after_us).expect("the bench runs");
         rig.device.urgent(Urgent::EStop).expect("sent");
@@ -136,7 +148,10 @@ fn a_step_that_is_moved_by_two_ticks_is_found() {
 
 #[test]
 fn a_step_that_is_left_out_is_found() {
-    assert_eq!(found(&with(Fault::Skip)), (15_999, INTERVAL));
+    let (timed, worst) = found(&with(Fault::Skip));
+    assert_eq!(timed, 15_999);
+    // From there on each interval is compared with the one before it, and those of the turn differ most.
+    assert!(worst >= INTERVAL, "{worst}");
 }
 
 #[test]
