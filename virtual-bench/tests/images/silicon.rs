@@ -536,11 +536,12 @@ fn the_clock_keeps_time_over_an_erase() {
     }
 }
 
-/// Item 4: an erase that ends some microseconds around the end of one of the driver's half-periods.
+/// Item 4: an erase that ends some microseconds before one of the driver's half-periods. The flag of its middle is also the one
+/// by which the firmware makes up for those that were lost.
 #[test]
 fn the_clock_keeps_time_over_an_erase_that_ends_with_a_half_period() {
     const TIM4_CNT: u32 = 0x4000_0824;
-    const HALF_PERIOD_US: u64 = 32_768;
+    const PERIOD_US: u64 = 65_536;
     let (flash, number) = about_to_erase();
     let look = |visit: &mut Visit<'_, RigBoard>| {
         let count = visit.register(TIM4_CNT).expect("the time driver's timer");
@@ -549,14 +550,14 @@ fn the_clock_keeps_time_over_an_erase_that_ends_with_a_half_period() {
     let first = erase_and_check_the_clock(&flash, number, 250_000_000, 0, "the first");
     let (from_ns, now_ns, count) = first.bench.visit(look).expect("the bench runs");
     let (from_ns, now_us) = (from_ns.expect("an erase"), now_ns / 1_000);
-    // The next end of a half-period, and then the one that a long enough erase ends with: the bench repeats itself.
-    let end_us = now_us + HALF_PERIOD_US - count % HALF_PERIOD_US;
-    let from_us = from_ns / 1_000;
-    let shortest_us = 250_000 + (end_us - from_us - 250_000) % HALF_PERIOD_US + HALF_PERIOD_US;
-    for off_us in (0..=60).step_by(3) {
-        let erase_us = shortest_us + off_us - 40;
-        let what = format!("{} us off", off_us as i64 - 40);
-        erase_and_check_the_clock(&flash, number, erase_us * 1_000, 0, &what);
+    // The next middle of a period, and then the one that a long enough erase ends with: the bench repeats itself.
+    let middle_us = now_us + (PERIOD_US + PERIOD_US / 2 - count) % PERIOD_US;
+    let shortest_us = 250_000 + 100;
+    let erase_us = shortest_us + (middle_us - from_ns / 1_000 - shortest_us) % PERIOD_US;
+    for before_us in (0..=40).step_by(2) {
+        let erase_ns = (erase_us - before_us) * 1_000;
+        let what = format!("{before_us} us before");
+        erase_and_check_the_clock(&flash, number, erase_ns, 0, &what);
     }
 }
 
