@@ -2,6 +2,7 @@
 
 mod captures;
 pub mod channels;
+mod clock;
 pub mod pins;
 mod start;
 pub mod step_generator;

@@ -17,7 +17,7 @@
 
 #![allow(unsafe_code)]
 
-use super::{captures::Captures, channels, pins, start::clock_failed};
+use super::{captures::Captures, channels, clock::clock_failed, pins};
 use core::{
     cell::UnsafeCell,
     sync::atomic::{Ordering, compiler_fence},
