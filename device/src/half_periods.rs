@@ -1,9 +1,66 @@
-//! How many half-periods of the time driver's 16-bit timer a stall has hidden from it.
+//! Keeps the time driver's clock over a stall of the processor.
+//!
+//! The driver counts half-periods of its 16-bit timer, 32.768 ms each, from one flag for each half. A longer stall loses some,
+//! and after an odd number of them its clock would run backwards 30 times a second. Another timer, which has 32 bits, says how
+//! long it was.
 
 /// A half-period, ticks of 1 us.
 const HALF_PERIOD: u32 = 1 << 15;
 /// A whole one.
 const PERIOD: u32 = 1 << 16;
+
+/// The handlers of a stall's lost half-periods take far less than this.
+const HANDLING_US: u16 = 1_000;
+
+/// The time driver's timer, and one that knows how much time has passed. Interrupts are off.
+pub trait Timers {
+    /// Flags of half-periods that the driver has not counted yet, 0 to 2.
+    fn flags(&self) -> u32;
+
+    /// Count of the driver's timer, ticks of 1 us.
+    fn count(&self) -> u16;
+
+    /// The other timer; it wraps after more than any stall.
+    fn stopwatch(&self) -> u32;
+
+    /// Its ticks in a microsecond.
+    fn stopwatch_ticks_per_us(&self) -> u32;
+
+    /// Raises one flag.
+    fn raise(&self);
+
+    /// The driver's handler: counts each flag that stands, and clears it.
+    fn handle(&self);
+}
+
+/// Does what keeps the processor from counting time, and has the driver count what has passed.
+pub fn keep_over<T>(timers: &impl Timers, stall: impl FnOnce() -> T) -> T {
+    let (flags, from) = flags_and_count(timers);
+    let watch_from = timers.stopwatch();
+    let result = stall();
+    // A half-period that began between the look at the flags and the handlers would be counted by nobody, since its flag
+    // stands already.
+    while left_us(timers.count()) < HANDLING_US {}
+    let watch_passed = timers.stopwatch().wrapping_sub(watch_from);
+    let (left, to) = flags_and_count(timers);
+    let passed_us = passed_us(from, to, watch_passed / timers.stopwatch_ticks_per_us());
+    timers.handle();
+    for _ in 0..lost(from, passed_us, flags, left) {
+        timers.raise();
+        timers.handle();
+    }
+    result
+}
+
+/// The flags, and the count that goes with them.
+fn flags_and_count(timers: &impl Timers) -> (u32, u16) {
+    loop {
+        let (before, count) = (timers.flags(), timers.count());
+        if timers.flags() == before {
+            return (before, count);
+        }
+    }
+}
 
 /// Ticks that have passed while the timer went from one count to the other, by another clock that is less than 32 ms off.
 pub const fn passed_us(from: u16, to: u16, about_us: u32) -> u32 {

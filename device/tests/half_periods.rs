@@ -1,6 +1,103 @@
 //! The time driver's half-periods across a stall of any length, begun at any count.
 
-use device::half_periods::{left_us, lost, passed_us};
+use core::cell::Cell;
+use device::half_periods::{Timers, keep_over, left_us, lost, passed_us};
+
+/// A timer like the time driver's, whose time goes on with each access.
+struct Simulated {
+    /// Time, and the time of an access, quarters of a microsecond.
+    now: Cell<u64>,
+    access: u64,
+    /// The flags of the half and of the overflow.
+    flags: [Cell<bool>; 2],
+    /// What the driver's handler has counted.
+    counted: Cell<u64>,
+}
+
+impl Simulated {
+    fn at(now_us: u64, access: u64) -> Self {
+        Self {
+            now: Cell::new(now_us * 4),
+            access,
+            flags: Default::default(),
+            counted: Cell::new(0),
+        }
+    }
+
+    fn half_periods(&self) -> u64 {
+        self.now.get() / 4 / 32_768
+    }
+
+    fn pass(&self, quarters: u64) {
+        let before = self.half_periods();
+        self.now.set(self.now.get() + quarters);
+        for half in before + 1..=self.half_periods() {
+            self.flags[half as usize % 2].set(true);
+        }
+    }
+
+    fn standing(&self) -> u64 {
+        self.flags.iter().map(|flag| u64::from(flag.get())).sum()
+    }
+}
+
+impl Timers for Simulated {
+    fn flags(&self) -> u32 {
+        self.pass(self.access);
+        self.standing() as u32
+    }
+
+    fn count(&self) -> u16 {
+        self.pass(self.access);
+        (self.now.get() / 4) as u16
+    }
+
+    fn stopwatch(&self) -> u32 {
+        self.pass(self.access);
+        (self.now.get() * 25) as u32
+    }
+
+    fn stopwatch_ticks_per_us(&self) -> u32 {
+        100
+    }
+
+    fn raise(&self) {
+        self.pass(self.access);
+        self.flags[1].set(true);
+    }
+
+    fn handle(&self) {
+        self.pass(self.access);
+        let standing = [0, 1].map(|flag| self.flags[flag].take());
+        // What comes from here on stands for the next one.
+        self.pass(self.access);
+        let counted = standing.into_iter().map(u64::from).sum::<u64>();
+        self.counted.set(self.counted.get() + counted);
+    }
+}
+
+/// A stall that begins anywhere, and ends at each moment around the end of a half-period: none is missed, none counted twice.
+#[test]
+fn no_half_period_is_missed_by_the_driver() {
+    for from_us in [100, 20_000, 32_760, 40_000, 65_530] {
+        for halves in 0..=16 {
+            for access in [1, 3, 10] {
+                for around in 0..2_400_u64 {
+                    let timers = Simulated::at(from_us, access);
+                    let begun = timers.half_periods();
+                    let end = (from_us / 32_768 + 1 + halves) * 4 * 32_768 + around;
+                    let end = end.saturating_sub(1_200);
+                    keep_over(&timers, || {
+                        timers.pass(end.saturating_sub(timers.now.get()));
+                    });
+                    let begun = timers.half_periods() - begun;
+                    let known = timers.counted.get() + timers.standing();
+                    assert_eq!(known, begun, "from {from_us} us, {end} quarters, {access}");
+                }
+            }
+        }
+    }
+}
 
 #[test]
 fn every_half_period_of_a_stall_is_found() {

@@ -17,7 +17,7 @@ pub struct Timed {
 }
 
 /// Equal steps, from the edge before them on.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Steps {
     /// Ticks from the edge before to the first one.
     first: u32,
@@ -36,10 +36,10 @@ pub struct EdgeTiming {
     expected: Deque<Steps, EXPECTED>,
     /// Ticks from the start of the last pulse that was given out to the end of the last period.
     since_pulse: u32,
-    /// The steps in progress, whose first one was captured.
-    present: Option<Steps>,
+    /// The steps in progress, whose first one was captured: as many as are still to come.
+    present: Steps,
     /// Instant of the last edge, on the clock of the captures.
-    last: Option<u32>,
+    last: u32,
     /// Captures or expectations were lost: nothing more can be compared on this path.
     lost: bool,
     timed: Timed,
@@ -76,33 +76,44 @@ impl EdgeTiming {
         self.lost = self.expected.push_back(steps).is_err();
     }
 
-    /// An edge was captured at this instant; the clock wraps.
-    #[inline]
-    pub fn compare(&mut self, at: u32) {
+    /// Edges were captured at these instants; the clock wraps. Once per step: a few instructions each.
+    pub fn compare(&mut self, instants: impl Iterator<Item = u32>) {
         if self.lost {
             return;
         }
-        let planned = match &mut self.present {
-            Some(steps) if steps.repeats > 0 => {
-                steps.repeats -= 1;
-                Some(steps.interval)
-            }
-            _ => {
-                self.present = self.expected.pop_front();
-                self.present.as_ref().map(|steps| steps.first)
-            }
+        let Timed {
+            mut edges,
+            worst_error_ticks: mut worst,
+        } = self.timed;
+        let (mut present, mut last) = (self.present, self.last);
+        for at in instants {
+            let planned = if present.repeats > 0 {
+                present.repeats -= 1;
+                Some(present.interval)
+            } else if let Some(next) = self.expected.pop_front() {
+                present = next;
+                Some(next.first)
+            } else {
+                None
+            };
+            let error = match planned {
+                None => u32::MAX,
+                // Nothing is before the first edge.
+                Some(_) if edges == 0 => 0,
+                Some(planned) => {
+                    let interval = at.wrapping_sub(last);
+                    (interval.wrapping_sub(planned) as i32).unsigned_abs()
+                }
+            };
+            worst = worst.max(error);
+            edges = edges.wrapping_add(1);
+            last = at;
+        }
+        (self.present, self.last) = (present, last);
+        self.timed = Timed {
+            edges,
+            worst_error_ticks: worst,
         };
-        let error = match (planned, self.last.replace(at)) {
-            (None, _) => u32::MAX,
-            // Nothing is before the first edge.
-            (Some(_), None) => 0,
-            (Some(planned), Some(last)) => {
-                let interval = at.wrapping_sub(last);
-                (interval.wrapping_sub(planned) as i32).unsigned_abs()
-            }
-        };
-        self.timed.edges = self.timed.edges.wrapping_add(1);
-        self.timed.worst_error_ticks = self.timed.worst_error_ticks.max(error);
     }
 
     /// Captures were overwritten before they were compared.

@@ -16,6 +16,15 @@ use motion::{
 pub const LEAD_TICKS: u32 = 800_000;
 /// Few, long periods must not let the ring run short.
 const MIN_QUEUE: u32 = 8;
+/// On a steep ramp the ring plays nearly as fast as it is filled, and a round is as long as the ramp: after so many periods
+/// the captured edges are compared, before there are too many.
+const PERIODS_PER_LOOK: u32 = 32;
+/// So many edges are compared at a time: at 250 kHz the ring plays 20 periods meanwhile.
+const EDGES_PER_LOOK: u32 = 64;
+/// So many looks take all that the captures' memory holds. Noise on the wire that goes on faster holds nothing up.
+const LOOKS: u32 = 16;
+/// With so many periods in the ring, or half the lead, there is time to compare.
+const AMPLE_QUEUE: u32 = 80;
 
 /// The ring is too nearly dry to append a period for certain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,9 +93,11 @@ pub trait Ring {
     /// Position by the counter of the edges that left.
     fn counted(&self) -> StepPosition;
 
-    /// Compares the edges captured since the last call with the periods that were pushed. Tells what has been found since
-    /// the ring was cleared.
-    fn time_edges(&mut self) -> Timed;
+    /// Compares up to so many captured edges with the periods that were pushed. True if these were all.
+    fn time_edges(&mut self, at_most: u32) -> bool;
+
+    /// What the comparison has found since the ring was cleared.
+    fn timed(&self) -> Timed;
 }
 
 /// The other tasks, as execution sees them.
@@ -293,7 +304,7 @@ impl Execution {
             }
         }
         self.fill(ring, mailbox);
-        ring.time_edges();
+        self.time_edges(ring);
         mailbox.show(self.stroke, self.periods.position());
         let played_out = ring.has_played_out();
         let end = match self.filling {
@@ -321,6 +332,7 @@ impl Execution {
     ) -> Event<'static> {
         ring.halt();
         ring.update();
+        let _ = (0..LOOKS).any(|_| ring.time_edges(EDGES_PER_LOOK));
         let counted = ring.counted();
         let unemitted = match end {
             PathEnd::Complete | PathEnd::Stopped => 0,
@@ -340,7 +352,7 @@ impl Execution {
             counted,
             last_tick,
             min_queue: self.min_queue,
-            timed: ring.time_edges(),
+            timed: ring.timed(),
         };
         mailbox.show(self.stroke, report.commanded);
         Event::PathEnded(end, report)
@@ -387,6 +399,7 @@ impl Execution {
 
     /// Until the ring is full or something else is to be done.
     fn top_up(&mut self, ring: &mut impl Ring) -> Filling {
+        let mut unseen = 0;
         loop {
             let enough = ring.lead() >= LEAD_TICKS && ring.waiting() >= MIN_QUEUE;
             if enough || !ring.has_room() {
@@ -397,12 +410,29 @@ impl Execution {
                     if ring.push(period).is_err() {
                         return Filling::Failed(PathEnd::Underrun);
                     }
+                    unseen += 1;
+                    if unseen == PERIODS_PER_LOOK {
+                        unseen = 0;
+                        self.time_edges(ring);
+                    }
                 }
                 Item::StrokeEnd { stroke } => self.ended_stroke = Some(stroke),
                 Item::Turn { next } => return Filling::Turn { next },
                 Item::End => return Filling::Done,
                 Item::Guard => return Filling::Failed(PathEnd::Guard),
             }
+        }
+    }
+
+    /// Compares captured edges for as long as the ring can wait. What has to wait too long is lost for the comparison: no
+    /// run ends because it is watched.
+    fn time_edges(&self, ring: &mut impl Ring) {
+        for _ in 0..LOOKS {
+            let ample = ring.lead() >= LEAD_TICKS / 2 || ring.waiting() >= AMPLE_QUEUE;
+            if (self.filling == Filling::Full && !ample) || ring.time_edges(EDGES_PER_LOOK) {
+                return;
+            }
+            ring.update();
         }
     }
 

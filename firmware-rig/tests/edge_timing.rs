@@ -2,6 +2,7 @@
 
 mod runs;
 
+use core::iter;
 use firmware_rig::{
     edge_timing::{EdgeTiming, Timed},
     periods::{Item, Path, Period, Periods},
@@ -52,9 +53,7 @@ fn timed(periods: &[Period], edges: &[Vec<u64>], start: u32) -> Timed {
     let mut timing = EdgeTiming::default();
     for (period, edges) in periods.iter().zip(edges) {
         timing.expect(*period);
-        for edge in edges {
-            timing.compare(start.wrapping_add(*edge as u32));
-        }
+        timing.compare(edges.iter().map(|&edge| start.wrapping_add(edge as u32)));
     }
     timing.timed()
 }
@@ -140,7 +139,7 @@ fn steps(ticks: u32, repeats: u8) -> Period {
 #[test]
 fn an_edge_that_no_step_has_is_the_worst_error() {
     let mut timing = EdgeTiming::default();
-    timing.compare(7);
+    timing.compare(iter::once(7));
     let expected = Timed {
         edges: 1,
         worst_error_ticks: u32::MAX,
@@ -151,13 +150,12 @@ fn an_edge_that_no_step_has_is_the_worst_error() {
 #[test]
 fn what_came_before_counts_no_more() {
     let mut timing = EdgeTiming::default();
-    timing.compare(7);
+    timing.compare(iter::once(7));
     timing.expect(steps(100, 3));
     timing.clear();
     assert_eq!(timing.timed(), Timed::default());
     timing.expect(steps(50, 1));
-    timing.compare(1_000);
-    timing.compare(1_050);
+    timing.compare([1_000, 1_050].into_iter());
     let expected = Timed {
         edges: 2,
         worst_error_ticks: 0,
@@ -173,7 +171,7 @@ fn without_the_jumper_nothing_is_timed() {
         timing.expect(steps(100, 0));
     }
     assert_eq!(timing.timed(), Timed::default());
-    timing.compare(7);
+    timing.compare(iter::once(7));
     assert_eq!(timing.timed(), Timed::default());
 }
 
@@ -181,10 +179,9 @@ fn without_the_jumper_nothing_is_timed() {
 fn after_a_loss_nothing_more_is_compared() {
     let mut timing = EdgeTiming::default();
     timing.expect(steps(100, 5));
-    timing.compare(0);
-    timing.compare(100);
+    timing.compare([0, 100].into_iter());
     timing.lose();
-    timing.compare(900);
+    timing.compare(iter::once(900));
     let expected = Timed {
         edges: 2,
         worst_error_ticks: 0,
@@ -192,7 +189,7 @@ fn after_a_loss_nothing_more_is_compared() {
     assert_eq!(timing.timed(), expected);
     timing.clear();
     timing.expect(steps(100, 0));
-    timing.compare(5);
+    timing.compare(iter::once(5));
     assert_eq!(timing.timed().edges, 1);
 }
 
@@ -204,7 +201,7 @@ fn a_look_may_come_half_a_ring_late() {
         timing.expect(steps(400, 0));
     }
     for edge in 0..128 + 64 {
-        timing.compare(edge * 400);
+        timing.compare(iter::once(edge * 400));
     }
     let expected = Timed {
         edges: 192,

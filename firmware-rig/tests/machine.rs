@@ -251,7 +251,7 @@ mod running {
         assert_eq!(record.commanded_edges, rig.pulses);
         assert_eq!(record.counted_edges, rig.pulses);
         assert_eq!(record.strokes, strokes);
-        assert_eq!(record.min_queue, Some(60));
+        assert_eq!(record.min_queue, Some(100));
         assert_eq!(record.plan_hash, plan(&SETTINGS, 2, 10_000, 40_000).hash());
     }
 
@@ -289,7 +289,7 @@ mod running {
                 min_steps: 0,
                 max_steps: 8_000,
                 worst_residual_steps: 0,
-                min_queue: Some(60),
+                min_queue: Some(100),
                 glitches: 3,
                 holds: 0,
                 image_hash: IMAGE_HASH,

@@ -578,8 +578,6 @@ pub struct Emulator<W> {
     array: Array,
     /// The flash is busy with a store until this instant.
     storing_until: VirtualNanos,
-    /// When the last erase began.
-    erasing_from: Option<VirtualNanos>,
     /// The core is waiting for the flash.
     stalled: bool,
     /// Overwritten code: addresses and original contents.
@@ -609,7 +607,6 @@ impl<W: Wiring> Emulator<W> {
             options,
             array: Array::default(),
             storing_until: VirtualNanos(0),
-            erasing_from: None,
             stalled: false,
             overwritten: Vec::new(),
             absent: Vec::new(),
@@ -719,11 +716,6 @@ impl<W: Wiring> Emulator<W> {
         self.wiring().flash_began();
     }
 
-    /// When the last erase began, on the emulator's clock.
-    pub(crate) fn erasing_from(&self) -> Option<VirtualNanos> {
-        self.erasing_from
-    }
-
     /// The flash is busy until then: a stop is scheduled there.
     fn busy_until(&mut self, until: VirtualNanos, now: VirtualNanos) {
         self.storing_until = until;
@@ -758,7 +750,6 @@ impl<W: Wiring> Emulator<W> {
                 self.stall(host);
             }
             Touched::EraseBegan => {
-                self.erasing_from = Some(now);
                 self.busy_until(VirtualNanos(now.0 + self.options.erase_ns), now);
                 self.stall(host);
             }

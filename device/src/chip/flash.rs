@@ -11,7 +11,7 @@ use super::{
     supply,
 };
 use crate::{
-    half_periods,
+    half_periods::{self, Timers},
     store::{SECTOR, SECTORS},
 };
 use embassy_stm32::{
@@ -90,11 +90,7 @@ impl NorFlash for Sectors {
     }
 }
 
-/// Does what keeps the processor from counting time, and tells the time driver afterwards how much has passed.
-///
-/// The driver counts half-periods of its 16-bit timer, 32.768 ms each, from one flag for each half. A longer stall loses some,
-/// and after an odd number of them its clock would run backwards 30 times a second. TIM5, which has 32 bits, says how long
-/// it was. A timer that counts already goes on as it is.
+/// Does what keeps the processor from counting time. TIM5 is the stopwatch; if it counts already it goes on as it is.
 fn with_the_clock_kept<T>(stall: impl FnOnce() -> T) -> T {
     cortex_m::interrupt::free(|_| {
         let watch = pac::TIM5;
@@ -104,28 +100,14 @@ fn with_the_clock_kept<T>(stall: impl FnOnce() -> T) -> T {
         if !counts {
             watch.cr1().modify(|w| w.set_cen(true));
         }
-        let (flags, from) = flags_and_count();
-        let watch_from = watch.cnt().read();
-        let result = stall();
-        wait_for_no_flag_to_come();
-        let watch_passed = watch.cnt().read().wrapping_sub(watch_from);
-        let (left, to) = flags_and_count();
+        let result = half_periods::keep_over(&TheTimers, stall);
         if !counts {
             watch.cr1().modify(|w| w.set_cen(false));
             pac::RCC.apb1enr().modify(|w| w.set_tim5en(false));
         }
-        let ticks_per_us = rcc::frequency::<peripherals::TIM5>().0 / 1_000_000;
-        let passed_us = half_periods::passed_us(from, to, watch_passed / ticks_per_us);
-        // SAFETY: the driver's own handler; with interrupts off it cannot run at the same time from its vector.
-        let handle = || unsafe { TIM4() };
-        handle();
-        for _ in 0..half_periods::lost(from, passed_us, flags, left) {
-            TIME_DRIVER.egr().write(|w| w.set_ccg(0, true));
-            handle();
-        }
         // Alarms that became due meanwhile.
         TIME_DRIVER.egr().write(|w| w.set_ccg(1, true));
-        handle();
+        TheTimers.handle();
         result
     })
 }
@@ -135,26 +117,33 @@ unsafe extern "C" {
     fn TIM4();
 }
 
-/// The handlers below take far less than this.
-const HANDLING_US: u16 = 1_000;
+/// TIM4 of the time driver, and TIM5.
+struct TheTimers;
 
-/// Waits over the end of a half-period if it is near: one that began between the look at the flags and the handlers would be
-/// counted by nobody, since its flag stands already.
-fn wait_for_no_flag_to_come() {
-    let left_us = || half_periods::left_us(TIME_DRIVER.cnt().read().cnt());
-    while left_us() < HANDLING_US {}
-}
+impl Timers for TheTimers {
+    fn flags(&self) -> u32 {
+        let status = TIME_DRIVER.sr().read();
+        u32::from(status.uif()) + u32::from(status.ccif(0))
+    }
 
-/// Flags of half-periods that the driver has not counted yet, and the count that goes with them.
-fn flags_and_count() -> (u32, u16) {
-    loop {
-        let flags = || {
-            let status = TIME_DRIVER.sr().read();
-            u32::from(status.uif()) + u32::from(status.ccif(0))
-        };
-        let (before, count) = (flags(), TIME_DRIVER.cnt().read().cnt());
-        if flags() == before {
-            return (before, count);
-        }
+    fn count(&self) -> u16 {
+        TIME_DRIVER.cnt().read().cnt()
+    }
+
+    fn stopwatch(&self) -> u32 {
+        pac::TIM5.cnt().read()
+    }
+
+    fn stopwatch_ticks_per_us(&self) -> u32 {
+        rcc::frequency::<peripherals::TIM5>().0 / 1_000_000
+    }
+
+    fn raise(&self) {
+        TIME_DRIVER.egr().write(|w| w.set_ccg(0, true));
+    }
+
+    fn handle(&self) {
+        // SAFETY: the driver's own handler; with interrupts off it cannot run at the same time from its vector.
+        unsafe { TIM4() }
     }
 }

@@ -10,9 +10,12 @@ use core::{
     sync::atomic::{Ordering, compiler_fence},
 };
 use embassy_stm32::pac::{self, DMA1, TIM5};
+use embassy_time::{Duration, Instant};
 
-/// 4 ms at the highest step rate, 250 kHz; motion looks every 2.5 ms.
+/// 4 ms at the highest step rate; motion looks every 2.5 ms.
 const INSTANTS: usize = 1_024;
+/// The highest step rate, 250 kHz, takes this long for all of them.
+const LAP: Duration = Duration::from_micros(INSTANTS as u64 * 4);
 const STREAM: usize = 4;
 /// TIM5_CH2 (RM0383 table 27).
 const DMA_CHANNEL: u8 = 6;
@@ -29,6 +32,10 @@ static RING: Ring = Ring(UnsafeCell::new([0; INSTANTS]));
 pub struct Captures {
     /// The instant to be read next.
     next: usize,
+    /// Instants from there on that have been captured.
+    unread: usize,
+    /// When that was looked at.
+    looked_at: Instant,
 }
 
 impl Captures {
@@ -56,47 +63,56 @@ impl Captures {
         });
         stream.cr().modify(|w| w.set_en(true));
         TIM5.cr1().modify(|w| w.set_cen(true));
-        Self { next: 0 }
+        Self {
+            next: 0,
+            unread: 0,
+            looked_at: Instant::MIN,
+        }
     }
 
     /// Forgets the instants so far.
     pub fn skip(&mut self) {
-        (self.next, _) = written();
+        let (end, _) = written();
+        *self = Self {
+            next: end,
+            unread: 0,
+            looked_at: Instant::now(),
+        };
     }
 
-    /// Shows each instant since the last call. False if they are too many: some have been overwritten.
-    pub fn take(&mut self, mut show: impl FnMut(u32)) -> bool {
-        let (end, wrapped) = written();
-        if wrapped && end >= self.next {
-            self.next = end;
-            return false;
+    /// Up to so many instants that were not taken yet. None if some have been overwritten.
+    pub fn take(&mut self, at_most: usize) -> Option<impl ExactSizeIterator<Item = u32>> {
+        let now = Instant::now();
+        let (end, at_end) = written();
+        let seen = (self.next + self.unread) % INSTANTS;
+        let mut new = (end + INSTANTS - seen) % INSTANTS;
+        // The flag alone may be that of an end which the last look saw already.
+        let lap_is_possible = now - self.looked_at >= LAP;
+        if at_end && end >= seen && lap_is_possible {
+            new += INSTANTS;
         }
-        while self.next != end {
-            // SAFETY: `next` is an index of the ring; volatile, because DMA writes it.
-            show(unsafe { RING.0.get().cast::<u32>().add(self.next).read_volatile() });
-            self.next = (self.next + 1) % INSTANTS;
+        self.looked_at = now;
+        self.unread += new;
+        if self.unread >= INSTANTS {
+            return None;
         }
-        true
+        let (first, count) = (self.next, self.unread.min(at_most));
+        self.next = (first + count) % INSTANTS;
+        self.unread -= count;
+        // SAFETY: an index of the ring; volatile, because DMA writes it.
+        let read = |at: usize| unsafe { RING.0.get().cast::<u32>().add(at).read_volatile() };
+        Some((first..first + count).map(move |at| read(at % INSTANTS)))
     }
 }
 
 /// The instant that DMA writes next, and whether it has come to the ring's end since the last call.
 fn written() -> (usize, bool) {
-    let left = || usize::from(DMA1.st(STREAM).ndtr().read().ndt());
-    let ended = || DMA1.isr(STREAM / 4).read().tcif(STREAM % 4);
-    let (left, wrapped) = loop {
-        let before = left();
-        let wrapped = ended();
-        let left = left();
-        // Otherwise the end came between the looks, and the flag is one of the next call.
-        if wrapped || left <= before {
-            break (left, wrapped);
-        }
-    };
-    if wrapped {
+    let at_end = DMA1.isr(STREAM / 4).read().tcif(STREAM % 4);
+    if at_end {
         DMA1.ifcr(STREAM / 4)
             .write(|w| w.set_tcif(STREAM % 4, true));
     }
+    let left = usize::from(DMA1.st(STREAM).ndtr().read().ndt());
     compiler_fence(Ordering::SeqCst);
-    ((INSTANTS - left) % INSTANTS, wrapped)
+    ((INSTANTS - left) % INSTANTS, at_end)
 }

@@ -244,6 +244,11 @@ pub fn cut_pulses() {
     pac::TIM1.bdtr().modify(|w| w.set_moe(false));
 }
 
+/// STEP as it is at the pin.
+pub fn step_is_high() -> bool {
+    pac::GPIOA.idr().read().idr(10) == pac::gpio::vals::Idr::HIGH
+}
+
 /// Driver on: the motor holds.
 pub fn enable_driver() {
     pac::GPIOA.bsrr().write(|w| w.set_br(9, true));

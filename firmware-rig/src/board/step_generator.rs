@@ -57,6 +57,10 @@ const REQUEST_CYCLES: u32 = 200;
 const BURST_WAITS: u32 = 50;
 /// The stream stops within some cycles of the bus, or never.
 const STREAM_READS: u32 = 1_000;
+/// Cutting the pulses takes less than 1 us.
+const CUT_TICKS: i32 = 100;
+/// So many looks are longer than any pulse.
+const PULSE_READS: u32 = 2_000;
 /// In TIM1's SR a written 0 clears a flag and a 1 leaves it: everything but the break flag.
 const ALL_BUT_BREAK: pac::timer::regs::SrAdv = pac::timer::regs::SrAdv(1 << 7);
 
@@ -133,6 +137,31 @@ impl StepGenerator {
     /// Slots that wait in the ring; -1 while the last one plays, -2 when nothing plays any more.
     fn queue(&self) -> i32 {
         self.pushed.wrapping_sub(self.fetched) as i32
+    }
+
+    /// Cuts the pulses, but none in its middle: one that is shorter than the read-back's filter would be an edge at the pin and
+    /// none in the count. What stops at once, E-stop and limits, has cut them before.
+    fn cut_between_pulses(&mut self) {
+        for _ in 0..PULSE_READS {
+            let cut = cortex_m::interrupt::free(|_| {
+                self.update();
+                let slot = self.fetched.wrapping_sub(2);
+                // SAFETY: a word of a slot; only this generator writes it.
+                let last_tick = unsafe { words(slot as usize).read_volatile() };
+                let left = i32::from(last_tick) - i32::from(TIM1.cnt().read().cnt());
+                // No pulse begins before the outputs are off: it is not so near, or the counter is blocked or stands.
+                let none_begins = left > CUT_TICKS || last_tick == 0;
+                let cut = none_begins && !pins::step_is_high();
+                if cut {
+                    pins::cut_pulses();
+                }
+                cut
+            });
+            if cut || !self.running {
+                break;
+            }
+        }
+        pins::cut_pulses();
     }
 
     /// The path up to the end of the slot so many before the one that DMA reads next: 2 is the one that plays.
@@ -303,7 +332,7 @@ impl Ring for StepGenerator {
     }
 
     fn halt(&mut self) {
-        pins::cut_pulses();
+        self.cut_between_pulses();
         TIM1.cr1().modify(|w| w.set_cen(false));
         // Without its request a burst would end in its middle, and the timer may go on there with the next path's words.
         let whole = burst_is_whole();
@@ -334,14 +363,18 @@ impl Ring for StepGenerator {
         counted()
     }
 
-    fn time_edges(&mut self) -> Timed {
-        let Self {
-            captures, timing, ..
-        } = self;
-        if !captures.take(|at| timing.compare(at)) {
-            timing.lose();
-        }
-        timing.timed()
+    fn time_edges(&mut self, at_most: u32) -> bool {
+        let Some(instants) = self.captures.take(at_most as usize) else {
+            self.timing.lose();
+            return true;
+        };
+        let all = instants.len() < at_most as usize;
+        self.timing.compare(instants);
+        all
+    }
+
+    fn timed(&self) -> Timed {
+        self.timing.timed()
     }
 }
 

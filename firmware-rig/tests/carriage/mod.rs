@@ -56,7 +56,7 @@ pub fn path_ended(end: PathEnd, commanded: i32, counted: i32) -> Event<'static> 
         commanded: StepPosition(commanded),
         counted: StepPosition(counted),
         last_tick: 1,
-        min_queue: Some(60),
+        min_queue: Some(100),
         ..PathReport::default()
     };
     Event::PathEnded(end, report)

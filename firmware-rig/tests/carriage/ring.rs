@@ -215,7 +215,7 @@ impl Ring for Slots {
 
     fn waiting(&self) -> u32 {
         match self.ahead {
-            Ahead::Nothing => 60, // never short of anything
+            Ahead::Nothing => 100, // never short of anything
             Ahead::Slots => self.queue().max(0) as u32,
         }
     }
@@ -287,10 +287,13 @@ impl Ring for Slots {
         StepPosition(self.counted)
     }
 
-    fn time_edges(&mut self) -> Timed {
-        for at in self.captured.drain(..) {
-            self.timing.compare(at);
-        }
+    fn time_edges(&mut self, at_most: u32) -> bool {
+        let count = self.captured.len().min(at_most as usize);
+        self.timing.compare(self.captured.drain(..count));
+        count < at_most as usize
+    }
+
+    fn timed(&self) -> Timed {
         self.timing.timed()
     }
 }

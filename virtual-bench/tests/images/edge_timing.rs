@@ -1,6 +1,8 @@
 //! The rig times its own steps through the second jumper, and finds each that is not where the plan has it.
 
-use crate::common::{RigRun, execute, home_quickly, paper, quick, rig_as_quick_as, rig_with};
+use crate::common::{
+    LIMIT_NS, RigRun, execute, home_quickly, paper, quick, rig_as_quick_as, rig_with,
+};
 use crate::speed::{quick_rig_on, quick_run};
 use host_tool::client::Unobserved;
 use protocol::{
@@ -15,6 +17,7 @@ use virtual_bench::{
         rig::{Action, RigOptions},
         wire::Fault,
     },
+    verdicts::Verdict,
 };
 
 /// A rig with the jumper, at position 0.
@@ -61,16 +64,44 @@ fn every_step_of_a_run_is_timed_and_right() {
     rig.check_clean(0);
 }
 
-/// The highest step rate that the settings allow, telemetry at 200 Hz meanwhile.
+/// 192,000 steps on ramps of 2 m/s2.
+fn steep(speed_um_s: u32) -> Run {
+    Run {
+        far_dwell_us: 1_000,
+        ..quick(1, 60_000, speed_um_s, 2_000_000)
+    }
+}
+
+/// Telemetry at 200 Hz meanwhile.
 #[test]
-fn every_step_of_the_highest_rate_is_timed() {
+fn every_step_up_to_125_khz_is_timed() {
     let mut rig = quick_rig_on(
         RigOptions::WITH_BOTH_JUMPERS,
         BenchOptions::new(board::image()),
     );
-    let (request, _) = quick_run();
-    let (_, record) = execute(&mut rig, request);
+    let (_, record) = execute(&mut rig, steep(78_125));
     assert_eq!(found(&record), (192_000, 0), "{record:?}");
+    rig.check_clean(0);
+}
+
+/// At the highest step rate that the settings allow the processor has no time to compare on the ramps. The steps come first, and
+/// the record says how many were compared.
+#[test]
+fn no_step_waits_for_the_comparison() {
+    let mut rig = quick_rig_on(
+        RigOptions::WITH_BOTH_JUMPERS,
+        BenchOptions::new(board::image()),
+    );
+    let first = rig.edge_count();
+    let (request, exact) = quick_run();
+    let (_, record) = execute(&mut rig, request);
+    Verdict::of(&exact, &rig.edges(first))
+        .check(LIMIT_NS)
+        .unwrap_or_else(|why| panic!("{why}\n{record:?}"));
+    assert_eq!(record.outcome, RunOutcome::Complete, "{record:?}");
+    assert_eq!(record.worst_interval_error_ticks, 0, "{record:?}");
+    let timed = record.edges_timed;
+    assert!(timed > 1_000 && timed < 192_000, "{record:?}");
     rig.check_clean(0);
 }
 
@@ -154,29 +185,38 @@ fn a_step_that_is_left_out_is_found() {
     assert!(worst >= INTERVAL, "{worst}");
 }
 
-#[test]
-fn a_step_that_is_added_is_found() {
+/// A run with a spike of this width on the wire, in the middle between two pulses of the cruise.
+fn with_a_spike(width_ns: u64) -> RunRecord {
     let mut rig = timed_rig();
-    let in_cruise = rig.bench.now_ns() + 250_000_000;
+    let accepted = rig.device.run(short()).expect("accepted");
+    rig.bench.advance_us(150_000).expect("the bench runs");
+    let pulses = rig.edges(rig.edge_count() - 2);
+    let at_ns: Vec<u64> = pulses.iter().map(|edge| edge.at_ns).collect();
+    let (before_ns, last_ns) = (at_ns[0], at_ns[1]);
+    let interval_ns = last_ns - before_ns;
+    assert_eq!(interval_ns, u64::from(INTERVAL) * 10, "it cruises");
+    let between = last_ns + 100 * interval_ns + interval_ns / 2;
     rig.look(move |rig| {
-        let spike = Action::Capture(Fault::Spike(300));
-        rig.plan(When::At(in_cruise), spike);
+        let spike = Action::Capture(Fault::Spike(width_ns));
+        rig.plan(When::At(between), spike);
     });
-    let (_, record) = execute(&mut rig, short());
-    assert_eq!(found(&record), (16_001, u32::MAX), "{record:?}");
+    let record = rig.device.wait_run(&accepted, &mut Unobserved);
+    let record = record.expect("a record");
+    assert_eq!(record.outcome, RunOutcome::Complete);
     assert_eq!(record.counted_edges, 16_000);
+    record
 }
 
-/// A spike that the input's filter of 80 ns takes for none.
 #[test]
-fn a_short_spike_is_no_step() {
-    let mut rig = timed_rig();
-    let in_cruise = rig.bench.now_ns() + 250_000_000;
-    rig.look(move |rig| {
-        let spike = Action::Capture(Fault::Spike(60));
-        rig.plan(When::At(in_cruise), spike);
-    });
-    let (_, record) = execute(&mut rig, short());
+fn a_step_that_is_added_is_found() {
+    let record = with_a_spike(300);
+    assert_eq!(found(&record), (16_001, u32::MAX), "{record:?}");
+}
+
+/// The input's filter takes it for none.
+#[test]
+fn a_spike_of_less_than_80_ns_is_no_step() {
+    let record = with_a_spike(60);
     assert_eq!(found(&record), (16_000, 0), "{record:?}");
 }
 

@@ -106,7 +106,7 @@ fn a_ring_that_runs_dry_emits_no_wrong_edge() {
         let limit_ns = 10.0 + 1e3 / million as f64;
         assert!(verdict.worst.0 <= limit_ns, "{what}");
         steps.insert(verdict.edges.0);
-        // It stops at once, which may be in mid-pulse.
+        // The counter stands in the last pulse if its period was fetched half-written, and then that is cut.
         rig.check_clean_after(0, 1);
     }
     assert!(steps.len() > 10, "{steps:?}");
