@@ -67,7 +67,7 @@ settings! {
     LedgerLimitSteps: "ledger_limit_steps", "steps", 0..=10_000, 8, "Largest residual at the home flag that a run tolerates.";
     LinkTimeoutMs: "link_timeout_ms", "ms", 200..=60_000, 1_000, "Silence of the host that counts as a lost link while something moves.";
     DeadManMs: "dead_man_ms", "ms", 50..=2_000, 300, "A jog that is not renewed within this time stops.";
-    SwitchFilterUs: "switch_filter_us", "us", 5..=24, 21, "How long home flag and far limit must stay open or closed to count; a bouncing contact takes twice that.";
+    SwitchFilterUs: "switch_filter_us", "us", 5..=24, 21, "How long home flag and far limit must stay open or closed to count. A contact that bounces for long may be told up to 3.5 ms late; the position is that of its first edge.";
     TelemetryMs: "telemetry_ms", "ms", 0..=1_000, 0, "Interval of telemetry after a start: 5..=1000, or 0 for none until it is asked for.";
     ButtonCycles: "button_cycles", "1", 1..=10_000, 5, "Run of the start button: cycles.";
     ButtonStrokeUm: "button_stroke_um", "um", 1..=130_000, 130_000, "Run of the start button: stroke.";
