@@ -1,8 +1,9 @@
 //! A timer that records the exact instant of each change of its outputs.
 
+use super::forward::forward;
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
+use rigless::soc::Layout;
 use rigless::soc::st::tim::{Channel, Family, Tim};
-use rigless::soc::{Layout, RegisterSpec};
 use rigless::time::EventId;
 
 /// A change of one compare output.
@@ -78,9 +79,7 @@ impl<F: Family> Watched<F> {
 impl<F: Family> Device for Watched<F> {
     type Register = F::Register;
 
-    fn layout(&self) -> &'static [RegisterSpec] {
-        Device::layout(&self.tim)
-    }
+    forward!(tim: layout, peek, on_refused, poll, reset);
 
     fn read(
         &mut self,
@@ -95,15 +94,6 @@ impl<F: Family> Device for Watched<F> {
             return Some(value.unwrap_or_else(|| registers.get(register)) & !MOE);
         }
         value
-    }
-
-    fn peek(
-        &self,
-        register: F::Register,
-        registers: &RegisterFile,
-        now: rigless::time::VirtualNanos,
-    ) -> Option<u64> {
-        Device::peek(&self.tim, register, registers, now)
     }
 
     fn write(
@@ -159,23 +149,6 @@ impl<F: Family> Device for Watched<F> {
     ) {
         Device::on_access(&mut self.tim, token, value, registers, context);
         self.note(registers, context.now().0);
-    }
-
-    fn on_refused(
-        &mut self,
-        token: u64,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::on_refused(&mut self.tim, token, registers, context);
-    }
-
-    fn poll(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        Device::poll(&mut self.tim, registers, context);
-    }
-
-    fn reset(&mut self) {
-        Device::reset(&mut self.tim);
     }
 
     fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
