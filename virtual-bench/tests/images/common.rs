@@ -43,6 +43,11 @@ pub fn trials<N>(slice: N, all: N) -> N {
     }
 }
 
+/// Whether a trial of a campaign is made: each where RETROGRADE_CAMPAIGN is set, else every nth.
+pub fn is_made(trial: usize, nth: usize) -> bool {
+    trial.is_multiple_of(trials(nth, 1))
+}
+
 pub struct RigRun {
     pub bench: Bench<RigBoard>,
     pub device: Device,
@@ -143,6 +148,12 @@ impl RigRun {
 
     pub fn edge_count(&self) -> usize {
         self.look(|rig| rig.edges().len())
+    }
+
+    /// When the last step left the pin.
+    pub fn last_edge_ns(&self) -> u64 {
+        let last = self.edges(self.edge_count() - 1);
+        last.iter().next().expect("a step").at_ns
     }
 
     /// The firmware's log, for failures.

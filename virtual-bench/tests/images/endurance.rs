@@ -28,7 +28,7 @@ fn boot_id(device: &Device) -> u32 {
 
 #[test]
 fn runs_of_five_cycles_lose_no_step() {
-    let runs: u32 = trials(30, 100);
+    let runs: u32 = trials(15, 100);
     let mut rig = rig();
     home_quickly(&mut rig);
     rig.home();

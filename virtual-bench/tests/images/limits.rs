@@ -48,7 +48,7 @@ fn disturbances_of_19_us_never_stop_a_run_and_are_all_counted() {
     let each = u64::from(cycles) * 7_900;
     let mut rig = quickly_homed();
     let first = rig.edge_count();
-    let start_ns = rig.bench.now_ns() + 100_000_000;
+    let start_ns = rig.bench.now_ns() + 100_100_000;
     rig.look(move |rig| {
         for millisecond in 0..each {
             let at = start_ns + millisecond * 1_000_000;

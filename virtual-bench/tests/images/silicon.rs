@@ -2,7 +2,7 @@
 
 use crate::common::{
     Dice, LIMIT_NS, Recorder, RigRun, exact, execute, faulted, home_quickly, homed, paper, quick,
-    quickly_homed, rig, start,
+    quickly_homed, rig, start, trials,
 };
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
@@ -519,7 +519,7 @@ fn the_clock_keeps_time_over_an_erase() {
     let seed = 0x5EED_C10C;
     let mut dice = Dice(seed);
     let (flash, number) = about_to_erase();
-    for erase_ms in (250..=530).step_by(20) {
+    for erase_ms in (250..=530).step_by(trials(70, 20)) {
         let what = format!("seed {seed:#x}, {erase_ms} ms");
         let before_us = dice.roll(1_000..66_536);
         erase_and_check_the_clock(&flash, number, erase_ms * 1_000_000, before_us, &what);

@@ -1,6 +1,6 @@
 //! The highest step rate that the settings allow, with everything else going on.
 
-use crate::common::{LIMIT_NS, RigRun, homed, paper, start};
+use crate::common::{LIMIT_NS, RigRun, homed, paper, start, trials};
 use host_tool::client::Unobserved;
 use protocol::{
     rig::{GetRigHealth, RigFault, Run, RunOutcome, RunTiming},
@@ -86,7 +86,9 @@ fn the_highest_step_rate_is_sustained() {
 #[test]
 fn a_ring_that_runs_dry_emits_no_wrong_edge() {
     let mut steps = std::collections::BTreeSet::new();
-    for million in (20..50).step_by(2) {
+    let speeds = (20..50).step_by(trials(6, 2));
+    let tried = speeds.clone().count();
+    for million in speeds {
         let mut rig = quick_rig(million * 1_000_000);
         let first = rig.edge_count();
         let (request, exact) = quick_run();
@@ -109,7 +111,7 @@ fn a_ring_that_runs_dry_emits_no_wrong_edge() {
         // The counter stands in the last pulse if its period was fetched half-written, and then that is cut.
         rig.check_clean_after(0, 1);
     }
-    assert!(steps.len() > 10, "{steps:?}");
+    assert!(steps.len() * 3 > tried * 2, "{steps:?}");
 }
 
 /// Equal periods share an entry of the ring. At 3502.493 ticks per step in cruise hardly two neighbours are equal.
@@ -144,7 +146,8 @@ fn steps_that_share_no_entry_are_exact_too() {
 /// periods that the timer does not take any more.
 #[test]
 fn a_ring_that_is_nearly_dry_ends_and_says_how() {
-    for speed in [48_750_000, 53_500_000, 54_500_000, 56_000_000] {
+    let speeds = [53_500_000, 48_750_000, 54_500_000, 56_000_000];
+    for speed in speeds.into_iter().take(trials(2, 4)) {
         let mut options = BenchOptions::new(board::image());
         options.chip.instructions_per_second = speed;
         options.chip.burst = Some(Beats {
