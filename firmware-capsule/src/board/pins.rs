@@ -27,7 +27,7 @@
 
 #![allow(unsafe_code)]
 
-use device::chip::{start, supply};
+use device::chip::{flash::Sectors, start, supply};
 use embassy_stm32::{
     Config,
     adc::AdcChannel,
@@ -44,7 +44,7 @@ use firmware_capsule::{
     detect::Sample,
     fold::Drive,
     mechanics::Counts,
-    sense::{Offset, Reference, millivolts},
+    sense::{Offset, Reference, microvolts, millivolts},
 };
 
 /// 16 MHz / 800 = 20 kHz.
@@ -72,6 +72,8 @@ const N_FAULT: usize = 8;
 pub(crate) struct Board {
     /// Link.
     pub(crate) serial: (UartTx<'static, Async>, RingBufferedUartRx<'static>),
+    /// The sectors of calibration and totals.
+    pub(crate) sectors: Sectors,
     /// Motor, encoder, battery.
     pub(crate) drive_train: DriveTrain,
     /// Not yet started.
@@ -139,6 +141,7 @@ pub(crate) fn init() -> Board {
     interrupt::SPI5.set_priority(Priority::P6);
     Board {
         serial: start::open_serial(p.USART2, p.PA3, p.PA2, p.DMA1_CH6, p.DMA1_CH5),
+        sectors: Sectors::new(p.FLASH),
         drive_train: DriveTrain {
             current,
             battery,
@@ -290,12 +293,13 @@ impl DriveTrain {
             pac::ADC1.cr2().modify(|w| w.set_adon(false));
         }
         let battery_mv = millivolts(battery, pairs, supply_mv) * BATTERY_RATIO;
-        let current_ma = millivolts(current, pairs, supply_mv); // 1 mV per mA
-        let current_ma = u16::try_from(current_ma).unwrap_or(u16::MAX);
+        let reading_ua = microvolts(current, pairs, supply_mv); // 1 uV per uA
+        let current_ua = self.offset.take_off(now_us, awake, reading_ua);
         self.battery_mv = u16::try_from(battery_mv).unwrap_or(u16::MAX);
         Sample {
             counts: Counts(pac::TIM2.cnt().read() as i32),
-            current_ma: self.offset.take_off(now_us, awake, current_ma),
+            current_ma: u16::try_from((current_ua + 500) / 1_000).unwrap_or(u16::MAX),
+            current_ua,
             offset_ma: self.offset.offset_ma(),
             battery_mv: self.battery_mv,
             driver_fault: awake
