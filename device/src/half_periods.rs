@@ -20,3 +20,8 @@ pub const fn lost(from: u16, passed_us: u32, before: u32, after: u32) -> u32 {
     let begun = (from + passed_us) / HALF_PERIOD - from / HALF_PERIOD;
     (before + begun).saturating_sub(after)
 }
+
+/// Ticks until the half-period ends in which the timer is at this count.
+pub const fn left_us(count: u16) -> u16 {
+    HALF_PERIOD as u16 - count % HALF_PERIOD as u16
+}

@@ -1,6 +1,6 @@
 //! The time driver's half-periods across a stall of any length, begun at any count.
 
-use device::half_periods::{lost, passed_us};
+use device::half_periods::{left_us, lost, passed_us};
 
 #[test]
 fn every_half_period_of_a_stall_is_found() {
@@ -40,4 +40,10 @@ fn a_flag_that_stood_already_counts_too() {
     assert_eq!(lost(10, 70_000, 1, 2), 1);
     // The flag of a half stood; nothing more came.
     assert_eq!(lost(40_000, 1_000, 1, 1), 0);
+}
+
+#[test]
+fn a_half_period_ends_where_the_timer_flags_it() {
+    let lefts = [0, 1, 32_767, 32_768, 65_535].map(left_us);
+    assert_eq!(lefts, [32_768, 32_767, 1, 32_768, 1]);
 }

@@ -1,6 +1,8 @@
 //! The rig's hardware: everything that touches registers, shares state or waits. What decides is beside this folder.
 
+mod captures;
 pub mod channels;
+mod clock;
 pub mod pins;
 mod start;
 pub mod step_generator;

@@ -2,9 +2,11 @@
 //! other tasks are traits, so that the host tests run what the motion task runs.
 
 use crate::{
+    edge_timing::Timed,
     machine::{Event, PathEnd, PathReport},
     periods::{Item, Path, Period, Periods},
 };
+use device::supervision::CHECK_IN_MS;
 use motion::{
     axis::{Acceleration, Direction},
     units::{StepPosition, Steps, Window},
@@ -81,6 +83,10 @@ pub trait Ring {
 
     /// Position by the counter of the edges that left.
     fn counted(&self) -> StepPosition;
+
+    /// Compares the edges captured since the last call with the periods that were pushed. Tells what has been found since
+    /// the ring was cleared.
+    fn time_edges(&mut self) -> Timed;
 }
 
 /// The other tasks, as execution sees them.
@@ -123,6 +129,18 @@ pub enum Pace {
     Filled,
     /// A turn, the end or an answer is awaited.
     Waiting,
+}
+
+impl Pace {
+    /// The next round has to come within this time, us. Rounds that find the ring full are most of the load of steady
+    /// motion; the ring holds three times as long.
+    pub const fn within_us(self) -> u64 {
+        match self {
+            Pace::Idle => CHECK_IN_MS * 1_000,
+            Pace::Filled => 2_500,
+            Pace::Waiting => 100,
+        }
+    }
 }
 
 /// What the motion task does.
@@ -275,6 +293,7 @@ impl Execution {
             }
         }
         self.fill(ring, mailbox);
+        ring.time_edges();
         mailbox.show(self.stroke, self.periods.position());
         let played_out = ring.has_played_out();
         let end = match self.filling {
@@ -321,6 +340,7 @@ impl Execution {
             counted,
             last_tick,
             min_queue: self.min_queue,
+            timed: ring.time_edges(),
         };
         mailbox.show(self.stroke, report.commanded);
         Event::PathEnded(end, report)
@@ -346,9 +366,6 @@ impl Execution {
     }
 
     fn fill(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) {
-        // After a cut the ring runs empty, too.
-        let all_left =
-            |ring: &_, mailbox: &_| Ring::waiting_pulses(ring) == 0 && !Mailbox::is_cut(mailbox);
         if all_left(ring, mailbox) {
             self.tell_stroke_end(ring, mailbox);
         }
@@ -414,4 +431,9 @@ impl Execution {
         self.passed = self.periods.position();
         self.passed_tick = self.periods.last_step();
     }
+}
+
+/// Every pulse of the ring has left. After a cut the ring runs empty, too.
+fn all_left(ring: &impl Ring, mailbox: &impl Mailbox) -> bool {
+    ring.waiting_pulses() == 0 && !mailbox.is_cut()
 }

@@ -17,7 +17,7 @@ mod homing;
 mod moving;
 mod running;
 
-use crate::{periods::Path, settings::Settings};
+use crate::{edge_timing::Timed, periods::Path, settings::Settings};
 use homing::Homing;
 use motion::{
     axis::{Direction, Position, Speed},
@@ -59,6 +59,8 @@ pub struct PathReport {
     pub last_tick: u64,
     /// Shortest queue seen while periods were still to come; none if the path was queued as a whole at once.
     pub min_queue: Option<u16>,
+    /// What the captured edges have shown.
+    pub timed: Timed,
 }
 
 /// What comes with every event.

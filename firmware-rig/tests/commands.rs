@@ -590,16 +590,16 @@ fn a_run_in_ten_seconds_is_infeasible() {
         },
         ..PAPER
     };
-    // Ten triangles at 100 mm/s2: 10 * 2 sqrt(0.13 / 0.1) s. In 1 s each: 4 * 0.13 / 1 m/s2.
+    // Ten strokes of 130 mm at 49 mm/s, with a ramp of 0.49 s. In 1 s each, no acceleration keeps to that speed.
     assert_eq!(
         refused_run(total(10_000_000, 100_000)),
         Refusal::TooFast {
             requested_us: 10_000_000,
-            min_us: 31_430_630,
-            min_accel_um_s2: 520_000,
+            min_us: 31_430_613,
+            min_accel_um_s2: u64::MAX,
         }
     );
-    // With that acceleration it is the speed.
+    // With one that is enough for the time, it is the speed.
     assert_eq!(
         refused_run(total(10_000_000, 520_000)),
         Refusal::SpeedLimit {
@@ -623,7 +623,7 @@ fn a_run_in_ten_seconds_is_infeasible() {
         refused_run(dwelling),
         Refusal::TooFast {
             requested_us: 40_000_000,
-            min_us: 76_430_630,
+            min_us: 76_430_613,
             ..
         }
     ));

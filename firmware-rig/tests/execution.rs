@@ -6,6 +6,7 @@ mod runs;
 
 use carriage::{Carriage, Pulse, Rig, ring::Ahead, run};
 use firmware_rig::{
+    edge_timing::Timed,
     execution::{LEAD_TICKS, Order, Pace},
     machine::{Command, Event, PathEnd, PathReport},
     periods::Path,
@@ -182,6 +183,16 @@ impl Bench {
         assert_eq!(report.last_tick, last);
         assert_eq!(self.carriage.mail.commanded, self.carriage.place);
         assert_eq!(self.carriage.ring.cut, 0, "every queued pulse has left");
+        // Whatever was ordered meanwhile, each edge came when it was planned.
+        let edges = self.trace().len() as u32;
+        let worst_error_ticks = 0;
+        assert_eq!(
+            report.timed,
+            Timed {
+                edges,
+                worst_error_ticks
+            }
+        );
     }
 
     /// It went as planned to its end.
@@ -235,7 +246,7 @@ fn the_papers_cycle_has_every_pulse_at_its_tick() {
     bench.assert_complete(&path);
     assert_eq!(bench.trace().len(), 208_000);
     assert_eq!(report.last_tick, 800_000_000);
-    // In cruise a period is 20 rounds of 35 us, and 6 ms are always there.
+    // In cruise a period is 20 rounds of 35 us, and 5.5 ms are always there.
     assert!(report.min_queue.unwrap() >= 8, "{report:?}");
 }
 
@@ -405,7 +416,7 @@ fn a_cut_path_reports_what_left() {
             let place = bench.carriage.place;
             let what = format!("{count} pulses, dead counter: {counter_is_dead}: {report:?}");
             if counter_is_dead {
-                // Those that were sure to have left in the last round: 2 ms and a period before.
+                // Those that were sure to have left in the last round: 2.5 ms and a period before.
                 let missing = report.commanded.distance_to(StepPosition(place)).0;
                 assert!(missing <= 200, "{missing}: {what}");
             } else {

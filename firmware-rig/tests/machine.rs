@@ -6,6 +6,7 @@ use carriage::{
     CLOSED, IMAGE_HASH, Rig, flag_edge, now, path_ended, plan, run, small, stroke_done,
 };
 use firmware_rig::{
+    edge_timing::Timed,
     machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
     settings::Settings,
 };
@@ -293,7 +294,7 @@ mod running {
                 holds: 0,
                 image_hash: IMAGE_HASH,
                 prepared_edges: 32_000,
-                edges_timed: 0,
+                edges_timed: 32_000,
                 worst_interval_error_ticks: 0,
             }
         );
@@ -570,7 +571,7 @@ mod running {
 
     /// Of all paths of the run; one that was queued as a whole never left the ring short.
     #[test]
-    fn the_shortest_queue_is_that_of_all_paths() {
+    fn queue_and_timing_are_those_of_all_paths() {
         let mut rig = started(LinkLossPolicy::Stop);
         for (queue, shortest) in [(Some(50), 50), (Some(70), 50), (Some(30), 30), (None, 30)] {
             let now = now(0, 100, CLOSED);
@@ -578,6 +579,10 @@ mod running {
             assert_eq!(hold.refusal, None);
             let report = PathReport {
                 min_queue: queue,
+                timed: Timed {
+                    edges: 10,
+                    worst_error_ticks: queue.map_or(0, u32::from),
+                },
                 ..rest_at(100)
             };
             let ended = Event::PathEnded(PathEnd::Stopped, report);
@@ -586,6 +591,10 @@ mod running {
             let resume = rig.machine.step(&now, Event::Command(&Command::Resume));
             assert_eq!(resume.refusal, None);
         }
+        // The edges of all, and the worst error of them.
+        let record = rig.machine.record();
+        assert_eq!(record.edges_timed, 40);
+        assert_eq!(record.worst_interval_error_ticks, 70);
         let mut rig = started(LinkLossPolicy::Stop);
         let report = PathReport {
             min_queue: None,

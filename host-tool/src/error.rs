@@ -28,7 +28,7 @@ pub enum ClientError {
     #[diagnostic(
         code(retrograde::no_answer),
         help(
-            "is the board powered, is this its port (`retrograde devices`), does `--baud` match the firmware (115200), and is Retrograde's firmware on it (`retrograde flash`)?"
+            "is the board powered, is this its port (`retrograde devices`), does `--baud` match the firmware (115200), and is Retrograde's firmware on it (`cargo rig` or `cargo capsule` in the workspace, or `retrograde flash rig|capsule --image ELF`)?"
         )
     )]
     NoAnswer {
@@ -204,7 +204,9 @@ fn mismatch_text(place: &str, found: &Identity) -> String {
     let remedy = if found.protocol.major > VERSION.major {
         "use the host tool that was built with this firmware".to_owned()
     } else {
-        format!("flash the matching firmware (`retrograde flash {name}`)")
+        format!(
+            "flash the matching firmware (`cargo {name}` in this tool's workspace, or `retrograde flash {name} --image ELF`)"
+        )
     };
     format!(
         "{remedy}: the {name} at {place} (firmware {}) speaks protocol {}.{} with schema {:016x}, this host tool {}.{} with schema {SCHEMA_KEY:016x}",

@@ -272,11 +272,17 @@ fn run(
 
 /// What the rig found when it timed its own steps.
 fn intervals(executed: &Executed) -> String {
-    match executed.edges_timed {
-        0 => "not timed".to_owned(),
-        timed => format!(
-            "{timed} steps timed, {} ns off the plan at worst",
-            u64::from(executed.worst_interval_error_ticks) * 10
+    let Executed {
+        edges_timed,
+        counted_edges,
+        ..
+    } = executed;
+    match (edges_timed, executed.worst_interval_error_ticks) {
+        (0, _) => "not timed".to_owned(),
+        (_, u32::MAX) => format!("{edges_timed} edges timed: more than steps"),
+        (_, worst) => format!(
+            "{edges_timed} of {counted_edges} steps timed, {} ns off the plan at worst",
+            u64::from(worst) * 10
         ),
     }
 }

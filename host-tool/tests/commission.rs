@@ -6,11 +6,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use host_tool::commission::hands::{Act, Part, Reading, Wish};
+use host_tool::commission::image;
 use host_tool::commission::procedure::{Procedure, Standing, open, standing};
 use host_tool::commission::record::{Commissioning, Finding, Outcome, Subject};
 use host_tool::commission::rig::wrong_travel;
 use host_tool::commission::session::wrapped;
-use host_tool::commission::steps::{self, Step};
+use host_tool::commission::step::Step;
+use host_tool::commission::steps;
 use jiff::Timestamp;
 use machine::Script;
 use machine::tool::{Memory, ready};
@@ -40,11 +42,16 @@ fn finding(outcome: Outcome) -> Finding {
     }
 }
 
+fn enter(record: &mut Commissioning, name: &str, finding: Finding, subject: &Subject) {
+    let procedure = Procedure::new(steps::of(DeviceKind::Rig));
+    procedure.enter(record, step(name), finding, subject, NOW);
+}
+
 /// A record in which every step has passed.
 fn complete(subject: &Subject) -> Commissioning {
     let mut record = Commissioning::new(subject, NOW);
     for step in steps::of(DeviceKind::Rig) {
-        record.enter(step, finding(Outcome::Passed), subject, NOW);
+        enter(&mut record, step.name, finding(Outcome::Passed), subject);
     }
     record
 }
@@ -95,8 +102,8 @@ fn a_step_holds_for_the_image_and_the_settings_that_it_was_shown_with() {
 fn what_failed_or_was_not_shown_is_due_once_in_each_session() {
     let subject = subject();
     let mut record = complete(&subject);
-    record.enter(step("travel"), finding(Outcome::Failed), &subject, NOW);
-    record.enter(step("jumper"), finding(Outcome::NotShown), &subject, NOW);
+    enter(&mut record, "travel", finding(Outcome::Failed), &subject);
+    enter(&mut record, "jumper", finding(Outcome::NotShown), &subject);
     assert!(!record.complete);
     for _ in 0..2 {
         let mut procedure = Procedure::new(steps::of(DeviceKind::Rig));
@@ -106,8 +113,8 @@ fn what_failed_or_was_not_shown_is_due_once_in_each_session() {
             [Some("travel"), Some("jumper"), None]
         );
     }
-    record.enter(step("travel"), finding(Outcome::Passed), &subject, NOW);
-    record.enter(step("jumper"), finding(Outcome::Passed), &subject, NOW);
+    enter(&mut record, "travel", finding(Outcome::Passed), &subject);
+    enter(&mut record, "jumper", finding(Outcome::Passed), &subject);
     assert!(record.complete);
     // In the order of the steps, whatever the order of the results.
     let order: Vec<_> = record
@@ -151,7 +158,7 @@ fn a_record_is_read_back_as_it_was_written() {
     travel
         .measured
         .insert("measured_um".to_owned(), Value::from(50_000));
-    record.enter(step("travel"), travel, &subject, NOW);
+    enter(&mut record, "travel", travel, &subject);
     record.write(&path).expect("written");
     let read = Commissioning::resume(&path, &subject, NOW).expect("the same");
     assert_eq!(read, record);
@@ -235,24 +242,27 @@ fn outcomes(record: &Path) -> BTreeMap<String, Outcome> {
     steps.map(|result| (result.step, result.outcome)).collect()
 }
 
-#[test]
-fn without_hands_what_needs_them_is_not_shown() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let path = folder.path().join("record.json");
+/// The command line of a commissioning with its record at `path`.
+fn commission_rig(path: &Path) -> [&str; 8] {
     let record = path.to_str().expect("UTF-8");
-    let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
-    let line = [
+    [
         "--rig",
         "0",
         "commission",
         "rig",
-        "--yes",
         "--clock-s",
         "1",
         "--record",
         record,
-    ];
-    let (code, out, err) = memory.run(&line);
+    ]
+}
+
+#[test]
+fn without_hands_what_needs_them_is_not_shown() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("record.json");
+    let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
+    let (code, out, err) = memory.run(&[&commission_rig(&path)[..], &["--yes"]].concat());
     assert_eq!(code, 3, "{out}{err}");
     assert!(err.contains("commissioning is not complete"), "{err}");
     assert!(
@@ -294,23 +304,126 @@ fn without_a_terminal_nobody_is_asked() {
     assert_eq!(code, 2, "{err}");
 }
 
+#[test]
+fn numbers_that_no_session_takes_are_refused_with_their_range() {
+    for (option, range, bad) in [
+        (
+            "--strokes",
+            "an even number from 2 to 20000",
+            &["0", "1", "3", "19999", "20001", "20002", "65536", "-2", "x"][..],
+        ),
+        ("--cycles", "1..=100", &["0", "101", "65536"]),
+        ("--clock-s", "1..=3600", &["0", "3601", "65536"]),
+    ] {
+        for number in bad {
+            let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
+            let option = format!("{option}={number}");
+            let (code, _, err) = memory.run(&["--rig", "0", "commission", "rig", &option]);
+            assert_eq!(code, 2, "{option}: {err}");
+            assert!(err.contains(range), "{option}: {err}");
+            assert!(memory.heard().is_empty());
+        }
+    }
+}
+
+/// An ELF file whose symbols are those of another chip, or of none: no gigabytes are hashed, and nothing reads as an image.
+#[test]
+fn a_file_that_is_no_image_of_this_chip_has_no_fingerprint() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("image.elf");
+    for (start, end, allowed) in [
+        (0x0800_0000, 0x0800_0004, true),
+        (0x0800_0000, 0x0808_0000, true),
+        (0x0800_0000, 0x0808_0004, false),
+        (0x0800_0000, 0xFFFF_FFFC, false),
+        (0x0800_0000, 0x0800_0000, false),
+        (0x0800_0004, 0x0800_0000, false),
+    ] {
+        std::fs::write(&path, elf(start, end)).expect("written");
+        match image::fingerprint(&path) {
+            Ok(_) => assert!(allowed, "{start:#x} {end:#x}"),
+            Err(error) => {
+                assert!(!allowed, "{start:#x} {end:#x}: {error}");
+                assert!(
+                    error.to_string().contains("allowed are 4 to 524288 bytes"),
+                    "{error}"
+                );
+            }
+        }
+    }
+}
+
+/// An ELF file with no segments and the linker's four names.
+fn elf(start: u32, end: u32) -> Vec<u8> {
+    let symbols = [
+        ("__stext", start),
+        ("__sidata", end),
+        ("__sdata", 0),
+        ("__edata", 0),
+    ];
+    let mut names = vec![0];
+    let mut table = vec![0; 16];
+    for (name, value) in symbols {
+        let at = u32::try_from(names.len()).expect("short");
+        // Name, value, size; global, default, absolute.
+        table.extend(
+            [at, value, 0, 0xFFF1_0010]
+                .iter()
+                .flat_map(|word| word.to_le_bytes()),
+        );
+        names.extend(name.bytes().chain([0]));
+    }
+    let section_names = b"\0.symtab\0.strtab\0";
+    let mut file = vec![0x7F, b'E', b'L', b'F', 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+    let length = |bytes: &[u8]| u32::try_from(bytes.len()).expect("short");
+    let (table_at, table_length) = (52, length(&table));
+    let names_at = table_at + table_length;
+    let section_names_at = names_at + length(&names);
+    let sections_at = section_names_at + length(section_names);
+    for half in [2_u16, 40] {
+        file.extend(half.to_le_bytes());
+    }
+    for word in [1, 0, 0, sections_at, 0] {
+        file.extend(word.to_le_bytes());
+    }
+    // Header 52 bytes; no segments; four sections of 40 bytes, their names in the last.
+    for half in [52_u16, 32, 0, 40, 4, 3] {
+        file.extend(half.to_le_bytes());
+    }
+    file.extend(&table);
+    file.extend(&names);
+    file.extend(section_names);
+    for section in [
+        [0; 10],
+        [1, 2, 0, 0, table_at, table_length, 2, 1, 4, 16],
+        [9, 3, 0, 0, names_at, length(&names), 0, 0, 1, 0],
+        [
+            9,
+            3,
+            0,
+            0,
+            section_names_at,
+            length(section_names),
+            0,
+            0,
+            1,
+            0,
+        ],
+    ] {
+        for word in section {
+            file.extend(word.to_le_bytes());
+        }
+    }
+    file
+}
+
 /// Leaving by key and by the end of the input; what was found is kept, and the next session begins with the rest.
 #[test]
 fn a_person_who_leaves_loses_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("record.json");
-    let record = path.to_str().expect("UTF-8");
     let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
-    let line = [
-        "--rig",
-        "0",
-        "commission",
-        "rig",
-        "--clock-s",
-        "1",
-        "--record",
-        record,
-    ];
+    let line = commission_rig(&path);
     for (typed, at) in [
         ("q\n", "enable"),
         ("", "enable"),

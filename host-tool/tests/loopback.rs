@@ -235,7 +235,10 @@ fn another_protocol_is_refused_with_the_remedy_and_can_still_be_stopped() {
         rig.hello(3).expect("Hello works with everyone");
         let error = rig.require(DeviceKind::Rig).expect_err("they differ");
         let text = error.to_string();
-        assert!(text.starts_with("flash the matching firmware"), "{text}");
+        assert!(
+            text.starts_with("flash the matching firmware (`cargo rig` "),
+            "{text}"
+        );
         assert!(text.contains(&format!("protocol {major}.0")), "{text}");
         assert!(text.contains(&format!("{schema_key:016x}")), "{text}");
         assert!(

@@ -4,7 +4,7 @@
 
 use core::fmt;
 
-use crate::axis::{Axis, AxisError, Direction};
+use crate::axis::{Acceleration, Axis, AxisError, Direction, Speed};
 use crate::trapezoid::{StrokeError, StrokeProfile};
 use crate::units::{Micrometres, Steps, TICK_HZ, TICKS_PER_US, Ticks};
 
@@ -86,6 +86,34 @@ impl RunPlan {
     /// # Errors
     /// The first reason why the run is infeasible.
     pub fn solve(axis: &Axis, limits: &Limits, request: &RunRequest) -> Result<Self, RunError> {
+        Self::solve_as_is(axis, limits, request).map_err(|error| {
+            let (
+                RunError::TotalTooShort {
+                    minimal_total_us,
+                    minimal_accel_um_s2: Some(accel_um_s2),
+                },
+                Timing::Total { total_us, .. },
+            ) = (error, request.timing)
+            else {
+                return error;
+            };
+            let harder = RunRequest {
+                timing: Timing::Total {
+                    total_us,
+                    accel_um_s2,
+                },
+                ..*request
+            };
+            // It may be above the limit, or leave the driver no time to turn; more would leave less.
+            let does = Self::solve_as_is(axis, limits, &harder).is_ok();
+            RunError::TotalTooShort {
+                minimal_total_us,
+                minimal_accel_um_s2: does.then_some(accel_um_s2),
+            }
+        })
+    }
+
+    fn solve_as_is(axis: &Axis, limits: &Limits, request: &RunRequest) -> Result<Self, RunError> {
         let cycles = request.cycles;
         if cycles == 0 || cycles > MAX_CYCLES {
             return Err(RunError::Cycles { cycles });
@@ -320,35 +348,59 @@ impl Strokes<'_> {
         let total = Ticks::from_us(total_us).ok_or(RunError::TooLong)?;
         let moving = total.0.saturating_sub(self.rests);
         let duration = Ticks(moving / self.count);
-        let profile =
-            StrokeProfile::from_duration(self.steps, duration, acceleration).map_err(|error| {
-                match error {
-                    StrokeError::Infeasible {
-                        minimal_duration,
-                        minimal_accel_um_s2,
-                    } => match self.total_us(minimal_duration) {
-                        Some(minimal_total_us) => RunError::TotalTooShort {
-                            minimal_total_us,
-                            // With no time left for the strokes, no acceleration helps.
-                            minimal_accel_um_s2: (duration.0 > 1).then_some(minimal_accel_um_s2),
-                        },
-                        None => RunError::TooLong,
-                    },
-                    other => RunError::Profile(other),
-                }
-            })?;
         let fastest = self.axis.speed(self.limits.max_speed_um_s)?;
+        let profile = match StrokeProfile::from_duration(self.steps, duration, acceleration) {
+            Ok(profile) => profile,
+            Err(StrokeError::Infeasible {
+                minimal_duration, ..
+            }) => {
+                let shortest = self
+                    .shortest(fastest, acceleration)
+                    .unwrap_or(minimal_duration);
+                return Err(match self.total_us(shortest) {
+                    Some(minimal_total_us) => RunError::TotalTooShort {
+                        minimal_total_us,
+                        minimal_accel_um_s2: self.least_accel(duration, fastest, acceleration),
+                    },
+                    None => RunError::TooLong,
+                });
+            }
+            Err(other) => return Err(RunError::Profile(other)),
+        };
         if !profile.within(fastest) {
             return Err(RunError::PeakAboveLimit {
                 peak_um_s: profile.peak_um_s(self.axis),
                 max_um_s: self.limits.max_speed_um_s,
-                minimal_total_us: StrokeProfile::from_speed(self.steps, fastest, acceleration)
-                    .ok()
-                    .and_then(|shortest| self.total_us(shortest.duration())),
+                minimal_total_us: self
+                    .shortest(fastest, acceleration)
+                    .and_then(|shortest| self.total_us(shortest)),
             });
         }
         within_step_rate(self.axis, self.limits, &profile)?;
         Ok((profile, moving % self.count))
+    }
+
+    /// The fewest ticks for all steps of a stroke at its peak speed: that of the speed limit and of the step rate.
+    fn least_span(&self, fastest: Speed) -> u128 {
+        let interval = u128::from(self.limits.min_interval_ticks);
+        let steps = u128::from(self.steps.0);
+        fastest.least_span(self.steps).max(steps * interval)
+    }
+
+    /// The shortest duration of a stroke within the limits of speed and step rate.
+    fn shortest(&self, fastest: Speed, acceleration: Acceleration) -> Option<Ticks> {
+        let square = acceleration.least_square(self.steps);
+        let span = self.least_span(fastest);
+        let profile = StrokeProfile::shortest_within(self.steps, span, square).ok()?;
+        Some(profile.duration())
+    }
+
+    /// The least acceleration for strokes of this duration within speed and step rate: its ramps
+    /// are the longest that leave the peak there. Of `any` only the axis counts.
+    fn least_accel(&self, duration: Ticks, fastest: Speed, any: Acceleration) -> Option<u32> {
+        let time = u128::from(duration.0);
+        let ramp = time.checked_sub(self.least_span(fastest))?.min(time / 2);
+        u32::try_from(any.least_for(self.steps, ramp * (time - ramp))).ok()
     }
 
     /// Duration of the run with strokes of this duration, us, rounded up; `None` if it overflows.
@@ -421,10 +473,11 @@ pub enum RunError {
     /// The total is too short for this acceleration. Either number alone would do, and both are
     /// exact.
     TotalTooShort {
-        /// The shortest total at this acceleration, us.
+        /// The shortest total at this acceleration within the limits of speed and step rate, us.
         minimal_total_us: u64,
-        /// The least acceleration for this total, um/s^2; `None` if delay and dwells use it up.
-        minimal_accel_um_s2: Option<u64>,
+        /// The least acceleration for this total with which the run is within all limits, um/s^2;
+        /// `None` if there is none.
+        minimal_accel_um_s2: Option<u32>,
     },
     /// The total needs a peak speed above the machine's limit.
     PeakAboveLimit {
@@ -512,7 +565,10 @@ impl fmt::Display for RunError {
                 )?;
                 match minimal_accel_um_s2 {
                     Some(um_s2) => write!(f, ", or accelerate with at least {um_s2} um/s^2"),
-                    None => write!(f, ", for delay and dwells leave none for the strokes"),
+                    None => write!(
+                        f,
+                        "; no acceleration within the limits does it in the requested time"
+                    ),
                 }
             }
             Self::PeakAboveLimit {

@@ -141,7 +141,11 @@ impl StrokeProfile {
 
     /// The shortest profile with a peak speed of at most steps / span and an acceleration of at most
     /// steps / square.
-    fn shortest_within(steps: Steps, span: u128, square: u128) -> Result<Self, StrokeError> {
+    pub(crate) fn shortest_within(
+        steps: Steps,
+        span: u128,
+        square: u128,
+    ) -> Result<Self, StrokeError> {
         let ramp = div_ceil(square, span);
         if ramp >= span {
             let duration = shortest(square);

@@ -135,9 +135,8 @@ pub fn refusal(error: &RunError, run: &Run, axis: &Axis, limits: &Limits) -> Ref
                 RunTiming::Total { total_us, .. } => total_us,
                 RunTiming::Speeds { .. } => 0,
             },
-            min_us: minimal_total_us.max(within_the_speed_limit_us(run, limits)),
-            // None: dwells use up all the time, and no acceleration would do.
-            min_accel_um_s2: minimal_accel_um_s2.unwrap_or(u64::MAX),
+            min_us: minimal_total_us,
+            min_accel_um_s2: minimal_accel_um_s2.map_or(u64::MAX, u64::from),
         },
         RunError::StepRate {
             interval,
@@ -170,23 +169,4 @@ pub fn refusal(error: &RunError, run: &Run, axis: &Axis, limits: &Limits) -> Ref
         },
         RunError::TooLong | RunError::Profile(_) => Refusal::TooSlow,
     }
-}
-
-/// The duration that a run needs at its acceleration to keep the speed limit, rounded up; 0 if it does not reach that speed.
-fn within_the_speed_limit_us(run: &Run, limits: &Limits) -> u64 {
-    let RunTiming::Total { accel_um_s2, .. } = run.timing else {
-        return 0;
-    };
-    let (stroke, speed) = (u128::from(run.stroke_um), u128::from(limits.max_speed_um_s));
-    let accel = u128::from(accel_um_s2.max(1));
-    if speed == 0 || stroke * accel < speed * speed {
-        return 0;
-    }
-    let cycles = u128::from(run.cycles);
-    // Cruise and one ramp's worth; a microsecond more, because the strokes are whole steps.
-    let stroke_us = (stroke * 1_000_000).div_ceil(speed) + (speed * 1_000_000).div_ceil(accel) + 1;
-    let dwells_us = u128::from(run.start_delay_us)
-        + cycles * u128::from(run.far_dwell_us)
-        + cycles.saturating_sub(1) * u128::from(run.home_dwell_us);
-    u64::try_from(2 * cycles * stroke_us + dwells_us).unwrap_or(u64::MAX)
 }

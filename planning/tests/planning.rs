@@ -7,6 +7,7 @@ use motion::{
     units::{Micrometres, Ticks},
 };
 use planning::{accepted, direction, refusal, solve, stroke};
+use proptest::prelude::*;
 use protocol::{
     error::{Field, Refusal},
     rig::{self, LinkLossPolicy, Run, RunAccepted, RunTiming, Stroke},
@@ -194,16 +195,30 @@ fn a_refusal_names_the_value_and_what_is_allowed() {
         timed(total(40_000_000, 0)),
         out_of_range(Field::AccelUmS2, 0, 1, 2_000_000)
     );
-    // Ten triangles at 100 mm/s2: 10 * 2 sqrt(0.13 / 0.1) s. In 1 s each: 4 * 0.13 / 1 m/s2.
+    // Ten strokes of 130 mm at 49 mm/s, with a ramp of 0.49 s. In 1 s each, no acceleration keeps to that speed.
     assert_eq!(
         timed(total(10_000_000, 100_000)),
         Refusal::TooFast {
             requested_us: 10_000_000,
-            min_us: 31_430_630,
-            min_accel_um_s2: 520_000,
+            min_us: 31_430_613,
+            min_accel_um_s2: u64::MAX,
         }
     );
-    // With that acceleration it is the speed.
+    // 2 mm in 0.1 s, with a peak of 40 mm/s and at 0.8 m/s2.
+    let short = Run {
+        stroke_um: 2_000,
+        timing: total(1_000_000, 100_000),
+        ..PAPER
+    };
+    assert_eq!(
+        refused(&short),
+        Refusal::TooFast {
+            requested_us: 1_000_000,
+            min_us: 2_828_428,
+            min_accel_um_s2: 800_000,
+        }
+    );
+    // With one that is enough for the time, the paper's stroke is too fast.
     assert_eq!(
         timed(total(10_000_000, 520_000)),
         Refusal::SpeedLimit {
@@ -221,10 +236,28 @@ fn a_refusal_names_the_value_and_what_is_allowed() {
         refused(&dwelling),
         Refusal::TooFast {
             requested_us: 40_000_000,
-            min_us: 76_430_630,
+            min_us: 76_430_613,
             min_accel_um_s2: u64::MAX,
         }
     );
+}
+
+/// The shortest stroke is one step; what is short of a whole step is left out, and reported.
+#[test]
+fn a_stroke_of_one_step_is_planned() {
+    for (stroke_um, steps) in [(2, 1), (3, 2), (4, 3), (5, 4)] {
+        let run = Run {
+            stroke_um,
+            timing: speeds(10_000, 10_000, 200_000),
+            ..PAPER
+        };
+        let reported = accepted(1, run, &solved(&run), &AXIS);
+        assert_eq!(
+            (reported.forward.steps, reported.back.steps),
+            (steps, steps)
+        );
+        assert_eq!(reported.edges, 10 * u64::from(steps));
+    }
 }
 
 /// The axis is in the numbers: 1/256 microsteps make 12,800 steps per mm.
@@ -374,6 +407,54 @@ fn the_shortest_duration_is_one_that_the_speed_limit_allows() {
         }
     }
     assert_eq!(asked, 35 * 15);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2_000))]
+
+    /// Whoever takes one of the two numbers of a refusal is not refused then; one that says that there is none is right.
+    #[test]
+    fn what_a_refusal_names_is_accepted(
+        cycles in 1_u16..=30,
+        stroke_um in 2_u32..=100_000,
+        total_us in 1_000_u64..100_000_000,
+        accel_um_s2 in 1_000_u32..=2_000_000,
+        far_dwell_us in 0_u32..1_000_000,
+        fine: bool,
+        speed_um_s in 5_000_u32..=200_000,
+        min_turnaround_ticks in 0_u32..10_000_000,
+    ) {
+        // With 1/256 microsteps the step rate ends at 19.5 mm/s.
+        let axis = if fine { Axis::new(4_000, 200, 256, 100_000).unwrap() } else { AXIS };
+        let limits = Limits { max_speed_um_s: speed_um_s, min_turnaround_ticks, ..LIMITS };
+        let run = |total_us, accel_um_s2| Run {
+            cycles,
+            stroke_um,
+            timing: RunTiming::Total { total_us, accel_um_s2 },
+            far_dwell_us,
+            ..PAPER
+        };
+        let solves = |total_us, accel_um_s2| solve(&run(total_us, accel_um_s2), &axis, &limits);
+        let Err(error) = solves(total_us, accel_um_s2) else { return Ok(()) };
+        let requested = run(total_us, accel_um_s2);
+        let Refusal::TooFast { min_us, min_accel_um_s2, .. } = refusal(&error, &requested, &axis, &limits) else {
+            return Ok(());
+        };
+        match solves(min_us, accel_um_s2) {
+            // The time between the strokes is another matter, with a number of its own.
+            Ok(_) | Err(RunError::Turnaround { .. }) => {}
+            Err(other) => prop_assert!(false, "{min_us} us: {other}"),
+        }
+        if min_accel_um_s2 == u64::MAX {
+            for accel_um_s2 in (accel_um_s2..2_000_000).step_by(50_000).chain([2_000_000]) {
+                prop_assert!(solves(total_us, accel_um_s2).is_err(), "{accel_um_s2} um/s2 does it");
+            }
+        } else {
+            let least = u32::try_from(min_accel_um_s2).unwrap();
+            prop_assert!(solves(total_us, least).is_ok(), "{least} um/s2: {:?}", solves(total_us, least));
+            prop_assert!(solves(total_us, least - 1).is_err(), "less than {least} um/s2 does it");
+        }
+    }
 }
 
 /// A peak that is hardly too high is rounded to the limit, and is still more than it.

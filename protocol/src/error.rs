@@ -50,9 +50,10 @@ pub enum Refusal {
     TooFast {
         /// Requested duration of the run.
         requested_us: u64,
-        /// Shortest possible with the requested acceleration.
+        /// Shortest possible with the requested acceleration, within the limits of speed and step rate.
         min_us: u64,
-        /// Least acceleration that would do it in the requested time; `u64::MAX`: delay and dwells leave no time.
+        /// Least acceleration with which the same run would be accepted in the requested time; `u64::MAX`: there is none
+        /// within the limits, delay and dwells counted in.
         min_accel_um_s2: u64,
     },
     /// The plan needs a speed that the axis must not reach.
@@ -339,14 +340,14 @@ impl fmt::Display for Refusal {
             }
             Refusal::TooFast { requested_us, min_us, min_accel_um_s2: u64::MAX } => write!(
                 f,
-                "{requested_us} us is too short: delay and dwells leave no time for the strokes; at this acceleration the run takes at least {min_us} us"
+                "{requested_us} us is too short: with the delay and the dwells no acceleration within the limits does it; at this acceleration the run takes at least {min_us} us"
             ),
             Refusal::TooFast { requested_us, min_us, min_accel_um_s2 } => write!(
                 f,
                 "{requested_us} us is too short: at this acceleration the run takes at least {min_us} us; to do it in the requested time needs at least {min_accel_um_s2} um/s2"
             ),
             Refusal::SpeedLimit { needed_um_s, max_um_s } => {
-                write!(f, "needs {needed_um_s} um/s, the axis allows {max_um_s} um/s: give it more time or a higher acceleration")
+                write!(f, "needs {needed_um_s} um/s, the axis allows {max_um_s} um/s: give it more time, or less speed; a higher acceleration helps only where the mean speed of a stroke is allowed")
             }
             Refusal::StepRateLimit { needed_hz, max_hz } => {
                 write!(f, "needs {needed_hz} steps/s, the driver accepts {max_hz} steps/s: use fewer microsteps or more time")

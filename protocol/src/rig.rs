@@ -59,7 +59,7 @@ pub enum RunTiming {
 pub struct Run {
     /// Number of cycles, 1..=10,000.
     pub cycles: u16,
-    /// Length of a stroke, 1..= configured stroke.
+    /// Length of a stroke, at most the configured one. It is made of the whole steps that fit, and one has to.
     pub stroke_um: u32,
     /// Total duration or speeds.
     pub timing: RunTiming,
@@ -144,7 +144,7 @@ pub struct Jog {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MoveTo {
-    /// Target, 0..= configured stroke.
+    /// Target, 0..= configured stroke: the last whole step within it.
     pub position_um: u32,
     /// Speed between the ramps.
     pub speed_um_s: u32,
@@ -266,7 +266,8 @@ pub struct RunRecord {
     pub prepared_edges: u64,
     /// Steps whose instant was captured at the pin and compared with the plan; 0 = not timed.
     pub edges_timed: u64,
-    /// Largest difference between a captured interval and the planned one, in timer ticks of 10 ns.
+    /// Largest difference between a captured interval and the planned one, in timer ticks of 10 ns; [`u32::MAX`] if there were
+    /// more edges than steps.
     pub worst_interval_error_ticks: u32,
 }
 

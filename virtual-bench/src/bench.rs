@@ -142,6 +142,12 @@ impl<W: Wiring> Visit<'_, W> {
         self.session.board_mut().flash_operations()
     }
 
+    /// When the last erase began, ns on the bench's clock.
+    pub fn erasing_from_ns(&mut self) -> Option<u64> {
+        let from = self.session.board_mut().erasing_from()?;
+        Some(self.epoch_ns + from.0)
+    }
+
     /// Cuts the supply of the flash at flash operation number `operation` (from 0, since power-up): from then on it does
     /// not change. [`Bench::power_cycle`] cuts the supply of the rest.
     pub fn cut_flash(&mut self, at: CutAt, operation: u64) {

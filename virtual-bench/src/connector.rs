@@ -59,7 +59,7 @@ impl Connector for BenchPorts {
             });
         }
         let opened: Result<Box<dyn Link>, _> = match kind {
-            DeviceKind::Rig => rig::start(RigOptions::default())
+            DeviceKind::Rig => rig::start(RigOptions::WITH_BOTH_JUMPERS)
                 .map(|bench| Box::new(VirtualLink::new(&bench, "virtual rig")) as _),
             DeviceKind::Capsule => capsule::start(Parameters::nominal())
                 .map(|bench| Box::new(VirtualLink::new(&bench, "virtual capsule")) as _),
@@ -94,7 +94,7 @@ impl Connector for BenchPorts {
         }
         // Without an image there are no hands; opening the link says why.
         let machine = match kind {
-            DeviceKind::Rig => Machine::Rig(rig::start(RigOptions::default()).ok()?),
+            DeviceKind::Rig => Machine::Rig(rig::start(RigOptions::WITH_BOTH_JUMPERS).ok()?),
             DeviceKind::Capsule => Machine::Capsule(capsule::start(Parameters::nominal()).ok()?),
         };
         let plug = Plug::default();

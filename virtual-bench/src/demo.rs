@@ -83,7 +83,7 @@ pub struct DemoOptions {
 /// # Errors
 /// The first failure. What was recorded until then is kept.
 pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
-    let rig_bench = rig::start(RigOptions::default())?;
+    let rig_bench = rig::start(RigOptions::WITH_BOTH_JUMPERS)?;
     let capsule_bench = capsule::start(Parameters::nominal())?;
     // The nonce is fixed, so that two demos are identical to the byte.
     let mut rig = Device::connect(

@@ -9,6 +9,7 @@ mod array;
 mod clocks;
 mod dma;
 mod exti;
+mod forward;
 mod map;
 mod timer;
 
@@ -49,6 +50,7 @@ const TARGET: &str = "stm32f411re";
 const TIM1: usize = 0;
 const TIM2: usize = 0;
 const TIM3: usize = 1;
+const TIM5: usize = 3;
 const USART2: usize = 1;
 /// The alternate function that carries USART2 on PA2 and PA3 (DS10314 table 9).
 const AF_SERIAL: u8 = 7;
@@ -257,6 +259,17 @@ impl Pads<'_> {
             .drive_timer(self.at, TIM2, |tim, registers, context| {
                 tim.drive_input(channel, Level::from(high), registers, context);
             });
+    }
+
+    /// Sets the level at TIM5's input `channel`, at this instant of the bench's clock: that of a timer's event just now, or some
+    /// nanoseconds ahead.
+    pub fn drive_tim5_input(&mut self, channel: u8, high: bool, at_ns: u64) {
+        self.touched = true;
+        let channel = rigless::soc::st::tim::Channel::new(channel).expect("channel 1 to 4");
+        let at = VirtualNanos(at_ns - self.epoch_ns);
+        self.part.drive_timer(at, TIM5, |tim, registers, context| {
+            tim.drive_input(channel, Level::from(high), registers, context);
+        });
     }
 
     /// Sets the voltage at channel `number` of ADC1, mV.
@@ -565,6 +578,8 @@ pub struct Emulator<W> {
     array: Array,
     /// The flash is busy with a store until this instant.
     storing_until: VirtualNanos,
+    /// When the last erase began.
+    erasing_from: Option<VirtualNanos>,
     /// The core is waiting for the flash.
     stalled: bool,
     /// Overwritten code: addresses and original contents.
@@ -594,6 +609,7 @@ impl<W: Wiring> Emulator<W> {
             options,
             array: Array::default(),
             storing_until: VirtualNanos(0),
+            erasing_from: None,
             stalled: false,
             overwritten: Vec::new(),
             absent: Vec::new(),
@@ -703,6 +719,11 @@ impl<W: Wiring> Emulator<W> {
         self.wiring().flash_began();
     }
 
+    /// When the last erase began, on the emulator's clock.
+    pub(crate) fn erasing_from(&self) -> Option<VirtualNanos> {
+        self.erasing_from
+    }
+
     /// The flash is busy until then: a stop is scheduled there.
     fn busy_until(&mut self, until: VirtualNanos, now: VirtualNanos) {
         self.storing_until = until;
@@ -737,6 +758,7 @@ impl<W: Wiring> Emulator<W> {
                 self.stall(host);
             }
             Touched::EraseBegan => {
+                self.erasing_from = Some(now);
                 self.busy_until(VirtualNanos(now.0 + self.options.erase_ns), now);
                 self.stall(host);
             }

@@ -8,6 +8,7 @@ use host_tool::experiment::PAPER_RUN;
 use host_tool::link::Link as _;
 use protocol::frame::{Header, Kind, encode};
 use protocol::rig::{GetRigHealth, Run as RunRequest, RunTiming};
+use protocol::settings::{Setting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use protocol::table::Request;
 
@@ -57,9 +58,18 @@ struct Homed {
 }
 
 fn homed(ips: u64) -> Result<Homed, FigureError> {
+    homed_on(RigOptions::REFERENCE, ips)
+}
+
+/// A rig that times its steps, at the speed of processor that loads are stated for.
+fn timed() -> Result<Homed, FigureError> {
+    homed_on(RigOptions::WITH_BOTH_JUMPERS, 65_000_000)
+}
+
+fn homed_on(rig: RigOptions, ips: u64) -> Result<Homed, FigureError> {
     let mut options = BenchOptions::new(rig::image());
     options.chip.instructions_per_second = ips;
-    let bench = Bench::start(RigBoard::new(Rig::new(RigOptions::default())), options)?;
+    let bench = Bench::start(RigBoard::new(Rig::new(rig)), options)?;
     let mut device = Device::connect(
         Box::new(VirtualLink::new(&bench, "virtual rig")),
         DeviceKind::Rig,
@@ -84,6 +94,15 @@ impl Homed {
         );
         let seconds = (after.1 - before.1) as f64 * 1e-9;
         Ok((after.0 - before.0) as f64 / (seconds * self.ips as f64))
+    }
+
+    /// The load in the middle of a run's first stroke, and virtual seconds per wall second.
+    fn load_in(&mut self, run: RunRequest) -> Result<(f64, f64), FigureError> {
+        self.device.run(run)?;
+        self.device.idle(1_000_000, &mut Unobserved)?;
+        let wall = Instant::now();
+        let load = self.load(2_000_000)?;
+        Ok((load, 2.0 / wall.elapsed().as_secs_f64()))
     }
 
     /// The longest time without sleep within `us`, to 10 us. No task takes longer, interrupts included.
@@ -129,6 +148,33 @@ impl Homed {
             )
         })?)
     }
+}
+
+/// The load in the cruise of the highest step rate that the settings allow: 1/32 microsteps at 156.2 mm/s.
+fn load_at_the_highest_rate() -> Result<f64, FigureError> {
+    let mut rig = homed_on(
+        RigOptions::WITH_BOTH_JUMPERS.with_steps_per_mm(1_600),
+        65_000_000,
+    )?;
+    for (key, value) in [
+        (SettingKey::Microsteps, 32),
+        (SettingKey::MaxSpeedUmS, 156_250),
+    ] {
+        rig.device.call(Setting { key, value })?;
+    }
+    let accepted = rig.device.home()?;
+    rig.device.wait_homing(&accepted, &mut Unobserved)?;
+    rig.device.run(RunRequest {
+        timing: RunTiming::Speeds {
+            forward_um_s: 156_200,
+            return_um_s: 156_200,
+            accel_um_s2: 2_000_000,
+        },
+        far_dwell_us: 1_000,
+        ..ONE_CYCLE
+    })?;
+    rig.device.idle(200_000, &mut Unobserved)?;
+    rig.load(500_000)
 }
 
 /// Measures all figures and prints each with its goal.
@@ -184,17 +230,38 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
         "<= 10 ns; Klipper 25 us",
     );
 
-    let mut uneven = homed(65_000_000)?;
-    uneven.device.run(UNEVEN_CYCLE)?;
-    uneven.device.idle(1_000_000, &mut Unobserved)?;
-    let load = uneven.load(2_000_000)?;
+    let (load, _) = homed(65_000_000)?.load_in(UNEVEN_CYCLE)?;
     line(
         "CPU load at 28.5 kHz, hardly any two periods equal",
         format!("{:.2} %", load * 1e2),
         "",
     );
 
+    let (load, speed) = timed()?.load_in(ONE_CYCLE)?;
+    line(
+        "CPU load at 28.5 kHz, each step timed",
+        format!("{:.2} %", load * 1e2),
+        "< 6 %; nobody else times them",
+    );
+    line(
+        "    virtual seconds per wall second",
+        format!("{speed:.1}"),
+        "",
+    );
+    let load = timed()?.load_in(UNEVEN_CYCLE)?.0;
+    line(
+        "    hardly any two periods equal",
+        format!("{:.2} %", load * 1e2),
+        "",
+    );
+
     let health = rig.device.call(GetRigHealth)?;
+    let quickest = load_at_the_highest_rate()?;
+    line(
+        "CPU load at 249.9 kHz, each step timed",
+        format!("{:.2} %", quickest * 1e2),
+        "",
+    );
     line(
         "longest delay of control, homing and one cycle",
         format!("{} us", health.control_late_us),

@@ -6,14 +6,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use host_tool::commission::halt::Halt;
 use host_tool::commission::hands::{Act, Hands, Part, Reading, Say, Watch, Wish};
-use host_tool::commission::work::Halt;
 
 use crate::bench::{Bench, BenchError};
 use crate::boards::capsule::CapsuleBoard;
 use crate::boards::rig::RigBoard;
 use crate::emulator::Wiring;
 use crate::plants::rig::{Action, LoopContact, Switch};
+use crate::plants::wire::Fault;
 
 /// How long a cable stays pulled, us.
 const PULLED_US: u64 = 3_000_000;
@@ -153,7 +154,7 @@ fn do_at_rig(bench: &Bench<RigBoard>, Act { part, on }: Act) -> Result<(), Bench
             Part::EStop => Action::EStop(on),
             Part::HomeEnd => Action::Loop(LoopContact::HomeEnd, on),
             Part::FarEnd => Action::Loop(LoopContact::FarEnd, on),
-            Part::Jumper => Action::Jumper(on),
+            Part::Jumper => Action::ReadBack(Fault::Whole(on)),
             Part::Supply => Action::Supply(on),
             Part::Carriage => Action::Place(rig.middle()),
             Part::Cable => return,

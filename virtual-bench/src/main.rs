@@ -93,7 +93,7 @@ fn serve(rig: Option<u16>, capsule: Option<u16>, hands: Option<u16>) -> Result<(
     };
     let mut serving = Vec::new();
     if let Some(port) = rig {
-        let bench = boards::rig::start(RigOptions::default())?;
+        let bench = boards::rig::start(RigOptions::WITH_BOTH_JUMPERS)?;
         let plug = Plug::default();
         if let Some(port) = hands {
             lend_hands(Machine::Rig(bench.clone()), &plug, "rig", port)?;

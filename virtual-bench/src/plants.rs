@@ -3,3 +3,4 @@
 pub mod capsule;
 pub mod contact;
 pub mod rig;
+pub mod wire;

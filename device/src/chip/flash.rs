@@ -6,7 +6,10 @@
 //! Below 2.7 V neither is allowed by words (x32). A start there leaves cells that read differently each time, so it is
 //! refused; what has begun goes on.
 
-use super::{start, supply};
+use super::{
+    start::{self, TIME_DRIVER},
+    supply,
+};
 use crate::{
     half_periods,
     store::{SECTOR, SECTORS},
@@ -14,7 +17,7 @@ use crate::{
 use embassy_stm32::{
     Peri,
     flash::{Bank1Region1, Blocking, Error, Flash},
-    pac, peripherals,
+    pac, peripherals, rcc,
 };
 use embedded_storage::nor_flash::{NorFlash as _, ReadNorFlash as _};
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
@@ -90,56 +93,66 @@ impl NorFlash for Sectors {
 /// Does what keeps the processor from counting time, and tells the time driver afterwards how much has passed.
 ///
 /// The driver counts half-periods of its 16-bit timer, 32.768 ms each, from one flag for each half. A longer stall loses some,
-/// and after an odd number of them its clock would run backwards 30 times a second. TIM4, which counts slowly enough,
-/// says how long it was.
+/// and after an odd number of them its clock would run backwards 30 times a second. TIM5, which has 32 bits, says how long
+/// it was. A timer that counts already goes on as it is.
 fn with_the_clock_kept<T>(stall: impl FnOnce() -> T) -> T {
     cortex_m::interrupt::free(|_| {
-        pac::RCC.apb1enr().modify(|w| w.set_tim4en(true));
+        let watch = pac::TIM5;
+        let counts = pac::RCC.apb1enr().read().tim5en();
+        pac::RCC.apb1enr().modify(|w| w.set_tim5en(true));
         let _ = pac::RCC.apb1enr().read();
-        let coarse = pac::TIM4;
-        // The prescaler is taken with an update. Timer clock 100 MHz / 50,000: 2 kHz, up to 32 s.
-        coarse.psc().write_value(COARSE_DIVIDER - 1);
-        coarse.egr().write(|w| w.set_ug(true));
-        coarse.cr1().modify(|w| w.set_cen(true));
+        if !counts {
+            watch.cr1().modify(|w| w.set_cen(true));
+        }
         let (flags, from) = flags_and_count();
-        let coarse_from = coarse.cnt().read().cnt();
+        let watch_from = watch.cnt().read();
         let result = stall();
-        let coarse_passed = coarse.cnt().read().cnt().wrapping_sub(coarse_from);
+        wait_for_no_flag_to_come();
+        let watch_passed = watch.cnt().read().wrapping_sub(watch_from);
         let (left, to) = flags_and_count();
-        coarse.cr1().modify(|w| w.set_cen(false));
-        pac::RCC.apb1enr().modify(|w| w.set_tim4en(false));
-        let passed_us = half_periods::passed_us(from, to, u32::from(coarse_passed) * COARSE_US);
+        if !counts {
+            watch.cr1().modify(|w| w.set_cen(false));
+            pac::RCC.apb1enr().modify(|w| w.set_tim5en(false));
+        }
+        let ticks_per_us = rcc::frequency::<peripherals::TIM5>().0 / 1_000_000;
+        let passed_us = half_periods::passed_us(from, to, watch_passed / ticks_per_us);
         // SAFETY: the driver's own handler; with interrupts off it cannot run at the same time from its vector.
-        let handle = || unsafe { TIM5() };
+        let handle = || unsafe { TIM4() };
         handle();
         for _ in 0..half_periods::lost(from, passed_us, flags, left) {
-            pac::TIM5.egr().write(|w| w.set_ccg(0, true));
+            TIME_DRIVER.egr().write(|w| w.set_ccg(0, true));
             handle();
         }
         // Alarms that became due meanwhile.
-        pac::TIM5.egr().write(|w| w.set_ccg(1, true));
+        TIME_DRIVER.egr().write(|w| w.set_ccg(1, true));
         handle();
         result
     })
 }
 
-/// TIM4's clock by its count, and the length of one.
-const COARSE_DIVIDER: u16 = 50_000;
-const COARSE_US: u32 = 500;
-
 unsafe extern "C" {
     /// The vector of the HAL's time driver.
-    fn TIM5();
+    fn TIM4();
+}
+
+/// The handlers below take far less than this.
+const HANDLING_US: u16 = 1_000;
+
+/// Waits over the end of a half-period if it is near: one that began between the look at the flags and the handlers would be
+/// counted by nobody, since its flag stands already.
+fn wait_for_no_flag_to_come() {
+    let left_us = || half_periods::left_us(TIME_DRIVER.cnt().read().cnt());
+    while left_us() < HANDLING_US {}
 }
 
 /// Flags of half-periods that the driver has not counted yet, and the count that goes with them.
 fn flags_and_count() -> (u32, u16) {
     loop {
         let flags = || {
-            let status = pac::TIM5.sr().read();
+            let status = TIME_DRIVER.sr().read();
             u32::from(status.uif()) + u32::from(status.ccif(0))
         };
-        let (before, count) = (flags(), pac::TIM5.cnt().read() as u16);
+        let (before, count) = (flags(), TIME_DRIVER.cnt().read().cnt());
         if flags() == before {
             return (before, count);
         }

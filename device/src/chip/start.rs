@@ -30,13 +30,16 @@ const RESET_KHZ: u32 = 16_000;
 /// Longer than the longest erasure of a settings sector, 500 ms, in which no task runs.
 const WATCHDOG_US: u32 = 800_000;
 
+/// The timer of the HAL's time driver (a feature of the HAL in the workspace's manifest).
+pub(super) const TIME_DRIVER: pac::timer::TimGp16 = pac::TIM4;
+
 /// Starts the HAL. Its time driver would count a compare flag that is raised at its initialisation as half a
 /// period, 65 ms, and the clock could step back later: the flag is cleared before the first interrupt can see it.
-pub fn init_clearing_stale_tim5(config: Config) -> embassy_stm32::Peripherals {
+pub fn init_clearing_stale_flags(config: Config) -> embassy_stm32::Peripherals {
     cortex_m::interrupt::free(|_| {
         let peripherals = embassy_stm32::init(config);
-        pac::TIM5.sr().write_value(pac::timer::regs::SrGp16(0));
-        cortex_m::peripheral::NVIC::unpend(pac::Interrupt::TIM5);
+        TIME_DRIVER.sr().write_value(pac::timer::regs::SrGp16(0));
+        cortex_m::peripheral::NVIC::unpend(pac::Interrupt::TIM4);
         peripherals
     })
 }
@@ -48,7 +51,7 @@ pub fn init_clearing_stale_tim5(config: Config) -> embassy_stm32::Peripherals {
 pub fn init_with_either_clock(external: Config, internal: Config) -> embassy_stm32::Peripherals {
     start_watchdog();
     let comes = external_clock_comes();
-    let peripherals = init_clearing_stale_tim5(if comes { external } else { internal });
+    let peripherals = init_clearing_stale_flags(if comes { external } else { internal });
     pac::RCC.cr().modify(|w| w.set_csson(comes));
     peripherals
 }
@@ -139,7 +142,7 @@ pub fn open_serial(
     rx_dma: Peri<'static, peripherals::DMA1_CH5>,
 ) -> (UartTx<'static, Async>, RingBufferedUartRx<'static>) {
     static RECEIVE_BUFFER: StaticCell<[u8; 512]> = StaticCell::new();
-    interrupt::TIM5.set_priority(Priority::P2);
+    interrupt::TIM4.set_priority(Priority::P2);
     interrupt::USART2.set_priority(Priority::P7);
     interrupt::DMA1_STREAM5.set_priority(Priority::P7);
     interrupt::DMA1_STREAM6.set_priority(Priority::P7);

@@ -10,7 +10,7 @@
 //! | battery through 1/2 | PB0 | ADC1_IN8 |
 //! | serial | PA2, PA3 | USART2, DMA1 streams 6 and 5 |
 //!
-//! Time driver: TIM5. Motor task: interrupt SPI5, whose peripheral is not used. Clock: the 16 MHz HSI for everything;
+//! Time driver: TIM4. Motor task: interrupt SPI5, whose peripheral is not used. Clock: the 16 MHz HSI for everything;
 //! nothing here needs more, and the idle current is what the battery pays for.
 //!
 //! | IN1 | IN2 | bridge |
@@ -86,7 +86,7 @@ pub(crate) fn init() -> Board {
     let mut config = Config::default();
     // Clocks for a debugger that stay on in sleep cost the battery. A debugger that needs them sets the bits itself.
     config.enable_debug_during_sleep = false;
-    let p = start::init_clearing_stale_tim5(config);
+    let p = start::init_clearing_stale_flags(config);
     // Flash: no wait states at 16 MHz, so prefetch and caches would save nothing, and prefetch disturbs the ADC (ES0287,
     // docs/silicon.md). They stay off.
     //

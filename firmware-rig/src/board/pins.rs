@@ -6,6 +6,7 @@
 //! | stroke sync | PA8 | TIM1_CH1, AF1 |
 //! | E-stop loop, normally closed to ground | PA6 | TIM1_BKIN, AF1 |
 //! | step read-back | PA0 | TIM2_ETR, AF1 |
+//! | step capture | PA1 | TIM5_CH2, AF2 |
 //! | DIR (high = away from home) | PB4 | |
 //! | EN (low = driver on) | PA9 | |
 //! | home flag, normally closed to ground | PC7 | EXTI7 |
@@ -14,7 +15,7 @@
 //! | start button, low = pressed | PC13 | |
 //! | serial | PA2, PA3 | USART2, DMA1 streams 6 and 5 |
 //!
-//! Step timer: TIM1 with DMA2 stream 5 channel 6 (RM0383 table 28). Time driver: TIM5. All inputs have pull-ups:
+//! Step timer: TIM1 with DMA2 stream 5 channel 6 (RM0383 table 28). Time driver: TIM4. All inputs have pull-ups:
 //! an open contact and a cut wire read the same, high.
 
 #![allow(unsafe_code)]
@@ -33,8 +34,9 @@ use embassy_stm32::{
 use motion::axis::Direction;
 use protocol::{rig::RigInputs, system::Clock};
 
-/// AF1 carries TIM1 and TIM2 on every pin used here (DS9716 table 9).
+/// AF1 carries TIM1 and TIM2 on every pin used here, AF2 TIM5 (DS9716 table 9).
 const AF_TIMER: u8 = 1;
+const AF_CAPTURE: u8 = 2;
 
 /// What the tasks own.
 pub struct Board {
@@ -151,7 +153,7 @@ fn accelerate_flash() {
 ///
 /// The watchdog goes on. A halt is the end of the motion: its reset switches the driver off within 1.5 s and is latched
 /// as a fault. Frozen, it would leave the driver on for as long as the debugger or its cable takes, and the steps would go
-/// on at full speed when the core does. TIM5 goes on with it: the time of the halt has passed.
+/// on at full speed when the core does. TIM4 goes on with it: the time of the halt has passed.
 fn stop_pulses_while_halted() {
     pac::DBGMCU.apb2fzr().modify(|w| w.set_tim1(true));
 }
@@ -162,9 +164,13 @@ fn enable_peripherals() {
         w.set_gpioaen(true);
         w.set_gpioben(true);
         w.set_gpiocen(true);
+        w.set_dma1en(true);
         w.set_dma2en(true);
     });
-    pac::RCC.apb1enr().modify(|w| w.set_tim2en(true));
+    pac::RCC.apb1enr().modify(|w| {
+        w.set_tim2en(true);
+        w.set_tim5en(true);
+    });
     pac::RCC.apb2enr().modify(|w| {
         w.set_tim1en(true);
         w.set_syscfgen(true);
@@ -180,16 +186,18 @@ fn configure_pins() {
     pac::GPIOA.pupdr().modify(|w| {
         w.set_pupdr(6, Pupdr::PULL_UP);
         w.set_pupdr(0, Pupdr::PULL_DOWN);
+        w.set_pupdr(1, Pupdr::PULL_DOWN);
         // STEP and sync rest low while the timer does not drive them.
         w.set_pupdr(10, Pupdr::PULL_DOWN);
         w.set_pupdr(8, Pupdr::PULL_DOWN);
     });
     // The outputs keep their lowest speed from the reset: edges of at most 100 ns (DS10314 table 57, 50 pF) ring less on the
     // wires than fast ones, and the shortest pulse is 1 us.
-    for pin in [0, 6, 8, 10] {
+    for pin in [0, 1, 6, 8, 10] {
+        let function = if pin == 1 { AF_CAPTURE } else { AF_TIMER };
         pac::GPIOA
             .afr(pin / 8)
-            .modify(|w| w.set_afr(pin % 8, AF_TIMER));
+            .modify(|w| w.set_afr(pin % 8, function));
         pac::GPIOA
             .moder()
             .modify(|w| w.set_moder(pin, Moder::ALTERNATE));

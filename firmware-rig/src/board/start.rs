@@ -4,7 +4,7 @@ use super::{channels::HOME_FLAG_OPEN, pins, step_generator::StepGenerator, tasks
 use core::sync::atomic::Ordering;
 use defmt_rtt as _;
 use device::{
-    chip::{last_resort::die_of_the_clock, retained, start},
+    chip::{retained, start},
     identity::{identity, reset_cause},
 };
 use embassy_executor::{InterruptExecutor, Spawner};
@@ -18,20 +18,6 @@ static MOTION_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 unsafe fn SPI5() {
     // SAFETY: called from the interrupt that the executor was started with.
     unsafe { MOTION_EXECUTOR.on_interrupt() }
-}
-
-/// The 8 MHz clock stopped, and the chip runs on its own oscillator. TIM1 is broken by hardware; the driver is switched
-/// off here.
-#[cortex_m_rt::exception]
-#[allow(unsafe_code)]
-unsafe fn NonMaskableInt() -> ! {
-    clock_failed()
-}
-
-/// Switches everything off and starts again; the next start says why.
-pub fn clock_failed() -> ! {
-    pins::outputs_off();
-    die_of_the_clock()
 }
 
 #[embassy_executor::main]

@@ -1,4 +1,5 @@
-//! The step generator: TIM1 pulses whose periods DMA takes from a ring, and TIM2 which counts them at the pin.
+//! The step generator: TIM1 pulses whose periods DMA takes from a ring, TIM2 which counts them at the pin, and the comparison of
+//! their captured instants with those periods.
 //!
 //! Each ring slot is one period of TIM1, or as many equal ones as its repetition counter is told, five half-words in
 //! register order {ARR, RCR, CCR1, CCR2, CCR3}, written through TIM1_DMAR at every update event (RM0383 sections
@@ -16,7 +17,7 @@
 
 #![allow(unsafe_code)]
 
-use super::{channels, pins, start::clock_failed};
+use super::{captures::Captures, channels, clock::clock_failed, pins};
 use core::{
     cell::UnsafeCell,
     sync::atomic::{Ordering, compiler_fence},
@@ -26,6 +27,7 @@ use embassy_stm32::{
     pac::{self, DMA2, TIM1, TIM2},
 };
 use firmware_rig::{
+    edge_timing::{EdgeTiming, Timed},
     execution::{Ring, StartError, Underrun},
     machine::Event,
     periods::Period,
@@ -84,6 +86,8 @@ pub struct StepGenerator {
     /// The path up to the last slot that was filled.
     end: Mark,
     running: bool,
+    captures: Captures,
+    timing: EdgeTiming,
     /// Width of a step pulse: a setting, no less than the driver's minimum (DRV8825: 1.9 us).
     pulse_ticks: u16,
 }
@@ -120,6 +124,8 @@ impl StepGenerator {
             marks: [Mark::default(); SLOTS],
             end: Mark::default(),
             running: false,
+            captures: Captures::new(),
+            timing: EdgeTiming::default(),
             pulse_ticks: 0,
         }
     }
@@ -149,6 +155,8 @@ impl Ring for StepGenerator {
             .write(|w| w.set_ndt(RING_WORDS as u16));
         (self.pushed, self.fetched, self.read_slot) = (0, 0, 0);
         self.end = Mark::default();
+        self.captures.skip();
+        self.timing.clear();
     }
 
     fn push(&mut self, period: Period) -> Result<(), Underrun> {
@@ -167,6 +175,7 @@ impl Ring for StepGenerator {
             self.end.pulses = self.end.pulses.wrapping_add(rounds);
         }
         self.marks[slot] = self.end;
+        self.timing.expect(period);
         if late {
             return Err(Underrun);
         }
@@ -266,7 +275,7 @@ impl Ring for StepGenerator {
         });
         compiler_fence(Ordering::SeqCst);
         stream.cr().modify(|w| w.set_en(true));
-        TIM1.dier().modify(|w| w.set_ude(true));
+        enable_requests(true);
         // The first update brings period 0 into the preload registers, the second one makes it active.
         for fetched in 1..=2 {
             TIM1.egr().write(|w| w.set_ug(true));
@@ -298,7 +307,7 @@ impl Ring for StepGenerator {
         TIM1.cr1().modify(|w| w.set_cen(false));
         // Without its request a burst would end in its middle, and the timer may go on there with the next path's words.
         let whole = burst_is_whole();
-        TIM1.dier().modify(|w| w.set_ude(false));
+        enable_requests(false);
         DMA2.st(STREAM).cr().modify(|w| w.set_en(false));
         let stopped = (0..STREAM_READS).any(|_| !DMA2.st(STREAM).cr().read().en());
         if !(whole && stopped) {
@@ -323,6 +332,16 @@ impl Ring for StepGenerator {
 
     fn counted(&self) -> StepPosition {
         counted()
+    }
+
+    fn time_edges(&mut self) -> Timed {
+        let Self {
+            captures, timing, ..
+        } = self;
+        if !captures.take(|at| timing.compare(at)) {
+            timing.lose();
+        }
+        timing.timed()
     }
 }
 
@@ -432,7 +451,7 @@ fn TIM1_BRK_TIM9() {
         clock_failed();
     }
     // The flag stays: it keeps everything from starting until somebody acknowledges. No more interrupts until then.
-    TIM1.dier().modify(|w| w.set_bie(false));
+    enable_break_interrupt(false);
     channels::pulses_were_cut(Event::LoopOpened);
 }
 
@@ -440,7 +459,17 @@ fn TIM1_BRK_TIM9() {
 pub fn rearm_loop() {
     TIM1.sr()
         .write_value(pac::timer::regs::SrAdv(!ALL_BUT_BREAK.0));
-    TIM1.dier().modify(|w| w.set_bie(true));
+    enable_break_interrupt(true);
+}
+
+/// The break's bit in DIER, which motion, control and the break's handler change beside the one below.
+fn enable_break_interrupt(on: bool) {
+    cortex_m::interrupt::free(|_| TIM1.dier().modify(|w| w.set_bie(on)));
+}
+
+/// The timer asks DMA for its next words.
+fn enable_requests(on: bool) {
+    cortex_m::interrupt::free(|_| TIM1.dier().modify(|w| w.set_ude(on)));
 }
 
 /// Pulses can leave the pin.

@@ -108,7 +108,7 @@ fn count_within(since_us: &AtomicU32, count: &AtomicU32, window_us: u32) -> u32 
     number + 1
 }
 
-/// Watches noisy lines again whose time is over. Every 10 ms, and every 2 ms while something moves.
+/// Watches noisy lines again whose time is over. Every 10 ms, and every 2.5 ms while something moves.
 pub fn tend() {
     WATCHES.iter().for_each(Watch::unmask_when_due);
 }
@@ -117,7 +117,8 @@ pub fn tend() {
 fn EXTI9_5() {
     // Before anything else: where the carriage was at the edge.
     let count = step_generator::counted();
-    let pending = EXTI.pr(0).read();
+    // A masked line sets its pending bit all the same.
+    let pending = pac::exti::regs::Lines(EXTI.pr(0).read().0 & EXTI.imr(0).read().0);
     if pending.line(FAR_LINE) {
         let level = settle(FAR_LINE, 1, false, || pins::inputs().far_limit);
         // Without a level it counts as open: the safe side.

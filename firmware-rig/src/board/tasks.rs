@@ -17,7 +17,7 @@ use device::{
         image, link,
         surroundings::OnChip,
         telemetry,
-        watchdog::{self, CHECK_IN, check_in},
+        watchdog::{self, check_in},
     },
     retained::Retained,
     service::Answers,
@@ -34,7 +34,7 @@ use embassy_stm32::{
 use embassy_time::{Duration, Instant, Ticker, with_timeout};
 use firmware_rig::{
     control::{self, Control, ROUND_US},
-    execution::{Motion, Order, Pace},
+    execution::{Motion, Order},
     machine::Now,
 };
 use motion::units::StepPosition;
@@ -44,18 +44,14 @@ use protocol::{
     table::Telemetry,
 };
 
-/// Highest task priority. Idle: every 100 ms. Moving: every 2 ms at the latest, for slow motion; else the ring wakes
+/// Highest task priority. Idle: every 100 ms. Moving: every 2.5 ms at the latest, for slow motion; else the ring wakes
 /// it twice a round. While a turn or the end is awaited: every 0.1 ms.
 #[embassy_executor::task]
 pub async fn motion(mut generator: StepGenerator) -> ! {
     let mut motion = Motion::default();
     loop {
         check_in(Client::Motion);
-        let wait = match motion.pace() {
-            Pace::Idle => CHECK_IN,
-            Pace::Filled => Duration::from_millis(2),
-            Pace::Waiting => Duration::from_micros(100),
-        };
+        let wait = Duration::from_micros(motion.pace().within_us());
         // Either way there is something to do.
         let _ = with_timeout(wait, MOTION_WAKE.wait()).await;
         switches::tend();

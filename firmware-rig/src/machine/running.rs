@@ -268,6 +268,10 @@ impl Machine {
         self.record.prepared_edges += u64::from(report.unemitted.0);
         let queues = [self.record.min_queue, report.min_queue];
         self.record.min_queue = queues.into_iter().flatten().min();
+        let timed = report.timed;
+        self.record.edges_timed += u64::from(timed.edges);
+        let worst = &mut self.record.worst_interval_error_ticks;
+        *worst = timed.worst_error_ticks.max(*worst);
         self.track(report.commanded, report.counted);
     }
 

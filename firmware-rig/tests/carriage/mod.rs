@@ -275,8 +275,7 @@ impl Carriage {
         self.motion.round(&mut self.ring, &mut self.mail);
         self.next_round = match self.pace() {
             Pace::Idle => u64::MAX,
-            Pace::Filled => self.now + 200_000,
-            Pace::Waiting => self.now + 10_000,
+            pace => self.now + 100 * pace.within_us(),
         };
         if self.round_end.is_none() && self.ring.plays() {
             self.round_end = Some(self.now);
@@ -335,6 +334,7 @@ impl Carriage {
         }
         let direction = self.ring.direction;
         self.last_pulse = begun;
+        self.ring.capture(begun);
         if let Some(trace) = &mut self.trace {
             trace.push(Pulse {
                 at: begun,

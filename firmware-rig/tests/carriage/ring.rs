@@ -1,6 +1,7 @@
 //! A step ring in virtual time: plays queued periods round by round, as the board's timer and DMA do.
 
 use firmware_rig::{
+    edge_timing::{EdgeTiming, Timed},
     execution::{Ring, StartError, Underrun},
     periods::Period,
 };
@@ -53,6 +54,10 @@ pub struct Slots {
     due: VecDeque<u64>,
     /// Pulses behind the period that played at the halt.
     queued_at_halt: u32,
+    /// The second jumper is there.
+    pub captures: bool,
+    captured: Vec<u32>,
+    timing: EdgeTiming,
 }
 
 /// So many pulses the ring remembers: more than it holds.
@@ -87,6 +92,16 @@ impl Slots {
             path_ticks: 0,
             due: VecDeque::new(),
             queued_at_halt: 0,
+            captures: true,
+            captured: Vec::new(),
+            timing: EdgeTiming::default(),
+        }
+    }
+
+    /// A pulse leaves the pin.
+    pub fn capture(&mut self, at: u64) {
+        if self.captures {
+            self.captured.push(at as u32);
         }
     }
 
@@ -165,6 +180,8 @@ impl Ring for Slots {
         self.pulse_ticks = pulse_ticks;
         self.path_ticks = 0;
         self.due.clear();
+        self.captured.clear();
+        self.timing.clear();
     }
 
     fn push(&mut self, period: Period) -> Result<(), Underrun> {
@@ -172,6 +189,7 @@ impl Ring for Slots {
             return Err(Underrun);
         }
         assert!(self.has_room(), "a slot that waits is overwritten");
+        self.timing.expect(period);
         let rounds = u32::from(period.repeats) + 1;
         self.ticks += u64::from(period.ticks) * u64::from(rounds);
         if period.pulse {
@@ -267,5 +285,12 @@ impl Ring for Slots {
 
     fn counted(&self) -> StepPosition {
         StepPosition(self.counted)
+    }
+
+    fn time_edges(&mut self) -> Timed {
+        for at in self.captured.drain(..) {
+            self.timing.compare(at);
+        }
+        self.timing.timed()
     }
 }

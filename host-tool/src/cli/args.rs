@@ -304,9 +304,10 @@ pub struct CommissionArgs {
     /// The image (ELF) that should be on the rig; by default the one built in this workspace.
     #[arg(long, value_name = "ELF")]
     pub image: Option<PathBuf>,
-    /// Strokes of the read-back test without motor power.
-    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(2..=20_000))]
-    pub strokes: u32,
+    /// Strokes of the read-back test without motor power: an even number, 2 to 20000. The test of edge timing makes as
+    /// many, 200 at most.
+    #[arg(long, value_name = "N", default_value = "10000", value_parser = strokes)]
+    pub strokes: u16,
     /// Cycles of the run at the end.
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=100))]
     pub cycles: u16,
@@ -483,6 +484,14 @@ where
 fn cycles(text: &str) -> Result<u16, String> {
     let value = crate::decimal::parse(text, 0, 10_000).map_err(|error| error.to_string())?;
     u16::try_from(value).map_err(|_| "too large: use at most 10000".to_owned())
+}
+
+/// Whole cycles only: an odd number would have to become another one.
+fn strokes(text: &str) -> Result<u16, String> {
+    let value = text.parse::<u16>().ok();
+    value
+        .filter(|strokes| (2..=20_000).contains(strokes) && strokes.is_multiple_of(2))
+        .ok_or_else(|| "use an even number from 2 to 20000, for a cycle is two strokes".to_owned())
 }
 
 /// Arguments of `plan`.

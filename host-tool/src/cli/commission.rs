@@ -58,7 +58,7 @@ pub(crate) fn commission(
         screen.say("No certified safety function: the motor supply needs a hard-wired switch.");
     }
     let options = Options {
-        strokes: args.strokes,
+        read_back_cycles: args.strokes / 2,
         cycles: args.cycles,
         clock_us: u64::from(args.clock_s) * 1_000_000,
         image: image(args, kind),

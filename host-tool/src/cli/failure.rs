@@ -212,9 +212,9 @@ fn way_out(error: &RunError) -> String {
             minimal_total_us,
             minimal_accel_um_s2: Some(um_s2),
         } => format!(
-            "`--duration-s {}`, or `--accel-mm-s2 {}` if the rig allows it; ",
+            "`--duration-s {}`, or `--accel-mm-s2 {}`, if the rig's limits allow it; ",
             decimal::write(minimal_total_us, 6),
-            decimal::write(um_s2, 3)
+            decimal::write(um_s2.into(), 3)
         ),
         RunError::TotalTooShort {
             minimal_total_us, ..

@@ -11,7 +11,7 @@ use crate::cli::finding::{Finder, line};
 use crate::cli::keyboard;
 use crate::cli::screen::Screen;
 use crate::client::matches;
-use crate::commission::record;
+use crate::commission::warning;
 use crate::decimal;
 use crate::experiment;
 use crate::identity::{self, IdentityRecord};
@@ -194,7 +194,7 @@ pub(crate) fn run(
     plan::check(&request)?;
     let mut rig = finder.connect(DeviceKind::Rig)?;
     let folders = [args.record.out.clone(), DATA_FOLDER.into()];
-    if let Some(warning) = record::warning(&mut rig, &folders)? {
+    if let Some(warning) = warning::of_record(&mut rig, &folders)? {
         screen.hint(&format!("warning: {warning}"));
     }
     if let Some(keyboard) = screen.keyboard.take() {

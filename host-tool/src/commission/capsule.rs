@@ -3,13 +3,14 @@
 use protocol::capsule::{
     ActuationAccepted, ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState, CapsuleStatus,
 };
-use protocol::system::{BuildProfile, ResetCause, Urgent};
+use protocol::system::{BuildProfile, Urgent};
 
 use crate::client::Unobserved;
+use crate::commission::device;
+use crate::commission::halt::Halt;
 use crate::commission::hands::Reading;
-use crate::commission::rig::compare_clocks;
-use crate::commission::steps::Step;
-use crate::commission::work::{Halt, LOOK_US, Work};
+use crate::commission::step::Step;
+use crate::commission::work::{LOOK_US, Work};
 use crate::decimal;
 
 const PLAIN: Step = Step {
@@ -106,25 +107,10 @@ const UNFOLDED_UM: i32 = 300;
 const UNDER_WAY_UM: i32 = 3_000;
 
 fn image(work: &mut Work<'_>) -> Result<(), Halt> {
-    let Some(identity) = work.device.identity().copied() else {
-        return Err(Halt::NotShown(
-            "the board did not identify itself".to_owned(),
-        ));
-    };
-    work.note("firmware", work.subject.firmware.clone());
-    if matches!(
-        identity.reset_cause,
-        ResetCause::Panic | ResetCause::Watchdog
-    ) {
-        let words = work.device.last_words()?;
-        return Err(Halt::Defect(format!(
-            "its last start was a failure: {}. {words}",
-            crate::identity::reset_cause(identity.reset_cause)
-        )));
-    }
+    let identity = device::started_well(work)?;
     if identity.profile == BuildProfile::Debug {
         return Err(Halt::Defect(
-            "the image was built without optimisation: flash the one of `cargo xtask images`"
+            "the image was built without optimisation: `cargo capsule` flashes the optimised one"
                 .to_owned(),
         ));
     }
@@ -132,7 +118,7 @@ fn image(work: &mut Work<'_>) -> Result<(), Halt> {
 }
 
 fn clock(work: &mut Work<'_>) -> Result<(), Halt> {
-    compare_clocks(work, CLOCK_PPM, |work| Ok(status(work)?.time_us))
+    device::compare_clocks(work, CLOCK_PPM, |work| Ok(status(work)?.time_us))
 }
 
 fn status(work: &mut Work<'_>) -> Result<CapsuleStatus, Halt> {

@@ -14,7 +14,7 @@ use std::net::TcpStream;
 use std::str::FromStr;
 use std::time::Duration;
 
-use crate::commission::work::Halt;
+use crate::commission::halt::Halt;
 use crate::error::ClientError;
 
 /// How long the bench's hands may take, s: a cable is pulled for some seconds.

@@ -6,6 +6,9 @@ use std::path::Path;
 use object::read::elf::{ElfFile32, ProgramHeader as _};
 use object::{Endianness, Object as _, ObjectSymbol as _};
 
+/// Flash of the STM32F411RE.
+const MOST_BYTES: usize = 512 * 1024;
+
 /// Why a file has no fingerprint.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
@@ -18,6 +21,16 @@ pub enum ImageError {
     /// The linker's names for the ends of the image are missing.
     #[error("it is not an image of this firmware: no symbol {0}")]
     NoSymbol(&'static str),
+    /// The linker's names for the ends of the image are those of no image.
+    #[error(
+        "it is not an image of this chip: its code goes from {start:#010x} to {end:#010x}, allowed are 4 to {MOST_BYTES} bytes"
+    )]
+    Extent {
+        /// Address of its first byte.
+        start: u64,
+        /// Address behind its last byte.
+        end: u64,
+    },
 }
 
 /// FNV-1a, 32 bits, over code, constants and initial values as 32-bit words: the image's own `image_hash`.
@@ -35,8 +48,12 @@ pub fn fingerprint(path: &Path) -> Result<u32, ImageError> {
     let start = symbol("__stext")?;
     let data = symbol("__edata")?.saturating_sub(symbol("__sdata")?);
     let end = symbol("__sidata")?.saturating_add(data);
+    let length = end
+        .checked_sub(start)
+        .and_then(|length| usize::try_from(length).ok())
+        .filter(|length| (4..=MOST_BYTES).contains(length))
+        .ok_or(ImageError::Extent { start, end })?;
     // What no segment covers stays erased.
-    let length = usize::try_from(end.saturating_sub(start)).unwrap_or(0);
     let mut flash = vec![0xFF; length];
     let endian = elf.endian();
     for segment in elf.elf_program_headers() {

@@ -2,8 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use crate::commission::record::{Commissioning, Outcome, Subject};
-use crate::commission::steps::Step;
+use jiff::Timestamp;
+
+use crate::commission::record::{Commissioning, Finding, Outcome, StepResult, Subject};
+use crate::commission::step::Step;
 
 /// Whether a step's result still counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,6 +68,46 @@ impl Procedure {
         })?;
         self.tried.insert(step.name);
         Some((number, step))
+    }
+
+    /// Enters what was found out about `step` into `record`, in the order of the steps.
+    pub fn enter(
+        &self,
+        record: &mut Commissioning,
+        step: &Step,
+        finding: Finding,
+        subject: &Subject,
+        now: Timestamp,
+    ) {
+        let depends = step.settings.iter().map(|key| {
+            let name = key.name().to_owned();
+            (name, subject.setting(*key))
+        });
+        let result = StepResult {
+            step: step.name.to_owned(),
+            shows: step.shows.to_owned(),
+            outcome: finding.outcome,
+            reason: finding.reason,
+            measured: finding.measured,
+            date_utc: now,
+            image: step.of_image.then(|| subject.image.clone()),
+            settings: depends.collect(),
+        };
+        record.steps.retain(|known| known.step != step.name);
+        record.steps.push(result);
+        // What no step of this tool is named like comes last.
+        record.steps.sort_by_key(|result| {
+            let mut names = self.steps.iter().map(|step| step.name);
+            names
+                .position(|name| name == result.step)
+                .unwrap_or(usize::MAX)
+        });
+        *record = Commissioning {
+            begun_utc: record.begun_utc,
+            complete: open(self.steps, record, subject).is_empty(),
+            steps: std::mem::take(&mut record.steps),
+            ..Commissioning::new(subject, now)
+        };
     }
 }
 

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use jiff::Timestamp;
 use protocol::rig::GetRigHealth;
@@ -14,8 +14,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::client::Device;
-use crate::commission::procedure::{self, Standing};
-use crate::commission::steps::{self, Step};
 use crate::error::ClientError;
 use crate::identity::{IdentityRecord, kind_name};
 use crate::trial::{RecordError, replace};
@@ -74,7 +72,7 @@ impl Subject {
         Ok(subject)
     }
 
-    fn of_identity(identity: &Identity) -> Self {
+    pub(super) fn of_identity(identity: &Identity) -> Self {
         let known = IdentityRecord::from(identity);
         Self {
             machine: identity.device,
@@ -241,37 +239,6 @@ impl Commissioning {
         self.steps.iter().find(|result| result.step == step)
     }
 
-    /// Enters what was found out about `step`.
-    pub fn enter(&mut self, step: &Step, finding: Finding, subject: &Subject, now: Timestamp) {
-        let depends = step.settings.iter().map(|key| {
-            let name = key.name().to_owned();
-            (name, subject.setting(*key))
-        });
-        let result = StepResult {
-            step: step.name.to_owned(),
-            shows: step.shows.to_owned(),
-            outcome: finding.outcome,
-            reason: finding.reason,
-            measured: finding.measured,
-            date_utc: now,
-            image: step.of_image.then(|| subject.image.clone()),
-            settings: depends.collect(),
-        };
-        self.steps.retain(|known| known.step != step.name);
-        self.steps.push(result);
-        let all = steps::of(subject.machine);
-        self.steps.sort_by_key(|result| {
-            let place = all.iter().position(|step| step.name == result.step);
-            place.unwrap_or(usize::MAX)
-        });
-        *self = Self {
-            begun_utc: self.begun_utc,
-            complete: procedure::open(all, self, subject).is_empty(),
-            steps: std::mem::take(&mut self.steps),
-            ..Self::new(subject, now)
-        };
-    }
-
     /// Replaces the file by renaming: a reader finds the old record or the new one, never a part of it.
     ///
     /// # Errors
@@ -287,55 +254,4 @@ impl Commissioning {
                 remedy: "choose a file in a folder that can be written, with free space: `--record FILE`",
             })
     }
-}
-
-/// Why a rig should not be trusted with a run yet; none if its record in one of `folders` is complete and still counts.
-///
-/// # Errors
-/// As [`Subject::of`].
-pub fn warning(rig: &mut Device, folders: &[PathBuf]) -> Result<Option<String>, ClientError> {
-    let Some(identity) = rig.identity().copied() else {
-        return Ok(None);
-    };
-    let name = Subject::of_identity(&identity).file_name();
-    let paths = folders.iter().map(|folder| folder.join(&name));
-    let found = paths.filter_map(|path| Commissioning::read(&path).transpose());
-    let record = match found.into_iter().next() {
-        None => {
-            return Ok(Some(
-                "this board has no commissioning record: `retrograde commission rig` makes one"
-                    .to_owned(),
-            ));
-        }
-        Some(Err(error)) => {
-            return Ok(Some(format!(
-                "the commissioning record cannot be read: {error}"
-            )));
-        }
-        Some(Ok(record)) => record,
-    };
-    let subject = Subject::of(rig)?;
-    let open = procedure::open(steps::of(subject.machine), &record, &subject);
-    let Some((step, standing)) = open.first() else {
-        return Ok(None);
-    };
-    let why = match standing {
-        Standing::OtherImage => format!(
-            "the commissioning record is of image {}, this is {}",
-            record
-                .result(step.name)
-                .and_then(|result| result.image.as_deref())
-                .unwrap_or("?"),
-            subject.image
-        ),
-        Standing::OtherSetting(name) => {
-            format!("the commissioning record is older than the present {name}")
-        }
-        Standing::NotPassed | Standing::Holds => {
-            format!("commissioning is not complete: {} is open", step.name)
-        }
-    };
-    Ok(Some(format!(
-        "{why}: `retrograde commission rig` shows what is left"
-    )))
 }

@@ -1,62 +1,17 @@
 //! The rig's steps. Those without motor power come first; nothing moves before the switches are known to work.
 
 mod board;
+mod depends;
 mod runs;
 mod switches;
 mod travel;
 
 use protocol::settings::SettingKey as Key;
 
-use crate::commission::steps::Step;
+use crate::commission::step::Step;
+use depends::{HOMING, PULSES, RUN, SCREW};
 
-pub(super) use board::compare_clocks;
 pub use travel::wrong_travel;
-
-/// What turns steps into millimetres.
-const SCREW: [Key; 3] = [Key::LeadUm, Key::FullSteps, Key::Microsteps];
-/// What homing depends on.
-const HOMING: &[Key] = &[
-    Key::LeadUm,
-    Key::FullSteps,
-    Key::Microsteps,
-    Key::StrokeUm,
-    Key::SeekUmS,
-    Key::LocateUmS,
-    Key::HomingAccelUmS2,
-    Key::StopAccelUmS2,
-    Key::OvertravelUm,
-    Key::PullOffUm,
-    Key::FlagUm,
-    Key::SwitchFilterUs,
-    Key::MaxStepHz,
-    Key::StepPulseNs,
-];
-/// What the pulses of a run depend on.
-const PULSES: &[Key] = &[
-    Key::LeadUm,
-    Key::FullSteps,
-    Key::Microsteps,
-    Key::MaxSpeedUmS,
-    Key::MaxAccelUmS2,
-    Key::MaxStepHz,
-    Key::StepPulseNs,
-    Key::TurnaroundUs,
-];
-/// What a whole run depends on.
-const RUN: &[Key] = &[
-    Key::LeadUm,
-    Key::FullSteps,
-    Key::Microsteps,
-    Key::StrokeUm,
-    Key::MaxSpeedUmS,
-    Key::MaxAccelUmS2,
-    Key::MaxStepHz,
-    Key::StepPulseNs,
-    Key::TurnaroundUs,
-    Key::FlagUm,
-    Key::LedgerLimitSteps,
-    Key::SwitchFilterUs,
-];
 
 /// A step without settings, at which nothing has to be looked at.
 const PLAIN: Step = Step {

@@ -4,10 +4,12 @@ use std::path::Path;
 
 use jiff::Timestamp;
 
+use crate::commission::halt::Halt;
 use crate::commission::procedure::Procedure;
 use crate::commission::record::{Commissioning, Finding, Outcome};
-use crate::commission::steps::{self, Step};
-use crate::commission::work::{Halt, Work};
+use crate::commission::step::Step;
+use crate::commission::steps;
+use crate::commission::work::Work;
 use crate::error::ClientError;
 use crate::trial::RecordError;
 
@@ -64,7 +66,7 @@ pub fn carry_out(
         };
         tell(work, &finding);
         let (outcome, reason) = (finding.outcome, finding.reason.clone());
-        record.enter(step, finding, &work.subject, now());
+        procedure.enter(record, step, finding, &work.subject, now());
         record.write(path).map_err(Broken::Record)?;
         if outcome == Outcome::Failed {
             return Ok(Ending::Defect(step.name, reason.unwrap_or_default()));

@@ -7,6 +7,7 @@
 //! | PA6 | E-stop loop | contact to ground, TIM1_BKIN as AF1 |
 //! | PC7, PB6 | home flag, far limit | contacts to ground, the chip's pull-ups |
 //! | PA0 | read-back | jumper from STEP, TIM2_ETR as AF1 |
+//! | PA1 | capture | jumper from STEP, TIM5_CH2 as AF2 |
 //! | PA8 | sync | TIM1_CH1 as AF1, or a plain output |
 //! | PC13, PA5 | button, LED | the board's own; the button pulls to ground against a resistor |
 
@@ -23,11 +24,16 @@ const ESTOP: Pin = Pin::new('A', 6);
 const HOME: Pin = Pin::new('C', 7);
 const FAR: Pin = Pin::new('B', 6);
 const READ_BACK: Pin = Pin::new('A', 0);
+const CAPTURE: Pin = Pin::new('A', 1);
 const SYNC: Pin = Pin::new('A', 8);
 const BUTTON: Pin = Pin::new('C', 13);
 const LED: Pin = Pin::new('A', 5);
 /// The alternate function for TIM1 and TIM2 (DS10314 table 9).
 const AF_TIMER: Option<u8> = Some(1);
+/// The one for TIM5.
+const AF_CAPTURE: Option<u8> = Some(2);
+/// TIM5's channel.
+const CAPTURE_CHANNEL: u8 = 2;
 /// TIM1's channels.
 const STEP_CHANNEL: u8 = 3;
 const SYNC_CHANNEL: u8 = 1;
@@ -52,6 +58,7 @@ pub struct RigBoard {
     button: Option<bool>,
     broken: Option<bool>,
     read_back: Option<bool>,
+    captured: Option<bool>,
     outputs_safe: bool,
     safe_before_clock: Option<bool>,
 }
@@ -69,6 +76,7 @@ impl RigBoard {
             button: None,
             broken: None,
             read_back: None,
+            captured: None,
             outputs_safe: false,
             safe_before_clock: None,
         }
@@ -95,6 +103,9 @@ impl RigBoard {
         self.rig
             .set_armed(pads.function(STEP) == AF_TIMER && pads.tim1_armed());
         self.rig.step(high, at_ns);
+        if let Some(at_ns) = self.rig.captured_ns() {
+            self.capture(at_ns, pads);
+        }
         self.drive(pads);
     }
 
@@ -103,6 +114,14 @@ impl RigBoard {
             self.rig.sync(at_ns);
         }
         self.sync_high = high;
+    }
+
+    /// Drives the capture input at this instant, which may be that of a timer's event just now.
+    fn capture(&mut self, at_ns: u64, pads: &mut Pads<'_>) {
+        let high = self.rig.capture() && pads.function(CAPTURE) == AF_CAPTURE;
+        if self.captured.replace(high) != Some(high) {
+            pads.drive_tim5_input(CAPTURE_CHANNEL, high, at_ns);
+        }
     }
 
     /// Drives every input whose level has changed.
@@ -125,6 +144,7 @@ impl RigBoard {
         if self.read_back.replace(counted) != Some(counted) {
             pads.drive_tim2_etr(counted);
         }
+        self.capture(pads.now_ns(), pads);
     }
 }
 
@@ -134,6 +154,7 @@ impl Wiring for RigBoard {
         self.button = None;
         self.broken = None;
         self.read_back = None;
+        self.captured = None;
         self.outputs_safe = false;
         self.safe_before_clock = None;
     }

@@ -1,10 +1,10 @@
 //! The clock tree with a clock from outside that may be missing. The emulator's own oscillators always come.
 
-use rigless::device::{Device, DeviceContext, RegisterFile, RequestChange};
-use rigless::soc::RegisterSpec;
+use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::rcc::{Register, cr};
 use rigless::soc::stm32f427::peripherals::rcc::Rcc;
-use rigless::time::{EventId, VirtualNanos};
+
+use super::forward::forward;
 
 /// The clock tree. It takes its place on the bus, and keeps from it that the firmware switches a missing clock on.
 #[derive(Debug)]
@@ -27,22 +27,7 @@ impl Clocked {
 impl Device for Clocked {
     type Register = Register;
 
-    fn layout(&self) -> &'static [RegisterSpec] {
-        Device::layout(&self.rcc)
-    }
-
-    fn read(
-        &mut self,
-        register: Register,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) -> Option<u64> {
-        Device::read(&mut self.rcc, register, registers, context)
-    }
-
-    fn peek(&self, register: Register, registers: &RegisterFile, now: VirtualNanos) -> Option<u64> {
-        Device::peek(&self.rcc, register, registers, now)
-    }
+    forward!(rcc: layout, read, peek, on_event, on_request, poll, reset, reset_line);
 
     fn write(
         &mut self,
@@ -57,35 +42,5 @@ impl Device for Clocked {
             registers.set(Register::Cr, cr::HSEON.set(registers.get(Register::Cr), 0));
         }
         Device::write(&mut self.rcc, register, value, registers, context);
-    }
-
-    fn on_event(
-        &mut self,
-        event: EventId,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::on_event(&mut self.rcc, event, registers, context);
-    }
-
-    fn on_request(
-        &mut self,
-        request: RequestChange,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::on_request(&mut self.rcc, request, registers, context);
-    }
-
-    fn poll(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        Device::poll(&mut self.rcc, registers, context);
-    }
-
-    fn reset(&mut self) {
-        Device::reset(&mut self.rcc);
-    }
-
-    fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        Device::reset_line(&mut self.rcc, registers, context);
     }
 }

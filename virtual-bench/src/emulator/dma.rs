@@ -2,11 +2,12 @@
 //! between has stopped within a burst. The emulator's own transfers all happen in one instant.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
-use rigless::soc::RegisterSpec;
 use rigless::soc::st::tim::UPDATE_REQUEST;
 use rigless::soc::stm32f427::generated::dma2::Register;
 use rigless::soc::stm32f427::peripherals::dma::Dma;
 use rigless::time::{EventId, VirtualNanos};
+
+use super::forward::forward;
 
 /// How long a burst takes. The manuals give no figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,32 +69,7 @@ impl Paced {
 impl Device for Paced {
     type Register = Register;
 
-    fn layout(&self) -> &'static [RegisterSpec] {
-        Device::layout(&self.dma)
-    }
-
-    fn read(
-        &mut self,
-        register: Register,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) -> Option<u64> {
-        Device::read(&mut self.dma, register, registers, context)
-    }
-
-    fn peek(&self, register: Register, registers: &RegisterFile, now: VirtualNanos) -> Option<u64> {
-        Device::peek(&self.dma, register, registers, now)
-    }
-
-    fn write(
-        &mut self,
-        register: Register,
-        value: u64,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::write(&mut self.dma, register, value, registers, context);
-    }
+    forward!(dma: layout, read, peek, write, on_refused, poll, reset_line);
 
     fn on_event(
         &mut self,
@@ -150,25 +126,8 @@ impl Device for Paced {
         }
     }
 
-    fn on_refused(
-        &mut self,
-        token: u64,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::on_refused(&mut self.dma, token, registers, context);
-    }
-
-    fn poll(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        Device::poll(&mut self.dma, registers, context);
-    }
-
     fn reset(&mut self) {
         Device::reset(&mut self.dma);
         (self.requested, self.shown, self.next_word) = (false, false, None);
-    }
-
-    fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        Device::reset_line(&mut self.dma, registers, context);
     }
 }

@@ -5,7 +5,7 @@ use std::num::{NonZeroU32, NonZeroU64};
 use std::path::Path;
 
 use rigless::image::Image;
-use rigless::soc::st::tim::UPDATE_REQUEST;
+use rigless::soc::st::tim::{CHANNEL_REQUESTS, UPDATE_REQUEST};
 use rigless::soc::stm32f427::peripherals::dma::{Dma, Wire};
 use rigless::soc::stm32f427::peripherals::{adc, usart};
 use rigless::soc::{EraseBlocks, Region};
@@ -91,10 +91,11 @@ const fn wire(
 }
 
 /// Requests of the peripherals in use (RM0383 table 27).
-static DMA1_REQUESTS: [Wire; 3] = [
+static DMA1_REQUESTS: [Wire; 4] = [
     wire("USART2", usart::RECEIVE_REQUEST, 4, &[5]),
     wire("USART2", usart::TRANSMIT_REQUEST, 4, &[6]),
     wire("USART2", usart::RECEIVE_REQUEST, 6, &[7]),
+    wire("TIM5", CHANNEL_REQUESTS[1], 6, &[4]),
 ];
 
 /// Requests of the peripherals in use (RM0383 table 28). The emulator's own table has no timers.

@@ -6,6 +6,7 @@
 use locomotion::roller::{self, Params};
 
 use super::contact::{Bounce, Contact};
+use super::wire::{self, Wire};
 use crate::faults::{Faults, When};
 use crate::pins::{EdgeLog, StepEdge};
 
@@ -50,29 +51,40 @@ pub struct RigOptions {
     pub reversed: bool,
     /// Home flag and far limit are plugged into each other's input.
     pub swapped_switches: bool,
+    /// The second jumper leads from STEP to the capture input.
+    pub capture_jumper: bool,
     /// EN is pulled up on the board; without it the driver's own resistor switches it on.
     pub enable_pull_up: bool,
 }
 
 impl Default for RigOptions {
-    /// The paper's rig with the carriage at 20 mm: flag at 1 mm, limit at 131 mm, stops at -3 and 133 mm.
     fn default() -> Self {
-        Self {
-            carriage: 16_000,
-            steps_per_mm: 800,
-            flag: 800,
-            limit: 131 * 800,
-            stops: (-3 * 800, 133 * 800),
-            driver: DriverTiming::DRV8825,
-            indentation_mm: 3.0,
-            reversed: false,
-            swapped_switches: false,
-            enable_pull_up: true,
-        }
+        Self::REFERENCE
     }
 }
 
 impl RigOptions {
+    /// The paper's rig with the carriage at 20 mm: flag at 1 mm, limit at 131 mm, stops at -3 and 133 mm.
+    pub const REFERENCE: Self = Self {
+        carriage: 16_000,
+        steps_per_mm: 800,
+        flag: 800,
+        limit: 131 * 800,
+        stops: (-3 * 800, 133 * 800),
+        driver: DriverTiming::DRV8825,
+        indentation_mm: 3.0,
+        reversed: false,
+        swapped_switches: false,
+        capture_jumper: false,
+        enable_pull_up: true,
+    };
+
+    /// The same as the manual wires it, with the jumper by which it times its steps. Edges take the bench longer then.
+    pub const WITH_BOTH_JUMPERS: Self = Self {
+        capture_jumper: true,
+        ..Self::REFERENCE
+    };
+
     /// The same rig with a driver or a screw that takes so many steps per millimetre.
     #[must_use]
     pub fn with_steps_per_mm(self, steps_per_mm: i64) -> Self {
@@ -117,10 +129,10 @@ pub enum Action {
     EStop(bool),
     /// Press (or release) the start button.
     Button(bool),
-    /// Connect (or cut) the jumper from STEP to the read-back input.
-    Jumper(bool),
-    /// Inject a high pulse of this width in ns on the read-back input's wire.
-    Spike(u64),
+    /// Something happens to the jumper from STEP to the read-back input.
+    ReadBack(wire::Fault),
+    /// Something happens to the jumper from STEP to the capture input.
+    Capture(wire::Fault),
     /// Make a contact stay open or closed, or work again.
     Stick(Switch, Option<bool>),
     /// Make a contact bounce from now on, or stop that.
@@ -190,9 +202,10 @@ pub struct Rig {
     by_hand: [bool; 2],
     supplied: bool,
     button: bool,
-    jumper: bool,
-    /// When the spike on the read-back's wire ends.
-    spike_until_ns: Option<u64>,
+    read_back: Wire,
+    capture: Wire,
+    /// When the last change of STEP comes to the capture input.
+    captured_ns: Option<u64>,
     faults: Faults<Action>,
     tissue: Option<roller::UnfoldedBody>,
 }
@@ -226,8 +239,9 @@ impl Rig {
             by_hand: [false; 2],
             supplied: true,
             button: false,
-            jumper: true,
-            spike_until_ns: None,
+            read_back: Wire::new(true),
+            capture: Wire::new(options.capture_jumper),
+            captured_ns: None,
             faults: Faults::default(),
             tissue: None,
         };
@@ -344,7 +358,19 @@ impl Rig {
     /// Level at the read-back input.
     #[must_use]
     pub fn read_back(&self) -> bool {
-        self.spike_until_ns.is_some() || (self.jumper && self.step_high)
+        self.read_back.is_high()
+    }
+
+    /// Level at the capture input.
+    #[must_use]
+    pub fn capture(&self) -> bool {
+        self.capture.is_high()
+    }
+
+    /// When the last change of STEP comes to the capture input, ns; none if it does not.
+    #[must_use]
+    pub fn captured_ns(&self) -> Option<u64> {
+        self.captured_ns
     }
 
     /// Plans a fault.
@@ -374,8 +400,8 @@ impl Rig {
             // A motor that holds cannot be turned by hand.
             Action::Place(_) => {}
             Action::Button(pressed) => self.button = pressed,
-            Action::Jumper(whole) => self.jumper = whole,
-            Action::Spike(width_ns) => self.spike_until_ns = Some(at_ns + width_ns),
+            Action::ReadBack(fault) => self.read_back.act(fault, at_ns),
+            Action::Capture(fault) => self.capture.act(fault, at_ns),
             Action::Stick(switch, open) => self.contact(switch).stick(open, at_ns),
             Action::Bounce(switch, bounce) => self.contact(switch).set_bounce(bounce),
             Action::Disturb(switch, width_ns) => self.contact(switch).disturb(at_ns, width_ns),
@@ -413,7 +439,8 @@ impl Rig {
         for action in self.faults.due_by(now_ns) {
             self.act(action, now_ns);
         }
-        self.spike_until_ns = self.spike_until_ns.filter(|&until_ns| now_ns < until_ns);
+        self.read_back.advance(now_ns);
+        self.capture.advance(now_ns);
         for contact in [&mut self.home, &mut self.far, &mut self.estop] {
             contact.advance(now_ns);
         }
@@ -426,7 +453,8 @@ impl Rig {
         let contacts = contacts.into_iter().filter_map(Contact::next_ns);
         contacts
             .chain(self.faults.next_ns())
-            .chain(self.spike_until_ns)
+            .chain(self.read_back.next_ns())
+            .chain(self.capture.next_ns())
             .min()
     }
 
@@ -461,6 +489,8 @@ impl Rig {
             return;
         }
         self.step_high = high;
+        self.read_back.step(high, at_ns);
+        self.captured_ns = self.capture.step(high, at_ns);
         if high {
             self.rise(at_ns);
         } else {
@@ -637,7 +667,7 @@ mod tests {
     #[test]
     fn a_spike_is_on_the_read_back_and_not_on_step() {
         let mut rig = Rig::new(RigOptions::default());
-        rig.act(Action::Spike(250), 1_000);
+        rig.act(Action::ReadBack(wire::Fault::Spike(250)), 1_000);
         assert!(rig.read_back());
         assert_eq!(rig.next_ns(), Some(1_250));
         rig.advance(1_249);

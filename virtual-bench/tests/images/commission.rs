@@ -8,12 +8,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use host_tool::cli;
 use host_tool::client::Device;
+use host_tool::commission::halt::Halt;
 use host_tool::commission::hands::{Act, Bench as Remote, Hands, Part, Reading, Say, Watch, Wish};
 use host_tool::commission::image;
 use host_tool::commission::record::{Commissioning, Outcome, Subject};
 use host_tool::commission::session::{Ending, carry_out};
 use host_tool::commission::steps;
-use host_tool::commission::work::{Halt, Options, Work};
+use host_tool::commission::work::{Options, Work};
 use host_tool::connector::{Candidate, Connector, Ports};
 use host_tool::link::address::Address;
 use host_tool::link::{Link, OpenError};
@@ -27,9 +28,7 @@ use virtual_bench::hands::{BenchHands, HandsServer, Machine, Plug};
 use virtual_bench::link::VirtualLink;
 use virtual_bench::plants::capsule::Parameters;
 use virtual_bench::plants::rig::{Action, Rig, RigOptions, Switch};
-
-/// Steps that nothing shows: the bench has no second jumper from STEP yet.
-const NOT_SHOWN: &[&str] = &["edge-timing"];
+use virtual_bench::plants::wire::Fault;
 
 /// One machine with hands at it.
 struct Workshop {
@@ -175,21 +174,15 @@ fn fits_the_screen(text: &str) {
 #[test]
 fn a_good_rig_passes_in_one_go_and_a_run_knows_it() {
     let (folder, record) = folder();
-    let workshop = Workshop::new(Machine::Rig(rig_bench(RigOptions::default())));
+    let workshop = Workshop::new(Machine::Rig(rig_bench(RigOptions::WITH_BOTH_JUMPERS)));
     let (code, text) = commission(&workshop, "rig", &record, &[]);
-    let complete = NOT_SHOWN.is_empty();
-    assert_eq!(code, if complete { 0 } else { 3 }, "{text}");
+    assert_eq!(code, 0, "{text}");
     fits_the_screen(&text);
     assert_eq!(begun(&text), names(DeviceKind::Rig), "{text}");
     let found = read(&record);
-    assert_eq!(found.complete, complete);
+    assert!(found.complete);
     for result in &found.steps {
-        let expected = if NOT_SHOWN.contains(&&*result.step) {
-            Outcome::NotShown
-        } else {
-            Outcome::Passed
-        };
-        assert_eq!(result.outcome, expected, "{result:?}");
+        assert_eq!(result.outcome, Outcome::Passed, "{result:?}");
     }
     // 200 strokes of 1 mm at 800 steps.
     let strokes = found.result("read-back").expect("a result");
@@ -205,8 +198,8 @@ fn a_good_rig_passes_in_one_go_and_a_run_knows_it() {
 
     // Nothing that holds is repeated.
     let (code, text) = commission(&workshop, "rig", &record, &[]);
-    assert_eq!(code, if complete { 0 } else { 3 }, "{text}");
-    assert_eq!(begun(&text), NOT_SHOWN, "{text}");
+    assert_eq!(code, 0, "{text}");
+    assert!(begun(&text).is_empty(), "{text}");
 
     // A run takes the board's record from its own folder. The last step may have left the motor without supply.
     let supply = Wish::Do(Act {
@@ -242,11 +235,7 @@ fn a_good_rig_passes_in_one_go_and_a_run_knows_it() {
     let name = format!("commissioning-rig-{}.json", found.board_uid);
     std::fs::rename(&record, data.join(name)).expect("renamed");
     let text = run(&workshop);
-    if complete {
-        assert!(!text.contains("warning"), "{text}");
-    } else {
-        assert!(text.contains("not complete: edge-timing is open"), "{text}");
-    }
+    assert!(!text.contains("warning"), "{text}");
     let (code, text) = retrograde(&workshop, &["settings", "set", "lead_um", "5000"]);
     assert_eq!(code, 0, "{text}");
     home();
@@ -320,7 +309,7 @@ fn session(
     let mut device = connect().expect("the rig answers");
     let subject = Subject::of(&mut device).expect("the rig answers");
     let options = Options {
-        strokes: 100,
+        read_back_cycles: 50,
         cycles: 1,
         clock_us: 200_000,
         image: Some(rig::image()),
@@ -478,7 +467,7 @@ fn a_missing_jumper_is_named() {
     let options = short();
     defect(
         options,
-        &[Action::Jumper(false)],
+        &[Action::ReadBack(Fault::Whole(false))],
         &[],
         "pulses",
         "jumper D2-A0 is missing",

@@ -3,7 +3,7 @@
 
 use host_tool::client::{Device, Observer, Unobserved};
 use protocol::{
-    rig::{LinkLossPolicy, Run, RunAccepted, RunTiming},
+    rig::{LinkLossPolicy, RigFault, Run, RunAccepted, RunOutcome, RunRecord, RunTiming},
     settings::{Setting, SettingKey},
     system::DeviceKind,
     table::Telemetry,
@@ -16,7 +16,7 @@ use virtual_bench::{
     },
     link::VirtualLink,
     pins::EdgeLog,
-    plants::rig::{Rig, RigOptions, Violations},
+    plants::rig::{Action, Rig, RigOptions, Violations},
     verdicts,
 };
 
@@ -114,6 +114,28 @@ impl RigRun {
             .expect("the bench runs")
     }
 
+    /// Does something to the machine, at once.
+    pub fn act(&self, action: Action) {
+        let now_ns = self.bench.now_ns();
+        self.look(move |rig| rig.act(action, now_ns));
+    }
+
+    /// Lets time pass with a host that stays in touch.
+    pub fn idle(&mut self, us: u64) {
+        let idled = self.device.idle(us, &mut Unobserved);
+        idled.expect("the link stays");
+    }
+
+    /// The reported position is the true one to the step, and the rig wants to be homed all the same.
+    pub fn position_is_right_but_not_trusted(&mut self, what: &str) {
+        let status = self.device.rig_status().expect(what);
+        assert_eq!(
+            (i64::from(status.position_steps), status.homed),
+            (self.carriage(), false),
+            "{what}"
+        );
+    }
+
     /// Edges since edge number `first`.
     pub fn edges(&self, first: usize) -> EdgeLog {
         self.look(move |rig| rig.edges().since(first))
@@ -190,13 +212,22 @@ impl Observer for Recorder {
 }
 
 /// Starts a run and lets it execute, answering what was accepted and the record.
-pub fn execute(rig: &mut RigRun, run: Run) -> (RunAccepted, protocol::rig::RunRecord) {
+pub fn execute(rig: &mut RigRun, run: Run) -> (RunAccepted, RunRecord) {
     let accepted = rig.device.run(run).expect("the run is accepted");
     let record = rig.device.wait_run(&accepted, &mut Unobserved);
     (
         accepted,
         record.unwrap_or_else(|error| panic!("{error}\n{}", rig.log())),
     )
+}
+
+/// Executes a run that ends with this fault.
+pub fn faulted(rig: &mut RigRun, run: Run, fault: RigFault, what: &str) -> RunRecord {
+    let accepted = rig.device.run(run).expect(what);
+    let record = rig.device.wait_run(&accepted, &mut Unobserved).expect(what);
+    let outcome = RunOutcome::Faulted(fault);
+    assert_eq!(record.outcome, outcome, "{what}\n{}", rig.log());
+    record
 }
 
 pub type Capsule = Bench<CapsuleBoard>;

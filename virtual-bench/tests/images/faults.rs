@@ -14,6 +14,7 @@ use protocol::{
 use virtual_bench::faults::When;
 use virtual_bench::plants::contact::Bounce;
 use virtual_bench::plants::rig::{Action, RigOptions, Switch};
+use virtual_bench::plants::wire::Fault;
 use virtual_bench::serial::ByteFault;
 
 /// 10 mm there and back.
@@ -153,8 +154,11 @@ fn a_cut_jumper_is_found_within_a_few_hundred_steps() {
         let mut rig = homed();
         let first = rig.edge_count() as u64;
         rig.look(move |rig| match cut {
-            0 => rig.act(Action::Jumper(false), 0),
-            _ => rig.plan(When::Edge(first + cut), Action::Jumper(false)),
+            0 => rig.act(Action::ReadBack(Fault::Whole(false)), 0),
+            _ => rig.plan(
+                When::Edge(first + cut),
+                Action::ReadBack(Fault::Whole(false)),
+            ),
         });
         let (_, record) = execute(&mut rig, short(2));
         let status = rig.device.rig_status().expect("a status");
@@ -186,7 +190,7 @@ fn a_cut_jumper_brakes_the_papers_run_within_20_ms() {
     let first = rig.edge_count();
     rig.look(move |rig| {
         let edge = When::Edge((first + CUT) as u64);
-        rig.plan(edge, Action::Jumper(false));
+        rig.plan(edge, Action::ReadBack(Fault::Whole(false)));
     });
     let (_, record) = execute(&mut rig, paper(1));
     assert!(matches!(

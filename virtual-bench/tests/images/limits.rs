@@ -1,6 +1,6 @@
 //! The switches of the rig: a true one stops, a disturbance does not.
 
-use crate::common::{Dice, LIMIT_NS, exact, paper, quickly_homed, trials};
+use crate::common::{Dice, LIMIT_NS, exact, faulted, paper, quickly_homed, trials};
 use host_tool::client::Unobserved;
 use protocol::{
     error::Refusal,
@@ -22,17 +22,8 @@ fn the_far_limit_ends_the_pulses_within_50_us() {
     for trial in 0..10 {
         let number = rig.edge_count() as u64 + dice.roll(1_000..103_000);
         rig.look(move |rig| rig.plan(When::Edge(number), Action::Stick(Switch::Far, Some(true))));
-        let accepted = rig.device.run(paper(1)).expect("the run is accepted");
-        let record = rig
-            .device
-            .wait_run(&accepted, &mut Unobserved)
-            .expect("the run ends");
-        assert_eq!(
-            record.outcome,
-            RunOutcome::Faulted(RigFault::FarLimit),
-            "trial {trial}\n{}",
-            rig.log()
-        );
+        let what = format!("trial {trial}");
+        faulted(&mut rig, paper(1), RigFault::FarLimit, &what);
         let edges = rig.edges(number as usize - 1);
         let opened = edges.iter().next().expect("the edge of the fault").at_ns;
         let last = edges.iter().next_back().expect("the last edge").at_ns;
@@ -42,13 +33,8 @@ fn the_far_limit_ends_the_pulses_within_50_us() {
             last - opened
         );
         // The read-back counter knows where it stopped, to the step.
-        let status = rig.device.rig_status().expect("a status");
-        assert_eq!(
-            (i64::from(status.position_steps), status.homed),
-            (rig.carriage(), false)
-        );
-        let now_ns = rig.bench.now_ns();
-        rig.look(move |rig| rig.act(Action::Stick(Switch::Far, None), now_ns));
+        rig.position_is_right_but_not_trusted(&what);
+        rig.act(Action::Stick(Switch::Far, None));
         rig.device.acknowledge().expect("it can be acknowledged");
         rig.home();
     }
@@ -94,9 +80,7 @@ fn both_switches_open_is_an_unplugged_cable() {
         rig.act(Action::Stick(Switch::Far, Some(true)), now_ns);
         rig.act(Action::Stick(Switch::Home, Some(true)), now_ns);
     });
-    rig.device
-        .idle(10_000, &mut Unobserved)
-        .expect("the link stays");
+    rig.idle(10_000);
     match rig.device.home() {
         Err(host_tool::error::ClientError::Refused { refusal, .. }) => {
             assert_eq!(refusal, Refusal::BothSwitchesOpen);

@@ -6,6 +6,7 @@ mod common;
 mod capsule;
 mod cli;
 mod commission;
+mod edge_timing;
 mod endurance;
 mod estop;
 mod faults;

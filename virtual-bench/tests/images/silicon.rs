@@ -1,7 +1,8 @@
 //! Where the chip is less kind than a plain model of it: the items of `docs/silicon.md` that the bench shows.
 
 use crate::common::{
-    Dice, LIMIT_NS, Recorder, RigRun, exact, execute, home_quickly, homed, paper, quick, rig, start,
+    Dice, LIMIT_NS, Recorder, RigRun, exact, execute, faulted, home_quickly, homed, paper, quick,
+    quickly_homed, rig, start,
 };
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
@@ -12,13 +13,17 @@ use protocol::{
     table::{Endpoint, Telemetry},
 };
 use virtual_bench::{
-    bench::{Bench, BenchOptions},
-    boards::{capsule, rig as board},
+    bench::{Bench, BenchOptions, Visit},
+    boards::{
+        capsule,
+        rig::{self as board, RigBoard},
+    },
     emulator::{Beats, ChipOptions, Wiring},
     faults::When,
     plants::{
         capsule::Parameters,
         rig::{Action, RigOptions, Switch},
+        wire::Fault,
     },
     verdicts::Verdict,
 };
@@ -49,32 +54,14 @@ fn a_start_waits_until_moe_reads_back() {
     rig.check_clean(0);
 }
 
-fn at_home() -> RigRun {
-    let mut rig = rig();
-    home_quickly(&mut rig);
-    rig.home();
-    rig
-}
-
-fn acts(rig: &RigRun, action: Action) {
-    let now_ns = rig.bench.now_ns();
-    rig.look(move |rig| rig.act(action, now_ns));
-}
-
-fn idle(rig: &mut RigRun, us: u64) {
-    rig.device
-        .idle(us, &mut Unobserved)
-        .expect("the link stays");
-}
-
 /// A fault is latched, by the loop, and nothing moves until it is acknowledged.
 fn loop_is_latched(rig: &mut RigRun, what: &str) {
-    idle(rig, 20_000);
+    rig.idle(20_000);
     let status = rig.device.rig_status().expect(what);
     assert_eq!(status.fault, Some(RigFault::EStopLoop), "{what}");
     let edges = rig.edge_count();
     assert!(rig.device.home().is_err(), "{what}");
-    idle(rig, 20_000);
+    rig.idle(20_000);
     assert_eq!(rig.edge_count(), edges, "{what}: it moved");
     rig.device.acknowledge().expect(what);
 }
@@ -89,24 +76,24 @@ fn every_opening_of_the_loop_is_latched() {
     // Not homed, at many phases of control's round.
     for width_ns in OPENINGS_NS {
         for phase_us in (500..10_500).step_by(1_700) {
-            idle(&mut rig, phase_us);
-            acts(&rig, Action::Disturb(Switch::EStop, width_ns));
+            rig.idle(phase_us);
+            rig.act(Action::Disturb(Switch::EStop, width_ns));
             loop_is_latched(&mut rig, &format!("not homed, {width_ns} ns"));
         }
     }
     for width_ns in OPENINGS_NS {
         rig.home();
-        idle(&mut rig, 3_300);
-        acts(&rig, Action::Disturb(Switch::EStop, width_ns));
+        rig.idle(3_300);
+        rig.act(Action::Disturb(Switch::EStop, width_ns));
         loop_is_latched(&mut rig, &format!("ready, {width_ns} ns"));
         // Held.
         rig.home();
         let run = quick(2, 20_000, 20_000, 500_000);
         let accepted = rig.device.run(run).expect("accepted");
-        idle(&mut rig, 100_000);
+        rig.idle(100_000);
         rig.device.call(Hold).expect("it moves");
         rig.device.wait_rest().expect("it rests");
-        acts(&rig, Action::Disturb(Switch::EStop, width_ns));
+        rig.act(Action::Disturb(Switch::EStop, width_ns));
         loop_is_latched(&mut rig, &format!("held, {width_ns} ns"));
         let record = rig.device.run_record().expect("a record");
         let fault = RunOutcome::Faulted(RigFault::EStopLoop);
@@ -114,9 +101,9 @@ fn every_opening_of_the_loop_is_latched() {
     }
     // After another fault: that one stays the first cause, and one acknowledgement clears both.
     rig.device.urgent(Urgent::EStop).expect("it stops");
-    idle(&mut rig, 20_000);
-    acts(&rig, Action::Disturb(Switch::EStop, 200_000));
-    idle(&mut rig, 20_000);
+    rig.idle(20_000);
+    rig.act(Action::Disturb(Switch::EStop, 200_000));
+    rig.idle(20_000);
     let status = rig.device.rig_status().expect("a status");
     assert_eq!(status.fault, Some(RigFault::EStopFrame));
     rig.device.acknowledge().expect("the loop is closed");
@@ -127,7 +114,7 @@ fn every_opening_of_the_loop_is_latched() {
 /// A press of 1 ms that ends before the first step, at 40 instants from the order on.
 #[test]
 fn a_press_before_the_first_step_lets_nothing_start() {
-    let mut rig = at_home();
+    let mut rig = quickly_homed();
     for trial in 0..40 {
         let edges = rig.edge_count();
         let run = Run {
@@ -155,7 +142,7 @@ fn a_press_before_the_first_step_lets_nothing_start() {
 /// What is only prepared has not left the pin. The record of a cut run has the steps that did, and when.
 #[test]
 fn the_record_of_a_cut_run_shows_what_left_the_pin() {
-    let mut rig = at_home();
+    let mut rig = quickly_homed();
     // From the start to the first step, by a run that nothing ends.
     let ran = |rig: &mut RigRun, cut: Option<(u64, Action)>| {
         let edges = rig.edge_count();
@@ -209,7 +196,7 @@ fn a_stroke_is_done_with_its_last_step() {
         ..quick(1, 5_000, 20_000, 500_000)
     };
     for end in [None, Some(Urgent::Stop), Some(Urgent::EStop)] {
-        let mut rig = at_home();
+        let mut rig = quickly_homed();
         let edges = rig.edge_count();
         let accepted = rig.device.run(dwelling).expect("accepted");
         while rig.edge_count() - edges < 4_000 {
@@ -224,7 +211,7 @@ fn a_stroke_is_done_with_its_last_step() {
         );
         let record = rig.device.run_record().expect("a record");
         assert_eq!((record.strokes, record.commanded_edges), (1, 4_000));
-        idle(&mut rig, 500_000);
+        rig.idle(500_000);
         if let Some(urgent) = end {
             rig.device.urgent(urgent).expect("it stops");
         }
@@ -249,7 +236,7 @@ fn noise_of_1_mhz_on_a_switch_starves_nothing() {
         rig.look(move |rig| rig.plan(edge, Action::Noise(switch, Some(500))));
         let accepted = rig.device.run(paper(1)).expect("accepted");
         while rig.edge_count() - edges < 20_000 {
-            idle(&mut rig, 2_000);
+            rig.idle(2_000);
         }
         // While it lasts, a status takes no longer than 100 ms.
         for _ in 0..4 {
@@ -257,10 +244,9 @@ fn noise_of_1_mhz_on_a_switch_starves_nothing() {
             rig.device.rig_status().expect("a status");
             let took_us = rig.device.now_us() - asked_us;
             assert!(took_us < 100_000, "{switch:?}: {took_us} us");
-            idle(&mut rig, 20_000);
+            rig.idle(20_000);
         }
-        let now_ns = rig.bench.now_ns();
-        rig.look(move |rig| rig.act(Action::Noise(switch, None), now_ns));
+        rig.act(Action::Noise(switch, None));
         let record = rig
             .device
             .wait_run(&accepted, &mut Unobserved)
@@ -310,17 +296,8 @@ fn a_halt_within_a_burst_shifts_no_word() {
         let at_ns = rig.bench.now_ns() + dice.roll(20_000_000..90_000_000);
         rig.look(move |rig| rig.plan(When::At(at_ns), Action::Disturb(Switch::EStop, 1_000_000)));
         let what = format!("seed {seed:#x}, trial {trial}");
-        let accepted = rig.device.run(run).expect(&what);
-        let record = rig
-            .device
-            .wait_run(&accepted, &mut Unobserved)
-            .expect(&what);
-        assert_eq!(
-            record.outcome,
-            RunOutcome::Faulted(RigFault::EStopLoop),
-            "{what}"
-        );
-        idle(&mut rig, 5_000);
+        faulted(&mut rig, run, RigFault::EStopLoop, &what);
+        rig.idle(5_000);
         rig.device.acknowledge().expect(&what);
         rig.home();
         let edges = rig.edge_count();
@@ -435,7 +412,7 @@ fn a_rig_without_its_clock_says_so() {
         other => panic!("{other:?}"),
     }
     assert!(rig.device.acknowledge().is_err());
-    idle(&mut rig, 3_000_000);
+    rig.idle(3_000_000);
     assert_eq!(rig.edge_count(), 0);
     assert!(!rig.look(|rig| rig.is_enabled()), "the driver is off");
     rig.check_clean(0);
@@ -452,9 +429,9 @@ fn a_rig_without_its_clock_says_so() {
 #[test]
 fn a_clock_that_stops_ends_the_run_and_is_named() {
     for comes_back in [true, false] {
-        let mut rig = at_home();
+        let mut rig = quickly_homed();
         rig.device.run(paper(1)).expect("accepted");
-        idle(&mut rig, 500_000);
+        rig.idle(500_000);
         let edges = rig.edge_count();
         rig.bench
             .visit(move |visit| visit.fail_hse(comes_back))
@@ -503,6 +480,49 @@ fn about_to_erase() -> (Vec<u8>, u32) {
     panic!("no sector was erased");
 }
 
+/// Erases a sector of `flash` with the name `number`, and checks that the device's clock neither steps back nor loses
+/// anything. Idles for `before_us` first.
+fn erase_and_check_the_clock(
+    flash: &[u8],
+    number: u32,
+    erase_ns: u64,
+    before_us: u64,
+    what: &str,
+) -> RigRun {
+    let mut options = BenchOptions::new(board::image());
+    options.chip.erase_ns = erase_ns;
+    options.flash = Some(flash.to_vec());
+    let mut rig = start(RigOptions::default(), options);
+    rig.idle(before_us);
+    let offset = |rig: &mut RigRun| {
+        let time_us = rig.device.rig_status().expect("a status").time_us;
+        time_us as i64 - (rig.bench.now_ns() / 1_000) as i64
+    };
+    let before = offset(&mut rig);
+    let asked_us = rig.device.now_us();
+    rig.device.call(name(number)).expect(what);
+    let took_us = rig.device.now_us() - asked_us;
+    assert!(
+        took_us > erase_ns / 1_000,
+        "{what}: no erase in {took_us} us"
+    );
+    rig.device.set_telemetry(5).expect("telemetry");
+    let mut recorder = Recorder::default();
+    let idled = rig.device.idle(300_000, &mut recorder);
+    idled.expect("the link stays");
+    let times = recorder.samples.iter().map(|sample| match sample {
+        Telemetry::Rig(sample) => sample.time_us,
+        Telemetry::Capsule(_) => panic!("a capsule's sample"),
+    });
+    let times: Vec<u64> = times.collect();
+    assert!(times.len() > 30 && times.is_sorted(), "{what}: {times:?}");
+    // The way of the bytes differs by some milliseconds.
+    let lost_us = before - offset(&mut rig);
+    assert!(lost_us.abs() < 5_000, "{what}: {lost_us} us lost");
+    rig.check_clean(0);
+    rig
+}
+
 /// Item 4: the device's clock over an erase of any length, begun at any phase: it never steps back and loses nothing.
 #[test]
 fn the_clock_keeps_time_over_an_erase() {
@@ -510,38 +530,34 @@ fn the_clock_keeps_time_over_an_erase() {
     let mut dice = Dice(seed);
     let (flash, number) = about_to_erase();
     for erase_ms in (250..=530).step_by(20) {
-        let mut options = BenchOptions::new(board::image());
-        options.chip.erase_ns = erase_ms * 1_000_000;
-        options.flash = Some(flash.clone());
-        let mut rig = start(RigOptions::default(), options);
         let what = format!("seed {seed:#x}, {erase_ms} ms");
-        idle(&mut rig, dice.roll(1_000..66_536));
-        let offset = |rig: &mut RigRun| {
-            let time_us = rig.device.rig_status().expect("a status").time_us;
-            time_us as i64 - (rig.bench.now_ns() / 1_000) as i64
-        };
-        let before = offset(&mut rig);
-        let asked_us = rig.device.now_us();
-        rig.device.call(name(number)).expect(&what);
-        let took_us = rig.device.now_us() - asked_us;
-        assert!(
-            took_us > erase_ms * 1_000,
-            "{what}: no erase in {took_us} us"
-        );
-        rig.device.set_telemetry(5).expect("telemetry");
-        let mut recorder = Recorder::default();
-        let idled = rig.device.idle(300_000, &mut recorder);
-        idled.expect("the link stays");
-        let times = recorder.samples.iter().map(|sample| match sample {
-            Telemetry::Rig(sample) => sample.time_us,
-            Telemetry::Capsule(_) => panic!("a capsule's sample"),
-        });
-        let times: Vec<u64> = times.collect();
-        assert!(times.len() > 30 && times.is_sorted(), "{what}: {times:?}");
-        // The way of the bytes differs by some milliseconds.
-        let lost_us = before - offset(&mut rig);
-        assert!(lost_us.abs() < 5_000, "{what}: {lost_us} us lost");
-        rig.check_clean(0);
+        let before_us = dice.roll(1_000..66_536);
+        erase_and_check_the_clock(&flash, number, erase_ms * 1_000_000, before_us, &what);
+    }
+}
+
+/// Item 4: an erase that ends some microseconds before one of the driver's half-periods. The flag of its middle is also the one
+/// by which the firmware makes up for those that were lost.
+#[test]
+fn the_clock_keeps_time_over_an_erase_that_ends_with_a_half_period() {
+    const TIM4_CNT: u32 = 0x4000_0824;
+    const PERIOD_US: u64 = 65_536;
+    let (flash, number) = about_to_erase();
+    let look = |visit: &mut Visit<'_, RigBoard>| {
+        let count = visit.register(TIM4_CNT).expect("the time driver's timer");
+        (visit.erasing_from_ns(), visit.now_ns(), u64::from(count))
+    };
+    let first = erase_and_check_the_clock(&flash, number, 250_000_000, 0, "the first");
+    let (from_ns, now_ns, count) = first.bench.visit(look).expect("the bench runs");
+    let (from_ns, now_us) = (from_ns.expect("an erase"), now_ns / 1_000);
+    // The next middle of a period, and then the one that a long enough erase ends with: the bench repeats itself.
+    let middle_us = now_us + (PERIOD_US + PERIOD_US / 2 - count) % PERIOD_US;
+    let shortest_us = 250_000 + 100;
+    let erase_us = shortest_us + (middle_us - from_ns / 1_000 - shortest_us) % PERIOD_US;
+    for before_us in (0..=40).step_by(2) {
+        let erase_ns = (erase_us - before_us) * 1_000;
+        let what = format!("{before_us} us before");
+        erase_and_check_the_clock(&flash, number, erase_ns, 0, &what);
     }
 }
 
@@ -556,7 +572,7 @@ fn a_spike_on_the_read_back_is_not_counted() {
     rig.look(move |rig| {
         for _ in 0..200 {
             let at_ns = now_ns + dice.roll(0..9_000_000_000);
-            rig.plan(When::At(at_ns), Action::Spike(SPIKE_NS));
+            rig.plan(When::At(at_ns), Action::ReadBack(Fault::Spike(SPIKE_NS)));
         }
     });
     let (_, record) = execute(&mut rig, paper(1));

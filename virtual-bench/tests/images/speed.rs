@@ -28,20 +28,11 @@ const DWELL_US: u32 = 1_000;
 fn quick_rig(instructions_per_second: u64) -> RigRun {
     let mut options = BenchOptions::new(board::image());
     options.chip.instructions_per_second = instructions_per_second;
-    quick_rig_on(options)
+    quick_rig_on(RigOptions::REFERENCE, options)
 }
 
-fn quick_rig_on(bench: BenchOptions) -> RigRun {
-    let default = RigOptions::default();
-    let scale = STEPS_PER_MM / default.steps_per_mm;
-    let options = RigOptions {
-        steps_per_mm: STEPS_PER_MM,
-        flag: default.flag * scale,
-        limit: default.limit * scale,
-        stops: (default.stops.0 * scale, default.stops.1 * scale),
-        ..default
-    };
-    let mut rig = start(options, bench);
+pub fn quick_rig_on(rig: RigOptions, bench: BenchOptions) -> RigRun {
+    let mut rig = start(rig.with_steps_per_mm(STEPS_PER_MM), bench);
     set(&mut rig, SettingKey::Microsteps, 32);
     set(&mut rig, SettingKey::MaxSpeedUmS, 156_250);
     rig.home();
@@ -49,7 +40,7 @@ fn quick_rig_on(bench: BenchOptions) -> RigRun {
     rig
 }
 
-fn quick_run() -> (Run, verdicts::Run) {
+pub fn quick_run() -> (Run, verdicts::Run) {
     let request = Run {
         stroke_um: 60_000,
         timing: RunTiming::Total {
@@ -160,7 +151,7 @@ fn a_ring_that_is_nearly_dry_ends_and_says_how() {
             first_ns: 500,
             apart_ns: 300,
         });
-        let mut rig = quick_rig_on(options);
+        let mut rig = quick_rig_on(RigOptions::REFERENCE, options);
         let (request, _) = quick_run();
         rig.device.run(request).expect("accepted");
         rig.device

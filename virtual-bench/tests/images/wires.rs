@@ -1,6 +1,6 @@
 //! Cut wires, welded and bouncing contacts, each on a rig that works otherwise.
 
-use crate::common::{RigRun, execute, home_quickly, quick, rig};
+use crate::common::{RigRun, execute, home_quickly, quick, quickly_homed, rig};
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     error::Refusal,
@@ -17,24 +17,6 @@ use virtual_bench::{
 /// Of the run below: 20 mm.
 const STROKE: u64 = 16_000;
 
-fn at_home() -> RigRun {
-    let mut rig = rig();
-    home_quickly(&mut rig);
-    rig.home();
-    rig
-}
-
-fn acts(rig: &RigRun, action: Action) {
-    let now_ns = rig.bench.now_ns();
-    rig.look(move |rig| rig.act(action, now_ns));
-}
-
-fn idle(rig: &mut RigRun, us: u64) {
-    rig.device
-        .idle(us, &mut Unobserved)
-        .expect("the link stays");
-}
-
 fn refused<T: std::fmt::Debug>(answer: Result<T, ClientError>, expected: Refusal) {
     match answer {
         Err(ClientError::Refused { refusal, .. }) => assert_eq!(refusal, expected),
@@ -47,7 +29,7 @@ fn run_with(rig: &mut RigRun, within: u64, action: Action) -> (RunRecord, u64) {
     let edges = rig.edge_count() as u64;
     rig.look(move |rig| rig.plan(When::Edge(edges + within), action));
     let (_, record) = execute(rig, quick(2, 20_000, 40_000, 500_000));
-    idle(rig, 200_000);
+    rig.idle(200_000);
     (record, rig.edge_count() as u64 - edges - within)
 }
 
@@ -65,9 +47,9 @@ fn homing_ends_with(rig: &mut RigRun, switch: Switch, expected: RigFault) {
 /// At rest and latched; then the contact is sound again.
 fn fixed(rig: &mut RigRun, switch: Switch) {
     let edges = rig.edge_count();
-    idle(rig, 100_000);
-    acts(rig, Action::Stick(switch, None));
-    idle(rig, 100_000);
+    rig.idle(100_000);
+    rig.act(Action::Stick(switch, None));
+    rig.idle(100_000);
     let status = rig.device.rig_status().expect("a status");
     assert_eq!((status.state, status.homed), (RigState::Faulted, false));
     assert_eq!(i64::from(status.position_steps), rig.carriage());
@@ -80,17 +62,17 @@ fn fixed(rig: &mut RigRun, switch: Switch) {
 
 #[test]
 fn a_cut_wire_of_the_home_flag_ends_the_homing() {
-    let mut rig = at_home();
+    let mut rig = quickly_homed();
     let (_, record) = execute(&mut rig, quick(1, 5_000, 40_000, 500_000));
     assert_eq!(record.outcome, RunOutcome::Complete);
-    acts(&rig, Action::Stick(Switch::Home, Some(true)));
+    rig.act(Action::Stick(Switch::Home, Some(true)));
     homing_ends_with(&mut rig, Switch::Home, RigFault::FlagStuck);
 }
 
 #[test]
 fn a_welded_home_flag_ends_the_homing() {
-    let mut rig = at_home();
-    acts(&rig, Action::Stick(Switch::Home, Some(false)));
+    let mut rig = quickly_homed();
+    rig.act(Action::Stick(Switch::Home, Some(false)));
     let accepted = rig.device.home().expect("homing is accepted");
     let ended = rig.device.wait_homing(&accepted, &mut Unobserved);
     let fault = rig.device.rig_status().expect("a status").fault;
@@ -109,7 +91,7 @@ fn a_flag_that_is_cut_or_welded_within_a_run_is_missed_by_the_ledger() {
         (true, STROKE + 5_000),
         (false, STROKE + 5_000),
     ] {
-        let mut rig = at_home();
+        let mut rig = quickly_homed();
         let action = Action::Stick(Switch::Home, Some(open));
         let (record, after) = run_with(&mut rig, within, action);
         assert!(
@@ -131,7 +113,7 @@ fn a_flag_that_is_cut_or_welded_within_a_run_is_missed_by_the_ledger() {
 
 #[test]
 fn a_cut_wire_of_the_far_limit_stops_what_moves_away() {
-    let mut rig = at_home();
+    let mut rig = quickly_homed();
     let (record, after) = run_with(&mut rig, 8_000, Action::Stick(Switch::Far, Some(true)));
     let expected = RunOutcome::Faulted(RigFault::FarLimit);
     assert_eq!(record.outcome, expected);
@@ -139,16 +121,16 @@ fn a_cut_wire_of_the_far_limit_stops_what_moves_away() {
     // Homing meets the flag while the limit is open, and a carriage is never at both ends.
     rig.device.acknowledge().expect("at rest it is no cause");
     homing_ends_with(&mut rig, Switch::Far, RigFault::BothSwitchesOpen);
-    acts(&rig, Action::Stick(Switch::Far, Some(true)));
-    idle(&mut rig, 50_000);
+    rig.act(Action::Stick(Switch::Far, Some(true)));
+    rig.idle(50_000);
     let edges = rig.edge_count();
     refused(
         rig.device.run(quick(1, 5_000, 40_000, 500_000)),
         Refusal::BothSwitchesOpen,
     );
-    idle(&mut rig, 100_000);
+    rig.idle(100_000);
     assert_eq!(rig.edge_count(), edges, "a refused run moved the carriage");
-    acts(&rig, Action::Stick(Switch::Far, None));
+    rig.act(Action::Stick(Switch::Far, None));
     let (_, record) = execute(&mut rig, quick(1, 5_000, 40_000, 500_000));
     assert_eq!(record.outcome, RunOutcome::Complete);
     rig.check_clean(0);
@@ -156,7 +138,7 @@ fn a_cut_wire_of_the_far_limit_stops_what_moves_away() {
 
 #[test]
 fn a_cut_wire_of_the_loop_stops_everything_also_at_rest() {
-    let mut rig = at_home();
+    let mut rig = quickly_homed();
     let cut = Action::Stick(Switch::EStop, Some(true));
     let (record, after) = run_with(&mut rig, STROKE + 100, cut.clone());
     let fault = RigFault::EStopLoop;
@@ -167,8 +149,8 @@ fn a_cut_wire_of_the_loop_stops_everything_also_at_rest() {
         rig.log()
     );
     fixed(&mut rig, Switch::EStop);
-    acts(&rig, cut);
-    idle(&mut rig, 50_000);
+    rig.act(cut);
+    rig.idle(50_000);
     assert_eq!(
         rig.device.rig_status().expect("a status").fault,
         Some(fault)
@@ -181,7 +163,7 @@ fn a_cut_wire_of_the_loop_stops_everything_also_at_rest() {
 #[test]
 fn an_unplugged_cable_ends_a_run() {
     for (within, at_most) in [(8_000, 4), (STROKE + 5_000, 1_200)] {
-        let mut rig = at_home();
+        let mut rig = quickly_homed();
         let edges = rig.edge_count() as u64;
         rig.look(move |rig| {
             let edge = When::Edge(edges + within);
@@ -205,9 +187,9 @@ fn an_unplugged_cable_ends_a_run() {
         refused(rig.device.acknowledge(), Refusal::CauseStillPresent);
         refused(rig.device.home(), Refusal::RigFaulted(fault));
         for switch in [Switch::Home, Switch::Far] {
-            acts(&rig, Action::Stick(switch, None));
+            rig.act(Action::Stick(switch, None));
         }
-        idle(&mut rig, 50_000);
+        rig.idle(50_000);
         rig.device.acknowledge().expect("it is plugged in");
         rig.home();
         rig.check_clean(0);
@@ -221,9 +203,9 @@ fn bouncing_contacts_are_believed_once() {
         times: 5,
         apart_ns: 6_000,
     });
-    let mut rig = at_home();
+    let mut rig = quickly_homed();
     for switch in [Switch::Home, Switch::Far, Switch::EStop] {
-        acts(&rig, Action::Bounce(switch, bounce));
+        rig.act(Action::Bounce(switch, bounce));
     }
     let (_, record) = execute(&mut rig, quick(3, 20_000, 40_000, 500_000));
     assert_eq!(
@@ -246,8 +228,8 @@ fn bouncing_contacts_are_believed_once() {
         events.len() <= 1,
         "one fault, one event at most is left: {events:?}"
     );
-    acts(&rig, Action::EStop(false));
-    idle(&mut rig, 50_000);
+    rig.act(Action::EStop(false));
+    rig.idle(50_000);
     rig.device.acknowledge().expect("the cause is gone");
     rig.home();
     rig.check_clean_after(0, 1);
@@ -268,21 +250,21 @@ fn the_button_homes_and_runs_and_a_stuck_one_does_nothing_more() {
         rig.device.call(setting).expect("accepted");
     }
     let press = |rig: &mut RigRun, us| {
-        acts(rig, Action::Button(true));
-        idle(rig, us);
-        acts(rig, Action::Button(false));
+        rig.act(Action::Button(true));
+        rig.idle(us);
+        rig.act(Action::Button(false));
     };
     press(&mut rig, 5_000);
-    idle(&mut rig, 100_000);
+    rig.idle(100_000);
     assert_eq!(rig.edge_count(), 0, "a touch of 5 ms is no press");
     press(&mut rig, 60_000);
-    idle(&mut rig, 2_500_000);
+    rig.idle(2_500_000);
     let status = rig.device.rig_status().expect("a status");
     assert_eq!((status.state, rig.carriage()), (RigState::Ready, 0));
     let edges = rig.edge_count();
     // It stays down: one run, no second one.
-    acts(&rig, Action::Button(true));
-    idle(&mut rig, 5_000_000);
+    rig.act(Action::Button(true));
+    rig.idle(5_000_000);
     assert_eq!(rig.edge_count() - edges, 16_000);
     let record = rig.device.run_record().expect("a record");
     assert_eq!(record.outcome, RunOutcome::Complete);
@@ -293,7 +275,7 @@ fn the_button_homes_and_runs_and_a_stuck_one_does_nothing_more() {
 #[test]
 fn a_button_that_is_stuck_at_power_up_moves_nothing() {
     let mut rig = rig();
-    acts(&rig, Action::Button(true));
+    rig.act(Action::Button(true));
     rig.bench.power_cycle(1_000_000).expect("the bench runs");
     rig.bench.advance_us(2_000_000).expect("the bench runs");
     assert_eq!(rig.edge_count(), 0, "{}", rig.log());

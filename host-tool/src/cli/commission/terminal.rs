@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use crate::cli::Keyboard;
 use crate::client::Interrupt;
+use crate::commission::halt::Halt;
 use crate::commission::hands::{Act, Hands, Part, Reading, Say, Watch};
 use crate::commission::session::wrapped;
-use crate::commission::work::Halt;
 use crate::decimal;
 
 /// Interval between two looks at the keyboard.
@@ -101,9 +101,9 @@ impl Hands for Terminal {
             match self.answer()? {
                 Answer::Nothing => thread::sleep(TURN),
                 Answer::Text(text) if text.is_empty() => {}
-                // Millimetres and volts have three decimals here: micrometres and millivolts.
+                // Millimetres and volts have three decimals here: micrometres and millivolts, far below 2^63.
                 Answer::Text(text) => match decimal::parse(&text, 3, 1_000_000_000) {
-                    Ok(value) => return Ok(i64::try_from(value).unwrap_or(i64::MAX)),
+                    Ok(value) => return Ok(value.cast_signed()),
                     Err(error) => {
                         say(&format!("    {text}: {error}"));
                         say(hint);

@@ -3,15 +3,14 @@
 use std::path::Path;
 
 use protocol::rig::RigFault;
-use protocol::system::{BrownOut, Clock, GetChip, ResetCause};
+use protocol::system::{BrownOut, Clock, GetChip};
 
+use crate::commission::halt::{Halt, fault_text};
 use crate::commission::hands::Reading;
-use crate::commission::image;
-use crate::commission::work::{Halt, Work, fault_text};
+use crate::commission::work::Work;
+use crate::commission::{device, image};
 use crate::decimal;
 
-/// How often the clocks are compared, each time over a longer interval.
-const CLOCK_TRIES: u32 = 4;
 /// A pull-up of 10 kohm against the driver's own resistor gives more than this, mV.
 const LEAST_ENABLE_MV: i64 = 2_500;
 /// More than the 3.3 V of the board, mV.
@@ -20,24 +19,9 @@ const MOST_ENABLE_MV: i64 = 3_600;
 const CLOCK_PPM: i64 = 2_000;
 
 pub(super) fn image_is_the_one(work: &mut Work<'_>) -> Result<(), Halt> {
-    let Some(identity) = work.device.identity().copied() else {
-        return Err(Halt::NotShown(
-            "the board did not identify itself".to_owned(),
-        ));
-    };
     let on_board = work.subject.image.clone();
     work.note("image", on_board.clone());
-    work.note("firmware", work.subject.firmware.clone());
-    if matches!(
-        identity.reset_cause,
-        ResetCause::Panic | ResetCause::Watchdog
-    ) {
-        let words = work.device.last_words()?;
-        return Err(Halt::Defect(format!(
-            "its last start was a failure: {}. {words}",
-            crate::identity::reset_cause(identity.reset_cause)
-        )));
-    }
+    device::started_well(work)?;
     let Some(file) = work.options.image.clone() else {
         return Err(Halt::NotShown(
             "there is no image file to compare with: `--image ELF`".to_owned(),
@@ -47,8 +31,8 @@ pub(super) fn image_is_the_one(work: &mut Work<'_>) -> Result<(), Halt> {
     work.note("image_file", built.clone());
     if built != on_board {
         return Err(Halt::Defect(format!(
-            "stale image: the board has {on_board}, {} is {built}. `retrograde flash rig`",
-            file.display()
+            "stale image: the board has {on_board}, {file} is {built}. `cargo rig` in the workspace, or `retrograde flash rig --image {file}`",
+            file = file.display()
         )));
     }
     Ok(())
@@ -77,56 +61,7 @@ pub(super) fn clock(work: &mut Work<'_>) -> Result<(), Halt> {
     if chip.brown_out == BrownOut::Off {
         work.say("  note: the brown-out reset is off (option bytes); see docs/silicon.md, item 10");
     }
-    compare_clocks(work, CLOCK_PPM, |work| Ok(work.status()?.time_us))
-}
-
-/// Compares the device's clock with that of the link; beyond `limit_ppm` it is wrong.
-pub(in crate::commission) fn compare_clocks(
-    work: &mut Work<'_>,
-    limit_ppm: i64,
-    mut device_us: impl FnMut(&mut Work<'_>) -> Result<u64, Halt>,
-) -> Result<(), Halt> {
-    // The quickest of some answers says best what time it is there: its round trip is the uncertainty.
-    let mut pair = |work: &mut Work<'_>| {
-        let mut best = (i64::MAX, 0, 0);
-        for _ in 0..8 {
-            let before = work.device.now_us();
-            let there = device_us(work)?;
-            let after = work.device.now_us();
-            let trip = signed(after - before);
-            if trip < best.0 {
-                best = (trip, signed(before) + trip / 2, signed(there));
-            }
-        }
-        Ok::<_, Halt>(best)
-    };
-    let first = pair(work)?;
-    // A wrong clock goes on being wrong; an answer that was late once matters less and less.
-    let mut duration_us = work.options.clock_us;
-    for tries_left in (0..CLOCK_TRIES).rev() {
-        work.pause(duration_us)?;
-        duration_us *= 2;
-        let last = pair(work)?;
-        let (here, there) = (last.1 - first.1, last.2 - first.2);
-        let ppm = |us: i64| us.saturating_mul(1_000_000) / here.max(1);
-        let (off, unsure) = (ppm(there - here), ppm((first.0 + last.0) / 2) + 1);
-        work.note("compared_us", here);
-        work.note("clock_off_ppm", off);
-        work.note("uncertain_ppm", unsure);
-        if off.abs() <= limit_ppm + unsure {
-            return Ok(());
-        }
-        if tries_left == 0 {
-            return Err(Halt::Defect(format!(
-                "the board's clock is off by {off} ppm (+-{unsure}) against this computer's"
-            )));
-        }
-    }
-    Ok(())
-}
-
-pub(super) fn signed(us: u64) -> i64 {
-    i64::try_from(us).unwrap_or(i64::MAX)
+    device::compare_clocks(work, CLOCK_PPM, |work| Ok(work.status()?.time_us))
 }
 
 pub(super) fn enable(work: &mut Work<'_>) -> Result<(), Halt> {

@@ -7,45 +7,52 @@ use protocol::rig::{
 use protocol::settings::SettingKey as Key;
 use serde_json::json;
 
-use super::SCREW;
-use super::board::signed;
+use super::depends::SCREW;
+use crate::commission::halt::{Halt, fault_text};
 use crate::commission::hands::Part;
-use crate::commission::work::{Halt, Work, by_speed, fault_text};
+use crate::commission::work::Work;
+use crate::commission::work::rig::by_speed;
 
+/// The edges of so many cycles are timed: the intervals of all others are the same.
+const TIMED_CYCLES: u16 = 100;
 /// False pulses on a switch's line in a run of the last step that are too many.
 const TOO_MANY_GLITCHES: u32 = 100;
 
 /// A run with short strokes as fast as they go, within the way on which the rig does not look for its flag: without
 /// motor power the flag does not change.
-fn short_strokes(work: &Work<'_>, strokes: u32) -> Result<Run, Halt> {
+fn short_strokes(work: &Work<'_>, cycles: u16) -> Result<Run, Halt> {
     let [lead, full, micro] = SCREW.map(|key| u64::from(work.setting(key)));
     let steps_per_rev = (full * micro).max(1);
-    let um = |steps: u64| u32::try_from(steps * lead / steps_per_rev).unwrap_or(u32::MAX);
-    let flag_um = work.setting(Key::FlagUm);
-    let limit_um = um(u64::from(work.setting(Key::LedgerLimitSteps)));
-    let stroke_um = if flag_um > 0 { flag_um } else { limit_um };
-    let stroke_um = stroke_um.min(work.setting(Key::StrokeUm));
-    if stroke_um < um(2).max(1) {
-        return Err(Halt::NotShown(
-            "flag_um and ledger_limit_steps are 0: there is no stroke without a look at the flag"
-                .to_owned(),
-        ));
+    let um = |steps: u32| u64::from(steps) * lead / steps_per_rev;
+    // The lesser of the two: a way that is too long for a number of 32 bits is beyond every setting.
+    let within = |setting: u32, um: u64| u32::try_from(um).map_or(setting, |um| um.min(setting));
+    let stroke_um = work.setting(Key::StrokeUm);
+    let stroke_um = match work.setting(Key::FlagUm) {
+        0 => within(stroke_um, um(work.setting(Key::LedgerLimitSteps))),
+        flag_um => flag_um.min(stroke_um),
+    };
+    // The rig takes strokes of one step.
+    let least_um = lead.div_ceil(steps_per_rev);
+    if u64::from(stroke_um) < least_um {
+        return Err(Halt::NotShown(format!(
+            "there is no stroke without a look at the flag: flag_um, or the way of ledger_limit_steps if it is 0, has to be {least_um} um or more"
+        )));
     }
-    let fastest = um(u64::from(work.setting(Key::MaxStepHz)));
-    let speed = work.setting(Key::MaxSpeedUmS).min(fastest);
-    let cycles = u16::try_from(strokes.div_ceil(2)).unwrap_or(u16::MAX);
+    let fastest = um(work.setting(Key::MaxStepHz));
+    let speed = within(work.setting(Key::MaxSpeedUmS), fastest);
     let accel = work.setting(Key::MaxAccelUmS2);
     Ok(by_speed(cycles, stroke_um, speed, accel))
 }
 
 pub(super) fn read_back(work: &mut Work<'_>) -> Result<(), Halt> {
-    let run = short_strokes(work, work.options.strokes)?;
+    let run = short_strokes(work, work.options.read_back_cycles)?;
     let (accepted, record) = work.run_without_power(run)?;
     work.whole(&accepted, &record)
 }
 
 pub(super) fn edge_timing(work: &mut Work<'_>) -> Result<(), Halt> {
-    let run = short_strokes(work, work.options.strokes.min(200))?;
+    let cycles = work.options.read_back_cycles.min(TIMED_CYCLES);
+    let run = short_strokes(work, cycles)?;
     let (accepted, record) = work.run_without_power(run)?;
     work.whole(&accepted, &record)?;
     work.note("edges_timed", record.edges_timed);
@@ -55,8 +62,14 @@ pub(super) fn edge_timing(work: &mut Work<'_>) -> Result<(), Halt> {
     );
     if record.edges_timed == 0 {
         return Err(Halt::NotShown(
-            "not timed: there is no second jumper from STEP to the capture input".to_owned(),
+            "not timed: the second jumper, from D2 (STEP) to A1, is missing".to_owned(),
         ));
+    }
+    if record.worst_interval_error_ticks == u32::MAX {
+        return Err(Halt::Defect(format!(
+            "{} edges were captured, more than steps were made: noise on the wire from STEP to A1",
+            record.edges_timed
+        )));
     }
     if record.worst_interval_error_ticks > 0 {
         return Err(Halt::Defect(format!(
@@ -201,18 +214,19 @@ pub(super) fn jog(work: &mut Work<'_>) -> Result<(), Halt> {
         speed_um_s,
     })?;
     // The host is heard all the time: it is the jog itself that is not renewed.
-    let dead_man = u64::from(work.setting(Key::DeadManMs));
-    let status = work.until(dead_man * 1_000 + 2_000_000, at_rest)?;
+    let dead_man_ms = work.setting(Key::DeadManMs);
+    let dead_man_us = u64::from(dead_man_ms) * 1_000;
+    let status = work.until(dead_man_us + 2_000_000, at_rest)?;
     work.note("jogged_um", status.position_um);
-    let farthest = u64::from(speed_um_s) * (dead_man + 200) / 1_000;
-    if status.state != RigState::Ready || i64::from(status.position_um) > signed(farthest) {
+    let farthest = i64::from(speed_um_s) * (i64::from(dead_man_ms) + 200) / 1_000;
+    if status.state != RigState::Ready || i64::from(status.position_um) > farthest {
         return Err(Halt::Defect(format!(
             "a jog that was not renewed went {} um and is {:?}",
             status.position_um, status.state
         )));
     }
     // The rig takes no new motion while a repetition of the jog might be under way.
-    work.pause(dead_man * 1_000 + 50_000)?;
+    work.pause(dead_man_us + 50_000)?;
     let target = work.setting(Key::StrokeUm) / 2;
     let there = work.go_to(target)?;
     work.note("moved_to_um", there.position_um);

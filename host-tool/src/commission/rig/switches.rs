@@ -2,8 +2,9 @@
 
 use protocol::rig::{GetRigHealth, RigFault, RigInputs};
 
+use crate::commission::halt::{Halt, fault_text};
 use crate::commission::hands::Part;
-use crate::commission::work::{Halt, Work, fault_text};
+use crate::commission::work::Work;
 
 /// How long the lines are watched, us.
 const QUIET_US: u64 = 3_000_000;

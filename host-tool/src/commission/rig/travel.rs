@@ -4,9 +4,11 @@ use protocol::rig::RigFault;
 use protocol::settings::SettingKey as Key;
 use serde_json::json;
 
-use super::SCREW;
+use super::depends::SCREW;
+use crate::commission::halt::{Halt, fault_text, homing_text};
 use crate::commission::hands::Reading;
-use crate::commission::work::{Halt, HomeEnd, Work, fault_text, homing_text};
+use crate::commission::work::Work;
+use crate::commission::work::rig::HomeEnd;
 use crate::decimal;
 
 /// The longest way of the travel measurement, um.

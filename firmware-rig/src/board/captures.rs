@@ -1,0 +1,102 @@
+//! The instants of the step edges: TIM5 captures each rising edge at its jumper, DMA keeps the instants in a ring.
+//!
+//! Channel 2 of TIM5 requests DMA1 stream 4, channel 6 (RM0383 table 27). TIM5 has 32 bits and the clock of the step timer, 100 MHz,
+//! so that an interval has to be the planned one to the tick. The time base of the firmware is another timer.
+
+#![allow(unsafe_code)]
+
+use core::{
+    cell::UnsafeCell,
+    sync::atomic::{Ordering, compiler_fence},
+};
+use embassy_stm32::pac::{self, DMA1, TIM5};
+
+/// 4 ms at the highest step rate, 250 kHz; motion looks every 2.5 ms.
+const INSTANTS: usize = 1_024;
+const STREAM: usize = 4;
+/// TIM5_CH2 (RM0383 table 27).
+const DMA_CHANNEL: u8 = 6;
+/// Of channels 1 and 2, and in their common registers.
+const CHANNEL: usize = 1;
+
+#[repr(C, align(4))]
+struct Ring(UnsafeCell<[u32; INSTANTS]>);
+// SAFETY: written by the DMA controller only, read by the one `Captures` with volatile loads.
+unsafe impl Sync for Ring {}
+static RING: Ring = Ring(UnsafeCell::new([0; INSTANTS]));
+
+/// The captured instants; one exists.
+pub struct Captures {
+    /// The instant to be read next.
+    next: usize,
+}
+
+impl Captures {
+    /// Sets up TIM5 and its DMA stream. From now on every edge is captured.
+    pub fn new() -> Self {
+        // Eight equal samples at 100 MHz: a spike of less than 80 ns is no edge, and all edges come equally late.
+        TIM5.ccmr_input(0).modify(|w| {
+            w.set_ccs(CHANNEL, pac::timer::vals::CcmrInputCcs::TI4);
+            w.set_icf(CHANNEL, pac::timer::vals::FilterValue::FCK_INT_N8);
+        });
+        TIM5.ccer().modify(|w| w.set_cce(CHANNEL, true));
+        TIM5.dier().modify(|w| w.set_ccde(CHANNEL, true));
+
+        let stream = DMA1.st(STREAM);
+        stream.par().write_value(TIM5.ccr(CHANNEL).as_ptr() as u32);
+        stream.m0ar().write_value(RING.0.get() as u32);
+        stream.ndtr().write(|w| w.set_ndt(INSTANTS as u16));
+        stream.cr().write(|w| {
+            w.set_chsel(DMA_CHANNEL);
+            w.set_dir(pac::dma::vals::Dir::PERIPHERAL_TO_MEMORY);
+            w.set_circ(true);
+            w.set_minc(true);
+            w.set_psize(pac::dma::vals::Size::BITS32);
+            w.set_msize(pac::dma::vals::Size::BITS32);
+        });
+        stream.cr().modify(|w| w.set_en(true));
+        TIM5.cr1().modify(|w| w.set_cen(true));
+        Self { next: 0 }
+    }
+
+    /// Forgets the instants so far.
+    pub fn skip(&mut self) {
+        (self.next, _) = written();
+    }
+
+    /// Shows each instant since the last call. False if they are too many: some have been overwritten.
+    pub fn take(&mut self, mut show: impl FnMut(u32)) -> bool {
+        let (end, wrapped) = written();
+        if wrapped && end >= self.next {
+            self.next = end;
+            return false;
+        }
+        while self.next != end {
+            // SAFETY: `next` is an index of the ring; volatile, because DMA writes it.
+            show(unsafe { RING.0.get().cast::<u32>().add(self.next).read_volatile() });
+            self.next = (self.next + 1) % INSTANTS;
+        }
+        true
+    }
+}
+
+/// The instant that DMA writes next, and whether it has come to the ring's end since the last call.
+fn written() -> (usize, bool) {
+    let left = || usize::from(DMA1.st(STREAM).ndtr().read().ndt());
+    let ended = || DMA1.isr(STREAM / 4).read().tcif(STREAM % 4);
+    let (left, wrapped) = loop {
+        let before = left();
+        let wrapped = ended();
+        let left = left();
+        // Otherwise the end came between the looks, and the flag is one of the next call.
+        if wrapped || left <= before {
+            break (left, wrapped);
+        }
+    };
+    if wrapped {
+        DMA1.ifcr(STREAM / 4)
+            .write(|w| w.set_tcif(STREAM % 4, true));
+    }
+    compiler_fence(Ordering::SeqCst);
+    ((INSTANTS - left) % INSTANTS, wrapped)
+}

@@ -1,0 +1,19 @@
+//! What happens when the 8 MHz clock stops.
+
+#![allow(unsafe_code)]
+
+use super::pins;
+use device::chip::last_resort::die_of_the_clock;
+
+/// The 8 MHz clock stopped, and the chip runs on its own oscillator. TIM1 is broken by hardware; the driver is switched
+/// off here.
+#[cortex_m_rt::exception]
+unsafe fn NonMaskableInt() -> ! {
+    clock_failed()
+}
+
+/// Switches everything off and starts again; the next start says why.
+pub fn clock_failed() -> ! {
+    pins::outputs_off();
+    die_of_the_clock()
+}

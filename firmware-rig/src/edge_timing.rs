@@ -1,0 +1,112 @@
+//! Compares the intervals between the edges that were captured at the pin with those that were given out, tick by tick.
+
+use crate::periods::Period;
+use heapless::Deque;
+
+/// Periods with pulses whose edges have not been compared yet: those that wait in the ring, and those that played since the
+/// last look. More than a ring and a half.
+const EXPECTED: usize = 256;
+
+/// What the comparison has found on a path.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Timed {
+    /// Edges that were captured and compared.
+    pub edges: u32,
+    /// Largest difference between a captured interval and the planned one. [`u32::MAX`] is an edge without a step.
+    pub worst_error_ticks: u32,
+}
+
+/// Equal steps, from the edge before them on.
+#[derive(Clone, Copy, Debug)]
+struct Steps {
+    /// Ticks from the edge before to the first one.
+    first: u32,
+    /// Ticks from one to the next.
+    interval: u32,
+    /// Steps after the first one.
+    repeats: u8,
+}
+
+/// The comparison of one path.
+///
+/// An edge that is missing, moved or added shows as a wrong interval. Those of the first and of the last step show in the number
+/// of edges instead.
+#[derive(Debug, Default)]
+pub struct EdgeTiming {
+    expected: Deque<Steps, EXPECTED>,
+    /// Ticks from the start of the last pulse that was given out to the end of the last period.
+    since_pulse: u32,
+    /// The steps in progress, whose first one was captured.
+    present: Option<Steps>,
+    /// Instant of the last edge, on the clock of the captures.
+    last: Option<u32>,
+    /// Captures or expectations were lost: nothing more can be compared on this path.
+    lost: bool,
+    timed: Timed,
+}
+
+impl EdgeTiming {
+    /// Another path begins.
+    pub fn clear(&mut self) {
+        *self = Self::default();
+    }
+
+    /// What was found since.
+    pub fn timed(&self) -> Timed {
+        self.timed
+    }
+
+    /// A period was given out.
+    pub fn expect(&mut self, period: Period) {
+        if self.lost {
+            return;
+        }
+        if !period.pulse {
+            let rounds = u32::from(period.repeats) + 1;
+            self.since_pulse = self.since_pulse.wrapping_add(period.ticks * rounds);
+            return;
+        }
+        let steps = Steps {
+            first: self.since_pulse,
+            interval: period.ticks,
+            repeats: period.repeats,
+        };
+        self.since_pulse = period.ticks;
+        // Without the jumper nobody takes them out.
+        self.lost = self.expected.push_back(steps).is_err();
+    }
+
+    /// An edge was captured at this instant; the clock wraps.
+    #[inline]
+    pub fn compare(&mut self, at: u32) {
+        if self.lost {
+            return;
+        }
+        let planned = match &mut self.present {
+            Some(steps) if steps.repeats > 0 => {
+                steps.repeats -= 1;
+                Some(steps.interval)
+            }
+            _ => {
+                self.present = self.expected.pop_front();
+                self.present.as_ref().map(|steps| steps.first)
+            }
+        };
+        let error = match (planned, self.last.replace(at)) {
+            (None, _) => u32::MAX,
+            // Nothing is before the first edge.
+            (Some(_), None) => 0,
+            (Some(planned), Some(last)) => {
+                let interval = at.wrapping_sub(last);
+                (interval.wrapping_sub(planned) as i32).unsigned_abs()
+            }
+        };
+        self.timed.edges = self.timed.edges.wrapping_add(1);
+        self.timed.worst_error_ticks = self.timed.worst_error_ticks.max(error);
+    }
+
+    /// Captures were overwritten before they were compared.
+    pub fn lose(&mut self) {
+        self.lost = true;
+    }
+}

@@ -1,0 +1,214 @@
+//! Captured edges against the periods that were given out: what is moved, missing or added is found.
+
+mod runs;
+
+use firmware_rig::{
+    edge_timing::{EdgeTiming, Timed},
+    periods::{Item, Path, Period, Periods},
+    settings::Settings,
+};
+use motion::units::{StepPosition, Window};
+use proptest::prelude::*;
+use runs::any_run;
+
+const EVERYWHERE: Window = Window {
+    first: StepPosition(i32::MIN),
+    last: StepPosition(i32::MAX),
+};
+
+/// All periods of a path.
+fn periods(path: Path) -> Vec<Period> {
+    let mut periods = Periods::new(path, StepPosition(0), EVERYWHERE).unwrap();
+    let mut all = Vec::new();
+    loop {
+        match periods.next_item() {
+            Item::Period(period) => all.push(period),
+            Item::End => return all,
+            Item::StrokeEnd { .. } | Item::Turn { .. } => {}
+            Item::Guard => panic!("left the window"),
+        }
+    }
+}
+
+/// The edges of each period.
+fn edges(periods: &[Period]) -> Vec<Vec<u64>> {
+    let mut tick = 0;
+    let of = |period: &Period| {
+        let ticks = u64::from(period.ticks);
+        let rounds = (0..=u64::from(period.repeats)).map(|round| tick + round * ticks);
+        let edges = if period.pulse {
+            rounds.collect()
+        } else {
+            Vec::new()
+        };
+        tick += ticks * (u64::from(period.repeats) + 1);
+        edges
+    };
+    periods.iter().map(of).collect()
+}
+
+/// Gives the periods out and shows each edge when its period is over, on a clock that stands at `start` then.
+fn timed(periods: &[Period], edges: &[Vec<u64>], start: u32) -> Timed {
+    let mut timing = EdgeTiming::default();
+    for (period, edges) in periods.iter().zip(edges) {
+        timing.expect(*period);
+        for edge in edges {
+            timing.compare(start.wrapping_add(*edge as u32));
+        }
+    }
+    timing.timed()
+}
+
+fn any_periods() -> impl Strategy<Value = Vec<Period>> {
+    any_run(Settings::REFERENCE.limits, 300).prop_map(|plan| periods(Path::Run(plan)))
+}
+
+/// An edge by its number: the period that it belongs to, and its place there.
+fn place(edges: &[Vec<u64>], mut number: usize) -> (usize, usize) {
+    for (period, edges) in edges.iter().enumerate() {
+        if number < edges.len() {
+            return (period, number);
+        }
+        number -= edges.len();
+    }
+    panic!("no such edge");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn what_comes_as_planned_is_right(all in any_periods(), start: u32) {
+        let edges = edges(&all);
+        let count = edges.iter().map(Vec::len).sum::<usize>() as u32;
+        let expected = Timed { edges: count, worst_error_ticks: 0 };
+        prop_assert_eq!(timed(&all, &edges, start), expected);
+    }
+
+    #[test]
+    fn an_edge_that_is_moved_is_found(
+        all in any_periods(), start: u32, which: prop::sample::Index, ticks in 1_u64..=100, later: bool
+    ) {
+        let mut edges = edges(&all);
+        let count = edges.iter().map(Vec::len).sum::<usize>();
+        prop_assume!(count > 1);
+        let (period, nth) = place(&edges, which.index(count));
+        let edge = &mut edges[period][nth];
+        // The first one is a step's time behind the start, and no closer.
+        *edge = if later { *edge + ticks } else { edge.wrapping_sub(ticks) };
+        let expected = Timed { edges: count as u32, worst_error_ticks: ticks as u32 };
+        prop_assert_eq!(timed(&all, &edges, start), expected);
+    }
+
+    #[test]
+    fn a_missing_edge_is_found(all in any_periods(), start: u32, which: prop::sample::Index) {
+        let mut edges = edges(&all);
+        let count = edges.iter().map(Vec::len).sum::<usize>();
+        prop_assume!(count > 2);
+        let number = which.index(count);
+        let (period, nth) = place(&edges, number);
+        edges[period].remove(nth);
+        let timed = timed(&all, &edges, start);
+        prop_assert_eq!(timed.edges as usize, count - 1);
+        let within = (1..count - 1).contains(&number);
+        prop_assert!(!within || timed.worst_error_ticks > 0);
+    }
+
+    #[test]
+    fn an_edge_that_is_added_is_found(all in any_periods(), start: u32, which: prop::sample::Index) {
+        let mut edges = edges(&all);
+        let count = edges.iter().map(Vec::len).sum::<usize>();
+        let (period, nth) = place(&edges, which.index(count));
+        let ticks = u64::from(all[period].ticks);
+        let at = edges[period][nth] + ticks / 2;
+        edges[period].insert(nth + 1, at);
+        let timed = timed(&all, &edges, start);
+        prop_assert_eq!(timed.edges as usize, count + 1);
+        prop_assert!(timed.worst_error_ticks > 0);
+    }
+}
+
+fn steps(ticks: u32, repeats: u8) -> Period {
+    Period {
+        ticks,
+        repeats,
+        pulse: true,
+        sync: false,
+    }
+}
+
+#[test]
+fn an_edge_that_no_step_has_is_the_worst_error() {
+    let mut timing = EdgeTiming::default();
+    timing.compare(7);
+    let expected = Timed {
+        edges: 1,
+        worst_error_ticks: u32::MAX,
+    };
+    assert_eq!(timing.timed(), expected);
+}
+
+#[test]
+fn what_came_before_counts_no_more() {
+    let mut timing = EdgeTiming::default();
+    timing.compare(7);
+    timing.expect(steps(100, 3));
+    timing.clear();
+    assert_eq!(timing.timed(), Timed::default());
+    timing.expect(steps(50, 1));
+    timing.compare(1_000);
+    timing.compare(1_050);
+    let expected = Timed {
+        edges: 2,
+        worst_error_ticks: 0,
+    };
+    assert_eq!(timing.timed(), expected);
+}
+
+/// Nobody takes out what is expected. Then nothing is said, rather than something wrong.
+#[test]
+fn without_the_jumper_nothing_is_timed() {
+    let mut timing = EdgeTiming::default();
+    for _ in 0..10_000 {
+        timing.expect(steps(100, 0));
+    }
+    assert_eq!(timing.timed(), Timed::default());
+    timing.compare(7);
+    assert_eq!(timing.timed(), Timed::default());
+}
+
+#[test]
+fn after_a_loss_nothing_more_is_compared() {
+    let mut timing = EdgeTiming::default();
+    timing.expect(steps(100, 5));
+    timing.compare(0);
+    timing.compare(100);
+    timing.lose();
+    timing.compare(900);
+    let expected = Timed {
+        edges: 2,
+        worst_error_ticks: 0,
+    };
+    assert_eq!(timing.timed(), expected);
+    timing.clear();
+    timing.expect(steps(100, 0));
+    timing.compare(5);
+    assert_eq!(timing.timed().edges, 1);
+}
+
+/// What waits in the ring, and half of it that played since the last look, is remembered.
+#[test]
+fn a_look_may_come_half_a_ring_late() {
+    let mut timing = EdgeTiming::default();
+    for _ in 0..128 + 64 {
+        timing.expect(steps(400, 0));
+    }
+    for edge in 0..128 + 64 {
+        timing.compare(edge * 400);
+    }
+    let expected = Timed {
+        edges: 192,
+        worst_error_ticks: 0,
+    };
+    assert_eq!(timing.timed(), expected);
+}

@@ -1,0 +1,49 @@
+//! The settings that results depend on, by what depends on them.
+
+use protocol::settings::SettingKey as Key;
+
+/// What turns steps into millimetres.
+pub(super) const SCREW: [Key; 3] = [Key::LeadUm, Key::FullSteps, Key::Microsteps];
+/// What homing depends on.
+pub(super) const HOMING: &[Key] = &[
+    Key::LeadUm,
+    Key::FullSteps,
+    Key::Microsteps,
+    Key::StrokeUm,
+    Key::SeekUmS,
+    Key::LocateUmS,
+    Key::HomingAccelUmS2,
+    Key::StopAccelUmS2,
+    Key::OvertravelUm,
+    Key::PullOffUm,
+    Key::FlagUm,
+    Key::SwitchFilterUs,
+    Key::MaxStepHz,
+    Key::StepPulseNs,
+];
+/// What the pulses of a run depend on.
+pub(super) const PULSES: &[Key] = &[
+    Key::LeadUm,
+    Key::FullSteps,
+    Key::Microsteps,
+    Key::MaxSpeedUmS,
+    Key::MaxAccelUmS2,
+    Key::MaxStepHz,
+    Key::StepPulseNs,
+    Key::TurnaroundUs,
+];
+/// What a whole run depends on.
+pub(super) const RUN: &[Key] = &[
+    Key::LeadUm,
+    Key::FullSteps,
+    Key::Microsteps,
+    Key::StrokeUm,
+    Key::MaxSpeedUmS,
+    Key::MaxAccelUmS2,
+    Key::MaxStepHz,
+    Key::StepPulseNs,
+    Key::TurnaroundUs,
+    Key::FlagUm,
+    Key::LedgerLimitSteps,
+    Key::SwitchFilterUs,
+];

@@ -1,0 +1,68 @@
+//! What a device that stands in front of another one only passes on.
+
+/// Methods of [`rigless::device::Device`] that do what the device in the named field does.
+macro_rules! forward {
+    ($inner:ident: $($method:ident),+ $(,)?) => {
+        $($crate::emulator::forward::forward!(@ $inner $method);)+
+    };
+    (@ $inner:ident layout) => {
+        fn layout(&self) -> &'static [rigless::soc::RegisterSpec] {
+            rigless::device::Device::layout(&self.$inner)
+        }
+    };
+    (@ $inner:ident peek) => {
+        fn peek(
+            &self,
+            register: Self::Register,
+            registers: &rigless::device::RegisterFile,
+            now: rigless::time::VirtualNanos,
+        ) -> Option<u64> {
+            rigless::device::Device::peek(&self.$inner, register, registers, now)
+        }
+    };
+    (@ $inner:ident reset) => {
+        fn reset(&mut self) {
+            rigless::device::Device::reset(&mut self.$inner);
+        }
+    };
+    (@ $inner:ident read) => {
+        fn read(
+            &mut self,
+            register: Self::Register,
+            registers: &mut rigless::device::RegisterFile,
+            context: &mut rigless::device::DeviceContext<'_>,
+        ) -> Option<u64> {
+            rigless::device::Device::read(&mut self.$inner, register, registers, context)
+        }
+    };
+    (@ $inner:ident write) => {
+        $crate::emulator::forward::forward!(@ $inner write(register: Self::Register, value: u64));
+    };
+    (@ $inner:ident on_event) => {
+        $crate::emulator::forward::forward!(@ $inner on_event(event: rigless::time::EventId));
+    };
+    (@ $inner:ident on_request) => {
+        $crate::emulator::forward::forward!(@ $inner on_request(request: rigless::device::RequestChange));
+    };
+    (@ $inner:ident on_refused) => {
+        $crate::emulator::forward::forward!(@ $inner on_refused(token: u64));
+    };
+    (@ $inner:ident poll) => {
+        $crate::emulator::forward::forward!(@ $inner poll());
+    };
+    (@ $inner:ident reset_line) => {
+        $crate::emulator::forward::forward!(@ $inner reset_line());
+    };
+    (@ $inner:ident $method:ident($($name:ident: $type:ty),*)) => {
+        fn $method(
+            &mut self,
+            $($name: $type,)*
+            registers: &mut rigless::device::RegisterFile,
+            context: &mut rigless::device::DeviceContext<'_>,
+        ) {
+            rigless::device::Device::$method(&mut self.$inner, $($name,)* registers, context);
+        }
+    };
+}
+
+pub(super) use forward;

@@ -1,0 +1,135 @@
+//! A jumper from STEP to an input of the chip, with what can go wrong on its way.
+
+/// Faults of a jumper.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// Connect it (or cut it).
+    Whole(bool),
+    /// Inject a high pulse of this width, ns.
+    Spike(u64),
+    /// Let the next pulse come this much later, ns; less than the pulse is long.
+    Delay(u64),
+    /// Keep the next pulse away.
+    Skip,
+}
+
+/// The jumper.
+#[derive(Clone, Copy, Debug)]
+pub struct Wire {
+    whole: bool,
+    spike_until_ns: Option<u64>,
+    /// Of the next pulse.
+    fault: Option<Fault>,
+    /// Of the pulse in progress.
+    delay_ns: u64,
+    /// The level of STEP as it comes through.
+    high: bool,
+}
+
+impl Wire {
+    /// A jumper that is in its place, or missing.
+    #[must_use]
+    pub fn new(whole: bool) -> Self {
+        Self {
+            whole,
+            spike_until_ns: None,
+            fault: None,
+            delay_ns: 0,
+            high: false,
+        }
+    }
+
+    /// `fault` happens now.
+    pub fn act(&mut self, fault: Fault, at_ns: u64) {
+        match fault {
+            Fault::Whole(whole) => {
+                self.whole = whole;
+                self.high &= whole;
+            }
+            Fault::Spike(width_ns) => self.spike_until_ns = Some(at_ns + width_ns),
+            Fault::Delay(_) | Fault::Skip => self.fault = Some(fault),
+        }
+    }
+
+    /// STEP changed. When that comes through, if it does, ns.
+    pub fn step(&mut self, high: bool, at_ns: u64) -> Option<u64> {
+        let comes = if high {
+            let fault = self.fault.take();
+            self.delay_ns = match fault {
+                Some(Fault::Delay(ns)) => ns,
+                _ => 0,
+            };
+            self.whole && fault != Some(Fault::Skip)
+        } else {
+            self.high
+        };
+        self.high = high && comes;
+        (comes && self.spike_until_ns.is_none()).then_some(at_ns + self.delay_ns)
+    }
+
+    /// Time has come to `now_ns`.
+    pub fn advance(&mut self, now_ns: u64) {
+        self.spike_until_ns = self.spike_until_ns.filter(|&until_ns| now_ns < until_ns);
+    }
+
+    /// When it changes next without STEP, ns.
+    #[must_use]
+    pub fn next_ns(&self) -> Option<u64> {
+        self.spike_until_ns
+    }
+
+    /// The level at its end.
+    #[must_use]
+    pub fn is_high(&self) -> bool {
+        self.high || self.spike_until_ns.is_some()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pulse(wire: &mut Wire, at_ns: u64) -> (Option<u64>, Option<u64>) {
+        let rise = wire.step(true, at_ns);
+        (rise, wire.step(false, at_ns + 2_000))
+    }
+
+    #[test]
+    fn a_pulse_comes_through_or_later_or_not_at_all() {
+        let mut wire = Wire::new(true);
+        assert_eq!(pulse(&mut wire, 10_000), (Some(10_000), Some(12_000)));
+        wire.act(Fault::Delay(20), 13_000);
+        assert_eq!(pulse(&mut wire, 20_000), (Some(20_020), Some(22_020)));
+        // Within a pulse it is the next one's.
+        wire.step(true, 23_000);
+        wire.act(Fault::Delay(20), 23_000);
+        assert_eq!(wire.step(false, 25_000), Some(25_000));
+        assert_eq!(pulse(&mut wire, 26_000), (Some(26_020), Some(28_020)));
+        wire.act(Fault::Skip, 23_000);
+        assert_eq!(pulse(&mut wire, 30_000), (None, None));
+        assert_eq!(pulse(&mut wire, 40_000), (Some(40_000), Some(42_000)));
+        wire.act(Fault::Whole(false), 43_000);
+        assert_eq!(pulse(&mut wire, 50_000), (None, None));
+    }
+
+    #[test]
+    fn a_cut_within_a_pulse_ends_it() {
+        let mut wire = Wire::new(true);
+        wire.step(true, 1_000);
+        assert!(wire.is_high());
+        wire.act(Fault::Whole(false), 1_500);
+        assert!(!wire.is_high());
+        assert_eq!(wire.step(false, 3_000), None);
+    }
+
+    #[test]
+    fn a_spike_ends_by_itself() {
+        let mut wire = Wire::new(true);
+        wire.act(Fault::Spike(250), 1_000);
+        assert_eq!((wire.is_high(), wire.next_ns()), (true, Some(1_250)));
+        wire.advance(1_249);
+        assert!(wire.is_high());
+        wire.advance(1_250);
+        assert_eq!((wire.is_high(), wire.next_ns()), (false, None));
+    }
+}

@@ -1,0 +1,198 @@
+//! The rig times its own steps through the second jumper, and finds each that is not where the plan has it.
+
+use crate::common::{RigRun, execute, home_quickly, paper, quick, rig_as_quick_as, rig_with};
+use crate::speed::{quick_rig_on, quick_run};
+use host_tool::client::Unobserved;
+use protocol::{
+    rig::{Hold, Resume, RigFault, RigState, Run, RunOutcome, RunRecord, RunTiming},
+    system::Urgent,
+};
+use virtual_bench::{
+    bench::BenchOptions,
+    boards::rig as board,
+    faults::When,
+    plants::{
+        rig::{Action, RigOptions},
+        wire::Fault,
+    },
+};
+
+/// A rig with the jumper, at position 0.
+fn timed_rig() -> RigRun {
+    let mut rig = rig_with(RigOptions::WITH_BOTH_JUMPERS);
+    home_quickly(&mut rig);
+    rig.home();
+    rig
+}
+
+/// 16,000 steps.
+fn short() -> Run {
+    quick(1, 10_000, 40_000, 500_000)
+}
+
+fn found(record: &RunRecord) -> (u64, u32) {
+    (record.edges_timed, record.worst_interval_error_ticks)
+}
+
+#[test]
+fn every_step_of_a_run_is_timed_and_right() {
+    let mut rig = timed_rig();
+    for run in [
+        short(),
+        paper(1),
+        // Hardly any two intervals are equal.
+        Run {
+            timing: RunTiming::Total {
+                total_us: 8_000_000,
+                accel_um_s2: 99_855,
+            },
+            ..paper(1)
+        },
+        // A pause longer than the capture timer's 42.9 s.
+        Run {
+            far_dwell_us: 45_000_000,
+            ..short()
+        },
+    ] {
+        let (_, record) = execute(&mut rig, run);
+        assert_eq!(record.outcome, RunOutcome::Complete, "{record:?}");
+        assert_eq!(found(&record), (record.commanded_edges, 0), "{record:?}");
+    }
+    rig.check_clean(0);
+}
+
+/// The highest step rate that the settings allow, telemetry at 200 Hz meanwhile.
+#[test]
+fn every_step_of_the_highest_rate_is_timed() {
+    let mut rig = quick_rig_on(
+        RigOptions::WITH_BOTH_JUMPERS,
+        BenchOptions::new(board::image()),
+    );
+    let (request, _) = quick_run();
+    let (_, record) = execute(&mut rig, request);
+    assert_eq!(found(&record), (192_000, 0), "{record:?}");
+    rig.check_clean(0);
+}
+
+/// A processor that is hardly quick enough changes nothing.
+#[test]
+fn a_slow_processor_times_every_step() {
+    let mut rig = rig_as_quick_as(RigOptions::WITH_BOTH_JUMPERS, 30_000_000);
+    home_quickly(&mut rig);
+    rig.home();
+    rig.device.set_telemetry(5).expect("telemetry");
+    let (_, record) = execute(&mut rig, paper(1));
+    assert_eq!(found(&record), (208_000, 0), "{record:?}");
+}
+
+#[test]
+fn a_held_run_is_timed_as_a_whole() {
+    let mut rig = timed_rig();
+    let accepted = rig.device.run(paper(1)).expect("accepted");
+    for _ in 0..2 {
+        rig.idle(700_000);
+        rig.device.call(Hold).expect("held");
+        rig.idle(700_000);
+        let state = rig.device.rig_status().expect("a status").state;
+        assert_eq!(state, RigState::Held);
+        rig.device.call(Resume).expect("resumed");
+    }
+    let record = rig.device.wait_run(&accepted, &mut Unobserved);
+    let record = record.expect("a record");
+    assert_eq!((record.outcome, record.holds), (RunOutcome::Complete, 2));
+    assert_eq!(found(&record), (208_000, 0), "{record:?}");
+}
+
+/// The steps that left are timed, and those that did not are no error.
+#[test]
+fn a_run_that_is_cut_is_timed_up_to_the_cut() {
+    let mut rig = timed_rig();
+    for after_us in [200_000, 401_234, 577_777] {
+        let accepted = rig.device.run(short()).expect("accepted");
+        rig.bench.advance_us(after_us).expect("the bench runs");
+        rig.device.urgent(Urgent::EStop).expect("sent");
+        let record = rig.device.wait_run(&accepted, &mut Unobserved);
+        let record = record.expect("a record");
+        let fault = RunOutcome::Faulted(RigFault::EStopFrame);
+        assert_eq!(record.outcome, fault, "{record:?}");
+        let (timed, worst) = found(&record);
+        assert_eq!(worst, 0, "{record:?}");
+        // The pulse that was cut is perhaps too short for one of the two filters.
+        assert!(timed.abs_diff(record.counted_edges) <= 1, "{record:?}");
+        assert!(timed > 100, "{record:?}");
+        rig.device.acknowledge().expect("acknowledged");
+        rig.home();
+    }
+}
+
+/// What happens to the pulse of the 5,000th step of a run: on the wire, so that the steps themselves stay right.
+fn with(fault: Fault) -> RunRecord {
+    let mut rig = timed_rig();
+    let at = rig.edge_count() as u64 + 5_000;
+    // It strikes with the step before.
+    rig.look(move |rig| rig.plan(When::Edge(at - 1), Action::Capture(fault)));
+    let (_, record) = execute(&mut rig, short());
+    assert_eq!(record.outcome, RunOutcome::Complete);
+    assert_eq!(record.counted_edges, 16_000);
+    rig.check_clean(0);
+    record
+}
+
+/// 40 mm/s are 32 kHz: 3,125 ticks from step to step.
+const INTERVAL: u32 = 3_125;
+
+#[test]
+fn a_step_that_is_moved_by_two_ticks_is_found() {
+    assert_eq!(found(&with(Fault::Delay(20))), (16_000, 2));
+}
+
+#[test]
+fn a_step_that_is_left_out_is_found() {
+    let (timed, worst) = found(&with(Fault::Skip));
+    assert_eq!(timed, 15_999);
+    // From there on each interval is compared with the one before it, and those of the turn differ most.
+    assert!(worst >= INTERVAL, "{worst}");
+}
+
+#[test]
+fn a_step_that_is_added_is_found() {
+    let mut rig = timed_rig();
+    let in_cruise = rig.bench.now_ns() + 250_000_000;
+    rig.look(move |rig| {
+        let spike = Action::Capture(Fault::Spike(300));
+        rig.plan(When::At(in_cruise), spike);
+    });
+    let (_, record) = execute(&mut rig, short());
+    assert_eq!(found(&record), (16_001, u32::MAX), "{record:?}");
+    assert_eq!(record.counted_edges, 16_000);
+}
+
+/// A spike that the input's filter of 80 ns takes for none.
+#[test]
+fn a_short_spike_is_no_step() {
+    let mut rig = timed_rig();
+    let in_cruise = rig.bench.now_ns() + 250_000_000;
+    rig.look(move |rig| {
+        let spike = Action::Capture(Fault::Spike(60));
+        rig.plan(When::At(in_cruise), spike);
+    });
+    let (_, record) = execute(&mut rig, short());
+    assert_eq!(found(&record), (16_000, 0), "{record:?}");
+}
+
+#[test]
+fn without_the_jumper_the_record_says_not_timed() {
+    let mut rig = rig_with(RigOptions::REFERENCE);
+    home_quickly(&mut rig);
+    rig.home();
+    let (_, record) = execute(&mut rig, short());
+    assert_eq!(found(&record), (0, 0), "{record:?}");
+}
+
+#[test]
+fn a_jumper_that_falls_off_leaves_the_rest_untimed() {
+    let record = with(Fault::Whole(false));
+    let (timed, worst) = found(&record);
+    // It falls off with the rising edge of the 4,999th.
+    assert_eq!((timed, worst), (4_998, 0), "{record:?}");
+}
