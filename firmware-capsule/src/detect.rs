@@ -92,6 +92,10 @@ const RESISTED_MA: u16 = 130;
 const MET_MA: u16 = 100;
 /// From this speed on, counts/s, a loss of a fifth is more than rounding.
 const SLOW_CPS_AT_LEAST: i32 = 3_000;
+/// Readings with which the order is compared.
+const ORDERED_READINGS: usize = 20;
+/// Readings without a count after which a motor that pulls with the end force is asked whether it turns.
+const STILL_READINGS: usize = 10;
 /// Speed times this is the stopping distance of a braked motor: its time constant with the bridge's resistance
 /// (0.6 ohm) in the loop, 6.9 ms, less a tenth for friction, plus 1 ms between two samples.
 const STOP_US: i64 = 7_300;
@@ -284,7 +288,16 @@ impl Detector {
         let mut load = self.load(now_us, counts, no_load_ma);
         // What is more than ordered may be a short circuit; its own debounce decides.
         load.end_force &= !surplus;
-        if !load.end_force && self.stands_still(now_us, counts) {
+        let stands = self.stands_still(now_us, counts);
+        if load.end_force {
+            // A motor that is slow here may pull on while its encoder is lost.
+            let name = self.counts_nothing().then(|| self.name_of_standstill());
+            return match name {
+                Some(lost @ Trip::EncoderLost) => Err(lost),
+                _ => Ok(load),
+            };
+        }
+        if stands {
             return Err(self.name_of_standstill());
         }
         Ok(load)
@@ -318,12 +331,21 @@ impl Detector {
         self.window.means_ma(12).is_some() && before >= FAST_CPS && now < before - before / 10
     }
 
-    /// A slow motor has lost a fifth of its speed within 3 ms. The current follows later, and the motor's momentum
-    /// pulls meanwhile.
+    /// A slow motor has lost a fifth of its speed within 3 ms, still turns, and not because less current was ordered. The
+    /// current follows later, and the motor's momentum pulls meanwhile.
     fn meets_something(&self) -> bool {
         let before = self.spooling.along(self.window.speed_cps(11, 3));
         let now = self.spooling.along(self.window.speed_cps(3, 0));
-        before >= SLOW_CPS_AT_LEAST && now < before - before / 5
+        let turns = self.window.step(0).is_some_and(|step| step.abs() >= 2);
+        before >= SLOW_CPS_AT_LEAST
+            && now < before - before / 5
+            && turns
+            && self.window.orders_most_now(ORDERED_READINGS)
+    }
+
+    /// The encoder has counted nothing for 10 ms, one line that flickers at most.
+    fn counts_nothing(&self) -> bool {
+        (0..STILL_READINGS).all(|age| self.window.step(age).is_some_and(|step| step.abs() <= 1))
     }
 
     /// The counts end within 1 ms, for 3 ms: a motor needs longer to stop. Or they go the wrong way.

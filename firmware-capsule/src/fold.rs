@@ -28,7 +28,7 @@ use crate::{
     calibration::Calibration,
     detect::{BATTERY_UNDER_LOAD_MV, Detector, Load, Sample, Spooling, Trip},
     governor::{Effort, Governor},
-    leg::{Decision, Leg, MOST_MA, Purpose, TENSION_ZONE},
+    leg::{Decision, Leg, MOST_MA, Purpose, TENSION_ZONE, is_near},
     mechanics::{Counts, FOLDED_RANGE, MOST_NO_LOAD_MA, Thread},
     record::Recorder,
     sense::MOST_OFFSET_MA,
@@ -144,8 +144,8 @@ struct Actuation {
     deadline_us: u64,
     governor: Governor,
     effort: Effort,
-    /// Last known current above the no-load current.
-    excess_ma: u16,
+    /// The end force is near.
+    near: bool,
     /// Battery before the drive.
     rest_mv: u16,
     /// Where the thread was slack at the start, so that the first current is the no-load current.
@@ -448,7 +448,7 @@ impl Capsule {
             deadline_us: from_us.saturating_add(timeout_us),
             governor: Governor::default(),
             effort: Effort::Millivolts(0),
-            excess_ma: 0,
+            near: false,
             rest_mv: self.sample.battery_mv,
             slack_from: slack.then_some(origin),
             slack: Mean::default(),
@@ -500,7 +500,7 @@ impl Capsule {
         if now_us < actuation.detector.from_us() {
             return; // still braking from the motion before
         }
-        let aim = actuation.leg.aim(thread, no_load_ma, actuation.excess_ma);
+        let aim = actuation.leg.aim(thread, no_load_ma, actuation.near);
         let (cps, least_cps) = actuation.detector.speeds_cps();
         let battery_mv = self.sample.battery_mv;
         actuation.effort = actuation.governor.step(aim, cps, least_cps, battery_mv);
@@ -538,7 +538,7 @@ impl Capsule {
             Load::default()
         };
         if let Some(excess_ma) = load.excess_ma {
-            actuation.excess_ma = excess_ma;
+            actuation.near = is_near(actuation.near, excess_ma);
             let current_ma = excess_ma.saturating_add(self.no_load_ma);
             self.recorder.current(current_ma);
             if current_ma >= LOAD_MA {
@@ -670,7 +670,7 @@ impl Capsule {
         actuation.leg = next;
         actuation.detector = Detector::new(next.spooling(), from_us, actuation.rest_mv);
         actuation.governor = Governor::default();
-        actuation.excess_ma = 0;
+        actuation.near = false;
         actuation.slack_from = None;
         Ok(())
     }

@@ -44,14 +44,14 @@ pub const FAST_CPS: i32 = 11_000;
 pub const SLOW_CPS: i32 = 5_700;
 /// Winding near the end force: 4.9 mm/s. A soft origami meets its hard end just there.
 const NEAR_CPS: i32 = 4_000;
-/// Near the end force, above the no-load current.
-const NEAR_MA: u16 = 105;
+/// Near the end force, above the no-load current; and where it is no longer, so that the speed does not go to and fro.
+const NEAR_MA: (u16, u16) = (105, 75);
 /// Paying out: 21 mm/s, or what the battery gives.
 pub const PAY_OUT_CPS: i32 = 17_100;
 /// The last of paying out: 2 mm/s.
 const LAST_CPS: i32 = 1_600;
 /// A fold is slow for so much before its calibrated end.
-pub const SLOW_ZONE: Thread = Thread(800);
+pub const SLOW_ZONE: Thread = Thread(500);
 /// The first of an unfolding is slow, so that its current tells whether the thread pulls.
 pub const TENSION_ZONE: Thread = Thread(500);
 /// A leg that pays out is braked so that the motor stops this far before its end. The stopping distance, 0.01 mm at
@@ -145,6 +145,11 @@ fn coasting_cps(counts: i32, no_load_ma: u16) -> i32 {
     i32::try_from(square.isqrt()).unwrap_or(i32::MAX)
 }
 
+/// With so much current above the no-load current, the end force is near; it `was` so before.
+pub fn is_near(was: bool, excess_ma: u16) -> bool {
+    excess_ma >= if was { NEAR_MA.1 } else { NEAR_MA.0 }
+}
+
 impl Leg {
     /// Which way the spool turns.
     pub fn spooling(self) -> Spooling {
@@ -154,14 +159,10 @@ impl Leg {
         }
     }
 
-    /// Speed and current with `thread` on the spool, and so much current above the no-load current.
-    pub fn aim(self, thread: Thread, no_load_ma: u16, excess_ma: u16) -> Aim {
+    /// Speed and current with `thread` on the spool; `near` is [`is_near`].
+    pub fn aim(self, thread: Thread, no_load_ma: u16, near: bool) -> Aim {
         let slow = Aim {
-            cps: if excess_ma < NEAR_MA {
-                SLOW_CPS
-            } else {
-                NEAR_CPS
-            },
+            cps: if near { NEAR_CPS } else { SLOW_CPS },
             limit_ma: no_load_ma.saturating_add(FORCE_LIMIT_MA),
         };
         match self {

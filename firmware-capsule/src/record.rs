@@ -77,7 +77,9 @@ impl Recorder {
     /// Notes a sample of the running actuation.
     pub(crate) fn update(&mut self, duration_us: u64, battery_mv: u16) {
         self.record.duration_ms = u32::try_from(duration_us / 1_000).unwrap_or(u32::MAX);
-        self.record.energy_mj = u32::try_from(self.energy_pj / 1_000_000_000).unwrap_or(u32::MAX);
+        self.record.energy_mj =
+            u32::try_from(self.energy_pj.saturating_add(500_000_000) / 1_000_000_000)
+                .unwrap_or(u32::MAX);
         self.record.min_battery_mv = self.record.min_battery_mv.min(battery_mv);
     }
 

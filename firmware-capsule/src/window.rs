@@ -91,6 +91,13 @@ impl Window {
         Some((mean(current)? as u16, mean(ordered)? as u16))
     }
 
+    /// No more current was ordered in the last `over` readings than in the last one; false if some of them are missing
+    /// or were not driven.
+    pub fn orders_most_now(&self, over: usize) -> bool {
+        let ordered = |age| self.back(age).and_then(|point| point.ordered_ma);
+        ordered(0).is_some_and(|now| (0..over).all(|age| ordered(age).is_some_and(|ma| ma <= now)))
+    }
+
     /// Mean of the battery voltage over the last `over` readings.
     pub fn battery_mv(&self, over: usize) -> Option<u16> {
         let mut sum = 0_u32;

@@ -1,6 +1,5 @@
 //! Control as the board runs it: readings and questions in; drive, replies and events out.
 
-#[allow(dead_code)] // the settings' store uses all of it
 #[path = "../../device/tests/chip/mod.rs"]
 mod chip;
 

@@ -136,6 +136,45 @@ fn counts_that_end_at_once_are_an_encoder_and_counts_that_fade_are_none() {
     }
 }
 
+/// Slow, with 105 mA above the no-load current, then slower by a fifth and more.
+fn slowed_to(counts: i32, ordered_ma: u16) -> Load {
+    let mut feed = Feed::at_speed(Spooling::Wind, 6);
+    feed.draws(NO_LOAD_MA + 105, 130);
+    assert_eq!(feed.until_trip(20, 6), None);
+    feed.draws(NO_LOAD_MA + 105, ordered_ma);
+    (0..3)
+        .map(|_| feed.step(counts).expect("no trip"))
+        .last()
+        .expect("three readings")
+}
+
+#[test]
+fn a_loaded_motor_that_becomes_slower_has_met_its_end_unless_it_was_ordered_to() {
+    assert!(slowed_to(4, 130).end_force && slowed_to(3, 140).end_force);
+    assert!(!slowed_to(5, 130).end_force, "by a sixth");
+    assert!(!slowed_to(4, 129).end_force, "less current was ordered");
+    assert!(!slowed_to(1, 140).end_force, "no motor stops so fast");
+}
+
+/// The encoder of a slow motor is lost: the speed loop orders more and more, and the motor draws less than that.
+#[test]
+fn an_end_force_without_counts_is_a_lost_encoder_if_the_motor_turns() {
+    for (current_ma, expected) in [(168, Err(Trip::EncoderLost)), (172, Ok(true))] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 2);
+        feed.draws(NO_LOAD_MA + 100, 130);
+        assert_eq!(feed.until_trip(20, 0), None);
+        feed.draws(current_ma, 200);
+        let found = (0..12).find_map(|_| match feed.step(0) {
+            Ok(Load {
+                end_force: true, ..
+            }) => Some(Ok(true)),
+            Ok(_) => None,
+            Err(trip) => Some(Err(trip)),
+        });
+        assert_eq!(found, Some(expected), "{current_ma} mA of 200 mA");
+    }
+}
+
 #[test]
 fn counts_the_wrong_way_are_an_encoder() {
     for spooling in BOTH {

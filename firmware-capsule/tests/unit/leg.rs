@@ -99,9 +99,20 @@ fn what_resists_makes_a_fold_careful() {
     let at = after(ZERO, 9_000);
     assert_eq!(decide(WIND, at, resisted), Ok(Decision::Careful(careful)));
     assert_eq!(decide(careful, at, resisted), Ok(Decision::Continue));
-    assert_eq!(WIND.aim(Thread(9_000), 16, 0).cps, FAST_CPS);
-    assert_eq!(careful.aim(Thread(9_000), 16, 0).cps, SLOW_CPS);
-    assert_eq!(WIND.aim(Thread(END.0 - SLOW_ZONE.0), 16, 0).cps, SLOW_CPS);
+    assert_eq!(WIND.aim(Thread(9_000), 16, false).cps, FAST_CPS);
+    assert_eq!(careful.aim(Thread(9_000), 16, false).cps, SLOW_CPS);
+    assert_eq!(
+        WIND.aim(Thread(END.0 - SLOW_ZONE.0), 16, false).cps,
+        SLOW_CPS
+    );
+}
+
+#[test]
+fn near_the_end_force_the_speed_does_not_go_to_and_fro() {
+    assert!(is_near(false, 105) && !is_near(false, 104));
+    assert!(is_near(true, 75) && !is_near(true, 74));
+    assert_eq!(WIND.aim(END, 16, true).cps, NEAR_CPS);
+    assert_eq!(WIND.aim(Thread(9_000), 16, true).cps, FAST_CPS);
 }
 
 /// A short rise is an obstacle, or an origami that was folded from the start.
@@ -162,7 +173,7 @@ fn paying_out_is_never_faster_than_friction_stops() {
     for no_load_ma in [10, 16, 22] {
         let mut last = 0;
         for thread_um in (0..24_000).step_by(50) {
-            let cps = leg.aim(Thread(thread_um), no_load_ma, 0).cps;
+            let cps = leg.aim(Thread(thread_um), no_load_ma, false).cps;
             assert!(cps >= last, "slower further out");
             last = cps;
             let deceleration = 4_200.0 * f64::from(no_load_ma) * 0.625;

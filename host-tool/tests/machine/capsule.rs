@@ -24,6 +24,9 @@ const ASLEEP_US: u64 = 100_000;
 /// A motor runs out within this.
 const COASTS_US: u64 = 500_000;
 
+/// Thread of the folded capsule, um: 6 N at 20.7 mm of travel (docs/science.md), and 1 mm of slack.
+pub const FOLDED_UM: i32 = 21_700;
+
 /// A capsule.
 pub struct Capsule {
     control: Control<At<Board>, Flash>,
@@ -37,8 +40,8 @@ struct Board {
     /// So far have they come, device time.
     mechanics_us: u64,
     drive: Drive,
-    /// The drive has changed since the last reading.
-    changed: bool,
+    /// The bridge has woken up since the last reading.
+    woken: bool,
     shown: Option<CapsuleTelemetry>,
 }
 
@@ -56,7 +59,8 @@ impl control::Capsule for At<Board> {
     fn drive(&mut self, drive: Drive) {
         if self.board.drive != drive {
             self.turn();
-            (self.board.drive, self.board.changed) = (drive, true);
+            self.board.woken |= self.board.drive == Drive::Off;
+            self.board.drive = drive;
         }
     }
 
@@ -85,7 +89,7 @@ impl Capsule {
                 mechanics,
                 mechanics_us: 0,
                 drive: Drive::Off,
-                changed: false,
+                woken: false,
                 shown: None,
             },
         };
@@ -97,9 +101,9 @@ impl Capsule {
         }
     }
 
-    /// The motor task reads at once after a new order.
-    fn read_if_changed(&mut self) {
-        if self.control.capsule().board.changed {
+    /// The motor task reads at once when the bridge wakes up.
+    fn read_if_woken(&mut self) {
+        if self.control.capsule().board.woken {
             self.next_reading_us = self.port.now_us();
         }
     }
@@ -124,20 +128,20 @@ impl Device for Capsule {
             self.port.set_now_us(now_us);
             let at = self.control.capsule();
             at.turn();
-            at.board.changed = false;
+            at.board.woken = false;
             let awake = at.board.drive != Drive::Off;
             let sample = at.board.mechanics.sample(now_us, awake);
             self.control.read(now_us, sample);
             let asleep = self.control.capsule().board.drive == Drive::Off;
             self.next_reading_us = now_us + if asleep { ASLEEP_US } else { AWAKE_US };
-            self.read_if_changed();
+            self.read_if_woken();
         }
         self.port.set_now_us(until_us);
     }
 
     fn answer(&mut self, inbound: Inbound) -> Reply {
         let reply = self.control.answer(inbound);
-        self.read_if_changed();
+        self.read_if_woken();
         reply
     }
 

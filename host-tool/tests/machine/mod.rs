@@ -2,7 +2,7 @@
 //! on the mechanics of [`rig`] or [`capsule`]. Only the line and the world around the machine are scripted.
 #![allow(dead_code, missing_docs, unreachable_pub)]
 
-mod capsule;
+pub mod capsule;
 #[path = "../../../device/tests/chip/mod.rs"]
 mod chip;
 mod line;
