@@ -137,10 +137,10 @@ pub enum Decision {
     Unfolded,
 }
 
-/// Least speed at which the motor, coasting with this no-load current, ends so many counts further. Three eighths less
-/// friction than measured are allowed for.
+/// Least speed at which the motor, coasting with this no-load current, ends so many counts further. A quarter less
+/// friction than measured is allowed for.
 fn coasting_cps(counts: i32, no_load_ma: u16) -> i32 {
-    let deceleration = u64::from(COASTING_CPS2_PER_MA) * u64::from(no_load_ma) * 5 / 8;
+    let deceleration = u64::from(COASTING_CPS2_PER_MA) * u64::from(no_load_ma) * 3 / 4;
     let square = 2 * deceleration * u64::from(counts.max(0).unsigned_abs());
     i32::try_from(square.isqrt()).unwrap_or(i32::MAX)
 }

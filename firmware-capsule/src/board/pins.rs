@@ -55,12 +55,15 @@ const VREFINT: u8 = 17;
 const FACTORY_WORD: *const u16 = 0x1FFF_7A2A as *const u16;
 /// The battery's divider is 1/2.
 const BATTERY_RATIO: u32 = 2;
-/// Readings per sample while driving: together they take about one PWM period, so that their mean is the period's.
-const ADC_PAIRS: u32 = 5;
-/// A conversion takes 27 cycles of 8 MHz, that of the reference 124.
-const ADC_CYCLES: u32 = 54;
-/// How often to look for the end of a conversion, [`ADC_CYCLES`] apart.
-const ADC_PATIENCE: u32 = 20;
+/// Readings per sample while driving, evenly over one PWM period: their mean is the period's, wherever in it the sample begins. The
+/// samples are a whole number of periods apart, so a phase that is preferred would be preferred throughout a motion.
+const ADC_PAIRS: u32 = 4;
+const PAIR_TICKS: u16 = PWM_TICKS / ADC_PAIRS as u16;
+/// Looks at the counter until it is there: a period at 8 cycles each, twice.
+const PHASE_PATIENCE: u32 = 200;
+/// How often to look for the end of a conversion. It takes 27 cycles of 8 MHz, that of the reference 124; a look takes 8 of 16 MHz.
+/// Two conversions have to end within [`PAIR_TICKS`], so nothing waits longer than it must.
+const ADC_PATIENCE: u32 = 200;
 
 const ENCODER: [usize; 2] = [0, 1];
 const IN1: usize = 4;
@@ -285,7 +288,11 @@ impl DriveTrain {
         let pairs = if awake { ADC_PAIRS } else { 1 };
         let supply_mv = self.reference.supply_mv(convert(VREFINT)).unwrap_or(0);
         let (mut current, mut battery) = (0, 0);
-        for _ in 0..pairs {
+        let began = pac::TIM3.cnt().read().cnt();
+        for pair in 0..pairs as u16 {
+            if awake {
+                await_phase(began, pair * PAIR_TICKS);
+            }
             current += u32::from(convert(self.current));
             battery += u32::from(convert(self.battery));
         }
@@ -308,12 +315,21 @@ impl DriveTrain {
     }
 }
 
+/// Waits until the PWM's counter is so many ticks further than `began`, less than a period.
+fn await_phase(began: u16, ticks: u16) {
+    for _ in 0..PHASE_PATIENCE {
+        let passed = (pac::TIM3.cnt().read().cnt() + PWM_TICKS - began) % PWM_TICKS;
+        if passed >= ticks {
+            return;
+        }
+    }
+}
+
 fn convert(channel: u8) -> u16 {
     pac::ADC1.sqr3().write(|w| w.set_sq(0, channel));
     pac::ADC1.sr().modify(|w| w.set_eoc(false));
     pac::ADC1.cr2().modify(|w| w.set_swstart(true));
     for _ in 0..ADC_PATIENCE {
-        cortex_m::asm::delay(ADC_CYCLES);
         if pac::ADC1.sr().read().eoc() {
             return pac::ADC1.dr().read().data();
         }

@@ -165,8 +165,8 @@ fn paying_out_ends_before_zero_by_what_the_motor_runs_on() {
     assert_eq!(leg.decide(at, ZERO, NONE, stopping), Ok(Decision::Unfolded));
 }
 
-/// Wherever the power is cut, friction alone stops the motor before zero: with 4,200 counts/s2 per mA, and three
-/// eighths less than that.
+/// Wherever the power is cut, friction alone stops the motor before zero: with 4,200 counts/s2 per mA, and a
+/// quarter less than that.
 #[test]
 fn paying_out_is_never_faster_than_friction_stops() {
     let leg = Leg::PayOut { taut_to: None };
@@ -176,7 +176,7 @@ fn paying_out_is_never_faster_than_friction_stops() {
             let cps = leg.aim(Thread(thread_um), no_load_ma, false).cps;
             assert!(cps >= last, "slower further out");
             last = cps;
-            let deceleration = 4_200.0 * f64::from(no_load_ma) * 0.625;
+            let deceleration = 4_200.0 * f64::from(no_load_ma) * 0.75;
             let coasts_um = f64::from(cps).powi(2) / 2.0 / deceleration * 1.2272;
             assert!(
                 coasts_um <= f64::from(thread_um) * 1.001 || cps == LAST_CPS,

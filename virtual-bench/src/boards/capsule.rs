@@ -138,6 +138,12 @@ impl Wiring for CapsuleBoard {
     fn flash_began(&mut self) {
         self.capsule.flash_began();
     }
+
+    /// The bridge pulls its inputs low: the motor runs out.
+    fn powered_off(&mut self) {
+        self.inputs = [false; 2];
+        self.drive_bridge(false);
+    }
 }
 
 /// Path of the capsule's image.

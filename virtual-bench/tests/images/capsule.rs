@@ -337,7 +337,12 @@ fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
         .expect("the link stays");
     let before = capsule.device.call(GetCapsuleTotals).expect("an answer");
     assert_eq!(before.actuations, 2);
-    assert!((300..800).contains(&before.energy_mj), "{before:?}");
+    let drawn_mj = capsule.look(|capsule| capsule.energy_j() * 1e3);
+    let energy_mj = before.energy_mj as f64;
+    assert!(
+        (energy_mj / drawn_mj - 1.0).abs() < 0.05,
+        "{before:?}, {drawn_mj:.1} mJ drawn"
+    );
     let calibration = before.calibration.expect("the reference was one");
     assert!(
         (21_500..21_900).contains(&calibration.folded_um),
@@ -434,7 +439,9 @@ fn a_fold_is_recorded_on_the_capsule() {
         points.len(),
         record.duration_ms
     );
-    let peak_ma = points.iter().map(|point| point.current_ma).max();
+    // While the motor is braked the amplifier shows its current, which is none of the cell's.
+    let driven = points.windows(2).filter(|pair| pair[0].drive_mv != 0);
+    let peak_ma = driven.map(|pair| pair[1].current_ma).max();
     assert!((140..260).contains(&peak_ma.expect("some")), "{peak_ma:?}");
     let last = points.last().expect("some");
     let wound_um = capsule.look(|capsule| capsule.wound_mm() * 1e3);
