@@ -1,9 +1,16 @@
 //! Requests to replies: the only place where the protocol's messages meet the state machine.
 
-use crate::fold::{Actions, Capsule, Command, Drive, Event};
+use crate::{
+    fold::{Actions, Capsule, Command, Drive, Event},
+    kept::Totals,
+    trace::Recording,
+};
 use device::common::{About, Effect, Executed};
 use protocol::{
-    capsule::{ActuationAccepted, ActuationKind, CapsuleFault, CapsuleStatus, CapsuleTelemetry},
+    capsule::{
+        ActuationAccepted, ActuationKind, CapsuleCalibration, CapsuleFault, CapsuleStatus,
+        CapsuleTelemetry, CapsuleTotals,
+    },
     error::Refusal,
     system::Done,
     table::{Request, Response},
@@ -11,6 +18,10 @@ use protocol::{
 
 /// What a request may need to know.
 pub struct Context<'a> {
+    /// Of the present or last motion.
+    pub recording: &'a Recording,
+    /// What is kept in flash.
+    pub totals: &'a Totals,
     /// Device time.
     pub now_us: u64,
     /// What common requests are answered from.
@@ -28,6 +39,8 @@ pub fn execute(
 ) -> Executed<Option<Actions>, Change> {
     let command = match request {
         Request::Reference(_) => Command::Reference,
+        Request::Calibrate(_) => Command::Calibrate,
+        Request::CheckFolded(_) => Command::CheckFolded,
         Request::Fold(_) => Command::Fold,
         Request::Unfold(_) => Command::Unfold,
         Request::Acknowledge(_) => Command::Acknowledge,
@@ -40,6 +53,8 @@ pub fn execute(
     };
     let response = match command {
         Command::Reference => Response::Reference(accepted(ActuationKind::Reference)),
+        Command::Calibrate => Response::Calibrate(accepted(ActuationKind::Calibrate)),
+        Command::CheckFolded => Response::CheckFolded(accepted(ActuationKind::CheckFolded)),
         Command::Fold => Response::Fold(accepted(ActuationKind::Fold)),
         Command::Unfold => Response::Unfold(accepted(ActuationKind::Unfold)),
         _ => Response::Acknowledge(Done),
@@ -64,10 +79,25 @@ fn respond(
     let response = match query {
         Request::GetCapsuleStatus(_) => Response::GetCapsuleStatus(status(capsule, context.now_us)),
         Request::GetActuationRecord(_) => Response::GetActuationRecord(*capsule.record()),
+        Request::GetTrace(get) => Response::GetTrace(context.recording.part(&get, capsule.zero())),
+        Request::GetCapsuleTotals(_) => Response::GetCapsuleTotals(totals(capsule, context.totals)),
         // The rig's; the others have been answered above, and a Hello by the session.
         _ => return Err(Refusal::WrongDevice),
     };
     Ok((response, Effect::None))
+}
+
+fn totals(capsule: &Capsule, totals: &Totals) -> CapsuleTotals {
+    CapsuleTotals {
+        actuations: totals.actuations,
+        energy_mj: totals.energy_mj,
+        calibration: capsule.calibration().map(|calibration| CapsuleCalibration {
+            folded_um: calibration.folded.0,
+            rise_um: calibration.rise.0,
+            no_load_ma: calibration.no_load_ma,
+            tension_ma: calibration.tension_ma,
+        }),
+    }
 }
 
 fn status(capsule: &Capsule, time_us: u64) -> CapsuleStatus {

@@ -2,9 +2,13 @@
 //! of the capsule is a trait, so that the host tests run what the control task runs.
 
 use crate::{
+    calibration::Calibration,
     commands::{self, Context},
     detect::Sample,
     fold::{self, Actions, Command, Drive, Event},
+    kept::{Kept, Totals},
+    mechanics::Counts,
+    trace::Recording,
 };
 use device::retained::{EStop, Retained};
 use device::{
@@ -12,8 +16,9 @@ use device::{
     last_words::LastWords,
     service::Answers,
 };
+use embedded_storage_async::nor_flash::NorFlash;
 use protocol::{
-    capsule::{CapsuleEvent, CapsuleFault, CapsuleTelemetry},
+    capsule::{CapsuleEvent, CapsuleFault, CapsuleState, CapsuleTelemetry},
     events::EventRing,
     system::{ResetCause, Urgent, What},
     table::{Reply, Request},
@@ -21,6 +26,9 @@ use protocol::{
 
 /// A moving capsule stops when no good frame has come for this long.
 const LINK_TIMEOUT_US: u32 = 1_000_000;
+
+/// A motor whose bridge has failed runs out without a brake, for 0.3 s.
+const STANDS_US: u64 = 500_000;
 
 /// The rest of the capsule, as control sees it.
 pub trait Capsule {
@@ -30,17 +38,25 @@ pub trait Capsule {
     fn show(&mut self, telemetry: CapsuleTelemetry);
 }
 
-/// Owns the state machine and the events.
-pub struct Control<C: Capsule + Surroundings> {
+/// Owns the state machine, the events, the recording, and what is kept in flash.
+pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
     capsule: C,
     machine: fold::Capsule,
+    kept: Kept<F>,
+    /// Motions that have ended and are not yet in the totals, and their energy.
+    ended: (u32, u64),
+    /// Position, and since when it has not changed with the bridge asleep.
+    resting: (Counts, u64),
+    calibrated: Option<Calibration>,
+    recording: Recording,
     events: EventRing,
     last_words: LastWords,
 }
 
-impl<C: Capsule + Surroundings> Control<C> {
-    /// Control after a start, from what the previous one left.
-    pub fn new(capsule: C, left: Retained, reset_cause: ResetCause) -> Self {
+impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
+    /// Control after a start, from what the previous one left, and from flash.
+    pub fn new(capsule: C, flash: F, left: Retained, reset_cause: ResetCause) -> Self {
+        let kept = Kept::load(flash);
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(CapsuleFault::Panic),
             (ResetCause::Watchdog, _) => Some(CapsuleFault::Watchdog),
@@ -49,7 +65,12 @@ impl<C: Capsule + Surroundings> Control<C> {
         };
         let mut control = Self {
             capsule,
-            machine: fold::Capsule::new(fault),
+            machine: fold::Capsule::new(fault, kept.calibration(), kept.totals().folded),
+            kept,
+            ended: (0, 0),
+            resting: (Counts(0), 0),
+            calibrated: None,
+            recording: Recording::new(),
             events: EventRing::new(),
             last_words: left.last_words.unwrap_or_default(),
         };
@@ -64,9 +85,62 @@ impl<C: Capsule + Surroundings> Control<C> {
 
     /// Takes a reading.
     pub fn read(&mut self, at_us: u64, sample: Sample) {
+        let recorded = self.machine.is_moving() || self.machine.drive() != Drive::Off;
         let actions = self.machine.step(at_us, Event::Sample(sample));
+        if recorded {
+            let actuation = self.machine.record().actuation;
+            self.recording.take(actuation, &sample, actions.drive);
+        }
         self.perform(&actions);
         self.watch_link();
+        self.keep(at_us, sample.counts);
+    }
+
+    /// Writes what is to be kept, once the motor stands: the chip fetches no instruction meanwhile. What cannot be
+    /// written counts until the next start.
+    fn keep(&mut self, at_us: u64, counts: Counts) {
+        let (rests_at, since_us) = self.resting;
+        let driven = self.machine.is_moving() || self.machine.drive() != Drive::Off;
+        if driven || counts != rests_at {
+            self.resting = (counts, at_us);
+            return;
+        }
+        if at_us.saturating_sub(since_us) < STANDS_US {
+            return;
+        }
+        let mut failed = false;
+        if let Some(calibration) = self.calibrated.take() {
+            failed |= self.kept.keep_calibration(calibration).is_err();
+        }
+        let (actuations, energy_mj) = core::mem::take(&mut self.ended);
+        if actuations != 0 {
+            let before = *self.kept.totals();
+            let totals = Totals {
+                actuations: before.actuations.saturating_add(actuations),
+                energy_mj: before.energy_mj.saturating_add(energy_mj),
+                folded: self.machine.state() == CapsuleState::Folded,
+            };
+            failed |= self.kept.keep_totals(totals).is_err();
+        }
+        if failed {
+            self.emit(What::Capsule(CapsuleEvent::NotKept));
+        }
+    }
+
+    /// Before the motor turns: a cut of the power under way must not leave "folded" behind.
+    fn leave_folded(&mut self, actions: &Actions) {
+        let starts = |event: &CapsuleEvent| matches!(event, CapsuleEvent::Started { .. });
+        let totals = *self.kept.totals();
+        if !totals.folded || !actions.events.iter().any(starts) {
+            return;
+        }
+        let left = Totals {
+            folded: false,
+            ..totals
+        };
+        if self.kept.keep_totals(left).is_err() {
+            self.emit(What::Capsule(CapsuleEvent::NotKept));
+        }
     }
 
     fn watch_link(&mut self) {
@@ -81,7 +155,13 @@ impl<C: Capsule + Surroundings> Control<C> {
         self.capsule.drive(actions.drive);
         let telemetry = commands::telemetry(&self.machine, self.capsule.now_us());
         self.capsule.show(telemetry);
+        self.calibrated = actions.calibrated.or(self.calibrated);
         for event in &actions.events {
+            if let CapsuleEvent::Ended { .. } = event {
+                let (actuations, energy_mj) = self.ended;
+                let record = self.machine.record();
+                self.ended = (actuations + 1, energy_mj + u64::from(record.energy_mj));
+            }
             if let CapsuleEvent::Faulted(fault) = event {
                 let estop = matches!(fault, CapsuleFault::EStopFrame);
                 self.capsule.keep_latched(estop.then_some(EStop::Frame));
@@ -96,10 +176,12 @@ impl<C: Capsule + Surroundings> Control<C> {
     }
 }
 
-impl<C: Capsule + Surroundings> Answers for Control<C> {
+impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
     #[inline(never)]
     fn request(&mut self, request: Request) -> Reply {
         let context = Context {
+            recording: &self.recording,
+            totals: self.kept.totals(),
             now_us: self.capsule.now_us(),
             about: About {
                 events: &self.events,
@@ -109,6 +191,7 @@ impl<C: Capsule + Surroundings> Answers for Control<C> {
         };
         let executed = commands::execute(request, &mut self.machine, &context);
         if let Some(actions) = &executed.actions {
+            self.leave_folded(actions);
             self.perform(actions);
         }
         match executed.effect {

@@ -1,13 +1,12 @@
 //! What the motor's current, its encoder and the battery say about one leg of a motion.
 //!
-//! Every start and every reversal creates a new [`Detector`]. The inrush current of a motor at rest reaches 0.7 A and
-//! decays with a time constant of 6 ms, so the current is ignored for the first 30 ms.
-//!
-//! The current is the mean over one PWM period. The bridge lets the motor coast between its pulses, so the motor
-//! sees `duty * (battery - back-EMF) / R` and never regenerates. At part duty the inrush is therefore smaller and
-//! lasts longer (6 ms / duty), and an unloaded motor turns almost as fast as at full duty.
+//! Every start and every reversal creates a new [`Detector`]. The current is the mean over one PWM period, and
+//! bounded by the speed loop: a healthy motor draws 250 mA at most, also from standstill and when it is blocked.
 
-use crate::mechanics::{Counts, FORCE_MA, MOTOR_MILLIOHM, RISE_START_MA};
+use crate::{
+    mechanics::{Counts, FORCE_MA, RISE_START_MA},
+    window::Window,
+};
 
 /// One reading of the sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -16,6 +15,8 @@ pub struct Sample {
     pub counts: Counts,
     /// Magnitude of the motor current.
     pub current_ma: u16,
+    /// The same, as fine as it is known: the energy of a motor without load depends on it.
+    pub current_ua: u32,
     /// The shunt amplifier's offset, taken at rest; `current_ma` is without it, unless it is too large.
     pub offset_ma: u16,
     /// Battery voltage.
@@ -34,42 +35,70 @@ pub enum Spooling {
 }
 
 impl Spooling {
-    /// Counts from `from` to `to`, positive in this direction.
-    fn travel(self, from: Counts, to: Counts) -> Counts {
+    /// A distance or speed in counts, positive in this direction.
+    pub fn along(self, counts: i32) -> i32 {
         match self {
-            Spooling::Wind => to.since(from),
-            Spooling::PayOut => from.since(to),
+            Spooling::Wind => counts,
+            Spooling::PayOut => counts.saturating_neg(),
         }
     }
 }
 
-/// After a start the current says nothing about force for this long: five time constants at full duty, two at
-/// 1.5 V, which leave 34 mA of inrush.
+/// After a start the motor accelerates, and the current says nothing about force.
 pub const BLANKING_US: u64 = 30_000;
-/// The engagement is a small load and shows only after the longer inrush at 1.5 V: six times 15 ms.
-const ENGAGEMENT_BLANKING_US: u64 = 90_000;
-/// Force and over-current must last this long.
-pub const LOAD_DEBOUNCE_US: u64 = 5_000;
+/// And so long after a brake within a leg: the motor takes up its speed again.
+const AFTER_BRAKE_US: u64 = 40_000;
+/// The current is averaged over so many readings, and must have been driven in all of them.
+const FORCE_READINGS: usize = 8;
+/// A load must last this long.
+const LOAD_DEBOUNCE_US: u64 = 2_000;
 /// A driven motor may make no progress for this long.
-pub const STANDSTILL_US: u64 = 50_000;
-/// Two encoder lines count as progress. With one channel broken the count flickers by one on the spot; with the
-/// channels swapped it runs backwards. Neither is progress.
+pub const STANDSTILL_US: u64 = 40_000;
+/// Two encoder lines count as progress. With one channel broken the count flickers by one on the spot.
 const PROGRESS_COUNTS: i32 = 8;
-/// Above the stall current of a full battery (4.2 V / 5.4 ohm = 778 mA) it is a short circuit. Not blanked.
-pub const OVER_CURRENT_MA: u16 = 800;
+/// So far the wrong way, 0.05 mm, and the encoder's lines are swapped.
+const WRONG_WAY_COUNTS: i32 = 40;
+/// Twice what the speed loop lets a healthy motor draw.
+pub const OVER_CURRENT_MA: u16 = 450;
+/// Over-current must last this long.
+const OVER_CURRENT_DEBOUNCE_US: u64 = 2_000;
+/// Twice the current that was ordered, and this, is a short circuit, too.
+const SURPLUS_MA: u32 = 60;
+/// For so long: when something stops the motor, its back-EMF is overestimated for 3 ms.
+const SURPLUS_DEBOUNCE_US: u64 = 4_000;
+/// A motor that stands draws what was ordered, within winding, cell and amplifier; one that turns draws less, by its back-EMF.
+const STALLED_PERCENT: u32 = 85;
 /// A battery that sags below this under load is empty.
 pub const BATTERY_UNDER_LOAD_MV: u16 = 2_700;
-/// A sag must last this long: a reversal's inrush must not trip it.
-const SAG_DEBOUNCE_US: u64 = 20_000;
+/// A sag must last this long.
+const SAG_DEBOUNCE_US: u64 = 15_000;
 /// Ignores nFAULT while the bridge wakes up (DRV8833: 1 ms).
 const DRIVER_DEBOUNCE_US: u64 = 3_000;
-/// Shortest time over which the speed is measured; 17 counts per ms are usual.
-const SPEED_WINDOW_US: u64 = 4_000;
+/// Less than this is no current at all: a turning motor takes 10 mA at least.
+const NOTHING_MA: u16 = 5;
+/// A current must be ordered for its absence to mean something.
+const ORDERED_MA: u16 = 12;
+/// No current for this long, and its name is sought.
+const SILENCE_US: u64 = 24_000;
+/// Readings before the present one with which the speed is compared: the silence, less the speed's own window.
+const SILENCE_READINGS: usize = 22;
+/// A blocked motor that draws current pulls the battery down by this; the least resistance of a cell is 0.3 ohm.
+const LEAST_SAG_MV: u16 = 25;
+/// Speed from which a sudden resistance is looked for, counts/s: 7 mm/s.
+const FAST_CPS: i32 = 6_000;
+/// Above the no-load current: resistance. The stiffest origami with the most friction takes 115 mA where a fold becomes slow.
+const RESISTED_MA: u16 = 130;
+/// With this current above the no-load current, a slow motor that meets something hard is at the end force.
+const MET_MA: u16 = 100;
+/// From this speed on, counts/s, a loss of a fifth is more than rounding.
+const SLOW_CPS_AT_LEAST: i32 = 3_000;
+/// Readings with which the order is compared.
+const ORDERED_READINGS: usize = 20;
+/// Readings without a count after which a motor that pulls with the end force is asked whether it turns.
+const STILL_READINGS: usize = 10;
 /// Speed times this is the stopping distance of a braked motor: its time constant with the bridge's resistance
 /// (0.6 ohm) in the loop, 6.9 ms, less a tenth for friction, plus 1 ms between two samples.
 const STOP_US: i64 = 7_300;
-/// The no-load current is averaged over this time after the blanking.
-const NO_LOAD_US: u64 = 50_000;
 
 /// What ends a leg at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,10 +115,14 @@ pub enum Trip {
         /// Measured.
         battery_mv: u16,
     },
-    /// No progress and hardly any back-EMF: the motor stands still.
+    /// The motor stands still with the current that it was given.
     Blocked,
-    /// No progress, but the back-EMF says that the motor turns.
+    /// The motor turns, by its current, and the encoder does not count.
     EncoderLost,
+    /// The motor is driven, draws nothing, and does not turn.
+    BridgeSilent,
+    /// The motor turns, or pulls the battery down, and its current reads nothing.
+    SenseLost,
 }
 
 /// What the current says about the thread.
@@ -97,10 +130,12 @@ pub enum Trip {
 pub struct Load {
     /// The thread pulls with the end force.
     pub end_force: bool,
-    /// Where the current rose above the no-load current, while it stays above.
-    pub engaged_at: Option<Counts>,
-    /// Where the force rose above 3 N, while it stays above.
+    /// Current above the no-load current, while it can be told.
+    pub excess_ma: Option<u16>,
+    /// Where the force rose above half of the end force, while it stays above.
     pub rise_from: Option<Counts>,
+    /// A fast motor is slowed down, or loaded more than the origami loads it there.
+    pub resisted: bool,
 }
 
 /// A condition that must last before it counts.
@@ -119,46 +154,46 @@ impl Debounce {
     }
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-struct Mean {
-    sum: u32,
-    samples: u32,
-}
-
 /// Watches one leg.
 #[derive(Clone, Debug)]
 pub struct Detector {
     spooling: Spooling,
     from_us: u64,
+    /// The motor has taken up its speed again.
+    steady_from_us: u64,
+    /// Battery before the drive.
+    rest_mv: u16,
+    window: Window,
+    started_at: Option<Counts>,
     /// Furthest count so far, and when it was reached.
     furthest: Option<(Counts, u64)>,
     driver: Debounce,
     over_current: Debounce,
+    surplus: Debounce,
     sag: Debounce,
+    silence: Debounce,
     end_force: Debounce,
-    engaged: Debounce,
     rise: Debounce,
-    no_load: Mean,
-    speed_from: Option<(Counts, u64)>,
-    counts_per_s: i64,
 }
 
 impl Detector {
-    /// For a leg whose drive begins at `from_us`.
-    pub fn new(spooling: Spooling, from_us: u64) -> Self {
+    /// For a leg whose drive begins at `from_us`, with a battery that has `rest_mv` without load.
+    pub fn new(spooling: Spooling, from_us: u64, rest_mv: u16) -> Self {
         Self {
             spooling,
             from_us,
+            steady_from_us: 0,
+            rest_mv,
+            window: Window::new(),
+            started_at: None,
             furthest: None,
             driver: Debounce::default(),
             over_current: Debounce::default(),
+            surplus: Debounce::default(),
             sag: Debounce::default(),
+            silence: Debounce::default(),
             end_force: Debounce::default(),
-            engaged: Debounce::default(),
             rise: Debounce::default(),
-            no_load: Mean::default(),
-            speed_from: None,
-            counts_per_s: 0,
         }
     }
 
@@ -177,7 +212,28 @@ impl Detector {
         now_us.saturating_sub(self.from_us) >= BLANKING_US
     }
 
-    /// Judges one sample, taken at `now_us` (not before [`Self::from_us`]) with the magnitude `drive_mv` at the motor.
+    /// Speed in the direction of the leg over the last 8 ms, counts/s.
+    pub fn speed_cps(&self) -> i32 {
+        self.spooling.along(self.window.speed_cps(8, 0))
+    }
+
+    /// The same, and the least that it may have become in the last 3 ms.
+    pub fn speeds_cps(&self) -> (i32, i32) {
+        let cps = self.speed_cps();
+        (
+            cps,
+            cps.min(self.spooling.along(self.window.speed_cps(3, 0))),
+        )
+    }
+
+    /// How far the motor runs on in the leg's direction if it is braked now.
+    pub fn stopping_distance(&self) -> Counts {
+        let counts = i64::from(self.speed_cps().max(0)).saturating_mul(STOP_US) / 1_000_000;
+        Counts(i32::try_from(counts).unwrap_or(i32::MAX))
+    }
+
+    /// Judges one sample, taken at `now_us` (not before [`Self::from_us`]), after a millisecond in which `ordered_ma`
+    /// should have flown; none while braking.
     ///
     /// # Errors
     /// The [`Trip`] that ends the leg.
@@ -185,7 +241,7 @@ impl Detector {
         &mut self,
         now_us: u64,
         sample: &Sample,
-        drive_mv: u16,
+        ordered_ma: Option<u16>,
         no_load_ma: u16,
     ) -> Result<Load, Trip> {
         let Sample {
@@ -195,109 +251,179 @@ impl Detector {
             driver_fault,
             ..
         } = *sample;
-        if self
-            .driver
-            .update(now_us, counts, driver_fault, DRIVER_DEBOUNCE_US)
-            .is_some()
-        {
+        self.window.push(now_us, sample, ordered_ma);
+        if ordered_ma.is_none() {
+            self.steady_from_us = now_us.saturating_add(AFTER_BRAKE_US);
+        }
+        let lasts = |condition: &mut Debounce, holds, for_us| {
+            condition.update(now_us, counts, holds, for_us).is_some()
+        };
+        if lasts(&mut self.driver, driver_fault, DRIVER_DEBOUNCE_US) {
             return Err(Trip::Driver);
         }
-        self.measure_speed(now_us, counts);
         let over = current_ma > OVER_CURRENT_MA;
-        if self
-            .over_current
-            .update(now_us, counts, over, LOAD_DEBOUNCE_US)
-            .is_some()
-        {
+        if lasts(&mut self.over_current, over, OVER_CURRENT_DEBOUNCE_US) {
             return Err(Trip::OverCurrent { current_ma });
         }
-        let load = if self.sees_force(now_us) {
-            let low = battery_mv < BATTERY_UNDER_LOAD_MV;
-            if self
-                .sag
-                .update(now_us, counts, low, SAG_DEBOUNCE_US)
-                .is_some()
-            {
-                return Err(Trip::LowBattery { battery_mv });
-            }
-            self.load(now_us, counts, current_ma, no_load_ma)
-        } else {
-            Load::default()
-        };
-        if !load.end_force && self.stands_still(now_us, counts) {
-            return Err(if is_stall(current_ma, drive_mv) {
-                Trip::Blocked
-            } else {
-                Trip::EncoderLost
-            });
+        let low = battery_mv < BATTERY_UNDER_LOAD_MV;
+        if lasts(&mut self.sag, low, SAG_DEBOUNCE_US) {
+            return Err(Trip::LowBattery { battery_mv });
+        }
+        if self.turns_uncounted(counts) {
+            return Err(Trip::EncoderLost);
+        }
+        let means = self.window.means_ma(FORCE_READINGS);
+        let surplus = means.is_some_and(|(mean_ma, wanted_ma)| {
+            u32::from(mean_ma) > 2 * u32::from(wanted_ma) + SURPLUS_MA
+        });
+        if lasts(&mut self.surplus, surplus, SURPLUS_DEBOUNCE_US) {
+            let current_ma = means.map_or(current_ma, |(mean_ma, _)| mean_ma);
+            return Err(Trip::OverCurrent { current_ma });
+        }
+        let silent = means
+            .is_some_and(|(mean_ma, wanted_ma)| mean_ma < NOTHING_MA && wanted_ma >= ORDERED_MA);
+        if lasts(&mut self.silence, silent, SILENCE_US) && self.makes_progress(now_us) {
+            return Err(self.name_of_silence());
+        }
+        let mut load = self.load(now_us, counts, no_load_ma);
+        // What is more than ordered may be a short circuit; its own debounce decides.
+        load.end_force &= !surplus;
+        let stands = self.stands_still(now_us, counts);
+        if load.end_force {
+            // A motor that is slow here may pull on while its encoder is lost.
+            let name = self.counts_nothing().then(|| self.name_of_standstill());
+            return match name {
+                Some(lost @ Trip::EncoderLost) => Err(lost),
+                _ => Ok(load),
+            };
+        }
+        if stands {
+            return Err(self.name_of_standstill());
         }
         Ok(load)
     }
 
-    fn load(&mut self, now_us: u64, counts: Counts, current_ma: u16, no_load_ma: u16) -> Load {
-        let driven_us = now_us.saturating_sub(self.from_us);
-        if driven_us < BLANKING_US + NO_LOAD_US {
-            self.no_load.sum = self.no_load.sum.saturating_add(u32::from(current_ma));
-            self.no_load.samples = self.no_load.samples.saturating_add(1);
-        }
-        // Loaded: above 1.3 times the no-load current.
-        let loaded = u32::from(current_ma) * 10 > u32::from(no_load_ma) * 13;
-        let engaged = driven_us >= ENGAGEMENT_BLANKING_US && loaded;
-        let end_force = current_ma >= FORCE_MA;
-        let rise = current_ma >= RISE_START_MA;
+    fn load(&mut self, now_us: u64, counts: Counts, no_load_ma: u16) -> Load {
+        let seen = self.sees_force(now_us) && now_us >= self.steady_from_us;
+        let means = self.window.means_ma(FORCE_READINGS).filter(|_| seen);
+        let excess_ma = means.map(|(mean_ma, _)| mean_ma.saturating_sub(no_load_ma));
+        let above = |level| excess_ma.is_some_and(|excess| excess >= level);
+        let end_force = above(FORCE_MA);
+        let rise = above(RISE_START_MA);
+        let met = above(MET_MA) && self.meets_something();
+        let slowed = self.is_slowed();
         Load {
             end_force: self
                 .end_force
                 .update(now_us, counts, end_force, LOAD_DEBOUNCE_US)
-                .is_some(),
-            engaged_at: self
-                .engaged
-                .update(now_us, counts, engaged, LOAD_DEBOUNCE_US),
+                .is_some()
+                || met,
+            excess_ma,
             rise_from: self.rise.update(now_us, counts, rise, LOAD_DEBOUNCE_US),
+            resisted: slowed || above(RESISTED_MA),
         }
     }
 
-    /// Mean current of the 50 ms after the blanking, once they have passed. It is the no-load current only if the
-    /// thread was slack.
-    pub fn first_mean_ma(&self, now_us: u64) -> Option<u16> {
-        let over = now_us.saturating_sub(self.from_us) >= BLANKING_US + NO_LOAD_US;
-        let mean = self.no_load.sum.checked_div(self.no_load.samples)?;
-        over.then(|| u16::try_from(mean).unwrap_or(u16::MAX))
+    /// Over the last 2 ms the motor was slower by a tenth, two counts, than over 8 ms before, and not because it was braked.
+    fn is_slowed(&self) -> bool {
+        let before = self.spooling.along(self.window.speed_cps(12, 4));
+        let now = self.spooling.along(self.window.speed_cps(2, 0));
+        self.window.means_ma(12).is_some() && before >= FAST_CPS && now < before - before / 10
     }
 
-    /// How far the motor runs on in the leg's direction if it is braked now.
-    pub fn stopping_distance(&self) -> Counts {
-        let counts = self.counts_per_s.saturating_mul(STOP_US) / 1_000_000;
-        Counts(i32::try_from(counts).unwrap_or(i32::MAX))
+    /// A slow motor has lost a fifth of its speed within 3 ms, still turns, and not because less current was ordered. The
+    /// current follows later, and the motor's momentum pulls meanwhile.
+    fn meets_something(&self) -> bool {
+        let before = self.spooling.along(self.window.speed_cps(11, 3));
+        let now = self.spooling.along(self.window.speed_cps(3, 0));
+        let turns = self.window.step(0).is_some_and(|step| step.abs() >= 2);
+        before >= SLOW_CPS_AT_LEAST
+            && now < before - before / 5
+            && turns
+            && self.window.orders_most_now(ORDERED_READINGS)
     }
 
-    /// Updates the speed once [`SPEED_WINDOW_US`] have passed since the last update.
-    fn measure_speed(&mut self, now_us: u64, counts: Counts) {
-        let (from, since_us) = *self.speed_from.get_or_insert((counts, now_us));
-        let elapsed_us = now_us.saturating_sub(since_us);
-        if elapsed_us < SPEED_WINDOW_US {
-            return;
+    /// The encoder has counted nothing for 10 ms, one line that flickers at most.
+    fn counts_nothing(&self) -> bool {
+        (0..STILL_READINGS).all(|age| self.window.step(age).is_some_and(|step| step.abs() <= 1))
+    }
+
+    /// The counts end within 1 ms, for 3 ms: a motor needs longer to stop. Or they go the wrong way.
+    fn turns_uncounted(&mut self, counts: Counts) -> bool {
+        let started_at = *self.started_at.get_or_insert(counts);
+        let way = self.spooling.along(counts.since(started_at).0);
+        if way <= -WRONG_WAY_COUNTS {
+            return true;
         }
-        let travel = self.spooling.travel(from, counts);
-        let elapsed_us = i64::try_from(elapsed_us).unwrap_or(i64::MAX);
-        self.counts_per_s = (i64::from(travel.0) * 1_000_000 / elapsed_us).max(0);
-        self.speed_from = Some((counts, now_us));
+        let steps: [Option<i32>; 7] = core::array::from_fn(|age| self.window.step(age));
+        let [
+            Some(a),
+            Some(b),
+            Some(c),
+            Some(_),
+            Some(d),
+            Some(e),
+            Some(f),
+        ] = steps
+        else {
+            return false;
+        };
+        // Two steps lie between `d` and the first without progress. A jam with the brake on takes 3.4 counts per ms
+        // and ms, without it 1.4.
+        let (d, e, f) = (d.abs(), e.abs(), f.abs());
+        let steady = d >= 8 || d >= 4 && e.max(f) <= d + 1;
+        let stopped = [a, b, c].iter().all(|step| step.abs() <= 1) && (a + b + c).abs() <= 1;
+        steady && stopped
+    }
+
+    fn makes_progress(&self, now_us: u64) -> bool {
+        self.furthest
+            .is_some_and(|(_, since_us)| now_us.saturating_sub(since_us) < STANDSTILL_US / 4)
+    }
+
+    /// The motor turns, and its current reads nothing: a motor without current becomes slower.
+    fn name_of_silence(&self) -> Trip {
+        let before = self.spooling.along(
+            self.window
+                .speed_cps(SILENCE_READINGS + FORCE_READINGS, SILENCE_READINGS),
+        );
+        let now = self.spooling.along(self.window.speed_cps(4, 0));
+        if now < before - before / 16 {
+            Trip::BridgeSilent
+        } else {
+            Trip::SenseLost
+        }
+    }
+
+    fn name_of_standstill(&self) -> Trip {
+        let Some((mean_ma, wanted_ma)) = self.window.means_ma(FORCE_READINGS) else {
+            return Trip::Blocked; // driven and braked by turns
+        };
+        let sag_mv = self
+            .window
+            .battery_mv(FORCE_READINGS)
+            .map_or(0, |loaded_mv| self.rest_mv.saturating_sub(loaded_mv));
+        if mean_ma < NOTHING_MA.max(wanted_ma / 8) {
+            if sag_mv >= LEAST_SAG_MV {
+                Trip::SenseLost
+            } else {
+                Trip::BridgeSilent
+            }
+        } else if u32::from(mean_ma) * 100 >= u32::from(wanted_ma) * STALLED_PERCENT {
+            Trip::Blocked
+        } else {
+            Trip::EncoderLost
+        }
     }
 
     fn stands_still(&mut self, now_us: u64, counts: Counts) -> bool {
         let (furthest, since_us) = *self.furthest.get_or_insert((counts, now_us));
-        if self.spooling.travel(furthest, counts).0 >= PROGRESS_COUNTS {
+        if self.spooling.along(counts.since(furthest).0) >= PROGRESS_COUNTS {
             self.furthest = Some((counts, now_us));
             return false;
         }
         now_us.saturating_sub(since_us) >= STANDSTILL_US
     }
-}
-
-/// The back-EMF is below a quarter of the battery voltage: `i R >= 3/4 duty * battery`.
-fn is_stall(current_ma: u16, drive_mv: u16) -> bool {
-    let resistive_mv = u32::from(current_ma) * MOTOR_MILLIOHM / 1_000;
-    resistive_mv * 4 >= u32::from(drive_mv) * 3
 }
 
 #[cfg(test)]

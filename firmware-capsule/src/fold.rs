@@ -2,29 +2,34 @@
 //!
 //! | state | event \[guard\] | next |
 //! |---|---|---|
-//! | any at rest | Reference \[battery, amplifier\] | Referencing |
+//! | any at rest | Calibrate, Reference \[battery, amplifier\] | Referencing |
 //! | Unfolded, Stopped | Fold \[battery, amplifier\] | Folding |
 //! | Folded, Stopped | Unfold \[battery, amplifier\] | Unfolding |
-//! | any at rest | Reference, Fold, Unfold \[amplifier shows a current\] | Faulted |
+//! | Unreferenced, WasFolded | CheckFolded \[calibration, battery, amplifier\] | Checking |
+//! | any at rest | Reference, Fold, ... \[amplifier shows a current\] | Faulted |
 //! | Referencing | zero found and reached | Unfolded |
-//! | Folding | end force in the end window | Folded |
+//! | Folding | end force at the calibrated end | Folded |
+//! | Checking | end force | Folded |
 //! | Unfolding | zero reached | Unfolded |
 //! | Folding, Unfolding | Stop, link silent | Stopped |
-//! | Referencing | Stop, link silent | Unreferenced; Stopped once the zero is found |
+//! | Referencing, Checking | Stop, link silent | Unreferenced; Stopped once the zero is found |
 //! | any | EStop | Faulted |
 //! | moving | trip, jam, broken thread, time-out | Faulted |
 //! | Faulted | Acknowledge \[cause gone\] | Stopped, or Unreferenced if the fault costs the position |
 //!
-//! The motor is driven only while referencing, folding or unfolding. Each of them ends with the motor shorted for
-//! [`BRAKE_US`]: at 3.7 V it turns 270 times a second, and runs on for 0.1 mm of thread when braked, for almost 3 mm
-//! when not. Then the bridge sleeps and the worm gear holds.
+//! A reference of a capsule without a calibration is a calibration: both have to begin unfolded then.
+//!
+//! The motor is driven only while it moves. Each motion ends with the motor shorted for [`BRAKE_US`]. Then the bridge
+//! sleeps and the worm gear holds.
 //!
 //! [`leg`](crate::leg) says how each motion is driven, where it ends, and how the zero is found.
 
 use crate::{
-    detect::{Detector, Load, Sample, Spooling, Trip},
-    leg::{Decision, Leg},
-    mechanics::{Counts, FOLDED, NO_LOAD_MA, Thread},
+    calibration::Calibration,
+    detect::{BATTERY_UNDER_LOAD_MV, Detector, Load, Sample, Spooling, Trip},
+    governor::{Effort, Governor},
+    leg::{Decision, Leg, MOST_MA, Purpose, TENSION_ZONE, is_near},
+    mechanics::{Counts, FOLDED_RANGE, MOST_NO_LOAD_MA, Thread},
     record::Recorder,
     sense::MOST_OFFSET_MA,
 };
@@ -37,13 +42,21 @@ use protocol::{
 
 /// How long the motor is shorted after a motion: six of its time constants.
 pub const BRAKE_US: u64 = 40_000;
+/// Internal resistance of a good cell, until it is measured.
+const CELL_MILLIOHM: u32 = 500;
+/// From this current on the sag of the cell tells its resistance.
+const LOAD_MA: u16 = 80;
+/// What a fold and an unfolding take off the voltage of a cell that is nearly empty.
+const RESERVE_MV: u16 = 100;
+/// Above the no-load current, the thread pulls: 0.3 N.
+const ENGAGED_MA: u16 = 7;
 /// Below this battery voltage a motion is refused.
 pub const LEAST_BATTERY_MV: u16 = 3_000;
-/// Two slow windings and two ways out.
-pub const REFERENCE_TIMEOUT_MS: u32 = 12_000;
-/// The model motor takes 1.6 s, with an almost empty battery twice as long.
-pub const FOLD_TIMEOUT_MS: u32 = 4_000;
-/// The model motor takes 1.2 s.
+/// Two slow windings of 28.5 mm, 5.7 s each, and two ways out.
+pub const REFERENCE_TIMEOUT_MS: u32 = 16_000;
+/// The model motor takes 1.7 s, and 4.4 s if something resisted on the way.
+pub const FOLD_TIMEOUT_MS: u32 = 8_000;
+/// The model motor takes 1.3 s, with an almost empty battery twice as long.
 pub const UNFOLD_TIMEOUT_MS: u32 = 4_000;
 
 /// State of the bridge.
@@ -61,6 +74,10 @@ pub enum Drive {
 /// What the host can order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
+    /// Measure how far it is from here, the unfolded end, to the end force.
+    Calibrate,
+    /// Wind gently to the end force, and stay there.
+    CheckFolded,
     /// Find the zero.
     Reference,
     /// Wind to the end force.
@@ -95,6 +112,8 @@ pub struct Actions {
     pub events: heapless::Vec<CapsuleEvent, 3>,
     /// Why the command was refused, if it was.
     pub refusal: Option<Refusal>,
+    /// Keep this in flash, as soon as the bridge sleeps.
+    pub calibrated: Option<Calibration>,
 }
 
 impl Actions {
@@ -123,9 +142,46 @@ struct Actuation {
     detector: Detector,
     started_us: u64,
     deadline_us: u64,
-    /// The thread was slack at the start, so the first mean current is the no-load current.
-    from_slack: bool,
+    governor: Governor,
+    effort: Effort,
+    /// The end force is near.
+    near: bool,
+    /// Battery before the drive.
+    rest_mv: u16,
+    /// Where the thread was slack at the start, so that the first current is the no-load current.
+    slack_from: Option<Counts>,
+    slack: Mean,
+    /// Current of a thread that must be taut.
+    taut: Mean,
+    /// A calibration that lacks its tension.
+    found: Option<(Thread, Thread)>,
 }
+
+/// Sum and number of some currents.
+#[derive(Clone, Copy, Debug, Default)]
+struct Mean {
+    sum: u32,
+    count: u32,
+}
+
+impl Mean {
+    fn add(&mut self, current_ma: u16) {
+        self.sum = self.sum.saturating_add(u32::from(current_ma));
+        self.count = self.count.saturating_add(1);
+    }
+
+    fn mean_ma(&self) -> Option<u16> {
+        let mean = (self.sum + self.count / 2).checked_div(self.count)?;
+        Some(u16::try_from(mean).unwrap_or(u16::MAX))
+    }
+}
+
+/// A thread is slack over this way from the unfolded end, and the motor at its speed.
+const SLACK_ZONE: (Thread, Thread) = (Thread(800), Thread(2_200));
+/// The last part of the tension zone, where its current counts.
+const STEADY_UM: i32 = 300;
+/// A taut thread that unfolds takes at least this above the no-load current.
+const LEAST_TENSION_MA: u16 = 4;
 
 /// The state machine.
 #[derive(Clone, Debug)]
@@ -139,13 +195,22 @@ pub struct Capsule {
     drive: Drive,
     brake_until_us: u64,
     no_load_ma: u16,
+    calibration: Option<Calibration>,
+    /// Internal resistance of the cell, as the last motion under load has shown it.
+    cell_milliohm: u32,
+    /// The last motion of the run before ended folded, and nothing has moved since.
+    was_folded: bool,
     recorder: Recorder,
 }
 
 impl Capsule {
     /// At the start of the device, position unknown. `fault` is what ended the last run of the firmware, if a
-    /// fault did.
-    pub fn new(fault: Option<CapsuleFault>) -> Self {
+    /// fault did; `calibration` and whether it `was_folded` come from flash.
+    pub fn new(
+        fault: Option<CapsuleFault>,
+        calibration: Option<Calibration>,
+        was_folded: bool,
+    ) -> Self {
         Self {
             mode: fault.map_or(Mode::Unreferenced, Mode::Faulted),
             referenced: false,
@@ -154,7 +219,10 @@ impl Capsule {
             sample_us: 0,
             drive: Drive::Off,
             brake_until_us: 0,
-            no_load_ma: NO_LOAD_MA,
+            no_load_ma: Calibration::no_load_of(calibration.as_ref()),
+            calibration,
+            cell_milliohm: CELL_MILLIOHM,
+            was_folded,
             recorder: Recorder::new(),
         }
     }
@@ -162,13 +230,15 @@ impl Capsule {
     /// The state by its name in the protocol.
     pub fn state(&self) -> CapsuleState {
         match &self.mode {
+            Mode::Unreferenced if self.was_folded => CapsuleState::WasFolded,
             Mode::Unreferenced => CapsuleState::Unreferenced,
             Mode::Unfolded => CapsuleState::Unfolded,
             Mode::Folded => CapsuleState::Folded,
             Mode::Stopped => CapsuleState::Stopped,
             Mode::Faulted(_) => CapsuleState::Faulted,
             Mode::Moving(actuation) => match actuation.kind {
-                ActuationKind::Reference => CapsuleState::Referencing,
+                ActuationKind::Reference | ActuationKind::Calibrate => CapsuleState::Referencing,
+                ActuationKind::CheckFolded => CapsuleState::Checking,
                 ActuationKind::Fold => CapsuleState::Folding,
                 ActuationKind::Unfold => CapsuleState::Unfolding,
             },
@@ -198,6 +268,16 @@ impl Capsule {
         self.sample.counts.since(self.zero).thread()
     }
 
+    /// Count at thread zero.
+    pub fn zero(&self) -> Counts {
+        self.zero
+    }
+
+    /// What is known of this capsule.
+    pub fn calibration(&self) -> Option<&Calibration> {
+        self.calibration.as_ref()
+    }
+
     /// The last sample.
     pub fn sample(&self) -> &Sample {
         &self.sample
@@ -216,7 +296,9 @@ impl Capsule {
     /// Longest time an actuation of this kind may take.
     pub fn timeout_ms(kind: ActuationKind) -> u32 {
         match kind {
-            ActuationKind::Reference => REFERENCE_TIMEOUT_MS,
+            ActuationKind::Reference | ActuationKind::Calibrate | ActuationKind::CheckFolded => {
+                REFERENCE_TIMEOUT_MS
+            }
             ActuationKind::Fold => FOLD_TIMEOUT_MS,
             ActuationKind::Unfold => UNFOLD_TIMEOUT_MS,
         }
@@ -245,6 +327,8 @@ impl Capsule {
     ) -> Result<(), Refusal> {
         let kind = match command {
             Command::Reference => ActuationKind::Reference,
+            Command::Calibrate => ActuationKind::Calibrate,
+            Command::CheckFolded => ActuationKind::CheckFolded,
             Command::Fold => ActuationKind::Fold,
             Command::Unfold => ActuationKind::Unfold,
             Command::Stop => {
@@ -266,15 +350,24 @@ impl Capsule {
             (Mode::Unreferenced, ActuationKind::Fold | ActuationKind::Unfold) => {
                 return Err(Refusal::NotReferenced);
             }
-            (Mode::Folded, ActuationKind::Fold) | (Mode::Unfolded, ActuationKind::Unfold) => {
+            (Mode::Folded, ActuationKind::CheckFolded | ActuationKind::Fold)
+            | (Mode::Unfolded, ActuationKind::Unfold) => {
                 return Err(Refusal::AlreadyThere);
+            }
+            (_, ActuationKind::Fold | ActuationKind::CheckFolded) if self.calibration.is_none() => {
+                return Err(Refusal::NotCalibrated);
             }
             _ => {}
         }
-        if self.sample.battery_mv < LEAST_BATTERY_MV {
+        let min_mv = match kind {
+            // Paying out takes little, and somebody may need it.
+            ActuationKind::Unfold => LEAST_BATTERY_MV,
+            _ => self.least_battery_mv(),
+        };
+        if self.sample.battery_mv < min_mv {
             return Err(Refusal::BatteryLow {
                 battery_mv: self.sample.battery_mv,
-                min_mv: LEAST_BATTERY_MV,
+                min_mv,
             });
         }
         if let Some(fault) = self.amplifier_fault() {
@@ -283,6 +376,15 @@ impl Capsule {
         }
         self.start(now_us, kind, actions);
         Ok(())
+    }
+
+    /// What the cell must have at rest to stay above its limit under the end force, twice: to fold and to unfold again.
+    fn least_battery_mv(&self) -> u16 {
+        let sag_mv = self.cell_milliohm * u32::from(MOST_MA) / 1_000;
+        let under_load_mv = u32::from(BATTERY_UNDER_LOAD_MV + RESERVE_MV) + sag_mv;
+        u16::try_from(under_load_mv)
+            .unwrap_or(u16::MAX)
+            .max(LEAST_BATTERY_MV)
     }
 
     /// The shunt amplifier shows a current at rest. Nothing it says under drive can then be relied on.
@@ -309,27 +411,49 @@ impl Capsule {
     }
 
     fn start(&mut self, now_us: u64, kind: ActuationKind, actions: &mut Actions) {
-        let from_slack = matches!(self.mode, Mode::Unfolded);
-        let leg = match kind {
-            ActuationKind::Reference => {
-                self.referenced = false;
-                Leg::Seek {
-                    origin: self.sample.counts,
-                    second: false,
-                }
-            }
-            ActuationKind::Fold => Leg::Wind,
-            ActuationKind::Unfold => Leg::PayOut,
+        let origin = self.sample.counts;
+        let seek = |purpose| Leg::Seek {
+            origin,
+            second: false,
+            purpose,
         };
+        let calibrates = kind == ActuationKind::Calibrate
+            || kind == ActuationKind::Reference && self.calibration.is_none();
+        let slack = calibrates || matches!(self.mode, Mode::Unfolded);
+        let leg = match (kind, &self.calibration) {
+            (ActuationKind::Unfold, _) => Leg::PayOut {
+                taut_to: matches!(self.mode, Mode::Folded).then(|| self.taut_to()),
+            },
+            (ActuationKind::Fold, Some(calibration)) => Leg::Wind {
+                end: calibration.folded,
+                careful: false,
+            },
+            (ActuationKind::CheckFolded, _) => seek(Purpose::Check {
+                believed: self.was_folded,
+            }),
+            _ if calibrates => seek(Purpose::Calibrate),
+            _ => seek(Purpose::Reference),
+        };
+        if matches!(leg, Leg::Seek { .. }) {
+            self.referenced = false;
+        }
+        self.was_folded = false;
         let from_us = now_us.max(self.brake_until_us);
         let timeout_us = u64::from(Self::timeout_ms(kind)) * 1_000;
         self.mode = Mode::Moving(Actuation {
             kind,
             leg,
-            detector: Detector::new(leg.spooling(), from_us),
+            detector: Detector::new(leg.spooling(), from_us, self.sample.battery_mv),
             started_us: now_us,
             deadline_us: from_us.saturating_add(timeout_us),
-            from_slack,
+            governor: Governor::default(),
+            effort: Effort::Millivolts(0),
+            near: false,
+            rest_mv: self.sample.battery_mv,
+            slack_from: slack.then_some(origin),
+            slack: Mean::default(),
+            taut: Mean::default(),
+            found: None,
         });
         self.recorder
             .start(kind, self.thread(), self.sample.battery_mv);
@@ -339,24 +463,47 @@ impl Capsule {
         });
         // If the leg is already at its end, the motor is not even switched on.
         self.supervise(now_us, actions);
+        self.govern(now_us);
+    }
+
+    /// The thread is taut down to here, if it is taut now.
+    fn taut_to(&self) -> Thread {
+        Thread(self.thread().0.saturating_sub(TENSION_ZONE.0))
     }
 
     fn on_sample(&mut self, now_us: u64, sample: Sample, actions: &mut Actions) {
-        // The last sample before a start is up to 100 ms old, and the motor was not driven then.
-        let since_us = match &self.mode {
-            Mode::Moving(actuation) => self.sample_us.max(actuation.started_us),
-            _ => self.sample_us,
-        };
-        if let Drive::Millivolts(_) = self.drive {
-            self.recorder
-                .add_energy(&sample, now_us.saturating_sub(since_us));
+        if let (Drive::Millivolts(drive_mv), Mode::Moving(actuation)) = (self.drive, &self.mode) {
+            // The last sample before a start is up to 100 ms old, and the motor was not driven then.
+            let since_us = self.sample_us.max(actuation.started_us);
+            self.recorder.add_energy(
+                &sample,
+                drive_mv.unsigned_abs(),
+                actuation.rest_mv,
+                now_us.saturating_sub(since_us),
+            );
         }
         self.sample = sample;
         self.sample_us = self.sample_us.max(now_us);
         self.supervise(now_us, actions);
+        self.govern(now_us);
         if self.is_moving() || now_us < self.brake_until_us {
             self.recorder.thread(self.thread());
         }
+    }
+
+    /// Asks the speed loop what to do until the next sample.
+    fn govern(&mut self, now_us: u64) {
+        let (thread, no_load_ma) = (self.thread(), self.no_load_ma);
+        let Mode::Moving(actuation) = &mut self.mode else {
+            return;
+        };
+        if now_us < actuation.detector.from_us() {
+            return; // still braking from the motion before
+        }
+        let aim = actuation.leg.aim(thread, no_load_ma, actuation.near);
+        let (cps, least_cps) = actuation.detector.speeds_cps();
+        let battery_mv = self.sample.battery_mv;
+        actuation.effort = actuation.governor.step(aim, cps, least_cps, battery_mv);
     }
 
     /// Judges the last sample while moving.
@@ -367,73 +514,197 @@ impl Capsule {
     }
 
     fn judge(&mut self, now_us: u64, actions: &mut Actions) -> Result<(), CapsuleFault> {
-        let driven_mv = match self.drive {
-            Drive::Millivolts(drive_mv) => Some(drive_mv.unsigned_abs()),
-            Drive::Off | Drive::Brake => None,
-        };
         let thread = self.thread();
+        let driven = self.drive != Drive::Off;
         let Mode::Moving(actuation) = &mut self.mode else {
             return Ok(());
         };
         let duration_us = now_us.saturating_sub(actuation.started_us);
         self.recorder.update(duration_us, self.sample.battery_mv);
-        let detector = &mut actuation.detector;
-        if now_us < detector.from_us() {
+        if now_us < actuation.detector.from_us() {
             return Ok(()); // still braking from the motion before
         }
-        let load = match driven_mv {
+        let load = if driven && now_us > actuation.detector.from_us() {
+            let ordered_ma = match self.drive {
+                Drive::Millivolts(_) => actuation.governor.ordered_ma(),
+                Drive::Brake | Drive::Off => None,
+            };
+            actuation
+                .detector
+                .check(now_us, &self.sample, ordered_ma, self.no_load_ma)
+                .map_err(|trip| fault_of(trip, thread))?
+        } else {
             // The first sample of a leg was taken before its drive: only its position counts.
-            None => Load::default(),
-            Some(drive_mv) => {
-                if detector.sees_force(now_us) {
-                    self.recorder.current(self.sample.current_ma);
-                }
-                detector
-                    .check(now_us, &self.sample, drive_mv, self.no_load_ma)
-                    .map_err(|trip| fault_of(trip, thread))?
-            }
+            Load::default()
         };
-        if detector.spooling() == Spooling::Wind {
-            if actuation.from_slack {
-                self.no_load_ma = detector.first_mean_ma(now_us).unwrap_or(self.no_load_ma);
+        if let Some(excess_ma) = load.excess_ma {
+            actuation.near = is_near(actuation.near, excess_ma);
+            let current_ma = excess_ma.saturating_add(self.no_load_ma);
+            self.recorder.current(current_ma);
+            if current_ma >= LOAD_MA {
+                let sag_mv = actuation.rest_mv.saturating_sub(self.sample.battery_mv);
+                self.cell_milliohm = u32::from(sag_mv) * 1_000 / u32::from(current_ma);
             }
-            if let Some(engaged_at) = load.engaged_at {
-                self.recorder.engaged(engaged_at.since(self.zero).thread());
+            if excess_ma >= ENGAGED_MA && actuation.detector.spooling() == Spooling::Wind {
+                self.recorder.engaged(thread);
             }
         }
-        let stopping = detector.stopping_distance();
+        self.measure(thread, load.excess_ma.is_some())?;
+        self.decide(now_us, load, actions)
+    }
+
+    /// Currents of a slack thread and of a taut one, from readings at a steady speed.
+    fn measure(&mut self, thread: Thread, steady: bool) -> Result<(), CapsuleFault> {
+        let Mode::Moving(actuation) = &mut self.mode else {
+            return Ok(());
+        };
+        let (counts, current_ma) = (self.sample.counts, self.sample.current_ma);
+        if let Some(slack_from) = actuation.slack_from
+            && actuation.detector.spooling() == Spooling::Wind
+        {
+            let way = counts.since(slack_from).thread();
+            let (from, to) = SLACK_ZONE;
+            if (from..to).contains(&way) {
+                if steady {
+                    actuation.slack.add(current_ma);
+                }
+            } else if way >= to {
+                actuation.slack_from = None;
+                let measured = actuation.slack.mean_ma();
+                if let Some(no_load_ma) = measured.filter(|mean_ma| *mean_ma <= MOST_NO_LOAD_MA) {
+                    self.no_load_ma = no_load_ma;
+                }
+            }
+        }
+        let Leg::PayOut {
+            taut_to: Some(taut_to),
+        } = actuation.leg
+        else {
+            return Ok(());
+        };
+        if thread > taut_to {
+            // Not while the motor takes up its speed.
+            if steady && thread.0 - taut_to.0 <= STEADY_UM {
+                actuation.taut.add(current_ma);
+            }
+            return Ok(());
+        }
+        actuation.leg = Leg::PayOut { taut_to: None };
+        // Without a steady reading there is no verdict: the next fold finds a broken thread.
+        let tension_ma = actuation
+            .taut
+            .mean_ma()
+            .map_or(LEAST_TENSION_MA, |taut_ma| {
+                taut_ma.saturating_sub(self.no_load_ma)
+            });
+        let judged = actuation.taut.count != 0;
+        let least_ma = match (actuation.found, &self.calibration) {
+            (None, Some(calibration)) => (calibration.tension_ma * 11 / 16).max(LEAST_TENSION_MA),
+            _ => LEAST_TENSION_MA,
+        };
+        if judged && tension_ma < least_ma {
+            return Err(CapsuleFault::SlipOrBreak);
+        }
+        if let Some((folded, rise)) = actuation.found {
+            self.calibration = Some(Calibration {
+                folded,
+                no_load_ma: self.no_load_ma,
+                rise,
+                tension_ma,
+            });
+            self.referenced = true;
+        }
+        Ok(())
+    }
+
+    fn decide(
+        &mut self,
+        now_us: u64,
+        load: Load,
+        actions: &mut Actions,
+    ) -> Result<(), CapsuleFault> {
+        let Mode::Moving(actuation) = &mut self.mode else {
+            return Ok(());
+        };
+        let stopping = actuation.detector.stopping_distance();
         let counts = self.sample.counts;
         let next = match actuation.leg.decide(counts, self.zero, load, stopping)? {
             Decision::Continue if now_us >= actuation.deadline_us => {
                 return Err(CapsuleFault::Timeout);
             }
             Decision::Continue => return Ok(()),
-            Decision::Reverse(leg) => leg,
-            Decision::ZeroFound(zero) => {
-                self.recorder.zero_moved(self.zero.since(zero).thread());
-                self.zero = zero;
-                self.referenced = true;
-                Leg::PayOut
+            Decision::Careful(leg) => {
+                actuation.leg = leg;
+                return Ok(());
             }
-            Decision::Folded => {
-                if thread > FOLDED {
-                    self.zero = counts.back(FOLDED.counts());
+            Decision::Reverse(leg) => leg,
+            Decision::EndFound {
+                wound,
+                rise,
+                purpose,
+            } => match self.end_found(wound, rise, purpose)? {
+                Some(leg) => leg,
+                None => {
+                    self.end(now_us, Mode::Folded, ActuationOutcome::Complete, actions);
+                    return Ok(());
                 }
+            },
+            Decision::Folded => {
                 self.end(now_us, Mode::Folded, ActuationOutcome::Complete, actions);
                 return Ok(());
             }
             Decision::Unfolded => {
+                if actuation.found.is_some() {
+                    actions.calibrated = self.calibration;
+                }
                 self.end(now_us, Mode::Unfolded, ActuationOutcome::Complete, actions);
                 return Ok(());
             }
+        };
+        let Mode::Moving(actuation) = &mut self.mode else {
+            return Ok(());
         };
         // The motor is braked, then driven the other way.
         let from_us = now_us.saturating_add(BRAKE_US);
         self.brake_until_us = from_us;
         actuation.leg = next;
-        actuation.detector = Detector::new(next.spooling(), from_us);
-        actuation.from_slack = false;
+        actuation.detector = Detector::new(next.spooling(), from_us, actuation.rest_mv);
+        actuation.governor = Governor::default();
+        actuation.near = false;
+        actuation.slack_from = None;
         Ok(())
+    }
+
+    /// The end force has been found, so the zero is known; the leg that follows, if one does.
+    fn end_found(
+        &mut self,
+        wound: Thread,
+        rise: Thread,
+        purpose: Purpose,
+    ) -> Result<Option<Leg>, CapsuleFault> {
+        let folded = match (purpose, &self.calibration) {
+            (Purpose::Reference | Purpose::Check { .. }, Some(calibration)) => calibration.folded,
+            _ => {
+                if wound < FOLDED_RANGE.0 {
+                    return Err(CapsuleFault::NotUnfolded { wound_um: wound.0 });
+                }
+                if let Mode::Moving(actuation) = &mut self.mode {
+                    actuation.found = Some((wound, rise));
+                }
+                wound
+            }
+        };
+        let zero = self.sample.counts.back(folded.counts());
+        self.recorder.zero_moved(self.zero.since(zero).thread());
+        self.zero = zero;
+        // A calibration counts only with its last part, the tension.
+        self.referenced = purpose != Purpose::Calibrate;
+        if matches!(purpose, Purpose::Check { .. }) {
+            return Ok(None);
+        }
+        Ok(Some(Leg::PayOut {
+            taut_to: Some(self.taut_to()),
+        }))
     }
 
     fn stop(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {
@@ -475,7 +746,7 @@ impl Capsule {
 
     fn end(&mut self, now_us: u64, mode: Mode, outcome: ActuationOutcome, actions: &mut Actions) {
         // Without drive there is nothing to brake.
-        if matches!(self.drive, Drive::Millivolts(_)) {
+        if self.drive != Drive::Off {
             self.brake_until_us = now_us.saturating_add(BRAKE_US);
         }
         self.mode = mode;
@@ -489,13 +760,17 @@ impl Capsule {
     fn wanted_drive(&self, now_us: u64) -> Drive {
         match &self.mode {
             Mode::Moving(actuation) if now_us >= actuation.detector.from_us() => {
-                let wanted_mv = actuation.leg.drive_mv(self.thread());
-                // At most 3700: fits.
-                let millivolts = wanted_mv.min(self.sample.battery_mv) as i16;
-                Drive::Millivolts(match actuation.leg.spooling() {
-                    Spooling::Wind => millivolts,
-                    Spooling::PayOut => -millivolts,
-                })
+                match actuation.effort {
+                    Effort::Brake => Drive::Brake,
+                    Effort::Millivolts(millivolts) => {
+                        // A battery has 32 V at most.
+                        let millivolts = i16::try_from(millivolts).unwrap_or(i16::MAX);
+                        Drive::Millivolts(match actuation.leg.spooling() {
+                            Spooling::Wind => millivolts,
+                            Spooling::PayOut => -millivolts,
+                        })
+                    }
+                }
             }
             _ if now_us < self.brake_until_us => Drive::Brake,
             _ => Drive::Off,
@@ -512,5 +787,7 @@ fn fault_of(trip: Trip, thread: Thread) -> CapsuleFault {
             thread_um: thread.0,
         },
         Trip::EncoderLost => CapsuleFault::EncoderLost,
+        Trip::BridgeSilent => CapsuleFault::BridgeSilent,
+        Trip::SenseLost => CapsuleFault::SenseLost,
     }
 }

@@ -1,55 +1,96 @@
-//! The legs of a motion: how each one is driven and where it ends.
+//! The legs of a motion: how fast each one is, and where it ends.
 //!
 //! # How the zero is found
 //!
 //! Paying out can be counted but not felt: behind the worm gear, a slack thread and one that has wound itself
-//! backwards onto the spool look the same. First contact is no sharp mark either: by the beam estimate of the
-//! origami the current rises by 0.3 of the no-load current (0.2 N) only about 9 mm after the slack has ended, and
-//! friction moves that point more than the thread does. So the engagement is recorded, but nothing refers to it. The
-//! sharp mark is the other end: at [`FORCE_MA`](crate::mechanics::FORCE_MA) the force grows by about 5 N per mm, so
-//! an error of 10 % in the current is 0.15 mm of thread. A reference run therefore winds slowly to the same force
-//! at the same voltage as a fold, calls that point [`FOLDED`], and pays out exactly that much. It ends unfolded, wherever
-//! it began.
+//! backwards onto the spool look the same. The sharp mark is the other end, where the force grows by 3 N per mm and
+//! more. How far that is from the unfolded end depends on the stiffness of the origami, so it is measured once per
+//! capsule: a person says "this is unfolded" ([`Purpose::Calibrate`]), and the run winds slowly to the end force and pays
+//! out exactly what it wound. From then on a reference run winds to the same force and pays out the length that is
+//! known; it ends unfolded, wherever it began.
 //!
 //! An obstacle stops the thread with the end force, too. If it were taken for the folded end, the run would pay out
-//! past zero by the thread that was not wound. The rise tells the two apart: from 3 N to the end force the origami
-//! takes at least [`LEAST_RISE`] of thread, an obstacle almost none. A rise that is too short may also mean that the
-//! origami was folded from the start, so the run backs off by [`BACK_OFF`] and tries once more; the second try
-//! decides. Only a thread that catches within the first 4 mm is paid out too far by that, by the part of the 4 mm
-//! that was not wound; [`SEEK_LIMIT`] allows for it.
+//! past zero by the thread that was not wound. The rise tells the two apart: from half of the end force to all of it
+//! the origami takes at least [`LEAST_RISE`] of thread, an obstacle almost none. A rise that is too short may also mean
+//! that the origami was folded from the start, so a reference run backs off by [`BACK_OFF`] and tries once more; the
+//! second try decides. Only a thread that catches within the first 4 mm is paid out too far by that, by the part of
+//! the 4 mm that was not wound; [`SEEK_LIMIT`] allows for it. A check never pays out.
 //!
-//! # Zero after a fold
+//! # Folded is not a force alone
 //!
-//! If a fold reaches the end force beyond [`FOLDED`], that point becomes the new [`FOLDED`]; before it, the zero
-//! stays. So the next unfold pays out the shorter of two estimates, and the slack takes up what remains wound.
+//! A fold ends on force, but it is folded only where the calibration says, within [`END_TOLERANCE`]: an
+//! obstacle in the last millimetres has force and rise of the right kind, and is short. That is called a jam. Beyond
+//! the calibrated end, by [`END_OVERRUN`], the thread is broken or has slipped.
+//!
+//! # Speeds
+//!
+//! A thread that catches has to stop the motor, and the motor's own momentum pulls with 27 N at full speed, whatever
+//! the current does; so winding is bounded to [`FAST_CPS`]. Paying out is bounded by what the motor would coast if the power were
+//! cut: it must stand before zero without a brake.
 
 use crate::{
     detect::{Load, Spooling},
+    governor::Aim,
     mechanics::{
-        BACK_OFF, Counts, END_WINDOW, FOLDED, LEAST_RISE, SEEK_LIMIT, SOFT_MAXIMUM, Thread,
+        BACK_OFF, COASTING_CPS2_PER_MA, Counts, END_OVERRUN, END_TOLERANCE, FOLDED_RANGE,
+        LEAST_RISE, SEEK_LIMIT, Thread,
     },
 };
 use protocol::capsule::CapsuleFault;
 
-/// Drive over the long way.
-pub const FAST_MV: u16 = 3_700;
-/// Drive where force ends the leg: the motor stalls at 11 N.
-pub const GENTLE_MV: u16 = 1_500;
-/// A fold is gentle from here on.
-pub const GENTLE_FROM: Thread = Thread(18_000);
-/// A leg that pays out is braked so that the motor stops this far before its end. The stopping distance, 0.15 mm at
-/// 20 mm/s, must be predicted to within this.
+/// Winding over the long way: 13.5 mm/s.
+pub const FAST_CPS: i32 = 11_000;
+/// Winding where force ends it: 7 mm/s.
+pub const SLOW_CPS: i32 = 5_700;
+/// Winding near the end force: 4.9 mm/s. A soft origami meets its hard end just there.
+const NEAR_CPS: i32 = 4_000;
+/// Near the end force, above the no-load current; and where it is no longer, so that the speed does not go to and fro.
+const NEAR_MA: (u16, u16) = (105, 75);
+/// Paying out: 21 mm/s, or what the battery gives.
+pub const PAY_OUT_CPS: i32 = 17_100;
+/// The last of paying out: 2 mm/s.
+const LAST_CPS: i32 = 1_600;
+/// A fold is slow for so much before its calibrated end.
+pub const SLOW_ZONE: Thread = Thread(500);
+/// The first of an unfolding is slow, so that its current tells whether the thread pulls.
+pub const TENSION_ZONE: Thread = Thread(500);
+/// A leg that pays out is braked so that the motor stops this far before its end. The stopping distance, 0.01 mm at
+/// 2 mm/s, must be predicted to within this.
 pub const STOP_MARGIN: Thread = Thread(40);
+/// Most current: it accelerates the motor to full speed within 20 ms, and is what a cell of 40 mAh likes to give.
+pub const MOST_MA: u16 = 220;
+/// Most current above the no-load current where force ends the leg: 8.5 N, 11.3 N with the least friction.
+const FORCE_LIMIT_MA: u16 = 200;
+/// Most current for the last of paying out: what a lost encoder could do there is bounded by it.
+const LAST_LIMIT_MA: u16 = 60;
+/// The last of paying out.
+const LAST_ZONE: Thread = Thread(1_500);
+
+/// What a run to the folded end is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// To measure how far it is; it began unfolded.
+    Calibrate,
+    /// To find the zero.
+    Reference,
+    /// To see whether it is folded; `believed` if nothing has moved since it was.
+    Check {
+        /// The last motion that is known of ended folded.
+        believed: bool,
+    },
+}
 
 /// Part of a motion with one direction and one end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Leg {
-    /// Wind to the end force, for the reference.
+    /// Wind slowly to the end force.
     Seek {
-        /// Where the reference run began.
+        /// Where the run began.
         origin: Counts,
         /// The second try, after a back-off.
         second: bool,
+        /// What for.
+        purpose: Purpose,
     },
     /// Pay out a little, to measure the rise on a second try.
     BackOff {
@@ -59,9 +100,17 @@ pub enum Leg {
         origin: Counts,
     },
     /// Wind to the end force, for the fold.
-    Wind,
+    Wind {
+        /// Thread at the calibrated end.
+        end: Thread,
+        /// Something resisted on the way: slow from there.
+        careful: bool,
+    },
     /// Pay out to zero.
-    PayOut,
+    PayOut {
+        /// The thread is taut down to here.
+        taut_to: Option<Thread>,
+    },
 }
 
 /// What one sample means for a leg.
@@ -71,29 +120,76 @@ pub enum Decision {
     Continue,
     /// The leg is over; the motion goes on with this one.
     Reverse(Leg),
-    /// The end force is that of the folded origami, so the thread's zero is here; pay out to it.
-    ZeroFound(Counts),
+    /// The leg goes on like this one.
+    Careful(Leg),
+    /// The end force is that of the folded origami: `wound` from the origin, `rise` from half of the end force.
+    EndFound {
+        /// Since the run began.
+        wound: Thread,
+        /// Since half of the end force.
+        rise: Thread,
+        /// What it was looked for.
+        purpose: Purpose,
+    },
     /// Folded.
     Folded,
     /// Paid out to zero.
     Unfolded,
 }
 
+/// Least speed at which the motor, coasting with this no-load current, ends so many counts further. A quarter less
+/// friction than measured is allowed for.
+fn coasting_cps(counts: i32, no_load_ma: u16) -> i32 {
+    let deceleration = u64::from(COASTING_CPS2_PER_MA) * u64::from(no_load_ma) * 3 / 4;
+    let square = 2 * deceleration * u64::from(counts.max(0).unsigned_abs());
+    i32::try_from(square.isqrt()).unwrap_or(i32::MAX)
+}
+
+/// With so much current above the no-load current, the end force is near; it `was` so before.
+pub fn is_near(was: bool, excess_ma: u16) -> bool {
+    excess_ma >= if was { NEAR_MA.1 } else { NEAR_MA.0 }
+}
+
 impl Leg {
     /// Which way the spool turns.
     pub fn spooling(self) -> Spooling {
         match self {
-            Leg::Seek { .. } | Leg::Wind => Spooling::Wind,
-            Leg::BackOff { .. } | Leg::PayOut => Spooling::PayOut,
+            Leg::Seek { .. } | Leg::Wind { .. } => Spooling::Wind,
+            Leg::BackOff { .. } | Leg::PayOut { .. } => Spooling::PayOut,
         }
     }
 
-    /// Magnitude of the drive with `thread` on the spool.
-    pub fn drive_mv(self, thread: Thread) -> u16 {
+    /// Speed and current with `thread` on the spool; `near` is [`is_near`].
+    pub fn aim(self, thread: Thread, no_load_ma: u16, near: bool) -> Aim {
+        let slow = Aim {
+            cps: if near { NEAR_CPS } else { SLOW_CPS },
+            limit_ma: no_load_ma.saturating_add(FORCE_LIMIT_MA),
+        };
         match self {
-            Leg::Wind if thread < GENTLE_FROM => FAST_MV,
-            Leg::PayOut => FAST_MV,
-            Leg::Seek { .. } | Leg::BackOff { .. } | Leg::Wind => GENTLE_MV,
+            Leg::Seek { .. } | Leg::BackOff { .. } => slow,
+            Leg::Wind { end, careful } if careful || thread.0 >= end.0 - SLOW_ZONE.0 => slow,
+            Leg::Wind { .. } => Aim {
+                cps: FAST_CPS,
+                limit_ma: MOST_MA,
+            },
+            Leg::PayOut {
+                taut_to: Some(taut_to),
+            } if thread > taut_to => Aim {
+                cps: SLOW_CPS,
+                limit_ma: MOST_MA,
+            },
+            Leg::PayOut { .. } => {
+                let counts = Thread(thread.0.saturating_sub(STOP_MARGIN.0)).counts().0;
+                let limit_ma = if thread < LAST_ZONE {
+                    LAST_LIMIT_MA
+                } else {
+                    MOST_MA
+                };
+                Aim {
+                    cps: coasting_cps(counts, no_load_ma).clamp(LAST_CPS, PAY_OUT_CPS),
+                    limit_ma,
+                }
+            }
         }
     }
 
@@ -101,7 +197,7 @@ impl Leg {
     /// on if it is braked now.
     ///
     /// # Errors
-    /// A jam, or a thread that is broken or longer than the count says.
+    /// A jam, or a thread that is broken or has slipped.
     pub fn decide(
         self,
         counts: Counts,
@@ -114,27 +210,40 @@ impl Leg {
         let jam = CapsuleFault::Jam {
             thread_um: thread.0,
         };
-        // Past the last possible end: without load the thread is broken; with load it is longer than the count
-        // says, and a new reference run helps.
-        let past_the_end = if load.engaged_at.is_some() {
-            CapsuleFault::Timeout
-        } else {
-            CapsuleFault::ThreadBroken
+        // Past the last possible end: without load the thread is broken; with load there is more of it than there was.
+        let past_the_end = match load.excess_ma {
+            Some(excess_ma) if excess_ma >= LOADED_MA => CapsuleFault::SpoolSlip,
+            _ => CapsuleFault::ThreadBroken,
         };
         Ok(match self {
-            Leg::Wind if load.end_force && thread >= END_WINDOW && thread <= SOFT_MAXIMUM => {
+            Leg::Wind { end, .. } if load.end_force => {
+                if thread.0 < end.0 - END_TOLERANCE.0 {
+                    return Err(jam);
+                }
                 Decision::Folded
             }
-            Leg::Wind if thread >= SOFT_MAXIMUM => return Err(past_the_end),
-            Leg::Wind if load.end_force => return Err(jam),
-            Leg::Wind => Decision::Continue,
-            Leg::Seek { origin, second } if load.end_force => {
+            Leg::Wind { end, .. } if thread.0 >= end.0 + END_OVERRUN.0 => return Err(past_the_end),
+            Leg::Wind { end, careful } if load.resisted && !careful => {
+                Decision::Careful(Leg::Wind { end, careful: true })
+            }
+            Leg::Wind { .. } => Decision::Continue,
+            Leg::Seek {
+                origin,
+                second,
+                purpose,
+            } if load.end_force => {
+                let wound = counts.since(origin).thread();
                 let rise = load
                     .rise_from
                     .map_or(Thread(0), |from| counts.since(from).thread());
-                if rise >= LEAST_RISE {
-                    Decision::ZeroFound(counts.back(FOLDED.counts()))
-                } else if second {
+                let believed = purpose == Purpose::Check { believed: true };
+                if rise >= LEAST_RISE || believed {
+                    Decision::EndFound {
+                        wound,
+                        rise,
+                        purpose,
+                    }
+                } else if second || purpose != Purpose::Reference {
                     return Err(jam);
                 } else {
                     Decision::Reverse(Leg::BackOff {
@@ -143,22 +252,30 @@ impl Leg {
                     })
                 }
             }
+            Leg::Seek {
+                origin,
+                purpose: Purpose::Calibrate,
+                ..
+            } if counts.since(origin).thread() > FOLDED_RANGE.1 => return Err(past_the_end),
             Leg::Seek { origin, .. } if counts.since(origin).thread() >= SEEK_LIMIT => {
                 return Err(past_the_end);
             }
             Leg::Seek { .. } => Decision::Continue,
-            Leg::BackOff { .. } | Leg::PayOut if load.end_force => return Err(jam),
             Leg::BackOff { to, origin } if counts.since(to).thread() <= stop_within => {
                 Decision::Reverse(Leg::Seek {
                     origin,
                     second: true,
+                    purpose: Purpose::Reference,
                 })
             }
-            Leg::PayOut if thread <= stop_within => Decision::Unfolded,
-            Leg::BackOff { .. } | Leg::PayOut => Decision::Continue,
+            Leg::PayOut { .. } if thread <= stop_within => Decision::Unfolded,
+            Leg::BackOff { .. } | Leg::PayOut { .. } => Decision::Continue,
         })
     }
 }
+
+/// A thread that pulls with 0.5 N, at least.
+const LOADED_MA: u16 = 12;
 
 #[cfg(test)]
 #[path = "../tests/unit/leg.rs"]

@@ -3,11 +3,16 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod calibration;
 pub mod commands;
 pub mod control;
 pub mod detect;
 pub mod fold;
+pub mod governor;
+pub mod kept;
 pub mod leg;
 pub mod mechanics;
 mod record;
 pub mod sense;
+pub mod trace;
+pub mod window;

@@ -2,7 +2,8 @@
 //!
 //! Model motor 0816K003SR: 5.4 ohm, 2.11 mNm/A, no-load current 16 mA. Planetary gear 4:1 (efficiency 0.8), worm
 //! 30:1 (efficiency 0.315 when winding; self-locking), spool radius 1.5 mm. Above the no-load current a thread force F
-//! thus takes `F * 1.5 mm / (120 * 0.8 * 0.315) / 2.11 mNm/A`, which is 23.5 mA per newton.
+//! thus takes `F * 1.5 mm / (120 * 0.8 * 0.315) / 2.11 mNm/A`, which is 23.5 mA per newton. The worm's friction is
+//! not known: a coefficient of 0.10 to 0.20 makes it 18 to 29 mA per newton.
 
 /// Encoder counts: 16 lines of four edges per motor revolution. Positive winds the thread up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -59,43 +60,48 @@ const fn rescale(value: i32, numerator: i64, denominator: i64) -> i32 {
     }
 }
 
-/// Winding resistance of the motor.
-pub const MOTOR_MILLIOHM: u32 = 5_400;
+/// Winding 5.4 ohm, both switches of the bridge 0.6, cell 0.5.
+pub const LOOP_MILLIOHM: u32 = 6_500;
 
-/// No-load current from the data sheet. The first fold from a slack thread replaces it with a measurement.
+/// Back-EMF of the model motor, uV per count per second: 0.221 mV/rpm over 64 counts.
+pub const BACK_EMF_UV_PER_CPS: u32 = 207;
+
+/// No-load current from the data sheet. The first motion from a slack thread replaces it with a measurement.
 pub const NO_LOAD_MA: u16 = 16;
+/// A no-load current above this was not measured on a slack thread.
+pub const MOST_NO_LOAD_MA: u16 = 30;
 
-/// Slack of the paid-out thread: this much is wound before the origami feels it.
-pub const SLACK: Thread = Thread(1_000);
+/// Deceleration of a motor that coasts without load, counts/s2 per mA of no-load current: friction over inertia.
+pub const COASTING_CPS2_PER_MA: u32 = 4_200;
 
-/// Thread on the spool at the end force: 20.7 mm of travel at 6.1 N by the beam estimate, plus the slack, less
-/// 0.2 mm. The 0.2 mm put the zero inside the slack, so that a small error of the estimate does not pay out more
-/// thread than the slack has.
-pub const FOLDED: Thread = Thread(20_700 + SLACK.0 - 200);
+/// Current above the no-load current at the end force: 6.1 N with the assumed friction of the worm, 5.0 to 7.9 N
+/// over the friction's range.
+pub const FORCE_MA: u16 = 144;
 
-/// From here on the end force means folded. Before, it is an obstacle.
-pub const END_WINDOW: Thread = Thread(20_000);
+/// The same at half of the end force: start of the rise that tells an origami from an obstacle.
+pub const RISE_START_MA: u16 = 72;
 
-/// The thread is never wound past this: longest travel of the origami (its wall meets the core), plus the slack.
-pub const SOFT_MAXIMUM: Thread = Thread(23_500 + SLACK.0);
+/// Least thread wound between [`RISE_START_MA`] and [`FORCE_MA`] if it is the origami that pulls. The origami takes
+/// 1.6 mm, with half to four times the assumed stiffness 1.0 to 3 mm; a hard stop or a caught thread takes almost
+/// none.
+pub const LEAST_RISE: Thread = Thread(500);
 
-/// Longest way to the folded end from an unknown position: the soft maximum, plus 4 mm that an interrupted back-off
-/// may have paid out too far.
-pub const SEEK_LIMIT: Thread = Thread(SOFT_MAXIMUM.0 + 4_000);
+/// Shortest and longest way from the unfolded end to the end force that a calibration accepts: 16.7 mm of travel
+/// with four times the stiffness and much friction, 23.4 mm of longest travel, and the slack.
+pub const FOLDED_RANGE: (Thread, Thread) = (Thread(16_000), Thread(24_500));
+
+/// So much before the calibrated end is an end force still that of the folded origami.
+pub const END_TOLERANCE: Thread = Thread(250);
+
+/// So far beyond the calibrated end is the thread wound if no end force comes.
+pub const END_OVERRUN: Thread = Thread(400);
+
+/// Longest way to the folded end from an unknown position: the longest calibration, plus 4 mm that an interrupted
+/// back-off may have paid out too far.
+pub const SEEK_LIMIT: Thread = Thread(FOLDED_RANGE.1.0 + 4_000);
 
 /// How far a reference run backs off before its second try.
 pub const BACK_OFF: Thread = Thread(4_000);
-
-/// Current at the end force, 6.1 N.
-pub const FORCE_MA: u16 = 160;
-
-/// Current at 3 N: start of the rise that tells an origami from an obstacle.
-pub const RISE_START_MA: u16 = 87;
-
-/// Least thread wound between [`RISE_START_MA`] and [`FORCE_MA`] if it is the origami that pulls. The origami takes
-/// 1.6 mm, with half or twice the assumed stiffness still 1.2 to 1.9 mm; a hard stop or a caught thread takes almost
-/// none.
-pub const LEAST_RISE: Thread = Thread(500);
 
 #[cfg(test)]
 #[path = "../tests/unit/mechanics.rs"]

@@ -52,10 +52,23 @@ impl Recorder {
         };
     }
 
-    /// Adds what the driven motor drew for `elapsed_us`.
-    pub(crate) fn add_energy(&mut self, sample: &Sample, elapsed_us: u64) {
-        // mV * mA * us = pJ. All of the motor's current comes from the battery: between the pulses there is none.
-        let power = u64::from(sample.battery_mv) * u64::from(sample.current_ma);
+    /// Adds what the motor drew for `elapsed_us`, driven with `drive_mv` of a battery that has `rest_mv` without load.
+    pub(crate) fn add_energy(
+        &mut self,
+        sample: &Sample,
+        drive_mv: u16,
+        rest_mv: u16,
+        elapsed_us: u64,
+    ) {
+        // mV * uA * us = fJ. All of the motor's current comes from the battery: between the pulses there is none. The
+        // reading of the battery is a mean over pulses and pauses; in the pulses it has sagged by as much more as they
+        // are shorter than a period.
+        let sag_mv = u32::from(rest_mv.saturating_sub(sample.battery_mv));
+        let in_pulses_mv = (sag_mv * u32::from(sample.battery_mv))
+            .checked_div(u32::from(drive_mv))
+            .map_or(sag_mv, |sag| sag.min(u32::from(rest_mv) / 2));
+        let under_load_mv = u32::from(rest_mv.max(sample.battery_mv)) - in_pulses_mv.max(sag_mv);
+        let power = u64::from(under_load_mv) * u64::from(sample.current_ua) / 1_000;
         self.energy_pj = self
             .energy_pj
             .saturating_add(power.saturating_mul(elapsed_us));
@@ -64,11 +77,13 @@ impl Recorder {
     /// Notes a sample of the running actuation.
     pub(crate) fn update(&mut self, duration_us: u64, battery_mv: u16) {
         self.record.duration_ms = u32::try_from(duration_us / 1_000).unwrap_or(u32::MAX);
-        self.record.energy_mj = u32::try_from(self.energy_pj / 1_000_000_000).unwrap_or(u32::MAX);
+        self.record.energy_mj =
+            u32::try_from(self.energy_pj.saturating_add(500_000_000) / 1_000_000_000)
+                .unwrap_or(u32::MAX);
         self.record.min_battery_mv = self.record.min_battery_mv.min(battery_mv);
     }
 
-    /// Notes a current after the blanking.
+    /// Notes the mean current of some readings after the blanking.
     pub(crate) fn current(&mut self, current_ma: u16) {
         self.record.end_current_ma = current_ma;
         self.record.peak_current_ma = self.record.peak_current_ma.max(current_ma);

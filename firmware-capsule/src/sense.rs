@@ -47,39 +47,63 @@ impl Reference {
     }
 }
 
-/// Mean voltage at a pin in mV, rounded down, from the sum of `count` readings.
+/// Mean voltage at a pin in mV, from the sum of `count` readings.
 pub fn millivolts(sum: u32, count: u32, supply_mv: u32) -> u32 {
-    // 4,095 * 10 * 3,600 fits.
-    (sum * supply_mv).checked_div(FULL * count).unwrap_or(0)
+    microvolts(sum, count, supply_mv).saturating_add(500) / 1_000
+}
+
+/// The same in uV.
+pub fn microvolts(sum: u32, count: u32, supply_mv: u32) -> u32 {
+    let full = u64::from(FULL * count);
+    // 4,095 * 10 * 3,600,000 fits.
+    let scaled = u64::from(sum) * u64::from(supply_mv) * 1_000 + full / 2;
+    // At most the supply.
+    scaled.checked_div(full).unwrap_or(0) as u32
 }
 
 /// The shunt amplifier's offset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Offset {
     asleep_since_us: Option<u64>,
-    offset_ma: u16,
+    mean_ua: u32,
+    readings: u32,
 }
 
+/// A reading so far from the mean is not noise.
+const JUMP_UA: u32 = 10_000;
+/// The mean is taken over about so many readings at rest. One reading has noise, which would be in all readings of a motion.
+const AVERAGED: u32 = 32;
+
 impl Offset {
-    /// Takes a reading of the current, with the bridge awake or asleep, and returns it without the offset. An offset
+    /// Takes a reading of the current in uA, with the bridge awake or asleep, and returns it without the offset. An offset
     /// above [`MOST_OFFSET_MA`] is not one, and stays in the reading.
-    pub fn take_off(&mut self, now_us: u64, awake: bool, reading_ma: u16) -> u16 {
+    pub fn take_off(&mut self, now_us: u64, awake: bool, reading_ua: u32) -> u32 {
         if awake {
             self.asleep_since_us = None;
         } else {
             let since_us = *self.asleep_since_us.get_or_insert(now_us);
             if now_us.saturating_sub(since_us) >= SETTLED_US {
-                self.offset_ma = reading_ma;
+                self.average(reading_ua);
             }
         }
-        if self.offset_ma > MOST_OFFSET_MA {
-            return reading_ma;
+        if self.offset_ma() > MOST_OFFSET_MA {
+            return reading_ua;
         }
-        reading_ma.saturating_sub(self.offset_ma)
+        reading_ua.saturating_sub(self.mean_ua)
     }
 
-    /// As it was at the last settled reading; 0 before the first.
+    fn average(&mut self, reading_ua: u32) {
+        if self.mean_ua.abs_diff(reading_ua) > JUMP_UA {
+            self.readings = 0;
+        }
+        self.readings = (self.readings + 1).min(AVERAGED);
+        let step = (i64::from(reading_ua) - i64::from(self.mean_ua)) / i64::from(self.readings);
+        // Between the mean and the reading: fits.
+        self.mean_ua = (i64::from(self.mean_ua) + step) as u32;
+    }
+
+    /// As it was at the last settled readings; 0 before the first.
     pub fn offset_ma(&self) -> u16 {
-        self.offset_ma
+        u16::try_from((self.mean_ua + 500) / 1_000).unwrap_or(u16::MAX)
     }
 }

@@ -1,5 +1,9 @@
 //! Control as the board runs it: readings and questions in; drive, replies and events out.
 
+#[path = "../../device/tests/chip/mod.rs"]
+mod chip;
+
+use chip::Flash;
 use device::{
     common::Surroundings,
     last_words::LastWords,
@@ -15,7 +19,8 @@ use firmware_capsule::{
 use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState,
-        CapsuleTelemetry, Fold, GetCapsuleStatus, Reference,
+        CapsuleTelemetry, CapsuleTotals, Fold, GetCapsuleStatus, GetCapsuleTotals, GetTrace,
+        Reference,
     },
     error::Refusal,
     rig,
@@ -89,18 +94,24 @@ const FRESH: Retained = Retained {
 };
 
 struct Device {
-    control: Control<Board>,
+    control: Control<Board, Flash>,
+    flash: Flash,
     counts: i32,
 }
 
 impl Device {
     fn start(left: Retained, cause: ResetCause) -> Self {
+        Self::start_on(Flash::blank(), left, cause)
+    }
+
+    fn start_on(flash: Flash, left: Retained, cause: ResetCause) -> Self {
         let board = Board {
             now_us: 1_000,
             ..Board::default()
         };
         Self {
-            control: Control::new(board, left, cause),
+            control: Control::new(board, flash.clone(), left, cause),
+            flash,
             counts: 0,
         }
     }
@@ -121,11 +132,12 @@ impl Device {
     fn read(&mut self) {
         self.board().now_us += 1_000;
         if let Some(Drive::Millivolts(millivolts)) = self.board().drives.last() {
-            self.counts += i32::from(millivolts.signum()) * 17;
+            self.counts += i32::from(millivolts.signum()) * 5;
         }
         let sample = Sample {
             counts: Counts(self.counts),
             current_ma: 16,
+            current_ua: 16_000,
             offset_ma: 0,
             battery_mv: 3_900,
             driver_fault: false,
@@ -353,6 +365,101 @@ fn events_are_numbered_timed_and_told_again() {
             assert_eq!(events.events[2].what, ended(ActuationOutcome::Stopped));
             assert_eq!(events.events[2].time_us, stopped_us);
         }
+        other => panic!("{other:?}"),
+    }
+}
+
+/// A second at rest, at the board's pace.
+fn rest(device: &mut Device) {
+    for _ in 0..10 {
+        device.board().now_us += 99_000;
+        device.read();
+    }
+}
+
+fn totals(device: &mut Device) -> CapsuleTotals {
+    match device.accepted(Request::GetCapsuleTotals(GetCapsuleTotals)) {
+        Response::GetCapsuleTotals(totals) => totals,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn motions_are_counted_in_flash_once_the_motor_stands() {
+    let mut device = Device::referencing();
+    device.control.answer(Inbound::Urgent(Urgent::Stop));
+    for _ in 0..60 {
+        device.read();
+    }
+    // The bridge sleeps, but a motor without a brake would still turn.
+    for _ in 0..300 {
+        device.counts += 1;
+        device.read();
+    }
+    assert_eq!(device.flash.operations(), []);
+    rest(&mut device);
+    assert!(!device.flash.operations().is_empty());
+    let written = totals(&mut device);
+    assert_eq!(written.actuations, 1);
+    let operations = device.flash.operations().len();
+    rest(&mut device);
+    assert_eq!(device.flash.operations().len(), operations, "once");
+    let mut later = Device::start_on(device.flash.clone(), FRESH, ResetCause::PowerOn);
+    assert_eq!(totals(&mut later), written);
+}
+
+#[test]
+fn a_flash_without_a_log_is_taken_into_use() {
+    let noise = vec![0x5A; device::store::SECTORS.end as usize];
+    let flash = Flash::holding(noise);
+    let mut device = Device::start_on(flash, FRESH, ResetCause::PowerOn);
+    device.read();
+    assert_eq!(totals(&mut device).calibration, None);
+    device.accepted(Request::Reference(Reference));
+    for _ in 0..50 {
+        device.read();
+    }
+    device.control.answer(Inbound::Urgent(Urgent::Stop));
+    for _ in 0..60 {
+        device.read();
+    }
+    rest(&mut device);
+    let told = device.told();
+    assert!(
+        !told.contains(&What::Capsule(CapsuleEvent::NotKept)),
+        "{told:?}"
+    );
+    let mut later = Device::start_on(device.flash.clone(), FRESH, ResetCause::PowerOn);
+    assert_eq!(totals(&mut later).actuations, 1);
+}
+
+#[test]
+fn a_motion_is_recorded_reading_by_reading() {
+    let mut device = Device::referencing();
+    let mut points = Vec::new();
+    loop {
+        let from = points.len() as u32;
+        let trace = match device.accepted(Request::GetTrace(GetTrace { from })) {
+            Response::GetTrace(trace) => trace,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!((trace.actuation, trace.total), (1, 50));
+        if trace.points.is_empty() {
+            break;
+        }
+        points.extend(trace.points);
+    }
+    assert_eq!(points.len(), 50);
+    let last = points.last().expect("50");
+    assert_eq!((last.current_ma, last.battery_mv), (16, 3_900));
+    assert!(last.drive_mv > 0 && last.thread_um > 200, "{last:?}");
+    assert!(points.is_sorted_by_key(|point| point.thread_um));
+    // A long one keeps its last two seconds.
+    for _ in 0..2_500 {
+        device.read();
+    }
+    match device.accepted(Request::GetTrace(GetTrace { from: 0 })) {
+        Response::GetTrace(trace) => assert_eq!(trace.total, 2_000),
         other => panic!("{other:?}"),
     }
 }

@@ -1,6 +1,6 @@
 //! Supply, reference and offset of the capsule's readings.
 
-use firmware_capsule::sense::{MOST_OFFSET_MA, Offset, Reference, millivolts};
+use firmware_capsule::sense::{MOST_OFFSET_MA, Offset, Reference, microvolts, millivolts};
 
 /// What the ADC reads for `mv` at a supply of `supply_mv`.
 fn reading(mv: f64, supply_mv: f64) -> u16 {
@@ -40,33 +40,61 @@ fn what_cannot_be_a_reading_of_the_reference_is_none() {
 }
 
 #[test]
-fn a_mean_is_rounded_down_and_scales_with_the_supply() {
+fn a_mean_is_rounded_and_scales_with_the_supply() {
     assert_eq!(millivolts(4_095 * 5, 5, 3_300), 3_300);
     assert_eq!(
         millivolts(4_095 * 10, 10, 3_600),
         3_600,
         "the largest sum fits"
     );
-    assert_eq!(millivolts(1, 1, 3_300), 0);
-    assert_eq!(millivolts(2_048, 1, 2_950), 1_475);
+    assert_eq!(millivolts(1, 1, 3_300), 1, "0.8 mV");
+    assert_eq!(microvolts(1, 1, 3_300), 806);
+    assert_eq!(microvolts(2_048, 1, 2_950), 1_475_360);
     assert_eq!(millivolts(7, 0, 3_300), 0, "no reading, no voltage");
 }
 
 #[test]
 fn an_offset_is_taken_at_rest_and_off_every_reading() {
     let mut offset = Offset::default();
-    assert_eq!(offset.take_off(1_000, false, 12), 12, "just fallen asleep");
-    assert_eq!(offset.take_off(10_999, false, 12), 12, "not settled");
+    assert_eq!(offset.take_off(1_000, false, 12_000), 12_000, "just asleep");
+    assert_eq!(
+        offset.take_off(10_999, false, 12_000),
+        12_000,
+        "not settled"
+    );
     assert_eq!(offset.offset_ma(), 0);
-    assert_eq!(offset.take_off(11_000, false, 12), 0);
+    assert_eq!(offset.take_off(11_000, false, 12_000), 0);
     assert_eq!(offset.offset_ma(), 12);
-    assert_eq!(offset.take_off(12_000, true, 172), 160);
-    assert_eq!(offset.take_off(13_000, true, 5), 0, "never below nothing");
+    assert_eq!(offset.take_off(12_000, true, 172_000), 160_000);
+    assert_eq!(
+        offset.take_off(13_000, true, 5_000),
+        0,
+        "never below nothing"
+    );
     // Asleep again: the current of the motor that runs out is no offset.
-    assert_eq!(offset.take_off(14_000, false, 400), 388);
+    assert_eq!(offset.take_off(14_000, false, 400_000), 388_000);
     assert_eq!(offset.offset_ma(), 12);
-    assert_eq!(offset.take_off(114_000, false, 13), 0);
-    assert_eq!(offset.offset_ma(), 13, "it follows the temperature");
+}
+
+/// The noise of one reading would be in all readings of a motion.
+#[test]
+fn the_offset_is_a_mean_and_follows_the_temperature() {
+    let mut offset = Offset::default();
+    offset.take_off(0, false, 12_000);
+    let mut now_us = 10_000;
+    for reading_ua in [10_000, 14_000].repeat(40) {
+        offset.take_off(now_us, false, reading_ua);
+        now_us += 100_000;
+    }
+    assert!((11_900..=12_100).contains(&(20_000 - offset.take_off(now_us, true, 20_000))));
+    for _ in 0..200 {
+        offset.take_off(now_us, false, 15_000);
+        now_us += 100_000;
+    }
+    assert_eq!(offset.offset_ma(), 15);
+    // An amplifier that fails is seen at once.
+    offset.take_off(now_us, false, 1_650_000);
+    assert_eq!(offset.offset_ma(), 1_650);
 }
 
 #[test]
@@ -78,8 +106,10 @@ fn an_offset_that_is_too_large_stays_in_the_reading() {
         (u16::MAX, u16::MAX),
     ] {
         let mut offset = Offset::default();
-        offset.take_off(0, false, reading_ma);
-        assert_eq!(offset.take_off(100_000, false, reading_ma), shown_ma);
+        let reading_ua = u32::from(reading_ma) * 1_000;
+        offset.take_off(0, false, reading_ua);
+        let shown_ua = offset.take_off(100_000, false, reading_ua);
+        assert_eq!(shown_ua, u32::from(shown_ma) * 1_000);
         assert_eq!(offset.offset_ma(), reading_ma);
     }
 }
@@ -87,6 +117,6 @@ fn an_offset_that_is_too_large_stays_in_the_reading() {
 #[test]
 fn a_clock_that_steps_back_settles_nothing() {
     let mut offset = Offset::default();
-    offset.take_off(50_000, false, 9);
-    assert_eq!(offset.take_off(40_000, false, 9), 9);
+    offset.take_off(50_000, false, 9_000);
+    assert_eq!(offset.take_off(40_000, false, 9_000), 9_000);
 }

@@ -3,16 +3,19 @@
 #[allow(dead_code)] // the scenarios use all of it
 mod plant;
 
+use capsule_plant::Parameters;
 use device::common::{About, Effect};
 use firmware_capsule::{
     commands::{self, Change, Context},
     fold::{Capsule, Command, Drive, Event},
 };
-use plant::{Plant, Simulation};
+use firmware_capsule::{kept::Totals, trace::Recording};
+use plant::Simulation;
 use protocol::{
     capsule::{
-        ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState, CapsuleStatus, Fold,
-        GetActuationRecord, GetCapsuleStatus, Reference, Unfold,
+        ActuationOutcome, Calibrate, CapsuleEvent, CapsuleFault, CapsuleState, CapsuleStatus,
+        CheckFolded, Fold, GetActuationRecord, GetCapsuleStatus, GetCapsuleTotals, GetTrace,
+        Reference, Unfold,
     },
     error::{Field, Refusal},
     events::EventRing,
@@ -21,7 +24,7 @@ use protocol::{
     table::{Impact, Reply, Request, Response},
 };
 
-const STATES: [CapsuleState; 8] = [
+const STATES: [CapsuleState; 10] = [
     CapsuleState::Unreferenced,
     CapsuleState::Referencing,
     CapsuleState::Unfolded,
@@ -30,12 +33,14 @@ const STATES: [CapsuleState; 8] = [
     CapsuleState::Unfolding,
     CapsuleState::Stopped,
     CapsuleState::Faulted,
+    CapsuleState::WasFolded,
+    CapsuleState::Checking,
 ];
 
 fn sim_in(state: CapsuleState) -> Simulation {
     let mut sim = match state {
-        CapsuleState::Unreferenced | CapsuleState::Referencing => Simulation::new(Plant::at(0.4)),
-        _ => Simulation::referenced(),
+        CapsuleState::Unreferenced | CapsuleState::Referencing => Simulation::nominal(),
+        _ => Simulation::calibrated(Parameters::nominal(), 0),
     };
     match state {
         CapsuleState::Unreferenced | CapsuleState::Unfolded => {}
@@ -55,6 +60,14 @@ fn sim_in(state: CapsuleState) -> Simulation {
             sim.order(Command::EStop);
             sim.tick();
         }
+        CapsuleState::WasFolded | CapsuleState::Checking => {
+            sim.run(Command::Fold);
+            sim.capsule = Capsule::new(None, sim.kept, true);
+            sim.tick();
+            if state == CapsuleState::Checking {
+                sim.order(Command::CheckFolded);
+            }
+        }
     }
     assert_eq!(sim.capsule.state(), state);
     sim
@@ -63,11 +76,13 @@ fn sim_in(state: CapsuleState) -> Simulation {
 /// The state after the event, or the refusal.
 fn expected(state: CapsuleState, event: Event) -> Result<CapsuleState, Refusal> {
     use CapsuleState::{
-        Faulted, Folded, Folding, Referencing, Stopped, Unfolded, Unfolding, Unreferenced,
+        Checking, Faulted, Folded, Folding, Referencing, Stopped, Unfolded, Unfolding,
+        Unreferenced, WasFolded,
     };
-    let moving = matches!(state, Referencing | Folding | Unfolding);
+    let moving = matches!(state, Referencing | Checking | Folding | Unfolding);
+    let calibrated = !matches!(state, Unreferenced | Referencing);
     let stopped = match state {
-        Referencing => Unreferenced,
+        Referencing | Checking => Unreferenced,
         Folding | Unfolding => Stopped,
         resting => resting,
     };
@@ -81,8 +96,13 @@ fn expected(state: CapsuleState, event: Event) -> Result<CapsuleState, Refusal> 
             Err(Refusal::CapsuleFaulted(CapsuleFault::EStopFrame))
         }
         Event::Command(_) if moving => Err(Refusal::CapsuleBusy(state)),
-        Event::Command(Command::Reference) => Ok(Referencing),
-        Event::Command(_) if state == Unreferenced => Err(Refusal::NotReferenced),
+        Event::Command(Command::Reference | Command::Calibrate) => Ok(Referencing),
+        Event::Command(Command::CheckFolded) if !calibrated => Err(Refusal::NotCalibrated),
+        Event::Command(Command::CheckFolded) if state == Folded => Err(Refusal::AlreadyThere),
+        Event::Command(Command::CheckFolded) => Ok(Checking),
+        Event::Command(_) if matches!(state, Unreferenced | WasFolded) => {
+            Err(Refusal::NotReferenced)
+        }
         Event::Command(Command::Fold) if state == Folded => Err(Refusal::AlreadyThere),
         Event::Command(Command::Fold) => Ok(Folding),
         Event::Command(Command::Unfold) if state == Unfolded => Err(Refusal::AlreadyThere),
@@ -98,6 +118,8 @@ fn every_state_with_every_event() {
             Event::Sample(*sim.capsule.sample()),
             Event::LinkSilent,
             Event::Command(Command::Reference),
+            Event::Command(Command::Calibrate),
+            Event::Command(Command::CheckFolded),
             Event::Command(Command::Fold),
             Event::Command(Command::Unfold),
             Event::Command(Command::Stop),
@@ -118,8 +140,10 @@ fn every_state_with_every_event() {
                     assert!(actions.events.is_empty(), "{state:?} {event:?}");
                 }
             }
+            // Moving, the speed loop may brake; at rest nothing drives.
             let drives = matches!(actions.drive, Drive::Millivolts(_));
-            assert_eq!(drives, capsule.is_moving(), "{state:?} {event:?}");
+            assert!(!drives || capsule.is_moving(), "{state:?} {event:?}");
+            assert!(!capsule.is_moving() || actions.drive != Drive::Off);
         }
     }
 }
@@ -158,8 +182,8 @@ fn a_stop_acts_at_once_in_every_state() {
 #[test]
 fn after_a_failed_start_nothing_moves_until_acknowledged() {
     for fault in [CapsuleFault::Watchdog, CapsuleFault::Panic] {
-        let mut sim = Simulation::new(Plant::at(0.4));
-        sim.capsule = Capsule::new(Some(fault));
+        let mut sim = Simulation::nominal();
+        sim.capsule = Capsule::new(Some(fault), None, false);
         sim.tick();
         for command in [Command::Reference, Command::Fold, Command::Unfold] {
             let refusal = sim.give(Event::Command(command)).refusal;
@@ -175,7 +199,7 @@ fn after_a_failed_start_nothing_moves_until_acknowledged() {
 
 #[test]
 fn nothing_starts_before_the_battery_was_measured() {
-    let mut capsule = Capsule::new(None);
+    let mut capsule = Capsule::new(None, None, false);
     let actions = capsule.step(0, Event::Command(Command::Reference));
     assert!(matches!(
         actions.refusal,
@@ -185,7 +209,10 @@ fn nothing_starts_before_the_battery_was_measured() {
 
 fn reply(sim: &mut Simulation, request: Request) -> (Reply, Effect<Change>) {
     let ring = EventRing::new();
+    let (recording, totals) = (Recording::new(), Totals::default());
     let context = Context {
+        recording: &recording,
+        totals: &totals,
         now_us: sim.now_us,
         about: About {
             events: &ring,
@@ -262,6 +289,10 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
         }),
         Request::GetRigHealth(rig::GetRigHealth),
         Request::GetChip(system::GetChip),
+        Request::Calibrate(Calibrate),
+        Request::CheckFolded(CheckFolded),
+        Request::GetTrace(GetTrace { from: 0 }),
+        Request::GetCapsuleTotals(GetCapsuleTotals),
     ];
     // Hello belongs to the session; Run differs from the other rig rows in its body only.
     assert_eq!(requests.len() + 2, Request::NAMES.len());
@@ -313,12 +344,7 @@ fn only_an_accepted_acknowledge_is_recorded_as_such() {
             Request::KeepAlive(KeepAlive),
         ];
         for request in requests {
-            let mut sim = Simulation {
-                capsule: sim.capsule.clone(),
-                events: Vec::new(),
-                plant: Plant::at(0.0),
-                ..sim
-            };
+            let mut sim = sim.clone();
             let acknowledged =
                 state == CapsuleState::Faulted && matches!(request, Request::Acknowledge(_));
             let effect = if acknowledged {
@@ -341,10 +367,9 @@ fn an_accepted_motion_tells_its_number_and_its_timeout() {
     for (state, request, number) in cases {
         let mut sim = sim_in(state);
         let (accepted, timeout_ms) = match reply(&mut sim, request).0 {
-            Reply::Accepted(Response::Reference(accepted)) => (accepted, 12_000),
-            Reply::Accepted(Response::Fold(accepted) | Response::Unfold(accepted)) => {
-                (accepted, 4_000)
-            }
+            Reply::Accepted(Response::Reference(accepted)) => (accepted, 16_000),
+            Reply::Accepted(Response::Fold(accepted)) => (accepted, 8_000),
+            Reply::Accepted(Response::Unfold(accepted)) => (accepted, 4_000),
             other => panic!("{other:?}"),
         };
         assert_eq!(
@@ -372,8 +397,8 @@ fn the_status_asks_for_an_acknowledge_after_a_watchdog_reset_or_a_panic_only() {
         (None, false),
     ];
     for (fault, needs_acknowledge) in cases {
-        let mut sim = Simulation::new(Plant::at(0.4));
-        sim.capsule = Capsule::new(fault);
+        let mut sim = Simulation::nominal();
+        sim.capsule = Capsule::new(fault, None, false);
         let status = status(&mut sim);
         assert_eq!(status.fault, fault);
         assert_eq!(status.needs_acknowledge, needs_acknowledge, "{fault:?}");
@@ -388,7 +413,7 @@ fn the_answers_say_what_they_should() {
         (status.state, status.referenced, status.actuation),
         (CapsuleState::Folding, true, 2)
     );
-    assert!((9_500..10_200).contains(&status.thread_um), "{status:?}");
+    assert!((9_900..10_200).contains(&status.thread_um), "{status:?}");
     let sample = *sim.capsule.sample();
     assert_eq!(status.time_us, sim.now_us);
     assert_eq!(
@@ -396,7 +421,8 @@ fn the_answers_say_what_they_should() {
         (sample.current_ma, sample.battery_mv)
     );
     let telemetry = commands::telemetry(&sim.capsule, 77);
-    assert_eq!((telemetry.time_us, telemetry.drive_mv), (77, 3_700));
+    assert_eq!(telemetry.time_us, 77);
+    assert!((100..3_700).contains(&telemetry.drive_mv), "{telemetry:?}");
     assert_eq!(telemetry.state, CapsuleState::Folding);
     assert_eq!(telemetry.thread_um, status.thread_um);
     assert_eq!(
@@ -405,7 +431,7 @@ fn the_answers_say_what_they_should() {
     );
     let mut paying_out = sim_in(CapsuleState::Unfolding);
     let drive_mv = |sim: &Simulation| commands::telemetry(&sim.capsule, 0).drive_mv;
-    assert_eq!(drive_mv(&paying_out), -3_700);
+    assert!((-3_700..-100).contains(&drive_mv(&paying_out)));
     paying_out.order(Command::Stop);
     assert_eq!(drive_mv(&paying_out), 0, "braked");
     paying_out.settle();

@@ -103,9 +103,14 @@ fn carry_out(
         Subcommand::Stop(which) => machines::stop(Urgent::Stop, which, finder, screen),
         Subcommand::Estop(which) => machines::stop(Urgent::EStop, which, finder, screen),
         Subcommand::Ack(which) => machines::acknowledge(which, finder, screen),
-        Subcommand::Capsule {
-            subcommand: CapsuleSubcommand::Reference(args),
-        } => machines::actuate(ActuationKind::Reference, args, finder, screen),
+        Subcommand::Capsule { subcommand } => {
+            let (kind, args) = match subcommand {
+                CapsuleSubcommand::Reference(args) => (ActuationKind::Reference, args),
+                CapsuleSubcommand::Calibrate(args) => (ActuationKind::Calibrate, args),
+                CapsuleSubcommand::Check(args) => (ActuationKind::CheckFolded, args),
+            };
+            machines::actuate(kind, args, finder, screen)
+        }
         Subcommand::Fold(args) => machines::actuate(ActuationKind::Fold, args, finder, screen),
         Subcommand::Unfold(args) => machines::actuate(ActuationKind::Unfold, args, finder, screen),
         Subcommand::Hold => motion::hold(finder, screen),

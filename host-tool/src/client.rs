@@ -227,6 +227,15 @@ pub struct Device {
 /// Samples that are kept until somebody takes them; beyond that the oldest are dropped.
 const TELEMETRY_INBOX: usize = 4_096;
 
+/// The recording of an actuation, 1 ms from reading to reading.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Recorded {
+    /// Number of the actuation; 0 if there was none.
+    pub actuation: u32,
+    /// The last 2,000 readings.
+    pub points: Vec<capsule::TracePoint>,
+}
+
 impl Device {
     /// A client without a session: [`Device::urgent`] works at once, everything else after
     /// [`Device::hello`].
@@ -649,6 +658,28 @@ impl Device {
         }
     }
 
+    /// Fetches the recording of the capsule's present or last actuation. If another one begins meanwhile, that one's
+    /// from its start.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn trace(&mut self) -> Result<Recorded, ClientError> {
+        let mut recorded = Recorded::default();
+        loop {
+            let from = recorded.points.len() as u32;
+            let part = self.call(capsule::GetTrace { from })?;
+            if part.actuation != recorded.actuation && from > 0 {
+                recorded = Recorded::default();
+                continue;
+            }
+            recorded.actuation = part.actuation;
+            if part.points.is_empty() {
+                return Ok(recorded);
+            }
+            recorded.points.extend(part.points);
+        }
+    }
+
     /// Waits until an actuation of the capsule ends, however it ends, and its motor stands, and returns the device's
     /// record of it.
     ///
@@ -683,7 +714,10 @@ impl Device {
                 });
                 Ok(!matches!(
                     status.state,
-                    CapsuleState::Referencing | CapsuleState::Folding | CapsuleState::Unfolding
+                    CapsuleState::Referencing
+                        | CapsuleState::Checking
+                        | CapsuleState::Folding
+                        | CapsuleState::Unfolding
                 ))
             },
         )?;

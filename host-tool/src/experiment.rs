@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use jiff::Timestamp;
 use miette::Diagnostic;
-use protocol::capsule::{ActuationKind, ActuationRecord};
+use protocol::capsule::{ActuationKind, ActuationRecord, Calibrate, CheckFolded};
 use protocol::rig::{LinkLossPolicy, Run, RunAccepted, RunRecord, RunTiming};
 use protocol::system::{DeviceKind, Identity};
 
@@ -149,6 +149,8 @@ pub fn actuate(
         capsule.take_telemetry();
         let accepted = match kind {
             ActuationKind::Reference => capsule.reference()?,
+            ActuationKind::Calibrate => capsule.call(Calibrate)?,
+            ActuationKind::CheckFolded => capsule.call(CheckFolded)?,
             ActuationKind::Fold => capsule.fold()?,
             ActuationKind::Unfold => capsule.unfold()?,
         };
@@ -328,6 +330,8 @@ pub fn paper(
     let mut actuated = |kind: ActuationKind, hooks: &mut dyn Hooks| {
         let (begins, stem, step) = match kind {
             ActuationKind::Reference => ("reference the capsule", "reference", "referencing"),
+            ActuationKind::Calibrate => ("calibrate the capsule", "calibrate", "calibrating"),
+            ActuationKind::CheckFolded => ("check the capsule", "check-folded", "checking"),
             ActuationKind::Fold => ("fold the capsule", "fold", "folding"),
             ActuationKind::Unfold => ("unfold the capsule", "unfold", "unfolding"),
         };

@@ -359,6 +359,8 @@ fn heading(trial: &Trial) -> String {
         ),
         Action::Actuation { actuation, .. } => match actuation {
             ActuationKind::Reference => "Reference of the thread".to_owned(),
+            ActuationKind::Calibrate => "Calibration of the thread".to_owned(),
+            ActuationKind::CheckFolded => "Check that it is folded".to_owned(),
             ActuationKind::Fold => "Fold".to_owned(),
             ActuationKind::Unfold => "Unfold".to_owned(),
         },

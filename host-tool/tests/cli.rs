@@ -3,7 +3,7 @@
 mod machine;
 
 use assert_cmd::Command;
-use firmware_capsule::mechanics::FOLDED;
+use machine::capsule::FOLDED_UM;
 use machine::tool::{Memory, ready};
 use machine::{Script, World, button, estop};
 use protocol::system::{DeviceKind, Urgent};
@@ -239,7 +239,7 @@ fn json_is_one_object_and_progress_goes_elsewhere() {
     let json: Value = serde_json::from_str(&out).expect("one object");
     let thread_um = json["trial"]["action"]["record"]["thread_um"].as_i64();
     let thread_um = thread_um.expect("a number");
-    assert!(thread_um.abs_diff(FOLDED.0.into()) < 150, "{thread_um}");
+    assert!(thread_um.abs_diff(FOLDED_UM.into()) < 150, "{thread_um}");
     // The first one was that of the reference.
     assert!(err.contains("Actuation 2"), "{err}");
     let (code, out, _) = Memory::with(vec![]).run(&["--json", "home"]);

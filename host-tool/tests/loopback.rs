@@ -5,11 +5,11 @@ mod machine;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use firmware_capsule::mechanics::FOLDED;
 use host_tool::client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
 use host_tool::error::ClientError;
 use host_tool::experiment::PAPER_RUN;
 use host_tool::link::Link;
+use machine::capsule::FOLDED_UM;
 use machine::{Script, World, link};
 use protocol::capsule::ActuationOutcome;
 use protocol::error::Refusal;
@@ -109,7 +109,7 @@ fn the_capsule_is_referenced_folded_and_unfolded() {
     // Unfolded is at zero, or up to half a tenth before it; folded is where the thread pulls with the end force, within a
     // tenth and a half of the estimate.
     let unfolded = 0..=60;
-    let folded = FOLDED.0 - 150..=FOLDED.0 + 150;
+    let folded = FOLDED_UM - 150..=FOLDED_UM + 150;
     for (begin, thread_um) in [
         (Device::reference as fn(&mut Device) -> _, unfolded.clone()),
         (Device::fold, folded),
@@ -239,7 +239,10 @@ fn another_protocol_is_refused_with_the_remedy_and_can_still_be_stopped() {
             text.starts_with("flash the matching firmware (`cargo rig` "),
             "{text}"
         );
-        assert!(text.contains(&format!("protocol {major}.0")), "{text}");
+        assert!(
+            text.contains(&format!("protocol {major}.{}", protocol::VERSION.minor)),
+            "{text}"
+        );
         assert!(text.contains(&format!("{schema_key:016x}")), "{text}");
         assert!(
             text.contains(&format!("{:016x}", protocol::table::SCHEMA_KEY)),

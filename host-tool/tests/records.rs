@@ -5,7 +5,6 @@ mod machine;
 use std::fs;
 use std::path::Path;
 
-use firmware_capsule::mechanics::FOLDED;
 use host_tool::client::{Begun, Device, Homed, Observer, Progress, Unobserved};
 use host_tool::experiment::{
     self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
@@ -13,6 +12,7 @@ use host_tool::experiment::{
 use host_tool::report::{self, Remark};
 use host_tool::trial::{Action, Recorder, Recording, RigSample, Screw, Status, Trial};
 use jiff::Timestamp;
+use machine::capsule::FOLDED_UM;
 use machine::{Script, link};
 use protocol::capsule::ActuationKind;
 use protocol::rig::{Run, RunTiming};
@@ -280,7 +280,7 @@ fn the_papers_experiment_goes_step_by_step_and_ends_in_a_report() {
     let mut steps = Steps::default();
     let done = paper(&mut rig, &mut capsule, folder.path(), &mut steps).expect("complete");
     let (folded, unfolded) = (done.fold.record.thread_um, done.unfold.record.thread_um);
-    assert!(folded.abs_diff(FOLDED.0) < 150, "{folded}");
+    assert!(folded.abs_diff(FOLDED_UM) < 150, "{folded}");
     assert!((0..=60).contains(&unfolded), "{unfolded}");
     assert_eq!(
         steps.names,

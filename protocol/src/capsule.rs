@@ -3,12 +3,13 @@
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Finds the thread's zero: unwinds to the hard reference, then winds to the point where the thread engages.
+/// Finds the thread's zero: winds slowly to the end force, then pays out the length of the calibration. Without one
+/// it is a [`Calibrate`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Reference;
 
-/// Winds the thread until the force (motor current) in the end window shows that the origami is folded.
+/// Winds the thread until the force (motor current) at the calibrated end shows that the origami is folded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Fold;
@@ -17,6 +18,16 @@ pub struct Fold;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Unfold;
+
+/// "This is unfolded": winds slowly to the end force, measures how far that is, pays out again, and keeps it in flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Calibrate;
+
+/// Winds gently to the end force and stays there: confirms after a reset that the capsule is folded. Nothing is paid out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct CheckFolded;
 
 /// An actuation was accepted and has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
@@ -48,20 +59,24 @@ pub enum CapsuleState {
     Stopped,
     /// A fault is latched.
     Faulted,
+    /// At rest after a reset. The last motion before it ended folded; nothing has confirmed that since.
+    WasFolded,
+    /// Winding gently to confirm that it is folded.
+    Checking,
 }
 
 /// Why the capsule latched a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CapsuleFault {
-    /// The end current was reached before the end window: something blocks the fold.
+    /// The end force was reached before the calibrated end: something blocks the fold.
     Jam {
         /// Thread wound up to there.
         thread_um: i32,
     },
-    /// The end window was passed at no-load current.
+    /// The calibrated end was passed at no-load current.
     ThreadBroken,
-    /// The motor was driven and the encoder stood still, without stall current.
+    /// The motor turned and the encoder did not count, or counted the wrong way.
     EncoderLost,
     /// Current above the driver's limit.
     OverCurrent {
@@ -83,6 +98,19 @@ pub enum CapsuleFault {
     Watchdog,
     /// The firmware panicked or hit a processor fault; the device was reset.
     Panic,
+    /// The thread was wound past its calibrated end and pulled with less than the end force.
+    SpoolSlip,
+    /// The thread of a folded capsule does not pull: it has slipped on its spool, or is broken.
+    SlipOrBreak,
+    /// The bridge was driven, no current flowed, and the motor stood or ran out.
+    BridgeSilent,
+    /// The motor turned, or drew from the battery, and no current was measured.
+    SenseLost,
+    /// A calibration found the end force after too short a way: it did not begin unfolded, or something blocks.
+    NotUnfolded {
+        /// Thread wound from the start to the end force.
+        wound_um: i32,
+    },
 }
 
 /// Asks for the capsule's status.
@@ -124,6 +152,10 @@ pub enum ActuationKind {
     Fold,
     /// [`Unfold`].
     Unfold,
+    /// [`Calibrate`].
+    Calibrate,
+    /// [`CheckFolded`].
+    CheckFolded,
 }
 
 /// How an actuation ended.
@@ -175,6 +207,74 @@ pub struct ActuationRecord {
     pub min_battery_mv: u16,
 }
 
+/// Asks for a part of the recording of the present or last actuation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GetTrace {
+    /// The first reading that is wanted, from 0, the oldest one that is kept.
+    pub from: u32,
+}
+
+/// Most readings in one part of a recording.
+pub const MAX_TRACE_POINTS: usize = 13;
+
+/// One reading of a recording; 1 ms apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct TracePoint {
+    /// Thread wound up, by the encoder.
+    pub thread_um: i32,
+    /// Motor current.
+    pub current_ma: u16,
+    /// Battery voltage, to 10 mV, 2.00 to 4.55 V.
+    pub battery_mv: u16,
+    /// Voltage applied to the motor until the next reading, to 40 mV, signed: positive winds. 0 is off or braked.
+    pub drive_mv: i16,
+}
+
+/// A part of the recording of an actuation: its last 2,000 readings.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Trace {
+    /// The actuation; another one than before means that the recording began anew.
+    pub actuation: u32,
+    /// Readings that are kept.
+    pub total: u16,
+    /// Those from the one that was asked for; fewer than [`MAX_TRACE_POINTS`] at the end.
+    pub points: heapless::Vec<TracePoint, MAX_TRACE_POINTS>,
+}
+
+/// Asks for what the capsule keeps in flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GetCapsuleTotals;
+
+/// What the capsule keeps in flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct CapsuleTotals {
+    /// Actuations so far.
+    pub actuations: u32,
+    /// Energy drawn by the motor so far.
+    pub energy_mj: u64,
+    /// What was measured by [`Calibrate`], if it was.
+    pub calibration: Option<CapsuleCalibration>,
+}
+
+/// What is known of one capsule.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct CapsuleCalibration {
+    /// Thread from the unfolded end to the end force.
+    pub folded_um: i32,
+    /// Thread from half of the end force to the end force.
+    pub rise_um: i32,
+    /// Current of the motor with a slack thread.
+    pub no_load_ma: u16,
+    /// Current above that with which the folded thread begins to unfold.
+    pub tension_ma: u16,
+}
+
 /// What happened on the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -195,6 +295,8 @@ pub enum CapsuleEvent {
     },
     /// A fault was latched.
     Faulted(CapsuleFault),
+    /// The flash could not be written: totals or calibration are lost with the next reset.
+    NotKept,
 }
 
 /// Telemetry of the capsule.

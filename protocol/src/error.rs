@@ -116,6 +116,8 @@ pub enum Refusal {
     SupplyLow,
     /// A name has a character that cannot be printed.
     NameNotPrintable,
+    /// The capsule has no calibration.
+    NotCalibrated,
 }
 
 /// The values that a request checks against a range.
@@ -261,10 +263,10 @@ impl fmt::Display for CapsuleFault {
                 (thread_um % 1000).unsigned_abs()
             ),
             CapsuleFault::ThreadBroken => f.write_str(
-                "the thread was wound past the end window without load: check the thread, acknowledge, reference",
+                "the thread was wound past its end without load: check the thread, acknowledge, reference",
             ),
             CapsuleFault::EncoderLost => f.write_str(
-                "the motor was driven and the encoder did not count: check the encoder's wires, acknowledge, reference",
+                "the motor turned and the encoder did not count: check the encoder's wires, acknowledge, reference",
             ),
             CapsuleFault::OverCurrent { current_ma } => {
                 write!(f, "motor current {current_ma} mA: check for a short circuit, acknowledge, reference")
@@ -276,6 +278,24 @@ impl fmt::Display for CapsuleFault {
             CapsuleFault::DriverFault => f.write_str("the motor driver reports a fault: check motor and supply, acknowledge, reference"),
             CapsuleFault::EStopFrame => f.write_str("emergency stop by command: acknowledge, then reference"),
             CapsuleFault::Watchdog => f.write_str("a task hung and the watchdog reset the device: acknowledge, then reference"),
+            CapsuleFault::SpoolSlip => f.write_str(
+                "the thread was wound past its end and pulled too little: it slips on its spool; check spool and knot, acknowledge, calibrate",
+            ),
+            CapsuleFault::SlipOrBreak => f.write_str(
+                "the folded thread does not pull: it has slipped on its spool or is broken; check it, acknowledge, calibrate",
+            ),
+            CapsuleFault::BridgeSilent => f.write_str(
+                "the motor was driven and drew no current: check its wires and the bridge's supply, acknowledge, reference",
+            ),
+            CapsuleFault::SenseLost => f.write_str(
+                "the motor ran and no current was measured: check the shunt amplifier and its wire, acknowledge, reference",
+            ),
+            CapsuleFault::NotUnfolded { wound_um } => write!(
+                f,
+                "the end force came after {}.{:03} mm of thread: a calibration has to begin unfolded; free and unfold the origami, acknowledge, calibrate",
+                wound_um / 1000,
+                (wound_um % 1000).unsigned_abs()
+            ),
             CapsuleFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then reference"),
         }
     }
@@ -312,6 +332,8 @@ impl fmt::Display for Refusal {
                 CapsuleState::Unfolding => "unfolding",
                 CapsuleState::Stopped => "stopped between its ends",
                 CapsuleState::Faulted => "faulted",
+                CapsuleState::WasFolded => "not referenced, folded when it was last known",
+                CapsuleState::Checking => "checking that it is folded",
             }),
             Refusal::OutOfRange { field, requested, min, max } => {
                 write!(f, "{field} is {requested}, allowed is {min} to {max}")
@@ -352,6 +374,7 @@ impl fmt::Display for Refusal {
             Refusal::BothSwitchesOpen => f.write_str("home flag and far limit are both open: plug in the switch cable"),
             Refusal::FarLimitOpen => f.write_str("the far limit is open: check its switch and its wire, or move the carriage off it by hand"),
             Refusal::SupplyLow => f.write_str("the supply is below 2.7 V, too low to write the flash; the old value stands: check the supply, then try again"),
+            Refusal::NotCalibrated => f.write_str("this capsule has no calibration: unfold it, then `retrograde capsule calibrate`"),
             Refusal::NameNotPrintable => f.write_str("the name has a character that cannot be printed: use letters, digits, spaces and signs"),
         }
     }

@@ -107,6 +107,10 @@ table! {
     SetName: settings::Name => settings::Name, match true, impact Flash;
     GetRigHealth: rig::GetRigHealth => rig::RigHealth, match true, impact None;
     GetChip: system::GetChip => system::Chip, match true, impact None;
+    Calibrate: capsule::Calibrate => capsule::ActuationAccepted, match true, impact Motion;
+    CheckFolded: capsule::CheckFolded => capsule::ActuationAccepted, match true, impact Motion;
+    GetTrace: capsule::GetTrace => capsule::Trace, match true, impact None;
+    GetCapsuleTotals: capsule::GetCapsuleTotals => capsule::CapsuleTotals, match true, impact None;
 }
 
 /// Answer to a request.

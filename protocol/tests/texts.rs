@@ -86,6 +86,11 @@ fn a_fault_of_the_capsule_says_what_to_do() {
         CapsuleFault::EStopFrame,
         CapsuleFault::Watchdog,
         CapsuleFault::Panic,
+        CapsuleFault::SpoolSlip,
+        CapsuleFault::SlipOrBreak,
+        CapsuleFault::BridgeSilent,
+        CapsuleFault::SenseLost,
+        CapsuleFault::NotUnfolded { wound_um: 9_001 },
     ];
     let texts = distinct(faults);
     for text in &texts {
@@ -94,6 +99,7 @@ fn a_fault_of_the_capsule_says_what_to_do() {
     assert!(texts[0].contains("12.034 mm"));
     assert!(texts[3].contains("900 mA"));
     assert!(texts[4].contains("2600 mV"));
+    assert!(texts[14].contains("9.001 mm"));
 }
 
 #[test]

@@ -348,6 +348,7 @@ fn conduct<W: Wiring>(
             return Err("the board was lost".into());
         };
         wiring = kept;
+        wiring.powered_off();
         gaps = BusReport::of(&finished.session).gaps;
         images = vec![whole_flash(flash)?];
         conductor.epoch_ns = back_ns;

@@ -13,7 +13,7 @@ use protocol::system::DeviceKind;
 use crate::boards::{capsule, rig};
 use crate::hands::{BenchHands, Machine, Plug};
 use crate::link::VirtualLink;
-use crate::plants::capsule::CapsuleOptions;
+use crate::plants::capsule::Parameters;
 use crate::plants::rig::RigOptions;
 
 /// Powers a machine up when its link is opened, unless hands are at one; passes all other addresses to [`Ports`].
@@ -61,7 +61,7 @@ impl Connector for BenchPorts {
         let opened: Result<Box<dyn Link>, _> = match kind {
             DeviceKind::Rig => rig::start(RigOptions::WITH_BOTH_JUMPERS)
                 .map(|bench| Box::new(VirtualLink::new(&bench, "virtual rig")) as _),
-            DeviceKind::Capsule => capsule::start(CapsuleOptions::default())
+            DeviceKind::Capsule => capsule::start(Parameters::nominal())
                 .map(|bench| Box::new(VirtualLink::new(&bench, "virtual capsule")) as _),
         };
         opened.map_err(|why| OpenError {
@@ -95,9 +95,7 @@ impl Connector for BenchPorts {
         // Without an image there are no hands; opening the link says why.
         let machine = match kind {
             DeviceKind::Rig => Machine::Rig(rig::start(RigOptions::WITH_BOTH_JUMPERS).ok()?),
-            DeviceKind::Capsule => {
-                Machine::Capsule(capsule::start(CapsuleOptions::default()).ok()?)
-            }
+            DeviceKind::Capsule => Machine::Capsule(capsule::start(Parameters::nominal()).ok()?),
         };
         let plug = Plug::default();
         *self.handled() = Some((machine.clone(), plug.clone()));

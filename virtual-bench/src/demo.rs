@@ -23,7 +23,7 @@ use crate::boards::rig::RigBoard;
 use crate::boards::{capsule, rig};
 use crate::link::VirtualLink;
 use crate::pins::EdgeLog;
-use crate::plants::capsule::CapsuleOptions;
+use crate::plants::capsule::Parameters;
 use crate::plants::rig::{RigOptions, Violations};
 use crate::verdicts::{Run, Verdict};
 
@@ -84,7 +84,7 @@ pub struct DemoOptions {
 /// The first failure. What was recorded until then is kept.
 pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
     let rig_bench = rig::start(RigOptions::WITH_BOTH_JUMPERS)?;
-    let capsule_bench = capsule::start(CapsuleOptions::default())?;
+    let capsule_bench = capsule::start(Parameters::nominal())?;
     // The nonce is fixed, so that two demos are identical to the byte.
     let mut rig = Device::connect(
         Box::new(VirtualLink::new(&rig_bench, "virtual rig")),

@@ -111,6 +111,9 @@ pub trait Wiring: fmt::Debug + Send + 'static {
 
     /// A store into the flash or an erase has begun: no instruction is executed until it ends.
     fn flash_began(&mut self);
+
+    /// The supply was cut: the chip drives no pin until [`Wiring::restarted`].
+    fn powered_off(&mut self);
 }
 
 /// The chip's pins during one call of [`Wiring::look`].
@@ -759,8 +762,15 @@ impl<W: Wiring> Emulator<W> {
             self.chip.serial_pins();
             self.chip.look_between(access.virtual_time);
         }
+        // The converter samples what is at the pin now, not what was there at the last edge of the bridge.
+        if access.kind == AccessKind::Write && access.address == ADC1_SQR3 {
+            self.chip.look_between(access.virtual_time);
+        }
     }
 }
+
+/// Selects the channel of the next conversion.
+const ADC1_SQR3: u64 = 0x4001_2034;
 
 /// Whether a write to `address` can change a pin without a timer event: ports A to C, TIM1, TIM3.
 fn moves_pins(address: u64) -> bool {

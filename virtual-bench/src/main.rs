@@ -16,7 +16,7 @@ use virtual_bench::emulator::Wiring;
 use virtual_bench::figures;
 use virtual_bench::hands::{BenchHands, HandsServer, Machine, Plug};
 use virtual_bench::link::VirtualLink;
-use virtual_bench::plants::capsule::CapsuleOptions;
+use virtual_bench::plants::capsule::Parameters;
 use virtual_bench::plants::rig::RigOptions;
 use virtual_bench::serve::Server;
 
@@ -101,7 +101,7 @@ fn serve(rig: Option<u16>, capsule: Option<u16>, hands: Option<u16>) -> Result<(
         serving.push(serve_one(bench, "rig", port, plug)?);
     }
     if let Some(port) = capsule {
-        let bench = boards::capsule::start(CapsuleOptions::default())?;
+        let bench = boards::capsule::start(Parameters::nominal())?;
         let plug = Plug::default();
         if let Some(port) = hands {
             let port = if port == 0 { 0 } else { port.saturating_add(1) };

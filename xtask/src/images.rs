@@ -26,7 +26,7 @@ const IMAGES: [Image; 2] = [
     Image {
         name: "firmware-capsule",
         budget: Budget {
-            flash_bytes: 36_000,
+            flash_bytes: 64 * 1024,
             ram_bytes: 24 * 1024,
         },
     },

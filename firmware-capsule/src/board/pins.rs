@@ -27,7 +27,7 @@
 
 #![allow(unsafe_code)]
 
-use device::chip::{start, supply};
+use device::chip::{flash::Sectors, start, supply};
 use embassy_stm32::{
     Config,
     adc::AdcChannel,
@@ -44,7 +44,7 @@ use firmware_capsule::{
     detect::Sample,
     fold::Drive,
     mechanics::Counts,
-    sense::{Offset, Reference, millivolts},
+    sense::{Offset, Reference, microvolts, millivolts},
 };
 
 /// 16 MHz / 800 = 20 kHz.
@@ -55,12 +55,15 @@ const VREFINT: u8 = 17;
 const FACTORY_WORD: *const u16 = 0x1FFF_7A2A as *const u16;
 /// The battery's divider is 1/2.
 const BATTERY_RATIO: u32 = 2;
-/// Readings per sample while driving: together they take about one PWM period, so that their mean is the period's.
-const ADC_PAIRS: u32 = 5;
-/// A conversion takes 27 cycles of 8 MHz, that of the reference 124.
-const ADC_CYCLES: u32 = 54;
-/// How often to look for the end of a conversion, [`ADC_CYCLES`] apart.
-const ADC_PATIENCE: u32 = 20;
+/// Readings per sample while driving, evenly over one PWM period: their mean is the period's, wherever in it the sample begins. The
+/// samples are a whole number of periods apart, so a phase that is preferred would be preferred throughout a motion.
+const ADC_PAIRS: u32 = 4;
+const PAIR_TICKS: u16 = PWM_TICKS / ADC_PAIRS as u16;
+/// Looks at the counter until it is there: a period at 8 cycles each, twice.
+const PHASE_PATIENCE: u32 = 200;
+/// How often to look for the end of a conversion. It takes 27 cycles of 8 MHz, that of the reference 124; a look takes 8 of 16 MHz.
+/// Two conversions have to end within [`PAIR_TICKS`], so nothing waits longer than it must.
+const ADC_PATIENCE: u32 = 200;
 
 const ENCODER: [usize; 2] = [0, 1];
 const IN1: usize = 4;
@@ -72,6 +75,8 @@ const N_FAULT: usize = 8;
 pub(crate) struct Board {
     /// Link.
     pub(crate) serial: (UartTx<'static, Async>, RingBufferedUartRx<'static>),
+    /// The sectors of calibration and totals.
+    pub(crate) sectors: Sectors,
     /// Motor, encoder, battery.
     pub(crate) drive_train: DriveTrain,
     /// Not yet started.
@@ -139,6 +144,7 @@ pub(crate) fn init() -> Board {
     interrupt::SPI5.set_priority(Priority::P6);
     Board {
         serial: start::open_serial(p.USART2, p.PA3, p.PA2, p.DMA1_CH6, p.DMA1_CH5),
+        sectors: Sectors::new(p.FLASH),
         drive_train: DriveTrain {
             current,
             battery,
@@ -282,7 +288,11 @@ impl DriveTrain {
         let pairs = if awake { ADC_PAIRS } else { 1 };
         let supply_mv = self.reference.supply_mv(convert(VREFINT)).unwrap_or(0);
         let (mut current, mut battery) = (0, 0);
-        for _ in 0..pairs {
+        let began = pac::TIM3.cnt().read().cnt();
+        for pair in 0..pairs as u16 {
+            if awake {
+                await_phase(began, pair * PAIR_TICKS);
+            }
             current += u32::from(convert(self.current));
             battery += u32::from(convert(self.battery));
         }
@@ -290,16 +300,27 @@ impl DriveTrain {
             pac::ADC1.cr2().modify(|w| w.set_adon(false));
         }
         let battery_mv = millivolts(battery, pairs, supply_mv) * BATTERY_RATIO;
-        let current_ma = millivolts(current, pairs, supply_mv); // 1 mV per mA
-        let current_ma = u16::try_from(current_ma).unwrap_or(u16::MAX);
+        let reading_ua = microvolts(current, pairs, supply_mv); // 1 uV per uA
+        let current_ua = self.offset.take_off(now_us, awake, reading_ua);
         self.battery_mv = u16::try_from(battery_mv).unwrap_or(u16::MAX);
         Sample {
             counts: Counts(pac::TIM2.cnt().read() as i32),
-            current_ma: self.offset.take_off(now_us, awake, current_ma),
+            current_ma: u16::try_from((current_ua + 500) / 1_000).unwrap_or(u16::MAX),
+            current_ua,
             offset_ma: self.offset.offset_ma(),
             battery_mv: self.battery_mv,
             driver_fault: awake
                 && pac::GPIOA.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW,
+        }
+    }
+}
+
+/// Waits until the PWM's counter is so many ticks further than `began`, less than a period.
+fn await_phase(began: u16, ticks: u16) {
+    for _ in 0..PHASE_PATIENCE {
+        let passed = (pac::TIM3.cnt().read().cnt() + PWM_TICKS - began) % PWM_TICKS;
+        if passed >= ticks {
+            return;
         }
     }
 }
@@ -309,7 +330,6 @@ fn convert(channel: u8) -> u16 {
     pac::ADC1.sr().modify(|w| w.set_eoc(false));
     pac::ADC1.cr2().modify(|w| w.set_swstart(true));
     for _ in 0..ADC_PATIENCE {
-        cortex_m::asm::delay(ADC_CYCLES);
         if pac::ADC1.sr().read().eoc() {
             return pac::ADC1.dr().read().data();
         }

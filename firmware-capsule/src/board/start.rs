@@ -28,7 +28,7 @@ async fn main(spawner: Spawner) {
 
     let motor_spawner = MOTOR_EXECUTOR.start(interrupt::SPI5);
     motor_spawner.spawn(tasks::motor(board.drive_train).unwrap());
-    spawner.spawn(tasks::control(left, cause).unwrap());
+    spawner.spawn(tasks::control(board.sectors, left, cause).unwrap());
     spawner.spawn(tasks::transmit(transmitter).unwrap());
     spawner.spawn(tasks::receive(receiver, identity).unwrap());
     spawner.spawn(tasks::telemetry().unwrap());

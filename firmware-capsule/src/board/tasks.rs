@@ -8,6 +8,7 @@ use device::chip::watchdog::{self, CHECK_IN, check_in};
 use device::{
     chip::{
         channels::{REPLIES, REQUESTS},
+        flash::Sectors,
         link,
         surroundings::OnChip,
         telemetry,
@@ -16,7 +17,7 @@ use device::{
     service::Answers,
     supervision::Client,
 };
-use embassy_futures::select::{Either3, select, select3};
+use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_stm32::{
     mode::Async,
     peripherals,
@@ -68,19 +69,29 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
             // On the grid of the period, but after a rest on a new one.
             (next + PERIOD).clamp(now, now + PERIOD)
         };
-        // Either way there is something to do.
-        let _ = select(Timer::at(next), ORDER_CHANGED.wait()).await;
-        let order = ORDER.lock(|order| order.get());
-        if !stale {
-            drive_train.set(order.drive);
+        wait(&mut drive_train, next, stale, drive).await;
+    }
+}
+
+/// Waits for the next reading and sets what is ordered meanwhile: the speed loop orders after each reading. A bridge that
+/// wakes up is read at once.
+async fn wait(drive_train: &mut DriveTrain, next: Instant, stale: bool, mut drive: Drive) {
+    while let Either::Second(()) = select(Timer::at(next), ORDER_CHANGED.wait()).await {
+        if stale {
+            return; // control is back
+        }
+        let was = core::mem::replace(&mut drive, ORDER.lock(|order| order.get()).drive);
+        drive_train.set(drive);
+        if was == Drive::Off && drive != Drive::Off {
+            return;
         }
     }
 }
 
 /// At every reading (1 ms while moving, else 100 ms) and at every request.
 #[embassy_executor::task]
-pub(crate) async fn control(left: Retained, cause: ResetCause) -> ! {
-    let mut control = Control::new(Capsule, left, cause);
+pub(crate) async fn control(sectors: Sectors, left: Retained, cause: ResetCause) -> ! {
+    let mut control = Control::new(Capsule, sectors, left, cause);
     loop {
         check_in(Client::Control);
         match select3(REQUESTS.wait(), READINGS.wait(), Timer::after(CHECK_IN)).await {

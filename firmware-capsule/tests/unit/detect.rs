@@ -1,392 +1,281 @@
-//! What the detector makes of readings, sample by sample.
+//! What one leg's readings mean, reading by reading.
 
 use super::*;
 
-/// A detector that gets one sample per millisecond from a motor that turns by 20 counts per ms.
+const NO_LOAD_MA: u16 = 16;
+
+/// Readings of a motor that winds.
 struct Feed {
     detector: Detector,
-    ms: u64,
+    now_us: u64,
     sample: Sample,
-    counts_per_ms: i32,
-    drive_mv: u16,
-    no_load_ma: u16,
+    ordered_ma: Option<u16>,
+    spooling: Spooling,
 }
 
 impl Feed {
     fn new(spooling: Spooling) -> Self {
         Self {
-            detector: Detector::new(spooling, 0),
-            ms: 0,
-            sample: HEALTHY,
-            counts_per_ms: match spooling {
-                Spooling::Wind => 20,
-                Spooling::PayOut => -20,
+            detector: Detector::new(spooling, 0, 3_700),
+            now_us: 0,
+            sample: Sample {
+                counts: Counts(i32::MAX - 100),
+                current_ma: NO_LOAD_MA,
+                current_ua: 16_000,
+                offset_ma: 0,
+                battery_mv: 3_690,
+                driver_fault: false,
             },
-            drive_mv: 1_500,
-            no_load_ma: 16,
+            ordered_ma: Some(NO_LOAD_MA),
+            spooling,
         }
     }
 
-    /// All readings but the encoder's.
-    fn set(&mut self, sample: Sample) {
-        let counts = self.sample.counts;
-        self.sample = Sample { counts, ..sample };
+    /// A millisecond with so many counts in the direction of the leg.
+    fn step(&mut self, counts: i32) -> Result<Load, Trip> {
+        self.now_us += 1_000;
+        let along = self.spooling.along(counts);
+        self.sample.counts = Counts(self.sample.counts.0.wrapping_add(along));
+        self.detector
+            .check(self.now_us, &self.sample, self.ordered_ma, NO_LOAD_MA)
     }
 
-    fn check(&mut self) -> Result<Load, Trip> {
-        let now_us = self.ms * 1_000;
-        let result = self
+    /// Milliseconds until a trip; none within `ms`.
+    fn until_trip(&mut self, ms: u32, counts: i32) -> Option<(u32, Trip)> {
+        (1..=ms).find_map(|ms| self.step(counts).err().map(|trip| (ms, trip)))
+    }
+
+    /// At speed, also across the wrap of the counter.
+    fn at_speed(spooling: Spooling, counts: i32) -> Self {
+        let mut feed = Self::new(spooling);
+        assert_eq!(feed.until_trip(60, counts), None);
+        feed
+    }
+
+    fn draws(&mut self, current_ma: u16, ordered_ma: u16) {
+        self.sample.current_ma = current_ma;
+        self.ordered_ma = Some(ordered_ma);
+    }
+}
+
+const BOTH: [Spooling; 2] = [Spooling::Wind, Spooling::PayOut];
+
+#[test]
+fn a_healthy_motor_trips_nothing() {
+    for spooling in BOTH {
+        for counts in [1, 2, 5, 11, 17] {
+            assert_eq!(Feed::new(spooling).until_trip(3_000, counts), None);
+        }
+    }
+}
+
+#[test]
+fn the_end_force_is_a_mean_of_8_readings_above_the_no_load_current() {
+    let mut feed = Feed::at_speed(Spooling::Wind, 5);
+    feed.draws(NO_LOAD_MA + FORCE_MA, 170);
+    let after_ms = (1..40).find(|_| feed.step(5).is_ok_and(|load| load.end_force));
+    assert_eq!(after_ms, Some(10), "8 readings, and 2 ms");
+    let mut feed = Feed::at_speed(Spooling::Wind, 5);
+    feed.draws(NO_LOAD_MA + FORCE_MA - 1, 170);
+    assert!((0..100).all(|_| feed.step(5).is_ok_and(|load| !load.end_force)));
+    // A motor that accelerates draws as much.
+    let mut feed = Feed::new(Spooling::Wind);
+    feed.draws(200, 220);
+    let after_ms = (1..60).find(|_| feed.step(5).is_ok_and(|load| load.end_force));
+    assert_eq!(after_ms, Some(32));
+}
+
+#[test]
+fn after_a_brake_the_current_says_nothing_for_40_ms() {
+    let mut feed = Feed::at_speed(Spooling::Wind, 5);
+    feed.ordered_ma = None;
+    assert!(feed.step(5).is_ok());
+    feed.draws(200, 220);
+    let after_ms = (1..80).find(|_| feed.step(5).is_ok_and(|load| load.end_force));
+    assert_eq!(after_ms, Some(42));
+}
+
+#[test]
+fn a_fast_motor_that_is_slowed_is_resisted() {
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    assert!(feed.step(11).is_ok_and(|load| !load.resisted));
+    assert!(
+        feed.step(10).is_ok_and(|load| !load.resisted),
+        "a count less is noise"
+    );
+    assert!(feed.step(8).is_ok_and(|load| load.resisted));
+    let mut feed = Feed::at_speed(Spooling::Wind, 5);
+    assert!(feed.step(3).is_ok_and(|load| !load.resisted), "slow enough");
+}
+
+#[test]
+fn counts_that_end_at_once_are_an_encoder_and_counts_that_fade_are_none() {
+    for spooling in BOTH {
+        for counts in [5, 11, 17] {
+            let mut feed = Feed::at_speed(spooling, counts);
+            assert!(feed.step(counts / 2).is_ok(), "within a millisecond");
+            assert_eq!(feed.until_trip(10, 0), Some((3, Trip::EncoderLost)));
+            // One line: it flickers on the spot.
+            let mut feed = Feed::at_speed(spooling, counts);
+            assert!(feed.step(0).is_ok());
+            let flicker = [1, -1, 1, -1];
+            let trips = flicker.map(|step| feed.step(step).err());
+            assert!(trips.contains(&Some(Trip::EncoderLost)), "{trips:?}");
+        }
+        // A jam at 7 mm/s, and one at 13 mm/s with the brake.
+        for fading in [
+            &[5, 5, 4, 4, 3, 3, 2, 1, 0, 0, 0, 0][..],
+            &[11, 10, 7, 4, 1, 0, 0, 0, 0],
+        ] {
+            let mut feed = Feed::at_speed(spooling, fading[0]);
+            feed.draws(200, 220);
+            for counts in fading {
+                assert!(feed.step(*counts).is_ok(), "{fading:?}");
+            }
+        }
+    }
+}
+
+/// Slow, with 105 mA above the no-load current, then slower by a fifth and more.
+fn slowed_to(counts: i32, ordered_ma: u16) -> Load {
+    let mut feed = Feed::at_speed(Spooling::Wind, 6);
+    feed.draws(NO_LOAD_MA + 105, 130);
+    assert_eq!(feed.until_trip(20, 6), None);
+    feed.draws(NO_LOAD_MA + 105, ordered_ma);
+    (0..3)
+        .map(|_| feed.step(counts).expect("no trip"))
+        .last()
+        .expect("three readings")
+}
+
+#[test]
+fn a_loaded_motor_that_becomes_slower_has_met_its_end_unless_it_was_ordered_to() {
+    assert!(slowed_to(4, 130).end_force && slowed_to(3, 140).end_force);
+    assert!(!slowed_to(5, 130).end_force, "by a sixth");
+    assert!(!slowed_to(4, 129).end_force, "less current was ordered");
+    assert!(!slowed_to(1, 140).end_force, "no motor stops so fast");
+}
+
+/// The encoder of a slow motor is lost: the speed loop orders more and more, and the motor draws less than that.
+#[test]
+fn an_end_force_without_counts_is_a_lost_encoder_if_the_motor_turns() {
+    for (current_ma, expected) in [(168, Err(Trip::EncoderLost)), (172, Ok(true))] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 2);
+        feed.draws(NO_LOAD_MA + 100, 130);
+        assert_eq!(feed.until_trip(20, 0), None);
+        feed.draws(current_ma, 200);
+        let found = (0..12).find_map(|_| match feed.step(0) {
+            Ok(Load {
+                end_force: true, ..
+            }) => Some(Ok(true)),
+            Ok(_) => None,
+            Err(trip) => Some(Err(trip)),
+        });
+        assert_eq!(found, Some(expected), "{current_ma} mA of 200 mA");
+    }
+}
+
+#[test]
+fn counts_the_wrong_way_are_an_encoder() {
+    for spooling in BOTH {
+        let mut feed = Feed::new(spooling);
+        assert_eq!(feed.until_trip(20, -10), Some((5, Trip::EncoderLost)));
+    }
+}
+
+/// Name of a motor that was never seen to move, after 40 ms.
+fn standing(current_ma: u16, ordered_ma: u16, battery_mv: u16) -> Option<(u32, Trip)> {
+    let mut feed = Feed::new(Spooling::Wind);
+    feed.draws(current_ma, ordered_ma);
+    feed.sample.battery_mv = battery_mv;
+    feed.until_trip(100, 0)
+}
+
+#[test]
+fn a_standstill_has_four_names() {
+    assert_eq!(standing(150, 150, 3_600), Some((41, Trip::Blocked)));
+    assert_eq!(standing(128, 150, 3_600), Some((41, Trip::Blocked)));
+    assert_eq!(standing(127, 150, 3_600), Some((41, Trip::EncoderLost)));
+    assert_eq!(standing(30, 200, 3_690), Some((41, Trip::EncoderLost)));
+    assert_eq!(standing(0, 200, 3_700), Some((41, Trip::BridgeSilent)));
+    assert_eq!(standing(0, 200, 3_640), Some((41, Trip::SenseLost)));
+    assert_eq!(
+        standing(200, 200, 3_600),
+        None,
+        "the end force ends the leg"
+    );
+}
+
+#[test]
+fn a_silent_current_is_the_bridge_if_the_motor_becomes_slower() {
+    for (slower_every_ms, name) in [(0, Trip::SenseLost), (4, Trip::BridgeSilent)] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 11);
+        feed.draws(0, 40);
+        let mut counts = 11;
+        let trip = (1..100).find_map(|ms| {
+            if slower_every_ms != 0 && ms % slower_every_ms == 0 {
+                counts -= 1;
+            }
+            feed.step(counts).err().map(|trip| (ms, trip))
+        });
+        let (ms, trip) = trip.expect("it is noticed");
+        assert_eq!(trip, name);
+        assert!((24..40).contains(&ms), "{ms} ms");
+    }
+    // Coasting to zero is ordered to draw next to nothing.
+    let mut feed = Feed::at_speed(Spooling::PayOut, 11);
+    feed.draws(0, 11);
+    assert_eq!(feed.until_trip(300, 5), None);
+}
+
+#[test]
+fn short_circuits_are_seen_by_level_and_by_surplus() {
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    feed.draws(OVER_CURRENT_MA + 1, 40);
+    let current_ma = OVER_CURRENT_MA + 1;
+    assert_eq!(
+        feed.until_trip(10, 11),
+        Some((3, Trip::OverCurrent { current_ma }))
+    );
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    feed.draws(300, 40);
+    let trip = feed.until_trip(20, 11);
+    assert!(
+        matches!(trip, Some((..=14, Trip::OverCurrent { .. }))),
+        "{trip:?}"
+    );
+    // The most that a healthy motor may draw.
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    feed.draws(250, 220);
+    assert_eq!(feed.until_trip(500, 11), None);
+}
+
+#[test]
+fn battery_and_driver_are_debounced() {
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    feed.sample.battery_mv = BATTERY_UNDER_LOAD_MV - 1;
+    let battery_mv = feed.sample.battery_mv;
+    assert_eq!(
+        feed.until_trip(50, 11),
+        Some((16, Trip::LowBattery { battery_mv }))
+    );
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    feed.sample.battery_mv = BATTERY_UNDER_LOAD_MV;
+    assert_eq!(feed.until_trip(50, 11), None);
+    feed.sample.driver_fault = true;
+    assert_eq!(feed.until_trip(50, 11), Some((4, Trip::Driver)));
+}
+
+/// A clock that stands makes no speed, and divides by nothing.
+#[test]
+fn readings_without_time_trip_nothing_and_overflow_nothing() {
+    let mut feed = Feed::new(Spooling::Wind);
+    for counts in [i32::MIN, i32::MAX, 0, 40_000] {
+        feed.sample.counts = Counts(counts);
+        let _ = feed
             .detector
-            .check(now_us, &self.sample, self.drive_mv, self.no_load_ma);
-        self.ms += 1;
-        self.sample.counts.0 += self.counts_per_ms;
-        result
+            .check(5, &feed.sample, Some(u16::MAX), NO_LOAD_MA);
+        let _ = feed.detector.speeds_cps();
+        let _ = feed.detector.stopping_distance();
     }
-
-    /// Samples up to, but not including, `ms`, all without a trip or a load.
-    fn healthy_until(&mut self, ms: u64) {
-        while self.ms < ms {
-            assert_eq!(self.check(), Ok(Load::default()), "{} ms", self.ms);
-        }
-    }
-
-    fn counts_at(&self, ms: u64) -> Counts {
-        Counts(HEALTHY.counts.0 + self.counts_per_ms * ms as i32)
-    }
-}
-
-const HEALTHY: Sample = Sample {
-    counts: Counts(500),
-    current_ma: 20,
-    offset_ma: 0,
-    battery_mv: 3_900,
-    driver_fault: false,
-};
-
-/// Something in the samples that counts only once it has lasted.
-struct Condition {
-    name: &'static str,
-    sample: Sample,
-    shows: fn(Result<Load, Trip>) -> bool,
-    lasting_ms: u64,
-    /// How long it is ignored after the start of the drive.
-    blanked_ms: u64,
-}
-
-const CONDITIONS: [Condition; 6] = [
-    Condition {
-        name: "nFAULT",
-        sample: Sample {
-            driver_fault: true,
-            ..HEALTHY
-        },
-        shows: |result| result == Err(Trip::Driver),
-        lasting_ms: 3,
-        blanked_ms: 0,
-    },
-    Condition {
-        name: "over-current",
-        sample: Sample {
-            current_ma: 801,
-            ..HEALTHY
-        },
-        shows: |result| result == Err(Trip::OverCurrent { current_ma: 801 }),
-        lasting_ms: 5,
-        blanked_ms: 0,
-    },
-    Condition {
-        name: "sag",
-        sample: Sample {
-            battery_mv: 2_699,
-            ..HEALTHY
-        },
-        shows: |result| result == Err(Trip::LowBattery { battery_mv: 2_699 }),
-        lasting_ms: 20,
-        blanked_ms: 30,
-    },
-    Condition {
-        name: "end force",
-        sample: Sample {
-            current_ma: 160,
-            ..HEALTHY
-        },
-        shows: |result| result.is_ok_and(|load| load.end_force),
-        lasting_ms: 5,
-        blanked_ms: 30,
-    },
-    Condition {
-        name: "rise",
-        sample: Sample {
-            current_ma: 87,
-            ..HEALTHY
-        },
-        shows: |result| result.is_ok_and(|load| load.rise_from.is_some()),
-        lasting_ms: 5,
-        blanked_ms: 30,
-    },
-    Condition {
-        name: "engagement",
-        sample: Sample {
-            current_ma: 21,
-            ..HEALTHY
-        },
-        shows: |result| result.is_ok_and(|load| load.engaged_at.is_some()),
-        lasting_ms: 5,
-        blanked_ms: 90,
-    },
-];
-
-#[test]
-fn a_condition_counts_once_it_has_lasted() {
-    for spooling in [Spooling::Wind, Spooling::PayOut] {
-        for condition in &CONDITIONS {
-            let (name, lasting_ms) = (condition.name, condition.lasting_ms);
-            let mut feed = Feed::new(spooling);
-            feed.healthy_until(200);
-            // One sample too few, twice: an interruption starts anew.
-            for round in 0..2 {
-                feed.set(condition.sample);
-                for ms in 0..lasting_ms {
-                    let shows = (condition.shows)(feed.check());
-                    assert!(!shows, "{name}, round {round}: {ms} ms");
-                }
-                feed.set(HEALTHY);
-                assert_eq!(feed.check(), Ok(Load::default()), "{name}");
-            }
-            feed.set(condition.sample);
-            for _ in 0..lasting_ms {
-                assert!(!(condition.shows)(feed.check()), "{name}");
-            }
-            let shows = (condition.shows)(feed.check());
-            assert!(shows, "{name} after {lasting_ms} ms");
-        }
-    }
-}
-
-#[test]
-fn the_inrush_blanks_all_but_nfault_and_over_current() {
-    for condition in &CONDITIONS {
-        let name = condition.name;
-        let mut feed = Feed::new(Spooling::Wind);
-        feed.set(condition.sample);
-        for ms in 0..condition.blanked_ms + condition.lasting_ms {
-            assert!(!(condition.shows)(feed.check()), "{name} at {ms} ms");
-        }
-        assert!((condition.shows)(feed.check()), "{name}");
-    }
-}
-
-#[test]
-fn nothing_shows_at_the_safe_side_of_a_threshold() {
-    let mut feed = Feed::new(Spooling::Wind);
-    feed.sample.battery_mv = 2_700;
-    feed.healthy_until(400);
-    for (current_ma, end_force, rise, engaged) in [
-        (20, false, false, false),
-        (21, false, false, true),
-        (86, false, false, true),
-        (87, false, true, true),
-        (159, false, true, true),
-        (160, true, true, true),
-        (800, true, true, true),
-    ] {
-        feed.sample.current_ma = current_ma;
-        let mut load = Load::default();
-        for _ in 0..100 {
-            load = feed.check().expect("no trip");
-        }
-        assert_eq!(
-            (
-                load.end_force,
-                load.rise_from.is_some(),
-                load.engaged_at.is_some()
-            ),
-            (end_force, rise, engaged),
-            "{current_ma} mA"
-        );
-    }
-}
-
-#[test]
-fn a_load_is_more_than_thirteen_tenths_of_the_no_load_current() {
-    for (no_load_ma, unloaded_ma) in [(10, 13), (16, 20), (20, 26), (30, 39)] {
-        let mut feed = Feed::new(Spooling::Wind);
-        feed.no_load_ma = no_load_ma;
-        feed.sample.current_ma = unloaded_ma;
-        feed.healthy_until(200);
-        feed.sample.current_ma = unloaded_ma + 1;
-        for _ in 0..5 {
-            let _ = feed.check();
-        }
-        assert!(feed.check().is_ok_and(|load| load.engaged_at.is_some()));
-    }
-}
-
-#[test]
-fn a_load_is_placed_where_it_began() {
-    for spooling in [Spooling::Wind, Spooling::PayOut] {
-        let mut feed = Feed::new(spooling);
-        feed.healthy_until(100);
-        feed.sample.current_ma = 50;
-        while feed.ms < 150 {
-            let _ = feed.check();
-        }
-        feed.sample.current_ma = 100;
-        while feed.ms < 200 {
-            let _ = feed.check();
-        }
-        let load = Load {
-            end_force: false,
-            engaged_at: Some(feed.counts_at(100)),
-            rise_from: Some(feed.counts_at(150)),
-        };
-        assert_eq!(feed.check(), Ok(load));
-    }
-}
-
-#[test]
-fn the_no_load_current_is_the_mean_of_the_fifty_milliseconds_after_the_blanking() {
-    let mut feed = Feed::new(Spooling::Wind);
-    // Inrush before, 20 and 40 mA in turn within, the thread's pull after.
-    for ms in 0..200_u64 {
-        feed.sample.current_ma = match ms {
-            0..30 => 600,
-            30..80 => 20 + 20 * (ms % 2) as u16,
-            _ => 150,
-        };
-        assert!(feed.check().is_ok());
-        let mean_ma = feed.detector.first_mean_ma(ms * 1_000);
-        assert_eq!(mean_ma, (ms >= 80).then_some(30), "{ms} ms");
-    }
-    let unfed = Detector::new(Spooling::Wind, 0);
-    assert_eq!(unfed.first_mean_ma(200_000), None, "no sample, no mean");
-}
-
-#[test]
-fn times_count_from_the_start_of_the_drive() {
-    let mut detector = Detector::new(Spooling::PayOut, 7_000_000);
-    assert_eq!(detector.from_us(), 7_000_000);
-    assert_eq!(detector.spooling(), Spooling::PayOut);
-    let mut sample = Sample {
-        current_ma: 200,
-        ..HEALTHY
-    };
-    for ms in 0..36 {
-        let now_us = 7_000_000 + ms * 1_000;
-        assert_eq!(detector.sees_force(now_us), ms >= 30, "{ms} ms");
-        let load = detector.check(now_us, &sample, 3_700, 16);
-        assert_eq!(load.map(|load| load.end_force), Ok(ms >= 35), "{ms} ms");
-        sample.counts.0 -= 20;
-    }
-}
-
-#[test]
-fn the_stopping_distance_follows_the_speed_over_four_milliseconds() {
-    for (spooling, sign) in [(Spooling::Wind, 1), (Spooling::PayOut, -1)] {
-        let mut feed = Feed::new(spooling);
-        // Counts per ms, and 7.3 ms of them; backwards is no run-on.
-        for (counts_per_ms, stopping) in [(10, 73), (17, 124), (0, 0), (-5, 0), (20, 146)] {
-            let before = feed.detector.stopping_distance();
-            feed.counts_per_ms = sign * counts_per_ms;
-            for _ in 0..4 {
-                assert_eq!(feed.detector.stopping_distance(), before);
-                let _ = feed.check();
-            }
-            // This sample closes the four milliseconds and opens the next.
-            let now_us = feed.ms * 1_000;
-            let _ = feed.detector.check(now_us, &feed.sample, 1_500, 16);
-            assert_eq!(feed.detector.stopping_distance(), Counts(stopping));
-        }
-    }
-}
-
-#[test]
-fn late_samples_do_not_change_the_speed() {
-    let mut detector = Detector::new(Spooling::Wind, 0);
-    let mut sample = HEALTHY;
-    for gap_ms in [0, 4, 5, 9, 23] {
-        sample.counts.0 += 10 * gap_ms;
-        let now_us = (sample.counts.0 - HEALTHY.counts.0) as u64 * 100;
-        let _ = detector.check(now_us, &sample, 1_500, 16);
-        let stopping = if gap_ms == 0 { 0 } else { 73 };
-        assert_eq!(detector.stopping_distance(), Counts(stopping));
-    }
-}
-
-#[test]
-fn a_leap_of_the_encoder_saturates_the_stopping_distance() {
-    let mut detector = Detector::new(Spooling::Wind, 0);
-    let mut sample = HEALTHY;
-    let _ = detector.check(0, &sample, 1_500, 16);
-    sample.counts.0 += i32::MAX - HEALTHY.counts.0;
-    let _ = detector.check(4_000, &sample, 1_500, 16);
-    assert_eq!(detector.stopping_distance(), Counts(i32::MAX));
-}
-
-/// First trip, and its time in ms, of a leg with these counts and this current.
-fn first_trip(
-    spooling: Spooling,
-    drive_mv: u16,
-    current_ma: u16,
-    count: impl Fn(i32) -> i32,
-) -> Option<(Trip, u64)> {
-    let mut detector = Detector::new(spooling, 0);
-    (0..1_000_u64).find_map(|ms| {
-        let sample = Sample {
-            counts: Counts(count(ms as i32)),
-            current_ma,
-            ..HEALTHY
-        };
-        let result = detector.check(ms * 1_000, &sample, drive_mv, 16);
-        result.err().map(|trip| (trip, ms))
-    })
-}
-
-#[test]
-fn a_motor_without_progress_trips_after_fifty_milliseconds() {
-    use Spooling::{PayOut, Wind};
-    type Case = (&'static str, Spooling, fn(i32) -> i32, Option<(Trip, u64)>);
-    let lost = |ms| Some((Trip::EncoderLost, ms));
-    let cases: [Case; 10] = [
-        ("both channels", Wind, |_| 7, lost(50)),
-        ("one channel", Wind, |ms| ms % 2, lost(50)),
-        ("one channel", PayOut, |ms| ms % 2, lost(50)),
-        ("swapped", Wind, |ms| -ms * 10, lost(50)),
-        ("swapped", PayOut, |ms| ms * 10, lost(50)),
-        (
-            "seven counts",
-            Wind,
-            |ms| if ms < 10 { 0 } else { 7 },
-            lost(50),
-        ),
-        (
-            "lost after 100 ms",
-            PayOut,
-            |ms| -ms.min(100) * 10,
-            lost(150),
-        ),
-        ("eight counts in 49 ms", Wind, |ms| ms / 49 * 8, None),
-        ("eight counts in 50 ms", PayOut, |ms| -ms / 50 * 8, None),
-        ("eight counts in 51 ms", Wind, |ms| ms / 51 * 8, lost(50)),
-    ];
-    for (name, spooling, count, expected) in cases {
-        let trip = first_trip(spooling, 1_500, 40, count);
-        assert_eq!(trip, expected, "{name}, {spooling:?}");
-    }
-}
-
-#[test]
-fn the_back_emf_tells_a_lost_encoder_from_a_blocked_motor() {
-    // Three quarters of the drive over 5.4 ohm.
-    for (drive_mv, stall_ma) in [(1_000, 139), (500, 70), (144, 20)] {
-        let trip = |current_ma| first_trip(Spooling::PayOut, drive_mv, current_ma, |_| 0);
-        assert_eq!(trip(stall_ma), Some((Trip::Blocked, 50)), "{drive_mv} mV");
-        let lost = Some((Trip::EncoderLost, 50));
-        assert_eq!(trip(stall_ma - 1), lost, "{drive_mv} mV");
-    }
-}
-
-#[test]
-fn a_motor_that_stands_with_the_end_force_does_not_trip() {
-    assert_eq!(first_trip(Spooling::Wind, 1_500, 160, |_| 0), None);
 }

@@ -222,6 +222,10 @@ pub struct MoveArgs {
 pub enum CapsuleSubcommand {
     /// Find the thread's zero, recorded. Required before folding.
     Reference(RecordArgs),
+    /// "This is unfolded": measure how far it is to the end force, and keep it in the capsule's flash. Once per capsule.
+    Calibrate(RecordArgs),
+    /// After a reset: wind gently to the end force, and stay folded. Nothing is paid out.
+    Check(RecordArgs),
 }
 
 /// A machine by name.

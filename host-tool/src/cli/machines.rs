@@ -237,12 +237,22 @@ pub(crate) fn actuate(
         ActuationKind::Reference => (
             "reference",
             "referencing",
-            "Reference: unwind to the hard reference, then back to where the thread engages.",
+            "Reference: wind slowly to the end force, then pay out to zero. Without a calibration it is one: begin unfolded.",
+        ),
+        ActuationKind::Calibrate => (
+            "calibrate",
+            "calibrating",
+            "Calibrate: what is now is unfolded. Wind slowly to the end force, pay out again, and keep how far that was.",
+        ),
+        ActuationKind::CheckFolded => (
+            "check-folded",
+            "checking",
+            "Check: wind gently to the end force, and stay folded.",
         ),
         ActuationKind::Fold => (
             "fold",
             "folding",
-            "Fold: wind the thread until the motor current in the end window says that the origami is folded.",
+            "Fold: wind the thread until the motor current at the calibrated end says that the origami is folded.",
         ),
         ActuationKind::Unfold => (
             "unfold",

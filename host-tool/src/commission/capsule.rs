@@ -53,13 +53,13 @@ pub const STEPS: &[Step] = &[
     Step {
         name: "reference",
         shows: "the thread's zero is found",
-        look: "the thread pays out to its hard reference, then comes back a little",
+        look: "begin unfolded: the crescents meet slowly, then the thread is paid out again",
         check: reference,
         ..PLAIN
     },
     Step {
         name: "fold",
-        shows: "the motor's current ends the fold in its window",
+        shows: "the motor's current ends the fold at its calibrated end",
         look: "the crescents meet",
         check: fold,
         ..PLAIN
@@ -307,7 +307,7 @@ fn e_stop(work: &mut Work<'_>) -> Result<(), Halt> {
 }
 
 fn silence(work: &mut Work<'_>) -> Result<(), Halt> {
-    // Folding is over before the silence counts; paying a wound thread out to the reference takes longer.
+    // Folding is over before the silence counts; a reference run from the folded end takes longer.
     unfolded(work)?;
     let accepted = work.device.fold()?;
     complete(work, &accepted)?;

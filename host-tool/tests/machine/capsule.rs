@@ -1,43 +1,47 @@
-//! The capsule in virtual time: the firmware's control on the plant of its own tests.
+//! The capsule in virtual time: the firmware's control on the board of its own tests.
 
-#[path = "../../../firmware-capsule/tests/plant/mod.rs"]
-mod plant;
+#[path = "../../../firmware-capsule/tests/plant/board.rs"]
+mod board;
 
+use board::{Board as Mechanics, PERIOD_US};
+use capsule_plant::Parameters;
 use device::retained::Retained;
 use device::service::Answers;
 use device::service::Inbound;
 use firmware_capsule::control::{self, Control};
 use firmware_capsule::fold::Drive;
-use plant::Plant;
 use protocol::capsule::CapsuleTelemetry;
 use protocol::system::ResetCause;
 use protocol::table::{Reply, Telemetry};
 
+use super::chip::Flash;
 use super::port::{At, Port};
 use super::{Device, World};
 
 /// Interval of readings while the bridge is awake, and while it sleeps, us.
 const AWAKE_US: u64 = 1_000;
 const ASLEEP_US: u64 = 100_000;
-/// Thread on the spool when the capsule is switched on, mm.
-const START_MM: f64 = 0.4;
-/// The plant's time step, us.
-const STEP_US: u64 = 20;
+/// A motor runs out within this.
+const COASTS_US: u64 = 500_000;
+
+/// Thread of the folded capsule, um: 6 N at 20.7 mm of travel (docs/science.md), and 1 mm of slack.
+pub const FOLDED_UM: i32 = 21_700;
 
 /// A capsule.
 pub struct Capsule {
-    control: Control<At<Board>>,
+    control: Control<At<Board>, Flash>,
+    flash: Flash,
     port: Port,
     next_reading_us: u64,
 }
 
 struct Board {
-    plant: Plant,
-    /// So far has the plant come, device time.
-    plant_us: u64,
+    mechanics: Mechanics,
+    /// So far have they come, device time.
+    mechanics_us: u64,
     drive: Drive,
-    /// The drive has changed since the last reading.
-    changed: bool,
+    /// The bridge has woken up since the last reading.
+    woken: bool,
     shown: Option<CapsuleTelemetry>,
 }
 
@@ -45,12 +49,9 @@ impl At<Board> {
     /// Lets the motor turn until now.
     fn turn(&mut self) {
         let board = &mut self.board;
-        let steps = (self.port.now_us() - board.plant_us) / STEP_US;
-        board.plant_us += steps * STEP_US;
-        // At rest without drive nothing changes: the worm holds.
-        let rests = board.drive == Drive::Off && board.plant.speed == 0.0;
-        let steps = if rests { steps.min(1) } else { steps };
-        board.plant.run(board.drive, (steps * STEP_US) as u32);
+        let periods = (self.port.now_us() - board.mechanics_us) / PERIOD_US;
+        board.mechanics_us += periods * PERIOD_US;
+        board.mechanics.run(board.drive, periods);
     }
 }
 
@@ -58,7 +59,8 @@ impl control::Capsule for At<Board> {
     fn drive(&mut self, drive: Drive) {
         if self.board.drive != drive {
             self.turn();
-            (self.board.drive, self.board.changed) = (drive, true);
+            self.board.woken |= self.board.drive == Drive::Off;
+            self.board.drive = drive;
         }
     }
 
@@ -68,34 +70,40 @@ impl control::Capsule for At<Board> {
 }
 
 impl Capsule {
-    /// A capsule that has just been switched on.
-    pub fn new(port: &Port, left: Retained) -> Self {
-        Self::start(port, left, ResetCause::PowerOn, Plant::at(START_MM))
+    /// A capsule that has just been switched on, unfolded.
+    pub fn new(port: &Port, flash: &Flash, left: Retained) -> Self {
+        let mechanics = Mechanics::new(Parameters::nominal(), 0);
+        Self::start(port, flash, left, ResetCause::PowerOn, mechanics)
     }
 
-    fn start(port: &Port, left: Retained, cause: ResetCause, plant: Plant) -> Self {
-        let board = Board {
-            plant,
-            plant_us: 0,
-            drive: Drive::Off,
-            changed: false,
-            shown: None,
-        };
-        let port = port.clone();
+    fn start(
+        port: &Port,
+        flash: &Flash,
+        left: Retained,
+        cause: ResetCause,
+        mechanics: Mechanics,
+    ) -> Self {
         let at = At {
             port: port.clone(),
-            board,
+            board: Board {
+                mechanics,
+                mechanics_us: 0,
+                drive: Drive::Off,
+                woken: false,
+                shown: None,
+            },
         };
         Self {
-            control: Control::new(at, left, cause),
-            port,
+            control: Control::new(at, flash.clone(), left, cause),
+            flash: flash.clone(),
+            port: port.clone(),
             next_reading_us: 0,
         }
     }
 
-    /// The motor task reads at once after a new order.
-    fn read_if_changed(&mut self) {
-        if self.control.capsule().board.changed {
+    /// The motor task reads at once when the bridge wakes up.
+    fn read_if_woken(&mut self) {
+        if self.control.capsule().board.woken {
             self.next_reading_us = self.port.now_us();
         }
     }
@@ -103,8 +111,11 @@ impl Capsule {
 
 impl Device for Capsule {
     fn reset(&mut self, left: Retained, cause: ResetCause) {
-        let plant = std::mem::replace(&mut self.control.capsule().board.plant, Plant::at(START_MM));
-        *self = Self::start(&self.port, left, cause, plant);
+        // The motor runs out with the bridge asleep, and the worm holds.
+        let board = &mut self.control.capsule().board;
+        board.mechanics.run(Drive::Off, COASTS_US / PERIOD_US);
+        let mechanics = board.mechanics.clone();
+        *self = Self::start(&self.port, &self.flash, left, cause, mechanics);
     }
 
     fn due_us(&mut self) -> u64 {
@@ -117,19 +128,20 @@ impl Device for Capsule {
             self.port.set_now_us(now_us);
             let at = self.control.capsule();
             at.turn();
-            at.board.changed = false;
-            let sample = at.board.plant.sample();
+            at.board.woken = false;
+            let awake = at.board.drive != Drive::Off;
+            let sample = at.board.mechanics.sample(now_us, awake);
             self.control.read(now_us, sample);
             let asleep = self.control.capsule().board.drive == Drive::Off;
             self.next_reading_us = now_us + if asleep { ASLEEP_US } else { AWAKE_US };
-            self.read_if_changed();
+            self.read_if_woken();
         }
         self.port.set_now_us(until_us);
     }
 
     fn answer(&mut self, inbound: Inbound) -> Reply {
         let reply = self.control.answer(inbound);
-        self.read_if_changed();
+        self.read_if_woken();
         reply
     }
 

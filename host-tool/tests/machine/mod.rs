@@ -2,7 +2,7 @@
 //! on the mechanics of [`rig`] or [`capsule`]. Only the line and the world around the machine are scripted.
 #![allow(dead_code, missing_docs, unreachable_pub)]
 
-mod capsule;
+pub mod capsule;
 #[path = "../../../device/tests/chip/mod.rs"]
 mod chip;
 mod line;
@@ -213,7 +213,7 @@ impl Machine {
         let service = service(&script, left.boot_id, ResetCause::PowerOn);
         let device: Box<dyn Device> = match script.kind {
             DeviceKind::Rig => Box::new(rig::Rig::new(&port, &flash, left)),
-            DeviceKind::Capsule => Box::new(capsule::Capsule::new(&port, left)),
+            DeviceKind::Capsule => Box::new(capsule::Capsule::new(&port, &flash, left)),
         };
         let log = Arc::new(Mutex::new(Log::new(&flash)));
         let mut machine = Self {

@@ -62,8 +62,20 @@ pub fn requests() -> std::vec::Vec<Request> {
         Request::SetName(lab_name()),
         Request::GetRigHealth(GetRigHealth),
         Request::GetChip(GetChip),
+        Request::Calibrate(Calibrate),
+        Request::CheckFolded(CheckFolded),
+        Request::GetTrace(GetTrace { from: 1_300 }),
+        Request::GetCapsuleTotals(GetCapsuleTotals),
     ]
 }
+
+/// Values that need the most bytes.
+const TRACE_POINT: TracePoint = TracePoint {
+    thread_um: -21_000_000,
+    current_ma: u16::MAX,
+    battery_mv: 4_550,
+    drive_mv: -5_120,
+};
 
 const SETTING: Setting = Setting {
     key: SettingKey::SwitchFilterUs,
@@ -138,6 +150,14 @@ pub fn events() -> std::vec::Vec<Event> {
         event(What::Capsule(CapsuleEvent::Faulted(CapsuleFault::Jam {
             thread_um: 12_000,
         }))),
+        event(What::Capsule(CapsuleEvent::Started {
+            actuation: 5,
+            kind: ActuationKind::CheckFolded,
+        })),
+        event(What::Capsule(CapsuleEvent::Faulted(
+            CapsuleFault::NotUnfolded { wound_um: 9_000 },
+        ))),
+        event(What::Capsule(CapsuleEvent::NotKept)),
     ]
 }
 
@@ -311,6 +331,29 @@ pub fn responses() -> std::vec::Vec<Response> {
             supply_low: true,
             option_bytes: 0x00ff_aaed,
         }),
+        Response::Calibrate(ActuationAccepted {
+            actuation: 5,
+            timeout_ms: 16_000,
+        }),
+        Response::CheckFolded(ActuationAccepted {
+            actuation: 6,
+            timeout_ms: 16_000,
+        }),
+        Response::GetTrace(Trace {
+            actuation: 3,
+            total: 1_790,
+            points: (0..MAX_TRACE_POINTS).map(|_| TRACE_POINT).collect(),
+        }),
+        Response::GetCapsuleTotals(CapsuleTotals {
+            actuations: 1_003,
+            energy_mj: 185_000,
+            calibration: Some(CapsuleCalibration {
+                folded_um: 21_700,
+                rise_um: 1_600,
+                no_load_ma: 16,
+                tension_ma: 22,
+            }),
+        }),
     ]
 }
 
@@ -369,6 +412,9 @@ pub fn replies() -> std::vec::Vec<Reply> {
         Refusal::FarLimitOpen,
         Refusal::SupplyLow,
         Refusal::NameNotPrintable,
+        Refusal::CapsuleFaulted(CapsuleFault::SenseLost),
+        Refusal::CapsuleBusy(CapsuleState::Checking),
+        Refusal::NotCalibrated,
     ];
     let wire = [
         WireError::NoSession,

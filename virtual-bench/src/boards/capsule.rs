@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 use crate::bench::{Bench, BenchError, BenchOptions, images};
 use crate::emulator::{ChipOptions, Pads, Pin, Wiring};
-use crate::plants::capsule::{Capsule, CapsuleOptions};
+use crate::plants::capsule::{Capsule, Parameters};
 
 const IN1: Pin = Pin::new('B', 4);
 const IN2: Pin = Pin::new('B', 5);
@@ -138,6 +138,12 @@ impl Wiring for CapsuleBoard {
     fn flash_began(&mut self) {
         self.capsule.flash_began();
     }
+
+    /// The bridge pulls its inputs low: the motor runs out.
+    fn powered_off(&mut self) {
+        self.inputs = [false; 2];
+        self.drive_bridge(false);
+    }
 }
 
 /// Path of the capsule's image.
@@ -150,7 +156,7 @@ pub fn image() -> PathBuf {
 ///
 /// # Errors
 /// A missing or unusable image.
-pub fn start(capsule: CapsuleOptions) -> Result<Bench<CapsuleBoard>, BenchError> {
+pub fn start(capsule: Parameters) -> Result<Bench<CapsuleBoard>, BenchError> {
     let mut options = BenchOptions::new(image());
     // The capsule runs on the 16 MHz oscillator.
     options.chip = ChipOptions {

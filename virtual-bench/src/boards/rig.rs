@@ -204,6 +204,9 @@ impl Wiring for RigBoard {
     fn flash_began(&mut self) {
         self.rig.flash_began();
     }
+
+    /// The carriage keeps what it has; the next step needs an edge.
+    fn powered_off(&mut self) {}
 }
 
 /// Path of the rig's image.

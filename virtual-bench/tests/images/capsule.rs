@@ -5,7 +5,10 @@ use host_tool::{
     error::ClientError,
 };
 use protocol::{
-    capsule::{ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState},
+    capsule::{
+        ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState, CheckFolded,
+        GetCapsuleTotals,
+    },
     error::Refusal,
     system::{DeviceKind, ResetCause, Urgent},
 };
@@ -13,7 +16,7 @@ use virtual_bench::{
     bench::Bench,
     boards::capsule::{self, CapsuleBoard},
     link::VirtualLink,
-    plants::capsule::{Action, Capsule, CapsuleOptions},
+    plants::capsule::{Capsule, Defect, Parameters},
     sabotage::{Misbehaviour, Sabotage},
 };
 
@@ -23,10 +26,10 @@ struct CapsuleRun {
 }
 
 fn start() -> CapsuleRun {
-    start_with(CapsuleOptions::default())
+    start_with(Parameters::nominal())
 }
 
-fn start_with(options: CapsuleOptions) -> CapsuleRun {
+fn start_with(options: Parameters) -> CapsuleRun {
     let bench = capsule::start(options).expect("the image boots");
     let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
     let device = Device::connect(link, DeviceKind::Capsule, 1).expect("the capsule answers");
@@ -34,10 +37,10 @@ fn start_with(options: CapsuleOptions) -> CapsuleRun {
 }
 
 fn referenced() -> CapsuleRun {
-    referenced_with(CapsuleOptions::default())
+    referenced_with(Parameters::nominal())
 }
 
-fn referenced_with(options: CapsuleOptions) -> CapsuleRun {
+fn referenced_with(options: Parameters) -> CapsuleRun {
     let mut capsule = start_with(options);
     let accepted = capsule.device.reference().expect("referencing is accepted");
     let record = capsule
@@ -137,7 +140,7 @@ fn it_folds_on_force_and_unfolds_by_count_again_and_again() {
             (19.5..=22.5).contains(&travel),
             "round {round}: folded at {travel} mm of travel"
         );
-        assert!((4.0..=10.0).contains(&force), "round {round}: {force} N");
+        assert!((4.0..=9.0).contains(&force), "round {round}: {force} N");
         assert_eq!(capsule.state().0, CapsuleState::Folded);
         capsule.check_at_rest();
 
@@ -155,6 +158,10 @@ fn it_folds_on_force_and_unfolds_by_count_again_and_again() {
         );
         assert!(lowest >= -0.05, "round {round}: paid out to {lowest} mm");
         assert_eq!(capsule.state().0, CapsuleState::Unfolded);
+        assert!(
+            folded.duration_ms <= 1_800 && unfolded.duration_ms <= 1_400,
+            "{folded:?} {unfolded:?}"
+        );
         let energy_mj = folded.energy_mj + unfolded.energy_mj;
         assert!(
             (1..=410).contains(&energy_mj),
@@ -167,19 +174,19 @@ fn it_folds_on_force_and_unfolds_by_count_again_and_again() {
 
 #[test]
 fn what_it_says_is_what_the_plant_did() {
-    says_what_the_plant_did(CapsuleOptions::default());
+    says_what_the_plant_did(Parameters::nominal());
 }
 
 /// Current times voltage is the energy, so an offset that stayed in the current would show there.
 #[test]
 fn an_offset_of_the_current_amplifier_changes_nothing() {
-    says_what_the_plant_did(CapsuleOptions {
+    says_what_the_plant_did(Parameters {
         sense_offset_mv: 18.0,
-        ..CapsuleOptions::default()
+        ..Parameters::nominal()
     });
 }
 
-fn says_what_the_plant_did(options: CapsuleOptions) {
+fn says_what_the_plant_did(options: Parameters) {
     let mut capsule = referenced_with(options);
     let zero = capsule.look(|capsule| capsule.wound_mm());
     // The pauses are those of a person: no reading of the idle bridge may leak into the next actuation.
@@ -234,7 +241,7 @@ fn says_what_the_plant_did(options: CapsuleOptions) {
 }
 
 /// A fold that is disturbed 400 ms after its start ends in the fault that says so, and nothing is driven after it.
-fn disturbed(action: Action, expected: fn(&CapsuleFault) -> bool) {
+fn disturbed(action: Defect, expected: fn(&CapsuleFault) -> bool) {
     let mut capsule = referenced();
     let at_ns = capsule.bench.now_ns() + 400_000_000;
     capsule.look(move |capsule| capsule.plan(at_ns, action));
@@ -259,28 +266,195 @@ fn disturbed(action: Action, expected: fn(&CapsuleFault) -> bool) {
 #[test]
 fn a_jam_is_found_where_it_is() {
     disturbed(
-        Action::Jam(Some(12.0)),
+        Defect::Jam(12.0),
         |fault| matches!(fault, CapsuleFault::Jam { thread_um } if (11_000..15_000).contains(thread_um)),
     );
 }
 
 #[test]
 fn a_snapped_thread_is_found() {
-    disturbed(Action::Snap(true), |fault| {
+    disturbed(Defect::Snap(0.0), |fault| {
         *fault == CapsuleFault::ThreadBroken
     });
 }
 
 #[test]
 fn a_lost_encoder_is_found() {
-    disturbed(Action::LoseEncoder(true), |fault| {
+    disturbed(Defect::Encoder, |fault| *fault == CapsuleFault::EncoderLost);
+}
+
+#[test]
+fn a_silent_bridge_and_a_dead_amplifier_have_their_names() {
+    disturbed(Defect::SilentBridge, |fault| {
+        *fault == CapsuleFault::BridgeSilent
+    });
+    disturbed(Defect::SenseOpen, |fault| *fault == CapsuleFault::SenseLost);
+}
+
+#[test]
+fn one_broken_line_of_the_encoder_and_a_short_circuit_are_found() {
+    disturbed(Defect::ChannelA, |fault| {
         *fault == CapsuleFault::EncoderLost
     });
+    disturbed(Defect::Short, |fault| {
+        matches!(fault, CapsuleFault::OverCurrent { .. })
+    });
+}
+
+/// An obstacle in the last millimetres has force and rise of an origami, and is short.
+#[test]
+fn a_late_jam_is_not_folded() {
+    for travel_mm in [19.0, 20.2] {
+        disturbed(
+            Defect::Jam(travel_mm),
+            |fault| matches!(fault, CapsuleFault::Jam { thread_um } if (19_900..21_500).contains(thread_um)),
+        );
+    }
+}
+
+/// What a folded capsule's thread does at rest shows when it unfolds.
+#[test]
+fn a_thread_that_breaks_or_slips_while_folded_is_named_by_the_unfolding() {
+    for defect in [Defect::Snap(0.0), Defect::Slip(4.0)] {
+        let mut capsule = referenced();
+        assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
+        capsule.look(move |capsule| capsule.suffer(defect));
+        let outcome = capsule.unfold().outcome;
+        let expected = ActuationOutcome::Faulted(CapsuleFault::SlipOrBreak);
+        assert_eq!(outcome, expected, "{defect:?}\n{}", capsule.log());
+        capsule.check_at_rest();
+    }
+}
+
+/// Calibration, totals and "was folded" outlive the power; a check confirms the fold and pays nothing out.
+#[test]
+fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
+    let mut capsule = referenced();
+    assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
+    capsule
+        .device
+        .idle(1_500_000, &mut Unobserved)
+        .expect("the link stays");
+    let before = capsule.device.call(GetCapsuleTotals).expect("an answer");
+    assert_eq!(before.actuations, 2);
+    let drawn_mj = capsule.look(|capsule| capsule.energy_j() * 1e3);
+    let energy_mj = before.energy_mj as f64;
+    assert!(
+        (energy_mj / drawn_mj - 1.0).abs() < 0.05,
+        "{before:?}, {drawn_mj:.1} mJ drawn"
+    );
+    let calibration = before.calibration.expect("the reference was one");
+    assert!(
+        (21_500..21_900).contains(&calibration.folded_um),
+        "{calibration:?}"
+    );
+    capsule
+        .bench
+        .power_cycle(1_000_000)
+        .expect("the bench runs");
+    capsule.device.hello(2).expect("it answers again");
+    assert_eq!(capsule.state(), (CapsuleState::WasFolded, None, false));
+    assert_eq!(
+        capsule.device.call(GetCapsuleTotals).expect("an answer"),
+        before
+    );
+    capsule
+        .device
+        .idle(300_000, &mut Unobserved)
+        .expect("the link stays");
+    let folded_mm = capsule.look(|capsule| {
+        capsule.plant_mut().forget_extremes();
+        capsule.wound_mm()
+    });
+    let accepted = capsule.device.call(CheckFolded).expect("it is accepted");
+    let record = capsule
+        .device
+        .wait_actuation(&accepted, &mut Unobserved)
+        .expect("it ends");
+    assert_eq!(
+        record.outcome,
+        ActuationOutcome::Complete,
+        "{}",
+        capsule.log()
+    );
+    assert_eq!(capsule.state(), (CapsuleState::Folded, None, true));
+    let (least_mm, force_n) =
+        capsule.look(|capsule| (capsule.extremes_mm().0, capsule.peak_force_n()));
+    assert!(
+        least_mm >= folded_mm && force_n < 9.0,
+        "{least_mm} mm, {force_n} N"
+    );
+    assert_eq!(capsule.unfold().outcome, ActuationOutcome::Complete);
+    let unfolded_mm = capsule.look(|capsule| capsule.wound_mm());
+    assert!((0.0..0.3).contains(&unfolded_mm), "{unfolded_mm} mm");
+    // A cut in the unfolding leaves no "folded" behind.
+    assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
+    capsule
+        .device
+        .idle(1_500_000, &mut Unobserved)
+        .expect("the link stays");
+    capsule.device.unfold().expect("it is accepted");
+    capsule
+        .device
+        .idle(500_000, &mut Unobserved)
+        .expect("the link stays");
+    capsule
+        .bench
+        .power_cycle(1_000_000)
+        .expect("the bench runs");
+    capsule.device.hello(3).expect("it answers again");
+    assert_eq!(capsule.state(), (CapsuleState::Unreferenced, None, false));
+    capsule.check_clean();
+}
+
+/// The worst is a cut while the thread is paid out at full speed: nothing brakes the motor then.
+#[test]
+fn a_cut_of_the_power_never_pays_out_past_zero() {
+    for after_us in [400_000, 800_000, 1_000_000, 1_150_000, 1_300_000] {
+        let mut capsule = referenced();
+        assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
+        capsule.device.unfold().expect("it is accepted");
+        capsule
+            .device
+            .idle(after_us, &mut Unobserved)
+            .expect("the link stays");
+        capsule
+            .bench
+            .power_cycle(1_000_000)
+            .expect("the bench runs");
+        let lowest_mm = capsule.look(|capsule| capsule.extremes_mm().0);
+        assert!(lowest_mm >= 0.0, "cut after {after_us} us: {lowest_mm} mm");
+    }
+}
+
+/// The recording tells what the plant did, reading by reading.
+#[test]
+fn a_fold_is_recorded_on_the_capsule() {
+    let mut capsule = referenced();
+    let record = capsule.fold();
+    let points = capsule.device.trace().expect("it is fetched").points;
+    assert!(
+        points.len().abs_diff(record.duration_ms as usize) < 60,
+        "{} readings of {} ms",
+        points.len(),
+        record.duration_ms
+    );
+    // While the motor is braked the amplifier shows its current, which is none of the cell's.
+    let driven = points.windows(2).filter(|pair| pair[0].drive_mv != 0);
+    let peak_ma = driven.map(|pair| pair[1].current_ma).max();
+    assert!((140..260).contains(&peak_ma.expect("some")), "{peak_ma:?}");
+    let last = points.last().expect("some");
+    let wound_um = capsule.look(|capsule| capsule.wound_mm() * 1e3);
+    assert!(
+        (f64::from(last.thread_um) - wound_um).abs() < 20.0,
+        "{last:?}"
+    );
+    assert!(points.iter().any(|point| point.drive_mv > 1_000));
 }
 
 #[test]
 fn a_fault_of_the_bridge_is_found() {
-    disturbed(Action::DriverFault(true), |fault| {
+    disturbed(Defect::DriverFault, |fault| {
         *fault == CapsuleFault::DriverFault
     });
 }
@@ -288,7 +462,7 @@ fn a_fault_of_the_bridge_is_found() {
 #[test]
 fn a_low_battery_is_refused_before_it_moves() {
     let mut capsule = referenced();
-    capsule.look(|capsule| capsule.act(Action::Battery(2_800.0)));
+    capsule.look(|capsule| capsule.suffer(Defect::Battery(2_800.0)));
     capsule
         .device
         .idle(200_000, &mut Unobserved)
@@ -311,7 +485,7 @@ fn the_battery_is_read_right_down_to_an_empty_cell() {
     for battery_mv in [
         4_200, 3_700, 3_400, 3_300, 3_200, 3_000, 2_850, 2_700, 2_500,
     ] {
-        capsule.look(move |capsule| capsule.act(Action::Battery(f64::from(battery_mv))));
+        capsule.look(move |capsule| capsule.suffer(Defect::Battery(f64::from(battery_mv))));
         capsule
             .device
             .idle(250_000, &mut Unobserved)
@@ -329,12 +503,12 @@ fn the_battery_is_read_right_down_to_an_empty_cell() {
 
 /// A tired cell has enough at rest and not under load.
 #[test]
-fn a_cell_that_sags_under_load_ends_the_fold() {
-    let mut capsule = referenced_with(CapsuleOptions {
-        battery_ohm: 5.0,
-        ..CapsuleOptions::default()
+fn a_cell_that_sags_under_load_ends_the_fold_and_is_refused_from_then_on() {
+    let mut capsule = referenced();
+    capsule.look(|capsule| {
+        capsule.suffer(Defect::Weak(8.0));
+        capsule.suffer(Defect::Battery(3_150.0));
     });
-    capsule.look(|capsule| capsule.act(Action::Battery(3_050.0)));
     capsule
         .device
         .idle(200_000, &mut Unobserved)
@@ -343,7 +517,7 @@ fn a_cell_that_sags_under_load_ends_the_fold() {
     let ActuationOutcome::Faulted(CapsuleFault::LowBattery { battery_mv }) = record.outcome else {
         panic!("{record:?}\n{}", capsule.log())
     };
-    assert!((2_000..2_700).contains(&battery_mv), "{battery_mv} mV");
+    assert!((1_800..2_700).contains(&battery_mv), "{battery_mv} mV");
     capsule.check_at_rest();
     capsule.check_clean();
 }
@@ -351,9 +525,9 @@ fn a_cell_that_sags_under_load_ends_the_fold() {
 /// A bidirectional amplifier, with its zero at half of its supply, is not what the firmware is made for.
 #[test]
 fn a_current_at_rest_keeps_the_motor_off() {
-    let mut capsule = start_with(CapsuleOptions {
+    let mut capsule = start_with(Parameters {
         sense_offset_mv: 1_650.0,
-        ..CapsuleOptions::default()
+        ..Parameters::nominal()
     });
     capsule
         .device
@@ -421,7 +595,7 @@ fn a_stop_in_mid_fold_holds_and_an_estop_latches() {
 fn a_silent_host_stops_the_motor() {
     let mut capsule = referenced();
     // Slow it down, so that the fold lasts longer than the link time-out.
-    capsule.look(|capsule| capsule.act(Action::Battery(3_050.0)));
+    capsule.look(|capsule| capsule.suffer(Defect::Battery(3_050.0)));
     capsule.device.fold().expect("folding is accepted");
     capsule.bench.advance_us(6_000_000).expect("the bench runs");
     let record = capsule.device.actuation_record().expect("the link is back");

@@ -26,7 +26,7 @@ use virtual_bench::boards::rig::RigBoard;
 use virtual_bench::boards::{capsule, rig};
 use virtual_bench::hands::{BenchHands, HandsServer, Machine, Plug};
 use virtual_bench::link::VirtualLink;
-use virtual_bench::plants::capsule::CapsuleOptions;
+use virtual_bench::plants::capsule::Parameters;
 use virtual_bench::plants::rig::{Action, Rig, RigOptions, Switch};
 use virtual_bench::plants::wire::Fault;
 
@@ -246,7 +246,7 @@ fn a_good_rig_passes_in_one_go_and_a_run_knows_it() {
 #[test]
 fn a_good_capsule_passes_in_one_go() {
     let (_folder, record) = folder();
-    let bench = capsule::start(CapsuleOptions::default()).expect("the image boots");
+    let bench = capsule::start(Parameters::nominal()).expect("the image boots");
     let workshop = Workshop::new(Machine::Capsule(bench));
     let (code, text) = commission(&workshop, "capsule", &record, &[]);
     assert_eq!(code, 0, "{text}");

@@ -18,7 +18,7 @@ use virtual_bench::{
     emulator::{Beats, ChipOptions, Wiring},
     faults::When,
     plants::{
-        capsule::CapsuleOptions,
+        capsule::Parameters,
         rig::{Action, RigOptions, Switch},
         wire::Fault,
     },
@@ -315,7 +315,7 @@ fn register<W: Wiring>(bench: &Bench<W>, address: u32) -> u32 {
 
 /// The capsule, some time after its start.
 fn started_capsule() -> crate::common::Capsule {
-    let bench = capsule::start(CapsuleOptions::default()).expect("the image boots");
+    let bench = capsule::start(Parameters::nominal()).expect("the image boots");
     bench.advance_us(100_000).expect("the bench runs");
     bench
 }

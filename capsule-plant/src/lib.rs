@@ -1,0 +1,532 @@
+//! Model of the capsule's mechanics, for the firmware's tests on the host and for the virtual bench: cell with internal
+//! resistance, bridge, motor, planetary gear, worm, spool, thread, folding spring, encoder, current amplifier.
+//!
+//! ```text
+//! i    = (V - ke w) / (winding + bridge + cell)      no inductance: the winding forgets its current within 10 us
+//! J w' = kt i - kt I0 sgn(w) - load                  motor
+//! x'   = w r / N                                     thread on the spool
+//! ```
+//! It shares no code with the firmware, so it can judge it. Thread 0 is the paid-out end of a healthy capsule; below
+//! it the thread winds itself backwards onto the spool.
+
+mod parameters;
+mod random;
+mod spring;
+
+pub use parameters::{BATTERY_DIVIDER, COUNTS_PER_REVOLUTION, Parameters, SENSE_MV_PER_MA};
+pub use random::Random;
+
+/// Winding that is short-circuited within itself, ohm (assumed).
+const SHORTED_OHM: f64 = 0.3;
+/// How fast a collapsing cell loses its voltage, V/s (assumed).
+const COLLAPSE_V_PER_S: f64 = 4.0;
+/// Longest step of the integration, s.
+const STEP_S: f64 = 20e-6;
+
+/// What is wrong with a capsule. Positions are travel of the fold: thread beyond the slack, mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Defect {
+    /// The fold meets something hard at this travel.
+    Jam(f64),
+    /// The thread snaps as soon as the travel reaches this.
+    Snap(f64),
+    /// The thread lets go of so much of itself at once, mm: more slack.
+    Slip(f64),
+    /// The spool slips on its shaft above this force, N.
+    Clutch(f64),
+    /// The encoder's line A stays as it is.
+    ChannelA,
+    /// The encoder's line B stays as it is.
+    ChannelB,
+    /// Both of the encoder's lines stay as they are.
+    Encoder,
+    /// The encoder's lines are swapped.
+    Swapped,
+    /// The bridge drives nothing and says nothing.
+    SilentBridge,
+    /// The bridge drives nothing and pulls nFAULT low.
+    DriverFault,
+    /// The motor's winding is shorted within itself.
+    Short,
+    /// The current amplifier shows 0 mV.
+    SenseOpen,
+    /// The cell's internal resistance is this, ohm.
+    Weak(f64),
+    /// The cell loses its voltage within a second.
+    Collapse,
+    /// The cell has this voltage without load, mV.
+    Battery(f64),
+}
+
+/// What the bridge does to the winding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bridge {
+    /// Asleep, or both inputs low: the winding is open.
+    Coast,
+    /// IN1 high: folds.
+    Forward,
+    /// IN2 high: unfolds.
+    Reverse,
+    /// Both high: the winding is shorted.
+    Brake,
+}
+
+/// The mechanics, with what is wrong with them.
+#[derive(Clone, Debug)]
+pub struct Plant {
+    /// Parameters of this capsule.
+    pub parameters: Parameters,
+    /// Of the worm, raising and lowering.
+    worm_factors: (f64, f64),
+    bridge: Bridge,
+    /// rad/s and rad at the motor.
+    speed: f64,
+    angle: f64,
+    current_a: f64,
+    filtered_ma: f64,
+    energy_j: f64,
+    charge_c: f64,
+    peak_force_n: f64,
+    extremes_mm: (f64, f64),
+    jam_mm: Option<f64>,
+    snap_mm: Option<f64>,
+    snapped: bool,
+    slipped_mm: f64,
+    clutch_n: Option<f64>,
+    stuck: [Option<bool>; 2],
+    swapped: bool,
+    silent: bool,
+    driver_fault: bool,
+    shorted: bool,
+    sense_open: bool,
+    collapsing: bool,
+}
+
+impl Plant {
+    /// At rest, the bridge open.
+    #[must_use]
+    pub fn new(parameters: Parameters) -> Self {
+        Self {
+            parameters,
+            worm_factors: parameters.worm_factors(),
+            bridge: Bridge::Coast,
+            speed: 0.0,
+            angle: 0.0,
+            current_a: 0.0,
+            filtered_ma: 0.0,
+            energy_j: 0.0,
+            charge_c: 0.0,
+            peak_force_n: 0.0,
+            extremes_mm: (parameters.wound_mm, parameters.wound_mm),
+            jam_mm: None,
+            snap_mm: None,
+            snapped: false,
+            slipped_mm: 0.0,
+            clutch_n: None,
+            stuck: [None; 2],
+            swapped: false,
+            silent: false,
+            driver_fault: false,
+            shorted: false,
+            sense_open: false,
+            collapsing: false,
+        }
+    }
+
+    /// Makes something go wrong, now.
+    pub fn suffer(&mut self, defect: Defect) {
+        let (a, b) = self.true_encoder();
+        match defect {
+            Defect::Jam(travel_mm) => self.jam_mm = Some(travel_mm),
+            Defect::Snap(travel_mm) => self.snap_mm = Some(travel_mm),
+            Defect::Slip(length_mm) => self.slipped_mm += length_mm,
+            Defect::Clutch(newton) => self.clutch_n = Some(newton),
+            Defect::ChannelA => self.stuck[0] = Some(a),
+            Defect::ChannelB => self.stuck[1] = Some(b),
+            Defect::Encoder => self.stuck = [Some(a), Some(b)],
+            Defect::Swapped => self.swapped = true,
+            Defect::SilentBridge => self.silent = true,
+            Defect::DriverFault => self.driver_fault = true,
+            Defect::Short => self.shorted = true,
+            Defect::SenseOpen => self.sense_open = true,
+            Defect::Weak(ohm) => self.parameters.battery_ohm = ohm,
+            Defect::Collapse => self.collapsing = true,
+            Defect::Battery(mv) => self.parameters.battery_mv = mv,
+        }
+    }
+
+    /// Everything is well again, but for the cell and for thread that has slipped.
+    pub fn heal(&mut self) {
+        self.jam_mm = None;
+        self.snap_mm = None;
+        self.snapped = false;
+        self.clutch_n = None;
+        self.stuck = [None; 2];
+        self.swapped = false;
+        self.silent = false;
+        self.driver_fault = false;
+        self.shorted = false;
+        self.sense_open = false;
+        self.collapsing = false;
+    }
+
+    /// Sets the bridge.
+    pub fn set_bridge(&mut self, bridge: Bridge) {
+        self.bridge = bridge;
+    }
+
+    /// Thread on the spool, mm.
+    #[must_use]
+    pub fn wound_mm(&self) -> f64 {
+        self.parameters.wound_mm + self.angle * self.parameters.mm_per_rad()
+    }
+
+    /// Travel of the fold, mm: the thread beyond its slack.
+    #[must_use]
+    pub fn travel_mm(&self) -> f64 {
+        (self.wound_mm() - self.parameters.slack_mm - self.slipped_mm).max(0.0)
+    }
+
+    /// Pull of the thread, N.
+    #[must_use]
+    pub fn force_n(&self) -> f64 {
+        if self.snapped {
+            return 0.0;
+        }
+        let travel = self.travel_mm();
+        let end = self.parameters.end_mm;
+        let stop = self.jam_mm.map_or(end, |jam| jam.min(end));
+        spring::force_n(travel) * self.parameters.stiffness
+            + self.parameters.stop_n_per_mm * (travel - stop).max(0.0)
+    }
+
+    /// Largest force so far, N.
+    #[must_use]
+    pub fn peak_force_n(&self) -> f64 {
+        self.peak_force_n
+    }
+
+    /// Least and most thread on the spool so far, mm.
+    #[must_use]
+    pub fn extremes_mm(&self) -> (f64, f64) {
+        self.extremes_mm
+    }
+
+    /// Largest force and extremes of the thread count from here.
+    pub fn forget_extremes(&mut self) {
+        self.peak_force_n = self.force_n();
+        self.extremes_mm = (self.wound_mm(), self.wound_mm());
+    }
+
+    /// Energy that the motor has taken from the cell's terminals so far, J.
+    #[must_use]
+    pub fn energy_j(&self) -> f64 {
+        self.energy_j
+    }
+
+    /// Charge that the motor has taken from the cell so far, C.
+    #[must_use]
+    pub fn charge_c(&self) -> f64 {
+        self.charge_c
+    }
+
+    /// Current in the winding, mA, positive folding.
+    #[must_use]
+    pub fn current_ma(&self) -> f64 {
+        self.current_a * 1e3
+    }
+
+    /// Speed of the motor, rad/s, positive folding.
+    #[must_use]
+    pub fn speed(&self) -> f64 {
+        self.speed
+    }
+
+    /// Nothing changes any more by itself.
+    #[must_use]
+    pub fn is_quiet(&self) -> bool {
+        self.bridge == Bridge::Coast
+            && self.speed == 0.0
+            && self.filtered_ma < 0.01
+            && !self.collapsing
+    }
+
+    /// Voltage at the current amplifier's output, mV, without noise.
+    #[must_use]
+    pub fn sense_mv(&self) -> f64 {
+        if self.sense_open {
+            return 0.0;
+        }
+        let signal = self.filtered_ma * SENSE_MV_PER_MA * self.parameters.sense_gain;
+        self.parameters.sense_offset_mv + signal
+    }
+
+    /// Voltage at the cell's terminals, mV.
+    #[must_use]
+    pub fn terminal_mv(&self) -> f64 {
+        let drawn = match self.drives() {
+            Bridge::Forward => self.current_a,
+            Bridge::Reverse => -self.current_a,
+            Bridge::Brake | Bridge::Coast => 0.0,
+        };
+        let sag = 1e3 * self.parameters.battery_ohm * drawn.max(0.0);
+        (self.parameters.battery_mv - sag).max(0.0)
+    }
+
+    /// Level of the bridge's fault output, low while there is a fault.
+    #[must_use]
+    pub fn fault_high(&self) -> bool {
+        !self.driver_fault
+    }
+
+    /// Position of the motor in counts.
+    #[must_use]
+    pub fn counts(&self) -> i64 {
+        (self.angle * COUNTS_PER_REVOLUTION / std::f64::consts::TAU).floor() as i64
+    }
+
+    fn true_encoder(&self) -> (bool, bool) {
+        let phase = self.counts().rem_euclid(4);
+        (phase == 1 || phase == 2, phase == 2 || phase == 3)
+    }
+
+    /// The encoder's outputs A and B.
+    #[must_use]
+    pub fn encoder(&self) -> (bool, bool) {
+        let (mut a, mut b) = self.true_encoder();
+        if self.swapped {
+            (a, b) = (b, a);
+        }
+        (self.stuck[0].unwrap_or(a), self.stuck[1].unwrap_or(b))
+    }
+
+    fn drives(&self) -> Bridge {
+        if self.driver_fault || self.silent {
+            Bridge::Coast
+        } else {
+            self.bridge
+        }
+    }
+
+    /// Lets `duration_s` pass; calls `look` with the plant after each step of the integration, 20 us at most.
+    pub fn advance(&mut self, duration_s: f64, mut look: impl FnMut(&Self)) {
+        let steps = (duration_s / STEP_S).ceil().max(1.0);
+        let step_s = duration_s / steps;
+        for _ in 0..steps as u64 {
+            self.integrate(step_s);
+            look(self);
+        }
+    }
+
+    fn integrate(&mut self, dt: f64) {
+        let parameters = self.parameters;
+        let winding = if self.shorted {
+            SHORTED_OHM
+        } else {
+            parameters.winding_ohm
+        };
+        // A winding that is shorted within itself gives no torque, and no back-EMF.
+        let constant = if self.shorted {
+            0.0
+        } else {
+            parameters.motor_constant
+        };
+        let open = parameters.battery_mv * 1e-3;
+        let driven_ohm = winding + parameters.bridge_ohm + parameters.battery_ohm;
+        let back = constant * self.speed;
+        self.current_a = match self.drives() {
+            Bridge::Forward => (open - back) / driven_ohm,
+            Bridge::Reverse => (-open - back) / driven_ohm,
+            Bridge::Brake => -back / (winding + parameters.bridge_ohm),
+            Bridge::Coast => 0.0,
+        };
+        let drawn = match self.drives() {
+            Bridge::Forward => self.current_a.max(0.0),
+            Bridge::Reverse => (-self.current_a).max(0.0),
+            Bridge::Brake | Bridge::Coast => 0.0,
+        };
+        self.energy_j += self.terminal_mv() * 1e-3 * drawn * dt;
+        self.charge_c += drawn * dt;
+
+        let mut force = self.force_n();
+        if let Some(limit) = self.clutch_n
+            && force > limit
+            && self.speed > 0.0
+        {
+            // What the spool turns on beyond the limit winds no thread.
+            self.slipped_mm += self.speed * parameters.mm_per_rad() * dt;
+            force = self.force_n();
+        }
+        if self.snap_mm.is_some_and(|at| self.travel_mm() >= at) {
+            self.snapped = true;
+        }
+        self.peak_force_n = self.peak_force_n.max(force);
+
+        let ratio = parameters.planetary_ratio * parameters.worm_ratio;
+        let ideal = force * parameters.spool_mm * 1e-3 / ratio / parameters.planetary_efficiency;
+        let (raising, lowering) = self.worm_factors;
+        let friction = parameters.motor_constant * parameters.no_load_a;
+        let stop = parameters.paid_out_stop_mm.map_or(0.0, |at| {
+            (at - self.wound_mm()).max(0.0) * parameters.stop_n_per_mm
+        });
+        let stop = stop * parameters.spool_mm * 1e-3 / ratio / parameters.planetary_efficiency;
+        let folding = ideal * raising + friction;
+        let unfolding = -(ideal * lowering + stop * raising + friction);
+        let torque = constant * self.current_a;
+        let resisting = if self.speed > 0.0 {
+            folding
+        } else if self.speed < 0.0 {
+            unfolding
+        } else {
+            torque.clamp(unfolding, folding)
+        };
+        let speed = self.speed + (torque - resisting) / parameters.inertia * dt;
+        // Friction and load can stop the motor but not reverse it; only the torque of the next step may.
+        self.speed = if speed * self.speed < 0.0 { 0.0 } else { speed };
+        self.angle += self.speed * dt;
+        let wound = self.wound_mm();
+        let (least, most) = self.extremes_mm;
+        self.extremes_mm = (least.min(wound), most.max(wound));
+        let settled = 1.0 - (-dt / parameters.sense_filter_s).exp();
+        self.filtered_ma += (self.current_a.abs() * 1e3 - self.filtered_ma) * settled;
+        if self.collapsing {
+            let lost_mv = COLLAPSE_V_PER_S * 1e3 * dt;
+            self.parameters.battery_mv = (self.parameters.battery_mv - lost_mv).max(0.0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(plant: &mut Plant, us: u64) -> u64 {
+        let (mut edges, mut known) = (0, plant.encoder());
+        plant.advance(us as f64 * 1e-6, |plant| {
+            edges += u64::from(known != plant.encoder());
+            known = plant.encoder();
+        });
+        edges
+    }
+
+    #[test]
+    fn a_motor_without_load_runs_at_its_no_load_current() {
+        let mut plant = Plant::new(Parameters::nominal());
+        plant.suffer(Defect::Snap(0.0));
+        plant.set_bridge(Bridge::Forward);
+        let edges = run(&mut plant, 200_000);
+        assert!((plant.current_ma() - 16.0).abs() < 0.5);
+        assert!((plant.sense_mv() - 16.0).abs() < 0.5);
+        assert!((plant.counts() - edges as i64).abs() <= 1);
+    }
+
+    /// 1, 3, 6 and 10 N are 40, 87, 157 and 251 mA (`docs/science.md`).
+    #[test]
+    fn the_published_forces_cost_the_published_currents() {
+        for (newton, ma) in [(1.0, 40.0), (3.0, 87.0), (6.0, 157.0), (10.0, 251.0)] {
+            // A voltage at which the motor stalls with this force.
+            let mut plant = Plant::new(Parameters {
+                battery_mv: ma * 5.4,
+                battery_ohm: 0.0,
+                bridge_ohm: 0.0,
+                ..Parameters::nominal()
+            });
+            plant.set_bridge(Bridge::Forward);
+            run(&mut plant, 60_000_000);
+            let force = plant.force_n();
+            assert!((force / newton - 1.0).abs() < 0.03, "{force} N at {ma} mA");
+        }
+    }
+
+    #[test]
+    fn the_worm_holds_with_the_motor_off_and_unfolds_when_driven() {
+        for worm_friction in [0.10, 0.15, 0.20] {
+            let mut plant = Plant::new(Parameters {
+                worm_friction,
+                ..Parameters::nominal()
+            });
+            plant.set_bridge(Bridge::Forward);
+            run(&mut plant, 1_000_000);
+            plant.set_bridge(Bridge::Coast);
+            run(&mut plant, 300_000);
+            let folded = plant.wound_mm();
+            assert!(folded > 15.0, "{folded} mm");
+            run(&mut plant, 1_000_000);
+            assert_eq!(plant.wound_mm(), folded);
+            plant.set_bridge(Bridge::Reverse);
+            run(&mut plant, 500_000);
+            assert!(plant.wound_mm() < folded - 5.0);
+        }
+        let (raising, lowering) = Parameters::nominal().worm_factors();
+        assert!((1.0 / raising - 0.315).abs() < 0.001 && (lowering - 1.133).abs() < 0.002);
+    }
+
+    #[test]
+    fn defects_act_where_they_should() {
+        let folding = |defect| {
+            let mut plant = Plant::new(Parameters::nominal());
+            plant.suffer(defect);
+            plant.set_bridge(Bridge::Forward);
+            run(&mut plant, 2_000_000);
+            plant
+        };
+        let jam = folding(Defect::Jam(12.0));
+        assert!((12.0..12.3).contains(&jam.travel_mm()) && jam.sense_mv() > 300.0);
+        assert_eq!(folding(Defect::Snap(15.0)).force_n(), 0.0);
+        let clutch = folding(Defect::Clutch(3.0));
+        assert!(clutch.peak_force_n() < 3.1 && clutch.wound_mm() > 30.0);
+        assert!(folding(Defect::SilentBridge).wound_mm() == 0.0);
+        assert!(!folding(Defect::DriverFault).fault_high());
+        assert!(folding(Defect::Short).current_ma() > 2_000.0);
+        assert_eq!(folding(Defect::SenseOpen).sense_mv(), 0.0);
+        assert_eq!(folding(Defect::Collapse).terminal_mv(), 0.0);
+        assert!(folding(Defect::Weak(20.0)).peak_force_n() < 6.0);
+    }
+
+    #[test]
+    fn a_broken_line_of_the_encoder_flickers_on_the_spot() {
+        for (defect, moving) in [(Defect::ChannelA, 1), (Defect::ChannelB, 0)] {
+            let mut plant = Plant::new(Parameters::nominal());
+            plant.suffer(defect);
+            plant.set_bridge(Bridge::Forward);
+            let mut seen = [[false; 2]; 2];
+            plant.advance(0.01, |plant| {
+                let (a, b) = plant.encoder();
+                seen[0][usize::from(a)] = true;
+                seen[1][usize::from(b)] = true;
+            });
+            assert_eq!(seen[moving], [true, true]);
+            assert_eq!(seen[1 - moving], [true, false]);
+        }
+    }
+
+    #[test]
+    fn a_stop_at_the_paid_out_end_stops_the_spool() {
+        let mut plant = Plant::new(Parameters {
+            paid_out_stop_mm: Some(-0.5),
+            ..Parameters::nominal()
+        });
+        plant.set_bridge(Bridge::Reverse);
+        run(&mut plant, 500_000);
+        assert!(
+            (-0.8..-0.5).contains(&plant.wound_mm()),
+            "{}",
+            plant.wound_mm()
+        );
+        assert!(plant.current_ma() < -400.0);
+    }
+
+    #[test]
+    fn the_same_seed_is_the_same_capsule() {
+        let all: Vec<_> = (0..1_000).map(Parameters::varied).collect();
+        assert_eq!(all[7], Parameters::varied(7));
+        for (low, high) in [(0.5, 0.6), (3.5, 4.0)] {
+            assert!(all.iter().any(|p| (low..high).contains(&p.stiffness)));
+        }
+        assert!(all.iter().all(|p| (0.10..0.20).contains(&p.worm_friction)));
+        assert!(
+            all.iter()
+                .all(|p| (3_050.0..4_200.0).contains(&p.battery_mv))
+        );
+    }
+}

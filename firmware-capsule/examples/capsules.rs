@@ -1,0 +1,162 @@
+//! Tries the firmware's library on many seeded capsules and prints the tables of `docs/capsule.md`.
+//!
+//! `cargo run --release -p firmware-capsule --example capsules [CASES PER FAULT]`, 500 unless told.
+#![allow(clippy::print_stdout, clippy::print_stderr)]
+
+#[allow(dead_code)] // the tests use all of it
+#[path = "../tests/plant/mod.rs"]
+mod plant;
+
+use capsule_plant::Parameters;
+use plant::cases::{self, Figures, Kind, Verdict};
+use std::collections::BTreeMap;
+
+/// `of` for each seed below `count`, on all processors.
+fn all<T: Send>(count: u64, of: impl Fn(u64) -> T + Sync) -> Vec<T> {
+    let workers = std::thread::available_parallelism().map_or(1, usize::from) as u64;
+    std::thread::scope(|scope| {
+        let of = &of;
+        let running: Vec<_> = (0..workers)
+            .map(|worker| {
+                let seeds = (worker..count).step_by(workers as usize);
+                scope.spawn(move || seeds.map(of).collect::<Vec<_>>())
+            })
+            .collect();
+        let mut found: Vec<_> = running
+            .into_iter()
+            .map(|worker| worker.join().expect("it does not panic").into_iter())
+            .collect();
+        // In the order of the seeds.
+        (0..count)
+            .filter_map(|seed| found[(seed % workers) as usize].next())
+            .collect()
+    })
+}
+
+fn share(part: usize, whole: usize) -> f64 {
+    100.0 * part as f64 / whole as f64
+}
+
+fn faults(count: u64, only: &[String]) {
+    println!(
+        "| defect | cases | named rightly | all names | latest, ms | largest force, N | `Folded`, short by at most, mm |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+    for kind in Kind::ALL {
+        if !only.is_empty() && !only.contains(&format!("{kind:?}")) {
+            continue;
+        }
+        let count = if kind == Kind::Healthy {
+            2 * count
+        } else {
+            count
+        };
+        let verdicts = all(count, |seed| cases::try_case(kind, seed));
+        let mut names = BTreeMap::new();
+        for Verdict { name, .. } in &verdicts {
+            *names.entry(*name).or_insert(0) += 1;
+        }
+        let right = verdicts
+            .iter()
+            .filter(|verdict| kind.right().contains(&verdict.name))
+            .count();
+        let names: Vec<_> = names
+            .iter()
+            .map(|(name, count)| format!("{name} {count}"))
+            .collect();
+        let wrong: Vec<_> = (0_u64..)
+            .zip(&verdicts)
+            .filter(|(_, verdict)| !kind.right().contains(&verdict.name))
+            .take(20)
+            .map(|(seed, verdict)| format!("{seed} {}", verdict.name))
+            .collect();
+        if !wrong.is_empty() {
+            eprintln!("{kind:?}, wrong: {}", wrong.join(", "));
+        }
+        let latest = verdicts.iter().filter_map(|verdict| verdict.took_ms).max();
+        let peak = verdicts.iter().fold(0.0, |peak: f64, v| peak.max(v.peak_n));
+        let short = verdicts
+            .iter()
+            .filter_map(|verdict| verdict.short_mm)
+            .max_by(f64::total_cmp);
+        println!(
+            "| {kind:?} | {} | {:.1} % | {} | {} | {peak:.1} | {} |",
+            verdicts.len(),
+            share(right, verdicts.len()),
+            names.join(", "),
+            latest.map_or("-".to_owned(), |ms| ms.to_string()),
+            short.map_or("-".to_owned(), |mm| format!("{mm:.2}")),
+        );
+    }
+}
+
+fn healthy(count: u64) {
+    let nominal = cases::figures(Parameters::nominal(), 0, 3).expect("it completes");
+    println!("nominal: {nominal:.3?}");
+    let found: Vec<Figures> = all(count, |seed| {
+        cases::figures(Parameters::varied(seed), seed, 3)
+    })
+    .into_iter()
+    .flatten()
+    .collect();
+    let whole = found.len();
+    println!("{whole} of {count} healthy capsules completed three cycles");
+    let within = found
+        .iter()
+        .filter(|f| (4.0..=9.0).contains(&f.end_n))
+        .count();
+    let most = |of: fn(&Figures) -> f64| found.iter().map(of).fold(f64::MIN, f64::max);
+    println!(
+        "end force within 4 to 9 N: {:.1} %, largest {:.2} N, largest on the way {:.2} N",
+        share(within, whole),
+        most(|f| f.end_n),
+        most(|f| f.peak_n)
+    );
+    let honest = found
+        .iter()
+        .filter(|f| f.energy_error.abs() <= 0.05)
+        .count();
+    println!(
+        "energy within 5 %: {:.1} %, worst {:.1} %",
+        share(honest, whole),
+        100.0 * most(|f| f.energy_error.abs())
+    );
+    println!(
+        "folded end repeats within {:.3} mm, unfolded end within {:.3} mm of zero",
+        most(|f| f.fold_repeat_mm),
+        most(|f| f.unfold_mm)
+    );
+    println!(
+        "least thread on the spool {:.3} mm",
+        -most(|f| -f.lowest_mm)
+    );
+    println!(
+        "largest current from the cell, mean of a period: {:.0} mA",
+        most(|f| f.peak_ma)
+    );
+    println!(
+        "slowest fold {:.0} ms, unfolding {:.0} ms",
+        most(|f| f.duration_ms[0].into()),
+        most(|f| f.duration_ms[1].into())
+    );
+}
+
+fn main() {
+    let mut arguments = std::env::args().skip(1);
+    let count = arguments.next().map_or(Ok(500), |text| text.parse());
+    let Ok(count) = count else {
+        println!(
+            "say how many cases per fault, such as 500, and which defects, if not all: `500 Jam Short`"
+        );
+        return;
+    };
+    let only: Vec<_> = arguments.collect();
+    if only.is_empty() {
+        healthy(2 * count);
+    }
+    faults(count, &only);
+    if only.is_empty() {
+        let lowest = all(300, cases::cut).into_iter().fold(f64::MAX, f64::min);
+        println!("300 power cuts: least thread on the spool {lowest:.3} mm");
+    }
+}

@@ -1,0 +1,53 @@
+//! What is known of one capsule: measured once, when a person says "this is unfolded", and kept in flash.
+
+use crate::mechanics::{FOLDED_RANGE, NO_LOAD_MA, Thread};
+
+/// Found by a calibration. Its evidence needs no temperature: lengths, and currents that later ones are compared with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Calibration {
+    /// Thread from the unfolded end to the end force.
+    pub folded: Thread,
+    /// Current of the motor with a slack thread.
+    pub no_load_ma: u16,
+    /// Thread from half of the end force to the end force.
+    pub rise: Thread,
+    /// Current above the no-load current over the first half millimetre of an unfolding.
+    pub tension_ma: u16,
+}
+
+/// Version and the fields, little-endian.
+pub const RECORD: usize = 11;
+const VERSION: u8 = 1;
+
+impl Calibration {
+    /// As it is written to flash.
+    pub fn record(&self) -> [u8; RECORD] {
+        let mut record = [VERSION; RECORD];
+        record[1..5].copy_from_slice(&self.folded.0.to_le_bytes());
+        record[5..7].copy_from_slice(&self.no_load_ma.to_le_bytes());
+        // At most 28,500 um.
+        record[7..9].copy_from_slice(&(self.rise.0 as u16).to_le_bytes());
+        record[9..11].copy_from_slice(&self.tension_ma.to_le_bytes());
+        record
+    }
+
+    /// From a record in flash; `None` if it is not one of this layout, or not of a capsule.
+    pub fn from_record(record: &[u8]) -> Option<Self> {
+        let &[VERSION, a, b, c, d, e, f, g, h, i, j] = record else {
+            return None;
+        };
+        let folded = Thread(i32::from_le_bytes([a, b, c, d]));
+        let (shortest, longest) = FOLDED_RANGE;
+        (shortest..=longest).contains(&folded).then(|| Self {
+            folded,
+            no_load_ma: u16::from_le_bytes([e, f]),
+            rise: Thread(i32::from(u16::from_le_bytes([g, h]))),
+            tension_ma: u16::from_le_bytes([i, j]),
+        })
+    }
+
+    /// No-load current of a capsule: measured, or that of the data sheet.
+    pub fn no_load_of(calibration: Option<&Self>) -> u16 {
+        calibration.map_or(NO_LOAD_MA, |calibration| calibration.no_load_ma)
+    }
+}

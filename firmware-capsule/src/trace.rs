@@ -1,0 +1,108 @@
+//! The present or last motion, reading by reading: the last two seconds of it, at 1 kHz. A fault keeps what led to it.
+
+use crate::{
+    detect::Sample,
+    fold::Drive,
+    mechanics::{Counts, Thread},
+};
+use protocol::capsule::{GetTrace, MAX_TRACE_POINTS, Trace, TracePoint};
+
+/// Readings that are kept. A fold is shorter; of a reference run the last two seconds are kept.
+const KEPT: usize = 2_000;
+/// Resolution of the battery's voltage, and its origin.
+const BATTERY_STEP_MV: u16 = 10;
+const BATTERY_FROM_MV: u16 = 2_000;
+/// Resolution of the drive.
+const DRIVE_STEP_MV: i16 = 40;
+
+/// One reading in six bytes.
+#[derive(Clone, Copy)]
+struct Packed {
+    /// From the position at the start; 40 mm fit.
+    counts: i16,
+    current_ma: u16,
+    battery: u8,
+    drive: i8,
+}
+
+/// The readings of a motion.
+pub struct Recording {
+    actuation: u32,
+    origin: Counts,
+    points: [Packed; KEPT],
+    count: usize,
+    next: usize,
+}
+
+impl Recording {
+    /// Without a motion.
+    pub const fn new() -> Self {
+        const NONE: Packed = Packed {
+            counts: 0,
+            current_ma: 0,
+            battery: 0,
+            drive: 0,
+        };
+        Self {
+            actuation: 0,
+            origin: Counts(0),
+            points: [NONE; KEPT],
+            count: 0,
+            next: 0,
+        }
+    }
+
+    /// Takes a reading of a motion, and the drive that follows. The first one of another motion begins anew.
+    pub fn take(&mut self, actuation: u32, sample: &Sample, drive: Drive) {
+        if self.actuation != actuation {
+            self.actuation = actuation;
+            self.origin = sample.counts;
+            (self.count, self.next) = (0, 0);
+        }
+        let from_origin = sample.counts.since(self.origin).0;
+        let battery = sample.battery_mv.saturating_sub(BATTERY_FROM_MV) / BATTERY_STEP_MV;
+        let drive_mv = match drive {
+            Drive::Millivolts(millivolts) => millivolts,
+            Drive::Brake | Drive::Off => 0,
+        };
+        self.points[self.next] = Packed {
+            counts: from_origin.clamp(i16::MIN.into(), i16::MAX.into()) as i16,
+            current_ma: sample.current_ma,
+            battery: u8::try_from(battery).unwrap_or(u8::MAX),
+            drive: (drive_mv / DRIVE_STEP_MV).clamp(i8::MIN.into(), i8::MAX.into()) as i8,
+        };
+        self.next = (self.next + 1) % KEPT;
+        self.count = (self.count + 1).min(KEPT);
+    }
+
+    /// Some of it, with the thread counted from `zero`.
+    pub fn part(&self, get: &GetTrace, zero: Counts) -> Trace {
+        let from = usize::try_from(get.from).unwrap_or(usize::MAX);
+        let last = self.count.min(from.saturating_add(MAX_TRACE_POINTS));
+        let oldest = (self.next + KEPT - self.count) % KEPT;
+        let points = (from..last).map(|index| {
+            let packed = &self.points[(oldest + index) % KEPT];
+            let Thread(thread_um) = Counts(self.origin.0.wrapping_add(packed.counts.into()))
+                .since(zero)
+                .thread();
+            TracePoint {
+                thread_um,
+                current_ma: packed.current_ma,
+                battery_mv: BATTERY_FROM_MV + u16::from(packed.battery) * BATTERY_STEP_MV,
+                drive_mv: i16::from(packed.drive) * DRIVE_STEP_MV,
+            }
+        });
+        Trace {
+            actuation: self.actuation,
+            // At most 2,000.
+            total: self.count as u16,
+            points: points.collect(),
+        }
+    }
+}
+
+impl Default for Recording {
+    fn default() -> Self {
+        Self::new()
+    }
+}

@@ -1,0 +1,67 @@
+//! What the speed loop asks for.
+
+use super::*;
+
+const FAST: Aim = Aim {
+    cps: 11_000,
+    limit_ma: 220,
+};
+
+/// A motor at standstill is given the limit as a voltage over its resistance, whatever the battery has.
+#[test]
+fn the_first_pulse_is_bounded_by_the_current() {
+    for battery_mv in [2_900, 3_700, 4_200] {
+        let mut governor = Governor::default();
+        for _ in 0..200 {
+            let Effort::Millivolts(drive_mv) = governor.step(FAST, 0, 0, battery_mv) else {
+                panic!("it brakes");
+            };
+            assert!(drive_mv <= 1_430, "{drive_mv} mV are more than 220 mA");
+        }
+        assert_eq!(governor.ordered_ma(), Some(220));
+    }
+}
+
+#[test]
+fn a_turning_motor_is_given_more_for_the_same_current() {
+    // 11,000 counts/s are 2,277 mV of back-EMF: 1,423 mV of 3,700 remain.
+    assert_eq!(drive_mv(100_000, 0, 3_700), 650);
+    assert_eq!(drive_mv(100_000, 11_000, 3_700), 1_690);
+    assert_eq!(drive_mv(100_000, 18_000, 3_700), 3_700, "nothing remains");
+    assert_eq!(drive_mv(100_000, -11_000, 3_700), 650);
+    assert_eq!(drive_mv(u32::MAX, i32::MAX, u16::MAX), u16::MAX);
+}
+
+#[test]
+fn a_motor_that_is_too_fast_is_braked_and_a_little_too_fast_is_not() {
+    for (aim_cps, cps, brakes) in [
+        (8_000, 10_000, false),
+        (8_000, 10_001, true),
+        (1_600, 2_100, false),
+        (1_600, 2_101, true),
+    ] {
+        let mut governor = Governor::default();
+        let aim = Aim {
+            cps: aim_cps,
+            limit_ma: 220,
+        };
+        let effort = governor.step(aim, cps, cps, 3_700);
+        assert_eq!(effort == Effort::Brake, brakes, "{cps} for {aim_cps}");
+        assert_eq!(governor.ordered_ma().is_none(), brakes);
+    }
+}
+
+/// While something stops the motor, the back-EMF that it had 4 ms ago must not raise the current.
+#[test]
+fn the_current_is_bounded_by_the_least_speed() {
+    let mut governor = Governor::default();
+    governor.step(FAST, 11_000, 11_000, 3_700);
+    let mut slowed = governor.clone();
+    let Effort::Millivolts(steady) = governor.step(FAST, 10_000, 10_000, 3_700) else {
+        panic!("it brakes");
+    };
+    let Effort::Millivolts(stopped) = slowed.step(FAST, 10_000, 0, 3_700) else {
+        panic!("it brakes");
+    };
+    assert!(stopped * 2 < steady, "{stopped} of {steady} mV");
+}
