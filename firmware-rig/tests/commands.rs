@@ -221,6 +221,10 @@ fn requests() -> Vec<Request> {
         Request::SetName(name("right bench")),
         Request::GetRigHealth(rig::GetRigHealth),
         Request::GetChip(system::GetChip),
+        Request::Calibrate(capsule::Calibrate),
+        Request::CheckFolded(capsule::CheckFolded),
+        Request::GetTrace(capsule::GetTrace { from: 0 }),
+        Request::GetCapsuleTotals(capsule::GetCapsuleTotals),
     ];
     let names: Vec<_> = requests.iter().map(|request| request.name()).collect();
     assert_eq!(names, Request::NAMES);
@@ -235,6 +239,10 @@ fn is_for_the_capsule(request: &Request) -> bool {
             | Request::Fold(_)
             | Request::Unfold(_)
             | Request::GetActuationRecord(_)
+            | Request::Calibrate(_)
+            | Request::CheckFolded(_)
+            | Request::GetTrace(_)
+            | Request::GetCapsuleTotals(_)
     )
 }
 
