@@ -105,6 +105,7 @@ fn carry_out(
         Subcommand::Ack(which) => machines::acknowledge(which, finder, screen),
         Subcommand::Capsule { subcommand } => {
             let (kind, args) = match subcommand {
+                CapsuleSubcommand::Trace(args) => return machines::trace(args, finder, screen),
                 CapsuleSubcommand::Reference(args) => (ActuationKind::Reference, args),
                 CapsuleSubcommand::Calibrate(args) => (ActuationKind::Calibrate, args),
                 CapsuleSubcommand::Check(args) => (ActuationKind::CheckFolded, args),

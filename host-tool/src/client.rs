@@ -227,7 +227,17 @@ pub struct Device {
 /// Samples that are kept until somebody takes them; beyond that the oldest are dropped.
 const TELEMETRY_INBOX: usize = 4_096;
 
-/// The recording of an actuation, 1 ms from reading to reading.
+fn moves(state: CapsuleState) -> bool {
+    matches!(
+        state,
+        CapsuleState::Referencing
+            | CapsuleState::Checking
+            | CapsuleState::Folding
+            | CapsuleState::Unfolding
+    )
+}
+
+/// The recording of an actuation, its readings 1 ms apart.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Recorded {
     /// Number of the actuation; 0 if there was none.
@@ -658,13 +668,15 @@ impl Device {
         }
     }
 
-    /// Fetches the recording of the capsule's present or last actuation. If another one begins meanwhile, that one's
-    /// from its start.
+    /// Fetches the recording of the capsule's last actuation, once it has ended: until then it grows.
     ///
     /// # Errors
     /// As [`Device::call`].
     pub fn trace(&mut self) -> Result<Recorded, ClientError> {
         let mut recorded = Recorded::default();
+        while moves(self.capsule_status()?.state) {
+            self.idle(POLL_US, &mut Unobserved)?;
+        }
         loop {
             let from = recorded.points.len() as u32;
             let part = self.call(capsule::GetTrace { from })?;
@@ -712,13 +724,7 @@ impl Device {
                     thread_um: status.thread_um,
                     current_ma: status.current_ma,
                 });
-                Ok(!matches!(
-                    status.state,
-                    CapsuleState::Referencing
-                        | CapsuleState::Checking
-                        | CapsuleState::Folding
-                        | CapsuleState::Unfolding
-                ))
+                Ok(!moves(status.state))
             },
         )?;
         self.final_record(observer)

@@ -252,6 +252,46 @@ fn json_is_one_object_and_progress_goes_elsewhere() {
 }
 
 #[test]
+fn the_recording_of_the_last_actuation_becomes_a_file() {
+    let folder = tempfile::tempdir().expect("folder");
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let trace = ["--json", "capsule", "trace", "--out", out_dir];
+    // The actuation before was the reference: slower than the two seconds that are kept.
+    let (code, out, err) = Memory::with(vec![ready(DeviceKind::Capsule)]).run(&trace);
+    assert_eq!(code, 0, "{err}");
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(
+        (&json["actuation"], &json["readings"]),
+        (&1.into(), &2_000.into())
+    );
+    let path = json["csv"].as_str().expect("a path");
+    let text = std::fs::read_to_string(path).expect("a file");
+    let mut lines = text.lines();
+    assert_eq!(
+        lines.next(),
+        Some("time_ms,thread_um,current_ma,battery_mv,drive_mv")
+    );
+    let rows: Vec<Vec<i64>> = lines
+        .map(|line| {
+            line.split(',')
+                .map(|field| field.parse().expect("a number"))
+                .collect()
+        })
+        .collect();
+    assert_eq!(rows.len(), 2_000);
+    assert!((0..).zip(&rows).all(|(time_ms, row)| row[0] == time_ms));
+    // It pays out at the end, to zero, driven the other way, and the cell sags a little.
+    assert!(rows.iter().any(|row| row[4] < -1_000));
+    assert!(rows.iter().all(|row| (3_000..=3_700).contains(&row[3])));
+    assert!((0..300).contains(&rows[1_999][1]), "{:?}", rows[1_999]);
+
+    let (code, out, err) = Memory::with(vec![Script::new(DeviceKind::Capsule)]).run(&trace);
+    assert_eq!(code, 0, "{err}");
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!((&json["readings"], &json["csv"]), (&0.into(), &Value::Null));
+}
+
+#[test]
 fn exit_codes_tell_the_endings_apart() {
     let folder = tempfile::tempdir().expect("folder");
     let out_dir = folder.path().to_str().expect("UTF-8");

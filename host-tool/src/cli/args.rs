@@ -226,6 +226,16 @@ pub enum CapsuleSubcommand {
     Calibrate(RecordArgs),
     /// After a reset: wind gently to the end force, and stay folded. Nothing is paid out.
     Check(RecordArgs),
+    /// Fetch the recording of the last actuation, one reading per millisecond, also after a fault: a CSV file.
+    Trace(TraceArgs),
+}
+
+/// Arguments of `capsule trace`.
+#[derive(Debug, Args)]
+pub struct TraceArgs {
+    /// Folder of the records.
+    #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
+    pub out: PathBuf,
 }
 
 /// A machine by name.

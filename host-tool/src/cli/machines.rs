@@ -5,7 +5,7 @@ use protocol::rig::RigStatus;
 use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip, Urgent};
 use serde_json::{Map, Value, json};
 
-use crate::cli::args::{DATA_FOLDER, RecordArgs, RunArgs, Which};
+use crate::cli::args::{DATA_FOLDER, RecordArgs, RunArgs, TraceArgs, Which};
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, line};
 use crate::cli::keyboard;
@@ -17,7 +17,7 @@ use crate::experiment;
 use crate::identity::{self, IdentityRecord};
 use crate::plan;
 use crate::report;
-use crate::trial::{Recording, Status};
+use crate::trial::{self, Recording, Status};
 
 pub(crate) fn devices(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let found = finder.survey(None);
@@ -278,6 +278,31 @@ pub(crate) fn actuate(
     );
     completed(action, trial.trial.status, trial.trial.error.as_ref(), help)?;
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
+}
+
+pub(crate) fn trace(
+    args: &TraceArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let mut capsule = finder.connect(DeviceKind::Capsule)?;
+    let recorded = capsule.trace()?;
+    if recorded.points.is_empty() {
+        screen.say("The capsule has not moved since its start: there is no recording.");
+        return Ok(json!({ "actuation": null, "readings": 0, "csv": null }));
+    }
+    let csv = trial::write_recorded(&args.out, finder.connector.now(), &recorded)?;
+    screen.say(&format!(
+        "Actuation {}, its last {} ms.\n  {}",
+        recorded.actuation,
+        recorded.points.len(),
+        csv.display()
+    ));
+    Ok(json!({
+        "actuation": recorded.actuation,
+        "readings": recorded.points.len(),
+        "csv": csv,
+    }))
 }
 
 fn recording(args: &RecordArgs, stem: &str, finder: &Finder<'_>) -> Recording {
