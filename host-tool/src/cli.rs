@@ -14,6 +14,7 @@ mod offline;
 pub mod science;
 mod screen;
 mod settings;
+pub mod stops;
 
 use std::ffi::OsString;
 use std::io::{self, BufRead, IsTerminal, Write};
@@ -100,8 +101,8 @@ fn carry_out(
         Subcommand::Home => machines::home(finder, screen),
         Subcommand::Run(args) => machines::run(args, finder, screen),
         Subcommand::Commission(args) => commission::commission(args, finder, screen),
-        Subcommand::Stop(which) => machines::stop(Urgent::Stop, which, finder, screen),
-        Subcommand::Estop(which) => machines::stop(Urgent::EStop, which, finder, screen),
+        Subcommand::Stop(which) => stops::stop(Urgent::Stop, which, finder, screen),
+        Subcommand::Estop(which) => stops::stop(Urgent::EStop, which, finder, screen),
         Subcommand::Ack(which) => machines::acknowledge(which, finder, screen),
         Subcommand::Capsule {
             subcommand: CapsuleSubcommand::Reference(args),

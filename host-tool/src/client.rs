@@ -641,11 +641,14 @@ impl Device {
     /// As [`Device::call`].
     pub fn wait_rest(&mut self) -> Result<RigStatus, ClientError> {
         loop {
-            let status = self.rig_status()?;
+            let status = self
+                .rig_status()
+                .map_err(|error| while_moving("the motion", error))?;
             if !matches!(status.state, RigState::Moving | RigState::Stopping) {
                 return Ok(status);
             }
-            self.idle(POLL_US, &mut Unobserved)?;
+            self.idle(POLL_US, &mut Unobserved)
+                .map_err(|error| while_moving("the motion", error))?;
         }
     }
 
@@ -688,6 +691,7 @@ impl Device {
             },
         )?;
         self.final_record(observer)
+            .map_err(|error| while_moving("the actuation", error))
     }
 
     /// The record of the actuation that has just ended, when it no longer changes: while the motor is braked, it runs
@@ -736,10 +740,22 @@ impl Device {
         self.listen(self.now_us().saturating_add(duration_us))
     }
 
+    /// As [`Device::wait_for`]; a link that falls silent meanwhile is no small matter.
+    fn wait<C: Into<ActionState>>(
+        &mut self,
+        action: &'static str,
+        at_most_us: u64,
+        observer: &mut dyn Observer,
+        state: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<C, ClientError>,
+    ) -> Result<(), ClientError> {
+        self.wait_for(action, at_most_us, observer, state)
+            .map_err(|error| while_moving(action, error))
+    }
+
     /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every
     /// `keep_alive_us` without one. Then it requests the device's status, which is also the keep-alive and shows the end even if its
     /// event was lost.
-    fn wait<C: Into<ActionState>>(
+    fn wait_for<C: Into<ActionState>>(
         &mut self,
         action: &'static str,
         at_most_us: u64,
@@ -1024,6 +1040,15 @@ impl Device {
         ClientError::StopUnconfirmed {
             place: self.place(),
         }
+    }
+}
+
+/// What an error means while something may move: a request without an answer changes nothing, but nobody knows what the
+/// machine does.
+pub(crate) fn while_moving(action: &'static str, error: ClientError) -> ClientError {
+    match error {
+        ClientError::NoReply { place, .. } => ClientError::Silent { place, action },
+        error => error,
     }
 }
 

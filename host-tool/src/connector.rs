@@ -2,6 +2,7 @@
 //! connector of its own.
 
 use std::hash::{BuildHasher, RandomState};
+use std::time::Duration;
 
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
@@ -25,8 +26,8 @@ pub struct Candidate {
     pub may_ask: bool,
 }
 
-/// Opens links.
-pub trait Connector {
+/// Opens links. Several threads may, so that a stop goes to all machines at once.
+pub trait Connector: Sync {
     /// Opens a link to a machine; sends nothing. Does not search: the caller finds the address behind [`Address::Auto`].
     ///
     /// # Errors
@@ -37,6 +38,19 @@ pub trait Connector {
         address: &Address,
         baud: u32,
     ) -> Result<Box<dyn Link>, OpenError>;
+
+    /// As [`Connector::open`], for nothing but a stop, which does not wait for a place that does not answer.
+    ///
+    /// # Errors
+    /// As [`Connector::open`].
+    fn open_to_stop(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        self.open(kind, address, baud)
+    }
 
     /// The places where a machine may be, for `auto` and `devices`.
     fn candidates(&self) -> Vec<Candidate>;
@@ -54,6 +68,9 @@ pub trait Connector {
         None
     }
 }
+
+/// How long a connection for a stop may take. Whoever waits longer should be at the button.
+const TO_STOP: Duration = Duration::from_secs(1);
 
 /// Serial ports and TCP, random nonces, the computer's clock.
 #[derive(Clone, Copy, Debug, Default)]
@@ -79,6 +96,18 @@ impl Connector for Ports {
                 why: "the virtual bench is not part of this program".to_owned(),
                 remedy: "use `cargo xtask demo`, or the `virtual-bench` program, which has the same commands; it can also serve both machines on TCP".to_owned(),
             }),
+        }
+    }
+
+    fn open_to_stop(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        match address {
+            Address::Tcp(place) => Ok(Box::new(Tcp::open_within(place, TO_STOP)?)),
+            _ => self.open(kind, address, baud),
         }
     }
 

@@ -119,6 +119,21 @@ pub enum ClientError {
         request: &'static str,
     },
 
+    /// The link fell silent while something moved.
+    #[error("{place} has fallen silent during {action}: it MAY BE MOVING")]
+    #[diagnostic(
+        code(retrograde::silent),
+        help(
+            "press the emergency stop button or cut the motor supply if it moves; then check cable and supply, and look at `retrograde info`. A rig that has lost its host stops by itself within its `link_timeout_ms` (1 s), unless the run was started with `--on-link-loss finish`"
+        )
+    )]
+    Silent {
+        /// What the link leads to.
+        place: String,
+        /// Name of the action.
+        action: &'static str,
+    },
+
     /// A command was not answered: it may or may not have been carried out.
     #[error(
         "outcome unknown: {place} did not answer {request}, which may or may not have been carried out"

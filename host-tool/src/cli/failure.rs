@@ -10,6 +10,7 @@ use motion::run::RunError;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
+use crate::cli::stops::{self, Delivery, Told};
 use crate::decimal;
 use crate::error::ClientError;
 use crate::experiment::ExperimentError;
@@ -35,6 +36,8 @@ pub const MISMATCH: u8 = 5;
 pub const FAULT: u8 = 6;
 /// Whether the command was carried out is unknown: look at the machine.
 pub const UNKNOWN: u8 = 7;
+/// A stop did not reach a machine.
+pub const NOT_DELIVERED: u8 = 8;
 /// Stopped by the operator.
 pub const STOPPED: u8 = 130;
 
@@ -183,6 +186,13 @@ pub enum Failure {
         /// What the user can do.
         help: String,
     },
+    /// A stop that not every machine has confirmed.
+    #[error("{}", stops::summary(told))]
+    #[diagnostic(code(retrograde::stop), help("{}", stops::DO_NOW))]
+    Stops {
+        /// What became of it, for each machine.
+        told: Vec<Told>,
+    },
     /// The image could not be flashed.
     #[error("{why}")]
     #[diagnostic(code(retrograde::flash), help("{help}"))]
@@ -282,6 +292,14 @@ impl Failure {
                 Unfinished::NotShown => REFUSED,
                 Unfinished::Left => STOPPED,
             },
+            Self::Stops { told } => {
+                let undelivered = |told: &Told| told.delivery == Delivery::NotDelivered;
+                if told.iter().any(undelivered) {
+                    NOT_DELIVERED
+                } else {
+                    UNKNOWN
+                }
+            }
             Self::Input { .. } | Self::Range(_) => USAGE,
             Self::Run(_) | Self::Axis(_) | Self::Refused { .. } => REFUSED,
             Self::Experiment(ExperimentError::Record(_))
@@ -296,7 +314,7 @@ impl Failure {
     /// For `--json`.
     #[must_use]
     pub fn json(&self) -> Value {
-        json!({
+        let mut value = json!({
             "ok": false,
             "exit_code": self.exit_code(),
             "error": {
@@ -304,7 +322,11 @@ impl Failure {
                 "message": self.to_string(),
                 "help": self.help().map(|help| help.to_string()),
             },
-        })
+        });
+        if let Self::Stops { told } = self {
+            value["machines"] = told.iter().map(Told::json).collect();
+        }
+        value
     }
 
     /// For people.
@@ -333,6 +355,7 @@ fn client_code(error: &ClientError) -> u8 {
         ClientError::Refused { .. } | ClientError::Rejected { .. } => REFUSED,
         ClientError::OutcomeUnknown { .. }
         | ClientError::StopUnconfirmed { .. }
+        | ClientError::Silent { .. }
         | ClientError::WrongResponse { .. } => UNKNOWN,
         ClientError::Overdue { .. } => FAULT,
         ClientError::NotHomed { fault } => {

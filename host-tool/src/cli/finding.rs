@@ -20,6 +20,14 @@ pub(crate) struct Found {
     pub(crate) answer: Result<Identity, Failure>,
 }
 
+/// A machine to stop.
+pub(crate) struct Target {
+    /// Its kind, if it is known.
+    pub(crate) kind: Option<DeviceKind>,
+    /// Its place, unless it has to be found.
+    pub(crate) address: Option<Address>,
+}
+
 /// Finds machines.
 pub(crate) struct Finder<'a> {
     pub(crate) cli: &'a Cli,
@@ -62,43 +70,43 @@ impl Finder<'_> {
     }
 
     /// Sends an urgent stop before anything else, without a session. Returns the place that confirmed it.
-    pub(crate) fn urgent(
-        &self,
-        kind: DeviceKind,
-        address: &Address,
-        urgent: Urgent,
-    ) -> Result<String, Failure> {
-        let mut device = self.open(kind, address)?;
+    pub(crate) fn urgent(&self, target: &Target, urgent: Urgent) -> Result<String, Failure> {
+        let kind = target.kind.unwrap_or(DeviceKind::Rig);
+        let address = match &target.address {
+            Some(address) => address,
+            None => &self.resolve(kind)?,
+        };
+        let link = self.connector.open_to_stop(kind, address, self.cli.baud)?;
+        let mut device = Device::new(link);
         device.urgent(urgent)?;
         Ok(device.place())
     }
 
-    /// The places to send an urgent stop to: those given by the user, or else every place that may be probed. Nobody is
-    /// asked for an identity first.
-    pub(crate) fn places_to_stop(
-        &self,
-        which: &Which,
-    ) -> Result<Vec<(DeviceKind, Address)>, Failure> {
-        if let Some(machine) = which.machine {
-            let kind = machine.into();
-            return Ok(vec![(kind, self.resolve(kind)?)]);
+    /// Where to send an urgent stop: to the machines given by the user, or else to every place that may be probed.
+    /// Sends nothing; only the place of a machine given as `auto` has to be found by asking.
+    pub(crate) fn targets_to_stop(&self, which: &Which) -> Vec<Target> {
+        let kinds = match which.machine {
+            Some(machine) => vec![machine.into()],
+            None => self.addressed(),
+        };
+        if kinds.is_empty() {
+            let candidates = self.connector.candidates().into_iter();
+            return candidates
+                .filter(|candidate| candidate.may_ask)
+                .map(|candidate| Target {
+                    kind: candidate.kind,
+                    address: Some(candidate.address),
+                })
+                .collect();
         }
-        let kinds = self.addressed();
-        if !kinds.is_empty() {
-            let place = |kind| Ok((kind, self.resolve(kind)?));
-            return kinds.into_iter().map(place).collect();
-        }
-        let places: Vec<_> = self
-            .connector
-            .candidates()
-            .into_iter()
-            .filter(|candidate| candidate.may_ask)
-            .map(|candidate| (candidate.kind.unwrap_or(DeviceKind::Rig), candidate.address))
-            .collect();
-        if places.is_empty() {
-            return Err(Failure::NothingFound { there: list(&[]) });
-        }
-        Ok(places)
+        let target = |kind| Target {
+            kind: Some(kind),
+            address: self
+                .address(kind)
+                .filter(|address| **address != Address::Auto)
+                .cloned(),
+        };
+        kinds.into_iter().map(target).collect()
     }
 
     fn open(&self, kind: DeviceKind, address: &Address) -> Result<Device, Failure> {

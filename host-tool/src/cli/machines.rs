@@ -2,7 +2,7 @@
 
 use protocol::capsule::{ActuationKind, CapsuleStatus};
 use protocol::rig::RigStatus;
-use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip, Urgent};
+use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
 use serde_json::{Map, Value, json};
 
 use crate::cli::args::{DATA_FOLDER, RecordArgs, RunArgs, Which};
@@ -295,37 +295,6 @@ fn completed(
         reason: reason.cloned(),
         help,
     })
-}
-
-pub(crate) fn stop(
-    urgent: Urgent,
-    which: &Which,
-    finder: &Finder<'_>,
-    screen: &mut Screen<'_>,
-) -> Result<Value, Failure> {
-    let text = match urgent {
-        Urgent::Stop => "stopped",
-        Urgent::EStop => "emergency stop latched; acknowledge before anything moves again",
-    };
-    let mut stopped = vec![];
-    let mut failed = None;
-    // One machine out of reach must not keep the other from stopping.
-    for (kind, address) in finder.places_to_stop(which)? {
-        match finder.urgent(kind, &address, urgent) {
-            Ok(place) => {
-                screen.say(&format!("{place}: {text}"));
-                stopped.push(place);
-            }
-            Err(failure) => {
-                screen.say(&format!("{address}: {failure}"));
-                failed.get_or_insert(failure);
-            }
-        }
-    }
-    match failed {
-        Some(failure) => Err(failure),
-        None => Ok(json!({ "stopped": stopped })),
-    }
 }
 
 pub(crate) fn acknowledge(

@@ -9,7 +9,7 @@ use crate::cli::args::{JogArgs, MoveArgs};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
-use crate::client::{Device, Unobserved};
+use crate::client::{Device, Unobserved, while_moving};
 use crate::decimal;
 use crate::error::ClientError;
 use crate::trial::Status;
@@ -74,8 +74,10 @@ pub(crate) fn jog(
     let mut early = false;
     while !early && rig.now_us() < end_us {
         let left_us = end_us - rig.now_us();
-        rig.idle(left_us.min(renew_us), &mut Unobserved)?;
-        early = rig.rig_status()?.state != RigState::Moving;
+        let silent = |error| while_moving("the jog", error);
+        rig.idle(left_us.min(renew_us), &mut Unobserved)
+            .map_err(silent)?;
+        early = rig.rig_status().map_err(silent)?.state != RigState::Moving;
         if !early && rig.now_us() < end_us {
             early = match rig.call(jog) {
                 Ok(_) => false,

@@ -23,6 +23,14 @@ impl Tcp {
     /// # Errors
     /// [`OpenError`] if the name is unknown or nobody listens there.
     pub fn open(host_port: &str) -> Result<Self, OpenError> {
+        Self::open_within(host_port, CONNECT)
+    }
+
+    /// As [`Tcp::open`], giving each address of the host so much time.
+    ///
+    /// # Errors
+    /// As [`Tcp::open`].
+    pub fn open_within(host_port: &str, limit: Duration) -> Result<Self, OpenError> {
         let place = format!("tcp:{host_port}");
         let error = |why: String| OpenError {
             place: place.clone(),
@@ -35,7 +43,7 @@ impl Tcp {
             .to_socket_addrs()
             .map_err(|io| error(io.to_string()))?;
         for address in addresses {
-            match TcpStream::connect_timeout(&address, CONNECT) {
+            match TcpStream::connect_timeout(&address, limit) {
                 Ok(stream) => {
                     // Small frames must leave at once: a stop must not wait for more data.
                     stream
