@@ -15,6 +15,7 @@ pub mod science;
 mod screen;
 mod settings;
 pub mod stops;
+mod windows;
 
 use std::ffi::OsString;
 use std::io::{self, BufRead, IsTerminal, Write};

@@ -19,8 +19,9 @@ use protocol::system::{
     Acknowledge, DeviceKind, Event, Events, GetEvents, GetLastWords, Identity, KeepAlive,
     SetTelemetry, Urgent, What,
 };
-use protocol::table::{Endpoint, Impact, Request, Response, SCHEMA_KEY, Telemetry};
+use protocol::table::{Endpoint, Impact, Reply, Request, Response, SCHEMA_KEY, Telemetry};
 
+use crate::door::{self, Owner};
 use crate::error::ClientError;
 use crate::link::{Link, LinkError};
 
@@ -283,6 +284,7 @@ impl Device {
             }
         };
         self.identity = Some(identity);
+        self.link.introduce(&identity);
         self.early.clear();
         if matches(&identity) {
             // Events from before this session are not reported.
@@ -336,6 +338,12 @@ impl Device {
     #[must_use]
     pub fn place(&self) -> String {
         self.link.place()
+    }
+
+    /// The process that owns the line, if it is not this one.
+    #[must_use]
+    pub fn owner(&self) -> Option<&Owner> {
+        self.link.owner()
     }
 
     /// Gives the link up, so that another one can be opened to the same port. From now on everything fails as with a
@@ -902,6 +910,15 @@ impl Device {
         let (place, request_name, impact) = (self.place(), request.name(), request.impact());
         self.ask_interrupt();
         let command = impact != Impact::None;
+        if let Some(owner) = self.link.owner()
+            && !door::admits(request)
+        {
+            return Err(ClientError::Owned {
+                place,
+                request: request_name,
+                owner: Box::new(owner.clone()),
+            });
+        }
         if command && self.interrupted.is_some() {
             while self.urgent_pending {
                 self.step(u64::MAX)?;
@@ -934,6 +951,15 @@ impl Device {
                 request: request_name,
                 error,
             }),
+            _ if !command && self.link.owner().is_some() => Err(ClientError::OwnerBusy {
+                place,
+                request: request_name,
+                owner: self
+                    .link
+                    .owner()
+                    .map(ToString::to_string)
+                    .unwrap_or_default(),
+            }),
             _ if command => Err(ClientError::OutcomeUnknown {
                 place,
                 request: request_name,
@@ -961,8 +987,33 @@ impl Device {
         }
     }
 
+    /// Asks what another process wants to know, while no request is pending.
+    fn serve(&mut self) -> Result<(), ClientError> {
+        if self.urgent_pending || !self.client.is_open() {
+            return Ok(());
+        }
+        let Some(question) = self.link.question() else {
+            return Ok(());
+        };
+        let (reply, result) = match self.exchange(&question.request) {
+            Ok(response) => (Some(Reply::Accepted(response)), Ok(())),
+            Err(ClientError::Refused { refusal, .. }) => (Some(Reply::Refused(refusal)), Ok(())),
+            Err(ClientError::Rejected { error, .. }) => (Some(Reply::Wire(error)), Ok(())),
+            // The other process finds silence. So will this one, if it lasts.
+            Err(
+                ClientError::NoReply { .. }
+                | ClientError::OutcomeUnknown { .. }
+                | ClientError::Interrupted { .. },
+            ) => (None, Ok(())),
+            Err(error) => (None, Err(error)),
+        };
+        question.answer(reply);
+        result
+    }
+
     /// As [`Device::turn`], while no request is pending.
     fn step(&mut self, deadline_us: u64) -> Result<(), ClientError> {
+        self.serve()?;
         match self.turn(deadline_us)? {
             Turn::UrgentUnanswered => Err(self.stop_unconfirmed()),
             Turn::Nothing | Turn::Answered(_) | Turn::Unanswered => Ok(()),
@@ -1013,6 +1064,11 @@ impl Device {
 
     fn ask_interrupt(&mut self) {
         let wanted = self.interrupt.as_ref().and_then(|interrupt| interrupt());
+        // A stop that came from elsewhere is the operator's as well. It is sent again, which does no harm.
+        let wanted = match (wanted, self.link.stopped()) {
+            (Some(Urgent::EStop), _) | (_, Some(Urgent::EStop)) => Some(Urgent::EStop),
+            (here, elsewhere) => here.or(elsewhere),
+        };
         let stronger = match (self.interrupted, wanted) {
             (None, Some(urgent)) => Some(urgent),
             (Some(Urgent::Stop), Some(Urgent::EStop)) => Some(Urgent::EStop),

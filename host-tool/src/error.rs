@@ -7,6 +7,7 @@ use protocol::rig::RigFault;
 use protocol::system::{DeviceKind, Identity};
 use protocol::table::{Impact, SCHEMA_KEY};
 
+use crate::door::Owner;
 use crate::identity;
 use crate::link::LinkError;
 
@@ -104,6 +105,40 @@ pub enum ClientError {
     SessionLost {
         /// What the link leads to.
         place: String,
+    },
+
+    /// Another process owns the line, and this request is for the owner alone.
+    #[error("{request} was not sent: {place} belongs to {owner}")]
+    #[diagnostic(
+        code(retrograde::owned),
+        help(
+            "wait until that process ends, or end it with Ctrl-C in its terminal; meanwhile `info`, `health`, `settings list`, `hold`, `resume`, `ack`, `stop` and `estop` work from here"
+        )
+    )]
+    Owned {
+        /// What the link leads to.
+        place: String,
+        /// Name of the request.
+        request: &'static str,
+        /// The process.
+        owner: Box<Owner>,
+    },
+
+    /// The owner of the line has not passed a question on.
+    #[error("{place} belongs to {owner}, which has not passed {request} on")]
+    #[diagnostic(
+        code(retrograde::owner_busy),
+        help(
+            "it is busy, or waits for somebody at its terminal: try again. `stop` and `estop` do not wait for it"
+        )
+    )]
+    OwnerBusy {
+        /// What the link leads to.
+        place: String,
+        /// Name of the request.
+        request: &'static str,
+        /// The process.
+        owner: String,
     },
 
     /// A request that changes nothing was not answered.

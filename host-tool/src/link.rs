@@ -6,7 +6,13 @@
 pub mod address;
 pub mod memory;
 pub mod serial;
+pub mod shared;
 pub mod tcp;
+
+use protocol::system::{Identity, Urgent};
+
+use crate::door::Owner;
+use crate::door::server::Question;
 
 /// A link could not be opened. Nothing was sent.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -54,4 +60,26 @@ pub trait Link: Send {
     /// # Errors
     /// [`LinkError::Lost`] when the other end is gone.
     fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError>;
+
+    /// The process that owns the line, if it is not this one.
+    fn owner(&self) -> Option<&Owner> {
+        None
+    }
+
+    // What a line's owner does for others that look at the machine through it; see `crate::door`.
+
+    /// Takes note of the machine that has answered Hello.
+    fn introduce(&mut self, identity: &Identity) {
+        let _ = identity;
+    }
+
+    /// The strongest stop that another process has sent through this link so far.
+    fn stopped(&mut self) -> Option<Urgent> {
+        None
+    }
+
+    /// The next question of another process, to be asked between two requests.
+    fn question(&mut self) -> Option<Question> {
+        None
+    }
 }

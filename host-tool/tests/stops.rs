@@ -110,7 +110,9 @@ fn a_live_machine_does_not_wait_for_dead_ones() {
         assert!(sent < Duration::from_millis(20), "{sent:?}");
         // The worst of the three decides.
         assert_eq!(code, 8, "{err}");
-        let lines: Vec<_> = out.lines().collect();
+        // A slow computer is told meanwhile who has not confirmed yet.
+        let lines = out.lines().filter(|line| !line.contains("NOT YET"));
+        let lines: Vec<_> = lines.collect();
         assert_eq!(lines.len(), 3, "{out}");
         assert!(lines[0].starts_with("test rig: "), "{out}");
         for says in [
@@ -179,17 +181,16 @@ fn what_was_not_delivered_is_not_told_to_start_a_server() {
 }
 
 #[test]
-fn a_machine_that_is_silent_on_tcp_does_not_delay_the_answer() {
-    // The system accepts the connection, and nobody reads.
-    let mute = TcpListener::bind("127.0.0.1:0").expect("a free port");
-    let place = format!("tcp:{}", mute.local_addr().expect("bound"));
-    let begin = Instant::now();
-    let line = ["retrograde", "--rig", &place, "--capsule", &place, "estop"];
+fn a_machine_that_is_silent_on_tcp_has_not_confirmed() {
+    // The system accepts the connections, and nobody reads.
+    let mute = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").expect("a free port"));
+    let [rig, capsule] = mute
+        .each_ref()
+        .map(|mute| format!("tcp:{}", mute.local_addr().expect("bound")));
+    let line = ["retrograde", "--rig", &rig, "--capsule", &capsule, "estop"];
     let (mut out, mut err) = (vec![], vec![]);
     let code = run_on(line.map(Into::into), &Ports, &mut out, &mut err, false);
     let out = String::from_utf8(out).expect("UTF-8");
     assert_eq!(code, 7, "{out}");
     assert_eq!(out.matches("sent, NOT CONFIRMED").count(), 2, "{out}");
-    // Eight attempts of 0.1 s each, for both at once.
-    assert!(begin.elapsed() < Duration::from_millis(1_500), "{out}");
 }

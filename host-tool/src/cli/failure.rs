@@ -350,9 +350,12 @@ fn client_code(error: &ClientError) -> u8 {
         | ClientError::NoAnswer { .. }
         | ClientError::WrongDevice { .. }
         | ClientError::NoReply { .. }
+        | ClientError::OwnerBusy { .. }
         | ClientError::SessionLost { .. } => NO_DEVICE,
         ClientError::Mismatch { .. } => MISMATCH,
-        ClientError::Refused { .. } | ClientError::Rejected { .. } => REFUSED,
+        ClientError::Refused { .. } | ClientError::Rejected { .. } | ClientError::Owned { .. } => {
+            REFUSED
+        }
         ClientError::OutcomeUnknown { .. }
         | ClientError::StopUnconfirmed { .. }
         | ClientError::Silent { .. }

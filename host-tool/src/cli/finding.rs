@@ -5,6 +5,7 @@ use protocol::system::{DeviceKind, Identity, Urgent};
 use crate::cli::args::{Cli, Which};
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
+use crate::cli::windows;
 use crate::client::Device;
 use crate::connector::{Candidate, Connector};
 use crate::error::ClientError;
@@ -13,6 +14,9 @@ use crate::link::address::Address;
 
 /// Both machines.
 const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
+
+/// How many owners of a line may end while this process looks through their doors.
+const OWNERS: u32 = 5;
 
 /// A place and the answer from it.
 pub(crate) struct Found {
@@ -60,9 +64,20 @@ impl Finder<'_> {
 
     /// Opens a session with a machine of this kind, whatever protocol version it speaks.
     pub(crate) fn greet(&self, kind: DeviceKind) -> Result<Device, Failure> {
-        let mut device = self.open(kind, &self.resolve(kind)?)?;
-        device.set_interrupt(interrupt::install());
-        device.hello(self.connector.nonce())?;
+        let address = self.resolve(kind)?;
+        let mut device = self.open(kind, &address)?;
+        // The owner of the line may end while it is asked; then the line is free.
+        for attempt in 1.. {
+            windows::admit(&self.cli.subcommand, &device)?;
+            device.set_interrupt(interrupt::install());
+            match device.hello(self.connector.nonce()) {
+                Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {
+                    device = self.open(kind, &address)?;
+                }
+                Err(error) => return Err(error.into()),
+                Ok(_) => break,
+            }
+        }
         match device.require(kind) {
             Err(error @ ClientError::WrongDevice { .. }) => Err(error.into()),
             _ => Ok(device),
@@ -76,10 +91,19 @@ impl Finder<'_> {
             Some(address) => address,
             None => &self.resolve(kind)?,
         };
-        let link = self.connector.open_to_stop(kind, address, self.cli.baud)?;
-        let mut device = Device::new(link);
-        device.urgent(urgent)?;
-        Ok(device.place())
+        let mut attempt = 0;
+        loop {
+            attempt += 1;
+            let baud = self.cli.baud;
+            let link = self.connector.open_to_stop(kind, address, baud)?;
+            let mut device = Device::new(link);
+            match device.urgent(urgent) {
+                Ok(()) => return Ok(device.place()),
+                // The owner of the line has ended; then the line is free.
+                Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
     }
 
     /// Where to send an urgent stop: to the machines given by the user, or else to every place that may be probed.

@@ -4,7 +4,7 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use protocol::system::{DeviceKind, Urgent};
+use protocol::system::Urgent;
 use serde_json::{Value, json};
 
 use crate::cli::args::Which;
@@ -14,7 +14,7 @@ use crate::cli::screen::Screen;
 use crate::error::ClientError;
 use crate::identity;
 
-/// After this time the operator is told which machines have not been reached, while the attempt goes on.
+/// After this time the operator is told which machines have not confirmed, while the attempt goes on.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// What to do when a machine may not have been stopped.
@@ -164,7 +164,7 @@ fn tell(
                     warned = true;
                     for (target, told) in targets.iter().zip(&told) {
                         if told.is_none() {
-                            screen.say(&format!("{target}: NOT YET DELIVERED: {DO_NOW}"));
+                            screen.say(&format!("{target}: NOT YET CONFIRMED: {DO_NOW}"));
                         }
                     }
                 }
@@ -200,7 +200,7 @@ pub(crate) fn stop(
     Ok(json!({ "stopped": stopped, "machines": machines }))
 }
 
-/// The machine a stop is for; `None` for the kind or the place where they are not known.
+/// As the user would name it.
 impl std::fmt::Display for Target {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match &self.address {
@@ -210,9 +210,10 @@ impl std::fmt::Display for Target {
     }
 }
 
-/// Kind and place, for tests of the sentences.
 #[cfg(test)]
 mod tests {
+    use protocol::system::DeviceKind;
+
     use super::*;
 
     fn told(machine: &str, delivery: Delivery) -> Told {
