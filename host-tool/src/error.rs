@@ -10,6 +10,7 @@ use protocol::table::{Impact, SCHEMA_KEY};
 use crate::door::Owner;
 use crate::identity;
 use crate::link::LinkError;
+use crate::wording;
 
 /// Why something could not be done.
 #[derive(Debug, thiserror::Error, Diagnostic)]
@@ -18,9 +19,7 @@ pub enum ClientError {
     #[error(transparent)]
     #[diagnostic(
         code(retrograde::link_lost),
-        help(
-            "check cable and supply; a moving rig stops by itself after 1 s without the host, unless the run was started with `--on-link-loss finish`"
-        )
+        help("{}", .0.remedy())
     )]
     Link(#[from] LinkError),
 
@@ -69,7 +68,7 @@ pub enum ClientError {
     },
 
     /// The device understood the request and refused it; nothing moved, nothing changed.
-    #[error("{place} refused {request}: {refusal}")]
+    #[error("{place} refused {request}: {}", wording::refusal(refusal))]
     #[diagnostic(code(retrograde::refused), help("{}", unharmed(*impact)))]
     Refused {
         /// What the link leads to.

@@ -14,6 +14,7 @@
 //! * [`report`]: recorded trials as one HTML file.
 //! * [`science`]: the paper's design, simulations and series, without a machine.
 //! * [`commission`]: the steps from a new board to a machine that may run, measured and recorded.
+//! * [`wording`]: refusals in people's units.
 //! * [`progress`]: progress for people, as a bar or as lines.
 //! * [`cli`]: the command line, a thin layer over all this.
 #![forbid(unsafe_code)]
@@ -27,9 +28,11 @@ pub mod door;
 pub mod error;
 pub mod experiment;
 pub mod identity;
+mod limited;
 pub mod link;
 pub mod plan;
 pub mod progress;
 pub mod report;
 pub mod science;
 pub mod trial;
+pub mod wording;

@@ -38,6 +38,27 @@ pub enum LinkError {
         /// The operating system's or the bench's reason.
         why: String,
     },
+    /// The process that owns the line has ended, and its door with it.
+    #[error("{place} belonged to {owner}, which has ended, or has given the line up")]
+    OwnerGone {
+        /// What the link leads to, as the user named it.
+        place: String,
+        /// The process.
+        owner: Box<Owner>,
+    },
+}
+
+impl LinkError {
+    /// What to do about it.
+    #[must_use]
+    pub fn remedy(&self) -> &'static str {
+        match self {
+            Self::Lost { .. } => {
+                "check cable and supply; a moving rig stops by itself after 1 s without the host, unless the run was started with `--on-link-loss finish`"
+            }
+            Self::OwnerGone { .. } => "the line is free now: try again",
+        }
+    }
 }
 
 /// A byte link to one machine.

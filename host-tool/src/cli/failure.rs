@@ -19,6 +19,7 @@ use crate::link::OpenError;
 use crate::report::ReportError;
 use crate::report::figures::FigureError;
 use crate::trial::{RecordError, Status};
+use crate::wording;
 
 /// Success.
 pub const DONE: u8 = 0;
@@ -69,14 +70,14 @@ pub enum Failure {
     #[diagnostic(code(retrograde::figure))]
     Figure(#[from] FigureError),
     /// The run is infeasible.
-    #[error("{0}")]
+    #[error("{}", wording::infeasible(.0))]
     #[diagnostic(
         code(retrograde::infeasible),
         help("{}nothing was sent; `retrograde plan` tries runs without a rig", way_out(.0))
     )]
     Run(#[from] RunError),
     /// The screw is impossible.
-    #[error("{0}")]
+    #[error("{}", wording::axis(.0))]
     #[diagnostic(code(retrograde::axis))]
     Axis(#[from] AxisError),
     /// A number that the models do not cover.
@@ -144,6 +145,18 @@ pub enum Failure {
         /// The operating system's reason.
         io: io::Error,
     },
+    /// The result could not be written. What was asked for has been done.
+    #[error("standard output: {io}; the command was carried out, its result is lost")]
+    #[diagnostic(
+        code(retrograde::output),
+        help(
+            "write to a device with free space; do not repeat a command that moves without looking"
+        )
+    )]
+    Output {
+        /// The operating system's reason.
+        io: io::Error,
+    },
     /// Refused by this program itself, or requested too late.
     #[error("{why}")]
     #[diagnostic(code(retrograde::refused), help("{help}"))]
@@ -202,6 +215,22 @@ pub enum Failure {
         /// What the user can do.
         help: String,
     },
+}
+
+/// For `--json`, a command line that cannot be understood; `text` is what a person is told.
+pub(crate) fn usage(text: &str) -> Value {
+    let mut parts = text.trim().splitn(2, "\n\n");
+    let mut part = || parts.next().unwrap_or_default().trim().to_owned();
+    let message = part();
+    json!({
+        "ok": false,
+        "exit_code": USAGE,
+        "error": {
+            "code": "retrograde::usage",
+            "message": message.trim_start_matches("error: "),
+            "help": part(),
+        },
+    })
 }
 
 /// What kept a commissioning from completion.
@@ -307,6 +336,7 @@ impl Failure {
             | Self::Report(_)
             | Self::Figure(_)
             | Self::File { .. }
+            | Self::Output { .. }
             | Self::Flash { .. } => FAILED,
         }
     }

@@ -5,6 +5,7 @@ use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 
+use crate::cli::already;
 use crate::cli::args::{JogArgs, MoveArgs};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
@@ -110,10 +111,20 @@ pub(crate) fn move_to(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let mut rig = finder.connect(DeviceKind::Rig)?;
-    let accepted = rig.call(rig::MoveTo {
+    let accepted = match rig.call(rig::MoveTo {
         position_um: args.position_mm.0,
         speed_um_s: args.speed_mm_s.0,
-    })?;
+    }) {
+        Err(error) if already::is_there(&error) => {
+            let status = rig.rig_status()?;
+            screen.say(&format!(
+                "The carriage is at {} mm already; nothing moved.",
+                millimetres(&status)
+            ));
+            return Ok(json!({ "already": true, "status": status }));
+        }
+        accepted => accepted?,
+    };
     screen.say(&format!(
         "{} steps in {} s, {} mm/s at most.",
         accepted.stroke.steps,

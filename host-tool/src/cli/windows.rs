@@ -54,6 +54,6 @@ fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
         | Subcommand::Report(_)
         | Subcommand::Flash(_)
         | Subcommand::Completions { .. }
-        | Subcommand::Man => return None,
+        | Subcommand::Man { .. } => return None,
     })
 }

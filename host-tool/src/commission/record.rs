@@ -16,6 +16,7 @@ use serde_json::{Map, Value};
 use crate::client::Device;
 use crate::error::ClientError;
 use crate::identity::{IdentityRecord, kind_name};
+use crate::limited;
 use crate::trial::{RecordError, replace};
 
 /// Version of the format; incremented when a field changes its meaning.
@@ -194,7 +195,7 @@ impl Commissioning {
             why,
             remedy: "give the file that `retrograde commission` wrote for this board, or another name: `--record FILE`",
         };
-        let text = match fs::read_to_string(path) {
+        let text = match limited::read_text(path, limited::RECORD) {
             Ok(text) => text,
             Err(io) if io.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(io) => return Err(error(io.to_string())),

@@ -46,10 +46,10 @@ impl Window {
         })
     }
 
-    fn lost(&self, why: impl ToString) -> LinkError {
-        LinkError::Lost {
+    fn lost(&self) -> LinkError {
+        LinkError::OwnerGone {
             place: self.place.clone(),
-            why: format!("{}: {}", self.owner, why.to_string()),
+            owner: Box::new(self.owner.clone()),
         }
     }
 }
@@ -64,19 +64,19 @@ impl Link for Window {
     }
 
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        self.stream.write_all(bytes).map_err(|io| self.lost(io))
+        self.stream.write_all(bytes).map_err(|_| self.lost())
     }
 
     fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
         let limit = timeout(self.now_us(), deadline_us);
         self.stream
             .set_read_timeout(Some(limit))
-            .map_err(|io| self.lost(io))?;
+            .map_err(|_| self.lost())?;
         match self.stream.read(buffer) {
-            Ok(0) => Err(self.lost("it has ended, or has given the line up")),
+            Ok(0) => Err(self.lost()),
             Ok(count) => Ok(count),
             Err(io) if nothing_yet(io.kind()) => Ok(0),
-            Err(io) => Err(self.lost(io)),
+            Err(_) => Err(self.lost()),
         }
     }
 

@@ -145,6 +145,8 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
         ErrorKind::Io(io::ErrorKind::PermissionDenied) => (
             "no permission".to_owned(),
             match group(path) {
+                // Membership of that group is not for a user.
+                Some(group) if group == "root" => "the port belongs to the administrator alone: a udev rule that gives it to a group of yours (`dialout`), or `sudo setfacl -m u:$USER:rw` on the port until it is unplugged".to_owned(),
                 Some(group) => format!(
                     "the port belongs to the group `{group}`: run `sudo usermod -aG {group} $USER`, then log out and in again"
                 ),
@@ -157,6 +159,11 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
                 None => "in use by another program".to_owned(),
             },
             "close that program (a serial monitor, another `retrograde`, ModemManager), then try again".to_owned(),
+        ),
+        _ if exists && !is_a_device(path) => (
+            "it is no serial port".to_owned(),
+            "give a serial port, such as /dev/ttyACM0; `retrograde devices` lists the ports"
+                .to_owned(),
         ),
         _ if !exists && cfg!(unix) => (
             "there is no such port".to_owned(),
@@ -172,6 +179,21 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
         why,
         remedy,
     }
+}
+
+/// Whether a path may be a port: neither a file nor a folder, nor a device without a line.
+#[cfg(unix)]
+fn is_a_device(path: &str) -> bool {
+    use std::io::IsTerminal;
+    use std::os::unix::fs::FileTypeExt;
+    let device = fs::metadata(path).is_ok_and(|found| found.file_type().is_char_device());
+    // One that cannot be opened may be anything.
+    device && fs::File::open(path).map_or(true, |file| file.is_terminal())
+}
+
+#[cfg(not(unix))]
+fn is_a_device(_path: &str) -> bool {
+    true
 }
 
 /// Name of the group that owns a file.
