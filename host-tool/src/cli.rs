@@ -126,7 +126,7 @@ fn carry_out(
         Subcommand::Design(args) => science::design(args, screen),
         Subcommand::Simulate(args) => science::simulate(args, screen),
         Subcommand::Report(args) => offline::report(args, screen),
-        Subcommand::Flash(args) => flash::flash(args, screen),
+        Subcommand::Flash(args) => flash::flash(args, finder, screen),
         Subcommand::Completions { shell } => offline::completions(*shell, screen),
         Subcommand::Man { subcommand } => offline::man(subcommand, screen),
     }

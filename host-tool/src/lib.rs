@@ -15,6 +15,7 @@
 //! * [`science`]: the paper's design, simulations and series, without a machine.
 //! * [`commission`]: the steps from a new board to a machine that may run, measured and recorded.
 //! * [`wording`]: refusals in people's units.
+//! * [`image`]: what may be flashed.
 //! * [`progress`]: progress for people, as a bar or as lines.
 //! * [`cli`]: the command line, a thin layer over all this.
 #![forbid(unsafe_code)]
@@ -28,6 +29,7 @@ pub mod door;
 pub mod error;
 pub mod experiment;
 pub mod identity;
+pub mod image;
 mod limited;
 pub mod link;
 pub mod plan;

@@ -601,6 +601,12 @@ const INPUTS: &[(&str, u8, &str, &str)] = &[
         "give the JSON file of a trial",
     ),
     (
+        "flash rig --image /etc/passwd",
+        2,
+        "no ELF file",
+        "nothing was flashed",
+    ),
+    (
         "flash rig --image /no/such/file",
         1,
         "there is no image at /no/such/file",

@@ -551,6 +551,9 @@ pub struct FlashArgs {
     /// The debug probe, `VID:PID:SERIAL`, if several are connected.
     #[arg(long, value_name = "PROBE")]
     pub probe: Option<String>,
+    /// Only look at the image; needs no probe and no board.
+    #[arg(long)]
+    pub dry_run: bool,
 }
 
 #[cfg(test)]
