@@ -21,6 +21,7 @@ use protocol::system::{
 };
 use protocol::table::{Endpoint, Impact, Reply, Request, Response, SCHEMA_KEY, Telemetry};
 
+use crate::diagnosis::{self, OVERHEARD, Sign};
 use crate::door::{self, Owner};
 use crate::error::ClientError;
 use crate::link::{Link, LinkError};
@@ -223,6 +224,8 @@ pub struct Device {
     events: VecDeque<Event>,
     lost_events: u32,
     telemetry: VecDeque<(u16, Telemetry)>,
+    /// What came since Hello was sent, until it is answered.
+    overheard: Option<Vec<u8>>,
 }
 
 /// Samples that are kept until somebody takes them; beyond that the oldest are dropped.
@@ -248,6 +251,7 @@ impl Device {
             events: VecDeque::new(),
             lost_events: 0,
             telemetry: VecDeque::new(),
+            overheard: None,
         }
     }
 
@@ -275,13 +279,17 @@ impl Device {
         if self.client.hello(nonce).is_err() {
             return Err(self.session_lost());
         }
-        let identity = match self.answer()? {
-            Some(Output::Accepted(Response::Hello(identity))) => identity,
-            _ => {
-                return Err(ClientError::NoAnswer {
-                    place: self.place(),
-                });
+        self.overheard = Some(vec![]);
+        let answer = self.answer();
+        let sign = diagnosis::sign(&self.overheard.take().unwrap_or_default());
+        let identity = match answer {
+            Ok(Some(Output::Accepted(Response::Hello(identity)))) => identity,
+            // A server of another kind says what it is, and ends the connection.
+            Err(ClientError::Link(_)) if matches!(sign, Sign::Web | Sign::Ssh | Sign::Text(_)) => {
+                return Err(self.no_answer(sign));
             }
+            Err(error) => return Err(error),
+            Ok(_) => return Err(self.no_answer(sign)),
         };
         self.identity = Some(identity);
         self.link.introduce(&identity);
@@ -312,7 +320,7 @@ impl Device {
     pub fn require(&self, wanted: DeviceKind) -> Result<(), ClientError> {
         let place = self.place();
         let Some(found) = self.identity else {
-            return Err(ClientError::NoAnswer { place });
+            return Err(self.no_answer(Sign::Silence));
         };
         let found = Box::new(found);
         if found.device != wanted {
@@ -1041,6 +1049,10 @@ impl Device {
         let count = self
             .link
             .receive(&mut bytes, until_us.min(now_us.saturating_add(SLICE_US)))?;
+        if let Some(overheard) = &mut self.overheard {
+            let room = OVERHEARD.saturating_sub(overheard.len());
+            overheard.extend(&bytes[..count.min(room)]);
+        }
         let mut turn = Turn::Nothing;
         for byte in &bytes[..count] {
             match self.client.receive(*byte) {
@@ -1089,6 +1101,20 @@ impl Device {
     fn session_lost(&self) -> ClientError {
         ClientError::SessionLost {
             place: self.place(),
+        }
+    }
+
+    fn no_answer(&self, sign: Sign) -> ClientError {
+        if let Some(owner) = self.link.owner() {
+            return ClientError::OwnerBusy {
+                place: self.place(),
+                request: "Hello",
+                owner: owner.to_string(),
+            };
+        }
+        ClientError::NoAnswer {
+            place: self.place(),
+            sign,
         }
     }
 

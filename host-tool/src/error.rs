@@ -7,6 +7,7 @@ use protocol::rig::RigFault;
 use protocol::system::{DeviceKind, Identity};
 use protocol::table::{Impact, SCHEMA_KEY};
 
+use crate::diagnosis::Sign;
 use crate::door::Owner;
 use crate::identity;
 use crate::link::LinkError;
@@ -24,16 +25,13 @@ pub enum ClientError {
     Link(#[from] LinkError),
 
     /// Nothing answered Hello.
-    #[error("no answer from {place}")]
-    #[diagnostic(
-        code(retrograde::no_answer),
-        help(
-            "is the board powered, is this its port (`retrograde devices`), does `--baud` match the firmware (115200), and is Retrograde's firmware on it (`cargo rig` or `cargo capsule` in the workspace, or `retrograde flash rig|capsule --image ELF`)?"
-        )
-    )]
+    #[error("no answer from {place}: {sign}")]
+    #[diagnostic(code(retrograde::no_answer), help("{}", sign.remedy()))]
     NoAnswer {
         /// What the link leads to.
         place: String,
+        /// What is there instead.
+        sign: Sign,
     },
 
     /// The machine at this place is not the wanted one.

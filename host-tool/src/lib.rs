@@ -3,6 +3,7 @@
 //!
 //! * [`link`]: a byte pipe with its own clock: serial port, TCP, memory, or the virtual bench.
 //! * [`client`]: one machine: typed requests, events, telemetry, waiting, stops.
+//! * [`diagnosis`]: what is there when no machine answers.
 //! * [`door`]: one process owns a line, others look through its door and can stop.
 //! * [`error`]: why a request failed, and what to do about it.
 //! * [`connector`]: where links come from.
@@ -25,6 +26,7 @@ pub mod client;
 pub mod commission;
 pub mod connector;
 pub mod decimal;
+pub mod diagnosis;
 pub mod door;
 pub mod error;
 pub mod experiment;

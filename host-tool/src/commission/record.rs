@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::client::Device;
+use crate::diagnosis::Sign;
 use crate::error::ClientError;
 use crate::identity::{IdentityRecord, kind_name};
 use crate::limited;
@@ -59,7 +60,10 @@ impl Subject {
     pub fn of(device: &mut Device) -> Result<Self, ClientError> {
         let Some(identity) = device.identity().copied() else {
             let place = device.place();
-            return Err(ClientError::NoAnswer { place });
+            return Err(ClientError::NoAnswer {
+                place,
+                sign: Sign::Silence,
+            });
         };
         let mut subject = Self::of_identity(&identity);
         if identity.device == DeviceKind::Rig {
