@@ -1,6 +1,7 @@
 //! The command line tool, a thin layer over the library. A program that has a [`Connector`] of its own can call [`run`],
 //! too.
 
+mod already;
 pub mod args;
 mod commission;
 pub mod failure;
@@ -14,6 +15,8 @@ mod offline;
 pub mod science;
 mod screen;
 mod settings;
+pub mod stops;
+mod windows;
 
 use std::ffi::OsString;
 use std::io::{self, BufRead, IsTerminal, Write};
@@ -64,7 +67,8 @@ pub fn run_at(
     terminal: bool,
     keyboard: Option<Keyboard>,
 ) -> u8 {
-    let cli = match Cli::try_parse_from(args) {
+    let args: Vec<OsString> = args.into_iter().collect();
+    let cli = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => {
             let text = error.render().to_string();
@@ -72,6 +76,9 @@ pub fn run_at(
             let _ = if wanted {
                 out.write_all(text.as_bytes())
             } else {
+                if args.iter().any(|arg| arg == "--json") {
+                    let _ = writeln!(out, "{:#}", failure::usage(&text));
+                }
                 err.write_all(text.as_bytes())
             };
             return if wanted { DONE } else { USAGE };
@@ -83,6 +90,7 @@ pub fn run_at(
         json: cli.json,
         terminal,
         keyboard: keyboard.filter(|_| !cli.json),
+        failed: None,
     };
     let result = carry_out(&cli, connector, &mut screen);
     screen.finish(result)
@@ -100,8 +108,8 @@ fn carry_out(
         Subcommand::Home => machines::home(finder, screen),
         Subcommand::Run(args) => machines::run(args, finder, screen),
         Subcommand::Commission(args) => commission::commission(args, finder, screen),
-        Subcommand::Stop(which) => machines::stop(Urgent::Stop, which, finder, screen),
-        Subcommand::Estop(which) => machines::stop(Urgent::EStop, which, finder, screen),
+        Subcommand::Stop(which) => stops::stop(Urgent::Stop, which, finder, screen),
+        Subcommand::Estop(which) => stops::stop(Urgent::EStop, which, finder, screen),
         Subcommand::Ack(which) => machines::acknowledge(which, finder, screen),
         Subcommand::Capsule { subcommand } => {
             let (kind, args) = match subcommand {
@@ -124,8 +132,8 @@ fn carry_out(
         Subcommand::Design(args) => science::design(args, screen),
         Subcommand::Simulate(args) => science::simulate(args, screen),
         Subcommand::Report(args) => offline::report(args, screen),
-        Subcommand::Flash(args) => flash::flash(args, screen),
+        Subcommand::Flash(args) => flash::flash(args, finder, screen),
         Subcommand::Completions { shell } => offline::completions(*shell, screen),
-        Subcommand::Man => offline::man(screen),
+        Subcommand::Man { subcommand } => offline::man(subcommand, screen),
     }
 }

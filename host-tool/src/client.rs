@@ -19,8 +19,10 @@ use protocol::system::{
     Acknowledge, DeviceKind, Event, Events, GetEvents, GetLastWords, Identity, KeepAlive,
     SetTelemetry, Urgent, What,
 };
-use protocol::table::{Endpoint, Impact, Request, Response, SCHEMA_KEY, Telemetry};
+use protocol::table::{Endpoint, Impact, Reply, Request, Response, SCHEMA_KEY, Telemetry};
 
+use crate::diagnosis::{self, OVERHEARD, Sign};
+use crate::door::{self, Owner};
 use crate::error::ClientError;
 use crate::link::{Link, LinkError};
 
@@ -222,6 +224,8 @@ pub struct Device {
     events: VecDeque<Event>,
     lost_events: u32,
     telemetry: VecDeque<(u16, Telemetry)>,
+    /// What came since Hello was sent, until it is answered.
+    overheard: Option<Vec<u8>>,
 }
 
 /// Samples that are kept until somebody takes them; beyond that the oldest are dropped.
@@ -266,6 +270,7 @@ impl Device {
             events: VecDeque::new(),
             lost_events: 0,
             telemetry: VecDeque::new(),
+            overheard: None,
         }
     }
 
@@ -293,15 +298,20 @@ impl Device {
         if self.client.hello(nonce).is_err() {
             return Err(self.session_lost());
         }
-        let identity = match self.answer()? {
-            Some(Output::Accepted(Response::Hello(identity))) => identity,
-            _ => {
-                return Err(ClientError::NoAnswer {
-                    place: self.place(),
-                });
+        self.overheard = Some(vec![]);
+        let answer = self.answer();
+        let sign = diagnosis::sign(&self.overheard.take().unwrap_or_default());
+        let identity = match answer {
+            Ok(Some(Output::Accepted(Response::Hello(identity)))) => identity,
+            // A server of another kind says what it is, and ends the connection.
+            Err(ClientError::Link(_)) if matches!(sign, Sign::Web | Sign::Ssh | Sign::Text(_)) => {
+                return Err(self.no_answer(sign));
             }
+            Err(error) => return Err(error),
+            Ok(_) => return Err(self.no_answer(sign)),
         };
         self.identity = Some(identity);
+        self.link.introduce(&identity);
         self.early.clear();
         if matches(&identity) {
             // Events from before this session are not reported.
@@ -329,7 +339,7 @@ impl Device {
     pub fn require(&self, wanted: DeviceKind) -> Result<(), ClientError> {
         let place = self.place();
         let Some(found) = self.identity else {
-            return Err(ClientError::NoAnswer { place });
+            return Err(self.no_answer(Sign::Silence));
         };
         let found = Box::new(found);
         if found.device != wanted {
@@ -355,6 +365,12 @@ impl Device {
     #[must_use]
     pub fn place(&self) -> String {
         self.link.place()
+    }
+
+    /// The process that owns the line, if it is not this one.
+    #[must_use]
+    pub fn owner(&self) -> Option<&Owner> {
+        self.link.owner()
     }
 
     /// Gives the link up, so that another one can be opened to the same port. From now on everything fails as with a
@@ -660,11 +676,14 @@ impl Device {
     /// As [`Device::call`].
     pub fn wait_rest(&mut self) -> Result<RigStatus, ClientError> {
         loop {
-            let status = self.rig_status()?;
+            let status = self
+                .rig_status()
+                .map_err(|error| while_moving("the motion", error))?;
             if !matches!(status.state, RigState::Moving | RigState::Stopping) {
                 return Ok(status);
             }
-            self.idle(POLL_US, &mut Unobserved)?;
+            self.idle(POLL_US, &mut Unobserved)
+                .map_err(|error| while_moving("the motion", error))?;
         }
     }
 
@@ -728,6 +747,7 @@ impl Device {
             },
         )?;
         self.final_record(observer)
+            .map_err(|error| while_moving("the actuation", error))
     }
 
     /// The record of the actuation that has just ended, when it no longer changes: while the motor is braked, it runs
@@ -776,10 +796,22 @@ impl Device {
         self.listen(self.now_us().saturating_add(duration_us))
     }
 
+    /// As [`Device::wait_for`]; a link that falls silent meanwhile is no small matter.
+    fn wait<C: Into<ActionState>>(
+        &mut self,
+        action: &'static str,
+        at_most_us: u64,
+        observer: &mut dyn Observer,
+        state: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<C, ClientError>,
+    ) -> Result<(), ClientError> {
+        self.wait_for(action, at_most_us, observer, state)
+            .map_err(|error| while_moving(action, error))
+    }
+
     /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every
     /// `keep_alive_us` without one. Then it requests the device's status, which is also the keep-alive and shows the end even if its
     /// event was lost.
-    fn wait<C: Into<ActionState>>(
+    fn wait_for<C: Into<ActionState>>(
         &mut self,
         action: &'static str,
         at_most_us: u64,
@@ -926,6 +958,15 @@ impl Device {
         let (place, request_name, impact) = (self.place(), request.name(), request.impact());
         self.ask_interrupt();
         let command = impact != Impact::None;
+        if let Some(owner) = self.link.owner()
+            && !door::admits(request)
+        {
+            return Err(ClientError::Owned {
+                place,
+                request: request_name,
+                owner: Box::new(owner.clone()),
+            });
+        }
         if command && self.interrupted.is_some() {
             while self.urgent_pending {
                 self.step(u64::MAX)?;
@@ -958,6 +999,15 @@ impl Device {
                 request: request_name,
                 error,
             }),
+            _ if !command && self.link.owner().is_some() => Err(ClientError::OwnerBusy {
+                place,
+                request: request_name,
+                owner: self
+                    .link
+                    .owner()
+                    .map(ToString::to_string)
+                    .unwrap_or_default(),
+            }),
             _ if command => Err(ClientError::OutcomeUnknown {
                 place,
                 request: request_name,
@@ -985,8 +1035,33 @@ impl Device {
         }
     }
 
+    /// Asks what another process wants to know, while no request is pending.
+    fn serve(&mut self) -> Result<(), ClientError> {
+        if self.urgent_pending || !self.client.is_open() {
+            return Ok(());
+        }
+        let Some(question) = self.link.question() else {
+            return Ok(());
+        };
+        let (reply, result) = match self.exchange(&question.request) {
+            Ok(response) => (Some(Reply::Accepted(response)), Ok(())),
+            Err(ClientError::Refused { refusal, .. }) => (Some(Reply::Refused(refusal)), Ok(())),
+            Err(ClientError::Rejected { error, .. }) => (Some(Reply::Wire(error)), Ok(())),
+            // The other process finds silence. So will this one, if it lasts.
+            Err(
+                ClientError::NoReply { .. }
+                | ClientError::OutcomeUnknown { .. }
+                | ClientError::Interrupted { .. },
+            ) => (None, Ok(())),
+            Err(error) => (None, Err(error)),
+        };
+        question.answer(reply);
+        result
+    }
+
     /// As [`Device::turn`], while no request is pending.
     fn step(&mut self, deadline_us: u64) -> Result<(), ClientError> {
+        self.serve()?;
         match self.turn(deadline_us)? {
             Turn::UrgentUnanswered => Err(self.stop_unconfirmed()),
             Turn::Nothing | Turn::Answered(_) | Turn::Unanswered => Ok(()),
@@ -1014,6 +1089,10 @@ impl Device {
         let count = self
             .link
             .receive(&mut bytes, until_us.min(now_us.saturating_add(SLICE_US)))?;
+        if let Some(overheard) = &mut self.overheard {
+            let room = OVERHEARD.saturating_sub(overheard.len());
+            overheard.extend(&bytes[..count.min(room)]);
+        }
         let mut turn = Turn::Nothing;
         for byte in &bytes[..count] {
             match self.client.receive(*byte) {
@@ -1037,6 +1116,11 @@ impl Device {
 
     fn ask_interrupt(&mut self) {
         let wanted = self.interrupt.as_ref().and_then(|interrupt| interrupt());
+        // A stop that came from elsewhere is the operator's as well. It is sent again, which does no harm.
+        let wanted = match (wanted, self.link.stopped()) {
+            (Some(Urgent::EStop), _) | (_, Some(Urgent::EStop)) => Some(Urgent::EStop),
+            (here, elsewhere) => here.or(elsewhere),
+        };
         let stronger = match (self.interrupted, wanted) {
             (None, Some(urgent)) => Some(urgent),
             (Some(Urgent::Stop), Some(Urgent::EStop)) => Some(Urgent::EStop),
@@ -1060,10 +1144,33 @@ impl Device {
         }
     }
 
+    fn no_answer(&self, sign: Sign) -> ClientError {
+        if let Some(owner) = self.link.owner() {
+            return ClientError::OwnerBusy {
+                place: self.place(),
+                request: "Hello",
+                owner: owner.to_string(),
+            };
+        }
+        ClientError::NoAnswer {
+            place: self.place(),
+            sign,
+        }
+    }
+
     fn stop_unconfirmed(&self) -> ClientError {
         ClientError::StopUnconfirmed {
             place: self.place(),
         }
+    }
+}
+
+/// What an error means while something may move: a request without an answer changes nothing, but nobody knows what the
+/// machine does.
+pub(crate) fn while_moving(action: &'static str, error: ClientError) -> ClientError {
+    match error {
+        ClientError::NoReply { place, .. } => ClientError::Silent { place, action },
+        error => error,
     }
 }
 

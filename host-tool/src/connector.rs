@@ -2,13 +2,18 @@
 //! connector of its own.
 
 use std::hash::{BuildHasher, RandomState};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
 
 use crate::commission::hands::Hands;
+use crate::door::lock::Doorway;
+use crate::door::window::Window;
 use crate::link::address::Address;
 use crate::link::serial::{self, Serial};
+use crate::link::shared::{Halves, Shared};
 use crate::link::tcp::Tcp;
 use crate::link::{Link, OpenError};
 
@@ -25,8 +30,8 @@ pub struct Candidate {
     pub may_ask: bool,
 }
 
-/// Opens links.
-pub trait Connector {
+/// Opens links. Several threads may, so that a stop goes to all machines at once.
+pub trait Connector: Sync {
     /// Opens a link to a machine; sends nothing. Does not search: the caller finds the address behind [`Address::Auto`].
     ///
     /// # Errors
@@ -37,6 +42,19 @@ pub trait Connector {
         address: &Address,
         baud: u32,
     ) -> Result<Box<dyn Link>, OpenError>;
+
+    /// As [`Connector::open`], for nothing but a stop, which does not wait for a place that does not answer.
+    ///
+    /// # Errors
+    /// As [`Connector::open`].
+    fn open_to_stop(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        self.open(kind, address, baud)
+    }
 
     /// The places where a machine may be, for `auto` and `devices`.
     fn candidates(&self) -> Vec<Candidate>;
@@ -55,6 +73,93 @@ pub trait Connector {
     }
 }
 
+/// How long a connection for a stop may take. Whoever waits longer should be at the button.
+const TO_STOP: Duration = Duration::from_secs(1);
+
+/// How long a connection may take otherwise.
+const CONNECT: Duration = Duration::from_secs(5);
+
+/// How long the owner of a line has to open its door, and how long if a stop waits.
+const ANSWER: Duration = Duration::from_secs(1);
+const ANSWER_TO_STOP: Duration = Duration::from_millis(250);
+
+/// Interval between two attempts at a line whose owner comes or goes.
+const AGAIN: Duration = Duration::from_millis(5);
+
+/// Opens the line as its owner, or a window to it if another process has it.
+fn way_in(
+    doorway: &Doorway,
+    limit: Duration,
+    halves: &dyn Fn() -> Result<Halves, OpenError>,
+) -> Result<Box<dyn Link>, OpenError> {
+    let begin = Instant::now();
+    loop {
+        if let Some(lock) = doorway.claim()? {
+            lock.announce()?;
+            return Ok(Box::new(Shared::new(lock, halves()?)?));
+        }
+        let left = limit.saturating_sub(begin.elapsed());
+        if left.is_zero() {
+            let who = doorway.owner().map_or_else(
+                || "another `retrograde`".to_owned(),
+                |owner| owner.to_string(),
+            );
+            return Err(OpenError {
+                place: doorway.place().to_owned(),
+                why: format!("it belongs to {who}, which does not answer"),
+                remedy: "wait until that process ends, or end it with Ctrl-C in its terminal; one that hangs ends with `kill -9`, and the rig stops by itself 1 s later".to_owned(),
+            });
+        }
+        if let Ok(window) = Window::open(doorway, left) {
+            return Ok(Box::new(window));
+        }
+        thread::sleep(AGAIN);
+    }
+}
+
+/// Opens the line for two threads.
+fn halves(address: &Address, baud: u32, limit: Duration) -> Result<Halves, OpenError> {
+    let opened = match address {
+        Address::Serial(path) => Serial::open(path, baud)?.halves(),
+        Address::Tcp(place) => Tcp::open_within(place, limit)?.halves(),
+        Address::Auto | Address::Virtual => return Err(nowhere(address)),
+    };
+    opened.map_err(|why| OpenError {
+        place: address.to_string(),
+        why: why.to_string(),
+        remedy: "try again; `retrograde devices` lists the ports".to_owned(),
+    })
+}
+
+/// Opens the line without regard to others.
+fn direct(address: &Address, baud: u32, limit: Duration) -> Result<Box<dyn Link>, OpenError> {
+    match address {
+        Address::Serial(path) => Ok(Box::new(Serial::open(path, baud)?)),
+        Address::Tcp(place) => Ok(Box::new(Tcp::open_within(place, limit)?)),
+        Address::Auto | Address::Virtual => Err(nowhere(address)),
+    }
+}
+
+/// An address without a line.
+fn nowhere(address: &Address) -> OpenError {
+    let (why, remedy) = if *address == Address::Virtual {
+        (
+            "the virtual bench is not part of this program",
+            "use `cargo xtask demo`, or the `virtual-bench` program, which has the same commands; it can also serve both machines on TCP",
+        )
+    } else {
+        (
+            "it does not say where the machine is",
+            "give a serial port or tcp:HOST:PORT",
+        )
+    };
+    OpenError {
+        place: address.to_string(),
+        why: why.to_owned(),
+        remedy: remedy.to_owned(),
+    }
+}
+
 /// Serial ports and TCP, random nonces, the computer's clock.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Ports;
@@ -66,20 +171,25 @@ impl Connector for Ports {
         address: &Address,
         baud: u32,
     ) -> Result<Box<dyn Link>, OpenError> {
-        match address {
-            Address::Serial(path) => Ok(Box::new(Serial::open(path, baud)?)),
-            Address::Tcp(place) => Ok(Box::new(Tcp::open(place)?)),
-            Address::Auto => Err(OpenError {
-                place: address.to_string(),
-                why: "it does not say where the machine is".to_owned(),
-                remedy: "give a serial port or tcp:HOST:PORT".to_owned(),
-            }),
-            Address::Virtual => Err(OpenError {
-                place: address.to_string(),
-                why: "the virtual bench is not part of this program".to_owned(),
-                remedy: "use `cargo xtask demo`, or the `virtual-bench` program, which has the same commands; it can also serve both machines on TCP".to_owned(),
-            }),
+        let Some(doorway) = Doorway::of(address)? else {
+            return direct(address, baud, CONNECT);
+        };
+        way_in(&doorway, ANSWER, &|| halves(address, baud, CONNECT))
+    }
+
+    fn open_to_stop(
+        &self,
+        _kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        // Whatever is wrong with lock or door, the stop goes the direct way.
+        if let Ok(Some(doorway)) = Doorway::of(address)
+            && let Ok(link) = way_in(&doorway, ANSWER_TO_STOP, &|| halves(address, baud, TO_STOP))
+        {
+            return Ok(link);
         }
+        direct(address, baud, TO_STOP)
     }
 
     fn candidates(&self) -> Vec<Candidate> {

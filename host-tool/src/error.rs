@@ -7,8 +7,11 @@ use protocol::rig::RigFault;
 use protocol::system::{DeviceKind, Identity};
 use protocol::table::{Impact, SCHEMA_KEY};
 
+use crate::diagnosis::Sign;
+use crate::door::Owner;
 use crate::identity;
 use crate::link::LinkError;
+use crate::wording;
 
 /// Why something could not be done.
 #[derive(Debug, thiserror::Error, Diagnostic)]
@@ -17,23 +20,18 @@ pub enum ClientError {
     #[error(transparent)]
     #[diagnostic(
         code(retrograde::link_lost),
-        help(
-            "check cable and supply; a moving rig stops by itself after 1 s without the host, unless the run was started with `--on-link-loss finish`"
-        )
+        help("{}", .0.remedy())
     )]
     Link(#[from] LinkError),
 
     /// Nothing answered Hello.
-    #[error("no answer from {place}")]
-    #[diagnostic(
-        code(retrograde::no_answer),
-        help(
-            "is the board powered, is this its port (`retrograde devices`), does `--baud` match the firmware (115200), and is Retrograde's firmware on it (`cargo rig` or `cargo capsule` in the workspace, or `retrograde flash rig|capsule --image ELF`)?"
-        )
-    )]
+    #[error("no answer from {place}: {sign}")]
+    #[diagnostic(code(retrograde::no_answer), help("{}", sign.remedy()))]
     NoAnswer {
         /// What the link leads to.
         place: String,
+        /// What is there instead.
+        sign: Sign,
     },
 
     /// The machine at this place is not the wanted one.
@@ -68,7 +66,7 @@ pub enum ClientError {
     },
 
     /// The device understood the request and refused it; nothing moved, nothing changed.
-    #[error("{place} refused {request}: {refusal}")]
+    #[error("{place} refused {request}: {}", wording::refusal(refusal))]
     #[diagnostic(code(retrograde::refused), help("{}", unharmed(*impact)))]
     Refused {
         /// What the link leads to.
@@ -106,6 +104,40 @@ pub enum ClientError {
         place: String,
     },
 
+    /// Another process owns the line, and this request is for the owner alone.
+    #[error("{request} was not sent: {place} belongs to {owner}")]
+    #[diagnostic(
+        code(retrograde::owned),
+        help(
+            "wait until that process ends, or end it with Ctrl-C in its terminal; meanwhile `info`, `health`, `settings list`, `hold`, `resume`, `ack`, `stop` and `estop` work from here"
+        )
+    )]
+    Owned {
+        /// What the link leads to.
+        place: String,
+        /// Name of the request.
+        request: &'static str,
+        /// The process.
+        owner: Box<Owner>,
+    },
+
+    /// The owner of the line has not passed a question on.
+    #[error("{place} belongs to {owner}, which has not passed {request} on")]
+    #[diagnostic(
+        code(retrograde::owner_busy),
+        help(
+            "it is busy, or waits for somebody at its terminal: try again. `stop` and `estop` do not wait for it"
+        )
+    )]
+    OwnerBusy {
+        /// What the link leads to.
+        place: String,
+        /// Name of the request.
+        request: &'static str,
+        /// The process.
+        owner: String,
+    },
+
     /// A request that changes nothing was not answered.
     #[error("{place} did not answer {request}; the request changes nothing, so nothing was done")]
     #[diagnostic(
@@ -117,6 +149,21 @@ pub enum ClientError {
         place: String,
         /// Name of the request.
         request: &'static str,
+    },
+
+    /// The link fell silent while something moved.
+    #[error("{place} has fallen silent during {action}: it MAY BE MOVING")]
+    #[diagnostic(
+        code(retrograde::silent),
+        help(
+            "press the emergency stop button or cut the motor supply if it moves; then check cable and supply, and look at `retrograde info`. A rig that has lost its host stops by itself within its `link_timeout_ms` (1 s), unless the run was started with `--on-link-loss finish`"
+        )
+    )]
+    Silent {
+        /// What the link leads to.
+        place: String,
+        /// Name of the action.
+        action: &'static str,
     },
 
     /// A command was not answered: it may or may not have been carried out.

@@ -9,6 +9,7 @@ use protocol::rig::{LinkLossPolicy, Run, RunAccepted, RunRecord, RunTiming};
 use protocol::system::{DeviceKind, Identity};
 
 use crate::client::{Both, Device, Homed, Observer};
+use crate::diagnosis::Sign;
 use crate::error::ClientError;
 use crate::trial::{Action, Ending, RecordError, Recorder, Recording, Screw, Status, Trial};
 
@@ -194,6 +195,7 @@ fn identity(device: &Device, wanted: DeviceKind) -> Result<Identity, ClientError
         .identity()
         .copied()
         .ok_or_else(|| ClientError::NoAnswer {
+            sign: Sign::Silence,
             place: device.place(),
         })
 }

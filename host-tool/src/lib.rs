@@ -3,6 +3,8 @@
 //!
 //! * [`link`]: a byte pipe with its own clock: serial port, TCP, memory, or the virtual bench.
 //! * [`client`]: one machine: typed requests, events, telemetry, waiting, stops.
+//! * [`diagnosis`]: what is there when no machine answers.
+//! * [`door`]: one process owns a line, others look through its door and can stop.
 //! * [`error`]: why a request failed, and what to do about it.
 //! * [`connector`]: where links come from.
 //! * [`decimal`]: decimal numbers as people write them, exact.
@@ -13,6 +15,8 @@
 //! * [`report`]: recorded trials as one HTML file.
 //! * [`science`]: the paper's design, simulations and series, without a machine.
 //! * [`commission`]: the steps from a new board to a machine that may run, measured and recorded.
+//! * [`wording`]: refusals in people's units.
+//! * [`image`]: what may be flashed.
 //! * [`progress`]: progress for people, as a bar or as lines.
 //! * [`cli`]: the command line, a thin layer over all this.
 #![forbid(unsafe_code)]
@@ -22,12 +26,17 @@ pub mod client;
 pub mod commission;
 pub mod connector;
 pub mod decimal;
+pub mod diagnosis;
+pub mod door;
 pub mod error;
 pub mod experiment;
 pub mod identity;
+pub mod image;
+mod limited;
 pub mod link;
 pub mod plan;
 pub mod progress;
 pub mod report;
 pub mod science;
 pub mod trial;
+pub mod wording;

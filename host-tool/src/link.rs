@@ -6,7 +6,13 @@
 pub mod address;
 pub mod memory;
 pub mod serial;
+pub mod shared;
 pub mod tcp;
+
+use protocol::system::{Identity, Urgent};
+
+use crate::door::Owner;
+use crate::door::server::Question;
 
 /// A link could not be opened. Nothing was sent.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
@@ -32,6 +38,27 @@ pub enum LinkError {
         /// The operating system's or the bench's reason.
         why: String,
     },
+    /// The process that owns the line has ended, and its door with it.
+    #[error("{place} belonged to {owner}, which has ended, or has given the line up")]
+    OwnerGone {
+        /// What the link leads to, as the user named it.
+        place: String,
+        /// The process.
+        owner: Box<Owner>,
+    },
+}
+
+impl LinkError {
+    /// What to do about it.
+    #[must_use]
+    pub fn remedy(&self) -> &'static str {
+        match self {
+            Self::Lost { .. } => {
+                "check cable and supply; a moving rig stops by itself after 1 s without the host, unless the run was started with `--on-link-loss finish`"
+            }
+            Self::OwnerGone { .. } => "the line is free now: try again",
+        }
+    }
 }
 
 /// A byte link to one machine.
@@ -54,4 +81,26 @@ pub trait Link: Send {
     /// # Errors
     /// [`LinkError::Lost`] when the other end is gone.
     fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError>;
+
+    /// The process that owns the line, if it is not this one.
+    fn owner(&self) -> Option<&Owner> {
+        None
+    }
+
+    // What a line's owner does for others that look at the machine through it; see `crate::door`.
+
+    /// Takes note of the machine that has answered Hello.
+    fn introduce(&mut self, identity: &Identity) {
+        let _ = identity;
+    }
+
+    /// The strongest stop that another process has sent through this link so far.
+    fn stopped(&mut self) -> Option<Urgent> {
+        None
+    }
+
+    /// The next question of another process, to be asked between two requests.
+    fn question(&mut self) -> Option<Question> {
+        None
+    }
 }

@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use crate::client::{Begun, Observer, Progress, Recorded};
 use crate::decimal;
 use crate::identity::IdentityRecord;
+use crate::limited;
 
 /// Version of the sidecar's format; incremented when a field changes its meaning.
 pub const FORMAT: u32 = 1;
@@ -317,7 +318,8 @@ impl Trial {
     /// # Errors
     /// It cannot be read or is not a sidecar of this format.
     pub fn read(path: &Path) -> Result<Self, RecordError> {
-        let text = fs::read_to_string(path).map_err(|io| RecordError::read(path, io))?;
+        let text =
+            limited::read_text(path, limited::RECORD).map_err(|io| RecordError::read(path, io))?;
         let trial: Self =
             serde_json::from_str(&text).map_err(|json| RecordError::read(path, json))?;
         if trial.format != FORMAT {

@@ -33,9 +33,8 @@ fn impossible_runs_are_refused_before_a_link_is_opened() {
         (&["--stroke-mm", "131"][..], 3, "at most 130.000 mm"),
         (&["--stroke-mm", "0"], 3, "more than zero"),
         (&["--cycles", "0"], 3, "use 1..=10000"),
-        (&["--duration-s", "10"], 3, "--duration-s 22.80"),
-        (&["--duration-s", "10"], 3, "--accel-mm-s2 520"),
-        (&["--duration-s", "0"], 3, "--duration-s 22.80"),
+        (&["--duration-s", "10"], 3, "--duration-s 31.430613"),
+        (&["--duration-s", "0"], 3, "--duration-s 31.430613"),
         (&["--accel-mm-s2", "0"], 3, "acceleration is zero"),
         (&["--speed-mm-s", "0"], 3, "speed is zero"),
         (&["--stroke-mm", "NaN"], 2, "not a number"),
@@ -135,6 +134,14 @@ fn help_completions_and_manual_are_there() {
     assert!(code == 0 && out.contains("estop"));
     let (code, out, _) = retrograde(&["man"]);
     assert!(code == 0 && out.starts_with(".ie"), "{out}");
+    let (code, out, _) = retrograde(&["man", "settings", "set"]);
+    assert!(
+        code == 0 && out.contains("retrograde-settings-set"),
+        "{out}"
+    );
+    assert!(out.contains("store it in flash"), "{out}");
+    let (_, out, _) = retrograde(&["--help"]);
+    assert!(out.contains("retrograde run --cycles 5"), "{out}");
 }
 
 #[test]

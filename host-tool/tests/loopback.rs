@@ -423,6 +423,24 @@ fn silence_is_reported_as_what_it_means() {
 }
 
 #[test]
+fn silence_while_something_moves_says_that_it_may_be_moving() {
+    let mut script = Script::new(DeviceKind::Rig);
+    script.ready = true;
+    script.deaf_to = vec![("GetRigStatus", 99)];
+    let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 1).expect("a rig");
+    let accepted = rig.run(SHORT_RUN).expect("accepted");
+    let error = rig.wait_run(&accepted, &mut Unobserved);
+    let error = error.expect_err("silent");
+    let text = error.to_string();
+    assert!(matches!(error, ClientError::Silent { .. }), "{error:?}");
+    assert!(
+        text.contains("the run") && text.contains("MAY BE MOVING"),
+        "{text}"
+    );
+    assert!(!text.contains("nothing was done"), "{text}");
+}
+
+#[test]
 fn the_device_is_the_authority_on_the_stroke() {
     let (mut rig, log) = homed_rig(Script::new(DeviceKind::Rig));
     let error = rig

@@ -71,6 +71,18 @@ impl Connector for BenchPorts {
         })
     }
 
+    fn open_to_stop(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        match address {
+            Address::Virtual => self.open(kind, address, baud),
+            _ => Ports.open_to_stop(kind, address, baud),
+        }
+    }
+
     fn candidates(&self) -> Vec<Candidate> {
         Ports.candidates()
     }

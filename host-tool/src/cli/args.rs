@@ -13,12 +13,25 @@ use crate::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
 use crate::link::address::Address;
 use crate::link::serial::DEFAULT_BAUD;
 
+const EXAMPLES: &str = "\
+Examples:
+  retrograde devices                            which machines are there
+  retrograde --rig /dev/ttyACM0 info            how the rig is, also while it runs
+  retrograde home                               find the position, before a run
+  retrograde run --cycles 5 --duration-s 40     the paper's run, recorded in retrograde-data
+  retrograde run --stroke-mm 60 --speed-mm-s 10 --note 'second body'
+  retrograde plan --duration-s 40 --plot run.svg   the same without a rig
+  retrograde stop                               stop all machines, from any terminal
+  retrograde report retrograde-data --out report.html
+
+`retrograde man run | man -l -` shows the manual page of a subcommand.";
+
 /// Peristaltic waves on the rig, a folding capsule, and the data of both.
 ///
 /// Ctrl-C stops in a controlled way and keeps the position; twice is the emergency stop. This is not a certified
 /// safety function: a hard-wired switch in the motor supply is required.
 #[derive(Debug, Parser)]
-#[command(name = "retrograde", version, arg_required_else_help = true)]
+#[command(name = "retrograde", version, arg_required_else_help = true, after_help = EXAMPLES)]
 pub struct Cli {
     /// The rig: `auto`, a serial port, `tcp:HOST:PORT`, or `virtual`.
     #[arg(long, global = true, env = "RETROGRADE_RIG", value_name = "WHERE")]
@@ -27,7 +40,7 @@ pub struct Cli {
     #[arg(long, global = true, env = "RETROGRADE_CAPSULE", value_name = "WHERE")]
     pub capsule: Option<Address>,
     /// Speed of serial ports.
-    #[arg(long, global = true, default_value_t = DEFAULT_BAUD)]
+    #[arg(long, global = true, default_value_t = DEFAULT_BAUD, value_parser = clap::value_parser!(u32).range(300..=4_000_000))]
     pub baud: u32,
     /// Print one JSON object on standard output; everything else goes to standard error.
     #[arg(long, global = true)]
@@ -99,8 +112,11 @@ pub enum Subcommand {
         /// The shell.
         shell: clap_complete::Shell,
     },
-    /// Print the manual page (roff).
-    Man,
+    /// Print the manual page (roff) of the program, or of a subcommand.
+    Man {
+        /// The subcommand, such as `run` or `settings set`.
+        subcommand: Vec<String>,
+    },
 }
 
 /// What to do with settings.
@@ -339,7 +355,7 @@ pub enum OnLinkLoss {
 #[derive(Debug, Args)]
 pub struct Waves {
     /// Out-and-home cycles, 1 to 10000.
-    #[arg(long, default_value = "5", value_parser = cycles)]
+    #[arg(long, default_value = "5", value_parser = cycles, allow_negative_numbers = true)]
     pub cycles: u16,
     /// Stroke in mm.
     #[arg(
@@ -549,6 +565,9 @@ pub struct FlashArgs {
     /// The debug probe, `VID:PID:SERIAL`, if several are connected.
     #[arg(long, value_name = "PROBE")]
     pub probe: Option<String>,
+    /// Only look at the image; needs no probe and no board.
+    #[arg(long)]
+    pub dry_run: bool,
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ use motion::run::RunError;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
+use crate::cli::stops::{self, Delivery, Told};
 use crate::decimal;
 use crate::error::ClientError;
 use crate::experiment::ExperimentError;
@@ -18,6 +19,7 @@ use crate::link::OpenError;
 use crate::report::ReportError;
 use crate::report::figures::FigureError;
 use crate::trial::{RecordError, Status};
+use crate::wording;
 
 /// Success.
 pub const DONE: u8 = 0;
@@ -35,6 +37,8 @@ pub const MISMATCH: u8 = 5;
 pub const FAULT: u8 = 6;
 /// Whether the command was carried out is unknown: look at the machine.
 pub const UNKNOWN: u8 = 7;
+/// A stop did not reach a machine.
+pub const NOT_DELIVERED: u8 = 8;
 /// Stopped by the operator.
 pub const STOPPED: u8 = 130;
 
@@ -66,14 +70,14 @@ pub enum Failure {
     #[diagnostic(code(retrograde::figure))]
     Figure(#[from] FigureError),
     /// The run is infeasible.
-    #[error("{0}")]
+    #[error("{}", wording::infeasible(.0))]
     #[diagnostic(
         code(retrograde::infeasible),
         help("{}nothing was sent; `retrograde plan` tries runs without a rig", way_out(.0))
     )]
     Run(#[from] RunError),
     /// The screw is impossible.
-    #[error("{0}")]
+    #[error("{}", wording::axis(.0))]
     #[diagnostic(code(retrograde::axis))]
     Axis(#[from] AxisError),
     /// A number that the models do not cover.
@@ -141,6 +145,18 @@ pub enum Failure {
         /// The operating system's reason.
         io: io::Error,
     },
+    /// The result could not be written. What was asked for has been done.
+    #[error("standard output: {io}; the command was carried out, its result is lost")]
+    #[diagnostic(
+        code(retrograde::output),
+        help(
+            "write to a device with free space; do not repeat a command that moves without looking"
+        )
+    )]
+    Output {
+        /// The operating system's reason.
+        io: io::Error,
+    },
     /// Refused by this program itself, or requested too late.
     #[error("{why}")]
     #[diagnostic(code(retrograde::refused), help("{help}"))]
@@ -183,6 +199,13 @@ pub enum Failure {
         /// What the user can do.
         help: String,
     },
+    /// A stop that not every machine has confirmed.
+    #[error("{}", stops::summary(told))]
+    #[diagnostic(code(retrograde::stop), help("{}", stops::DO_NOW))]
+    Stops {
+        /// What became of it, for each machine.
+        told: Vec<Told>,
+    },
     /// The image could not be flashed.
     #[error("{why}")]
     #[diagnostic(code(retrograde::flash), help("{help}"))]
@@ -192,6 +215,22 @@ pub enum Failure {
         /// What the user can do.
         help: String,
     },
+}
+
+/// For `--json`, a command line that cannot be understood; `text` is what a person is told.
+pub(crate) fn usage(text: &str) -> Value {
+    let mut parts = text.trim().splitn(2, "\n\n");
+    let mut part = || parts.next().unwrap_or_default().trim().to_owned();
+    let message = part();
+    json!({
+        "ok": false,
+        "exit_code": USAGE,
+        "error": {
+            "code": "retrograde::usage",
+            "message": message.trim_start_matches("error: "),
+            "help": part(),
+        },
+    })
 }
 
 /// What kept a commissioning from completion.
@@ -282,6 +321,14 @@ impl Failure {
                 Unfinished::NotShown => REFUSED,
                 Unfinished::Left => STOPPED,
             },
+            Self::Stops { told } => {
+                let undelivered = |told: &Told| told.delivery == Delivery::NotDelivered;
+                if told.iter().any(undelivered) {
+                    NOT_DELIVERED
+                } else {
+                    UNKNOWN
+                }
+            }
             Self::Input { .. } | Self::Range(_) => USAGE,
             Self::Run(_) | Self::Axis(_) | Self::Refused { .. } => REFUSED,
             Self::Experiment(ExperimentError::Record(_))
@@ -289,6 +336,7 @@ impl Failure {
             | Self::Report(_)
             | Self::Figure(_)
             | Self::File { .. }
+            | Self::Output { .. }
             | Self::Flash { .. } => FAILED,
         }
     }
@@ -296,7 +344,7 @@ impl Failure {
     /// For `--json`.
     #[must_use]
     pub fn json(&self) -> Value {
-        json!({
+        let mut value = json!({
             "ok": false,
             "exit_code": self.exit_code(),
             "error": {
@@ -304,7 +352,11 @@ impl Failure {
                 "message": self.to_string(),
                 "help": self.help().map(|help| help.to_string()),
             },
-        })
+        });
+        if let Self::Stops { told } = self {
+            value["machines"] = told.iter().map(Told::json).collect();
+        }
+        value
     }
 
     /// For people.
@@ -328,11 +380,15 @@ fn client_code(error: &ClientError) -> u8 {
         | ClientError::NoAnswer { .. }
         | ClientError::WrongDevice { .. }
         | ClientError::NoReply { .. }
+        | ClientError::OwnerBusy { .. }
         | ClientError::SessionLost { .. } => NO_DEVICE,
         ClientError::Mismatch { .. } => MISMATCH,
-        ClientError::Refused { .. } | ClientError::Rejected { .. } => REFUSED,
+        ClientError::Refused { .. } | ClientError::Rejected { .. } | ClientError::Owned { .. } => {
+            REFUSED
+        }
         ClientError::OutcomeUnknown { .. }
         | ClientError::StopUnconfirmed { .. }
+        | ClientError::Silent { .. }
         | ClientError::WrongResponse { .. } => UNKNOWN,
         ClientError::Overdue { .. } => FAULT,
         ClientError::NotHomed { fault } => {

@@ -5,6 +5,7 @@ use protocol::system::{DeviceKind, Identity, Urgent};
 use crate::cli::args::{Cli, Which};
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
+use crate::cli::windows;
 use crate::client::Device;
 use crate::connector::{Candidate, Connector};
 use crate::error::ClientError;
@@ -14,10 +15,21 @@ use crate::link::address::Address;
 /// Both machines.
 const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
 
+/// How many owners of a line may end while this process looks through their doors.
+const OWNERS: u32 = 5;
+
 /// A place and the answer from it.
 pub(crate) struct Found {
     pub(crate) candidate: Candidate,
     pub(crate) answer: Result<Identity, Failure>,
+}
+
+/// A machine to stop.
+pub(crate) struct Target {
+    /// Its kind, if it is known.
+    pub(crate) kind: Option<DeviceKind>,
+    /// Its place, unless it has to be found.
+    pub(crate) address: Option<Address>,
 }
 
 /// Finds machines.
@@ -52,9 +64,20 @@ impl Finder<'_> {
 
     /// Opens a session with a machine of this kind, whatever protocol version it speaks.
     pub(crate) fn greet(&self, kind: DeviceKind) -> Result<Device, Failure> {
-        let mut device = self.open(kind, &self.resolve(kind)?)?;
-        device.set_interrupt(interrupt::install());
-        device.hello(self.connector.nonce())?;
+        let address = self.resolve(kind)?;
+        let mut device = self.open(kind, &address)?;
+        // The owner of the line may end while it is asked; then the line is free.
+        for attempt in 1.. {
+            windows::admit(&self.cli.subcommand, &device)?;
+            device.set_interrupt(interrupt::install());
+            match device.hello(self.connector.nonce()) {
+                Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {
+                    device = self.open(kind, &address)?;
+                }
+                Err(error) => return Err(error.into()),
+                Ok(_) => break,
+            }
+        }
         match device.require(kind) {
             Err(error @ ClientError::WrongDevice { .. }) => Err(error.into()),
             _ => Ok(device),
@@ -62,43 +85,52 @@ impl Finder<'_> {
     }
 
     /// Sends an urgent stop before anything else, without a session. Returns the place that confirmed it.
-    pub(crate) fn urgent(
-        &self,
-        kind: DeviceKind,
-        address: &Address,
-        urgent: Urgent,
-    ) -> Result<String, Failure> {
-        let mut device = self.open(kind, address)?;
-        device.urgent(urgent)?;
-        Ok(device.place())
+    pub(crate) fn urgent(&self, target: &Target, urgent: Urgent) -> Result<String, Failure> {
+        let kind = target.kind.unwrap_or(DeviceKind::Rig);
+        let address = match &target.address {
+            Some(address) => address,
+            None => &self.resolve(kind)?,
+        };
+        let mut attempt = 0;
+        loop {
+            attempt += 1;
+            let baud = self.cli.baud;
+            let link = self.connector.open_to_stop(kind, address, baud)?;
+            let mut device = Device::new(link);
+            match device.urgent(urgent) {
+                Ok(()) => return Ok(device.place()),
+                // The owner of the line has ended; then the line is free.
+                Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
     }
 
-    /// The places to send an urgent stop to: those given by the user, or else every place that may be probed. Nobody is
-    /// asked for an identity first.
-    pub(crate) fn places_to_stop(
-        &self,
-        which: &Which,
-    ) -> Result<Vec<(DeviceKind, Address)>, Failure> {
-        if let Some(machine) = which.machine {
-            let kind = machine.into();
-            return Ok(vec![(kind, self.resolve(kind)?)]);
+    /// Where to send an urgent stop: to the machines given by the user, or else to every place that may be probed.
+    /// Sends nothing; only the place of a machine given as `auto` has to be found by asking.
+    pub(crate) fn targets_to_stop(&self, which: &Which) -> Vec<Target> {
+        let kinds = match which.machine {
+            Some(machine) => vec![machine.into()],
+            None => self.addressed(),
+        };
+        if kinds.is_empty() {
+            let candidates = self.connector.candidates().into_iter();
+            return candidates
+                .filter(|candidate| candidate.may_ask)
+                .map(|candidate| Target {
+                    kind: candidate.kind,
+                    address: Some(candidate.address),
+                })
+                .collect();
         }
-        let kinds = self.addressed();
-        if !kinds.is_empty() {
-            let place = |kind| Ok((kind, self.resolve(kind)?));
-            return kinds.into_iter().map(place).collect();
-        }
-        let places: Vec<_> = self
-            .connector
-            .candidates()
-            .into_iter()
-            .filter(|candidate| candidate.may_ask)
-            .map(|candidate| (candidate.kind.unwrap_or(DeviceKind::Rig), candidate.address))
-            .collect();
-        if places.is_empty() {
-            return Err(Failure::NothingFound { there: list(&[]) });
-        }
-        Ok(places)
+        let target = |kind| Target {
+            kind: Some(kind),
+            address: self
+                .address(kind)
+                .filter(|address| **address != Address::Auto)
+                .cloned(),
+        };
+        kinds.into_iter().map(target).collect()
     }
 
     fn open(&self, kind: DeviceKind, address: &Address) -> Result<Device, Failure> {

@@ -1,17 +1,29 @@
-//! Flashing through the `probe-rs` program.
+//! Flashing through the `probe-rs` program: the image is looked at before, and the board is asked who it is afterwards.
 
 use std::path::PathBuf;
 use std::process::Command;
+use std::thread;
+use std::time::{Duration, Instant};
 
-use protocol::system::DeviceKind;
+use protocol::rig::GetRigHealth;
+use protocol::system::{BuildProfile, DeviceKind, Identity};
 use serde_json::{Value, json};
 
 use crate::cli::args::FlashArgs;
 use crate::cli::failure::Failure;
+use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
-use crate::identity;
+use crate::door::lock::Doorway;
+use crate::identity::{self, IdentityRecord};
+use crate::image::{self, Image};
 
 const CHIP: &str = "STM32F411RETx";
+
+/// How long a board has to answer after its reset.
+const START: Duration = Duration::from_secs(3);
+
+/// Interval between two attempts to reach it.
+const AGAIN: Duration = Duration::from_millis(100);
 
 /// Where `cargo xtask images` leaves a machine's image.
 pub(crate) fn built(machine: DeviceKind) -> PathBuf {
@@ -21,32 +33,123 @@ pub(crate) fn built(machine: DeviceKind) -> PathBuf {
     ))
 }
 
-pub(crate) fn flash(args: &FlashArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let name = identity::kind_name(args.machine.into());
-    let image = args
-        .image
-        .clone()
-        .unwrap_or_else(|| built(args.machine.into()));
-    if !image.is_file() {
+pub(crate) fn flash(
+    args: &FlashArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let kind = args.machine.into();
+    let name = identity::kind_name(kind);
+    let path = args.image.clone().unwrap_or_else(|| built(kind));
+    if !path.exists() {
         return Err(Failure::Flash {
-            why: format!("there is no image at {}", image.display()),
+            why: format!("there is no image at {}", path.display()),
             help: "build the images with `cargo xtask images` in the workspace, or give one with `--image ELF`".to_owned(),
         });
     }
+    let image = image::inspect(&path, kind).map_err(|unfit| Failure::Input {
+        why: format!("{} cannot be flashed: {unfit}", path.display()),
+        help: format!(
+            "nothing was flashed; `cargo xtask images` in the workspace makes `{}`",
+            built(kind).display()
+        ),
+    })?;
+    leave_alone(kind, finder)?;
     screen.say(&format!(
-        "Flashing {} to the {name}'s board through probe-rs, then resetting it. Nothing moves.",
-        image.display()
+        "{}: image of the {name}, {} bytes of flash, fingerprint {:08x}. It leaves settings and events as they are.",
+        path.display(),
+        image.bytes,
+        image.fingerprint
+    ));
+    let text = path.display().to_string();
+    let done = |dry_run: bool, identity: Option<&Identity>| {
+        json!({
+            "image": text,
+            "chip": CHIP,
+            "bytes": image.bytes,
+            "fingerprint": format!("{:08x}", image.fingerprint),
+            "dry_run": dry_run,
+            "identity": identity.map(IdentityRecord::from),
+        })
+    };
+    if args.dry_run {
+        screen.say("Nothing was flashed: a dry run.");
+        return Ok(done(true, None));
+    }
+    screen.say(&format!(
+        "Flashing it to the {name}'s board through probe-rs, then resetting it. Nothing moves."
     ));
     let probe = args
         .probe
         .iter()
         .flat_map(|probe| ["--probe", probe.as_str()])
         .collect::<Vec<_>>();
-    let image_text = image.display().to_string();
-    probe_rs(&["download", "--chip", CHIP, &image_text], &probe, screen)?;
+    probe_rs(&["download", "--chip", CHIP, &text], &probe, screen)?;
     probe_rs(&["reset", "--chip", CHIP], &probe, screen)?;
-    screen.say("Flashed.");
-    Ok(json!({ "image": image_text, "chip": CHIP }))
+    let identity = ask(kind, &image, finder)?;
+    screen.say(&format!("Flashed. {}", identity::line(&identity)));
+    if identity.profile == BuildProfile::Debug {
+        screen.say("warning: this image was built without optimisation; `cargo xtask images` builds the one for use");
+    }
+    Ok(done(false, Some(&identity)))
+}
+
+/// Refuses while another process works with the machine: a reset would end what it does.
+fn leave_alone(kind: DeviceKind, finder: &Finder<'_>) -> Result<(), Failure> {
+    let Some(address) = finder.address(kind) else {
+        return Ok(());
+    };
+    let Some(doorway) = Doorway::of(address)? else {
+        return Ok(());
+    };
+    if doorway.claim()?.is_some() {
+        return Ok(());
+    }
+    let owner = doorway.owner().map_or_else(
+        || "another `retrograde`".to_owned(),
+        |owner| owner.to_string(),
+    );
+    Err(Failure::Refused {
+        why: format!("{} belongs to {owner}", doorway.place()),
+        help: "nothing was flashed: wait until that process ends, or end it with Ctrl-C in its terminal".to_owned(),
+    })
+}
+
+/// Asks the board who it is now.
+fn ask(kind: DeviceKind, image: &Image, finder: &Finder<'_>) -> Result<Identity, Failure> {
+    let begin = Instant::now();
+    loop {
+        let found = finder.connect(kind).and_then(|mut device| {
+            let running = match kind {
+                DeviceKind::Rig => Some(device.call(GetRigHealth)?.image_hash),
+                DeviceKind::Capsule => None,
+            };
+            Ok((device.identity().copied(), running))
+        });
+        match found {
+            Ok((Some(identity), None)) => return Ok(identity),
+            Ok((Some(identity), Some(running))) if running == image.fingerprint => {
+                return Ok(identity);
+            }
+            Ok((_, running)) => {
+                return Err(Failure::Flash {
+                    why: format!(
+                        "probe-rs has flashed a board, but the machine here runs image {:08x}, not {:08x}",
+                        running.unwrap_or_default(),
+                        image.fingerprint
+                    ),
+                    help: "was it another board? `probe-rs list` shows the probes, `retrograde devices` the machines".to_owned(),
+                });
+            }
+            Err(_) if begin.elapsed() < START => thread::sleep(AGAIN),
+            Err(failure) => {
+                return Err(Failure::Flash {
+                    why: format!("flashed and reset, but the board was not found again: {failure}"),
+                    help: "look at its LED, then at `retrograde devices`; say where it is with `--rig` or `--capsule`".to_owned(),
+                });
+            }
+        }
+    }
 }
 
 fn probe_rs(args: &[&str], probe: &[&str], screen: &mut Screen<'_>) -> Result<(), Failure> {

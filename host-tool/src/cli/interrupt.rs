@@ -1,5 +1,6 @@
 //! Ctrl-C, SIGTERM and SIGHUP: once is a controlled stop, twice the emergency stop.
 
+use std::io::{self, IsTerminal};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, OnceLock};
 
@@ -20,8 +21,14 @@ pub(crate) fn install() -> Interrupt {
             let _ = ctrlc::set_handler(move || {
                 let before = count.load(Ordering::Relaxed);
                 count.store(before.saturating_add(1), Ordering::Relaxed);
+                // The progress bar stands in this line: away with it.
+                let clear = if io::stderr().is_terminal() {
+                    "\r\x1b[2K"
+                } else {
+                    ""
+                };
                 eprintln!(
-                    "{}",
+                    "{clear}{}",
                     match before {
                         0 => "stopping; once more for the emergency stop",
                         _ => "emergency stop",

@@ -1,10 +1,12 @@
 //! Commands that talk to a machine.
 
 use protocol::capsule::{ActuationKind, CapsuleStatus};
+use protocol::error::Refusal;
 use protocol::rig::RigStatus;
-use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip, Urgent};
+use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
 use serde_json::{Map, Value, json};
 
+use crate::cli::already;
 use crate::cli::args::{DATA_FOLDER, RecordArgs, RunArgs, TraceArgs, Which};
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, line};
@@ -13,6 +15,7 @@ use crate::cli::screen::Screen;
 use crate::client::matches;
 use crate::commission::warning;
 use crate::decimal;
+use crate::error::ClientError;
 use crate::experiment;
 use crate::identity::{self, IdentityRecord};
 use crate::plan;
@@ -261,6 +264,9 @@ pub(crate) fn actuate(
         ),
     };
     let mut capsule = finder.connect(DeviceKind::Capsule)?;
+    if let Some(result) = already::actuated(kind, &mut capsule, screen)? {
+        return Ok(result);
+    }
     screen.say(what);
     let recording = recording(args, stem, finder);
     let trial = experiment::actuate(&mut capsule, kind, &recording, &mut screen.live())?;
@@ -332,52 +338,50 @@ fn completed(
     })
 }
 
-pub(crate) fn stop(
-    urgent: Urgent,
-    which: &Which,
-    finder: &Finder<'_>,
-    screen: &mut Screen<'_>,
-) -> Result<Value, Failure> {
-    let text = match urgent {
-        Urgent::Stop => "stopped",
-        Urgent::EStop => "emergency stop latched; acknowledge before anything moves again",
-    };
-    let mut stopped = vec![];
-    let mut failed = None;
-    // One machine out of reach must not keep the other from stopping.
-    for (kind, address) in finder.places_to_stop(which)? {
-        match finder.urgent(kind, &address, urgent) {
-            Ok(place) => {
-                screen.say(&format!("{place}: {text}"));
-                stopped.push(place);
-            }
-            Err(failure) => {
-                screen.say(&format!("{address}: {failure}"));
-                failed.get_or_insert(failure);
-            }
-        }
-    }
-    match failed {
-        Some(failure) => Err(failure),
-        None => Ok(json!({ "stopped": stopped })),
-    }
-}
-
 pub(crate) fn acknowledge(
     which: &Which,
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let mut acknowledged = vec![];
+    let (mut acknowledged, mut nothing) = (vec![], None);
+    let mut failed = None;
+    // One machine without a fault must not keep the other from being acknowledged.
     for kind in finder.machines(which)? {
-        let mut device = finder.connect(kind)?;
-        device.acknowledge()?;
         let name = identity::kind_name(kind);
-        screen.say(&format!(
-            "{name} at {}: fault acknowledged; nothing moved",
-            device.place()
-        ));
-        acknowledged.push(name);
+        let result = finder.connect(kind).and_then(|mut device| {
+            device.acknowledge()?;
+            Ok(device.place())
+        });
+        match result {
+            Ok(place) => {
+                screen.say(&format!(
+                    "{name} at {place}: fault acknowledged; nothing moved"
+                ));
+                acknowledged.push(name);
+            }
+            Err(Failure::Client(ClientError::Refused {
+                place,
+                request,
+                impact,
+                refusal: refusal @ Refusal::NothingToAcknowledge,
+            })) => {
+                screen.say(&format!("{name} at {place}: {refusal}"));
+                nothing.get_or_insert(ClientError::Refused {
+                    place,
+                    request,
+                    impact,
+                    refusal,
+                });
+            }
+            Err(failure) => {
+                screen.say(&format!("{name}: {failure}"));
+                failed.get_or_insert(failure);
+            }
+        }
     }
-    Ok(json!({ "acknowledged": acknowledged }))
+    match (failed, nothing) {
+        (Some(failure), _) => Err(failure),
+        (None, Some(nothing)) if acknowledged.is_empty() => Err(nothing.into()),
+        (None, _) => Ok(json!({ "acknowledged": acknowledged })),
+    }
 }

@@ -5,11 +5,12 @@ use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 
+use crate::cli::already;
 use crate::cli::args::{JogArgs, MoveArgs};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
-use crate::client::{Device, Unobserved};
+use crate::client::{Device, Unobserved, while_moving};
 use crate::decimal;
 use crate::error::ClientError;
 use crate::trial::Status;
@@ -74,8 +75,10 @@ pub(crate) fn jog(
     let mut early = false;
     while !early && rig.now_us() < end_us {
         let left_us = end_us - rig.now_us();
-        rig.idle(left_us.min(renew_us), &mut Unobserved)?;
-        early = rig.rig_status()?.state != RigState::Moving;
+        let silent = |error| while_moving("the jog", error);
+        rig.idle(left_us.min(renew_us), &mut Unobserved)
+            .map_err(silent)?;
+        early = rig.rig_status().map_err(silent)?.state != RigState::Moving;
         if !early && rig.now_us() < end_us {
             early = match rig.call(jog) {
                 Ok(_) => false,
@@ -108,10 +111,20 @@ pub(crate) fn move_to(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let mut rig = finder.connect(DeviceKind::Rig)?;
-    let accepted = rig.call(rig::MoveTo {
+    let accepted = match rig.call(rig::MoveTo {
         position_um: args.position_mm.0,
         speed_um_s: args.speed_mm_s.0,
-    })?;
+    }) {
+        Err(error) if already::is_there(&error) => {
+            let status = rig.rig_status()?;
+            screen.say(&format!(
+                "The carriage is at {} mm already; nothing moved.",
+                millimetres(&status)
+            ));
+            return Ok(json!({ "already": true, "status": status }));
+        }
+        accepted => accepted?,
+    };
     screen.say(&format!(
         "{} steps in {} s, {} mm/s at most.",
         accepted.stroke.steps,

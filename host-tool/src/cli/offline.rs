@@ -119,13 +119,24 @@ pub(crate) fn completions(
     print(&script, "completions", screen)
 }
 
-pub(crate) fn man(screen: &mut Screen<'_>) -> Result<Value, Failure> {
+pub(crate) fn man(names: &[String], screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let mut command = Cli::command();
+    command.build();
+    let mut page_of = &command;
+    for name in names {
+        page_of = page_of
+            .find_subcommand(name)
+            .ok_or_else(|| Failure::Input {
+                why: format!("there is no subcommand `{name}`"),
+                help: "`retrograde --help` lists them".to_owned(),
+            })?;
+    }
     let mut page = vec![];
     let failed = |io| Failure::File {
         path: "man".into(),
         io,
     };
-    clap_mangen::Man::new(Cli::command())
+    clap_mangen::Man::new(page_of.clone())
         .render(&mut page)
         .map_err(failed)?;
     print(&page, "man", screen)

@@ -1,6 +1,6 @@
 //! Output of a command. Results and progress go to standard output; with `--json` progress goes to standard error.
 
-use std::io::Write;
+use std::io::{self, Write};
 
 use serde_json::Value;
 
@@ -17,6 +17,8 @@ pub(crate) struct Screen<'a> {
     pub(crate) terminal: bool,
     /// The person at the terminal; none with `--json`.
     pub(crate) keyboard: Option<Keyboard>,
+    /// Why standard output does not take the result.
+    pub(crate) failed: Option<io::Error>,
 }
 
 impl Screen<'_> {
@@ -24,9 +26,22 @@ impl Screen<'_> {
         if self.json { self.err } else { self.out }
     }
 
-    /// Prints a line. A closed pipe must not end the supervision of a machine, so errors are ignored.
+    /// Prints a line. An output that fails must not end the supervision of a machine: the command goes on, and fails at
+    /// its end.
     pub(crate) fn say(&mut self, text: &str) {
-        let _ = writeln!(self.stream(), "{text}");
+        let written = writeln!(self.stream(), "{text}");
+        if !self.json {
+            self.note(written);
+        }
+    }
+
+    /// Keeps the first error of standard output. Whoever closes a pipe has read enough.
+    fn note(&mut self, written: io::Result<()>) {
+        if let Err(io) = written
+            && io.kind() != io::ErrorKind::BrokenPipe
+        {
+            self.failed.get_or_insert(io);
+        }
     }
 
     /// Prints a hint that is not part of the output.
@@ -59,9 +74,19 @@ impl Screen<'_> {
                     if let Some(object) = value.as_object_mut() {
                         object.shift_insert(0, "ok".to_owned(), Value::Bool(true));
                     }
-                    let _ = writeln!(self.out, "{value:#}");
+                    let written = writeln!(self.out, "{value:#}");
+                    self.note(written);
                 }
-                DONE
+                let flushed = self.out.flush();
+                self.note(flushed);
+                match self.failed.take() {
+                    None => DONE,
+                    Some(io) => {
+                        let failure = Failure::Output { io };
+                        let _ = writeln!(self.err, "{}", failure.text());
+                        failure.exit_code()
+                    }
+                }
             }
             Err(failure) => {
                 if self.json {

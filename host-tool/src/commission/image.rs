@@ -1,10 +1,11 @@
 //! The fingerprint of an image file, as the rig calculates it over its flash.
 
-use std::fs;
 use std::path::Path;
 
 use object::read::elf::{ElfFile32, ProgramHeader as _};
 use object::{Endianness, Object as _, ObjectSymbol as _};
+
+use crate::limited;
 
 /// Flash of the STM32F411RE.
 const MOST_BYTES: usize = 512 * 1024;
@@ -38,7 +39,7 @@ pub enum ImageError {
 /// # Errors
 /// The file is no image.
 pub fn fingerprint(path: &Path) -> Result<u32, ImageError> {
-    let file = fs::read(path)?;
+    let file = limited::read(path, limited::IMAGE)?;
     let elf = ElfFile32::<Endianness>::parse(&*file)?;
     let symbol = |name: &'static str| {
         elf.symbol_by_name(name)

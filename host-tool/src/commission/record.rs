@@ -14,8 +14,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use crate::client::Device;
+use crate::diagnosis::Sign;
 use crate::error::ClientError;
 use crate::identity::{IdentityRecord, kind_name};
+use crate::limited;
 use crate::trial::{RecordError, replace};
 
 /// Version of the format; incremented when a field changes its meaning.
@@ -58,7 +60,10 @@ impl Subject {
     pub fn of(device: &mut Device) -> Result<Self, ClientError> {
         let Some(identity) = device.identity().copied() else {
             let place = device.place();
-            return Err(ClientError::NoAnswer { place });
+            return Err(ClientError::NoAnswer {
+                place,
+                sign: Sign::Silence,
+            });
         };
         let mut subject = Self::of_identity(&identity);
         if identity.device == DeviceKind::Rig {
@@ -194,7 +199,7 @@ impl Commissioning {
             why,
             remedy: "give the file that `retrograde commission` wrote for this board, or another name: `--record FILE`",
         };
-        let text = match fs::read_to_string(path) {
+        let text = match limited::read_text(path, limited::RECORD) {
             Ok(text) => text,
             Err(io) if io.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(io) => return Err(error(io.to_string())),

@@ -22,7 +22,10 @@ pub enum AddressError {
     /// The text is empty.
     #[error("empty: use `auto`, a serial port such as /dev/ttyACM0, `tcp:HOST:PORT`, or `virtual`")]
     Empty,
-    /// `tcp:` without a host or without a port in 1..=65535.
+    /// A port that no server can have.
+    #[error("port {0} does not exist: ports are 1 to 65535")]
+    Port(String),
+    /// `tcp:` without a host or without a port.
     #[error("`{0}` has no host or no port: write `tcp:HOST:PORT`, for example tcp:127.0.0.1:7001")]
     Tcp(String),
 }
@@ -41,6 +44,13 @@ impl FromStr for Address {
                         if !host.is_empty() && port.parse::<u16>().is_ok_and(|port| port > 0) =>
                     {
                         Ok(Self::Tcp(rest.to_owned()))
+                    }
+                    Some((host, port))
+                        if !host.is_empty()
+                            && !port.is_empty()
+                            && port.bytes().all(|byte| byte.is_ascii_digit()) =>
+                    {
+                        Err(AddressError::Port(port.to_owned()))
                     }
                     _ => Err(AddressError::Tcp(text.to_owned())),
                 },
@@ -90,5 +100,8 @@ mod tests {
         ] {
             assert!(text.parse::<Address>().is_err(), "{text:?}");
         }
+        let port = |text: &str| text.parse::<Address>().map_err(|error| error.to_string());
+        let no = "port 99999 does not exist: ports are 1 to 65535";
+        assert_eq!(port("tcp:host:99999"), Err(no.to_owned()));
     }
 }

@@ -1,11 +1,13 @@
 //! A link to a machine at a serial port, which this process opens exclusively.
 
 use std::fs;
+use std::io;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
 
+use crate::link::shared::{Halves, READ};
 use crate::link::tcp::{nothing_yet, timeout, wall_us};
 use crate::link::{Link, LinkError, OpenError};
 
@@ -17,6 +19,9 @@ const STMICROELECTRONICS: u16 = 0x0483;
 
 /// Time limit for a write. A frame of 170 bytes takes 15 ms, so a port that takes longer than this is stuck.
 const WRITE: Duration = Duration::from_secs(1);
+
+/// Why a port ends.
+const GONE: &str = "the port is gone";
 
 /// A serial port.
 pub struct Serial {
@@ -41,6 +46,18 @@ impl Serial {
             path: path.to_owned(),
             port,
             start: Instant::now(),
+        })
+    }
+
+    /// Both directions for two threads.
+    pub(crate) fn halves(mut self) -> io::Result<Halves> {
+        let mut reader = self.port.try_clone()?;
+        reader.set_timeout(READ)?;
+        self.port.set_timeout(WRITE)?;
+        Ok(Halves {
+            reader: Box::new(reader),
+            writer: Box::new(self.port),
+            end: GONE,
         })
     }
 
@@ -74,7 +91,7 @@ impl Link for Serial {
             .set_timeout(timeout)
             .map_err(|error| self.lost(error))?;
         match self.port.read(buffer) {
-            Ok(0) => Err(self.lost("the port is gone")),
+            Ok(0) => Err(self.lost(GONE)),
             Ok(count) => Ok(count),
             Err(io) if nothing_yet(io.kind()) => Ok(0),
             Err(io) => Err(self.lost(io)),
@@ -125,9 +142,11 @@ pub fn ports() -> Vec<Port> {
 fn explain(path: &str, error: &serialport::Error) -> OpenError {
     let exists = Path::new(path).exists();
     let (why, remedy) = match error.kind() {
-        ErrorKind::Io(std::io::ErrorKind::PermissionDenied) => (
+        ErrorKind::Io(io::ErrorKind::PermissionDenied) => (
             "no permission".to_owned(),
             match group(path) {
+                // Membership of that group is not for a user.
+                Some(group) if group == "root" => "the port belongs to the administrator alone: a udev rule that gives it to a group of yours (`dialout`), or `sudo setfacl -m u:$USER:rw` on the port until it is unplugged".to_owned(),
                 Some(group) => format!(
                     "the port belongs to the group `{group}`: run `sudo usermod -aG {group} $USER`, then log out and in again"
                 ),
@@ -140,6 +159,11 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
                 None => "in use by another program".to_owned(),
             },
             "close that program (a serial monitor, another `retrograde`, ModemManager), then try again".to_owned(),
+        ),
+        _ if exists && !is_a_device(path) => (
+            "it is no serial port".to_owned(),
+            "give a serial port, such as /dev/ttyACM0; `retrograde devices` lists the ports"
+                .to_owned(),
         ),
         _ if !exists && cfg!(unix) => (
             "there is no such port".to_owned(),
@@ -155,6 +179,21 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
         why,
         remedy,
     }
+}
+
+/// Whether a path may be a port: neither a file nor a folder, nor a device without a line.
+#[cfg(unix)]
+fn is_a_device(path: &str) -> bool {
+    use std::io::IsTerminal;
+    use std::os::unix::fs::FileTypeExt;
+    let device = fs::metadata(path).is_ok_and(|found| found.file_type().is_char_device());
+    // One that cannot be opened may be anything.
+    device && fs::File::open(path).map_or(true, |file| file.is_terminal())
+}
+
+#[cfg(not(unix))]
+fn is_a_device(_path: &str) -> bool {
+    true
 }
 
 /// Name of the group that owns a file.

@@ -1,13 +1,17 @@
 //! A link to a machine behind a TCP server, which passes on the bytes of its serial port in real time.
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::{self, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
+use crate::link::shared::{Halves, READ};
 use crate::link::{Link, LinkError, OpenError};
 
-/// Time limit for a connection.
-const CONNECT: Duration = Duration::from_secs(5);
+/// Time limit for a write: a server that reads nothing for so long is stuck.
+const WRITE: Duration = Duration::from_secs(1);
+
+/// Why a connection ends.
+const CLOSED: &str = "the other end closed the connection";
 
 /// A TCP link.
 #[derive(Debug)]
@@ -18,11 +22,11 @@ pub struct Tcp {
 }
 
 impl Tcp {
-    /// Connects to `HOST:PORT`.
+    /// Connects to `HOST:PORT`, giving each address of the host so much time.
     ///
     /// # Errors
     /// [`OpenError`] if the name is unknown or nobody listens there.
-    pub fn open(host_port: &str) -> Result<Self, OpenError> {
+    pub fn open_within(host_port: &str, limit: Duration) -> Result<Self, OpenError> {
         let place = format!("tcp:{host_port}");
         let error = |why: String| OpenError {
             place: place.clone(),
@@ -35,7 +39,7 @@ impl Tcp {
             .to_socket_addrs()
             .map_err(|io| error(io.to_string()))?;
         for address in addresses {
-            match TcpStream::connect_timeout(&address, CONNECT) {
+            match TcpStream::connect_timeout(&address, limit) {
                 Ok(stream) => {
                     // Small frames must leave at once: a stop must not wait for more data.
                     stream
@@ -51,6 +55,17 @@ impl Tcp {
             }
         }
         Err(error(last))
+    }
+
+    /// Both directions for two threads.
+    pub(crate) fn halves(self) -> io::Result<Halves> {
+        self.stream.set_read_timeout(Some(READ))?;
+        self.stream.set_write_timeout(Some(WRITE))?;
+        Ok(Halves {
+            reader: Box::new(self.stream.try_clone()?),
+            writer: Box::new(self.stream),
+            end: CLOSED,
+        })
     }
 
     fn lost(&self, why: impl ToString) -> LinkError {
@@ -80,7 +95,7 @@ impl Link for Tcp {
             .set_read_timeout(Some(timeout))
             .map_err(|io| self.lost(io))?;
         match self.stream.read(buffer) {
-            Ok(0) => Err(self.lost("the other end closed the connection")),
+            Ok(0) => Err(self.lost(CLOSED)),
             Ok(count) => Ok(count),
             Err(io) if nothing_yet(io.kind()) => Ok(0),
             Err(io) => Err(self.lost(io)),

@@ -25,7 +25,7 @@ impl FromStr for Values {
         let mut values = vec![];
         for item in text.split(',') {
             let number = |part: &str| {
-                decimal::parse(part, DECIMALS, LARGEST).map_err(|why| format!("{part:?} is {why}"))
+                decimal::parse(part, DECIMALS, LARGEST).map_err(|why| format!("{part:?}: {why}"))
             };
             let parts: Vec<_> = item.split(':').collect();
             let (low, high, step) = match parts[..] {

@@ -67,8 +67,8 @@ fn a_refused_command_line_says_why_and_moves_nothing() {
     for (arguments, says) in [
         (&["--stroke-mm", "131"][..], "130"),
         (&["--cycles", "0"], "cycles"),
-        (&["--duration-s", "10"], "22.80"),
-        (&["--duration-s", "10", "--accel-mm-s2", "2000"], "49000"),
+        (&["--duration-s", "10"], "31.43"),
+        (&["--duration-s", "10", "--accel-mm-s2", "2000"], "49 mm/s"),
         (&["--stroke-mm", "NaN"], "NaN"),
         (&["--stroke-mm", "inf"], "inf"),
         (&["--duration-s", "1e999"], "1e999"),

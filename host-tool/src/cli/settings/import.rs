@@ -3,7 +3,6 @@
 
 use std::collections::BTreeSet;
 use std::fmt;
-use std::fs;
 use std::path::Path;
 
 use protocol::settings::{GetName, GetSetting, MAX_NAME, Name, Setting};
@@ -15,6 +14,7 @@ use crate::cli::failure::Failure;
 use crate::cli::settings::{checked_name, value_of};
 use crate::client::Device;
 use crate::error::ClientError;
+use crate::limited::{self, BY_HAND};
 
 /// The file. Unknown and repeated fields are errors.
 #[derive(serde::Deserialize)]
@@ -63,7 +63,7 @@ pub(super) fn read(file: &Path) -> Result<Wanted, Failure> {
         help: format!("nothing was sent; {help}"),
     };
     let written = "give a file that `retrograde settings export` wrote";
-    let text = fs::read_to_string(file).map_err(|io| unusable(io.to_string(), written))?;
+    let text = limited::read_text(file, BY_HAND).map_err(|io| unusable(io.to_string(), written))?;
     let parsed: File =
         serde_json::from_str(&text).map_err(|error| unusable(error.to_string(), written))?;
     let mut wrong = vec![];

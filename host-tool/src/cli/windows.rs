@@ -1,0 +1,59 @@
+//! What a command may do when another process owns the line.
+
+use crate::cli::args::{SettingsSubcommand, Subcommand};
+use crate::client::Device;
+use crate::error::ClientError;
+
+/// Refuses a command for the line's owner before anything is sent or recorded.
+///
+/// # Errors
+/// [`ClientError::Owned`] names the owner.
+pub(crate) fn admit(subcommand: &Subcommand, device: &Device) -> Result<(), ClientError> {
+    match (device.owner(), for_owner(subcommand)) {
+        (Some(owner), Some(request)) => Err(ClientError::Owned {
+            place: device.place(),
+            request,
+            owner: Box::new(owner.clone()),
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// The command, if it moves something or writes settings.
+fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
+    Some(match subcommand {
+        Subcommand::Home => "home",
+        Subcommand::Run(_) => "run",
+        Subcommand::Commission(_) => "commission",
+        Subcommand::Capsule { .. } => "capsule",
+        Subcommand::Fold(_) => "fold",
+        Subcommand::Unfold(_) => "unfold",
+        Subcommand::Jog(_) => "jog",
+        Subcommand::Move(_) => "move",
+        Subcommand::Settings { subcommand } => match subcommand {
+            SettingsSubcommand::Set { .. } => "settings set",
+            SettingsSubcommand::Import { .. } => "settings import",
+            SettingsSubcommand::Name { name: Some(_) } => "settings name",
+            SettingsSubcommand::Reset { .. } => "settings reset",
+            SettingsSubcommand::List
+            | SettingsSubcommand::Get { .. }
+            | SettingsSubcommand::Export { .. }
+            | SettingsSubcommand::Name { name: None } => return None,
+        },
+        Subcommand::Devices
+        | Subcommand::Info(_)
+        | Subcommand::Stop(_)
+        | Subcommand::Estop(_)
+        | Subcommand::Ack(_)
+        | Subcommand::Hold
+        | Subcommand::Resume
+        | Subcommand::Health
+        | Subcommand::Plan(_)
+        | Subcommand::Design(_)
+        | Subcommand::Simulate(_)
+        | Subcommand::Report(_)
+        | Subcommand::Flash(_)
+        | Subcommand::Completions { .. }
+        | Subcommand::Man { .. } => return None,
+    })
+}

@@ -1,0 +1,163 @@
+//! One owner of a line, many windows.
+//!
+//! The process that opens a line (a serial port or a TCP server) takes the line's lock and opens a *door* beside it. Any
+//! other process of the same user finds the door through the lock and looks through it: a [`window::Window`] is a
+//! [`crate::link::Link`], so that the whole client works over it.
+//!
+//! What goes through, and how:
+//!
+//! * A stop is written to the line at once by the door's own thread, whatever the owner is doing.
+//! * Reading, holding, resuming and acknowledging are questions: the owner asks them between two requests of its own, in its
+//!   own session, so that nothing is executed twice and the owner's requests keep their answers.
+//! * Telemetry and events are passed on as they come.
+//! * Everything else is for the owner alone: what moves, what writes settings, the interval of telemetry.
+//!
+//! # The door's protocol
+//!
+//! Its version is [`VERSION`]. Each side first sends one line of JSON that ends with a line feed: the guest a [`Knock`],
+//! the door a [`Welcome`]. From then on both send frames of the machines' protocol ([`protocol::frame`]), and the door is the
+//! device's end of a session of its own. It answers what it does not let through with
+//! [`protocol::error::WireError::Malformed`]. A guest need not wait for the welcome before it sends a stop.
+//!
+//! A version only ever adds fields to the two lines. Stops work between all versions.
+
+pub mod lock;
+pub mod server;
+pub(crate) mod stream;
+pub mod window;
+
+use std::fmt;
+
+use jiff::Timestamp;
+use protocol::table::{Impact, Request};
+use serde::{Deserialize, Serialize};
+
+/// Version of the door's protocol.
+pub const VERSION: u32 = 1;
+
+/// The longest first line of either side, bytes.
+pub(crate) const LONGEST_LINE: usize = 2_048;
+
+/// The longest command that is shown, in characters.
+const LONGEST_COMMAND: usize = 200;
+
+/// The process that owns a line.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Owner {
+    /// Its process number.
+    pub pid: u32,
+    /// Its command line.
+    pub command: String,
+    /// When it took the line.
+    pub since: Timestamp,
+}
+
+impl Owner {
+    /// This process, from now on.
+    #[must_use]
+    pub fn this_process() -> Self {
+        let args: Vec<_> = std::env::args_os()
+            .map(|arg| arg.to_string_lossy().into_owned())
+            .collect();
+        Self {
+            pid: std::process::id(),
+            command: shown(&args),
+            since: Timestamp::now(),
+        }
+    }
+}
+
+impl fmt::Display for Owner {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            pid,
+            command,
+            since,
+        } = self;
+        write!(f, "process {pid} (`{command}`), since {since:.0}")
+    }
+}
+
+/// A command line without the program's folder, without control characters, not too long.
+fn shown(args: &[String]) -> String {
+    let program = args.first().map_or("", |path| {
+        path.rsplit(['/', '\\']).next().unwrap_or_default()
+    });
+    let line: Vec<_> = std::iter::once(program)
+        .chain(args.iter().skip(1).map(String::as_str))
+        .collect();
+    let line = line.join(" ");
+    let clean = line.chars().map(|c| if c.is_control() { ' ' } else { c });
+    clean.take(LONGEST_COMMAND).collect()
+}
+
+/// The guest's first line.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Knock {
+    /// [`VERSION`] of the guest.
+    pub retrograde_window: u32,
+    /// The token that the owner has left in the runtime directory, where the system's permissions do not guard the door.
+    #[serde(default)]
+    pub token: String,
+}
+
+/// The door's first line.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Welcome {
+    /// [`VERSION`] of the door.
+    pub retrograde_door: u32,
+    /// Who owns the line.
+    pub owner: Owner,
+}
+
+/// Whether the door lets a request through.
+#[must_use]
+pub fn admits(request: &Request) -> bool {
+    match request.impact() {
+        // The owner's record depends on the interval.
+        Impact::None => !matches!(request, Request::SetTelemetry(_)),
+        Impact::Fault | Impact::Pace => true,
+        Impact::Flash | Impact::Motion => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use protocol::capsule;
+    use protocol::rig;
+    use protocol::settings::FactoryReset;
+    use protocol::system::{Acknowledge, GetEvents, KeepAlive, SetTelemetry};
+    use protocol::table::Endpoint;
+
+    use super::*;
+
+    #[test]
+    fn nothing_that_moves_or_lasts_goes_through() {
+        for request in [
+            KeepAlive.into_request(),
+            GetEvents { from: 0 }.into_request(),
+            Acknowledge.into_request(),
+            rig::GetRigStatus.into_request(),
+            rig::GetRigHealth.into_request(),
+            rig::Hold.into_request(),
+            rig::Resume.into_request(),
+        ] {
+            assert!(admits(&request), "{}", request.name());
+        }
+        for request in [
+            SetTelemetry { period_ms: 10 }.into_request(),
+            rig::Home.into_request(),
+            capsule::Fold.into_request(),
+            FactoryReset.into_request(),
+        ] {
+            assert!(!admits(&request), "{}", request.name());
+        }
+    }
+
+    #[test]
+    fn a_command_is_shown_without_its_folder_and_on_one_line() {
+        let args = ["/a/b/retrograde", "run", "--note", "two\nlines"].map(str::to_owned);
+        assert_eq!(shown(&args), "retrograde run --note two lines");
+        assert_eq!(shown(&["x".repeat(1_000)]).len(), 200);
+    }
+}

@@ -1,0 +1,165 @@
+//! What a door listens on: a Unix socket; elsewhere a loopback port.
+
+use std::io::{self, Read, Write};
+use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
+#[cfg(unix)]
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
+use std::time::Duration;
+
+/// A listening door.
+pub(crate) enum Listener {
+    /// Guarded by the permissions of its folder.
+    #[cfg(unix)]
+    Unix(UnixListener),
+    /// Guarded by a token.
+    Loopback(TcpListener),
+}
+
+/// One guest's connection, on either side.
+#[derive(Debug)]
+pub(crate) enum Stream {
+    #[cfg(unix)]
+    Unix(UnixStream),
+    Loopback(TcpStream),
+}
+
+impl Listener {
+    /// Listens at the socket.
+    #[cfg(unix)]
+    pub(crate) fn unix(socket: &Path) -> io::Result<Self> {
+        UnixListener::bind(socket).map(Self::Unix)
+    }
+
+    /// Listens at a free port of the loopback interface.
+    #[cfg_attr(unix, allow(dead_code))]
+    pub(crate) fn loopback() -> io::Result<Self> {
+        TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map(Self::Loopback)
+    }
+
+    /// The port, for a loopback door.
+    pub(crate) fn port(&self) -> Option<u16> {
+        match self {
+            #[cfg(unix)]
+            Self::Unix(_) => None,
+            Self::Loopback(listener) => listener.local_addr().ok().map(|at| at.port()),
+        }
+    }
+
+    pub(crate) fn accept(&self) -> io::Result<Stream> {
+        match self {
+            #[cfg(unix)]
+            Self::Unix(listener) => listener.accept().map(|(stream, _)| Stream::Unix(stream)),
+            Self::Loopback(listener) => {
+                let (stream, _) = listener.accept()?;
+                stream.set_nodelay(true)?;
+                Ok(Stream::Loopback(stream))
+            }
+        }
+    }
+}
+
+impl Stream {
+    /// Connects to the socket, or to the port if there is one.
+    pub(crate) fn connect(socket: &Path, port: Option<u16>) -> io::Result<Self> {
+        let Some(port) = port else {
+            #[cfg(unix)]
+            return UnixStream::connect(socket).map(Self::Unix);
+            #[cfg(not(unix))]
+            return Err(io::Error::new(
+                io::ErrorKind::NotFound,
+                format!("no port for {}", socket.display()),
+            ));
+        };
+        let stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port))?;
+        stream.set_nodelay(true)?;
+        Ok(Self::Loopback(stream))
+    }
+
+    pub(crate) fn try_clone(&self) -> io::Result<Self> {
+        Ok(match self {
+            #[cfg(unix)]
+            Self::Unix(stream) => Self::Unix(stream.try_clone()?),
+            Self::Loopback(stream) => Self::Loopback(stream.try_clone()?),
+        })
+    }
+
+    pub(crate) fn set_read_timeout(&self, limit: Option<Duration>) -> io::Result<()> {
+        match self {
+            #[cfg(unix)]
+            Self::Unix(stream) => stream.set_read_timeout(limit),
+            Self::Loopback(stream) => stream.set_read_timeout(limit),
+        }
+    }
+
+    pub(crate) fn set_write_timeout(&self, limit: Option<Duration>) -> io::Result<()> {
+        match self {
+            #[cfg(unix)]
+            Self::Unix(stream) => stream.set_write_timeout(limit),
+            Self::Loopback(stream) => stream.set_write_timeout(limit),
+        }
+    }
+
+    pub(crate) fn shut(&self) {
+        // A connection that is gone already needs no end.
+        let _ = match self {
+            #[cfg(unix)]
+            Self::Unix(stream) => stream.shutdown(Shutdown::Both),
+            Self::Loopback(stream) => stream.shutdown(Shutdown::Both),
+        };
+    }
+}
+
+impl Read for Stream {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        match self {
+            #[cfg(unix)]
+            Self::Unix(stream) => stream.read(into),
+            Self::Loopback(stream) => stream.read(into),
+        }
+    }
+}
+
+impl Write for Stream {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            #[cfg(unix)]
+            Self::Unix(stream) => stream.write(bytes),
+            Self::Loopback(stream) => stream.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Reads a line of at most `limit` bytes, and not a byte beyond its end.
+pub(crate) fn read_line(from: &mut impl Read, limit: usize) -> io::Result<Vec<u8>> {
+    let mut line = vec![];
+    let mut byte = [0];
+    loop {
+        match from.read(&mut byte) {
+            Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+            Ok(_) if byte == *b"\n" => return Ok(line),
+            Ok(_) if line.len() == limit => return Err(io::ErrorKind::InvalidData.into()),
+            Ok(_) => line.push(byte[0]),
+            Err(why) if why.kind() == io::ErrorKind::Interrupted => {}
+            Err(why) => return Err(why),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_is_read_to_its_end_and_no_further() {
+        let mut from = &b"one\ntwo"[..];
+        assert_eq!(read_line(&mut from, 3).expect("short enough"), b"one");
+        assert_eq!(from, b"two");
+        assert!(read_line(&mut &b"four\n"[..], 3).is_err());
+        assert!(read_line(&mut &b"cut"[..], 9).is_err());
+    }
+}

@@ -1,0 +1,195 @@
+//! Refusals in the units in which people type: mm, mm/s, s. On the wire and in the firmware's own texts they are
+//! micrometres and microseconds.
+
+use motion::axis::AxisError;
+use motion::run::RunError;
+use protocol::error::{Field, Refusal};
+
+use crate::decimal;
+
+/// What a machine says when it refuses.
+#[must_use]
+pub fn refusal(refusal: &Refusal) -> String {
+    match *refusal {
+        Refusal::OutOfRange {
+            field,
+            requested,
+            min,
+            max,
+        } => {
+            let (name, decimals, unit) = named(field);
+            let write = |value| decimal::write(value, decimals);
+            format!(
+                "{name} is {}{unit}, allowed is {} to {}{unit}",
+                write(requested),
+                write(min),
+                write(max)
+            )
+        }
+        Refusal::TooFast {
+            requested_us,
+            min_us,
+            min_accel_um_s2,
+        } => {
+            let (requested, min) = (decimal::write(requested_us, 6), decimal::write(min_us, 6));
+            match min_accel_um_s2 {
+                u64::MAX => format!(
+                    "{requested} s is too short: with the delay and the dwells no acceleration within the limits does it; at this acceleration the run takes at least {min} s"
+                ),
+                um_s2 => format!(
+                    "{requested} s is too short: at this acceleration the run takes at least {min} s; to do it in the requested time needs at least {}",
+                    accel(um_s2)
+                ),
+            }
+        }
+        Refusal::SpeedLimit {
+            needed_um_s,
+            max_um_s,
+        } => format!(
+            "needs {}, the axis allows {}: give it more time, or less speed; a higher acceleration helps only where the mean speed of a stroke is allowed",
+            speed(needed_um_s),
+            speed(max_um_s)
+        ),
+        Refusal::NotAtHome { position_um } => format!(
+            "the carriage stands at {} mm, a run starts at 0: move to 0 or home first",
+            decimal::write_signed(position_um.into(), 3)
+        ),
+        _ => refusal.to_string(),
+    }
+}
+
+/// Why a run is infeasible.
+#[must_use]
+pub fn infeasible(error: &RunError) -> String {
+    match *error {
+        RunError::Rate(ref error) => axis(error),
+        RunError::AccelerationAboveLimit {
+            accel_um_s2,
+            max_um_s2,
+        } => format!(
+            "an acceleration of {} is above the limit: use at most {}",
+            accel(accel_um_s2.into()),
+            accel(max_um_s2.into())
+        ),
+        RunError::SpeedAboveLimit {
+            speed_um_s,
+            max_um_s,
+        } => format!(
+            "a speed of {} is above the limit: use at most {}",
+            speed(speed_um_s.into()),
+            speed(max_um_s.into())
+        ),
+        RunError::TotalTooShort {
+            minimal_total_us,
+            minimal_accel_um_s2: Some(um_s2),
+        } => format!(
+            "too little time: allow at least {} s in total, or accelerate with at least {}",
+            decimal::write(minimal_total_us, 6),
+            accel(um_s2.into())
+        ),
+        RunError::PeakAboveLimit {
+            peak_um_s,
+            max_um_s,
+            minimal_total_us,
+        } => format!(
+            "this needs {} at its peak and the limit is {}: allow {}, or accelerate harder",
+            speed(peak_um_s.into()),
+            speed(max_um_s.into()),
+            minimal_total_us.map_or_else(
+                || "more time".to_owned(),
+                |us| format!("at least {} s in total", decimal::write(us, 6))
+            )
+        ),
+        _ => error.to_string(),
+    }
+}
+
+/// Why a screw, a speed or an acceleration is impossible.
+#[must_use]
+pub fn axis(error: &AxisError) -> String {
+    match *error {
+        AxisError::Lead { lead_um } => format!(
+            "a lead of {} mm is outside 0.5 to 50 mm: enter the screw's travel per turn",
+            decimal::write(lead_um.into(), 3)
+        ),
+        AxisError::NoSpeed => "the speed is zero: use at least 0.001 mm/s".to_owned(),
+        AxisError::NoAcceleration => {
+            "the acceleration is zero: use at least 0.001 mm/s2".to_owned()
+        }
+        _ => error.to_string(),
+    }
+}
+
+fn speed(um_s: u64) -> String {
+    format!("{} mm/s", decimal::write(um_s, 3))
+}
+
+fn accel(um_s2: u64) -> String {
+    format!("{} mm/s2", decimal::write(um_s2, 3))
+}
+
+/// A value's name, how many decimals people's unit has more than the wire's, and that unit.
+fn named(field: Field) -> (&'static str, u32, &'static str) {
+    match field {
+        Field::Cycles => ("the number of cycles", 0, ""),
+        Field::StrokeUm => ("the stroke", 3, " mm"),
+        Field::TotalUs => ("the duration", 6, " s"),
+        Field::AccelUmS2 => ("the acceleration", 3, " mm/s2"),
+        Field::ForwardUmS => ("the speed away from home", 3, " mm/s"),
+        Field::ReturnUmS => ("the speed towards home", 3, " mm/s"),
+        Field::FarDwellUs => ("the dwell at the far end", 6, " s"),
+        Field::HomeDwellUs => ("the dwell at home", 6, " s"),
+        Field::StartDelayUs => ("the start delay", 6, " s"),
+        Field::PeriodMs => ("the telemetry interval", 0, " ms"),
+        Field::PositionUm => ("the position", 3, " mm"),
+        Field::SpeedUmS => ("the speed", 3, " mm/s"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_refusal_of_a_motion_speaks_micrometres() {
+        let range = |field| Refusal::OutOfRange {
+            field,
+            requested: 130_500,
+            min: 0,
+            max: 130_000,
+        };
+        assert_eq!(
+            refusal(&range(Field::PositionUm)),
+            "the position is 130.5 mm, allowed is 0 to 130 mm"
+        );
+        for text in [
+            refusal(&range(Field::ForwardUmS)),
+            refusal(&range(Field::StartDelayUs)),
+            refusal(&Refusal::SpeedLimit {
+                needed_um_s: 60_000,
+                max_um_s: 49_000,
+            }),
+            refusal(&Refusal::TooFast {
+                requested_us: 1,
+                min_us: 2,
+                min_accel_um_s2: 3,
+            }),
+            refusal(&Refusal::TooFast {
+                requested_us: 1,
+                min_us: 2,
+                min_accel_um_s2: u64::MAX,
+            }),
+            refusal(&Refusal::NotAtHome { position_um: -5 }),
+            axis(&AxisError::Lead { lead_um: 1 }),
+            axis(&AxisError::NoSpeed),
+            axis(&AxisError::NoAcceleration),
+            infeasible(&RunError::SpeedAboveLimit {
+                speed_um_s: 60_000,
+                max_um_s: 49_000,
+            }),
+        ] {
+            assert!(!text.contains(" um") && !text.contains(" us "), "{text}");
+            assert!(!text.contains("18446744073709551615"), "{text}");
+        }
+    }
+}
