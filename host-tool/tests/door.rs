@@ -184,8 +184,14 @@ fn the_capsule_has_a_door_of_its_own() {
     let (code, out, err) = bench.retrograde(&["info"]);
     assert_eq!(code, Some(0), "{err}");
     assert!(out.contains("Folding, referenced"), "{out}");
-    let (code, _, err) = bench.retrograde(&["unfold"]);
-    assert_eq!(code, Some(3), "{err}");
+    for args in [
+        &["unfold"][..],
+        &["capsule", "calibrate"],
+        &["capsule", "trace"],
+    ] {
+        let (code, _, err) = bench.retrograde(args);
+        assert_eq!(code, Some(3), "{err}");
+    }
     assert_eq!(bench.retrograde(&["stop"]).0, Some(0));
     let (code, _, err) = end(fold);
     assert_eq!(code, Some(130), "{err}");

@@ -1,6 +1,6 @@
 //! What a command may do when another process owns the line.
 
-use crate::cli::args::{SettingsSubcommand, Subcommand};
+use crate::cli::args::{CapsuleSubcommand, SettingsSubcommand, Subcommand};
 use crate::client::Device;
 use crate::error::ClientError;
 
@@ -19,13 +19,19 @@ pub(crate) fn admit(subcommand: &Subcommand, device: &Device) -> Result<(), Clie
     }
 }
 
-/// The command, if it moves something or writes settings.
+/// The command, if it moves something, writes settings, or needs the whole line.
 fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
     Some(match subcommand {
         Subcommand::Home => "home",
         Subcommand::Run(_) => "run",
         Subcommand::Commission(_) => "commission",
-        Subcommand::Capsule { .. } => "capsule",
+        Subcommand::Capsule { subcommand } => match subcommand {
+            CapsuleSubcommand::Reference(_) => "capsule reference",
+            CapsuleSubcommand::Calibrate(_) => "capsule calibrate",
+            CapsuleSubcommand::Check(_) => "capsule check",
+            // While readings are added it would fill the line, and not come to an end.
+            CapsuleSubcommand::Trace(_) => "capsule trace",
+        },
         Subcommand::Fold(_) => "fold",
         Subcommand::Unfold(_) => "unfold",
         Subcommand::Jog(_) => "jog",
