@@ -413,6 +413,7 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
         session: Arc::new(Mutex::new(Asking {
             session: Session::new(number as u32),
             pending: false,
+            unanswered: None,
         })),
     };
     let result = match writing {
@@ -429,6 +430,8 @@ struct Asking {
     session: Session,
     /// A question is with the owner.
     pending: bool,
+    /// Sequence of the question that the owner has left without an answer. Its repetitions stay without one, too.
+    unanswered: Option<u16>,
 }
 
 struct Visit {
@@ -459,8 +462,9 @@ impl Visit {
 
     fn frame(&self, frame: &Frame<'_>) -> io::Result<()> {
         let mut asking = self.session.lock().unwrap_or_else(PoisonError::into_inner);
-        if asking.pending && frame.header.kind == Kind::Request {
-            // A repetition of what the owner has not answered yet.
+        let left = asking.unanswered == Some(frame.header.seq);
+        if (asking.pending || left) && frame.header.kind == Kind::Request {
+            // A repetition of what the owner has not answered.
             return Ok(());
         }
         let header = |session, seq| Header {
@@ -524,6 +528,7 @@ impl Visit {
             answer: Box::new(move |answer| {
                 let mut asking = session.lock().unwrap_or_else(PoisonError::into_inner);
                 asking.pending = false;
+                asking.unanswered = answer.is_none().then_some(ticket.seq);
                 let frame =
                     answer.and_then(|answer| remembered(&mut asking.session, ticket, &answer));
                 if let Some(frame) = frame {
