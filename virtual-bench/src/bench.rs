@@ -175,6 +175,13 @@ impl<W: Wiring> Visit<'_, W> {
         self.session.board_mut().fail_hse(at, comes_back);
     }
 
+    /// Keeps the processor from executing anything for a while. Timers and DMA go on.
+    pub fn hold_up(&mut self, duration_us: u64) {
+        let at = self.stop.at;
+        let emulator = self.session.board_mut();
+        emulator.hold_up(at, duration_us * 1_000, self.host);
+    }
+
     /// Pulses the reset pin.
     pub fn reset(&mut self) {
         self.session

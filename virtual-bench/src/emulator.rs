@@ -727,6 +727,13 @@ impl<W: Wiring> Emulator<W> {
         bus.drive(now, exti).1.schedule(until);
     }
 
+    /// Keeps the core from executing for a while, as a busy bus or a debugger may.
+    pub(crate) fn hold_up(&mut self, at: VirtualNanos, duration_ns: u64, host: &mut dyn Host) {
+        self.busy_until(VirtualNanos(at.0 + duration_ns), at);
+        self.stalled = true;
+        host.hold(true);
+    }
+
     /// Lets the core continue once the flash is ready.
     fn unstall(&mut self, at: VirtualNanos, host: &mut dyn Host) {
         let busy = self.control_and_status().1 & BUSY != 0 || at < self.storing_until;

@@ -1,6 +1,6 @@
 //! The highest step rate that the settings allow, with everything else going on.
 
-use crate::common::{LIMIT_NS, RigRun, homed, paper, start, trials};
+use crate::common::{LIMIT_NS, RigRun, homed, is_made, paper, quick, start, trials};
 use host_tool::client::Unobserved;
 use protocol::{
     rig::{GetRigHealth, RigFault, Run, RunOutcome, RunTiming},
@@ -169,4 +169,50 @@ fn a_ring_that_is_nearly_dry_ends_and_says_how() {
             "{speed}: {record:?}"
         );
     }
+}
+
+/// The processor is held up until the ring is nearly dry, with the last periods of a stroke still to be pushed. A zero that was
+/// fetched as such then stops the counter with periods in the ring: whatever comes of it, the run ends and says how.
+#[test]
+fn a_processor_that_is_held_up_at_the_end_of_a_stroke_leaves_no_run_without_an_end() {
+    const STEPS: usize = 800;
+    let mut rig = crate::common::quickly_homed();
+    let short = quick(1, 1_000, 10_000, 100_000);
+    let first = rig.edge_count();
+    let begun_ns = rig.bench.now_ns();
+    crate::common::execute(&mut rig, short);
+    let last = rig.edges(first + STEPS - 1);
+    let stroke_us = (last.iter().next().expect("a step").at_ns - begun_ns) / 1_000;
+    let trials = (10..=24).step_by(2).flat_map(|before_ms| {
+        (4..=22).map(move |held_up_ms| (before_ms * 1_000, held_up_ms * 1_000))
+    });
+    let mut outcomes = std::collections::BTreeSet::new();
+    for (trial, (before_us, held_up_us)) in trials.enumerate() {
+        if !is_made(trial, 3) {
+            continue;
+        }
+        let what = format!("{before_us} us before the end, held up for {held_up_us} us");
+        let begun_ns = rig.bench.now_ns();
+        let accepted = rig.device.run(short).expect("accepted");
+        let passed_us = (rig.bench.now_ns() - begun_ns) / 1_000;
+        rig.bench
+            .advance_us(stroke_us - before_us - passed_us)
+            .expect("the bench runs");
+        rig.bench
+            .visit(move |visit| visit.hold_up(held_up_us))
+            .expect("the bench runs");
+        let record = rig.device.wait_run(&accepted, &mut Unobserved);
+        let record = record.unwrap_or_else(|why| panic!("{what}: {why}\n{}", rig.log()));
+        match record.outcome {
+            RunOutcome::Complete => {}
+            RunOutcome::Faulted(RigFault::Underrun) => {
+                rig.position_is_right_but_not_trusted(&what);
+                rig.device.acknowledge().expect("it can be acknowledged");
+                rig.home();
+            }
+            other => panic!("{what}: {other:?}"),
+        }
+        outcomes.insert(format!("{:?}", record.outcome));
+    }
+    assert_eq!(outcomes.len(), 2, "{outcomes:?}");
 }
