@@ -96,7 +96,7 @@ fn each_other_end_is_named_with_what_to_do() {
         let err = String::from_utf8(err).expect("UTF-8");
         assert_eq!(code, 4, "{says}: {err}");
         assert!(err.contains(says) && err.contains(remedy), "{says}: {err}");
-        // 0.8 s, more on a busy computer.
-        assert!(took < Duration::from_secs(2), "{says}: {took:?}");
+        // 0.8 s on an idle computer; it ends by itself on any.
+        assert!(took < Duration::from_secs(20), "{says}: {took:?}");
     }
 }
