@@ -10,12 +10,9 @@ use core::{
     sync::atomic::{Ordering, compiler_fence},
 };
 use embassy_stm32::pac::{self, DMA1, TIM5};
-use embassy_time::{Duration, Instant};
 
 /// 4 ms at the highest step rate; motion looks every 2.5 ms.
 const INSTANTS: usize = 1_024;
-/// The highest step rate, 250 kHz, takes this long for all of them.
-const LAP: Duration = Duration::from_micros(INSTANTS as u64 * 4);
 const STREAM: usize = 4;
 /// TIM5_CH2 (RM0383 table 27).
 const DMA_CHANNEL: u8 = 6;
@@ -34,8 +31,8 @@ pub struct Captures {
     next: usize,
     /// Instants from there on that have been captured.
     unread: usize,
-    /// When that was looked at.
-    looked_at: Instant,
+    /// The ring's end was passed, and its flag had not been raised yet.
+    flag_to_come: bool,
 }
 
 impl Captures {
@@ -66,7 +63,7 @@ impl Captures {
         Self {
             next: 0,
             unread: 0,
-            looked_at: Instant::MIN,
+            flag_to_come: false,
         }
     }
 
@@ -76,22 +73,20 @@ impl Captures {
         *self = Self {
             next: end,
             unread: 0,
-            looked_at: Instant::now(),
+            flag_to_come: false,
         };
     }
 
     /// Up to so many instants that were not taken yet. None if some have been overwritten.
     pub fn take(&mut self, at_most: usize) -> Option<impl ExactSizeIterator<Item = u32>> {
-        let now = Instant::now();
         let (end, at_end) = written();
         let seen = (self.next + self.unread) % INSTANTS;
         let mut new = (end + INSTANTS - seen) % INSTANTS;
-        // The flag alone may be that of an end which the last look saw already.
-        let lap_is_possible = now - self.looked_at >= LAP;
-        if at_end && end >= seen && lap_is_possible {
+        if end < seen {
+            self.flag_to_come = !at_end;
+        } else if at_end && !core::mem::take(&mut self.flag_to_come) {
             new += INSTANTS;
         }
-        self.looked_at = now;
         self.unread += new;
         if self.unread >= INSTANTS {
             return None;
