@@ -7,8 +7,8 @@
 #[path = "../tests/plant/mod.rs"]
 mod plant;
 
-use capsule_plant::Parameters;
-use plant::cases::{self, Figures, Kind, Verdict};
+use capsule_plant::{Parameters, cases::Kind};
+use plant::cases::{self, Figures, Verdict};
 use std::collections::BTreeMap;
 
 /// `of` for each seed below `count`, on all processors.

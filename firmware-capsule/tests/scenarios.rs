@@ -3,15 +3,12 @@
 #[allow(dead_code)] // each test file uses a part of it
 mod plant;
 
-use capsule_plant::{Defect, Parameters};
+use capsule_plant::{Defect, Parameters, cases::Kind};
 use firmware_capsule::{
     calibration::Calibration,
     fold::{Capsule, Command, Drive, Event},
 };
-use plant::{
-    Simulation,
-    cases::{self, Kind},
-};
+use plant::{Simulation, cases};
 use protocol::{
     capsule::{ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState},
     error::Refusal,
