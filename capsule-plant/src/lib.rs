@@ -13,6 +13,7 @@ pub mod cases;
 mod parameters;
 mod random;
 mod spring;
+pub mod verdict;
 
 pub use parameters::{BATTERY_DIVIDER, COUNTS_PER_REVOLUTION, Parameters, SENSE_MV_PER_MA};
 pub use random::Random;

@@ -87,7 +87,7 @@ fn every_defect_has_its_name() {
         for seed in 1_000..1_006 {
             let verdict = cases::try_case(kind, seed);
             assert!(
-                kind.right().contains(&verdict.name),
+                kind.right().contains(&verdict.name.as_str()),
                 "{kind:?} {seed}: {verdict:?}"
             );
             assert!(verdict.peak_n < 22.0, "{kind:?} {seed}: {verdict:?}");

@@ -4,45 +4,15 @@ use super::Simulation;
 use capsule_plant::{
     Bridge, Defect, Parameters, Random,
     cases::{Course, Kind, Motion},
+    verdict::{Verdict, name},
 };
 use firmware_capsule::fold::{Command, Drive, Event};
-use protocol::{
-    capsule::{ActuationOutcome, CapsuleFault, CapsuleState},
-    error::Refusal,
-};
+use protocol::capsule::{ActuationOutcome, CapsuleState};
 
-/// What the firmware made of a capsule.
-#[derive(Clone, Debug)]
-pub struct Verdict {
-    /// Its name for what happened.
-    pub name: &'static str,
-    /// From the defect to the fault, ms; none if the defect was there before the motion.
-    pub took_ms: Option<u64>,
-    /// Largest force after the defect, N.
-    pub peak_n: f64,
-    /// The firmware says that it is folded, and the origami is so much short of where a healthy one ends, mm.
-    pub short_mm: Option<f64>,
-}
-
-fn name_of(outcome: ActuationOutcome) -> &'static str {
+fn name_of(outcome: ActuationOutcome) -> String {
     match outcome {
-        ActuationOutcome::Complete => "Complete",
-        ActuationOutcome::Faulted(fault) => match fault {
-            CapsuleFault::Jam { .. } => "Jam",
-            CapsuleFault::ThreadBroken => "ThreadBroken",
-            CapsuleFault::SpoolSlip => "SpoolSlip",
-            CapsuleFault::SlipOrBreak => "SlipOrBreak",
-            CapsuleFault::EncoderLost => "EncoderLost",
-            CapsuleFault::BridgeSilent => "BridgeSilent",
-            CapsuleFault::SenseLost => "SenseLost",
-            CapsuleFault::OverCurrent { .. } => "OverCurrent",
-            CapsuleFault::LowBattery { .. } => "LowBattery",
-            CapsuleFault::Timeout => "Timeout",
-            CapsuleFault::DriverFault => "DriverFault",
-            CapsuleFault::NotUnfolded { .. } => "NotUnfolded",
-            _ => "another",
-        },
-        _ => "none",
+        ActuationOutcome::Faulted(fault) => name(&fault),
+        outcome => name(&outcome),
     }
 }
 
@@ -120,11 +90,10 @@ fn with_defect(
     }
     let folded = sim.capsule.state() == CapsuleState::Folded;
     Verdict {
-        name: match refusal {
-            Some(Refusal::BatteryLow { .. }) => "BatteryLow",
-            Some(_) => "refused",
-            None => name_of(sim.capsule.record().outcome),
-        },
+        name: refusal.map_or_else(
+            || name_of(sim.capsule.record().outcome),
+            |refusal| name(&refusal),
+        ),
         took_ms,
         peak_n: sim.plant.peak_force_n(),
         short_mm: folded.then(|| end_mm - sim.plant.travel_mm()),
@@ -133,7 +102,7 @@ fn with_defect(
 
 fn healthy(sim: &mut Simulation, cycles: u32, end_mm: f64) -> Verdict {
     let mut verdict = Verdict {
-        name: "Complete",
+        name: "Complete".to_owned(),
         took_ms: None,
         peak_n: 0.0,
         short_mm: None,
