@@ -16,6 +16,7 @@ pub mod science;
 mod screen;
 mod settings;
 pub mod stops;
+pub mod watch;
 mod windows;
 
 use std::ffi::OsString;
@@ -126,6 +127,7 @@ fn carry_out(
         Subcommand::Resume => motion::resume(finder, screen),
         Subcommand::Jog(args) => motion::jog(args, finder, screen),
         Subcommand::Move(args) => motion::move_to(args, finder, screen),
+        Subcommand::Watch(args) => watch::watch(args, finder, screen),
         Subcommand::Health => motion::health(finder, screen),
         Subcommand::Settings { subcommand } => settings::settings(subcommand, finder, screen),
         Subcommand::Plan(args) => offline::plan(args, screen),

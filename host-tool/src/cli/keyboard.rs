@@ -13,9 +13,13 @@ pub(crate) const HINT: &str = "h and Enter holds the run, r and Enter resumes it
 
 /// Standard input, if it is a terminal with this process in the foreground.
 pub(crate) fn standard() -> Option<Keyboard> {
+    is_there().then(|| Box::new(BufReader::new(io::stdin())) as Keyboard)
+}
+
+/// Whether a person can type here.
+pub(crate) fn is_there() -> bool {
     let input = io::stdin();
-    (input.is_terminal() && in_foreground(&input))
-        .then(|| Box::new(BufReader::new(input)) as Keyboard)
+    input.is_terminal() && in_foreground(&input)
 }
 
 /// The shell suspends a background job that reads from the terminal, which would suspend the run, too.

@@ -35,6 +35,16 @@ impl Screen<'_> {
         }
     }
 
+    /// Prints a line; false if nobody takes any more.
+    pub(crate) fn tell(&mut self, text: &str) -> bool {
+        let written = writeln!(self.stream(), "{text}").and_then(|()| self.stream().flush());
+        let taken = written.is_ok();
+        if !self.json {
+            self.note(written);
+        }
+        taken
+    }
+
     /// Keeps the first error of standard output. Whoever closes a pipe has read enough.
     fn note(&mut self, written: io::Result<()>) {
         if let Err(io) = written
