@@ -24,6 +24,9 @@ const OWNERS: u32 = 5;
 /// How long an owner that only looks may take to give its line up.
 const YIELDING: Duration = Duration::from_secs(3);
 
+/// How soon it offers its line after it has opened it.
+const BEGINNING: Duration = Duration::from_millis(100);
+
 /// Interval between two attempts at a line that is about to be free.
 const AGAIN: Duration = Duration::from_millis(10);
 
@@ -145,13 +148,18 @@ impl Finder<'_> {
     /// As [`Finder::open`]; if the command is for the owner of the line, and the present one only looks, that one gives it up.
     fn open_for_command(&self, kind: DeviceKind, address: &Address) -> Result<Device, Failure> {
         let begin = Instant::now();
+        // One that has just begun may not have offered it yet.
+        let mut limit = BEGINNING;
         loop {
             let mut device = self.open(kind, address)?;
             if windows::for_owner(&self.cli.subcommand).is_none()
-                || begin.elapsed() > YIELDING
-                || !device.want_line()
+                || device.owner().is_none()
+                || begin.elapsed() > limit
             {
                 return Ok(device);
+            }
+            if device.want_line() {
+                limit = YIELDING;
             }
             drop(device);
             thread::sleep(AGAIN);

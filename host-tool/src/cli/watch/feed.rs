@@ -29,8 +29,8 @@ const ASK_US: u64 = 250_000;
 /// How long bytes are waited for before the keys are looked at again, us.
 const SLICE_US: u64 = 20_000;
 
-/// How soon a line that has become free is opened.
-const SOON: Duration = Duration::from_millis(20);
+/// How long a line that has become free is left to others: it may have been given up for one that waits.
+const LEFT_TO_OTHERS: Duration = Duration::from_millis(200);
 
 /// Interval between two attempts to connect.
 const AGAIN: Duration = Duration::from_millis(500);
@@ -168,7 +168,7 @@ impl Feed<'_> {
                 }
                 Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))) => {
                     // It has ended, as commands do: the line is free.
-                    thread::sleep(SOON);
+                    thread::sleep(LEFT_TO_OTHERS);
                     continue;
                 }
                 Err(failure) => failure,
@@ -199,12 +199,12 @@ impl Feed<'_> {
                 .connector
                 .open(self.shared.kind, &self.shared.address, finder.cli.baud)?;
         let mut device = Device::new(link);
+        device.offer_line();
         device.set_interrupt(self.shared.interrupt());
         device.hello(finder.connector.nonce())?;
         device.require(self.shared.kind)?;
         let owned = device.owner().is_none();
         if owned {
-            device.offer_line();
             device.set_telemetry(TELEMETRY_MS)?;
         }
         self.shared.panel().contact = match device.owner() {
