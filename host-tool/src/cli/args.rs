@@ -60,8 +60,8 @@ pub enum Subcommand {
     Info(Which),
     /// Find the rig's position: two passes over the home flag, then to 0.
     Home,
-    /// Run the waves: cycles away from home and back, recorded. The rig must be homed. At a terminal, h and Enter holds
-    /// the run, r and Enter resumes it.
+    /// Run the waves: cycles away from home and back, recorded. The rig must be homed. At a terminal, the key h holds
+    /// the run, r resumes it, s stops it.
     Run(Box<RunArgs>),
     /// Take a new board into service: switches, pulses, travel and stops, measured step by step and recorded. It can be
     /// left at any time; the same command goes on where it was left.

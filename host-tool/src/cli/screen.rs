@@ -15,6 +15,8 @@ pub(crate) struct Screen<'a> {
     pub(crate) json: bool,
     /// Standard error is a terminal, so a progress bar may be drawn.
     pub(crate) terminal: bool,
+    /// The keyboard is that of a terminal, which can give single keys.
+    pub(crate) single_keys: bool,
     /// The person at the terminal; none with `--json`.
     pub(crate) keyboard: Option<Keyboard>,
     /// Why standard output does not take the result.
