@@ -72,6 +72,10 @@ const STALLED_PERCENT: u32 = 85;
 pub const BATTERY_UNDER_LOAD_MV: u16 = 2_700;
 /// A sag must last this long.
 const SAG_DEBOUNCE_US: u64 = 15_000;
+/// Below this a cell has collapsed: the chip's own supply goes with it, and what is measured against it means nothing.
+const COLLAPSED_MV: u16 = 2_000;
+/// So many readings of a leg, with others between them: a drive that the collapse ends lets the cell recover.
+const COLLAPSES: u8 = 5;
 /// Ignores nFAULT while the bridge wakes up (DRV8833: 1 ms).
 const DRIVER_DEBOUNCE_US: u64 = 3_000;
 /// Less than this is no current at all: a turning motor takes 10 mA at least.
@@ -179,6 +183,7 @@ pub struct Detector {
     over_current: Debounce,
     surplus: Debounce,
     sag: Debounce,
+    collapses: u8,
     silence: Debounce,
     end_force: Debounce,
     rise: Debounce,
@@ -199,6 +204,7 @@ impl Detector {
             over_current: Debounce::default(),
             surplus: Debounce::default(),
             sag: Debounce::default(),
+            collapses: 0,
             silence: Debounce::default(),
             end_force: Debounce::default(),
             rise: Debounce::default(),
@@ -274,7 +280,10 @@ impl Detector {
             return Err(Trip::OverCurrent { current_ma });
         }
         let low = battery_mv < BATTERY_UNDER_LOAD_MV;
-        if lasts(&mut self.sag, low, SAG_DEBOUNCE_US) {
+        if battery_mv < COLLAPSED_MV {
+            self.collapses = self.collapses.saturating_add(1);
+        }
+        if lasts(&mut self.sag, low, SAG_DEBOUNCE_US) || self.collapses >= COLLAPSES {
             return Err(Trip::LowBattery { battery_mv });
         }
         if self.turns_uncounted(counts) {

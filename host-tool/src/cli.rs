@@ -7,6 +7,7 @@ mod commission;
 pub mod failure;
 mod finding;
 mod flash;
+mod fresh;
 mod interrupt;
 mod keyboard;
 pub mod machines;
@@ -16,13 +17,16 @@ pub mod science;
 mod screen;
 mod settings;
 pub mod stops;
+pub mod watch;
 mod windows;
 
 use std::ffi::OsString;
 use std::io::{self, BufRead, IsTerminal, Write};
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::builder::{OsStr, Resettable};
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser};
 use protocol::capsule::ActuationKind;
 use protocol::system::Urgent;
 use serde_json::Value;
@@ -37,10 +41,12 @@ use crate::connector::Connector;
 pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) -> ExitCode {
     let (mut out, mut err) = (io::stdout(), io::stderr());
     let terminal = err.is_terminal();
-    let keyboard = keyboard::standard();
-    ExitCode::from(run_at(
-        args, connector, &mut out, &mut err, terminal, keyboard,
-    ))
+    let at = At {
+        terminal,
+        single_keys: true,
+        keyboard: keyboard::standard(),
+    };
+    ExitCode::from(run_in(args, connector, &mut out, &mut err, at))
 }
 
 /// Runs one command line on other streams, without a keyboard; `terminal` allows a progress bar on standard error.
@@ -67,10 +73,35 @@ pub fn run_at(
     terminal: bool,
     keyboard: Option<Keyboard>,
 ) -> u8 {
+    let at = At {
+        terminal,
+        single_keys: false,
+        keyboard,
+    };
+    run_in(args, connector, out, err, at)
+}
+
+/// Where a command line was typed.
+struct At {
+    /// Standard error is a terminal.
+    terminal: bool,
+    /// The keyboard is that of the process's terminal, which can give single keys.
+    single_keys: bool,
+    keyboard: Option<Keyboard>,
+}
+
+fn run_in(
+    args: impl IntoIterator<Item = OsString>,
+    connector: &dyn Connector,
+    out: &mut dyn Write,
+    err: &mut dyn Write,
+    at: At,
+) -> u8 {
     let args: Vec<OsString> = args.into_iter().collect();
     let cli = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => {
+            let error = without_environment(error, &args);
             let text = error.render().to_string();
             let wanted = !error.use_stderr();
             let _ = if wanted {
@@ -88,12 +119,26 @@ pub fn run_at(
         out,
         err,
         json: cli.json,
-        terminal,
-        keyboard: keyboard.filter(|_| !cli.json),
+        terminal: at.terminal,
+        single_keys: at.single_keys,
+        keyboard: at.keyboard.filter(|_| !cli.json),
         failed: None,
     };
     let result = carry_out(&cli, connector, &mut screen);
     screen.finish(result)
+}
+
+/// The same error of the command line; what the environment gives is not shown as required.
+fn without_environment(error: clap::Error, args: &[OsString]) -> clap::Error {
+    if error.kind() != ErrorKind::MissingRequiredArgument {
+        return error;
+    }
+    let mut command = Cli::command();
+    for place in ["rig", "capsule"] {
+        let reset = Resettable::<OsStr>::Reset;
+        command = command.mut_arg(place, |arg| arg.env(reset));
+    }
+    command.try_get_matches_from(args).err().unwrap_or(error)
 }
 
 fn carry_out(
@@ -126,6 +171,7 @@ fn carry_out(
         Subcommand::Resume => motion::resume(finder, screen),
         Subcommand::Jog(args) => motion::jog(args, finder, screen),
         Subcommand::Move(args) => motion::move_to(args, finder, screen),
+        Subcommand::Watch(args) => watch::watch(args, finder, screen),
         Subcommand::Health => motion::health(finder, screen),
         Subcommand::Settings { subcommand } => settings::settings(subcommand, finder, screen),
         Subcommand::Plan(args) => offline::plan(args, screen),

@@ -373,6 +373,21 @@ impl Device {
         self.link.owner()
     }
 
+    /// Asks the owner of the line to give it up. True if it does that: then the line can be opened again soon.
+    pub fn want_line(&mut self) -> bool {
+        self.link.want_line()
+    }
+
+    /// From now on the line is for any other process that wants it: see [`Device::is_line_wanted`].
+    pub fn offer_line(&mut self) {
+        self.link.offer_line();
+    }
+
+    /// Another process wants the line, which was offered: it waits until this device is dropped.
+    pub fn is_line_wanted(&mut self) -> bool {
+        self.link.is_line_wanted()
+    }
+
     /// Gives the link up, so that another one can be opened to the same port. From now on everything fails as with a
     /// pulled cable; the operator's stop is still noticed.
     pub fn hang_up(&mut self) {
@@ -786,6 +801,45 @@ impl Device {
         self.fetch_events()?;
         self.hand_out(observer);
         Ok(())
+    }
+
+    /// Receives for `duration_us` of link time without a request of its own, and hands out what comes as it comes. What
+    /// another process asks through the door is asked.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn observe(
+        &mut self,
+        duration_us: u64,
+        observer: &mut dyn Observer,
+    ) -> Result<(), ClientError> {
+        let end_us = self.now_us().saturating_add(duration_us);
+        while self.now_us() < end_us {
+            self.step(end_us)?;
+            if !self.early.is_empty() {
+                self.fetch_events()?;
+            }
+            self.hand_out(observer);
+        }
+        Ok(())
+    }
+
+    /// Waits until the stop that was sent is confirmed, if one was.
+    ///
+    /// # Errors
+    /// [`ClientError::StopUnconfirmed`] if the device did not confirm, or the link's.
+    pub fn settle(&mut self) -> Result<(), ClientError> {
+        while self.urgent_pending {
+            self.step(u64::MAX)?;
+        }
+        Ok(())
+    }
+
+    /// Forgets the stop that the interrupt or another process has wanted: commands are sent again. For a process that goes
+    /// on after a stop, once it is settled.
+    pub fn forget_stop(&mut self) {
+        self.interrupted = None;
+        self.link.forget_stop();
     }
 
     /// Sends nothing for `duration_us` of link time, as a host that is gone. The operator's stop goes out all the same.

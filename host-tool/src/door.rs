@@ -19,6 +19,9 @@
 //! device's end of a session of its own. It answers what it does not let through with
 //! [`protocol::error::WireError::Malformed`]. A guest need not wait for the welcome before it sends a stop.
 //!
+//! An owner that only looks at the machine offers its line. A guest that knocks with [`Knock::wants_line`] gets it: the owner
+//! closes line and door, the guest opens the line, and the former owner comes back as a guest.
+//!
 //! A version only ever adds fields to the two lines. Stops work between all versions.
 
 pub mod lock;
@@ -99,6 +102,9 @@ pub struct Knock {
     /// The token that the owner has left in the runtime directory, where the system's permissions do not guard the door.
     #[serde(default)]
     pub token: String,
+    /// The guest wants the line for itself, if the owner would give it up. It then has to open it again.
+    #[serde(default)]
+    pub wants_line: bool,
 }
 
 /// The door's first line.
@@ -108,6 +114,9 @@ pub struct Welcome {
     pub retrograde_door: u32,
     /// Who owns the line.
     pub owner: Owner,
+    /// The owner only looks: it gives the line up for a guest that wants it.
+    #[serde(default)]
+    pub yields: bool,
 }
 
 /// Whether the door lets a request through.

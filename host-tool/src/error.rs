@@ -109,7 +109,7 @@ pub enum ClientError {
     #[diagnostic(
         code(retrograde::owned),
         help(
-            "wait until that process ends, or end it with Ctrl-C in its terminal; meanwhile `info`, `health`, `settings list`, `hold`, `resume`, `ack`, `stop` and `estop` work from here"
+            "wait until that process ends, or end it with Ctrl-C in its terminal; meanwhile `watch`, `info`, `health`, `settings list`, `hold`, `resume`, `ack`, `stop` and `estop` work from here"
         )
     )]
     Owned {

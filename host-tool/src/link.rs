@@ -87,6 +87,11 @@ pub trait Link: Send {
         None
     }
 
+    /// Asks the owner of the line to give it up. True if it does that: then the line can be opened again soon.
+    fn want_line(&mut self) -> bool {
+        false
+    }
+
     // What a line's owner does for others that look at the machine through it; see `crate::door`.
 
     /// Takes note of the machine that has answered Hello.
@@ -98,6 +103,17 @@ pub trait Link: Send {
     fn stopped(&mut self) -> Option<Urgent> {
         None
     }
+
+    /// Gives the line up, from now on, if another process wants it.
+    fn offer_line(&mut self) {}
+
+    /// Another process wants the line that was offered.
+    fn is_line_wanted(&mut self) -> bool {
+        false
+    }
+
+    /// Forgets the stops that other processes have sent so far.
+    fn forget_stop(&mut self) {}
 
     /// The next question of another process, to be asked between two requests.
     fn question(&mut self) -> Option<Question> {

@@ -409,3 +409,27 @@ fn info_names_a_mismatched_machine_and_what_to_do() {
         "{out}"
     );
 }
+
+#[test]
+fn what_the_environment_gives_is_not_shown_as_required() {
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_retrograde"))
+        .args(["settings", "set"])
+        .env("RETROGRADE_RIG", "tcp:127.0.0.1:1")
+        .env("RETROGRADE_CAPSULE", "tcp:127.0.0.1:2")
+        .output()
+        .expect("starts");
+    let err = String::from_utf8(output.stderr).expect("UTF-8");
+    assert_eq!(output.status.code(), Some(2), "{err}");
+    assert!(
+        err.contains("Usage: retrograde settings set <KEY> <VALUE>"),
+        "{err}"
+    );
+    // What it gives wrongly is told.
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_retrograde"))
+        .args(["settings", "list"])
+        .env("RETROGRADE_RIG", "tcp:127.0.0.1")
+        .output()
+        .expect("starts");
+    let err = String::from_utf8(output.stderr).expect("UTF-8");
+    assert!(err.contains("no host or no port"), "{err}");
+}

@@ -295,6 +295,24 @@ fn battery_and_driver_are_debounced() {
     assert_eq!(feed.until_trip(50, 11), Some((4, Trip::Driver)));
 }
 
+/// A weak cell takes the supply of the chip with it, the drive ends, and the cell is back before the sag has lasted.
+#[test]
+fn a_cell_that_collapses_again_and_again_is_low() {
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    let whole_mv = feed.sample.battery_mv;
+    feed.draws(0, 40);
+    for collapse in 1..=5 {
+        feed.sample.battery_mv = 0;
+        let trip = feed.until_trip(1, 11);
+        let low = Some((1, Trip::LowBattery { battery_mv: 0 }));
+        assert_eq!(trip, low.filter(|_| collapse == 5), "{collapse}");
+        feed.sample.battery_mv = whole_mv;
+        if collapse < 5 {
+            assert_eq!(feed.until_trip(2, 11), None, "{collapse}");
+        }
+    }
+}
+
 /// A clock that stands makes no speed, and divides by nothing.
 #[test]
 fn readings_without_time_trip_nothing_and_overflow_nothing() {

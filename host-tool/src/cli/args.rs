@@ -19,6 +19,7 @@ Examples:
   retrograde --rig /dev/ttyACM0 info            how the rig is, also while it runs
   retrograde home                               find the position, before a run
   retrograde run --cycles 5 --duration-s 40     the paper's run, recorded in retrograde-data
+  retrograde watch                              see it run, from another terminal
   retrograde run --stroke-mm 60 --speed-mm-s 10 --note 'second body'
   retrograde plan --duration-s 40 --plot run.svg   the same without a rig
   retrograde stop                               stop all machines, from any terminal
@@ -59,8 +60,8 @@ pub enum Subcommand {
     Info(Which),
     /// Find the rig's position: two passes over the home flag, then to 0.
     Home,
-    /// Run the waves: cycles away from home and back, recorded. The rig must be homed. At a terminal, h and Enter holds
-    /// the run, r and Enter resumes it.
+    /// Run the waves: cycles away from home and back, recorded. The rig must be homed. At a terminal, the key h holds
+    /// the run, r resumes it, s stops it.
     Run(Box<RunArgs>),
     /// Take a new board into service: switches, pulses, travel and stops, measured step by step and recorded. It can be
     /// left at any time; the same command goes on where it was left.
@@ -89,6 +90,8 @@ pub enum Subcommand {
     Jog(JogArgs),
     /// Move the rig to a position.
     Move(MoveArgs),
+    /// Watch the machines on one screen, also while another `retrograde` works with them; keys hold, resume and stop.
+    Watch(WatchArgs),
     /// Show the rig's counters: false pulses, serial errors, stack use, underruns.
     Health,
     /// The rig's settings.
@@ -277,6 +280,20 @@ impl From<MachineKind> for DeviceKind {
 pub struct Which {
     /// Only this machine. Otherwise those given by `--rig` and `--capsule`, or all that are found.
     pub machine: Option<MachineKind>,
+}
+
+/// Arguments of `watch`.
+#[derive(Debug, Args)]
+pub struct WatchArgs {
+    /// The machines.
+    #[command(flatten)]
+    pub which: Which,
+    /// Print a line per machine and second instead, as without a terminal.
+    #[arg(long)]
+    pub plain: bool,
+    /// End after this time in s; otherwise with q, or with a signal.
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = above_zero::<ShortSeconds>)]
+    pub for_s: Option<ShortSeconds>,
 }
 
 /// Folder of all records, unless the user names another.

@@ -1,5 +1,8 @@
 //! Finds the machine meant by `--rig` or `--capsule` and opens a session with it, or lists what is connected.
 
+use std::thread;
+use std::time::{Duration, Instant};
+
 use protocol::system::{DeviceKind, Identity, Urgent};
 
 use crate::cli::args::{Cli, Which};
@@ -17,6 +20,15 @@ const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
 
 /// How many owners of a line may end while this process looks through their doors.
 const OWNERS: u32 = 5;
+
+/// How long an owner that only looks may take to give its line up.
+const YIELDING: Duration = Duration::from_secs(3);
+
+/// How soon it offers its line after it has opened it.
+const BEGINNING: Duration = Duration::from_millis(100);
+
+/// Interval between two attempts at a line that is about to be free.
+const AGAIN: Duration = Duration::from_millis(10);
 
 /// A place and the answer from it.
 pub(crate) struct Found {
@@ -65,14 +77,14 @@ impl Finder<'_> {
     /// Opens a session with a machine of this kind, whatever protocol version it speaks.
     pub(crate) fn greet(&self, kind: DeviceKind) -> Result<Device, Failure> {
         let address = self.resolve(kind)?;
-        let mut device = self.open(kind, &address)?;
+        let mut device = self.open_for_command(kind, &address)?;
         // The owner of the line may end while it is asked; then the line is free.
         for attempt in 1.. {
             windows::admit(&self.cli.subcommand, &device)?;
             device.set_interrupt(interrupt::install());
             match device.hello(self.connector.nonce()) {
                 Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {
-                    device = self.open(kind, &address)?;
+                    device = self.open_for_command(kind, &address)?;
                 }
                 Err(error) => return Err(error.into()),
                 Ok(_) => break,
@@ -133,6 +145,27 @@ impl Finder<'_> {
         kinds.into_iter().map(target).collect()
     }
 
+    /// As [`Finder::open`]; if the command is for the owner of the line, and the present one only looks, that one gives it up.
+    fn open_for_command(&self, kind: DeviceKind, address: &Address) -> Result<Device, Failure> {
+        let begin = Instant::now();
+        // One that has just begun may not have offered it yet.
+        let mut limit = BEGINNING;
+        loop {
+            let mut device = self.open(kind, address)?;
+            if windows::for_owner(&self.cli.subcommand).is_none()
+                || device.owner().is_none()
+                || begin.elapsed() > limit
+            {
+                return Ok(device);
+            }
+            if device.want_line() {
+                limit = YIELDING;
+            }
+            drop(device);
+            thread::sleep(AGAIN);
+        }
+    }
+
     fn open(&self, kind: DeviceKind, address: &Address) -> Result<Device, Failure> {
         Ok(Device::new(self.connector.open(
             kind,
@@ -142,7 +175,7 @@ impl Finder<'_> {
     }
 
     /// The address of a machine: as given by the user, or the only one where such a machine answers.
-    fn resolve(&self, kind: DeviceKind) -> Result<Address, Failure> {
+    pub(crate) fn resolve(&self, kind: DeviceKind) -> Result<Address, Failure> {
         match self.address(kind) {
             Some(Address::Auto) | None => {}
             Some(address) => return Ok(address.clone()),

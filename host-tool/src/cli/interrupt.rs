@@ -8,6 +8,8 @@ use protocol::system::Urgent;
 
 use crate::client::Interrupt;
 
+const STOPPING: &str = "stopping; Ctrl-C now for the emergency stop";
+
 /// Interrupts so far. A process has one handler, so it also has one count.
 static PRESSED: OnceLock<Arc<AtomicU8>> = OnceLock::new();
 
@@ -21,19 +23,10 @@ pub(crate) fn install() -> Interrupt {
             let _ = ctrlc::set_handler(move || {
                 let before = count.load(Ordering::Relaxed);
                 count.store(before.saturating_add(1), Ordering::Relaxed);
-                // The progress bar stands in this line: away with it.
-                let clear = if io::stderr().is_terminal() {
-                    "\r\x1b[2K"
-                } else {
-                    ""
-                };
-                eprintln!(
-                    "{clear}{}",
-                    match before {
-                        0 => "stopping; once more for the emergency stop",
-                        _ => "emergency stop",
-                    }
-                );
+                tell(match before {
+                    0 => STOPPING,
+                    _ => "emergency stop",
+                });
             });
             pressed
         })
@@ -43,4 +36,23 @@ pub(crate) fn install() -> Interrupt {
         1 => Some(Urgent::Stop),
         _ => Some(Urgent::EStop),
     })
+}
+
+/// Stops in a controlled way, as the first Ctrl-C does. Once more it changes nothing: a key that repeats is no emergency.
+pub(crate) fn press() {
+    if let Some(pressed) = PRESSED.get()
+        && pressed.fetch_max(1, Ordering::Relaxed) == 0
+    {
+        tell(STOPPING);
+    }
+}
+
+/// Tells a person something while a progress bar may stand in the line.
+pub(crate) fn tell(text: &str) {
+    let clear = if io::stderr().is_terminal() {
+        "\r\x1b[2K"
+    } else {
+        ""
+    };
+    eprintln!("{clear}{text}");
 }

@@ -1,21 +1,30 @@
-//! The person at the keyboard answers questions, and holds and resumes a run: the process that runs it owns the serial
-//! port, so no other process can.
+//! The person at the keyboard answers questions, and holds, resumes and stops a run.
 
-use std::io::{self, BufRead, BufReader, IsTerminal};
+use std::io::{self, BufRead, BufReader, IsTerminal, Read};
 use std::sync::mpsc;
 use std::thread;
 
-use crate::cli::Keyboard;
+use crate::cli::{Keyboard, interrupt};
 use crate::client::{Pace, Pacer};
 
 /// What can be typed during a run.
-pub(crate) const HINT: &str = "h and Enter holds the run, r and Enter resumes it, Ctrl-C stops it.";
+pub(crate) fn hint(single: bool) -> &'static str {
+    if single {
+        "h holds the run, r resumes it, s or Ctrl-C stops it."
+    } else {
+        "h and Enter holds the run, r and Enter resumes it, s and Enter or Ctrl-C stops it."
+    }
+}
 
 /// Standard input, if it is a terminal with this process in the foreground.
 pub(crate) fn standard() -> Option<Keyboard> {
+    is_there().then(|| Box::new(BufReader::new(io::stdin())) as Keyboard)
+}
+
+/// Whether a person can type here.
+pub(crate) fn is_there() -> bool {
     let input = io::stdin();
-    (input.is_terminal() && in_foreground(&input))
-        .then(|| Box::new(BufReader::new(input)) as Keyboard)
+    input.is_terminal() && in_foreground(&input)
 }
 
 /// The shell suspends a background job that reads from the terminal, which would suspend the run, too.
@@ -29,24 +38,92 @@ fn in_foreground(_: &io::Stdin) -> bool {
     true
 }
 
-/// Reads lines until the program ends, on a thread of its own because a read from a terminal cannot be interrupted.
-pub(crate) fn pacer(keyboard: Keyboard) -> Pacer {
+/// What is done with what is typed during a run.
+struct Keys {
+    typed: mpsc::Sender<Pace>,
+    hint: &'static str,
+}
+
+impl Keys {
+    /// Does what a word or a key says; false when nobody waits for it any more.
+    fn take(&self, word: &str) -> bool {
+        let pace = match word {
+            "h" | "H" => Pace::Hold,
+            "r" | "R" => Pace::Resume,
+            "s" | "S" => {
+                interrupt::press();
+                return true;
+            }
+            "" => return true,
+            _ => {
+                interrupt::tell(self.hint);
+                return true;
+            }
+        };
+        self.typed.send(pace).is_ok()
+    }
+}
+
+/// Reads until the program ends, on a thread of its own because a read from a terminal cannot be interrupted: single keys
+/// if the terminal gives them, lines otherwise.
+pub(crate) fn pacer(keyboard: Keyboard, single: bool) -> Pacer {
     let (typed, requests) = mpsc::channel();
+    let hint = hint(single);
+    let keys = Keys { typed, hint };
     thread::spawn(move || {
-        for line in keyboard.lines().map_while(Result::ok) {
-            let pace = match line.trim() {
-                "h" => Pace::Hold,
-                "r" => Pace::Resume,
-                "" => continue,
-                _ => {
-                    eprintln!("{HINT}");
-                    continue;
+        if single {
+            for byte in keyboard.bytes().map_while(Result::ok) {
+                let key = char::from(byte).to_string();
+                if !keys.take(key.trim()) {
+                    return;
                 }
-            };
-            if typed.send(pace).is_err() {
-                return;
+            }
+        } else {
+            for line in keyboard.lines().map_while(Result::ok) {
+                if !keys.take(line.trim()) {
+                    return;
+                }
             }
         }
     });
     Box::new(move || requests.try_recv().ok())
+}
+
+/// Standard input gives each key at once and does not show it, until this is dropped. Ctrl-C stays a signal.
+#[derive(Debug)]
+pub(crate) struct SingleKeys {
+    #[cfg(unix)]
+    before: rustix::termios::Termios,
+}
+
+impl SingleKeys {
+    /// `None` where a terminal cannot do that.
+    #[cfg(unix)]
+    pub(crate) fn begin() -> Option<Self> {
+        use rustix::termios::{
+            LocalModes, OptionalActions, SpecialCodeIndex, tcgetattr, tcsetattr,
+        };
+        let input = io::stdin();
+        let before = tcgetattr(&input).ok()?;
+        let mut keys = before.clone();
+        keys.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
+        keys.special_codes[SpecialCodeIndex::VMIN] = 1;
+        keys.special_codes[SpecialCodeIndex::VTIME] = 0;
+        tcsetattr(&input, OptionalActions::Now, &keys).ok()?;
+        Some(Self { before })
+    }
+
+    #[cfg(not(unix))]
+    pub(crate) fn begin() -> Option<Self> {
+        None
+    }
+}
+
+#[cfg(unix)]
+impl Drop for SingleKeys {
+    fn drop(&mut self) {
+        use rustix::termios::{OptionalActions, tcsetattr};
+        // A terminal that is gone needs nothing.
+        let _ = tcsetattr(io::stdin(), OptionalActions::Now, &self.before);
+    }
 }

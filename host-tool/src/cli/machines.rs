@@ -10,7 +10,8 @@ use crate::cli::already;
 use crate::cli::args::{DATA_FOLDER, RecordArgs, RunArgs, TraceArgs, Which};
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, line};
-use crate::cli::keyboard;
+use crate::cli::fresh;
+use crate::cli::keyboard::{self, SingleKeys};
 use crate::cli::screen::Screen;
 use crate::client::matches;
 use crate::commission::warning;
@@ -196,16 +197,23 @@ pub(crate) fn run(
     let request = args.waves.request(args.on_link_loss);
     plan::check(&request)?;
     let mut rig = finder.connect(DeviceKind::Rig)?;
+    fresh::prepare(DeviceKind::Rig, &mut rig, finder, screen)?;
     let folders = [args.record.out.clone(), DATA_FOLDER.into()];
     if let Some(warning) = warning::of_record(&mut rig, &folders)? {
         screen.hint(&format!("warning: {warning}"));
     }
+    // The terminal is restored on every way out of here.
+    let mut single = None;
     if let Some(keyboard) = screen.keyboard.take() {
-        screen.hint(keyboard::HINT);
-        rig.set_pacer(keyboard::pacer(keyboard));
+        if screen.single_keys {
+            single = SingleKeys::begin();
+        }
+        screen.hint(keyboard::hint(single.is_some()));
+        rig.set_pacer(keyboard::pacer(keyboard, single.is_some()));
     }
     let recording = recording(&args.record, "run", finder);
     let trial = experiment::run(&mut rig, request, &recording, &mut screen.live())?;
+    drop(single);
     screen.say(&format!(
         "{} of {} strokes in {} s, {} steps commanded, {} counted, residual {} steps.\n  {}\n  {}",
         trial.record.strokes,
@@ -264,6 +272,9 @@ pub(crate) fn actuate(
         ),
     };
     let mut capsule = finder.connect(DeviceKind::Capsule)?;
+    if matches!(kind, ActuationKind::Fold | ActuationKind::Unfold) {
+        fresh::prepare(DeviceKind::Capsule, &mut capsule, finder, screen)?;
+    }
     if let Some(result) = already::actuated(kind, &mut capsule, screen)? {
         return Ok(result);
     }

@@ -9,6 +9,7 @@ use crate::cli::already;
 use crate::cli::args::{JogArgs, MoveArgs};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
+use crate::cli::fresh;
 use crate::cli::screen::Screen;
 use crate::client::{Device, Unobserved, while_moving};
 use crate::decimal;
@@ -62,6 +63,7 @@ pub(crate) fn jog(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let mut rig = finder.connect(DeviceKind::Rig)?;
+    fresh::prepare(DeviceKind::Rig, &mut rig, finder, screen)?;
     let jog = rig::Jog {
         sense: args.direction,
         speed_um_s: args.speed_mm_s.0,
@@ -111,6 +113,7 @@ pub(crate) fn move_to(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let mut rig = finder.connect(DeviceKind::Rig)?;
+    fresh::prepare(DeviceKind::Rig, &mut rig, finder, screen)?;
     let accepted = match rig.call(rig::MoveTo {
         position_um: args.position_mm.0,
         speed_um_s: args.speed_mm_s.0,

@@ -15,6 +15,8 @@ pub(crate) struct Screen<'a> {
     pub(crate) json: bool,
     /// Standard error is a terminal, so a progress bar may be drawn.
     pub(crate) terminal: bool,
+    /// The keyboard is that of a terminal, which can give single keys.
+    pub(crate) single_keys: bool,
     /// The person at the terminal; none with `--json`.
     pub(crate) keyboard: Option<Keyboard>,
     /// Why standard output does not take the result.
@@ -33,6 +35,16 @@ impl Screen<'_> {
         if !self.json {
             self.note(written);
         }
+    }
+
+    /// Prints a line; false if nobody takes any more.
+    pub(crate) fn tell(&mut self, text: &str) -> bool {
+        let written = writeln!(self.stream(), "{text}").and_then(|()| self.stream().flush());
+        let taken = written.is_ok();
+        if !self.json {
+            self.note(written);
+        }
+        taken
     }
 
     /// Keeps the first error of standard output. Whoever closes a pipe has read enough.

@@ -20,7 +20,7 @@ pub(crate) fn admit(subcommand: &Subcommand, device: &Device) -> Result<(), Clie
 }
 
 /// The command, if it moves something, writes settings, or needs the whole line.
-fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
+pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
     Some(match subcommand {
         Subcommand::Home => "home",
         Subcommand::Run(_) => "run",
@@ -54,6 +54,7 @@ fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
         | Subcommand::Hold
         | Subcommand::Resume
         | Subcommand::Health
+        | Subcommand::Watch(_)
         | Subcommand::Plan(_)
         | Subcommand::Design(_)
         | Subcommand::Simulate(_)

@@ -60,6 +60,10 @@ pub(crate) struct Core {
     woken: Condvar,
     out: Mutex<Out>,
     closing: AtomicBool,
+    /// The owner gives the line up for whoever wants it.
+    yields: AtomicBool,
+    /// Somebody wants it.
+    wanted: AtomicBool,
 }
 
 #[derive(Default)]
@@ -115,6 +119,8 @@ impl Core {
                 noticed: 0,
             }),
             closing: AtomicBool::new(false),
+            yields: AtomicBool::new(false),
+            wanted: AtomicBool::new(false),
         })
     }
 
@@ -190,6 +196,22 @@ impl Core {
         out.noticed = out.stops;
         drop(out);
         self.state().stopped
+    }
+
+    pub(crate) fn offer_line(&self) {
+        self.yields.store(true, Ordering::Relaxed);
+    }
+
+    pub(crate) fn is_line_wanted(&self) -> bool {
+        self.wanted.load(Ordering::Relaxed)
+    }
+
+    /// Forgets the stops that the owner has noticed. One that it has not stays.
+    pub(crate) fn forget_stop(&self) {
+        let out = self.out();
+        if out.stops == out.noticed {
+            self.state().stopped = None;
+        }
     }
 
     pub(crate) fn question(&self) -> Option<Question> {
@@ -382,9 +404,16 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
     if knock.token != plate.token {
         return Err(io::ErrorKind::PermissionDenied.into());
     }
+    let yields = core.yields.load(Ordering::Relaxed);
+    if knock.wants_line && yields {
+        core.wanted.store(true, Ordering::Relaxed);
+        core.state().nudged = true;
+        core.woken.notify_all();
+    }
     let welcome = Welcome {
         retrograde_door: VERSION,
         owner: plate.owner.clone(),
+        yields,
     };
     let mut line = serde_json::to_vec(&welcome)?;
     line.push(b'\n');

@@ -15,6 +15,8 @@ use crate::link::{Link, LinkError};
 pub struct Window {
     place: String,
     owner: Owner,
+    yields: bool,
+    doorway: Doorway,
     stream: Stream,
     start: Instant,
 }
@@ -25,6 +27,10 @@ impl Window {
     /// # Errors
     /// There is no door, nobody answers, or what answers is no door.
     pub fn open(doorway: &Doorway, limit: Duration) -> io::Result<Self> {
+        Self::knock(doorway, limit, false)
+    }
+
+    fn knock(doorway: &Doorway, limit: Duration, wants_line: bool) -> io::Result<Self> {
         let plate = doorway.plate().ok_or(io::ErrorKind::NotFound)?;
         let mut stream = doorway.connect(&plate)?;
         stream.set_read_timeout(Some(limit))?;
@@ -32,6 +38,7 @@ impl Window {
         let knock = Knock {
             retrograde_window: VERSION,
             token: plate.token,
+            wants_line,
         };
         let mut line = serde_json::to_vec(&knock)?;
         line.push(b'\n');
@@ -41,6 +48,8 @@ impl Window {
         Ok(Self {
             place: doorway.place().to_owned(),
             owner: welcome.owner,
+            yields: welcome.yields,
+            doorway: doorway.clone(),
             stream,
             start: Instant::now(),
         })
@@ -82,5 +91,13 @@ impl Link for Window {
 
     fn owner(&self) -> Option<&Owner> {
         Some(&self.owner)
+    }
+
+    fn want_line(&mut self) -> bool {
+        // An owner that is gone has given it up, too.
+        if self.yields {
+            let _ = Self::knock(&self.doorway, Duration::from_secs(1), true);
+        }
+        self.yields
     }
 }

@@ -118,6 +118,18 @@ impl Link for Shared {
         self.core.stopped()
     }
 
+    fn offer_line(&mut self) {
+        self.core.offer_line();
+    }
+
+    fn is_line_wanted(&mut self) -> bool {
+        self.core.is_line_wanted()
+    }
+
+    fn forget_stop(&mut self) {
+        self.core.forget_stop();
+    }
+
     fn question(&mut self) -> Option<Question> {
         self.core.question()
     }

@@ -1,0 +1,40 @@
+//! A machine on the virtual bench is made for one command and is new each time: it is neither homed nor referenced. What
+//! needs that does it first, in the same command. A real machine is never moved without having been told.
+
+use protocol::system::DeviceKind;
+
+use crate::cli::failure::Failure;
+use crate::cli::finding::Finder;
+use crate::cli::machines::homed_text;
+use crate::cli::screen::Screen;
+use crate::client::Device;
+use crate::experiment;
+use crate::link::address::Address;
+
+/// Homes a virtual rig, references a virtual capsule, if it is new.
+pub(crate) fn prepare(
+    kind: DeviceKind,
+    device: &mut Device,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<(), Failure> {
+    if finder.address(kind) != Some(&Address::Virtual) {
+        return Ok(());
+    }
+    match kind {
+        DeviceKind::Rig if !device.rig_status()?.homed => {
+            screen.say("The virtual rig is made for this command and is new: it homes first.");
+            let homed = experiment::home(device, &mut screen.live())?;
+            screen.say(&homed_text(&homed));
+        }
+        DeviceKind::Capsule if !device.capsule_status()?.referenced => {
+            screen.say(
+                "The virtual capsule is made for this command and is new: it is referenced first.",
+            );
+            let accepted = device.reference()?;
+            device.wait_actuation(&accepted, &mut screen.live())?;
+        }
+        DeviceKind::Rig | DeviceKind::Capsule => {}
+    }
+    Ok(())
+}

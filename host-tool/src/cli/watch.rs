@@ -1,0 +1,243 @@
+//! `watch`: the machines on one screen, and keys that hold, resume and stop. Without a terminal: a line per second.
+
+pub mod draw;
+mod feed;
+pub mod panel;
+pub mod terminal;
+
+use std::io::{self, IsTerminal};
+use std::sync::Arc;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
+use std::thread::{self, Scope};
+use std::time::{Duration, Instant};
+
+use crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use protocol::system::{DeviceKind, Urgent};
+use ratatui_core::terminal::Terminal;
+use serde_json::{Map, Value, json};
+
+use crate::cli::args::WatchArgs;
+use crate::cli::failure::Failure;
+use crate::cli::finding::Finder;
+use crate::cli::keyboard;
+use crate::cli::screen::Screen;
+use crate::cli::watch::draw::{Look, draw};
+use crate::cli::watch::feed::{Feed, Shared};
+use crate::cli::watch::panel::{Contact, Panel};
+use crate::cli::watch::terminal::Output;
+use crate::client::Pace;
+use crate::identity;
+
+/// Interval between two drawings.
+const DRAW: Duration = Duration::from_millis(50);
+
+/// Interval between two lines without a terminal.
+const LINE: Duration = Duration::from_secs(1);
+
+/// A signal to end has come. A process has one handler.
+static SIGNALLED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
+
+fn signalled() -> Arc<AtomicBool> {
+    let signalled = SIGNALLED.get_or_init(|| {
+        let signalled = Arc::new(AtomicBool::new(false));
+        let set = Arc::clone(&signalled);
+        // Looking stops nothing: whoever ends it only leaves.
+        let _ = ctrlc::set_handler(move || set.store(true, Ordering::Relaxed));
+        signalled
+    });
+    Arc::clone(signalled)
+}
+
+pub(crate) fn watch(
+    args: &WatchArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let mut machines = vec![];
+    for kind in finder.machines(&args.which)? {
+        machines.push(Shared::new(kind, finder.resolve(kind)?));
+    }
+    let signalled = signalled();
+    let full = !args.plain && !screen.json && screen.terminal && is_full_screen();
+    let end = args.for_s.map(|seconds| {
+        let limit = Duration::from_micros(seconds.0.into());
+        Instant::now() + limit
+    });
+    let leaving = AtomicBool::new(false);
+    let shown = thread::scope(|scope| {
+        // Also when the screen panics.
+        let leave = Leave(&leaving);
+        let mut paces = vec![];
+        for shared in &machines {
+            let (sender, receiver) = channel();
+            paces.push(sender);
+            let feed = Feed {
+                finder,
+                shared,
+                leaving: &leaving,
+                paces: receiver,
+            };
+            scope.spawn(move || feed.follow());
+        }
+        let view = View {
+            scope,
+            finder,
+            machines: &machines,
+            paces,
+            signalled: &signalled,
+            end,
+        };
+        let shown = if full {
+            view.full_screen()
+        } else {
+            view.lines(screen);
+            Ok(())
+        };
+        drop(leave);
+        shown
+    });
+    shown.map_err(|io| Failure::Output { io })?;
+    let mut all = Map::new();
+    for shared in &machines {
+        let panel = shared.panel();
+        let name = identity::kind_name(shared.kind).to_owned();
+        let status = match (&panel.rig, &panel.capsule) {
+            (Some(status), _) => json!(status),
+            (_, Some(status)) => json!(status),
+            _ => Value::Null,
+        };
+        all.insert(
+            name,
+            json!({ "place": panel.place, "status": status, "missed_samples": panel.quality.missed }),
+        );
+    }
+    Ok(Value::Object(all))
+}
+
+/// Ends the feeds.
+struct Leave<'a>(&'a AtomicBool);
+
+impl Drop for Leave<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+fn is_full_screen() -> bool {
+    let dumb = std::env::var("TERM").is_ok_and(|term| term == "dumb");
+    !dumb && io::stdout().is_terminal() && keyboard::is_there()
+}
+
+/// What the person sees and does.
+struct View<'scope, 'env> {
+    scope: &'scope Scope<'scope, 'env>,
+    finder: &'env Finder<'env>,
+    machines: &'env [Shared],
+    /// To the feeds, in the order of the machines.
+    paces: Vec<Sender<Pace>>,
+    signalled: &'env AtomicBool,
+    end: Option<Instant>,
+}
+
+impl View<'_, '_> {
+    fn is_over(&self) -> bool {
+        self.signalled.load(Ordering::Relaxed)
+            || self.end.is_some_and(|end| Instant::now() >= end)
+            || terminal::panicked()
+    }
+
+    /// A line per machine and second, until the end or until nobody reads.
+    fn lines(&self, screen: &mut Screen<'_>) {
+        let mut next = Instant::now() + LINE;
+        loop {
+            while Instant::now() < next && !self.is_over() {
+                thread::sleep(Duration::from_millis(10));
+            }
+            next += LINE;
+            for machine in self.machines {
+                let line = machine.panel().line(Instant::now());
+                if !screen.tell(&line) {
+                    return;
+                }
+            }
+            if self.is_over() {
+                return;
+            }
+        }
+    }
+
+    fn full_screen(&self) -> io::Result<()> {
+        let look = Look::of_environment();
+        let taken = terminal::take()?;
+        let result = self.dashboard(look);
+        drop(taken);
+        result
+    }
+
+    fn dashboard(&self, look: Look) -> io::Result<()> {
+        let mut terminal = Terminal::new(Output::new())?;
+        terminal.clear()?;
+        while !self.is_over() {
+            let panels: Vec<Panel> = self
+                .machines
+                .iter()
+                .map(|machine| machine.panel().clone())
+                .collect();
+            terminal.draw(|frame| draw(&panels, look, Instant::now(), frame.buffer_mut()))?;
+            let next = Instant::now() + DRAW;
+            while event::poll(next.saturating_duration_since(Instant::now()))? {
+                if self.key(&event::read()?) {
+                    return Ok(());
+                }
+                if Instant::now() >= next {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Does what a key says; true if the person leaves.
+    fn key(&self, event: &Event) -> bool {
+        let Event::Key(key) = event else {
+            return false;
+        };
+        if key.kind == KeyEventKind::Release {
+            return false;
+        }
+        let control = key.modifiers.contains(KeyModifiers::CONTROL);
+        match key.code {
+            KeyCode::Char('c' | 'd') if control => return true,
+            KeyCode::Char(_) if control => {}
+            KeyCode::Char('q' | 'Q') => return true,
+            KeyCode::Char('e' | 'E') => self.stop(Urgent::EStop),
+            KeyCode::Char('s' | 'S' | ' ') => self.stop(Urgent::Stop),
+            KeyCode::Char('h' | 'H') => self.pace(Pace::Hold),
+            KeyCode::Char('r' | 'R') => self.pace(Pace::Resume),
+            _ => {}
+        }
+        false
+    }
+
+    fn stop(&self, urgent: Urgent) {
+        for machine in self.machines {
+            machine.stop(urgent);
+            if matches!(machine.panel().contact, Contact::Lost(_)) {
+                // The feed may be busy for seconds with a line that does not open.
+                let finder = self.finder;
+                self.scope.spawn(move || machine.stop_directly(finder));
+            }
+        }
+    }
+
+    fn pace(&self, pace: Pace) {
+        for (machine, paces) in self.machines.iter().zip(&self.paces) {
+            // Only the rig has runs.
+            if machine.kind == DeviceKind::Rig {
+                let _ = paces.send(pace);
+            }
+        }
+    }
+}

@@ -1,0 +1,322 @@
+//! Keeps one machine's panel up to date, on a thread of its own, and sends what the keys want.
+
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::mpsc::Receiver;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use protocol::error::Refusal;
+use protocol::rig;
+use protocol::system::{DeviceKind, Event, Urgent};
+use protocol::table::Telemetry;
+
+use crate::cli::failure::Failure;
+use crate::cli::finding::{Finder, Target};
+use crate::cli::stops::DO_NOW;
+use crate::cli::watch::panel::{Contact, Notice, Panel};
+use crate::client::{Device, Interrupt, Observer, Pace};
+use crate::error::ClientError;
+use crate::link::LinkError;
+use crate::link::address::Address;
+
+/// Interval of telemetry if this process owns the line: as often as the screen is drawn.
+const TELEMETRY_MS: u16 = 50;
+
+/// Interval between two questions for the status, us. Each goes through the owner of the line.
+const ASK_US: u64 = 250_000;
+
+/// How long bytes are waited for before the keys are looked at again, us.
+const SLICE_US: u64 = 20_000;
+
+/// How long a line that has become free is left to others: it may have been given up for one that waits.
+const LEFT_TO_OTHERS: Duration = Duration::from_millis(200);
+
+/// Interval between two attempts to connect.
+const AGAIN: Duration = Duration::from_millis(500);
+
+/// What screen and feed of one machine share.
+pub(crate) struct Shared {
+    pub(crate) kind: DeviceKind,
+    address: Address,
+    panel: Mutex<Panel>,
+    /// The stop that a key wants, until it is confirmed.
+    wanted: Arc<AtomicU8>,
+}
+
+impl Shared {
+    pub(crate) fn new(kind: DeviceKind, address: Address) -> Self {
+        Self {
+            kind,
+            panel: Mutex::new(Panel::new(kind, address.to_string())),
+            address,
+            wanted: Arc::new(AtomicU8::new(0)),
+        }
+    }
+
+    // Nobody panics while holding it; if somebody did, the screen shows what is there.
+    pub(crate) fn panel(&self) -> MutexGuard<'_, Panel> {
+        self.panel.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Stops the machine as soon as the feed sees it, within 20 ms.
+    pub(crate) fn stop(&self, urgent: Urgent) {
+        self.wanted.fetch_max(number(urgent), Ordering::Relaxed);
+        self.tell(Notice::Done(format!("{} ...", name(urgent))));
+    }
+
+    fn wanted(&self) -> Option<Urgent> {
+        stop(self.wanted.load(Ordering::Relaxed))
+    }
+
+    /// The stop is done, unless a stronger one is wanted by now.
+    fn done(&self, urgent: Urgent) {
+        let now = number(urgent);
+        let _ = self
+            .wanted
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |wanted| {
+                (wanted <= now).then_some(0)
+            });
+    }
+
+    fn tell(&self, notice: Notice) {
+        self.panel().notice = Some(notice);
+    }
+
+    /// Sends the stop that a key wants over a line of its own: there is no connection, or it has not confirmed it.
+    pub(crate) fn stop_directly(&self, finder: &Finder<'_>) {
+        let Some(urgent) = self.wanted() else {
+            return;
+        };
+        let target = Target {
+            kind: Some(self.kind),
+            address: Some(self.address.clone()),
+        };
+        let result = finder.urgent(&target, urgent);
+        self.done(urgent);
+        self.tell(match result {
+            Ok(_) => confirmed(urgent),
+            Err(failure) => {
+                let name = name(urgent);
+                Notice::Bad(format!("{name} NOT CONFIRMED: {DO_NOW} ({failure})"))
+            }
+        });
+    }
+
+    fn interrupt(&self) -> Interrupt {
+        let wanted = Arc::clone(&self.wanted);
+        Arc::new(move || stop(wanted.load(Ordering::Relaxed)))
+    }
+}
+
+fn number(urgent: Urgent) -> u8 {
+    match urgent {
+        Urgent::Stop => 1,
+        Urgent::EStop => 2,
+    }
+}
+
+fn stop(number: u8) -> Option<Urgent> {
+    match number {
+        0 => None,
+        1 => Some(Urgent::Stop),
+        _ => Some(Urgent::EStop),
+    }
+}
+
+fn name(urgent: Urgent) -> &'static str {
+    match urgent {
+        Urgent::Stop => "stop",
+        Urgent::EStop => "EMERGENCY STOP",
+    }
+}
+
+/// Passes what the device tells to the panel.
+struct Seen<'a>(&'a Shared);
+
+impl Observer for Seen<'_> {
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.0.panel().sample(sample, missed, Instant::now());
+    }
+    fn event(&mut self, event: &Event) {
+        self.0.panel().event(event);
+    }
+}
+
+/// One machine to watch.
+pub(crate) struct Feed<'a> {
+    pub(crate) finder: &'a Finder<'a>,
+    pub(crate) shared: &'a Shared,
+    /// The person leaves.
+    pub(crate) leaving: &'a AtomicBool,
+    /// Holds and resumptions that keys want.
+    pub(crate) paces: Receiver<Pace>,
+}
+
+impl Feed<'_> {
+    /// Watches until the person leaves, whatever becomes of the line.
+    pub(crate) fn follow(&self) {
+        while !self.is_leaving() {
+            let result = self.connection();
+            self.shared.stop_directly(self.finder);
+            let failure = match result {
+                Ok(()) if self.is_leaving() => return,
+                Ok(()) => {
+                    // Somebody waits for the line.
+                    thread::sleep(AGAIN);
+                    continue;
+                }
+                Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))) => {
+                    // It has ended, as commands do: the line is free.
+                    thread::sleep(LEFT_TO_OTHERS);
+                    continue;
+                }
+                Err(failure) => failure,
+            };
+            let mut panel = self.shared.panel();
+            if !matches!(panel.contact, Contact::Lost(_)) {
+                panel.quality.losses += 1;
+            }
+            panel.contact = Contact::Lost(told(&failure));
+            drop(panel);
+            let begin = Instant::now();
+            while begin.elapsed() < AGAIN && !self.is_leaving() {
+                self.shared.stop_directly(self.finder);
+                thread::sleep(Duration::from_millis(10));
+            }
+        }
+    }
+
+    fn is_leaving(&self) -> bool {
+        self.leaving.load(Ordering::Relaxed)
+    }
+
+    /// Connects, and follows until the connection is lost, the person leaves, or somebody else needs the line.
+    fn connection(&self) -> Result<(), Failure> {
+        let finder = self.finder;
+        let link =
+            finder
+                .connector
+                .open(self.shared.kind, &self.shared.address, finder.cli.baud)?;
+        let mut device = Device::new(link);
+        device.offer_line();
+        device.set_interrupt(self.shared.interrupt());
+        device.hello(finder.connector.nonce())?;
+        device.require(self.shared.kind)?;
+        let owned = device.owner().is_none();
+        if owned {
+            device.set_telemetry(TELEMETRY_MS)?;
+        }
+        self.shared.panel().contact = match device.owner() {
+            None => Contact::Owned,
+            Some(owner) => Contact::Window(owner.to_string()),
+        };
+        let result = self.watch(&mut device);
+        if owned && result.is_ok() {
+            // The line is given up in any case.
+            let _ = device.set_telemetry(0);
+        }
+        result
+    }
+
+    fn watch(&self, device: &mut Device) -> Result<(), Failure> {
+        let mut asked_us = None;
+        while !self.is_leaving() && !device.is_line_wanted() {
+            let now_us = device.now_us();
+            let due = asked_us.is_none_or(|asked_us| now_us >= asked_us + ASK_US);
+            if self.shared.panel().take_changed() || due {
+                asked_us = Some(now_us);
+                match self.ask(device) {
+                    // The owner works; it answers later.
+                    Ok(()) | Err(ClientError::OwnerBusy { .. }) => {}
+                    Err(error) => return Err(error.into()),
+                }
+            }
+            self.settle(device)?;
+            while let Ok(pace) = self.paces.try_recv() {
+                self.pace(device, pace)?;
+            }
+            device.observe(SLICE_US, &mut Seen(self.shared))?;
+        }
+        // The last key may have been a stop.
+        self.settle(device)?;
+        Ok(())
+    }
+
+    fn ask(&self, device: &mut Device) -> Result<(), ClientError> {
+        let begin = device.now_us();
+        match self.shared.kind {
+            DeviceKind::Rig => {
+                let status = device.rig_status()?;
+                self.shared.panel().rig_status(&status, Instant::now());
+            }
+            DeviceKind::Capsule => {
+                let status = device.capsule_status()?;
+                self.shared.panel().capsule_status(&status, Instant::now());
+            }
+        }
+        let mut panel = self.shared.panel();
+        panel.quality.round_trip = Some(Duration::from_micros(device.now_us() - begin));
+        panel.quality.bad_frames = device.rejected_frames();
+        Ok(())
+    }
+
+    /// Waits until a stop that was sent is confirmed, and is ready for the next one.
+    fn settle(&self, device: &mut Device) -> Result<(), ClientError> {
+        let Some(urgent) = device.interrupted() else {
+            return Ok(());
+        };
+        device.settle()?;
+        let urgent = device.interrupted().unwrap_or(urgent);
+        if self.shared.wanted().is_some() {
+            self.shared.done(urgent);
+            self.shared.tell(confirmed(urgent));
+        } else {
+            let notice = format!("{} from another terminal", name(urgent));
+            self.shared.tell(Notice::Done(notice));
+        }
+        device.forget_stop();
+        Ok(())
+    }
+
+    fn pace(&self, device: &mut Device, pace: Pace) -> Result<(), ClientError> {
+        let (answer, done, not) = match pace {
+            Pace::Hold => (device.call(rig::Hold), "hold accepted", "not held"),
+            Pace::Resume => (device.call(rig::Resume), "resumed", "not resumed"),
+        };
+        let notice = match answer {
+            Ok(_) => Notice::Done(done.to_owned()),
+            Err(ClientError::Refused { refusal, .. }) => {
+                Notice::Bad(format!("{not}: {}", reason(&refusal)))
+            }
+            Err(error @ (ClientError::OwnerBusy { .. } | ClientError::OutcomeUnknown { .. })) => {
+                Notice::Bad(error.to_string())
+            }
+            // The stop that came between has a notice of its own.
+            Err(ClientError::Interrupted { .. }) => return Ok(()),
+            Err(error) => return Err(error),
+        };
+        self.shared.tell(notice);
+        Ok(())
+    }
+}
+
+fn confirmed(urgent: Urgent) -> Notice {
+    Notice::Done(match urgent {
+        Urgent::Stop => "stop confirmed".to_owned(),
+        Urgent::EStop => {
+            "EMERGENCY STOP latched; `retrograde ack` before anything moves".to_owned()
+        }
+    })
+}
+
+fn reason(refusal: &Refusal) -> String {
+    crate::wording::refusal(refusal)
+}
+
+/// A failure with its remedy, in one line.
+fn told(failure: &Failure) -> String {
+    let help = miette::Diagnostic::help(failure).map(|help| format!("; {help}"));
+    let text = format!("{failure}{}", help.unwrap_or_default());
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,168 @@
+//! A pseudo-terminal with a program in it: what it shows, and whether the program leaves it as it was.
+#![allow(dead_code, missing_docs)]
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{Termios, Winsize, tcgetattr, tcsetwinsize};
+
+/// However slow the computer is, it is there by then.
+const SOON: Duration = Duration::from_secs(20);
+
+/// A terminal, and a program in it.
+pub struct Terminal {
+    master: OwnedFd,
+    slave: File,
+    pub screen: Arc<Mutex<vt100::Parser>>,
+    /// All that was written to it.
+    pub bytes: Arc<Mutex<Vec<u8>>>,
+    before: Termios,
+    pub child: Child,
+}
+
+impl Terminal {
+    pub fn start(mut command: Command, columns: u16, rows: u16) -> Self {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a terminal");
+        grantpt(&master).expect("mine");
+        unlockpt(&master).expect("mine");
+        let name = ptsname(&master, vec![]).expect("named");
+        let name = name.into_string().expect("UTF-8");
+        let slave = File::options().read(true).write(true).open(name);
+        let slave = slave.expect("a terminal");
+        let screen = Arc::new(Mutex::new(vt100::Parser::new(rows, columns, 0)));
+        let bytes = Arc::new(Mutex::new(vec![]));
+        let before = tcgetattr(&slave).expect("a terminal");
+        let end = || Stdio::from(slave.try_clone().expect("one more"));
+        command
+            .stdin(end())
+            .stdout(end())
+            .stderr(end())
+            .env("TERM", "xterm")
+            .env("LC_ALL", "C.UTF-8");
+        let (shown, kept) = (Arc::clone(&screen), Arc::clone(&bytes));
+        let mut reader = File::from(master.try_clone().expect("one more"));
+        thread::spawn(move || {
+            let mut block = [0; 4_096];
+            while let Ok(count @ 1..) = reader.read(&mut block) {
+                shown.lock().expect("free").process(&block[..count]);
+                kept.lock().expect("free").extend(&block[..count]);
+            }
+        });
+        resize(master.as_fd(), columns, rows);
+        let in_session = || {
+            rustix::process::setsid()?;
+            rustix::process::ioctl_tiocsctty(rustix::stdio::stdin())?;
+            Ok(())
+        };
+        // SAFETY: between fork and exec it makes two system calls and nothing else. So the terminal is the controlling one of the
+        // program, which is in its foreground.
+        unsafe { command.pre_exec(in_session) };
+        let child = command.spawn().expect("starts");
+        Self {
+            master,
+            slave,
+            screen,
+            bytes,
+            before,
+            child,
+        }
+    }
+
+    pub fn text(&self) -> String {
+        self.screen.lock().expect("free").screen().contents()
+    }
+
+    pub fn wait_for(&mut self, text: &str) -> String {
+        let begin = Instant::now();
+        loop {
+            let shown = self.text();
+            if shown.contains(text) {
+                return shown;
+            }
+            let ended = self.child.try_wait().expect("a child");
+            assert!(
+                begin.elapsed() < SOON && ended.is_none(),
+                "no `{text}`, {ended:?}:\n{shown}"
+            );
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Waits until a row, from 0, has this text.
+    pub fn wait_for_row(&mut self, row: usize, text: &str) {
+        let begin = Instant::now();
+        loop {
+            let parser = self.screen.lock().expect("free");
+            let width = parser.screen().size().1;
+            let shown = parser.screen().rows(0, width).nth(row);
+            drop(parser);
+            if shown.is_some_and(|shown| shown.contains(text)) {
+                return;
+            }
+            assert!(begin.elapsed() < SOON, "no `{text}`:\n{}", self.text());
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    pub fn press(&self, key: &str) {
+        let mut keys = File::from(self.master.try_clone().expect("one more"));
+        keys.write_all(key.as_bytes()).expect("typed");
+    }
+
+    pub fn resize(&self, columns: u16, rows: u16) {
+        let mut screen = self.screen.lock().expect("free");
+        screen.screen_mut().set_size(rows, columns);
+        drop(screen);
+        resize(self.master.as_fd(), columns, rows);
+    }
+
+    /// Waits for the end; the terminal must be what it was.
+    pub fn ends_restored(mut self) -> Option<i32> {
+        let begin = Instant::now();
+        let status = loop {
+            if let Some(status) = self.child.try_wait().expect("a child") {
+                break status;
+            }
+            assert!(begin.elapsed() < SOON, "does not end:\n{}", self.text());
+            thread::sleep(Duration::from_millis(5));
+        };
+        // What it wrote last is still on its way.
+        thread::sleep(Duration::from_millis(200));
+        let after = tcgetattr(&self.slave).expect("a terminal");
+        let modes = |termios: &Termios| {
+            let Termios {
+                input_modes,
+                output_modes,
+                control_modes,
+                local_modes,
+                ..
+            } = termios;
+            (*input_modes, *output_modes, *control_modes, *local_modes)
+        };
+        assert_eq!(modes(&after), modes(&self.before));
+        let screen = self.screen.lock().expect("free");
+        let screen = screen.screen();
+        assert!(!screen.alternate_screen(), "the alternate screen was left");
+        assert!(!screen.hide_cursor(), "the cursor is shown");
+        let attributes = (screen.fgcolor(), screen.bold(), screen.inverse());
+        assert_eq!(attributes, (vt100::Color::Default, false, false));
+        status.code()
+    }
+}
+
+fn resize(terminal: std::os::fd::BorrowedFd<'_>, columns: u16, rows: u16) {
+    let size = Winsize {
+        ws_row: rows,
+        ws_col: columns,
+        ws_xpixel: 0,
+        ws_ypixel: 0,
+    };
+    tcsetwinsize(terminal, size).expect("set");
+}
