@@ -4,6 +4,7 @@
 mod already;
 pub mod args;
 mod commission;
+pub mod doctor;
 pub mod failure;
 mod finding;
 mod flash;
@@ -149,6 +150,7 @@ fn carry_out(
     let finder = &Finder { cli, connector };
     match &cli.subcommand {
         Subcommand::Devices => machines::devices(finder, screen),
+        Subcommand::Doctor(which) => doctor::doctor(which, finder, screen),
         Subcommand::Info(which) => machines::info(which, finder, screen),
         Subcommand::Home => machines::home(finder, screen),
         Subcommand::Run(args) => machines::run(args, finder, screen),

@@ -16,6 +16,7 @@ use crate::link::serial::DEFAULT_BAUD;
 const EXAMPLES: &str = "\
 Examples:
   retrograde devices                            which machines are there
+  retrograde doctor                             what is wrong, and what to do about it
   retrograde --rig /dev/ttyACM0 info            how the rig is, also while it runs
   retrograde home                               find the position, before a run
   retrograde run --cycles 5 --duration-s 40     the paper's run, recorded in retrograde-data
@@ -56,6 +57,8 @@ pub struct Cli {
 pub enum Subcommand {
     /// List ports and the machines at them. Moves nothing.
     Devices,
+    /// Find out what is wrong with ports and machines, and what to do about it, within a second or so. Moves nothing.
+    Doctor(Which),
     /// Show identity, state and last fault of the machines. Moves nothing.
     Info(Which),
     /// Find the rig's position: two passes over the home flag, then to 0.

@@ -10,6 +10,7 @@ use motion::run::RunError;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
+use crate::cli::doctor::{self, Finding};
 use crate::cli::stops::{self, Delivery, Told};
 use crate::decimal;
 use crate::error::ClientError;
@@ -206,6 +207,13 @@ pub enum Failure {
         /// What became of it, for each machine.
         told: Vec<Told>,
     },
+    /// The doctor has found something wrong.
+    #[error("{}", doctor::summary(findings))]
+    #[diagnostic(code(retrograde::doctor), help("each finding above has its remedy"))]
+    Sick {
+        /// All findings.
+        findings: Vec<Finding>,
+    },
     /// The image could not be flashed.
     #[error("{why}")]
     #[diagnostic(code(retrograde::flash), help("{help}"))]
@@ -329,6 +337,11 @@ impl Failure {
                     UNKNOWN
                 }
             }
+            Self::Sick { findings } => {
+                let codes = findings.iter().map(Finding::exit_code);
+                // A place without a machine outweighs what a machine says.
+                codes.filter(|code| *code != DONE).min().unwrap_or(FAILED)
+            }
             Self::Input { .. } | Self::Range(_) => USAGE,
             Self::Run(_) | Self::Axis(_) | Self::Refused { .. } => REFUSED,
             Self::Experiment(ExperimentError::Record(_))
@@ -355,6 +368,9 @@ impl Failure {
         });
         if let Self::Stops { told } = self {
             value["machines"] = told.iter().map(Told::json).collect();
+        }
+        if let Self::Sick { findings } = self {
+            value["findings"] = findings.iter().map(Finding::json).collect();
         }
         value
     }

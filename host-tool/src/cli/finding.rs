@@ -16,7 +16,7 @@ use crate::identity;
 use crate::link::address::Address;
 
 /// Both machines.
-const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
+pub(crate) const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
 
 /// How many owners of a line may end while this process looks through their doors.
 const OWNERS: u32 = 5;

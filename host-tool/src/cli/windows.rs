@@ -47,6 +47,7 @@ pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
             | SettingsSubcommand::Name { name: None } => return None,
         },
         Subcommand::Devices
+        | Subcommand::Doctor(_)
         | Subcommand::Info(_)
         | Subcommand::Stop(_)
         | Subcommand::Estop(_)
