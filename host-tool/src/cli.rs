@@ -4,6 +4,7 @@
 mod already;
 pub mod args;
 mod commission;
+pub mod configured;
 pub mod doctor;
 pub mod failure;
 mod finding;
@@ -99,7 +100,7 @@ fn run_in(
     at: At,
 ) -> u8 {
     let args: Vec<OsString> = args.into_iter().collect();
-    let cli = match Cli::try_parse_from(&args) {
+    let mut cli = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => {
             let error = without_environment(error, &args);
@@ -125,7 +126,10 @@ fn run_in(
         keyboard: at.keyboard.filter(|_| !cli.json),
         failed: None,
     };
-    let result = carry_out(&cli, connector, &mut screen);
+    let result = match configured::resolve(&mut cli) {
+        Ok(()) => carry_out(&cli, connector, &mut screen),
+        Err(failure) => Err(stops::undelivered(&cli.subcommand, failure)),
+    };
     screen.finish(result)
 }
 

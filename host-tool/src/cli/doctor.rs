@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use crate::cli::args::Which;
 use crate::cli::failure::Failure;
-use crate::cli::finding::{Finder, KINDS};
+use crate::cli::finding::{Finder, KINDS, past_owners};
 use crate::cli::screen::Screen;
 use crate::client::Device;
 use crate::connector::Candidate;
@@ -18,13 +18,10 @@ use crate::diagnosis::Sign;
 use crate::error::ClientError;
 use crate::identity;
 use crate::link::address::Address;
-use crate::link::{LinkError, OpenError, Reason};
+use crate::link::{OpenError, Reason};
 
 /// How long a connection, or the owner of the line, may take. After that a silent machine takes 0.8 s to be called so.
 const CONNECT: Duration = Duration::from_millis(200);
-
-/// How many owners of a line may end while it is looked at.
-const OWNERS: u32 = 3;
 
 /// A place to look at.
 struct Place {
@@ -124,6 +121,7 @@ fn code(failure: &Failure) -> &'static str {
             ClientError::OwnerBusy { .. } => "owner_silent",
             _ => "lost",
         },
+        Failure::WrongName { .. } => "other_name",
         Failure::NothingFound { .. } | Failure::NotFound { .. } => "absent",
         Failure::Ambiguous { .. } => "several",
         _ => "failed",
@@ -198,20 +196,7 @@ fn look(place: &Place, finder: &Finder<'_>) -> Vec<Finding> {
         let text = "not an ST-LINK: another instrument may be there, so it was not asked; `--rig` or `--capsule` with this port asks it";
         return vec![Finding::fine(name, "not_asked", text.to_owned())];
     }
-    let mut found = examine(place, finder);
-    for _ in 1..OWNERS {
-        // The owner of the line has ended meanwhile, so that the line is free.
-        if !matches!(
-            found,
-            Err(Failure::Client(ClientError::Link(
-                LinkError::OwnerGone { .. }
-            )))
-        ) {
-            break;
-        }
-        found = examine(place, finder);
-    }
-    match found {
+    match past_owners(|| examine(place, finder)) {
         Ok((kind, text, trouble)) => {
             let mut fine = Finding::fine(name.clone(), "fine", text);
             fine.found = Some(kind);
@@ -238,6 +223,9 @@ fn examine(place: &Place, finder: &Finder<'_>) -> Result<(DeviceKind, String, Tr
     let mut device = Device::new(link);
     let identity = device.hello(finder.connector.nonce())?;
     device.require(place.wanted.unwrap_or(identity.device))?;
+    if place.wanted.is_some() {
+        finder.require_name(&mut device)?;
+    }
     let mut text = identity::line(&identity);
     if let Some(owner) = device.owner() {
         text.push_str(&format!("; the line belongs to {owner}"));

@@ -10,6 +10,7 @@ use motion::run::RunError;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
+use crate::cli::configured;
 use crate::cli::doctor::{self, Finding};
 use crate::cli::stops::{self, Delivery, Told};
 use crate::decimal;
@@ -207,6 +208,22 @@ pub enum Failure {
         /// What became of it, for each machine.
         told: Vec<Told>,
     },
+    /// The rig was called by a name that it does not carry.
+    #[error("{}; nothing was moved", configured::wrong_name(name, place, carried))]
+    #[diagnostic(
+        code(retrograde::wrong_name),
+        help(
+            "are two rigs exchanged? `retrograde devices` shows all names and places. If this is the right one, `retrograde --rig {name} settings name {name}` gives it its name"
+        )
+    )]
+    WrongName {
+        /// What the link leads to.
+        place: String,
+        /// The name by which it was called.
+        name: String,
+        /// The name that it carries; empty if it has none.
+        carried: String,
+    },
     /// The doctor has found something wrong.
     #[error("{}", doctor::summary(findings))]
     #[diagnostic(code(retrograde::doctor), help("each finding above has its remedy"))]
@@ -313,6 +330,7 @@ impl Failure {
             Self::Open(_)
             | Self::NotFound { .. }
             | Self::Ambiguous { .. }
+            | Self::WrongName { .. }
             | Self::NothingFound { .. } => NO_DEVICE,
             Self::Experiment(ExperimentError::Client(error)) => client_code(error),
             Self::Experiment(ExperimentError::Incomplete { status, .. })

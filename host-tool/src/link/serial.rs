@@ -10,6 +10,7 @@ use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
 use crate::link::shared::{Halves, READ};
 use crate::link::tcp::{nothing_yet, timeout, wall_us};
 use crate::link::{Link, LinkError, OpenError, Reason};
+use crate::named;
 
 /// Speed of both firmwares.
 pub const DEFAULT_BAUD: u32 = 115_200;
@@ -171,7 +172,13 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
         _ if !exists && cfg!(unix) => (
             Reason::Absent,
             "there is no such port".to_owned(),
-            "check the cable; `retrograde devices` lists the ports".to_owned(),
+            match named::file().filter(|_| named::may_be_a_name(path)) {
+                Some(file) => format!(
+                    "if it is the name of a machine, {} has to say where that is; `retrograde devices` lists the ports and all names",
+                    file.display()
+                ),
+                None => "check the cable; `retrograde devices` lists the ports".to_owned(),
+            },
         ),
         _ => (
             Reason::Other,
