@@ -4,6 +4,8 @@
 mod already;
 pub mod args;
 mod commission;
+pub mod configured;
+pub mod doctor;
 pub mod failure;
 mod finding;
 mod flash;
@@ -99,7 +101,7 @@ fn run_in(
     at: At,
 ) -> u8 {
     let args: Vec<OsString> = args.into_iter().collect();
-    let cli = match Cli::try_parse_from(&args) {
+    let mut cli = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => {
             let error = without_environment(error, &args);
@@ -125,7 +127,10 @@ fn run_in(
         keyboard: at.keyboard.filter(|_| !cli.json),
         failed: None,
     };
-    let result = carry_out(&cli, connector, &mut screen);
+    let result = match configured::resolve(&mut cli) {
+        Ok(()) => carry_out(&cli, connector, &mut screen),
+        Err(failure) => Err(stops::undelivered(&cli.subcommand, failure)),
+    };
     screen.finish(result)
 }
 
@@ -150,6 +155,7 @@ fn carry_out(
     let finder = &Finder { cli, connector };
     match &cli.subcommand {
         Subcommand::Devices => machines::devices(finder, screen),
+        Subcommand::Doctor(which) => doctor::doctor(which, finder, screen),
         Subcommand::Info(which) => machines::info(which, finder, screen),
         Subcommand::Home => machines::home(finder, screen),
         Subcommand::Run(args) => machines::run(args, finder, screen),

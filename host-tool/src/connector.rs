@@ -15,7 +15,7 @@ use crate::link::address::Address;
 use crate::link::serial::{self, Serial};
 use crate::link::shared::{Halves, Shared};
 use crate::link::tcp::Tcp;
-use crate::link::{Link, OpenError};
+use crate::link::{Link, OpenError, Reason};
 
 /// A place where a machine may be.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -56,6 +56,27 @@ pub trait Connector: Sync {
         self.open(kind, address, baud)
     }
 
+    /// As [`Connector::open`], for a look that has to end soon: it waits no longer than `limit` for the place.
+    ///
+    /// # Errors
+    /// As [`Connector::open`].
+    fn open_within(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+        limit: Duration,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        let _ = limit;
+        self.open(kind, address, baud)
+    }
+
+    /// The machine there is made when it is opened: it is neither homed nor referenced, and nobody is near it.
+    fn is_made_anew(&self, address: &Address) -> bool {
+        let _ = address;
+        false
+    }
+
     /// The places where a machine may be, for `auto` and `devices`.
     fn candidates(&self) -> Vec<Candidate>;
 
@@ -83,6 +104,9 @@ const CONNECT: Duration = Duration::from_secs(5);
 const ANSWER: Duration = Duration::from_secs(1);
 const ANSWER_TO_STOP: Duration = Duration::from_millis(250);
 
+/// The same for a look that has to end soon.
+const ANSWER_TO_LOOK: Duration = Duration::from_millis(500);
+
 /// Interval between two attempts at a line whose owner comes or goes.
 const AGAIN: Duration = Duration::from_millis(5);
 
@@ -106,6 +130,7 @@ fn way_in(
             );
             return Err(OpenError {
                 place: doorway.place().to_owned(),
+                reason: Reason::OwnerSilent,
                 why: format!("it belongs to {who}, which does not answer"),
                 remedy: "wait until that process ends, or end it with Ctrl-C in its terminal; one that hangs ends with `kill -9`, and the rig stops by itself 1 s later".to_owned(),
             });
@@ -126,6 +151,7 @@ fn halves(address: &Address, baud: u32, limit: Duration) -> Result<Halves, OpenE
     };
     opened.map_err(|why| OpenError {
         place: address.to_string(),
+        reason: Reason::Other,
         why: why.to_string(),
         remedy: "try again; `retrograde devices` lists the ports".to_owned(),
     })
@@ -155,6 +181,7 @@ fn nowhere(address: &Address) -> OpenError {
     };
     OpenError {
         place: address.to_string(),
+        reason: Reason::Absent,
         why: why.to_owned(),
         remedy: remedy.to_owned(),
     }
@@ -175,6 +202,19 @@ impl Connector for Ports {
             return direct(address, baud, CONNECT);
         };
         way_in(&doorway, ANSWER, &|| halves(address, baud, CONNECT))
+    }
+
+    fn open_within(
+        &self,
+        _kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+        limit: Duration,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        let Some(doorway) = Doorway::of(address)? else {
+            return direct(address, baud, limit);
+        };
+        way_in(&doorway, ANSWER_TO_LOOK, &|| halves(address, baud, limit))
     }
 
     fn open_to_stop(

@@ -38,6 +38,7 @@ pub mod identity;
 pub mod image;
 mod limited;
 pub mod link;
+pub mod named;
 pub mod plan;
 pub mod progress;
 pub mod report;

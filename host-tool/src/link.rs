@@ -14,6 +14,25 @@ use protocol::system::{Identity, Urgent};
 use crate::door::Owner;
 use crate::door::server::Question;
 
+/// Why a link could not be opened, for programs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// The user may not.
+    Permission,
+    /// Another program has it.
+    Busy,
+    /// Another `retrograde` has it and does not answer at its door.
+    OwnerSilent,
+    /// There is no such place.
+    Absent,
+    /// It is no serial port.
+    NoPort,
+    /// Nobody listens there.
+    Unreachable,
+    /// Something else, such as the folder of the locks.
+    Other,
+}
+
 /// A link could not be opened. Nothing was sent.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 #[error("cannot open {place}: {why}")]
@@ -21,7 +40,9 @@ use crate::door::server::Question;
 pub struct OpenError {
     /// What the link would lead to, as the user named it.
     pub place: String,
-    /// The reason.
+    /// The reason, for programs.
+    pub reason: Reason,
+    /// The reason, for people.
     pub why: String,
     /// What to do about it.
     pub remedy: String,

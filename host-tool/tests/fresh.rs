@@ -40,6 +40,10 @@ impl Connector for New {
         Ok(link)
     }
 
+    fn is_made_anew(&self, address: &Address) -> bool {
+        *address == Address::Virtual
+    }
+
     fn candidates(&self) -> Vec<Candidate> {
         vec![]
     }

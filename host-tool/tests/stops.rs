@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use host_tool::cli::run_on;
 use host_tool::connector::{Candidate, Connector, Ports};
 use host_tool::link::address::Address;
-use host_tool::link::{Link, LinkError, OpenError};
+use host_tool::link::{Link, LinkError, OpenError, Reason};
 use jiff::Timestamp;
 use machine::tool::{Memory, ready};
 use machine::{Script, link};
@@ -60,6 +60,7 @@ impl Connector for Hall {
         match place.as_str() {
             "dead and gone" => Err(OpenError {
                 place,
+                reason: Reason::Absent,
                 why: "there is no such port".to_owned(),
                 remedy: "start the server first".to_owned(),
             }),

@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use host_tool::commission::hands::Hands;
 use host_tool::connector::{Candidate, Connector, Ports};
 use host_tool::link::address::Address;
-use host_tool::link::{Link, OpenError};
+use host_tool::link::{Link, OpenError, Reason};
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
 
@@ -66,6 +66,7 @@ impl Connector for BenchPorts {
         };
         opened.map_err(|why| OpenError {
             place: address.to_string(),
+            reason: Reason::Other,
             why: why.to_string(),
             remedy: "build the images with `cargo xtask images`".to_owned(),
         })
@@ -81,6 +82,10 @@ impl Connector for BenchPorts {
             Address::Virtual => self.open(kind, address, baud),
             _ => Ports.open_to_stop(kind, address, baud),
         }
+    }
+
+    fn is_made_anew(&self, address: &Address) -> bool {
+        *address == Address::Virtual
     }
 
     fn candidates(&self) -> Vec<Candidate> {

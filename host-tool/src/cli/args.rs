@@ -8,6 +8,7 @@ use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 
+use crate::cli::configured::Names;
 use crate::cli::science::{DesignArgs, SimulateArgs};
 use crate::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
 use crate::link::address::Address;
@@ -16,6 +17,7 @@ use crate::link::serial::DEFAULT_BAUD;
 const EXAMPLES: &str = "\
 Examples:
   retrograde devices                            which machines are there
+  retrograde doctor                             what is wrong, and what to do about it
   retrograde --rig /dev/ttyACM0 info            how the rig is, also while it runs
   retrograde home                               find the position, before a run
   retrograde run --cycles 5 --duration-s 40     the paper's run, recorded in retrograde-data
@@ -34,10 +36,10 @@ Examples:
 #[derive(Debug, Parser)]
 #[command(name = "retrograde", version, arg_required_else_help = true, after_help = EXAMPLES)]
 pub struct Cli {
-    /// The rig: `auto`, a serial port, `tcp:HOST:PORT`, or `virtual`.
+    /// The rig: `auto`, a serial port, `tcp:HOST:PORT`, a name from the file of machines, or `virtual`.
     #[arg(long, global = true, env = "RETROGRADE_RIG", value_name = "WHERE")]
     pub rig: Option<Address>,
-    /// The capsule: `auto`, a serial port, `tcp:HOST:PORT`, or `virtual`.
+    /// The capsule: `auto`, a serial port, `tcp:HOST:PORT`, a name from the file of machines, or `virtual`.
     #[arg(long, global = true, env = "RETROGRADE_CAPSULE", value_name = "WHERE")]
     pub capsule: Option<Address>,
     /// Speed of serial ports.
@@ -46,6 +48,9 @@ pub struct Cli {
     /// Print one JSON object on standard output; everything else goes to standard error.
     #[arg(long, global = true)]
     pub json: bool,
+    /// The names by which `--rig` and `--capsule` were given.
+    #[arg(skip)]
+    pub names: Names,
     /// What to do.
     #[command(subcommand)]
     pub subcommand: Subcommand,
@@ -56,6 +61,8 @@ pub struct Cli {
 pub enum Subcommand {
     /// List ports and the machines at them. Moves nothing.
     Devices,
+    /// Find out what is wrong with ports and machines, and what to do about it, within a second or so. Moves nothing.
+    Doctor(Which),
     /// Show identity, state and last fault of the machines. Moves nothing.
     Info(Which),
     /// Find the rig's position: two passes over the home flag, then to 0.

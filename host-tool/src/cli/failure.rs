@@ -10,6 +10,8 @@ use motion::run::RunError;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
+use crate::cli::configured;
+use crate::cli::doctor::{self, Finding};
 use crate::cli::stops::{self, Delivery, Told};
 use crate::decimal;
 use crate::error::ClientError;
@@ -206,6 +208,29 @@ pub enum Failure {
         /// What became of it, for each machine.
         told: Vec<Told>,
     },
+    /// The rig was called by a name that it does not carry.
+    #[error("{}; nothing was moved", configured::wrong_name(name, place, carried))]
+    #[diagnostic(
+        code(retrograde::wrong_name),
+        help(
+            "are two rigs exchanged? `retrograde devices` shows all names and places. If this is the right one, `retrograde --rig {name} settings name {name}` gives it its name"
+        )
+    )]
+    WrongName {
+        /// What the link leads to.
+        place: String,
+        /// The name by which it was called.
+        name: String,
+        /// The name that it carries; empty if it has none.
+        carried: String,
+    },
+    /// The doctor has found something wrong.
+    #[error("{}", doctor::summary(findings))]
+    #[diagnostic(code(retrograde::doctor), help("each finding above has its remedy"))]
+    Sick {
+        /// All findings.
+        findings: Vec<Finding>,
+    },
     /// The image could not be flashed.
     #[error("{why}")]
     #[diagnostic(code(retrograde::flash), help("{help}"))]
@@ -305,6 +330,7 @@ impl Failure {
             Self::Open(_)
             | Self::NotFound { .. }
             | Self::Ambiguous { .. }
+            | Self::WrongName { .. }
             | Self::NothingFound { .. } => NO_DEVICE,
             Self::Experiment(ExperimentError::Client(error)) => client_code(error),
             Self::Experiment(ExperimentError::Incomplete { status, .. })
@@ -328,6 +354,11 @@ impl Failure {
                 } else {
                     UNKNOWN
                 }
+            }
+            Self::Sick { findings } => {
+                let codes = findings.iter().map(Finding::exit_code);
+                // A place without a machine outweighs what a machine says.
+                codes.filter(|code| *code != DONE).min().unwrap_or(FAILED)
             }
             Self::Input { .. } | Self::Range(_) => USAGE,
             Self::Run(_) | Self::Axis(_) | Self::Refused { .. } => REFUSED,
@@ -355,6 +386,9 @@ impl Failure {
         });
         if let Self::Stops { told } = self {
             value["machines"] = told.iter().map(Told::json).collect();
+        }
+        if let Self::Sick { findings } = self {
+            value["findings"] = findings.iter().map(Finding::json).collect();
         }
         value
     }

@@ -13,10 +13,11 @@ use crate::client::Device;
 use crate::connector::{Candidate, Connector};
 use crate::error::ClientError;
 use crate::identity;
+use crate::link::LinkError;
 use crate::link::address::Address;
 
 /// Both machines.
-const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
+pub(crate) const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
 
 /// How many owners of a line may end while this process looks through their doors.
 const OWNERS: u32 = 5;
@@ -90,10 +91,14 @@ impl Finder<'_> {
                 Ok(_) => break,
             }
         }
-        match device.require(kind) {
-            Err(error @ ClientError::WrongDevice { .. }) => Err(error.into()),
-            _ => Ok(device),
+        if let Err(error @ ClientError::WrongDevice { .. }) = device.require(kind) {
+            return Err(error.into());
         }
+        // Whoever gives it a name does not need it to have one.
+        if !windows::is_naming(&self.cli.subcommand) {
+            self.require_name(&mut device)?;
+        }
+        Ok(device)
     }
 
     /// Sends an urgent stop before anything else, without a session. Returns the place that confirmed it.
@@ -252,6 +257,23 @@ impl Finder<'_> {
         }
         Ok(there)
     }
+}
+
+/// Looks through the door of a line's owner, and again if the owner ends meanwhile: then the line is free.
+pub(crate) fn past_owners<T>(look: impl Fn() -> Result<T, Failure>) -> Result<T, Failure> {
+    let mut found = look();
+    for _ in 1..OWNERS {
+        if !matches!(
+            found,
+            Err(Failure::Client(ClientError::Link(
+                LinkError::OwnerGone { .. }
+            )))
+        ) {
+            break;
+        }
+        found = look();
+    }
+    found
 }
 
 /// One line per place.

@@ -18,7 +18,8 @@ pub(crate) fn prepare(
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<(), Failure> {
-    if finder.address(kind) != Some(&Address::Virtual) {
+    let made_anew = |address: &Address| finder.connector.is_made_anew(address);
+    if !finder.address(kind).is_some_and(made_anew) {
         return Ok(());
     }
     match kind {

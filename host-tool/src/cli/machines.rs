@@ -10,6 +10,7 @@ use serde_json::{Map, Value, json};
 
 use crate::cli::already;
 use crate::cli::args::{DATA_FOLDER, RecordArgs, RunArgs, Which};
+use crate::cli::configured;
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, line};
 use crate::cli::fresh;
@@ -34,6 +35,13 @@ pub(crate) fn devices(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Va
     for found in &found {
         screen.say(&line(found));
     }
+    let (configured, error) = configured::survey(finder);
+    for configured in &configured {
+        screen.say(&configured.line());
+    }
+    if let Some(error) = error {
+        screen.hint(&format!("warning: no names: {error}"));
+    }
     let list: Vec<_> = found
         .iter()
         .map(|found| {
@@ -45,7 +53,11 @@ pub(crate) fn devices(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Va
             })
         })
         .collect();
-    Ok(json!({ "devices": list }))
+    let configured: Vec<_> = configured
+        .iter()
+        .map(configured::Configured::json)
+        .collect();
+    Ok(json!({ "devices": list, "configured": configured }))
 }
 
 pub(crate) fn info(

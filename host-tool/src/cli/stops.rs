@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use protocol::system::Urgent;
 use serde_json::{Value, json};
 
-use crate::cli::args::Which;
+use crate::cli::args::{Subcommand, Which};
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, Target};
 use crate::cli::screen::Screen;
@@ -127,6 +127,19 @@ pub fn summary(told: &[Told]) -> String {
         of(Delivery::NotConfirmed, "the stop was NOT CONFIRMED by"),
     ];
     parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
+}
+
+/// What a failure before a stop could be sent means for it.
+pub(crate) fn undelivered(subcommand: &Subcommand, failure: Failure) -> Failure {
+    if !matches!(subcommand, Subcommand::Stop(_) | Subcommand::Estop(_)) {
+        return failure;
+    }
+    let told = Told {
+        machine: "the machine of this name".to_owned(),
+        delivery: Delivery::NotDelivered,
+        why: failure.to_string(),
+    };
+    Failure::Stops { told: vec![told] }
 }
 
 /// The results in the order of the targets, each shown as soon as it is there.

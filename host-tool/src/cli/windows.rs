@@ -19,6 +19,16 @@ pub(crate) fn admit(subcommand: &Subcommand, device: &Device) -> Result<(), Clie
     }
 }
 
+/// The command gives the rig a name, or asks for it.
+pub(crate) fn is_naming(subcommand: &Subcommand) -> bool {
+    matches!(
+        subcommand,
+        Subcommand::Settings {
+            subcommand: SettingsSubcommand::Name { .. }
+        }
+    )
+}
+
 /// The command, if it moves something, writes settings, or needs the whole line.
 pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
     Some(match subcommand {
@@ -48,6 +58,7 @@ pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
             | SettingsSubcommand::Name { name: None } => return None,
         },
         Subcommand::Devices
+        | Subcommand::Doctor(_)
         | Subcommand::Info(_)
         | Subcommand::Stop(_)
         | Subcommand::Estop(_)

@@ -15,8 +15,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::door::Owner;
 use crate::door::stream::{Listener, Stream};
-use crate::link::OpenError;
 use crate::link::address::Address;
+use crate::link::{OpenError, Reason};
 
 /// Names another folder for locks and doors.
 pub const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
@@ -60,6 +60,7 @@ impl Doorway {
         let place = address.to_string();
         let folder = folder().map_err(|why| OpenError {
             place: place.clone(),
+            reason: Reason::Other,
             why,
             remedy: format!(
                 "every process that uses a machine keeps a lock in a folder that is yours alone: mend that one, or name another with {FOLDER_VARIABLE}"
@@ -103,6 +104,7 @@ impl Doorway {
     fn error(&self, why: impl ToString) -> OpenError {
         OpenError {
             place: self.place.clone(),
+            reason: Reason::Other,
             why: format!("its lock in {}: {}", self.folder.display(), why.to_string()),
             remedy: format!(
                 "see that the folder can be written and has free space, or name another with {FOLDER_VARIABLE}"

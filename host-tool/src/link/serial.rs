@@ -9,7 +9,8 @@ use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
 
 use crate::link::shared::{Halves, READ};
 use crate::link::tcp::{nothing_yet, timeout, wall_us};
-use crate::link::{Link, LinkError, OpenError};
+use crate::link::{Link, LinkError, OpenError, Reason};
+use crate::named;
 
 /// Speed of both firmwares.
 pub const DEFAULT_BAUD: u32 = 115_200;
@@ -141,8 +142,9 @@ pub fn ports() -> Vec<Port> {
 
 fn explain(path: &str, error: &serialport::Error) -> OpenError {
     let exists = Path::new(path).exists();
-    let (why, remedy) = match error.kind() {
+    let (reason, why, remedy) = match error.kind() {
         ErrorKind::Io(io::ErrorKind::PermissionDenied) => (
+            Reason::Permission,
             "no permission".to_owned(),
             match group(path) {
                 // Membership of that group is not for a user.
@@ -154,6 +156,7 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
             },
         ),
         ErrorKind::NoDevice if exists => (
+            Reason::Busy,
             match owner(path) {
                 Some(owner) => format!("in use by {owner}"),
                 None => "in use by another program".to_owned(),
@@ -161,21 +164,31 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
             "close that program (a serial monitor, another `retrograde`, ModemManager), then try again".to_owned(),
         ),
         _ if exists && !is_a_device(path) => (
+            Reason::NoPort,
             "it is no serial port".to_owned(),
             "give a serial port, such as /dev/ttyACM0; `retrograde devices` lists the ports"
                 .to_owned(),
         ),
         _ if !exists && cfg!(unix) => (
+            Reason::Absent,
             "there is no such port".to_owned(),
-            "check the cable; `retrograde devices` lists the ports".to_owned(),
+            match named::file().filter(|_| named::may_be_a_name(path)) {
+                Some(file) => format!(
+                    "if it is the name of a machine, {} has to say where that is; `retrograde devices` lists the ports and all names",
+                    file.display()
+                ),
+                None => "check the cable; `retrograde devices` lists the ports".to_owned(),
+            },
         ),
         _ => (
+            Reason::Other,
             error.to_string(),
             "unplug the board, plug it in again, and try `retrograde devices`".to_owned(),
         ),
     };
     OpenError {
         place: path.to_owned(),
+        reason,
         why,
         remedy,
     }
@@ -242,6 +255,41 @@ mod tests {
             .expect("there is no such port");
         assert_eq!(error.place, "/dev/retrograde-no-such-port");
         assert!(error.remedy.contains("retrograde devices"), "{error:?}");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_port_that_is_forbidden_or_in_use_says_what_to_do_and_who_has_it() {
+        use std::io::{BufRead, BufReader, Write};
+        use std::process::{Command, Stdio};
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        let path = file.path().to_str().expect("UTF-8");
+        let explained = |kind| explain(path, &serialport::Error::new(kind, ""));
+        let forbidden = explained(ErrorKind::Io(io::ErrorKind::PermissionDenied));
+        assert_eq!(forbidden.reason, Reason::Permission);
+        assert!(!forbidden.remedy.is_empty());
+        // Another process has it open.
+        let mut other = Command::new("sh")
+            .args(["-c", "exec 3< \"$0\"; echo open; read line", path])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("a shell");
+        let mut said = String::new();
+        let out = other.stdout.take().expect("piped");
+        let _ = BufReader::new(out).read_line(&mut said).expect("a line");
+        let _ours = fs::File::open(path).expect("there");
+        let busy = explained(ErrorKind::NoDevice);
+        assert_eq!(busy.reason, Reason::Busy);
+        let who = format!("(process {})", other.id());
+        assert!(busy.why.contains(&who), "{busy}");
+        let mut input = other.stdin.take().expect("piped");
+        input.write_all(b"\n").expect("typed");
+        other.wait().expect("ended");
+        assert_eq!(
+            explained(ErrorKind::NoDevice).why,
+            "in use by another program"
+        );
     }
 
     #[cfg(target_os = "linux")]

@@ -12,7 +12,7 @@ use protocol::system::{Identity, Urgent};
 use crate::door::lock::Lock;
 use crate::door::server::{Core, Question, serve};
 use crate::link::tcp::{nothing_yet, wall_us};
-use crate::link::{Link, LinkError, OpenError};
+use crate::link::{Link, LinkError, OpenError, Reason};
 
 /// How long a read of the line waits: it ends so much later than the link. On Windows a write to a serial port waits for
 /// a read.
@@ -43,6 +43,7 @@ impl Shared {
         let (listener, plate) = lock.listen()?;
         let failed = |why: std::io::Error| OpenError {
             place: place.clone(),
+            reason: Reason::Other,
             why: why.to_string(),
             remedy: "close other programs: the system has no thread left".to_owned(),
         };

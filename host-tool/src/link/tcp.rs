@@ -5,7 +5,7 @@ use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
 use crate::link::shared::{Halves, READ};
-use crate::link::{Link, LinkError, OpenError};
+use crate::link::{Link, LinkError, OpenError, Reason};
 
 /// Time limit for a write: a server that reads nothing for so long is stuck.
 const WRITE: Duration = Duration::from_secs(1);
@@ -30,6 +30,7 @@ impl Tcp {
         let place = format!("tcp:{host_port}");
         let error = |why: String| OpenError {
             place: place.clone(),
+            reason: Reason::Unreachable,
             why,
             remedy: "start the server first (`virtual-bench serve`), and check host and port"
                 .into(),

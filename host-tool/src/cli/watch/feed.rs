@@ -203,6 +203,7 @@ impl Feed<'_> {
         device.set_interrupt(self.shared.interrupt());
         device.hello(finder.connector.nonce())?;
         device.require(self.shared.kind)?;
+        finder.require_name(&mut device)?;
         let owned = device.owner().is_none();
         if owned {
             device.set_telemetry(TELEMETRY_MS)?;

@@ -1,0 +1,306 @@
+//! `doctor`: what is at each place, and what to do about what is wrong. All places are looked at at once, and none for much
+//! longer than a second. Moves nothing.
+
+use std::panic::resume_unwind;
+use std::thread;
+use std::time::Duration;
+
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+
+use crate::cli::args::Which;
+use crate::cli::failure::Failure;
+use crate::cli::finding::{Finder, KINDS, past_owners};
+use crate::cli::screen::Screen;
+use crate::client::Device;
+use crate::connector::Candidate;
+use crate::diagnosis::Sign;
+use crate::error::ClientError;
+use crate::identity;
+use crate::link::address::Address;
+use crate::link::{OpenError, Reason};
+
+/// How long a connection, or the owner of the line, may take. After that a silent machine takes 0.8 s to be called so.
+const CONNECT: Duration = Duration::from_millis(200);
+
+/// A place to look at.
+struct Place {
+    /// The machine that should be there, if the user says so.
+    wanted: Option<DeviceKind>,
+    candidate: Candidate,
+}
+
+/// What was found at a place.
+#[derive(Debug)]
+pub struct Finding {
+    /// The place, with the machine that should be there.
+    place: String,
+    /// In a word, for programs.
+    code: &'static str,
+    /// For people.
+    text: String,
+    /// What to do; none where nothing is wrong.
+    remedy: Option<String>,
+    /// The machine that answered.
+    found: Option<DeviceKind>,
+    exit_code: u8,
+}
+
+impl Finding {
+    fn fine(place: String, code: &'static str, text: String) -> Self {
+        Self {
+            place,
+            code,
+            text,
+            remedy: None,
+            found: None,
+            exit_code: 0,
+        }
+    }
+
+    fn wrong(place: String, failure: &Failure) -> Self {
+        Self {
+            code: code(failure),
+            text: failure.to_string(),
+            remedy: miette::Diagnostic::help(failure).map(|help| help.to_string()),
+            exit_code: failure.exit_code(),
+            ..Self::fine(place, "", String::new())
+        }
+    }
+
+    pub(crate) fn exit_code(&self) -> u8 {
+        self.exit_code
+    }
+
+    /// For people.
+    pub(crate) fn line(&self) -> String {
+        let mut text = format!("{}: {}: {}", self.place, self.code, self.text);
+        if let Some(remedy) = &self.remedy {
+            text.push_str("\n  remedy: ");
+            text.push_str(&remedy.replace('\n', "\n          "));
+        }
+        text
+    }
+
+    /// For `--json`.
+    pub(crate) fn json(&self) -> Value {
+        json!({
+            "place": self.place,
+            "finding": self.code,
+            "text": self.text,
+            "remedy": self.remedy,
+            "machine": self.found.map(identity::kind_name),
+        })
+    }
+}
+
+/// A failure in a word.
+fn code(failure: &Failure) -> &'static str {
+    match failure {
+        Failure::Open(OpenError { reason, .. }) => match reason {
+            Reason::Permission => "no_permission",
+            Reason::Busy => "busy",
+            Reason::OwnerSilent => "owner_silent",
+            Reason::Absent => "absent",
+            Reason::NoPort => "no_port",
+            Reason::Unreachable => "unreachable",
+            Reason::Other => "not_opened",
+        },
+        Failure::Client(error) => match error {
+            ClientError::NoAnswer { sign, .. } => match sign {
+                Sign::Silence => "silence",
+                Sign::Echo => "echo",
+                Sign::Deaf => "deaf",
+                Sign::Web => "web_server",
+                Sign::Ssh => "ssh_server",
+                Sign::Text(_) => "other_instrument",
+                Sign::Noise(_) => "no_frames",
+            },
+            ClientError::WrongDevice { .. } => "wrong_kind",
+            ClientError::Mismatch { .. } => "other_firmware",
+            ClientError::OwnerBusy { .. } => "owner_silent",
+            _ => "lost",
+        },
+        Failure::WrongName { .. } => "other_name",
+        Failure::NothingFound { .. } | Failure::NotFound { .. } => "absent",
+        Failure::Ambiguous { .. } => "several",
+        _ => "failed",
+    }
+}
+
+pub(crate) fn doctor(
+    which: &Which,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let places = places(which, finder);
+    let mut findings: Vec<Finding> = thread::scope(|scope| {
+        let looks: Vec<_> = places
+            .iter()
+            .map(|place| scope.spawn(|| look(place, finder)))
+            .collect();
+        looks
+            .into_iter()
+            .flat_map(|look| look.join().unwrap_or_else(|panic| resume_unwind(panic)))
+            .collect()
+    });
+    findings.extend(together(which, finder, &findings));
+    for finding in &findings {
+        screen.say(&finding.line());
+    }
+    if findings.iter().any(|finding| finding.exit_code != 0) {
+        return Err(Failure::Sick { findings });
+    }
+    let findings: Vec<_> = findings.iter().map(Finding::json).collect();
+    Ok(json!({ "findings": findings }))
+}
+
+/// The places that the user named, or all ports.
+fn places(which: &Which, finder: &Finder<'_>) -> Vec<Place> {
+    let wanted = |kind: &DeviceKind| which.machine.is_none_or(|machine| *kind == machine.into());
+    let mut places = vec![];
+    let mut searched = false;
+    for kind in KINDS.into_iter().filter(wanted) {
+        match finder.address(kind) {
+            Some(address) if *address != Address::Auto => places.push(Place {
+                wanted: Some(kind),
+                candidate: Candidate {
+                    address: address.clone(),
+                    kind: Some(kind),
+                    description: String::new(),
+                    may_ask: true,
+                },
+            }),
+            Some(_) => searched = true,
+            None => {}
+        }
+    }
+    if searched || places.is_empty() {
+        let all = finder.connector.candidates().into_iter();
+        places.extend(all.map(|candidate| Place {
+            wanted: None,
+            candidate,
+        }));
+    }
+    places
+}
+
+/// What is at one place, and what is wrong with the machine there.
+fn look(place: &Place, finder: &Finder<'_>) -> Vec<Finding> {
+    let candidate = &place.candidate;
+    let name = match place.wanted {
+        Some(kind) => format!("{} at {}", identity::kind_name(kind), candidate.address),
+        None => format!("{} ({})", candidate.address, candidate.description),
+    };
+    if !candidate.may_ask {
+        let text = "not an ST-LINK: another instrument may be there, so it was not asked; `--rig` or `--capsule` with this port asks it";
+        return vec![Finding::fine(name, "not_asked", text.to_owned())];
+    }
+    match past_owners(|| examine(place, finder)) {
+        Ok((kind, text, trouble)) => {
+            let mut fine = Finding::fine(name.clone(), "fine", text);
+            fine.found = Some(kind);
+            let trouble = trouble.map(|(code, text, remedy)| Finding {
+                remedy: Some(remedy.to_owned()),
+                exit_code: crate::cli::failure::FAULT,
+                found: Some(kind),
+                ..Finding::fine(name, code, text)
+            });
+            std::iter::once(fine).chain(trouble).collect()
+        }
+        Err(failure) => vec![Finding::wrong(name, &failure)],
+    }
+}
+
+/// What a machine itself says is wrong: in a word, in full, and the remedy.
+type Trouble = Option<(&'static str, String, &'static str)>;
+
+fn examine(place: &Place, finder: &Finder<'_>) -> Result<(DeviceKind, String, Trouble), Failure> {
+    let address = &place.candidate.address;
+    let kind = place.candidate.kind.unwrap_or(DeviceKind::Rig);
+    let baud = finder.cli.baud;
+    let link = finder.connector.open_within(kind, address, baud, CONNECT)?;
+    let mut device = Device::new(link);
+    let identity = device.hello(finder.connector.nonce())?;
+    device.require(place.wanted.unwrap_or(identity.device))?;
+    if place.wanted.is_some() {
+        finder.require_name(&mut device)?;
+    }
+    let mut text = identity::line(&identity);
+    if let Some(owner) = device.owner() {
+        text.push_str(&format!("; the line belongs to {owner}"));
+    }
+    let (fault, restarted) = match identity.device {
+        DeviceKind::Rig => {
+            let status = device.rig_status()?;
+            let fault = status.fault.map(|fault| fault.to_string());
+            (fault, status.needs_acknowledge)
+        }
+        DeviceKind::Capsule => {
+            let status = device.capsule_status()?;
+            let fault = status.fault.map(|fault| fault.to_string());
+            (fault, status.needs_acknowledge)
+        }
+    };
+    let trouble = match fault {
+        Some(fault) => Some(("fault", fault, "then `retrograde ack`")),
+        None if restarted => Some((
+            "restarted",
+            format!("it restarted after a failure: {}", device.last_words()?),
+            "keep the last words, then `retrograde ack`",
+        )),
+        None => None,
+    };
+    Ok((identity.device, text, trouble))
+}
+
+/// What is wrong with all places together.
+fn together(which: &Which, finder: &Finder<'_>, findings: &[Finding]) -> Vec<Finding> {
+    let found = |kind| {
+        let fine = findings.iter().filter(|finding| finding.code == "fine");
+        fine.filter(|finding| finding.found == Some(kind)).count()
+    };
+    let mut more = vec![];
+    for kind in KINDS {
+        let asked = match (which.machine, finder.address(kind)) {
+            (Some(machine), _) if kind != machine.into() => false,
+            (_, Some(Address::Auto) | None) => true,
+            (_, Some(_)) => false,
+        };
+        let name = identity::kind_name(kind);
+        if asked && found(kind) > 1 {
+            more.push(Finding {
+                remedy: Some(format!(
+                    "say which one: `--{name} WHERE`, or RETROGRADE_{}",
+                    name.to_uppercase()
+                )),
+                exit_code: crate::cli::failure::NO_DEVICE,
+                ..Finding::fine(
+                    name.to_owned(),
+                    "several",
+                    format!(
+                        "{} {name}s answer, and a command takes none of them by itself",
+                        found(kind)
+                    ),
+                )
+            });
+        }
+    }
+    let told = findings.iter().any(|finding| finding.code != "not_asked");
+    if !told {
+        let there = "no port with an ST-LINK, and no address was given".to_owned();
+        let wanted = which.machine.map(DeviceKind::from);
+        let name = wanted.map_or("any machine", identity::kind_name).to_owned();
+        more.push(Finding::wrong(name, &Failure::NothingFound { there }));
+    }
+    more
+}
+
+/// How many places have something wrong, in one sentence.
+pub(crate) fn summary(findings: &[Finding]) -> String {
+    let wrong = findings.iter().filter(|finding| finding.exit_code != 0);
+    let list: Vec<_> = wrong
+        .map(|finding| format!("{}: {}", finding.place, finding.code))
+        .collect();
+    format!("not everything is well: {}", list.join(", "))
+}
