@@ -14,6 +14,7 @@ use protocol::table::Request;
 
 use crate::bench::{Bench, BenchError, BenchOptions};
 use crate::boards::rig::{self, RigBoard};
+use crate::budget;
 use crate::faults::When;
 use crate::link::VirtualLink;
 use crate::plants::rig::{Action, Rig, RigOptions, Switch};
@@ -371,5 +372,5 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
             "margin below 65",
         );
     }
-    Ok(())
+    budget::run(&mut line)
 }

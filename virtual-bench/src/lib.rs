@@ -10,6 +10,7 @@
 
 pub mod bench;
 pub mod boards;
+pub mod budget;
 pub mod bus;
 pub mod connector;
 pub mod demo;

@@ -210,6 +210,9 @@ pub fn image() -> PathBuf {
     images().join("firmware-capsule")
 }
 
+/// Of 16 MHz, the share that a 100 MHz chip gets through its wait states.
+pub const INSTRUCTIONS_PER_SECOND: u64 = 10_400_000;
+
 /// Starts a capsule on the bench with the image that would be flashed.
 ///
 /// # Errors
@@ -219,7 +222,7 @@ pub fn start(capsule: Parameters) -> Result<Bench<CapsuleBoard>, BenchError> {
     // The capsule runs on the 16 MHz oscillator.
     options.chip = ChipOptions {
         core_hz: 16_000_000,
-        instructions_per_second: 10_400_000,
+        instructions_per_second: INSTRUCTIONS_PER_SECOND,
         uid: *b"virtual caps",
         ..ChipOptions::default()
     };

@@ -1,0 +1,167 @@
+//! How long a 40 mAh cell lasts in a study: what the capsule's image does at rest, measured, and what that costs by data sheet.
+
+use host_tool::client::{Device, Unobserved};
+use protocol::capsule::Calibrate;
+use protocol::system::DeviceKind;
+
+use crate::bench::Bench;
+use crate::boards::capsule::{self, CapsuleBoard};
+use crate::figures::FigureError;
+use crate::link::VirtualLink;
+use crate::plants::capsule::Parameters;
+
+/// A lithium cell, and how much of its charge is counted on [assumed].
+const CELL_MAH: f64 = 40.0;
+const USABLE: f64 = 0.8;
+/// Folds, each with its unfolding, of a study.
+const PAIRS: f64 = 500.0;
+/// The chip at 16 MHz (HSI), mA: typical and most at 25 degrees C, the latter with its peripherals (DS10314, run and sleep).
+const RUN_MA: [f64; 2] = [1.9, 3.0];
+const SLEEP_MA: [f64; 2] = [0.4, 1.3];
+/// Encoder and amplifier, mA [assumed; the parts decide].
+const SENSORS_MA: f64 = 8.3;
+/// What is always there, mA: the battery's divider of 200 kohm, the regulator, a bridge asleep [assumed].
+const ALWAYS_MA: f64 = 0.03;
+/// Interval at which the processor is looked at for wake-ups.
+const LOOK_US: u64 = 20;
+
+/// What the image does.
+struct Measured {
+    /// Share of the time that the processor is awake at rest.
+    awake: f64,
+    wake_ups_per_s: f64,
+    /// Share of the time at rest that encoder and amplifier are powered.
+    sensors: f64,
+    /// Charge that the motor takes for a fold and an unfolding, mAh.
+    pair_mah: f64,
+    /// How long sensors and processor are on for that, s.
+    pair_s: f64,
+}
+
+struct Resting {
+    bench: Bench<CapsuleBoard>,
+}
+
+impl Resting {
+    fn instructions(&self) -> Result<u64, FigureError> {
+        Ok(self.bench.visit(|visit| visit.instructions())?)
+    }
+
+    fn sensors_ns(&self) -> Result<u64, FigureError> {
+        Ok(self.bench.visit(|visit| {
+            let now_ns = visit.now_ns();
+            visit.board().sensors_powered_ns(now_ns)
+        })?)
+    }
+
+    /// Shares of processor and sensors over ten seconds without a host.
+    fn shares(&self) -> Result<(f64, f64), FigureError> {
+        const SECONDS: f64 = 10.0;
+        let (before, powered) = (self.instructions()?, self.sensors_ns()?);
+        self.bench.advance_us((SECONDS * 1e6) as u64)?;
+        let executed = (self.instructions()? - before) as f64;
+        let sensors = (self.sensors_ns()? - powered) as f64 * 1e-9 / SECONDS;
+        let possible = SECONDS * capsule::INSTRUCTIONS_PER_SECOND as f64;
+        Ok((executed / possible, sensors))
+    }
+
+    fn wake_ups_in_a_second(&self) -> Result<f64, FigureError> {
+        let (mut wake_ups, mut was_awake) = (0_u32, false);
+        let mut before = self.instructions()?;
+        for _ in 0..1_000_000 / LOOK_US {
+            self.bench.advance_us(LOOK_US)?;
+            let now = self.instructions()?;
+            let awake = now > before;
+            wake_ups += u32::from(awake && !was_awake);
+            (was_awake, before) = (awake, now);
+        }
+        Ok(f64::from(wake_ups))
+    }
+}
+
+fn measure() -> Result<Measured, FigureError> {
+    let bench = capsule::start(Parameters::nominal())?;
+    let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
+    let mut device = Device::connect(link, DeviceKind::Capsule, 1)?;
+    let accepted = device.call(Calibrate)?;
+    device.wait_actuation(&accepted, &mut Unobserved)?;
+    device.idle(1_500_000, &mut Unobserved)?;
+    let resting = Resting { bench };
+    let charge_c = |resting: &Resting| {
+        resting
+            .bench
+            .visit(|visit| visit.board().capsule.plant().charge_c())
+    };
+    let (before_c, powered_ns) = (charge_c(&resting)?, resting.sensors_ns()?);
+    for accepted in [Device::fold, Device::unfold] {
+        let accepted = accepted(&mut device)?;
+        device.wait_actuation(&accepted, &mut Unobserved)?;
+        device.idle(500_000, &mut Unobserved)?;
+    }
+    let pair_mah = (charge_c(&resting)? - before_c) / 3.6;
+    let pair_s = (resting.sensors_ns()? - powered_ns) as f64 * 1e-9;
+    drop(device);
+    // The session's time-out and the last writes to the flash.
+    resting.bench.advance_us(5_000_000)?;
+    let (awake, sensors) = resting.shares()?;
+    Ok(Measured {
+        awake,
+        wake_ups_per_s: resting.wake_ups_in_a_second()?,
+        sensors,
+        pair_mah,
+        pair_s,
+    })
+}
+
+/// Measures, and writes each line of the budget: what, how much, where it is from.
+///
+/// # Errors
+/// The emulator or the link failed.
+pub fn run(line: &mut impl FnMut(&str, String, &str)) -> Result<(), FigureError> {
+    let measured = measure()?;
+    let percent = |share: f64| format!("{:.2} %", share * 1e2);
+    line(
+        "capsule at rest, no host: awake (10.4 M instructions/s)",
+        percent(measured.awake),
+        "",
+    );
+    line(
+        "    wake-ups a second",
+        format!("{:.0}", measured.wake_ups_per_s),
+        "",
+    );
+    line(
+        "    encoder and amplifier powered",
+        percent(measured.sensors),
+        "",
+    );
+    line(
+        "a fold and an unfolding: motor's charge, time awake",
+        format!("{:.4} mAh, {:.2} s", measured.pair_mah, measured.pair_s),
+        "",
+    );
+    let sensors_ma = SENSORS_MA * measured.sensors;
+    line(
+        "    of the cell at rest: encoder and amplifier",
+        format!("{sensors_ma:.2} mA"),
+        "8.3 mA when on, assumed",
+    );
+    let mut hours = [0.0; 2];
+    for ((hours, run_ma), sleep_ma) in hours.iter_mut().zip(RUN_MA).zip(SLEEP_MA) {
+        let chip_ma = run_ma * measured.awake + sleep_ma * (1.0 - measured.awake);
+        let rest_ma = chip_ma + sensors_ma + ALWAYS_MA;
+        let pair_mah = measured.pair_mah + measured.pair_s / 3_600.0 * (run_ma + SENSORS_MA);
+        *hours = (CELL_MAH * USABLE - PAIRS * pair_mah).max(0.0) / rest_ma;
+        line(
+            "    the chip, and all together",
+            format!("{chip_ma:.2} mA, {rest_ma:.2} mA"),
+            "data sheet: typical, then most",
+        );
+    }
+    line(
+        "hours from 40 mAh, 80 % of it, with 500 such pairs",
+        format!("{:.1} h, at least {:.1} h", hours[0], hours[1]),
+        ">= 12 h",
+    );
+    Ok(())
+}
