@@ -371,14 +371,18 @@ impl Detector {
         u16::try_from(cps2 / COASTING_CPS2_PER_MA).unwrap_or(u16::MAX)
     }
 
-    /// A slow motor has lost a fifth of its speed within 3 ms, still turns, and not because less current was ordered. The
+    /// A slow motor has lost a fifth of its speed within 3 ms, beyond what it has been losing anyway, still turns, and not
+    /// because less current was ordered. The
     /// current follows later, and the motor's momentum pulls meanwhile.
     fn meets_something(&self) -> bool {
+        let earlier = self.spooling.along(self.window.speed_cps(27, 11));
         let before = self.spooling.along(self.window.speed_cps(11, 3));
         let now = self.spooling.along(self.window.speed_cps(3, 0));
+        // The middles of the three are 12 and 5.5 ms apart.
+        let losing = earlier.saturating_sub(before).max(0) / 24 * 11;
         let turns = self.window.step(0).is_some_and(|step| step.abs() >= 2);
         before >= SLOW_CPS_AT_LEAST
-            && now < before - before / 5
+            && now < (before - before / 5).saturating_sub(losing)
             && turns
             && self.window.orders_most_now(ORDERED_READINGS)
     }

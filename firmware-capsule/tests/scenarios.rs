@@ -108,6 +108,13 @@ fn a_jam_never_pulls_with_more_than_20_n() {
     }
 }
 
+/// Near the end force the aim becomes slower. That is no hard end: a calibration that took it for one ended short, and the
+/// second fold went too far.
+#[test]
+fn a_slower_aim_is_not_taken_for_a_hard_end() {
+    assert!(cases::figures(Parameters::varied(994), 994, 2).is_some());
+}
+
 /// The amplifier falls silent while the tension of a folded thread is being measured.
 #[test]
 fn a_dead_amplifier_is_not_taken_for_a_slack_thread() {

@@ -188,6 +188,7 @@ fn the_capsule_has_a_door_of_its_own() {
         &["unfold"][..],
         &["capsule", "calibrate"],
         &["capsule", "trace"],
+        &["capsule", "cycle", "2"],
     ] {
         let (code, _, err) = bench.retrograde(args);
         assert_eq!(code, Some(3), "{err}");
