@@ -9,9 +9,11 @@
 //! It shares no code with the firmware, so it can judge it. Thread 0 is the paid-out end of a healthy capsule; below
 //! it the thread winds itself backwards onto the spool.
 
+pub mod cases;
 mod parameters;
 mod random;
 mod spring;
+pub mod verdict;
 
 pub use parameters::{BATTERY_DIVIDER, COUNTS_PER_REVOLUTION, Parameters, SENSE_MV_PER_MA};
 pub use random::Random;

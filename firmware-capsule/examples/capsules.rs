@@ -7,41 +7,15 @@
 #[path = "../tests/plant/mod.rs"]
 mod plant;
 
-use capsule_plant::Parameters;
-use plant::cases::{self, Figures, Kind, Verdict};
-use std::collections::BTreeMap;
-
-/// `of` for each seed below `count`, on all processors.
-fn all<T: Send>(count: u64, of: impl Fn(u64) -> T + Sync) -> Vec<T> {
-    let workers = std::thread::available_parallelism().map_or(1, usize::from) as u64;
-    std::thread::scope(|scope| {
-        let of = &of;
-        let running: Vec<_> = (0..workers)
-            .map(|worker| {
-                let seeds = (worker..count).step_by(workers as usize);
-                scope.spawn(move || seeds.map(of).collect::<Vec<_>>())
-            })
-            .collect();
-        let mut found: Vec<_> = running
-            .into_iter()
-            .map(|worker| worker.join().expect("it does not panic").into_iter())
-            .collect();
-        // In the order of the seeds.
-        (0..count)
-            .filter_map(|seed| found[(seed % workers) as usize].next())
-            .collect()
-    })
-}
+use capsule_plant::{Parameters, cases::Kind, verdict};
+use plant::cases::{self, Figures};
 
 fn share(part: usize, whole: usize) -> f64 {
     100.0 * part as f64 / whole as f64
 }
 
 fn faults(count: u64, only: &[String]) {
-    println!(
-        "| defect | cases | named rightly | all names | latest, ms | largest force, N | `Folded`, short by at most, mm |"
-    );
-    println!("|---|---|---|---|---|---|---|");
+    println!("{}", verdict::HEAD);
     for kind in Kind::ALL {
         if !only.is_empty() && !only.contains(&format!("{kind:?}")) {
             continue;
@@ -51,49 +25,19 @@ fn faults(count: u64, only: &[String]) {
         } else {
             count
         };
-        let verdicts = all(count, |seed| cases::try_case(kind, seed));
-        let mut names = BTreeMap::new();
-        for Verdict { name, .. } in &verdicts {
-            *names.entry(*name).or_insert(0) += 1;
-        }
-        let right = verdicts
-            .iter()
-            .filter(|verdict| kind.right().contains(&verdict.name))
-            .count();
-        let names: Vec<_> = names
-            .iter()
-            .map(|(name, count)| format!("{name} {count}"))
-            .collect();
-        let wrong: Vec<_> = (0_u64..)
-            .zip(&verdicts)
-            .filter(|(_, verdict)| !kind.right().contains(&verdict.name))
-            .take(20)
-            .map(|(seed, verdict)| format!("{seed} {}", verdict.name))
-            .collect();
+        let verdicts = verdict::all(count, |seed| cases::try_case(kind, seed));
+        let wrong: Vec<_> = verdict::wrong(kind, &verdicts).take(20).collect();
         if !wrong.is_empty() {
-            eprintln!("{kind:?}, wrong: {}", wrong.join(", "));
+            eprintln!("{kind:?}, wrong: {wrong:?}");
         }
-        let latest = verdicts.iter().filter_map(|verdict| verdict.took_ms).max();
-        let peak = verdicts.iter().fold(0.0, |peak: f64, v| peak.max(v.peak_n));
-        let short = verdicts
-            .iter()
-            .filter_map(|verdict| verdict.short_mm)
-            .max_by(f64::total_cmp);
-        println!(
-            "| {kind:?} | {} | {:.1} % | {} | {} | {peak:.1} | {} |",
-            verdicts.len(),
-            share(right, verdicts.len()),
-            names.join(", "),
-            latest.map_or("-".to_owned(), |ms| ms.to_string()),
-            short.map_or("-".to_owned(), |mm| format!("{mm:.2}")),
-        );
+        println!("{}", verdict::row(kind, &verdicts));
     }
 }
 
 fn healthy(count: u64) {
     let nominal = cases::figures(Parameters::nominal(), 0, 3).expect("it completes");
     println!("nominal: {nominal:.3?}");
-    let found: Vec<Figures> = all(count, |seed| {
+    let found: Vec<Figures> = verdict::all(count, |seed| {
         cases::figures(Parameters::varied(seed), seed, 3)
     })
     .into_iter()
@@ -156,7 +100,9 @@ fn main() {
     }
     faults(count, &only);
     if only.is_empty() {
-        let lowest = all(300, cases::cut).into_iter().fold(f64::MAX, f64::min);
+        let lowest = verdict::all(300, cases::cut)
+            .into_iter()
+            .fold(f64::MAX, f64::min);
         println!("300 power cuts: least thread on the spool {lowest:.3} mm");
     }
 }

@@ -4,7 +4,7 @@
 //! bounded by the speed loop: a healthy motor draws 250 mA at most, also from standstill and when it is blocked.
 
 use crate::{
-    mechanics::{Counts, FORCE_MA, RISE_START_MA},
+    mechanics::{COASTING_CPS2_PER_MA, Counts, FORCE_MA, RISE_START_MA},
     window::Window,
 };
 
@@ -72,10 +72,16 @@ const STALLED_PERCENT: u32 = 85;
 pub const BATTERY_UNDER_LOAD_MV: u16 = 2_700;
 /// A sag must last this long.
 const SAG_DEBOUNCE_US: u64 = 15_000;
+/// Below this a cell has collapsed: the chip's own supply goes with it, and what is measured against it means nothing.
+const COLLAPSED_MV: u16 = 2_000;
+/// So many readings of a leg, with others between them: a drive that the collapse ends lets the cell recover.
+const COLLAPSES: u8 = 5;
 /// Ignores nFAULT while the bridge wakes up (DRV8833: 1 ms).
 const DRIVER_DEBOUNCE_US: u64 = 3_000;
 /// Less than this is no current at all: a turning motor takes 10 mA at least.
 const NOTHING_MA: u16 = 5;
+/// Readings that show nothing are not taken for a slack thread: a dead amplifier is named later.
+const SILENT_READINGS: usize = 3;
 /// A current must be ordered for its absence to mean something.
 const ORDERED_MA: u16 = 12;
 /// No current for this long, and its name is sought.
@@ -86,6 +92,8 @@ const SILENCE_READINGS: usize = 22;
 const LEAST_SAG_MV: u16 = 25;
 /// Speed from which a sudden resistance is looked for, counts/s: 7 mm/s.
 const FAST_CPS: i32 = 6_000;
+/// A sudden loss of speed is more than this, counts/s: one and a half counts in 2 ms. Rounding alone makes one.
+const STRUCK_LOSS_CPS: i32 = 750;
 /// Above the no-load current: resistance. The stiffest origami with the most friction takes 115 mA where a fold becomes slow.
 const RESISTED_MA: u16 = 130;
 /// With this current above the no-load current, a slow motor that meets something hard is at the end force.
@@ -136,6 +144,10 @@ pub struct Load {
     pub rise_from: Option<Counts>,
     /// A fast motor is slowed down, or loaded more than the origami loads it there.
     pub resisted: bool,
+    /// It is slowed down: its momentum pulls until it stands.
+    pub struck: bool,
+    /// The last readings show no current at all, though some was ordered.
+    pub silent: bool,
 }
 
 /// A condition that must last before it counts.
@@ -171,6 +183,7 @@ pub struct Detector {
     over_current: Debounce,
     surplus: Debounce,
     sag: Debounce,
+    collapses: u8,
     silence: Debounce,
     end_force: Debounce,
     rise: Debounce,
@@ -191,6 +204,7 @@ impl Detector {
             over_current: Debounce::default(),
             surplus: Debounce::default(),
             sag: Debounce::default(),
+            collapses: 0,
             silence: Debounce::default(),
             end_force: Debounce::default(),
             rise: Debounce::default(),
@@ -266,7 +280,10 @@ impl Detector {
             return Err(Trip::OverCurrent { current_ma });
         }
         let low = battery_mv < BATTERY_UNDER_LOAD_MV;
-        if lasts(&mut self.sag, low, SAG_DEBOUNCE_US) {
+        if battery_mv < COLLAPSED_MV {
+            self.collapses = self.collapses.saturating_add(1);
+        }
+        if lasts(&mut self.sag, low, SAG_DEBOUNCE_US) || self.collapses >= COLLAPSES {
             return Err(Trip::LowBattery { battery_mv });
         }
         if self.turns_uncounted(counts) {
@@ -308,9 +325,11 @@ impl Detector {
         let means = self.window.means_ma(FORCE_READINGS).filter(|_| seen);
         let excess_ma = means.map(|(mean_ma, _)| mean_ma.saturating_sub(no_load_ma));
         let above = |level| excess_ma.is_some_and(|excess| excess >= level);
-        let end_force = above(FORCE_MA);
+        // What accelerates the motor does not pull at the thread.
+        let pulls = |level| above(self.accelerating_ma().saturating_add(level));
+        let end_force = pulls(FORCE_MA);
         let rise = above(RISE_START_MA);
-        let met = above(MET_MA) && self.meets_something();
+        let met = pulls(MET_MA) && self.meets_something();
         let slowed = self.is_slowed();
         Load {
             end_force: self
@@ -321,14 +340,35 @@ impl Detector {
             excess_ma,
             rise_from: self.rise.update(now_us, counts, rise, LOAD_DEBOUNCE_US),
             resisted: slowed || above(RESISTED_MA),
+            struck: slowed,
+            silent: self
+                .window
+                .means_ma(SILENT_READINGS)
+                .is_some_and(|(mean_ma, _)| mean_ma < NOTHING_MA),
         }
     }
 
-    /// Over the last 2 ms the motor was slower by a tenth, two counts, than over 8 ms before, and not because it was braked.
+    /// Over the last 2 ms the motor was slower than over 8 ms before, by more than it has been losing anyway, and not because
+    /// it was braked.
     fn is_slowed(&self) -> bool {
+        let earlier = self.spooling.along(self.window.speed_cps(28, 12));
         let before = self.spooling.along(self.window.speed_cps(12, 4));
         let now = self.spooling.along(self.window.speed_cps(2, 0));
-        self.window.means_ma(12).is_some() && before >= FAST_CPS && now < before - before / 10
+        // The middles of the three are 12 and 7 ms apart.
+        let losing = earlier.saturating_sub(before).max(0) / 12 * 7;
+        let sudden = (before / 14).max(STRUCK_LOSS_CPS);
+        let least = before.saturating_sub(losing).saturating_sub(sudden);
+        self.window.means_ma(12).is_some() && before >= FAST_CPS && now < least
+    }
+
+    /// Part of the current that makes the motor faster; none while it becomes slower.
+    fn accelerating_ma(&self) -> u16 {
+        let before = self.spooling.along(self.window.speed_cps(24, 12));
+        let now = self.spooling.along(self.window.speed_cps(12, 0));
+        // Counts/s more than 12 ms before.
+        let gained = now.saturating_sub(before).max(0).unsigned_abs();
+        let cps2 = gained.saturating_mul(1_000) / 12;
+        u16::try_from(cps2 / COASTING_CPS2_PER_MA).unwrap_or(u16::MAX)
     }
 
     /// A slow motor has lost a fifth of its speed within 3 ms, still turns, and not because less current was ordered. The

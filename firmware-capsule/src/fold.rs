@@ -42,6 +42,11 @@ use protocol::{
 
 /// How long the motor is shorted after a motion: six of its time constants.
 pub const BRAKE_US: u64 = 40_000;
+/// How long a motor that meets something hard is shorted at most.
+const STRUCK_BRAKE_US: u64 = 10_000;
+/// And down to this speed, counts/s, 3.7 mm/s: should it be a false alarm, it must not stand. From standstill it takes more
+/// than the end force to start.
+const STRUCK_CPS: i32 = 3_000;
 /// Internal resistance of a good cell, until it is measured.
 const CELL_MILLIOHM: u32 = 500;
 /// From this current on the sag of the cell tells its resistance.
@@ -146,6 +151,8 @@ struct Actuation {
     effort: Effort,
     /// The end force is near.
     near: bool,
+    /// Shorted until then: the motor has met something.
+    struck_until_us: u64,
     /// Battery before the drive.
     rest_mv: u16,
     /// Where the thread was slack at the start, so that the first current is the no-load current.
@@ -449,6 +456,7 @@ impl Capsule {
             governor: Governor::default(),
             effort: Effort::Millivolts(0),
             near: false,
+            struck_until_us: 0,
             rest_mv: self.sample.battery_mv,
             slack_from: slack.then_some(origin),
             slack: Mean::default(),
@@ -500,8 +508,12 @@ impl Capsule {
         if now_us < actuation.detector.from_us() {
             return; // still braking from the motion before
         }
-        let aim = actuation.leg.aim(thread, no_load_ma, actuation.near);
         let (cps, least_cps) = actuation.detector.speeds_cps();
+        if now_us < actuation.struck_until_us && least_cps > STRUCK_CPS {
+            actuation.effort = actuation.governor.brake();
+            return;
+        }
+        let aim = actuation.leg.aim(thread, no_load_ma, actuation.near);
         let battery_mv = self.sample.battery_mv;
         actuation.effort = actuation.governor.step(aim, cps, least_cps, battery_mv);
     }
@@ -549,7 +561,9 @@ impl Capsule {
                 self.recorder.engaged(thread);
             }
         }
-        self.measure(thread, load.excess_ma.is_some())?;
+        if !load.silent {
+            self.measure(thread, load.excess_ma.is_some())?;
+        }
         self.decide(now_us, load, actions)
     }
 
@@ -635,6 +649,9 @@ impl Capsule {
             Decision::Continue => return Ok(()),
             Decision::Careful(leg) => {
                 actuation.leg = leg;
+                if load.struck {
+                    actuation.struck_until_us = now_us.saturating_add(STRUCK_BRAKE_US);
+                }
                 return Ok(());
             }
             Decision::Reverse(leg) => leg,

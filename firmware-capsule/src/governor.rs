@@ -34,6 +34,8 @@ pub struct Aim {
     pub cps: i32,
     /// Most current.
     pub limit_ma: u16,
+    /// Most current at that speed. What needs more is moved more slowly.
+    pub held_ma: u16,
 }
 
 /// The speed loop.
@@ -41,6 +43,8 @@ pub struct Aim {
 pub struct Governor {
     integral_ua: i32,
     ordered_ma: Option<u16>,
+    /// For so many milliseconds the motor has been shorted without a pause.
+    braked_ms: u8,
 }
 
 impl Governor {
@@ -49,15 +53,29 @@ impl Governor {
         self.ordered_ma
     }
 
+    /// Shorts the motor for a millisecond, whatever its speed.
+    pub fn brake(&mut self) -> Effort {
+        self.ordered_ma = None;
+        self.braked_ms = self.braked_ms.saturating_add(1);
+        Effort::Brake
+    }
+
     /// Once a millisecond, with the speed in the direction of the leg, and the least that it may be by now: the current
     /// is bounded also while something stops the motor.
     pub fn step(&mut self, aim: Aim, cps: i32, least_cps: i32, battery_mv: u16) -> Effort {
         let error = aim.cps.saturating_sub(cps);
-        if least_cps.saturating_sub(aim.cps) > (aim.cps / 4).max(BRAKE_ABOVE_CPS) {
-            self.ordered_ma = None;
-            return Effort::Brake;
+        // The speed is a mean over 3 ms; while the motor is shorted, it is less by now.
+        let by_now_cps = match self.braked_ms {
+            0 => least_cps,
+            1 => least_cps - least_cps / 8,
+            _ => least_cps - least_cps / 4,
+        };
+        if by_now_cps.saturating_sub(aim.cps) > (aim.cps / 4).max(BRAKE_ABOVE_CPS) {
+            return self.brake();
         }
+        self.braked_ms = 0;
         let limit_ua = i32::from(aim.limit_ma) * 1_000;
+        let held_ua = i32::from(aim.held_ma.min(aim.limit_ma)) * 1_000;
         // While the proportional part alone is at the limit, the integral part would only wind up.
         let proportional_ua = error.saturating_mul(PROPORTIONAL);
         if proportional_ua < limit_ua {
@@ -67,7 +85,7 @@ impl Governor {
                 INTEGRAL_QUARTERS
             };
             let step = error.saturating_mul(quarters) / 4;
-            self.integral_ua = self.integral_ua.saturating_add(step).clamp(0, limit_ua);
+            self.integral_ua = self.integral_ua.saturating_add(step).clamp(0, held_ua);
         }
         let current_ua = proportional_ua
             .saturating_add(self.integral_ua)

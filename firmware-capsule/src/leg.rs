@@ -44,6 +44,9 @@ pub const FAST_CPS: i32 = 11_000;
 pub const SLOW_CPS: i32 = 5_700;
 /// Winding near the end force: 4.9 mm/s. A soft origami meets its hard end just there.
 const NEAR_CPS: i32 = 4_000;
+/// Above the no-load current: from this pull on, a fold becomes slower, so that pull and momentum together do not grow. It
+/// ends a fold with less current than one that keeps its speed.
+const LOADED_FROM_MA: u16 = 85;
 /// Near the end force, above the no-load current; and where it is no longer, so that the speed does not go to and fro.
 const NEAR_MA: (u16, u16) = (105, 75);
 /// Paying out: 21 mm/s, or what the battery gives.
@@ -164,6 +167,7 @@ impl Leg {
         let slow = Aim {
             cps: if near { NEAR_CPS } else { SLOW_CPS },
             limit_ma: no_load_ma.saturating_add(FORCE_LIMIT_MA),
+            held_ma: MOST_MA,
         };
         match self {
             Leg::Seek { .. } | Leg::BackOff { .. } => slow,
@@ -171,12 +175,14 @@ impl Leg {
             Leg::Wind { .. } => Aim {
                 cps: FAST_CPS,
                 limit_ma: MOST_MA,
+                held_ma: no_load_ma.saturating_add(LOADED_FROM_MA),
             },
             Leg::PayOut {
                 taut_to: Some(taut_to),
             } if thread > taut_to => Aim {
                 cps: SLOW_CPS,
                 limit_ma: MOST_MA,
+                held_ma: MOST_MA,
             },
             Leg::PayOut { .. } => {
                 let counts = Thread(thread.0.saturating_sub(STOP_MARGIN.0)).counts().0;
@@ -188,6 +194,7 @@ impl Leg {
                 Aim {
                     cps: coasting_cps(counts, no_load_ma).clamp(LAST_CPS, PAY_OUT_CPS),
                     limit_ma,
+                    held_ma: limit_ma,
                 }
             }
         }

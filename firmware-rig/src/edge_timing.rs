@@ -116,6 +116,11 @@ impl EdgeTiming {
         };
     }
 
+    /// Nothing more can be compared on this path, as without the jumper.
+    pub fn is_over(&self) -> bool {
+        self.lost
+    }
+
     /// Captures were overwritten before they were compared.
     pub fn lose(&mut self) {
         self.lost = true;

@@ -19,6 +19,7 @@ pub mod science;
 mod screen;
 mod settings;
 pub mod stops;
+mod study;
 pub mod watch;
 mod windows;
 
@@ -33,7 +34,7 @@ use protocol::capsule::ActuationKind;
 use protocol::system::Urgent;
 use serde_json::Value;
 
-use crate::cli::args::{CapsuleSubcommand, Cli, Subcommand};
+use crate::cli::args::{CapsuleSubcommand, Cli, FoldArgs, Subcommand};
 use crate::cli::failure::{DONE, Failure, USAGE};
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
@@ -164,15 +165,22 @@ fn carry_out(
         Subcommand::Ack(which) => machines::acknowledge(which, finder, screen),
         Subcommand::Capsule { subcommand } => {
             let (kind, args) = match subcommand {
-                CapsuleSubcommand::Trace(args) => return machines::trace(args, finder, screen),
+                CapsuleSubcommand::Trace(args) => return study::trace(args, finder, screen),
+                CapsuleSubcommand::Cycle(args) => return study::cycle(args, finder, screen),
                 CapsuleSubcommand::Reference(args) => (ActuationKind::Reference, args),
                 CapsuleSubcommand::Calibrate(args) => (ActuationKind::Calibrate, args),
                 CapsuleSubcommand::Check(args) => (ActuationKind::CheckFolded, args),
             };
-            machines::actuate(kind, args, finder, screen)
+            machines::actuate(kind, args, None, finder, screen)
         }
-        Subcommand::Fold(args) => machines::actuate(ActuationKind::Fold, args, finder, screen),
-        Subcommand::Unfold(args) => machines::actuate(ActuationKind::Unfold, args, finder, screen),
+        Subcommand::Fold(FoldArgs { record, trace }) => {
+            let trace = trace.as_deref();
+            machines::actuate(ActuationKind::Fold, record, trace, finder, screen)
+        }
+        Subcommand::Unfold(FoldArgs { record, trace }) => {
+            let trace = trace.as_deref();
+            machines::actuate(ActuationKind::Unfold, record, trace, finder, screen)
+        }
         Subcommand::Hold => motion::hold(finder, screen),
         Subcommand::Resume => motion::resume(finder, screen),
         Subcommand::Jog(args) => motion::jog(args, finder, screen),

@@ -10,6 +10,8 @@
 //! * [`decimal`]: decimal numbers as people write them, exact.
 //! * [`trial`]: the record of an action: telemetry CSV and JSON sidecar.
 //! * [`experiment`]: recorded actions, and the paper's experiment.
+//! * [`endurance`]: folds and unfoldings in turn, and what drifts.
+//! * [`force`]: force against thread from a recording.
 //! * [`identity`]: names of machines, images and versions.
 //! * [`plan`]: a run, calculated before it is sent.
 //! * [`report`]: recorded trials as one HTML file.
@@ -28,8 +30,10 @@ pub mod connector;
 pub mod decimal;
 pub mod diagnosis;
 pub mod door;
+pub mod endurance;
 pub mod error;
 pub mod experiment;
+pub mod force;
 pub mod identity;
 pub mod image;
 mod limited;

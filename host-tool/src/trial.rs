@@ -644,7 +644,7 @@ pub fn write_recorded(
 }
 
 /// Creates a CSV file under a name that neither a CSV nor a sidecar has.
-fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), RecordError> {
+pub(crate) fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), RecordError> {
     for number in 1..=9_999 {
         let suffix = if number == 1 {
             String::new()

@@ -21,6 +21,7 @@ pub mod link;
 pub mod log;
 pub mod pins;
 pub mod plants;
+pub mod population;
 pub mod sabotage;
 pub mod serial;
 pub mod serve;

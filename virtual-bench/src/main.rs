@@ -18,6 +18,7 @@ use virtual_bench::hands::{BenchHands, HandsServer, Machine, Plug};
 use virtual_bench::link::VirtualLink;
 use virtual_bench::plants::capsule::Parameters;
 use virtual_bench::plants::rig::RigOptions;
+use virtual_bench::population;
 use virtual_bench::serve::Server;
 
 #[derive(Parser)]
@@ -37,6 +38,12 @@ enum Subcommand {
     },
     /// Measures the performance of the rig's image.
     Bench,
+    /// Tries the capsule's image on seeded capsules with one defect each, and prints what it called them.
+    Capsules {
+        /// Cases of each defect.
+        #[arg(default_value_t = population::CASES)]
+        cases: u64,
+    },
     /// Serves the machines on local TCP ports in real time, until interrupted.
     Serve {
         /// Port of the rig; 0 for a free one.
@@ -64,6 +71,10 @@ fn main() -> ExitCode {
         }
         Subcommand::Bench => figures::run(&mut |line| drop(writeln!(std::io::stdout(), "{line}")))
             .map_err(miette::Report::from),
+        Subcommand::Capsules { cases } => population::run(cases, &mut |line| {
+            drop(writeln!(std::io::stdout(), "{line}"))
+        })
+        .map_err(miette::Report::from),
         Subcommand::Serve {
             rig,
             capsule,

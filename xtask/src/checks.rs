@@ -99,13 +99,12 @@ fn host_tests() -> Result<()> {
 
 fn long_tests() -> Result<()> {
     let mut cargo = host_cargo("test");
-    cargo.args([
-        "--release",
-        "--package",
-        "protocol",
-        "--package",
-        "firmware-rig",
-    ]);
+    // With the bench, so that what they share with it is built with the same features, once.
+    cargo.arg("--release");
+    for package in ["protocol", "firmware-rig", "virtual-bench"] {
+        cargo.args(["--package", package]);
+    }
+    bench::accept_this_rust(&mut cargo);
     // The files that have such tests: nothing else has to be built in release.
     cargo.args(["--test", "fuzz", "--test", "link", "--test", "sequences"]);
     run(

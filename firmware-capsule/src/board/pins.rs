@@ -8,6 +8,7 @@
 //! | encoder A, B | PA0, PA1 | TIM2 in encoder mode, 32 bit |
 //! | motor current's magnitude, 1 mV per mA (README, "Shunt amplifier") | PA4 | ADC1_IN4 |
 //! | battery through 1/2 | PB0 | ADC1_IN8 |
+//! | supply of encoder and amplifier (high = on; pull-down on the board) | PB1 | |
 //! | serial | PA2, PA3 | USART2, DMA1 streams 6 and 5 |
 //!
 //! Time driver: TIM4. Motor task: interrupt SPI5, whose peripheral is not used. Clock: the 16 MHz HSI for everything;
@@ -40,6 +41,7 @@ use embassy_stm32::{
     usart::{RingBufferedUartRx, UartTx},
     wdg::IndependentWatchdog,
 };
+use embassy_time::Duration;
 use firmware_capsule::{
     detect::Sample,
     fold::Drive,
@@ -59,6 +61,8 @@ const BATTERY_RATIO: u32 = 2;
 /// samples are a whole number of periods apart, so a phase that is preferred would be preferred throughout a motion.
 const ADC_PAIRS: u32 = 4;
 const PAIR_TICKS: u16 = PWM_TICKS / ADC_PAIRS as u16;
+/// From the supply of encoder and amplifier to their first valid levels (assumed of both; ask their data sheets).
+pub(crate) const SENSORS_START: Duration = Duration::from_millis(1);
 /// Looks at the counter until it is there: a period at 8 cycles each, twice.
 const PHASE_PATIENCE: u32 = 200;
 /// How often to look for the end of a conversion. It takes 27 cycles of 8 MHz, that of the reference 124; a look takes 8 of 16 MHz.
@@ -69,6 +73,7 @@ const ENCODER: [usize; 2] = [0, 1];
 const IN1: usize = 4;
 const IN2: usize = 5;
 const N_SLEEP: usize = 10;
+const SENSORS: usize = 1;
 const N_FAULT: usize = 8;
 
 /// What the tasks own.
@@ -108,9 +113,10 @@ pub(crate) fn init() -> Board {
     });
     pac::RCC.apb2enr().modify(|w| w.set_adc1en(true));
     outputs_off();
-    pac::GPIOB
-        .moder()
-        .modify(|w| w.set_moder(N_SLEEP, Moder::OUTPUT));
+    pac::GPIOB.moder().modify(|w| {
+        w.set_moder(N_SLEEP, Moder::OUTPUT);
+        w.set_moder(SENSORS, Moder::OUTPUT);
+    });
     pac::GPIOA
         .pupdr()
         .modify(|w| w.set_pupdr(N_FAULT, Pupdr::PULL_UP));
@@ -176,8 +182,8 @@ fn configure_encoder() {
         }
     });
     pac::TIM2.smcr().modify(|w| w.set_sms(Sms::ENCODER_MODE_3));
+    // It counts only while the encoder is powered.
     pac::TIM2.arr().write_value(u32::MAX);
-    pac::TIM2.cr1().modify(|w| w.set_cen(true));
 }
 
 fn configure_pwm() {
@@ -267,6 +273,28 @@ impl DriveTrain {
             });
             pac::GPIOB.bsrr().write(|w| w.set_bs(N_SLEEP, true));
         }
+    }
+
+    /// The encoder is powered and counted.
+    pub(crate) fn counts(&self) -> bool {
+        pac::TIM2.cr1().read().cen()
+    }
+
+    /// Powers encoder and amplifier, and counts after [`SENSORS_START`]. The counter keeps its value without them: the lines
+    /// of an encoder that goes off or comes on are not counted, and the worm holds the motor meanwhile.
+    pub(crate) fn power_sensors(&mut self) {
+        pac::GPIOB.bsrr().write(|w| w.set_bs(SENSORS, true));
+    }
+
+    /// Counts from here: the powered encoder shows its lines.
+    pub(crate) fn count(&mut self) {
+        pac::TIM2.cr1().modify(|w| w.set_cen(true));
+    }
+
+    /// Switches encoder and amplifier off.
+    pub(crate) fn cut_sensors(&mut self) {
+        pac::TIM2.cr1().modify(|w| w.set_cen(false));
+        pac::GPIOB.bsrr().write(|w| w.set_br(SENSORS, true));
     }
 
     /// Length of the pulse that is this share of the battery. No battery reading: no drive.

@@ -2,7 +2,7 @@
 
 use super::{
     channels::{ORDER, ORDER_CHANGED, Order, READINGS, SNAPSHOT},
-    pins::DriveTrain,
+    pins::{DriveTrain, SENSORS_START},
 };
 use device::chip::watchdog::{self, CHECK_IN, check_in};
 use device::{
@@ -42,13 +42,20 @@ const STALE_US: u64 = 20_000;
 
 /// Sets the bridge and reads the sensors: every 1 ms while the bridge is awake, else every 100 ms; at once after a new
 /// order. Runs in an interrupt, above everything but the time base, because the current limits count on its period.
-/// Decides nothing but one thing: it brakes if control stops confirming the order.
+/// Decides two things by itself: it brakes if control stops confirming the order, and at rest it powers the sensors for
+/// the readings only, once two of them have shown that the motor stands.
 #[embassy_executor::task]
 pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
     let mut next = Instant::now();
     let mut stale = false;
+    let mut rested_at = None;
     loop {
         check_in(Client::Motion);
+        if !drive_train.counts() {
+            drive_train.power_sensors();
+            Timer::after(SENSORS_START).await;
+            drive_train.count();
+        }
         let sample = drive_train.sample(Instant::now().as_micros());
         let now = Instant::now();
         READINGS.signal((now.as_micros(), sample));
@@ -63,6 +70,11 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
         if stale && !was_stale {
             defmt::error!("control is silent: motor braked");
         }
+        let rests_at = (drive == Drive::Off).then_some(sample.counts);
+        if rests_at.is_some() && rests_at == rested_at {
+            drive_train.cut_sensors();
+        }
+        rested_at = rests_at;
         next = if drive == Drive::Off {
             now + CHECK_IN
         } else {
@@ -73,18 +85,18 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
     }
 }
 
-/// Waits for the next reading and sets what is ordered meanwhile: the speed loop orders after each reading. A bridge that
-/// wakes up is read at once.
+/// Waits for the next reading and sets what is ordered meanwhile: the speed loop orders after each reading. Before a bridge
+/// that is to wake up there is a reading at once, because without sensors nothing may be driven.
 async fn wait(drive_train: &mut DriveTrain, next: Instant, stale: bool, mut drive: Drive) {
     while let Either::Second(()) = select(Timer::at(next), ORDER_CHANGED.wait()).await {
         if stale {
             return; // control is back
         }
         let was = core::mem::replace(&mut drive, ORDER.lock(|order| order.get()).drive);
-        drive_train.set(drive);
         if was == Drive::Off && drive != Drive::Off {
             return;
         }
+        drive_train.set(drive);
     }
 }
 

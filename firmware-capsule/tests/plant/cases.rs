@@ -1,145 +1,27 @@
 //! Seeded capsules with one defect each, and what the firmware made of them.
 
 use super::Simulation;
-use capsule_plant::{Bridge, Defect, Parameters, Random};
-use firmware_capsule::fold::{Command, Drive, Event};
-use protocol::{
-    capsule::{ActuationOutcome, CapsuleFault, CapsuleState},
-    error::Refusal,
+use capsule_plant::{
+    Bridge, Defect, Parameters, Random,
+    cases::{Course, Kind, Motion},
+    verdict::{Verdict, name},
 };
+use firmware_capsule::fold::{Command, Drive, Event};
+use protocol::capsule::{ActuationOutcome, CapsuleState};
 
-/// What goes wrong, and when.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// Nothing.
-    Healthy,
-    /// Something hard in the way of a fold, anywhere from 2 mm of travel to 0.35 mm before the end.
-    Jam,
-    /// The same in the last 2 mm.
-    LateJam,
-    /// The thread snaps in a fold.
-    Snap,
-    /// 2 to 8 mm of thread slip in a fold.
-    Slip,
-    /// The spool slips on its shaft above 1 to 4 N.
-    Clutch,
-    /// The thread snaps while the capsule is folded.
-    SnapFolded,
-    /// 2 to 6 mm slip while the capsule is folded.
-    SlipFolded,
-    /// Both lines of the encoder break, in a fold or an unfolding.
-    Encoder,
-    /// One of them.
-    Channel,
-    /// They were swapped before the first motion.
-    Swapped,
-    /// The bridge falls silent, in a motion or before it.
-    SilentBridge,
-    /// The bridge reports a fault.
-    DriverFault,
-    /// The winding is shorted.
-    Short,
-    /// The amplifier's output is open.
-    SenseOpen,
-    /// Two SR44: 3.1 V and 20 ohm.
-    Weak,
-    /// The cell collapses in a motion.
-    Collapse,
-    /// The cell is empty before a fold.
-    Empty,
-}
-
-impl Kind {
-    /// All of them.
-    pub const ALL: [Self; 18] = [
-        Self::Healthy,
-        Self::Jam,
-        Self::LateJam,
-        Self::Snap,
-        Self::Slip,
-        Self::Clutch,
-        Self::SnapFolded,
-        Self::SlipFolded,
-        Self::Encoder,
-        Self::Channel,
-        Self::Swapped,
-        Self::SilentBridge,
-        Self::DriverFault,
-        Self::Short,
-        Self::SenseOpen,
-        Self::Weak,
-        Self::Collapse,
-        Self::Empty,
-    ];
-
-    /// The names that are right.
-    pub fn right(self) -> &'static [&'static str] {
-        match self {
-            Self::Healthy => &["Complete"],
-            Self::Jam | Self::LateJam => &["Jam"],
-            Self::Snap => &["ThreadBroken"],
-            // A thread that has slipped far enough pulls as little as a broken one.
-            Self::Slip => &["SpoolSlip", "ThreadBroken"],
-            Self::Clutch => &["SpoolSlip"],
-            Self::SnapFolded | Self::SlipFolded => &["SlipOrBreak"],
-            Self::Encoder | Self::Channel | Self::Swapped => &["EncoderLost"],
-            Self::SilentBridge => &["BridgeSilent"],
-            Self::DriverFault => &["DriverFault"],
-            Self::Short => &["OverCurrent"],
-            Self::SenseOpen => &["SenseLost"],
-            Self::Weak => &["LowBattery"],
-            Self::Collapse => &["LowBattery"],
-            Self::Empty => &["BatteryLow"],
-        }
-    }
-}
-
-/// What the firmware made of a capsule.
-#[derive(Clone, Debug)]
-pub struct Verdict {
-    /// Its name for what happened.
-    pub name: &'static str,
-    /// From the defect to the fault, ms; none if the defect was there before the motion.
-    pub took_ms: Option<u64>,
-    /// Largest force after the defect, N.
-    pub peak_n: f64,
-    /// The firmware says that it is folded, and the origami is so much short of where a healthy one ends, mm.
-    pub short_mm: Option<f64>,
-}
-
-fn name_of(outcome: ActuationOutcome) -> &'static str {
+fn name_of(outcome: ActuationOutcome) -> String {
     match outcome {
-        ActuationOutcome::Complete => "Complete",
-        ActuationOutcome::Faulted(fault) => match fault {
-            CapsuleFault::Jam { .. } => "Jam",
-            CapsuleFault::ThreadBroken => "ThreadBroken",
-            CapsuleFault::SpoolSlip => "SpoolSlip",
-            CapsuleFault::SlipOrBreak => "SlipOrBreak",
-            CapsuleFault::EncoderLost => "EncoderLost",
-            CapsuleFault::BridgeSilent => "BridgeSilent",
-            CapsuleFault::SenseLost => "SenseLost",
-            CapsuleFault::OverCurrent { .. } => "OverCurrent",
-            CapsuleFault::LowBattery { .. } => "LowBattery",
-            CapsuleFault::Timeout => "Timeout",
-            CapsuleFault::DriverFault => "DriverFault",
-            CapsuleFault::NotUnfolded { .. } => "NotUnfolded",
-            _ => "another",
-        },
-        _ => "none",
+        ActuationOutcome::Faulted(fault) => name(&fault),
+        outcome => name(&outcome),
     }
 }
 
 /// Tries one capsule with one defect.
 pub fn try_case(kind: Kind, seed: u64) -> Verdict {
-    let mut random = Random::new(seed ^ ((kind as u64 + 1) << 32));
-    let mut parameters = Parameters::varied(seed);
-    if kind == Kind::Swapped {
+    let parameters = kind.parameters(seed);
+    if kind.course(seed, 0.0).motion == Motion::Calibrate {
         let mut sim = Simulation::new(parameters, seed);
-        sim.plant.suffer(Defect::Swapped);
-        return with_defect(&mut sim, Command::Calibrate, None, 0.0);
-    }
-    if kind == Kind::Weak {
-        parameters.battery_ohm = 0.5;
+        return follow(&mut sim, &kind.course(seed, 0.0), 0.0);
     }
     let mut sim = Simulation::calibrated(parameters, seed);
     let calibrated = name_of(sim.capsule.record().outcome);
@@ -153,91 +35,25 @@ pub fn try_case(kind: Kind, seed: u64) -> Verdict {
     }
     let folded = sim.capsule.calibration().expect("calibrated").folded;
     let end_mm = f64::from(folded.0) / 1e3 - parameters.slack_mm;
-    let inject = |sim: &mut Simulation, random: &mut Random, either_way: bool, defect: Defect| {
-        let unfolds = either_way && random.unit() < 0.5;
-        let (command, whole_ms) = if unfolds {
-            sim.run(Command::Fold);
-            // The last 3 mm are coasted without current.
-            (Command::Unfold, 750.0)
-        } else {
-            (Command::Fold, 1_450.0)
-        };
+    follow(&mut sim, &kind.course(seed, end_mm), end_mm)
+}
+
+fn follow(sim: &mut Simulation, course: &Course, end_mm: f64) -> Verdict {
+    if course.folds_first {
+        sim.run(Command::Fold);
         sim.forget();
-        let at_ms = random.between(-100.0, whole_ms);
-        with_defect(sim, command, Some((at_ms, defect)), end_mm)
-    };
-    match kind {
-        Kind::Healthy => healthy(&mut sim, end_mm),
-        Kind::Jam | Kind::LateJam => {
-            let least = if kind == Kind::Jam { 2.0 } else { end_mm - 2.0 };
-            let at_mm = random.between(least, end_mm - 0.35);
-            sim.plant.suffer(Defect::Jam(at_mm));
-            with_defect(&mut sim, Command::Fold, None, end_mm)
-        }
-        Kind::Snap => {
-            let at_mm = random.between(0.0, end_mm - 0.1);
-            sim.plant.suffer(Defect::Snap(at_mm));
-            with_defect(&mut sim, Command::Fold, None, end_mm)
-        }
-        Kind::Slip => {
-            let length_mm = random.between(2.0, 8.0);
-            inject(&mut sim, &mut random, false, Defect::Slip(length_mm))
-        }
-        Kind::Clutch => {
-            sim.plant.suffer(Defect::Clutch(random.between(1.0, 4.0)));
-            with_defect(&mut sim, Command::Fold, None, end_mm)
-        }
-        Kind::SnapFolded | Kind::SlipFolded => {
-            sim.run(Command::Fold);
-            sim.forget();
-            sim.plant.suffer(if kind == Kind::SnapFolded {
-                Defect::Snap(0.0)
-            } else {
-                Defect::Slip(random.between(2.0, 6.0))
-            });
-            with_defect(&mut sim, Command::Unfold, None, end_mm)
-        }
-        Kind::Encoder => inject(&mut sim, &mut random, true, Defect::Encoder),
-        Kind::Channel if seed.is_multiple_of(2) => {
-            inject(&mut sim, &mut random, true, Defect::ChannelA)
-        }
-        Kind::Channel => inject(&mut sim, &mut random, true, Defect::ChannelB),
-        Kind::SilentBridge => inject(&mut sim, &mut random, true, Defect::SilentBridge),
-        Kind::DriverFault => inject(&mut sim, &mut random, true, Defect::DriverFault),
-        Kind::Short => inject(&mut sim, &mut random, true, Defect::Short),
-        Kind::SenseOpen => inject(&mut sim, &mut random, true, Defect::SenseOpen),
-        Kind::Weak => {
-            sim.plant.suffer(Defect::Battery(3_100.0));
-            sim.plant.suffer(Defect::Weak(20.0));
-            with_defect(&mut sim, Command::Fold, None, end_mm)
-        }
-        Kind::Collapse => {
-            let at_ms = random.between(0.0, 800.0);
-            with_defect(
-                &mut sim,
-                Command::Fold,
-                Some((at_ms, Defect::Collapse)),
-                end_mm,
-            )
-        }
-        Kind::Empty => {
-            sim.plant
-                .suffer(Defect::Battery(random.between(2_500.0, 2_990.0)));
-            for _ in 0..120 {
-                sim.tick();
-            }
-            let refusal = sim.give(Event::Command(Command::Fold)).refusal;
-            Verdict {
-                name: match refusal {
-                    Some(Refusal::BatteryLow { .. }) => "BatteryLow",
-                    _ => "none",
-                },
-                took_ms: None,
-                peak_n: 0.0,
-                short_mm: None,
-            }
-        }
-        Kind::Swapped => unreachable!("above"),
+    }
+    for defect in &course.defects {
+        sim.plant.suffer(*defect);
+    }
+    for _ in 0..course.rests_ms {
+        sim.tick();
+    }
+    match course.motion {
+        Motion::Calibrate => with_defect(sim, Command::Calibrate, course.planned, end_mm),
+        Motion::Fold => with_defect(sim, Command::Fold, course.planned, end_mm),
+        Motion::Unfold => with_defect(sim, Command::Unfold, course.planned, end_mm),
+        Motion::Cycles(cycles) => healthy(sim, cycles, end_mm),
     }
 }
 
@@ -274,26 +90,24 @@ fn with_defect(
     }
     let folded = sim.capsule.state() == CapsuleState::Folded;
     Verdict {
-        name: match refusal {
-            Some(Refusal::BatteryLow { .. }) => "BatteryLow",
-            Some(_) => "refused",
-            None => name_of(sim.capsule.record().outcome),
-        },
+        name: refusal.map_or_else(
+            || name_of(sim.capsule.record().outcome),
+            |refusal| name(&refusal),
+        ),
         took_ms,
         peak_n: sim.plant.peak_force_n(),
         short_mm: folded.then(|| end_mm - sim.plant.travel_mm()),
     }
 }
 
-/// Two folds and two unfoldings.
-fn healthy(sim: &mut Simulation, end_mm: f64) -> Verdict {
+fn healthy(sim: &mut Simulation, cycles: u32, end_mm: f64) -> Verdict {
     let mut verdict = Verdict {
-        name: "Complete",
+        name: "Complete".to_owned(),
         took_ms: None,
         peak_n: 0.0,
         short_mm: None,
     };
-    for _ in 0..2 {
+    for _ in 0..cycles {
         for command in [Command::Fold, Command::Unfold] {
             let this = with_defect(sim, command, None, end_mm);
             sim.settle();

@@ -104,8 +104,37 @@ fn a_fast_motor_that_is_slowed_is_resisted() {
         "a count less is noise"
     );
     assert!(feed.step(8).is_ok_and(|load| load.resisted));
+    assert!(feed.step(8).is_ok_and(|load| load.struck));
     let mut feed = Feed::at_speed(Spooling::Wind, 5);
     assert!(feed.step(3).is_ok_and(|load| !load.resisted), "slow enough");
+}
+
+/// A stiff origami slows a motor by 60 counts/s in each millisecond; that is no jam, but a jam on top of it is.
+#[test]
+fn a_motor_that_becomes_slower_is_not_struck() {
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    let mut travel = 0;
+    for ms in 1..=40 {
+        // Thousandths of a count.
+        let before = travel;
+        travel += 11_000 - 60 * ms;
+        let step = travel / 1_000 - before / 1_000;
+        assert!(feed.step(step).is_ok_and(|load| !load.struck), "{ms} ms");
+    }
+    assert!(feed.step(8).is_ok_and(|load| !load.struck), "8,600 before");
+    assert!(feed.step(6).is_ok_and(|load| load.struck));
+}
+
+/// 2 counts/ms more than 12 ms before are 166,700 counts/s2, 39 mA.
+#[test]
+fn what_makes_the_motor_faster_does_not_pull_at_the_thread() {
+    for (pull_ma, found) in [(FORCE_MA + 36, false), (FORCE_MA + 42, true)] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 2);
+        feed.draws(NO_LOAD_MA + pull_ma, 220);
+        let last = (0..12).map(|_| feed.step(4)).last();
+        let found_now = last.is_some_and(|load| load.is_ok_and(|load| load.end_force));
+        assert_eq!(found_now, found, "{pull_ma} mA");
+    }
 }
 
 #[test]
@@ -264,6 +293,24 @@ fn battery_and_driver_are_debounced() {
     assert_eq!(feed.until_trip(50, 11), None);
     feed.sample.driver_fault = true;
     assert_eq!(feed.until_trip(50, 11), Some((4, Trip::Driver)));
+}
+
+/// A weak cell takes the supply of the chip with it, the drive ends, and the cell is back before the sag has lasted.
+#[test]
+fn a_cell_that_collapses_again_and_again_is_low() {
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    let whole_mv = feed.sample.battery_mv;
+    feed.draws(0, 40);
+    for collapse in 1..=5 {
+        feed.sample.battery_mv = 0;
+        let trip = feed.until_trip(1, 11);
+        let low = Some((1, Trip::LowBattery { battery_mv: 0 }));
+        assert_eq!(trip, low.filter(|_| collapse == 5), "{collapse}");
+        feed.sample.battery_mv = whole_mv;
+        if collapse < 5 {
+            assert_eq!(feed.until_trip(2, 11), None, "{collapse}");
+        }
+    }
 }
 
 /// A clock that stands makes no speed, and divides by nothing.

@@ -5,6 +5,7 @@ use super::*;
 const FAST: Aim = Aim {
     cps: 11_000,
     limit_ma: 220,
+    held_ma: 220,
 };
 
 /// A motor at standstill is given the limit as a voltage over its resistance, whatever the battery has.
@@ -43,7 +44,7 @@ fn a_motor_that_is_too_fast_is_braked_and_a_little_too_fast_is_not() {
         let mut governor = Governor::default();
         let aim = Aim {
             cps: aim_cps,
-            limit_ma: 220,
+            ..FAST
         };
         let effort = governor.step(aim, cps, cps, 3_700);
         assert_eq!(effort == Effort::Brake, brakes, "{cps} for {aim_cps}");
@@ -64,4 +65,48 @@ fn the_current_is_bounded_by_the_least_speed() {
         panic!("it brakes");
     };
     assert!(stopped * 2 < steady, "{stopped} of {steady} mV");
+}
+
+/// The speed is a mean over 3 ms, so a motor that is being shorted is slower than it says.
+#[test]
+fn a_motor_that_is_being_braked_is_not_braked_too_long() {
+    for (braked_ms, cps, brakes) in [
+        (0, 10_001, true),
+        (1, 11_400, false),
+        (1, 11_500, true),
+        (2, 13_300, false),
+        (2, 13_400, true),
+    ] {
+        let mut governor = Governor::default();
+        for _ in 0..braked_ms {
+            governor.brake();
+        }
+        let aim = Aim { cps: 8_000, ..FAST };
+        let effort = governor.step(aim, cps, cps, 3_700);
+        assert_eq!(
+            effort == Effort::Brake,
+            brakes,
+            "{cps} after {braked_ms} ms"
+        );
+    }
+}
+
+/// A load of 130 mA: with 100 mA held, what is missing costs 30 mA / 15 uA per count/s = 2,000 counts/s.
+#[test]
+fn what_needs_more_than_is_held_is_moved_more_slowly() {
+    let mut governor = Governor::default();
+    let aim = Aim {
+        held_ma: 100,
+        ..FAST
+    };
+    for _ in 0..1_000 {
+        governor.step(aim, 9_000, 9_000, 3_700);
+    }
+    assert_eq!(governor.ordered_ma(), Some(130));
+    governor.step(aim, 11_000, 11_000, 3_700);
+    assert_eq!(governor.ordered_ma(), Some(100));
+    for _ in 0..1_000 {
+        governor.step(FAST, 9_000, 9_000, 3_700);
+    }
+    assert_eq!(governor.ordered_ma(), Some(220), "all is held");
 }

@@ -35,6 +35,8 @@ const NONE: Load = Load {
     excess_ma: Some(0),
     rise_from: None,
     resisted: false,
+    struck: false,
+    silent: false,
 };
 const END_FORCE: Load = Load {
     end_force: true,

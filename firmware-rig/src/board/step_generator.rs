@@ -364,6 +364,9 @@ impl Ring for StepGenerator {
     }
 
     fn time_edges(&mut self, at_most: u32) -> bool {
+        if self.timing.is_over() {
+            return true;
+        }
         let Some(instants) = self.captures.take(at_most as usize) else {
             self.timing.lose();
             return true;

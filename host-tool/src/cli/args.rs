@@ -86,9 +86,9 @@ pub enum Subcommand {
         subcommand: CapsuleSubcommand,
     },
     /// Fold the capsule's origami, recorded.
-    Fold(RecordArgs),
+    Fold(FoldArgs),
     /// Unfold the capsule's origami, recorded.
-    Unfold(RecordArgs),
+    Unfold(FoldArgs),
     /// Hold a run that goes on without its host: decelerate, keep the position, ready to resume.
     Hold,
     /// Resume a held run, exactly as planned.
@@ -254,6 +254,31 @@ pub enum CapsuleSubcommand {
     Check(RecordArgs),
     /// Fetch the recording of the last actuation, one reading per millisecond, also after a fault: a CSV file.
     Trace(TraceArgs),
+    /// Endurance: fold and unfold N times, each pair a row of a CSV file, with a summary of what drifts. The first fault
+    /// ends it; Ctrl-C ends it with a controlled stop.
+    Cycle(CycleArgs),
+}
+
+/// Arguments of `capsule cycle`.
+#[derive(Debug, Args)]
+pub struct CycleArgs {
+    /// Pairs of a fold and an unfolding, 1 to 100000.
+    #[arg(value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub pairs: u32,
+    /// Folder of the two files.
+    #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
+    pub out: PathBuf,
+}
+
+/// Arguments of `fold` and `unfold`.
+#[derive(Debug, Args)]
+pub struct FoldArgs {
+    /// The record.
+    #[command(flatten)]
+    pub record: RecordArgs,
+    /// Fetch the capsule's own recording after the motion, one reading per millisecond, with the force: a new CSV file.
+    #[arg(long, value_name = "FILE")]
+    pub trace: Option<PathBuf>,
 }
 
 /// Arguments of `capsule trace`.

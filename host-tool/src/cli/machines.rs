@@ -1,5 +1,7 @@
 //! Commands that talk to a machine.
 
+use std::path::Path;
+
 use protocol::capsule::{ActuationKind, CapsuleStatus};
 use protocol::error::Refusal;
 use protocol::rig::RigStatus;
@@ -7,13 +9,14 @@ use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
 use serde_json::{Map, Value, json};
 
 use crate::cli::already;
-use crate::cli::args::{DATA_FOLDER, RecordArgs, RunArgs, TraceArgs, Which};
+use crate::cli::args::{DATA_FOLDER, RecordArgs, RunArgs, Which};
 use crate::cli::configured;
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, line};
 use crate::cli::fresh;
 use crate::cli::keyboard::{self, SingleKeys};
 use crate::cli::screen::Screen;
+use crate::cli::study::TraceFile;
 use crate::client::matches;
 use crate::commission::warning;
 use crate::decimal;
@@ -22,7 +25,7 @@ use crate::experiment;
 use crate::identity::{self, IdentityRecord};
 use crate::plan;
 use crate::report;
-use crate::trial::{self, Recording, Status};
+use crate::trial::{Recording, Status};
 
 pub(crate) fn devices(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let found = finder.survey(None);
@@ -253,6 +256,7 @@ pub(crate) fn run(
 pub(crate) fn actuate(
     kind: ActuationKind,
     args: &RecordArgs,
+    trace: Option<&Path>,
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
@@ -292,7 +296,16 @@ pub(crate) fn actuate(
     }
     screen.say(what);
     let recording = recording(args, stem, finder);
-    let trial = experiment::actuate(&mut capsule, kind, &recording, &mut screen.live())?;
+    let trace = trace.map(TraceFile::create).transpose()?;
+    let trial = match experiment::actuate(&mut capsule, kind, &recording, &mut screen.live()) {
+        Ok(trial) => trial,
+        Err(error) => {
+            if let Some(trace) = trace {
+                trace.discard();
+            }
+            return Err(error.into());
+        }
+    };
     for (name, value) in report::actuation_rows(kind, &trial.record) {
         screen.say(&format!("  {name}: {value}"));
     }
@@ -305,33 +318,14 @@ pub(crate) fn actuate(
         "the data is in {}; `retrograde info` shows the capsule's state",
         trial.sidecar.display()
     );
-    completed(action, trial.trial.status, trial.trial.error.as_ref(), help)?;
-    Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
-}
-
-pub(crate) fn trace(
-    args: &TraceArgs,
-    finder: &Finder<'_>,
-    screen: &mut Screen<'_>,
-) -> Result<Value, Failure> {
-    let mut capsule = finder.connect(DeviceKind::Capsule)?;
-    let recorded = capsule.trace()?;
-    if recorded.points.is_empty() {
-        screen.say("The capsule has not moved since its start: there is no recording.");
-        return Ok(json!({ "actuation": null, "readings": 0, "csv": null }));
+    // After a fault the recording is worth most; that it cannot be had must not hide the fault.
+    let traced = trace.map(|trace| trace.fill(&mut capsule, &trial.record));
+    if let Some(Ok((path, readings))) = &traced {
+        screen.say(&format!("  {}: {readings} ms", path.display()));
     }
-    let csv = trial::write_recorded(&args.out, finder.connector.now(), &recorded)?;
-    screen.say(&format!(
-        "Actuation {}, its last {} ms.\n  {}",
-        recorded.actuation,
-        recorded.points.len(),
-        csv.display()
-    ));
-    Ok(json!({
-        "actuation": recorded.actuation,
-        "readings": recorded.points.len(),
-        "csv": csv,
-    }))
+    completed(action, trial.trial.status, trial.trial.error.as_ref(), help)?;
+    let traced = traced.transpose()?.map(|(path, _)| path);
+    Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar, "trace": traced }))
 }
 
 fn recording(args: &RecordArgs, stem: &str, finder: &Finder<'_>) -> Recording {

@@ -41,6 +41,7 @@ pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
             CapsuleSubcommand::Check(_) => "capsule check",
             // While readings are added it would fill the line, and not come to an end.
             CapsuleSubcommand::Trace(_) => "capsule trace",
+            CapsuleSubcommand::Cycle(_) => "capsule cycle",
         },
         Subcommand::Fold(_) => "fold",
         Subcommand::Unfold(_) => "unfold",

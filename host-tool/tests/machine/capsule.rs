@@ -4,7 +4,7 @@
 mod board;
 
 use board::{Board as Mechanics, PERIOD_US};
-use capsule_plant::Parameters;
+use capsule_plant::{Defect, Parameters};
 use device::retained::Retained;
 use device::service::Answers;
 use device::service::Inbound;
@@ -152,6 +152,10 @@ impl Device for Capsule {
     }
 
     fn world(&mut self, event: World) {
-        unreachable!("{event:?} is of the rig");
+        let World::Battery { mv } = event else {
+            unreachable!("{event:?} is of the rig");
+        };
+        let plant = &mut self.control.capsule().board.mechanics.plant;
+        plant.suffer(Defect::Battery(mv.into()));
     }
 }

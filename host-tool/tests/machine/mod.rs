@@ -95,6 +95,8 @@ pub enum World {
     Reset,
     /// A stop comes from another terminal.
     StopFrame,
+    /// The capsule's cell has this voltage from now on.
+    Battery { mv: u16 },
 }
 
 /// Somebody presses the start button.

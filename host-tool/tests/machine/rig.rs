@@ -227,7 +227,9 @@ impl Device for Rig {
             }
             World::Button { down } => self.control.rig().board.button_is_down = down,
             World::TimerStands => self.timer_stands = true,
-            World::Reset | World::StopFrame => unreachable!("{event:?} is of the device"),
+            World::Reset | World::StopFrame | World::Battery { .. } => {
+                unreachable!("{event:?} is of the device or the capsule")
+            }
         }
     }
 }

@@ -8,6 +8,7 @@
 //! | PA0, PA1 | encoder A, B | TIM2 in encoder mode, AF1 |
 //! | PA4 | motor current | ADC1 channel 4, 1 mV per mA |
 //! | PB0 | battery | ADC1 channel 8, half its voltage |
+//! | PB1 | supply of encoder and amplifier | plain output; the board pulls it low |
 //! | VDD, VDDA | a linear regulator's 3.3 V, or less from an empty battery | supply, and reference of ADC1 |
 
 use std::path::PathBuf;
@@ -19,10 +20,13 @@ use crate::plants::capsule::{Capsule, Parameters};
 const IN1: Pin = Pin::new('B', 4);
 const IN2: Pin = Pin::new('B', 5);
 const SLEEP: Pin = Pin::new('B', 10);
+const SENSORS: Pin = Pin::new('B', 1);
 const FAULT: Pin = Pin::new('A', 8);
 const ENCODER: [Pin; 2] = [Pin::new('A', 0), Pin::new('A', 1)];
 const CURRENT: (Pin, u8) = (Pin::new('A', 4), 4);
 const BATTERY: (Pin, u8) = (Pin::new('B', 0), 8);
+/// From their supply to the first valid levels of encoder and amplifier, ns [assumed].
+const SENSORS_START_NS: u64 = 500_000;
 /// The alternate functions for TIM3 and TIM2 (DS10314 table 9).
 const AF_BRIDGE: Option<u8> = Some(2);
 const AF_ENCODER: Option<u8> = Some(1);
@@ -37,6 +41,36 @@ pub struct CapsuleBoard {
     fault: Option<bool>,
     voltages: [Option<u32>; 2],
     supply_mv: Option<u32>,
+    sensors: Sensors,
+}
+
+/// What encoder and amplifier do with their supply.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sensors {
+    since_ns: Option<u64>,
+    powered_ns: u64,
+}
+
+impl Sensors {
+    fn power(&mut self, at_ns: u64, on: bool) {
+        match self.since_ns {
+            None if on => self.since_ns = Some(at_ns),
+            Some(since_ns) if !on => {
+                self.powered_ns += at_ns - since_ns;
+                self.since_ns = None;
+            }
+            _ => {}
+        }
+    }
+
+    /// When they show what they measure.
+    fn valid_from_ns(&self) -> Option<u64> {
+        self.since_ns.map(|since_ns| since_ns + SENSORS_START_NS)
+    }
+
+    fn are_valid(&self, at_ns: u64) -> bool {
+        self.valid_from_ns().is_some_and(|from_ns| from_ns <= at_ns)
+    }
 }
 
 impl CapsuleBoard {
@@ -50,14 +84,28 @@ impl CapsuleBoard {
             fault: None,
             voltages: [None; 2],
             supply_mv: None,
+            sensors: Sensors::default(),
         }
+    }
+
+    /// How long encoder and amplifier have been powered until `now_ns`, ns.
+    #[must_use]
+    pub fn sensors_powered_ns(&self, now_ns: u64) -> u64 {
+        let present = self
+            .sensors
+            .since_ns
+            .map_or(0, |since_ns| now_ns - since_ns);
+        self.sensors.powered_ns + present
     }
 
     /// Advances the mechanics to `at_ns` and passes the encoder's edges to the chip.
     fn advance(&mut self, at_ns: u64, pads: &mut Pads<'_>) {
-        let encoder = &mut self.encoder;
-        self.capsule
-            .advance(at_ns, |(a, b)| drive_encoder(encoder, [a, b], pads));
+        let (encoder, valid) = (&mut self.encoder, self.sensors.are_valid(at_ns));
+        self.capsule.advance(at_ns, |(a, b)| {
+            if valid {
+                drive_encoder(encoder, [a, b], pads);
+            }
+        });
     }
 
     fn drive_bridge(&mut self, awake: bool) {
@@ -82,6 +130,7 @@ impl Wiring for CapsuleBoard {
         self.fault = None;
         self.voltages = [None; 2];
         self.supply_mv = None;
+        self.sensors.since_ns = None;
     }
 
     fn look(&mut self, pads: &mut Pads<'_>) {
@@ -106,14 +155,22 @@ impl Wiring for CapsuleBoard {
             };
         }
         self.drive_bridge(awake);
-        let (a, b) = self.capsule.encoder();
+        self.sensors
+            .power(now_ns, pads.output(SENSORS).unwrap_or(false));
+        let valid = self.sensors.are_valid(now_ns);
+        // Open outputs: the chip's pull-ups.
+        let (a, b) = if valid {
+            self.capsule.encoder()
+        } else {
+            (true, true)
+        };
         drive_encoder(&mut self.encoder, [a, b], pads);
         let sound = self.capsule.fault_high();
         if self.fault.replace(sound) != Some(sound) {
             pads.drive(FAULT, (!sound).then_some(false));
         }
         let voltages = [
-            (CURRENT, self.capsule.sense_mv()),
+            (CURRENT, if valid { self.capsule.sense_mv() } else { 0.0 }),
             (BATTERY, self.capsule.battery_mv()),
         ];
         for (((pin, channel), mv), known) in voltages.into_iter().zip(&mut self.voltages) {
@@ -130,7 +187,8 @@ impl Wiring for CapsuleBoard {
         if self.supply_mv.replace(supply_mv) != Some(supply_mv) {
             pads.set_supply_mv(supply_mv);
         }
-        if let Some(next_ns) = self.capsule.next_ns() {
+        let valid_from = self.sensors.valid_from_ns().filter(|_| !valid);
+        if let Some(next_ns) = self.capsule.next_ns().into_iter().chain(valid_from).min() {
             pads.wake_at(next_ns);
         }
     }

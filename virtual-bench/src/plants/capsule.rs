@@ -44,6 +44,14 @@ impl Capsule {
         }
     }
 
+    /// Puts another capsule in its place, at rest, now.
+    pub fn exchange(&mut self, parameters: Parameters) {
+        *self = Self {
+            now_ns: self.now_ns,
+            ..Self::new(parameters)
+        };
+    }
+
     /// Its mechanics.
     #[must_use]
     pub fn plant(&self) -> &Plant {

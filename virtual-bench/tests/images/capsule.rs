@@ -1,5 +1,7 @@
 //! The capsule's image, judged from its motor, thread and spring.
 
+use crate::common::trials;
+use capsule_plant::cases::Kind;
 use host_tool::{
     client::{Device, Unobserved},
     error::ClientError,
@@ -17,6 +19,7 @@ use virtual_bench::{
     boards::capsule::{self, CapsuleBoard},
     link::VirtualLink,
     plants::capsule::{Capsule, Defect, Parameters},
+    population::{self, Workbench},
     sabotage::{Misbehaviour, Sabotage},
 };
 
@@ -240,16 +243,18 @@ fn says_what_the_plant_did(options: Parameters) {
     capsule.check_clean();
 }
 
-/// A fold that is disturbed 400 ms after its start ends in the fault that says so, and nothing is driven after it.
-fn disturbed(action: Defect, expected: fn(&CapsuleFault) -> bool) {
+#[test]
+fn a_jam_is_found_where_it_is_and_latched() {
     let mut capsule = referenced();
-    let at_ns = capsule.bench.now_ns() + 400_000_000;
-    capsule.look(move |capsule| capsule.plan(at_ns, action));
+    capsule.look(|capsule| capsule.suffer(Defect::Jam(12.0)));
     let record = capsule.fold();
     let ActuationOutcome::Faulted(fault) = record.outcome else {
         panic!("{record:?}\n{}", capsule.log())
     };
-    assert!(expected(&fault), "{fault:?}\n{}", capsule.log());
+    let CapsuleFault::Jam { thread_um } = fault else {
+        panic!("{fault:?}\n{}", capsule.log())
+    };
+    assert!((12_800..13_400).contains(&thread_um), "{thread_um} um");
     capsule.check_at_rest();
     let (state, latched, _) = capsule.state();
     assert_eq!((state, latched), (CapsuleState::Faulted, Some(fault)));
@@ -263,67 +268,61 @@ fn disturbed(action: Defect, expected: fn(&CapsuleFault) -> bool) {
     capsule.check_clean();
 }
 
-#[test]
-fn a_jam_is_found_where_it_is() {
-    disturbed(
-        Defect::Jam(12.0),
-        |fault| matches!(fault, CapsuleFault::Jam { thread_um } if (11_000..15_000).contains(thread_um)),
-    );
-}
-
-#[test]
-fn a_snapped_thread_is_found() {
-    disturbed(Defect::Snap(0.0), |fault| {
-        *fault == CapsuleFault::ThreadBroken
-    });
-}
-
-#[test]
-fn a_lost_encoder_is_found() {
-    disturbed(Defect::Encoder, |fault| *fault == CapsuleFault::EncoderLost);
-}
-
-#[test]
-fn a_silent_bridge_and_a_dead_amplifier_have_their_names() {
-    disturbed(Defect::SilentBridge, |fault| {
-        *fault == CapsuleFault::BridgeSilent
-    });
-    disturbed(Defect::SenseOpen, |fault| *fault == CapsuleFault::SenseLost);
-}
-
-#[test]
-fn one_broken_line_of_the_encoder_and_a_short_circuit_are_found() {
-    disturbed(Defect::ChannelA, |fault| {
-        *fault == CapsuleFault::EncoderLost
-    });
-    disturbed(Defect::Short, |fault| {
-        matches!(fault, CapsuleFault::OverCurrent { .. })
-    });
-}
-
-/// An obstacle in the last millimetres has force and rise of an origami, and is short.
-#[test]
-fn a_late_jam_is_not_folded() {
-    for travel_mm in [19.0, 20.2] {
-        disturbed(
-            Defect::Jam(travel_mm),
-            |fault| matches!(fault, CapsuleFault::Jam { thread_um } if (19_900..21_500).contains(thread_um)),
-        );
+/// So many seeded capsules of each kind, one board after the other.
+fn are_named_rightly(kinds: &[Kind]) {
+    let mut workbench = Workbench::new().expect("the image boots");
+    for seed in 0..trials(1, population::CASES) {
+        for kind in kinds {
+            let verdict = workbench
+                .try_case(*kind, seed)
+                .unwrap_or_else(|why| panic!("{why}"));
+            assert!(
+                kind.right().contains(&verdict.name.as_str()),
+                "{kind:?}, seed {seed}: {verdict:?}"
+            );
+            let short_mm = verdict.short_mm.unwrap_or(0.0);
+            assert!(
+                short_mm < 0.3 && verdict.peak_n < 25.0,
+                "{kind:?}, seed {seed}: {verdict:?}"
+            );
+        }
     }
 }
 
-/// What a folded capsule's thread does at rest shows when it unfolds.
 #[test]
-fn a_thread_that_breaks_or_slips_while_folded_is_named_by_the_unfolding() {
-    for defect in [Defect::Snap(0.0), Defect::Slip(4.0)] {
-        let mut capsule = referenced();
-        assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
-        capsule.look(move |capsule| capsule.suffer(defect));
-        let outcome = capsule.unfold().outcome;
-        let expected = ActuationOutcome::Faulted(CapsuleFault::SlipOrBreak);
-        assert_eq!(outcome, expected, "{defect:?}\n{}", capsule.log());
-        capsule.check_at_rest();
-    }
+fn what_happens_to_a_thread_is_named() {
+    are_named_rightly(&[
+        Kind::Healthy,
+        Kind::Jam,
+        Kind::LateJam,
+        Kind::Snap,
+        Kind::Slip,
+        Kind::Clutch,
+    ]);
+}
+
+#[test]
+fn what_happens_to_a_folded_capsule_and_its_cell_is_named() {
+    are_named_rightly(&[
+        Kind::SnapFolded,
+        Kind::SlipFolded,
+        Kind::Weak,
+        Kind::Collapse,
+        Kind::Empty,
+        Kind::Swapped,
+    ]);
+}
+
+#[test]
+fn what_happens_to_wires_and_bridge_is_named() {
+    are_named_rightly(&[
+        Kind::Encoder,
+        Kind::Channel,
+        Kind::SilentBridge,
+        Kind::DriverFault,
+        Kind::Short,
+        Kind::SenseOpen,
+    ]);
 }
 
 /// Calibration, totals and "was folded" outlive the power; a check confirms the fold and pays nothing out.
@@ -450,13 +449,6 @@ fn a_fold_is_recorded_on_the_capsule() {
         "{last:?}"
     );
     assert!(points.iter().any(|point| point.drive_mv > 1_000));
-}
-
-#[test]
-fn a_fault_of_the_bridge_is_found() {
-    disturbed(Defect::DriverFault, |fault| {
-        *fault == CapsuleFault::DriverFault
-    });
 }
 
 #[test]

@@ -1,0 +1,221 @@
+//! Commands for the study of the capsule: its recording, and endurance.
+
+use std::fs::{self, OpenOptions};
+use std::path::{Path, PathBuf};
+
+use protocol::capsule::{ActuationRecord, CapsuleState, GetCapsuleTotals};
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+
+use crate::cli::args::{CycleArgs, TraceArgs};
+use crate::cli::failure::Failure;
+use crate::cli::finding::Finder;
+use crate::cli::screen::Screen;
+use crate::client::{Device, Recorded, Unobserved};
+use crate::decimal;
+use crate::endurance::{Drift, Endurance, Run};
+use crate::force;
+use crate::trial::{self, RecordError, Status};
+
+pub(crate) fn trace(
+    args: &TraceArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let mut capsule = finder.connect(DeviceKind::Capsule)?;
+    let recorded = capsule.trace()?;
+    if recorded.points.is_empty() {
+        screen.say("The capsule has not moved since its start: there is no recording.");
+        return Ok(json!({ "actuation": null, "readings": 0, "csv": null }));
+    }
+    let csv = trial::write_recorded(&args.out, finder.connector.now(), &recorded)?;
+    screen.say(&format!(
+        "Actuation {}, its last {} ms.\n  {}",
+        recorded.actuation,
+        recorded.points.len(),
+        csv.display()
+    ));
+    Ok(json!({
+        "actuation": recorded.actuation,
+        "readings": recorded.points.len(),
+        "csv": csv,
+    }))
+}
+
+/// The file that `--trace` names, made before anything moves.
+pub(crate) struct TraceFile {
+    path: PathBuf,
+    file: fs::File,
+}
+
+impl TraceFile {
+    /// Creates it; overwrites none.
+    pub(crate) fn create(path: &Path) -> Result<Self, Failure> {
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
+        }
+        let opened = OpenOptions::new().write(true).create_new(true).open(path);
+        Ok(Self {
+            path: path.to_owned(),
+            file: opened.map_err(|io| Failure::Input {
+                why: format!("--trace {}: {io}; nothing moved", path.display()),
+                help: "name a new file in a folder that can be written".to_owned(),
+            })?,
+        })
+    }
+
+    /// Nothing has moved: it is not left behind.
+    pub(crate) fn discard(self) {
+        // An empty file that cannot be removed harms nobody.
+        let _ = fs::remove_file(&self.path);
+    }
+
+    /// Fetches the recording of the motion that has just ended; its path, and the number of readings. Without a recording
+    /// there is no file.
+    pub(crate) fn fill(
+        self,
+        capsule: &mut Device,
+        record: &ActuationRecord,
+    ) -> Result<(PathBuf, usize), Failure> {
+        let fetched = fetch(capsule, record);
+        let (recorded, no_load_ma) = match fetched {
+            Ok(fetched) => fetched,
+            Err(failure) => {
+                self.discard();
+                return Err(failure);
+            }
+        };
+        force::write(self.file, &recorded.points, no_load_ma)
+            .map_err(|error| RecordError::write(&self.path, error))?;
+        Ok((self.path, recorded.points.len()))
+    }
+}
+
+/// The recording, and the no-load current of the calibration.
+fn fetch(
+    capsule: &mut Device,
+    record: &ActuationRecord,
+) -> Result<(Recorded, Option<u16>), Failure> {
+    let calibration = capsule.call(GetCapsuleTotals)?.calibration;
+    let recorded = capsule.trace()?;
+    if recorded.actuation != record.actuation {
+        return Err(Failure::Refused {
+            why: format!(
+                "the recording is that of actuation {}, not of {}: the capsule has moved since",
+                recorded.actuation, record.actuation
+            ),
+            help: "the record of the motion itself is kept; only its recording is lost".to_owned(),
+        });
+    }
+    Ok((
+        recorded,
+        calibration.map(|calibration| calibration.no_load_ma),
+    ))
+}
+
+pub(crate) fn cycle(
+    args: &CycleArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let mut capsule = finder.connect(DeviceKind::Capsule)?;
+    let status = capsule.capsule_status()?;
+    if status.state != CapsuleState::Unfolded || !status.referenced {
+        return Err(Failure::Refused {
+            why: format!(
+                "an endurance run begins unfolded and referenced; the capsule is {:?}, and nothing moved",
+                status.state
+            ),
+            help: match status.state {
+                CapsuleState::Folded | CapsuleState::Stopped => "`retrograde unfold`, then again",
+                CapsuleState::WasFolded => {
+                    "`retrograde capsule check`, `retrograde unfold`, then again"
+                }
+                CapsuleState::Faulted => "`retrograde info` names the fault",
+                _ => "`retrograde capsule reference`, then again",
+            }
+            .to_owned(),
+        });
+    }
+    let mut run = Run::create(&args.out, finder.connector.now(), args.pairs)?;
+    let (csv, summary) = (run.csv.clone(), run.summary.clone());
+    screen.say(&format!(
+        "{} folds and unfoldings. Ctrl-C ends them with a controlled stop.\n  {}\n  {}",
+        args.pairs,
+        csv.display(),
+        summary.display()
+    ));
+    let result = run.carry_out(
+        &mut capsule,
+        &mut Unobserved,
+        &mut |pair| {
+            // A line for each of the first ten, then one for each tenth.
+            if pair.pair <= 10 || pair.pair.is_multiple_of(10) || pair.pair == args.pairs {
+                screen.say(&format!(
+                    "  {} of {}: folded at {} mm in {} s with {} J, unfolded at {} mm in {} s with {} J",
+                    pair.pair,
+                    args.pairs,
+                    decimal::fixed(pair.folded_um.into(), 3),
+                    decimal::fixed(pair.fold_ms.into(), 3),
+                    decimal::fixed(pair.fold_mj.into(), 3),
+                    decimal::fixed(pair.unfolded_um.into(), 3),
+                    decimal::fixed(pair.unfold_ms.into(), 3),
+                    decimal::fixed(pair.unfold_mj.into(), 3),
+                ));
+            }
+        },
+    );
+    let endurance = run.endurance;
+    for line in text(&endurance) {
+        screen.say(&line);
+    }
+    result?;
+    let help = format!(
+        "{} of {} pairs were done, they are in {}; `retrograde info` shows the capsule's state",
+        endurance.done,
+        endurance.asked,
+        csv.display()
+    );
+    if endurance.status != Status::Complete {
+        return Err(Failure::Ended {
+            action: "the endurance run",
+            status: endurance.status,
+            reason: endurance.error,
+            help,
+        });
+    }
+    Ok(json!({ "endurance": endurance, "csv": csv, "summary": summary }))
+}
+
+/// The summary in lines.
+fn text(endurance: &Endurance) -> Vec<String> {
+    let mut lines = vec![format!("{} of {} pairs.", endurance.done, endurance.asked)];
+    let drift = &endurance.drift;
+    for (name, unit, drift) in [
+        ("folded end", "um", drift.folded_um),
+        ("unfolded end", "um", drift.unfolded_um),
+        ("no-load current", "mA", drift.no_load_ma),
+        ("energy of a pair", "mJ", drift.pair_mj),
+        ("time of a fold", "ms", drift.fold_ms),
+        ("time of an unfolding", "ms", drift.unfold_ms),
+    ] {
+        if let Some(drift) = drift {
+            lines.push(format!("  {name}: {}", drift_text(&drift, unit)));
+        }
+    }
+    lines
+}
+
+fn drift_text(drift: &Drift, unit: &str) -> String {
+    let Drift {
+        first,
+        last,
+        least,
+        most,
+        per_100_pairs,
+    } = drift;
+    let slope = per_100_pairs.map_or_else(String::new, |slope| {
+        format!(", {slope:+.2} {unit} per 100 pairs")
+    });
+    format!("first {first} {unit}, last {last} {unit}, {least} to {most} {unit}{slope}")
+}

@@ -1,0 +1,289 @@
+//! Tries the capsule's image on the seeded capsules of `capsule-plant`, one after the other on the same board.
+
+use capsule_plant::cases::{Course, Kind, Motion};
+use capsule_plant::verdict::{self, Verdict, name};
+use host_tool::client::{Device, Unobserved};
+use host_tool::error::ClientError;
+use protocol::capsule::{
+    ActuationAccepted, ActuationOutcome, ActuationRecord, Calibrate, CapsuleState, GetCapsuleTotals,
+};
+use protocol::system::DeviceKind;
+
+use crate::bench::{Bench, BenchError};
+use crate::boards::capsule::{self, CapsuleBoard};
+use crate::link::VirtualLink;
+use crate::plants::capsule::{Capsule, Parameters};
+
+/// Cases of each kind unless told.
+pub const CASES: u64 = 20;
+/// From the request to the first drive of the motor: the frame, the answer, a period of control, ms.
+const START_MS: f64 = 5.0;
+/// From a reset to the first look at the link, us.
+const START_US: u64 = 20_000;
+/// How long a capsule is left alone before it is looked at: the motor has run out, the bridge sleeps.
+const REST_US: u64 = 300_000;
+
+/// Why a case could not be tried, or what the image did that no verdict covers.
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
+pub enum CaseError {
+    /// The bench.
+    #[error(transparent)]
+    #[diagnostic(code(bench::failed))]
+    Bench(#[from] BenchError),
+    /// The device or the link to it.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Client(#[from] ClientError),
+    /// The image did something that is wrong for every capsule.
+    #[error("{kind:?}, seed {seed}: {what}")]
+    #[diagnostic(code(bench::capsule))]
+    Wrong {
+        /// The defect.
+        kind: Kind,
+        /// The capsule.
+        seed: u64,
+        /// What it did.
+        what: String,
+    },
+}
+
+/// One board, on which one capsule after the other is put.
+pub struct Workbench {
+    bench: Bench<CapsuleBoard>,
+    device: Device,
+    resets: usize,
+}
+
+impl Workbench {
+    /// Powers the board up.
+    ///
+    /// # Errors
+    /// The image is missing or does not answer.
+    pub fn new() -> Result<Self, CaseError> {
+        let bench = capsule::start(Parameters::nominal())?;
+        let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
+        let device = Device::connect(link, DeviceKind::Capsule, 1)?;
+        Ok(Self {
+            bench,
+            device,
+            resets: 0,
+        })
+    }
+
+    /// Tries one capsule with one defect, from a reset of the board: what the image called it.
+    ///
+    /// # Errors
+    /// The bench fails, or the image does what is wrong for every capsule: drives at rest, forgets a fault, moves with
+    /// one, writes flash while the motor turns, accesses what the chip does not have.
+    pub fn try_case(&mut self, kind: Kind, seed: u64) -> Result<Verdict, CaseError> {
+        let parameters = kind.parameters(seed);
+        self.bench.visit(move |visit| {
+            visit.board().capsule.exchange(parameters);
+            visit.reset();
+        })?;
+        self.resets += 1;
+        self.device.fall_silent(START_US)?;
+        self.device.hello(self.resets as u32 + 1)?;
+        self.device.idle(REST_US, &mut Unobserved)?;
+        let mut end_mm = 0.0;
+        if kind.course(seed, end_mm).motion != Motion::Calibrate {
+            let calibrated = self.calibrate()?;
+            if calibrated.name() != "Complete" {
+                return Ok(Verdict {
+                    name: calibrated.name(),
+                    took_ms: None,
+                    peak_n: self.look(|capsule| capsule.peak_force_n())?,
+                    short_mm: None,
+                });
+            }
+            end_mm = self.folded_mm()? - parameters.slack_mm;
+        }
+        let verdict = self.follow(&kind.course(seed, end_mm), end_mm)?;
+        match self.check(&verdict)? {
+            Ok(()) => Ok(verdict),
+            Err(what) => Err(CaseError::Wrong { kind, seed, what }),
+        }
+    }
+
+    fn look<T: Send + 'static>(
+        &self,
+        look: impl FnOnce(&mut Capsule) -> T + Send + 'static,
+    ) -> Result<T, BenchError> {
+        self.bench.visit(|visit| look(&mut visit.board().capsule))
+    }
+
+    fn wait(
+        &mut self,
+        accepted: Result<ActuationAccepted, ClientError>,
+    ) -> Result<Moved, CaseError> {
+        let accepted = match accepted {
+            Ok(accepted) => accepted,
+            Err(ClientError::Refused { refusal, .. }) => return Ok(Moved::Refused(name(&refusal))),
+            Err(other) => return Err(other.into()),
+        };
+        let record = self.device.wait_actuation(&accepted, &mut Unobserved)?;
+        self.device.idle(REST_US, &mut Unobserved)?;
+        Ok(Moved::Ended(record))
+    }
+
+    fn calibrate(&mut self) -> Result<Moved, CaseError> {
+        let accepted = self.device.call(Calibrate);
+        self.wait(accepted)
+    }
+
+    fn fold(&mut self) -> Result<Moved, CaseError> {
+        let accepted = self.device.fold();
+        self.wait(accepted)
+    }
+
+    fn unfold(&mut self) -> Result<Moved, CaseError> {
+        let accepted = self.device.unfold();
+        self.wait(accepted)
+    }
+
+    /// Thread at the calibrated end, mm.
+    fn folded_mm(&mut self) -> Result<f64, CaseError> {
+        let totals = self.device.call(GetCapsuleTotals)?;
+        let folded_um = totals
+            .calibration
+            .map_or(0, |calibration| calibration.folded_um);
+        Ok(f64::from(folded_um) / 1e3)
+    }
+
+    fn follow(&mut self, course: &Course, end_mm: f64) -> Result<Verdict, CaseError> {
+        if course.folds_first {
+            self.fold()?;
+        }
+        let (defects, planned) = (course.defects.clone(), course.planned);
+        let planned_before = planned.filter(|(at_ms, _)| *at_ms < 0.0);
+        self.look(move |capsule| {
+            let now = planned_before.map(|(_, defect)| defect);
+            for defect in defects.into_iter().chain(now) {
+                capsule.suffer(defect);
+            }
+            capsule.plant_mut().forget_extremes();
+        })?;
+        // A defect may be noticed at rest, by the next samples.
+        let rests_ms = course.rests_ms.max(u32::from(planned_before.is_some()));
+        self.device
+            .idle(u64::from(rests_ms) * 1_000, &mut Unobserved)?;
+        let in_motion = planned.filter(|(at_ms, _)| *at_ms >= 0.0);
+        if let Some((at_ms, defect)) = in_motion {
+            let at_ns = self.bench.now_ns() + ((START_MS + at_ms) * 1e6) as u64;
+            self.look(move |capsule| capsule.plan(at_ns, defect))?;
+        }
+        let mut short_mm = None;
+        let mut last = Moved::Refused(String::new());
+        let motions = match course.motion {
+            Motion::Calibrate => vec![Self::calibrate as fn(&mut Self) -> _],
+            Motion::Fold => vec![Self::fold as _],
+            Motion::Unfold => vec![Self::unfold as _],
+            Motion::Cycles(cycles) => [Self::fold as _, Self::unfold as _].repeat(cycles as usize),
+        };
+        for motion in motions {
+            last = motion(self)?;
+            if self.device.capsule_status()?.state == CapsuleState::Folded {
+                let short = end_mm - self.look(|capsule| capsule.travel_mm())?;
+                short_mm = Some(short_mm.map_or(short, |most: f64| most.max(short)));
+            }
+            if last.name() != "Complete" {
+                break;
+            }
+        }
+        let took_ms = match (&last, in_motion) {
+            (Moved::Ended(record), Some((at_ms, _))) => {
+                Some((f64::from(record.duration_ms) - at_ms).max(0.0) as u64)
+            }
+            _ => None,
+        };
+        Ok(Verdict {
+            name: last.name(),
+            took_ms,
+            peak_n: self.look(|capsule| capsule.peak_force_n())?,
+            short_mm,
+        })
+    }
+
+    /// What no capsule may do, whatever is wrong with it.
+    fn check(&mut self, verdict: &Verdict) -> Result<Result<(), String>, CaseError> {
+        let (awake, moving, before_mm) =
+            self.look(|capsule| (capsule.is_awake(), capsule.is_moving(), capsule.wound_mm()))?;
+        self.device.idle(REST_US, &mut Unobserved)?;
+        let after_mm = self.look(|capsule| capsule.wound_mm())?;
+        if awake || moving || before_mm != after_mm {
+            return Ok(Err(format!(
+                "driven at rest: {before_mm} mm, then {after_mm} mm"
+            )));
+        }
+        let status = self.device.capsule_status()?;
+        let faulted = !["Complete", "BatteryLow"].contains(&verdict.name.as_str());
+        let latched = status.fault.map(|fault| name(&fault));
+        if faulted && latched.as_ref() != Some(&verdict.name) {
+            return Ok(Err(format!(
+                "{} is not latched, {latched:?} is",
+                verdict.name
+            )));
+        }
+        if faulted {
+            match self.unfold()? {
+                Moved::Refused(refusal) if refusal == "CapsuleFaulted" => {}
+                other => return Ok(Err(format!("with a fault: {}", other.name()))),
+            }
+        }
+        let moving_writes = self.look(|capsule| capsule.flash_moving())?;
+        if moving_writes > 0 {
+            return Ok(Err(
+                "the flash was written while the motor turned".to_owned()
+            ));
+        }
+        Ok(self.bench.bus()?.check(self.resets))
+    }
+}
+
+enum Moved {
+    Refused(String),
+    Ended(ActuationRecord),
+}
+
+impl Moved {
+    fn name(&self) -> String {
+        match self {
+            Self::Refused(refusal) => refusal.clone(),
+            Self::Ended(record) => match record.outcome {
+                ActuationOutcome::Faulted(fault) => name(&fault),
+                outcome => name(&outcome),
+            },
+        }
+    }
+}
+
+/// Tries `cases` of each kind, twice as many healthy ones, and writes the table of `docs/capsule.md`, line by line.
+///
+/// # Errors
+/// As [`Workbench::try_case`].
+pub fn run(cases: u64, line: &mut impl FnMut(String)) -> Result<(), CaseError> {
+    let of_seed = |seed| -> Result<Vec<(Kind, Verdict)>, CaseError> {
+        let mut workbench = Workbench::new()?;
+        let kinds = Kind::ALL
+            .into_iter()
+            .filter(|kind| seed < cases || *kind == Kind::Healthy);
+        kinds
+            .map(|kind| Ok((kind, workbench.try_case(kind, seed)?)))
+            .collect()
+    };
+    let seeds: Result<Vec<_>, _> = verdict::all(2 * cases, of_seed).into_iter().collect();
+    let found: Vec<_> = seeds?.into_iter().flatten().collect();
+    line(verdict::HEAD.to_owned());
+    for kind in Kind::ALL {
+        let verdicts: Vec<_> = found
+            .iter()
+            .filter(|(tried, _)| *tried == kind)
+            .map(|(_, verdict)| verdict.clone())
+            .collect();
+        line(verdict::row(kind, &verdicts));
+        for (seed, name) in verdict::wrong(kind, &verdicts) {
+            line(format!("  {kind:?}, seed {seed}: {name}"));
+        }
+    }
+    Ok(())
+}
