@@ -9,6 +9,7 @@ mod others;
 
 use std::net::TcpStream;
 use std::process::Command;
+use std::time::{Duration, Instant};
 
 use bench::Bench;
 use host_tool::cli::run_on;
@@ -82,6 +83,18 @@ fn a_place_that_does_not_open_is_named_with_its_remedy() {
     }
 }
 
+/// Asks again as long as the owner of the line is called silent: on a busy computer it may be, for a moment.
+fn answered(bench: &Bench, args: &[&str]) -> (Option<i32>, String, String) {
+    let begin = Instant::now();
+    loop {
+        let (code, out, err) = bench.retrograde(args);
+        if !out.contains("owner_silent") {
+            return (code, out, err);
+        }
+        assert!(begin.elapsed() < Duration::from_secs(20), "{out}{err}");
+    }
+}
+
 #[test]
 fn a_machine_that_is_well_is_fine_and_one_with_a_fault_says_so() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
@@ -90,7 +103,7 @@ fn a_machine_that_is_well_is_fine_and_one_with_a_fault_says_so() {
     assert!(out.contains(": fine: rig, UID ab"), "{out}");
     // One line that both machines should have: one of them owns it for a moment.
     for _ in 0..5 {
-        let (code, out, err) = bench.retrograde(&["doctor", "--json", "--capsule", &bench.address]);
+        let (code, out, err) = answered(&bench, &["doctor", "--json", "--capsule", &bench.address]);
         assert_eq!(code, Some(4), "{out}{err}");
         let found = findings(&out);
         let codes: Vec<_> = found.iter().map(|found| found.0.as_str()).collect();
@@ -115,7 +128,7 @@ fn the_owner_of_the_line_is_named_and_one_that_is_frozen_is_told() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let mut run = bench.run(&["--cycles", "1", "--stroke-mm", "130", "--duration-s", "60"]);
     let owner = format!("process {}", run.id());
-    let (code, out, err) = bench.retrograde(&["doctor"]);
+    let (code, out, err) = answered(&bench, &["doctor"]);
     assert_eq!(code, Some(0), "{out}{err}");
     assert!(out.contains("fine") && out.contains(&owner), "{out}");
     // The shell's own: a small machine has no program of that name.

@@ -22,7 +22,7 @@ impl New {
         let out = folder.path().to_str().expect("UTF-8");
         let mut line = vec!["retrograde"];
         line.extend(args);
-        if ["run", "fold", "unfold"].contains(&args[2]) {
+        if ["run", "fold", "unfold", "capsule"].contains(&args[2]) {
             line.extend(["--out", out]);
         }
         let (mut out, mut err) = (vec![], vec![]);
@@ -75,6 +75,11 @@ fn a_virtual_machine_is_homed_or_referenced_in_the_same_command() {
             &["--capsule", "virtual", "fold"],
             "referenced first",
             "Fold",
+        ),
+        (
+            &["--capsule", "virtual", "capsule", "cycle", "1"],
+            "referenced first",
+            "Unfold",
         ),
     ] {
         let new = New::default();

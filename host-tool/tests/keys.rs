@@ -46,7 +46,7 @@ fn single_keys_hold_resume_and_stop_a_run() {
     terminal.press("x");
     let begin = std::time::Instant::now();
     while terminal.text().matches("h holds the run").count() < 2 {
-        assert!(begin.elapsed().as_secs() < 20, "{}", terminal.text());
+        assert!(begin.elapsed().as_secs() < 60, "{}", terminal.text());
     }
     assert_eq!((bench.count("Hold"), bench.count("Resume")), (1, 1));
     // Pressed again while it brakes, it is no emergency stop.

@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use crate::cli::args::{CycleArgs, TraceArgs};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
+use crate::cli::fresh;
 use crate::cli::screen::Screen;
 use crate::client::{Device, Recorded, Unobserved};
 use crate::decimal;
@@ -119,6 +120,7 @@ pub(crate) fn cycle(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let mut capsule = finder.connect(DeviceKind::Capsule)?;
+    fresh::prepare(DeviceKind::Capsule, &mut capsule, finder, screen)?;
     let status = capsule.capsule_status()?;
     if status.state != CapsuleState::Unfolded || !status.referenced {
         return Err(Failure::Refused {
