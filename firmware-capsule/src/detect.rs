@@ -184,6 +184,8 @@ pub struct Detector {
     surplus: Debounce,
     sag: Debounce,
     collapses: u8,
+    /// The last voltage below the limit that could be measured.
+    sagged_mv: u16,
     silence: Debounce,
     end_force: Debounce,
     rise: Debounce,
@@ -205,6 +207,7 @@ impl Detector {
             surplus: Debounce::default(),
             sag: Debounce::default(),
             collapses: 0,
+            sagged_mv: 0,
             silence: Debounce::default(),
             end_force: Debounce::default(),
             rise: Debounce::default(),
@@ -283,7 +286,12 @@ impl Detector {
         if battery_mv < COLLAPSED_MV {
             self.collapses = self.collapses.saturating_add(1);
         }
+        // 0 is a supply that cannot be measured against.
+        if low && battery_mv > 0 {
+            self.sagged_mv = battery_mv;
+        }
         if lasts(&mut self.sag, low, SAG_DEBOUNCE_US) || self.collapses >= COLLAPSES {
+            let battery_mv = self.sagged_mv;
             return Err(Trip::LowBattery { battery_mv });
         }
         if self.turns_uncounted(counts) {

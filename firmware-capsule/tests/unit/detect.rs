@@ -302,9 +302,9 @@ fn a_cell_that_collapses_again_and_again_is_low() {
     let whole_mv = feed.sample.battery_mv;
     feed.draws(0, 40);
     for collapse in 1..=5 {
-        feed.sample.battery_mv = 0;
+        feed.sample.battery_mv = if collapse == 2 { 1_900 } else { 0 };
         let trip = feed.until_trip(1, 11);
-        let low = Some((1, Trip::LowBattery { battery_mv: 0 }));
+        let low = Some((1, Trip::LowBattery { battery_mv: 1_900 }));
         assert_eq!(trip, low.filter(|_| collapse == 5), "{collapse}");
         feed.sample.battery_mv = whole_mv;
         if collapse < 5 {
