@@ -167,10 +167,15 @@ fn settle(line: usize, counter: usize, before: bool, level: impl Fn() -> bool) -
         EXTI.pr(0).write(|w| w.set_line(line, true));
         let first = level();
         let start = Instant::now();
-        let mut steady = true;
-        while steady && start.elapsed().as_micros() < window_us {
-            steady = level() == first;
-        }
+        // The time first, then the level: who is interrupted between them must not believe a level that he has not
+        // seen at the window's end.
+        let steady = loop {
+            let is_over = start.elapsed().as_micros() >= window_us;
+            let same = level() == first;
+            if is_over || !same {
+                break same;
+            }
+        };
         if steady {
             // A pulse that was over before the first look.
             if window == 0 && first == before {
