@@ -11,7 +11,8 @@ use crate::client::{Device, Observer};
 use crate::error::ClientError;
 use crate::experiment::ExperimentError;
 use crate::force::UM_MS2_PER_MA;
-use crate::trial::{RecordError, Status, create_new, replace};
+use crate::trial::{RecordError, Status, create_new, json};
+use crate::writer::replace;
 
 /// Thread that is slack in a fold from the unfolded end, the motor at its speed; the firmware measures there, too, um.
 const SLACK_UM: std::ops::Range<i32> = 800..2_200;
@@ -269,7 +270,9 @@ impl Run {
     }
 
     fn write_summary(&self) -> Result<(), RecordError> {
-        replace(&self.summary, &self.endurance).map_err(|io| RecordError::write(&self.summary, io))
+        json(&self.endurance)
+            .and_then(|bytes| replace(&self.summary, &bytes))
+            .map_err(|io| RecordError::write(&self.summary, io))
     }
 }
 

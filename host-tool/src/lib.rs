@@ -45,3 +45,4 @@ pub mod report;
 pub mod science;
 pub mod trial;
 pub mod wording;
+mod writer;

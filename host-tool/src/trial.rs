@@ -5,7 +5,7 @@
 //! All numbers in the CSV come from the device, so the same run gives the same bytes.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
@@ -20,6 +20,7 @@ use crate::client::{Begun, Observer, Progress, Recorded};
 use crate::decimal;
 use crate::identity::IdentityRecord;
 use crate::limited;
+use crate::writer::{Appender, Writer, replace};
 
 /// Version of the sidecar's format; incremented when a field changes its meaning.
 pub const FORMAT: u32 = 1;
@@ -421,7 +422,8 @@ pub struct Recording {
 /// Writes the two files of one trial during the trial.
 pub struct Recorder {
     csv_path: PathBuf,
-    csv: csv::Writer<File>,
+    csv: csv::Writer<Appender>,
+    writer: Writer,
     sidecar: PathBuf,
     trial: Trial,
     /// The first error during the trial.
@@ -444,15 +446,20 @@ impl Recorder {
             .unwrap_or_default()
             .to_string_lossy()
             .into_owned();
-        let recorder = Self {
-            sidecar: csv_path.with_extension("json"),
-            csv: csv::Writer::from_writer(file),
+        let sidecar = csv_path.with_extension("json");
+        // Nothing moves yet, so the disk may take its time, and what is wrong with it is told at once.
+        json(&trial)
+            .and_then(|bytes| replace(&sidecar, &bytes))
+            .map_err(|io| RecordError::write(&sidecar, io))?;
+        let writer = Writer::new(csv_path.clone(), file);
+        Ok(Self {
+            sidecar,
+            csv: csv::Writer::from_writer(writer.appender()),
+            writer,
             csv_path,
             trial,
             failed: None,
-        };
-        recorder.write_sidecar()?;
-        Ok(recorder)
+        })
     }
 
     /// The sidecar's path.
@@ -498,10 +505,14 @@ impl Recorder {
         }
         self.trial.lost_events = lost_events;
         self.flush();
-        self.write_sidecar()?;
+        self.write_sidecar();
+        drop(self.csv);
+        let written = self.writer.finish();
         match self.failed {
             Some(error) => Err(error),
-            None => Ok(self.trial),
+            None => written
+                .map(|()| self.trial)
+                .map_err(|error| RecordError::write(&error.path, error.io)),
         }
     }
 
@@ -520,20 +531,22 @@ impl Recorder {
         }
     }
 
-    fn write_sidecar(&self) -> Result<(), RecordError> {
-        let path = &self.sidecar;
-        replace(path, &self.trial).map_err(|io| RecordError::write(path, io))
+    fn write_sidecar(&mut self) {
+        match json(&self.trial) {
+            Ok(bytes) => self.writer.replace(self.sidecar.clone(), bytes),
+            Err(io) => {
+                self.failed
+                    .get_or_insert(RecordError::write(&self.sidecar, io));
+            }
+        }
     }
 }
 
-/// Replaces a JSON file by renaming: a reader finds the old one or the new one, never a part of it.
-pub(crate) fn replace(path: &Path, value: &impl Serialize) -> io::Result<()> {
-    let part = path.with_extension("json.part");
-    let mut file = File::create(&part)?;
-    serde_json::to_writer_pretty(&mut file, value)?;
-    file.write_all(b"\n")?;
-    file.sync_all()?;
-    fs::rename(&part, path)
+/// A JSON file's text.
+pub(crate) fn json(value: &impl Serialize) -> io::Result<Vec<u8>> {
+    let mut bytes = serde_json::to_vec_pretty(value)?;
+    bytes.push(b'\n');
+    Ok(bytes)
 }
 
 /// The end of a trial.
@@ -558,9 +571,7 @@ impl Observer for Recorder {
             }
             _ => {}
         }
-        if let Err(error) = self.write_sidecar() {
-            self.failed.get_or_insert(error);
-        }
+        self.write_sidecar();
     }
 
     fn telemetry(&mut self, sample: &Telemetry, missed: u16) {

@@ -18,7 +18,8 @@ use crate::diagnosis::Sign;
 use crate::error::ClientError;
 use crate::identity::{IdentityRecord, kind_name};
 use crate::limited;
-use crate::trial::{RecordError, replace};
+use crate::trial::{RecordError, json};
+use crate::writer::replace;
 
 /// Version of the format; incremented when a field changes its meaning.
 pub const FORMAT: u32 = 1;
@@ -252,7 +253,8 @@ impl Commissioning {
         let folder = path.parent().filter(|folder| *folder != Path::new(""));
         folder
             .map_or(Ok(()), fs::create_dir_all)
-            .and_then(|()| replace(path, self))
+            .and_then(|()| json(self))
+            .and_then(|bytes| replace(path, &bytes))
             .map_err(|io| RecordError {
                 path: path.to_owned(),
                 why: io.to_string(),

@@ -15,6 +15,7 @@ use host_tool::client::Device;
 use host_tool::door::lock::Doorway;
 use host_tool::door::window::Window;
 use host_tool::link::memory::Peer;
+use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;
 
@@ -93,6 +94,10 @@ impl Bench {
     ) -> Self {
         let mut script = Script::new(kind);
         script.ready = true;
+        if kind == DeviceKind::Rig {
+            // A busy computer may stop the tool for a second, and the run is not to end for that.
+            script.settings = vec![(SettingKey::LinkTimeoutMs, 30_000)];
+        }
         let (mut machine, log) = Machine::new(script);
         thread::spawn(move || {
             let start = Instant::now();
