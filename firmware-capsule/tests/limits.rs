@@ -61,7 +61,7 @@ struct Monitor {
     now_us: u64,
     sample: Sample,
     seek_from: Counts,
-    /// Where the motor last stopped winding.
+    /// Where the motor last began to pay out.
     top: Counts,
     reached: [bool; 10],
     /// Motions reported as started so far.
@@ -79,7 +79,7 @@ impl Monitor {
 
     fn step(&mut self, event: Event) -> Result<Actions, TestCaseError> {
         let before = self.capsule.state();
-        let wound = matches!(self.capsule.drive(), Drive::Millivolts(1..));
+        let paid_out = matches!(self.capsule.drive(), Drive::Millivolts(..0));
         let actions = self.capsule.step(self.now_us, event);
         let state = self.capsule.state();
         self.reached[state as usize] = true;
@@ -88,7 +88,7 @@ impl Monitor {
             self.seek_from = self.sample.counts;
         }
         prop_assert_eq!(actions.drive, self.capsule.drive());
-        if wound && !matches!(actions.drive, Drive::Millivolts(1..)) {
+        if !paid_out {
             self.top = self.sample.counts;
         }
         if actions.refusal.is_some() {
