@@ -112,9 +112,15 @@ pub fn keep_last_words(words: &mut impl Words, text: &[u8]) {
     words.set(TEXT_MAGIC, MAGIC);
 }
 
+/// As for frames: at this length any five wrong bits are found.
+const CRC32C: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_ISCSI);
+
 /// Checksum of the text; one letter per word.
 fn check(words: &impl Words, length: usize) -> u32 {
-    (0..length).fold(MAGIC ^ length as u32, |sum, index| {
-        sum.rotate_left(5) ^ words.get(TEXT + index)
-    })
+    let mut digest = CRC32C.digest();
+    digest.update(&(MAGIC ^ length as u32).to_le_bytes());
+    for index in 0..length {
+        digest.update(&words.get(TEXT + index).to_le_bytes());
+    }
+    digest.finalize()
 }

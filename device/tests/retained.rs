@@ -141,7 +141,7 @@ fn the_layout_stays() {
     keep_latched(&mut ram, Some(EStop::Loop));
     let text = b"tasks/link.rs:12";
     keep_last_words(&mut ram, text);
-    let head = [0x5245_5430, 1, 0x5245_5431, 0x5245_5430, 16, 0x460B_6E9D];
+    let head = [0x5245_5430, 1, 0x5245_5431, 0x5245_5430, 16, 0xC578_7616];
     assert_eq!(ram.0[..6], head);
     let letters: Vec<_> = text.iter().map(|letter| u32::from(*letter)).collect();
     assert_eq!(ram.0[6..22], letters);
