@@ -509,7 +509,8 @@ fn a_cell_that_sags_under_load_ends_the_fold_and_is_refused_from_then_on() {
     let ActuationOutcome::Faulted(CapsuleFault::LowBattery { battery_mv }) = record.outcome else {
         panic!("{record:?}\n{}", capsule.log())
     };
-    assert!((1_800..2_700).contains(&battery_mv), "{battery_mv} mV");
+    // The last that could be measured, while the cell collapses.
+    assert!((1_200..2_700).contains(&battery_mv), "{battery_mv} mV");
     capsule.check_at_rest();
     capsule.check_clean();
 }
@@ -704,7 +705,8 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
 fn a_panic_switches_off_and_leaves_its_callers() {
     for client in [1, 2, 4] {
         let (took_ns, words) = sabotaged(client, Misbehaviour::Panic, ResetCause::Panic);
-        assert!(took_ns <= 101_000_000, "client {client}: {took_ns} ns");
+        // Its next check-in, and 3 ms for the checksum of the last words; the outputs are off by then.
+        assert!(took_ns <= 104_000_000, "client {client}: {took_ns} ns");
         let callers = words.strip_prefix("panic, called from 0x");
         let callers = callers.unwrap_or_else(|| panic!("client {client}: {words:?}"));
         let callers: Vec<_> = callers
