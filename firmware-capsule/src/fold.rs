@@ -29,7 +29,7 @@ use crate::{
     detect::{BATTERY_UNDER_LOAD_MV, Detector, Load, Sample, Spooling, Trip},
     governor::{Effort, Governor},
     leg::{Decision, Leg, MOST_MA, Purpose, TENSION_ZONE, is_near},
-    mechanics::{Counts, FOLDED_RANGE, MOST_NO_LOAD_MA, Thread},
+    mechanics::{Counts, FOLDED_RANGE, FOUND_AGAIN, MOST_NO_LOAD_MA, Thread},
     record::Recorder,
     sense::MOST_OFFSET_MA,
 };
@@ -711,7 +711,13 @@ impl Capsule {
                 wound
             }
         };
-        let zero = self.sample.counts.back(folded.counts());
+        // A check finds the end a little before the calibration did: the thread is believed shorter, so that an unfolding
+        // ends before zero.
+        let believed = match purpose {
+            Purpose::Check { .. } => Thread(folded.0 - FOUND_AGAIN.0),
+            _ => folded,
+        };
+        let zero = self.sample.counts.back(believed.counts());
         self.recorder.zero_moved(self.zero.since(zero).thread());
         self.zero = zero;
         // A calibration counts only with its last part, the tension.
