@@ -184,7 +184,7 @@ pub struct Detector {
     surplus: Debounce,
     sag: Debounce,
     collapses: u8,
-    /// The last voltage below the limit that could be measured.
+    /// The last voltage below the limit that could be measured, or the least that can be.
     sagged_mv: u16,
     silence: Debounce,
     end_force: Debounce,
@@ -207,7 +207,7 @@ impl Detector {
             surplus: Debounce::default(),
             sag: Debounce::default(),
             collapses: 0,
-            sagged_mv: 0,
+            sagged_mv: COLLAPSED_MV,
             silence: Debounce::default(),
             end_force: Debounce::default(),
             rise: Debounce::default(),
@@ -286,8 +286,7 @@ impl Detector {
         if battery_mv < COLLAPSED_MV {
             self.collapses = self.collapses.saturating_add(1);
         }
-        // 0 is a supply that cannot be measured against.
-        if low && battery_mv > 0 {
+        if low && battery_mv >= COLLAPSED_MV {
             self.sagged_mv = battery_mv;
         }
         if lasts(&mut self.sag, low, SAG_DEBOUNCE_US) || self.collapses >= COLLAPSES {
