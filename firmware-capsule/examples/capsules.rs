@@ -104,5 +104,26 @@ fn main() {
             .into_iter()
             .fold(f64::MAX, f64::min);
         println!("300 power cuts: least thread on the spool {lowest:.3} mm");
+        for (folded, way) in [(true, "a check"), (false, "a reference run")] {
+            let found = verdict::all(2 * count, |seed| cases::found_again(seed, folded));
+            let complete: Vec<_> = found.iter().flatten().collect();
+            let least = |index: usize| {
+                complete
+                    .iter()
+                    .map(|found| found[index])
+                    .fold(f64::MAX, f64::min)
+            };
+            let most = complete
+                .iter()
+                .map(|found| found[1])
+                .fold(f64::MIN, f64::max);
+            println!(
+                "{} of {} resets ended by {way}: least thread on the spool {:.3} mm, left by the unfolding {:.3} to {most:.3} mm",
+                complete.len(),
+                found.len(),
+                least(0),
+                least(1),
+            );
+        }
     }
 }

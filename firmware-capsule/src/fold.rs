@@ -711,11 +711,11 @@ impl Capsule {
                 wound
             }
         };
-        // A check finds the end a little before the calibration did: the thread is believed shorter, so that an unfolding
-        // ends before zero.
+        // The end may be found a little before where the calibration found it: the thread is believed shorter, so that an
+        // unfolding ends before zero.
         let believed = match purpose {
-            Purpose::Check { .. } => Thread(folded.0 - FOUND_AGAIN.0),
-            _ => folded,
+            Purpose::Calibrate => folded,
+            Purpose::Reference | Purpose::Check { .. } => Thread(folded.0 - FOUND_AGAIN.0),
         };
         let zero = self.sample.counts.back(believed.counts());
         self.recorder.zero_moved(self.zero.since(zero).thread());

@@ -93,7 +93,8 @@ pub const FOLDED_RANGE: (Thread, Thread) = (Thread(16_000), Thread(24_500));
 /// So much before the calibrated end is an end force still that of the folded origami.
 pub const END_TOLERANCE: Thread = Thread(250);
 
-/// How much less thread than calibrated a check may have found: the worst seen was 0.1 mm, and zero is not to be passed.
+/// How much less thread than calibrated a check or a reference run may have found: the worst seen was 0.1 mm, and zero is
+/// not to be passed.
 pub const FOUND_AGAIN: Thread = Thread(100);
 /// So far beyond the calibrated end is the thread wound if no end force comes.
 pub const END_OVERRUN: Thread = Thread(400);

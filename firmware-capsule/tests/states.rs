@@ -62,8 +62,7 @@ fn sim_in(state: CapsuleState) -> Simulation {
         }
         CapsuleState::WasFolded | CapsuleState::Checking => {
             sim.run(Command::Fold);
-            sim.capsule = Capsule::new(None, sim.kept, true);
-            sim.tick();
+            sim.reset(true);
             if state == CapsuleState::Checking {
                 sim.order(Command::CheckFolded);
             }

@@ -191,6 +191,25 @@ pub fn figures(parameters: Parameters, seed: u64, cycles: u32) -> Option<Figures
     Some(figures)
 }
 
+/// A reset while folded, then a check and an unfolding; or while unfolded, then a reference run, a fold and an unfolding.
+/// Returns the least thread on the spool after the reset and the thread left at the end, mm; none if one did not complete.
+pub fn found_again(seed: u64, folded: bool) -> Option<[f64; 2]> {
+    let mut sim = Simulation::calibrated(Parameters::varied(seed), seed);
+    if folded {
+        sim.run(Command::Fold);
+    }
+    sim.reset(folded);
+    let way = [Command::CheckFolded, Command::Unfold];
+    let other = [Command::Reference, Command::Fold, Command::Unfold];
+    for command in if folded { &way[..] } else { &other } {
+        sim.run(*command);
+        if sim.capsule.record().outcome != ActuationOutcome::Complete {
+            return None;
+        }
+    }
+    Some([sim.plant.extremes_mm().0, sim.plant.wound_mm()])
+}
+
 /// Cuts the power at a random instant of a fold or of an unfolding. Returns the least thread on the spool, mm.
 pub fn cut(seed: u64) -> f64 {
     let mut random = Random::new(seed);

@@ -117,6 +117,15 @@ impl Simulation {
         sim
     }
 
+    /// A reset at rest: the position is lost, the worm holds. Extremes and events count from here.
+    pub fn reset(&mut self, was_folded: bool) {
+        self.capsule = Capsule::new(None, self.kept, was_folded);
+        self.forget();
+        for _ in 0..100 {
+            self.tick();
+        }
+    }
+
     /// Extremes and events count from here.
     pub fn forget(&mut self) {
         self.events.clear();
