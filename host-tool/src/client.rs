@@ -39,6 +39,10 @@ const SLICE_US: u64 = 20_000;
 /// Interval between two looks at the record of an actuation that has ended, us: several readings of the capsule.
 const BRAKING_US: u64 = 20_000;
 
+/// How long the owner of a line may leave a question unanswered before a window gives up, us. Its door has answered, so
+/// it lives: it is setting up, or its computer is.
+const OWNER_PATIENCE_US: u64 = 3_000_000;
+
 /// How much later than announced an action may end before it is stopped as overdue, us.
 const OVERDUE_US: u64 = 3_000_000;
 
@@ -210,6 +214,8 @@ pub struct Device {
     identity: Option<Identity>,
     /// Time between two requests while waiting, us.
     keep_alive_us: u64,
+    /// How long a question to the owner of the line is repeated, us.
+    owner_patience_us: u64,
     interrupt: Option<Interrupt>,
     pacer: Option<Pacer>,
     /// The strongest urgent stop that the interrupt has returned so far.
@@ -260,6 +266,7 @@ impl Device {
             client: Client::new(),
             identity: None,
             keep_alive_us: KEEP_ALIVE_US,
+            owner_patience_us: OWNER_PATIENCE_US,
             interrupt: None,
             pacer: None,
             interrupted: None,
@@ -295,11 +302,8 @@ impl Device {
     /// # Errors
     /// [`ClientError::NoAnswer`], or the link's.
     pub fn hello(&mut self, nonce: u32) -> Result<Identity, ClientError> {
-        if self.client.hello(nonce).is_err() {
-            return Err(self.session_lost());
-        }
         self.overheard = Some(vec![]);
-        let answer = self.answer();
+        let answer = self.asked(true, |client| client.hello(nonce));
         let sign = diagnosis::sign(&self.overheard.take().unwrap_or_default());
         let identity = match answer {
             Ok(Some(Output::Accepted(Response::Hello(identity)))) => identity,
@@ -378,11 +382,6 @@ impl Device {
         self.link.want_line()
     }
 
-    /// From now on the line is for any other process that wants it: see [`Device::is_line_wanted`].
-    pub fn offer_line(&mut self) {
-        self.link.offer_line();
-    }
-
     /// Another process wants the line, which was offered: it waits until this device is dropped.
     pub fn is_line_wanted(&mut self) -> bool {
         self.link.is_line_wanted()
@@ -402,6 +401,11 @@ impl Device {
     #[must_use]
     pub fn now_us(&self) -> u64 {
         self.link.now_us()
+    }
+
+    /// Asks the owner of the line once instead of for seconds.
+    pub fn expect_haste(&mut self) {
+        self.owner_patience_us = 0;
     }
 
     /// Polls `interrupt` from now on and sends the stop it returns ahead of everything else.
@@ -1029,12 +1033,9 @@ impl Device {
                 request: request_name,
             });
         }
-        if self.client.request(request).is_err() {
-            return Err(self.session_lost());
-        }
         let abandonable = command && impact != Impact::Pace;
         self.commanding = abandonable;
-        let answer = self.answer();
+        let answer = self.asked(!command, |client| client.request(request));
         let abandoned = abandonable && !std::mem::take(&mut self.commanding);
         match answer? {
             _ if abandoned => Err(ClientError::Interrupted {
@@ -1070,6 +1071,31 @@ impl Device {
                 place,
                 request: request_name,
             }),
+        }
+    }
+
+    /// Asks, and waits for the answer as [`Device::answer`] does. What `may_repeat` is asked again while the owner of the
+    /// line is busy.
+    fn asked<E>(
+        &mut self,
+        may_repeat: bool,
+        ask: impl Fn(&mut Client) -> Result<(), E>,
+    ) -> Result<Option<Output>, ClientError> {
+        let begin_us = self.link.now_us();
+        loop {
+            if ask(&mut self.client).is_err() {
+                return Err(self.session_lost());
+            }
+            let answer = self.answer()?;
+            let waited_us = self.link.now_us() - begin_us;
+            if answer.is_some()
+                || !may_repeat
+                || self.link.owner().is_none()
+                || self.interrupted.is_some()
+                || waited_us >= self.owner_patience_us
+            {
+                return Ok(answer);
+            }
         }
     }
 

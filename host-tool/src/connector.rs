@@ -56,6 +56,20 @@ pub trait Connector: Sync {
         self.open(kind, address, baud)
     }
 
+    /// As [`Connector::open`], for a program that only looks: as the owner of the line it offers it to others from the
+    /// beginning, see [`Link::is_line_wanted`].
+    ///
+    /// # Errors
+    /// As [`Connector::open`].
+    fn open_to_watch(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        self.open(kind, address, baud)
+    }
+
     /// As [`Connector::open`], for a look that has to end soon: it waits no longer than `limit` for the place.
     ///
     /// # Errors
@@ -95,17 +109,45 @@ pub trait Connector: Sync {
 }
 
 /// How long a connection for a stop may take. Whoever waits longer should be at the button.
-const TO_STOP: Duration = Duration::from_secs(1);
+const CONNECT_TO_STOP: Duration = Duration::from_secs(1);
 
 /// How long a connection may take otherwise.
 const CONNECT: Duration = Duration::from_secs(5);
 
-/// How long the owner of a line has to open its door, and how long if a stop waits.
-const ANSWER: Duration = Duration::from_secs(1);
-const ANSWER_TO_STOP: Duration = Duration::from_millis(250);
+/// How somebody wants a line that others may have.
+struct Wish {
+    /// How long an owner that has said who it is may leave a knock without an answer.
+    answer: Duration,
+    /// How long a line may be taken by somebody who has not said so yet: it comes or goes, and its disk may be slow.
+    change: Duration,
+    /// As its owner, to give the line up to whoever wants it.
+    yields: bool,
+}
 
-/// The same for a look that has to end soon.
-const ANSWER_TO_LOOK: Duration = Duration::from_millis(500);
+const TO_WORK: Wish = Wish {
+    answer: Duration::from_secs(1),
+    change: CONNECT,
+    yields: false,
+};
+
+const TO_WATCH: Wish = Wish {
+    yields: true,
+    ..TO_WORK
+};
+
+/// A look that has to end soon.
+const TO_LOOK: Wish = Wish {
+    answer: Duration::from_millis(500),
+    change: Duration::from_millis(500),
+    yields: false,
+};
+
+/// A stop goes the direct way soon.
+const TO_STOP: Wish = Wish {
+    answer: Duration::from_millis(250),
+    change: Duration::from_millis(250),
+    yields: false,
+};
 
 /// Interval between two attempts at a line whose owner comes or goes.
 const AGAIN: Duration = Duration::from_millis(5);
@@ -113,18 +155,23 @@ const AGAIN: Duration = Duration::from_millis(5);
 /// Opens the line as its owner, or a window to it if another process has it.
 fn way_in(
     doorway: &Doorway,
-    limit: Duration,
+    wish: &Wish,
     halves: &dyn Fn() -> Result<Halves, OpenError>,
 ) -> Result<Box<dyn Link>, OpenError> {
     let begin = Instant::now();
     loop {
         if let Some(lock) = doorway.claim()? {
             lock.announce()?;
-            return Ok(Box::new(Shared::new(lock, halves()?)?));
+            return Ok(Box::new(Shared::new(lock, halves()?, wish.yields)?));
         }
+        let owner = doorway.owner();
+        let limit = match owner {
+            Some(_) => wish.answer,
+            None => wish.change,
+        };
         let left = limit.saturating_sub(begin.elapsed());
         if left.is_zero() {
-            let who = doorway.owner().map_or_else(
+            let who = owner.map_or_else(
                 || "another `retrograde`".to_owned(),
                 |owner| owner.to_string(),
             );
@@ -201,7 +248,19 @@ impl Connector for Ports {
         let Some(doorway) = Doorway::of(address)? else {
             return direct(address, baud, CONNECT);
         };
-        way_in(&doorway, ANSWER, &|| halves(address, baud, CONNECT))
+        way_in(&doorway, &TO_WORK, &|| halves(address, baud, CONNECT))
+    }
+
+    fn open_to_watch(
+        &self,
+        _kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        let Some(doorway) = Doorway::of(address)? else {
+            return direct(address, baud, CONNECT);
+        };
+        way_in(&doorway, &TO_WATCH, &|| halves(address, baud, CONNECT))
     }
 
     fn open_within(
@@ -214,7 +273,7 @@ impl Connector for Ports {
         let Some(doorway) = Doorway::of(address)? else {
             return direct(address, baud, limit);
         };
-        way_in(&doorway, ANSWER_TO_LOOK, &|| halves(address, baud, limit))
+        way_in(&doorway, &TO_LOOK, &|| halves(address, baud, limit))
     }
 
     fn open_to_stop(
@@ -225,11 +284,13 @@ impl Connector for Ports {
     ) -> Result<Box<dyn Link>, OpenError> {
         // Whatever is wrong with lock or door, the stop goes the direct way.
         if let Ok(Some(doorway)) = Doorway::of(address)
-            && let Ok(link) = way_in(&doorway, ANSWER_TO_STOP, &|| halves(address, baud, TO_STOP))
+            && let Ok(link) = way_in(&doorway, &TO_STOP, &|| {
+                halves(address, baud, CONNECT_TO_STOP)
+            })
         {
             return Ok(link);
         }
-        direct(address, baud, TO_STOP)
+        direct(address, baud, CONNECT_TO_STOP)
     }
 
     fn candidates(&self) -> Vec<Candidate> {

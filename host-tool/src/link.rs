@@ -125,9 +125,6 @@ pub trait Link: Send {
         None
     }
 
-    /// Gives the line up, from now on, if another process wants it.
-    fn offer_line(&mut self) {}
-
     /// Another process wants the line that was offered.
     fn is_line_wanted(&mut self) -> bool {
         false

@@ -72,6 +72,21 @@ impl Connector for BenchPorts {
         })
     }
 
+    fn open_to_watch(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        match address {
+            Address::Virtual => self.open(kind, address, baud),
+            _ => {
+                self.elsewhere.store(true, Ordering::Relaxed);
+                Ports.open_to_watch(kind, address, baud)
+            }
+        }
+    }
+
     fn open_to_stop(
         &self,
         kind: DeviceKind,

@@ -23,10 +23,10 @@ pub(crate) const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule]
 const OWNERS: u32 = 5;
 
 /// How long an owner that only looks may take to give its line up.
-const YIELDING: Duration = Duration::from_secs(3);
+const YIELDING: Duration = Duration::from_secs(10);
 
-/// How soon it offers its line after it has opened it.
-const BEGINNING: Duration = Duration::from_millis(100);
+/// How soon a short look of another process is over.
+const SHORT_LOOK: Duration = Duration::from_millis(100);
 
 /// Interval between two attempts at a line that is about to be free.
 const AGAIN: Duration = Duration::from_millis(10);
@@ -153,18 +153,18 @@ impl Finder<'_> {
     /// As [`Finder::open`]; if the command is for the owner of the line, and the present one only looks, that one gives it up.
     fn open_for_command(&self, kind: DeviceKind, address: &Address) -> Result<Device, Failure> {
         let begin = Instant::now();
-        // One that has just begun may not have offered it yet.
-        let mut limit = BEGINNING;
         loop {
             let mut device = self.open(kind, address)?;
-            if windows::for_owner(&self.cli.subcommand).is_none()
-                || device.owner().is_none()
-                || begin.elapsed() > limit
-            {
+            if windows::for_owner(&self.cli.subcommand).is_none() || device.owner().is_none() {
                 return Ok(device);
             }
-            if device.want_line() {
-                limit = YIELDING;
+            let limit = if device.want_line() {
+                YIELDING
+            } else {
+                SHORT_LOOK
+            };
+            if begin.elapsed() > limit {
+                return Ok(device);
             }
             drop(device);
             thread::sleep(AGAIN);

@@ -61,7 +61,7 @@ pub(crate) struct Core {
     out: Mutex<Out>,
     closing: AtomicBool,
     /// The owner gives the line up for whoever wants it.
-    yields: AtomicBool,
+    yields: bool,
     /// Somebody wants it.
     wanted: AtomicBool,
 }
@@ -108,7 +108,7 @@ struct Out {
 }
 
 impl Core {
-    pub(crate) fn new(line: Box<dyn Write + Send>) -> Arc<Self> {
+    pub(crate) fn new(line: Box<dyn Write + Send>, yields: bool) -> Arc<Self> {
         Arc::new(Self {
             state: Mutex::new(State::default()),
             woken: Condvar::new(),
@@ -119,7 +119,7 @@ impl Core {
                 noticed: 0,
             }),
             closing: AtomicBool::new(false),
-            yields: AtomicBool::new(false),
+            yields,
             wanted: AtomicBool::new(false),
         })
     }
@@ -196,10 +196,6 @@ impl Core {
         out.noticed = out.stops;
         drop(out);
         self.state().stopped
-    }
-
-    pub(crate) fn offer_line(&self) {
-        self.yields.store(true, Ordering::Relaxed);
     }
 
     pub(crate) fn is_line_wanted(&self) -> bool {
@@ -404,8 +400,7 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
     if knock.token != plate.token {
         return Err(io::ErrorKind::PermissionDenied.into());
     }
-    let yields = core.yields.load(Ordering::Relaxed);
-    if knock.wants_line && yields {
+    if knock.wants_line && core.yields {
         core.wanted.store(true, Ordering::Relaxed);
         core.state().nudged = true;
         core.woken.notify_all();
@@ -413,7 +408,7 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
     let welcome = Welcome {
         retrograde_door: VERSION,
         owner: plate.owner.clone(),
-        yields,
+        yields: core.yields,
     };
     let mut line = serde_json::to_vec(&welcome)?;
     line.push(b'\n');
@@ -626,7 +621,7 @@ mod tests {
 
     fn core() -> (Arc<Core>, Receiver<Vec<u8>>) {
         let (tap, written) = channel();
-        (Core::new(Box::new(Tap(tap))), written)
+        (Core::new(Box::new(Tap(tap)), false), written)
     }
 
     fn request(seq: u16) -> Encoded {

@@ -37,9 +37,10 @@ pub struct Shared {
 }
 
 impl Shared {
-    pub(crate) fn new(lock: Lock, halves: Halves) -> Result<Self, OpenError> {
+    /// With `yields` the line is for any other process that wants it: see [`Link::is_line_wanted`].
+    pub(crate) fn new(lock: Lock, halves: Halves, yields: bool) -> Result<Self, OpenError> {
         let place = lock.doorway().place().to_owned();
-        let core = Core::new(halves.writer);
+        let core = Core::new(halves.writer, yields);
         let (listener, plate) = lock.listen()?;
         let failed = |why: std::io::Error| OpenError {
             place: place.clone(),
@@ -117,10 +118,6 @@ impl Link for Shared {
 
     fn stopped(&mut self) -> Option<Urgent> {
         self.core.stopped()
-    }
-
-    fn offer_line(&mut self) {
-        self.core.offer_line();
     }
 
     fn is_line_wanted(&mut self) -> bool {

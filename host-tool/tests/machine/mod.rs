@@ -8,6 +8,8 @@ mod chip;
 mod line;
 mod port;
 mod rig;
+#[cfg(unix)]
+pub mod signal;
 pub mod tool;
 
 use std::collections::VecDeque;

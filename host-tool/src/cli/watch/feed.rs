@@ -194,12 +194,14 @@ impl Feed<'_> {
     /// Connects, and follows until the connection is lost, the person leaves, or somebody else needs the line.
     fn connection(&self) -> Result<(), Failure> {
         let finder = self.finder;
-        let link =
-            finder
-                .connector
-                .open(self.shared.kind, &self.shared.address, finder.cli.baud)?;
+        let link = finder.connector.open_to_watch(
+            self.shared.kind,
+            &self.shared.address,
+            finder.cli.baud,
+        )?;
         let mut device = Device::new(link);
-        device.offer_line();
+        // Keys are seen to between two looks.
+        device.expect_haste();
         device.set_interrupt(self.shared.interrupt());
         device.hello(finder.connector.nonce())?;
         device.require(self.shared.kind)?;
