@@ -14,6 +14,9 @@ use crate::decimal;
 /// Interval between two plain lines, us of the machine's time.
 const LINE_US: u64 = 5_000_000;
 
+/// One line of 80 columns, cut off at the width of the terminal: a bar of two lines would wipe what is printed above it.
+const BAR: &str = "  {bar:20} {percent:>3} % {wide_msg}";
+
 /// Prints the progress of an action. All times are the machine's, so they mean the same on the virtual bench.
 pub struct Live<'a> {
     out: &'a mut dyn Write,
@@ -48,7 +51,7 @@ impl<'a> Live<'a> {
         if self.terminal {
             let bar = self.bar.get_or_insert_with(|| {
                 let bar = ProgressBar::new(total_us);
-                if let Ok(style) = ProgressStyle::with_template("  {bar:30} {percent:>3} % {msg}") {
+                if let Ok(style) = ProgressStyle::with_template(BAR) {
                     bar.set_style(style);
                 }
                 bar

@@ -8,13 +8,13 @@ mod machine;
 mod others;
 
 use std::net::TcpStream;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 use bench::Bench;
 use host_tool::cli::run_on;
 use host_tool::connector::Ports;
 use machine::Script;
+use machine::signal::{Signal, kill};
 use machine::tool::{Memory, ready};
 use others::{deaf, echo, instrument, other_baud, server, silent, ssh, web};
 use protocol::system::DeviceKind;
@@ -131,12 +131,7 @@ fn the_owner_of_the_line_is_named_and_one_that_is_frozen_is_told() {
     let (code, out, err) = answered(&bench, &["doctor"]);
     assert_eq!(code, Some(0), "{out}{err}");
     assert!(out.contains("fine") && out.contains(&owner), "{out}");
-    // The shell's own: a small machine has no program of that name.
-    let mut shell = Command::new("sh");
-    shell
-        .args(["-c", "kill -STOP \"$0\""])
-        .arg(run.id().to_string());
-    assert!(shell.status().expect("kill").success());
+    kill(Signal::STOP, run.id());
     let (code, out, err) = bench.retrograde(&["doctor", "--json"]);
     assert_eq!(code, Some(4), "{out}{err}");
     let found = findings(&out);

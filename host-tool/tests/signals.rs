@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use host_tool::cli::run_at;
 use host_tool::connector::Ports;
 use host_tool::link::memory::Peer;
+use machine::signal::{Signal, kill};
 use machine::{Log, Machine, Script};
 use protocol::system::{DeviceKind, Urgent};
 
@@ -50,7 +51,7 @@ fn serve(script: Script) -> (String, Arc<Mutex<Log>>) {
 fn signalled(
     args: &[&str],
     request: &str,
-    signals: &[&str],
+    signals: &[Signal],
 ) -> (Option<i32>, String, Duration, Vec<Urgent>) {
     let mut script = Script::new(DeviceKind::Rig);
     script.ready = true;
@@ -74,12 +75,7 @@ fn signalled(
     thread::sleep(Duration::from_millis(400));
     let asked = Instant::now();
     for signal in signals {
-        // The shell's own: a small machine has no program of that name.
-        let sent = Command::new("sh")
-            .args(["-c", "kill \"$0\" \"$1\"", signal])
-            .arg(tool.id().to_string())
-            .status();
-        assert!(sent.expect("kill").success());
+        kill(*signal, tool.id());
         thread::sleep(Duration::from_millis(1));
     }
     let output = tool.wait_with_output().expect("ends");
@@ -99,15 +95,15 @@ fn signalled(
 fn each_of_the_three_signals_is_a_controlled_stop() {
     let folder = tempfile::tempdir().expect("folder");
     let run = ["run", "--out", folder.path().to_str().expect("UTF-8")];
-    for signal in ["-INT", "-TERM", "-HUP"] {
+    for signal in [Signal::INT, Signal::TERM, Signal::HUP] {
         let (code, err, took, urgent) = signalled(&run, "Run", &[signal]);
         assert_eq!(
             (code, urgent),
             (Some(130), vec![Urgent::Stop]),
-            "{signal}: {err}"
+            "{signal:?}: {err}"
         );
         // The run lasts 40 s.
-        assert!(took < Duration::from_secs(20), "{signal}: {took:?}");
+        assert!(took < Duration::from_secs(20), "{signal:?}: {took:?}");
     }
 }
 
@@ -117,7 +113,7 @@ fn a_jog_or_a_move_that_the_operator_stops_says_so() {
         (&["jog", "away", "--for-s", "60"][..], "Jog"),
         (&["move", "130", "--speed-mm-s", "5"], "MoveTo"),
     ] {
-        let (code, err, took, urgent) = signalled(args, request, &["-INT"]);
+        let (code, err, took, urgent) = signalled(args, request, &[Signal::INT]);
         assert_eq!(code, Some(130), "{args:?}: {err}");
         assert_eq!(urgent.first(), Some(&Urgent::Stop), "{args:?}");
         assert!(err.contains("stopped"), "{args:?}: {err}");

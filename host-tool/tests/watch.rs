@@ -14,17 +14,9 @@ use std::time::{Duration, Instant};
 
 use bench::{Bench, read};
 use host_tool::cli::watch::terminal::take;
+use machine::signal::{Signal, kill};
 use protocol::system::{DeviceKind, Urgent};
-use terminal::Terminal;
-
-fn kill(signal: &str, pid: u32) {
-    // The shell's own: a small machine has no program of that name.
-    let sent = Command::new("sh")
-        .args(["-c", "kill \"$0\" \"$1\"", signal])
-        .arg(pid.to_string())
-        .status();
-    assert!(sent.expect("kill").success());
-}
+use terminal::{End, Terminal};
 
 fn watch(bench: &Bench) -> Terminal {
     Terminal::start(bench.command(&["watch"]), 80, 24)
@@ -89,20 +81,18 @@ fn a_key_is_an_emergency_stop_and_the_fault_is_shown_with_its_remedy() {
     let (code, out, err) = bench.retrograde(&["stop"]);
     assert_eq!(code, Some(0), "{out}{err}");
     terminal.wait_for("stop from another terminal");
-    kill("-TERM", terminal.child.id());
+    kill(Signal::TERM, terminal.child.id());
     assert_eq!(terminal.ends_restored(), Some(0));
 }
 
 #[test]
 fn the_terminal_is_restored_however_it_ends() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
-    for end in ["-TERM", "-HUP", "-INT", "q", "\x03"] {
+    let signals = [Signal::TERM, Signal::HUP, Signal::INT].map(End::Signal);
+    for end in signals.into_iter().chain(["q", "\x03"].map(End::Key)) {
         let mut terminal = watch(&bench);
         terminal.wait_for("READY");
-        match end.strip_prefix('-') {
-            Some(_) => kill(end, terminal.child.id()),
-            None => terminal.press(end),
-        }
+        terminal.end_by(end);
         assert_eq!(terminal.ends_restored(), Some(0), "{end:?}");
     }
     assert_eq!(bench.urgent(), []);
@@ -195,7 +185,7 @@ fn the_owner_of_the_line_is_killed_and_the_watch_goes_on() {
     run.kill().expect("killed");
     run.wait().expect("ended");
     terminal.wait_for("this program owns the line");
-    kill("-TERM", terminal.child.id());
+    kill(Signal::TERM, terminal.child.id());
     assert_eq!(terminal.ends_restored(), Some(0));
 }
 

@@ -221,6 +221,7 @@ fn examine(place: &Place, finder: &Finder<'_>) -> Result<(DeviceKind, String, Tr
     let baud = finder.cli.baud;
     let link = finder.connector.open_within(kind, address, baud, CONNECT)?;
     let mut device = Device::new(link);
+    device.expect_haste();
     let identity = device.hello(finder.connector.nonce())?;
     device.require(place.wanted.unwrap_or(identity.device))?;
     if place.wanted.is_some() {

@@ -1,6 +1,6 @@
 //! Ctrl-C, SIGTERM and SIGHUP: once is a controlled stop, twice the emergency stop.
 
-use std::io::{self, IsTerminal};
+use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, OnceLock};
 
@@ -21,10 +21,11 @@ pub(crate) fn install() -> Interrupt {
             let count = Arc::clone(&pressed);
             // Without a handler Ctrl-C ends the process, and the device stops by its link time-out.
             let _ = ctrlc::set_handler(move || {
-                let before = count.load(Ordering::Relaxed);
-                count.store(before.saturating_add(1), Ordering::Relaxed);
+                // In one step: the key of `press` may come at the same moment, and neither may be lost.
+                let more = |before: u8| Some(before.saturating_add(1));
+                let before = count.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more);
                 tell(match before {
-                    0 => STOPPING,
+                    Ok(0) => STOPPING,
                     _ => "emergency stop",
                 });
             });
@@ -54,5 +55,7 @@ pub(crate) fn tell(text: &str) {
     } else {
         ""
     };
-    eprintln!("{clear}{text}");
+    // In one piece: the bar is drawn by another thread, and would wipe what stands in the line without its end.
+    let line = format!("{clear}{text}\n");
+    let _ = io::stderr().write_all(line.as_bytes());
 }

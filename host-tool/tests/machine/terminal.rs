@@ -13,8 +13,20 @@ use std::time::{Duration, Instant};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Termios, Winsize, tcgetattr, tcsetwinsize};
 
+use crate::machine::signal::{Signal, kill};
+
 /// However slow the computer is, it is there by then.
 const SOON: Duration = Duration::from_secs(60);
+
+/// So long after the end of a program may its last words take to the screen.
+const ON_ITS_WAY: Duration = Duration::from_secs(5);
+
+/// What ends a program in a terminal.
+#[derive(Clone, Copy, Debug)]
+pub enum End {
+    Key(&'static str),
+    Signal(Signal),
+}
 
 /// A terminal, and a program in it.
 pub struct Terminal {
@@ -81,15 +93,20 @@ impl Terminal {
 
     pub fn wait_for(&mut self, text: &str) -> String {
         let begin = Instant::now();
+        let mut last = None;
         loop {
             let shown = self.text();
             if shown.contains(text) {
                 return shown;
             }
             let ended = self.child.try_wait().expect("a child");
+            if ended.is_some() {
+                last.get_or_insert_with(Instant::now);
+            }
             assert!(
-                begin.elapsed() < SOON && ended.is_none(),
-                "no `{text}`, {ended:?}:\n{shown}"
+                begin.elapsed() < SOON && last.is_none_or(|last| last.elapsed() < ON_ITS_WAY),
+                "no `{text}`, {ended:?}:\n{shown}\nof {:?}",
+                String::from_utf8_lossy(&self.bytes.lock().expect("free"))
             );
             thread::sleep(Duration::from_millis(5));
         }
@@ -108,6 +125,14 @@ impl Terminal {
             }
             assert!(begin.elapsed() < SOON, "no `{text}`:\n{}", self.text());
             thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Ends the program.
+    pub fn end_by(&self, end: End) {
+        match end {
+            End::Key(key) => self.press(key),
+            End::Signal(signal) => kill(signal, self.child.id()),
         }
     }
 
@@ -133,8 +158,10 @@ impl Terminal {
             assert!(begin.elapsed() < SOON, "does not end:\n{}", self.text());
             thread::sleep(Duration::from_millis(5));
         };
-        // What it wrote last is still on its way.
-        thread::sleep(Duration::from_millis(200));
+        let begin = Instant::now();
+        while begin.elapsed() < ON_ITS_WAY && !self.is_as_before() {
+            thread::sleep(Duration::from_millis(5));
+        }
         let after = tcgetattr(&self.slave).expect("a terminal");
         let modes = |termios: &Termios| {
             let Termios {
@@ -147,13 +174,18 @@ impl Terminal {
             (*input_modes, *output_modes, *control_modes, *local_modes)
         };
         assert_eq!(modes(&after), modes(&self.before));
+        assert!(self.is_as_before(), "{}", self.text());
+        status.code()
+    }
+
+    /// The normal screen, with its cursor and colours.
+    fn is_as_before(&self) -> bool {
         let screen = self.screen.lock().expect("free");
         let screen = screen.screen();
-        assert!(!screen.alternate_screen(), "the alternate screen was left");
-        assert!(!screen.hide_cursor(), "the cursor is shown");
         let attributes = (screen.fgcolor(), screen.bold(), screen.inverse());
-        assert_eq!(attributes, (vt100::Color::Default, false, false));
-        status.code()
+        !screen.alternate_screen()
+            && !screen.hide_cursor()
+            && attributes == (vt100::Color::Default, false, false)
     }
 }
 
