@@ -46,7 +46,7 @@ pub const SLOW_CPS: i32 = 5_700;
 const NEAR_CPS: i32 = 4_000;
 /// Above the no-load current: from this pull on, a fold becomes slower, so that pull and momentum together do not grow. It
 /// ends a fold with less current than one that keeps its speed.
-const LOADED_FROM_MA: u16 = 85;
+const LOADED_FROM_MA: u16 = 82;
 /// Near the end force, above the no-load current; and where it is no longer, so that the speed does not go to and fro.
 const NEAR_MA: (u16, u16) = (105, 75);
 /// Paying out: 21 mm/s, or what the battery gives.

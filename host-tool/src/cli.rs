@@ -167,6 +167,7 @@ fn carry_out(
             let (kind, args) = match subcommand {
                 CapsuleSubcommand::Trace(args) => return study::trace(args, finder, screen),
                 CapsuleSubcommand::Cycle(args) => return study::cycle(args, finder, screen),
+                CapsuleSubcommand::Identify(args) => return study::identify(args, finder, screen),
                 CapsuleSubcommand::Reference(args) => (ActuationKind::Reference, args),
                 CapsuleSubcommand::Calibrate(args) => (ActuationKind::Calibrate, args),
                 CapsuleSubcommand::Check(args) => (ActuationKind::CheckFolded, args),

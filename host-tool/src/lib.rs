@@ -12,6 +12,7 @@
 //! * [`experiment`]: recorded actions, and the paper's experiment.
 //! * [`endurance`]: folds and unfoldings in turn, and what drifts.
 //! * [`force`]: force against thread from a recording.
+//! * [`identify`]: a capsule's parameters, from its recordings.
 //! * [`identity`]: names of machines, images and versions.
 //! * [`plan`]: a run, calculated before it is sent.
 //! * [`report`]: recorded trials as one HTML file.
@@ -34,6 +35,7 @@ pub mod endurance;
 pub mod error;
 pub mod experiment;
 pub mod force;
+pub mod identify;
 pub mod identity;
 pub mod image;
 mod limited;

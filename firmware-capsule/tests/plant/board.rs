@@ -74,6 +74,7 @@ impl Board {
             return;
         }
         let on_s = PERIOD_S * f64::from(ticks) / f64::from(PWM_TICKS);
+        let mut sensed_mv = self.plant.sense_mv();
         for _ in 0..periods {
             let (mut sense, mut battery, mut current) = (0.0, 0.0, 0.0);
             for (bridge, length_s) in [(bridge, on_s), (Bridge::Coast, PERIOD_S - on_s)] {
@@ -84,8 +85,12 @@ impl Board {
                 let steps = (length_s / 20e-6).ceil();
                 let weight = length_s / steps / PERIOD_S;
                 let (counter, encoder) = (&mut self.counter, &mut self.encoder);
+                let sensed_mv = &mut sensed_mv;
                 self.plant.advance(length_s, |plant| {
-                    sense += plant.sense_mv() * weight;
+                    // The filter's output is no straight line within a step, but nearly.
+                    let sense_mv = plant.sense_mv();
+                    sense += f64::midpoint(*sensed_mv, sense_mv) * weight;
+                    *sensed_mv = sense_mv;
                     battery += plant.terminal_mv() * weight;
                     if bridge == Bridge::Forward || bridge == Bridge::Reverse {
                         current += plant.current_ma().abs() * weight;

@@ -8,6 +8,7 @@ use capsule_plant::Parameters;
 use core::ops::{Deref, DerefMut};
 use firmware_capsule::{
     calibration::Calibration,
+    detect::Sample,
     fold::{Actions, Capsule, Command, Drive, Event},
 };
 use protocol::capsule::CapsuleEvent;
@@ -62,13 +63,13 @@ impl Simulation {
         Self::new(Parameters::nominal(), 0)
     }
 
-    /// One millisecond, then a sample.
-    pub fn tick(&mut self) {
+    /// One millisecond, then a sample, and the drive that follows.
+    pub fn tick(&mut self) -> (Sample, Drive) {
         self.now_us += 1_000;
         let drive = self.capsule.drive();
         self.board.run(drive, 1_000 / PERIOD_US);
         let sample = self.board.sample(self.now_us, drive != Drive::Off);
-        self.give(Event::Sample(sample));
+        (sample, self.give(Event::Sample(sample)).drive)
     }
 
     /// Gives the firmware an event.

@@ -257,6 +257,8 @@ pub enum CapsuleSubcommand {
     /// Endurance: fold and unfold N times, each pair a row of a CSV file, with a summary of what drifts. The first fault
     /// ends it; Ctrl-C ends it with a controlled stop.
     Cycle(CycleArgs),
+    /// Fold and unfold once, and find resistance, motor constant, friction, stiffness and slack from the two recordings.
+    Identify(RecordArgs),
 }
 
 /// Arguments of `capsule cycle`.

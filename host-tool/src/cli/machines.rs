@@ -328,7 +328,7 @@ pub(crate) fn actuate(
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar, "trace": traced }))
 }
 
-fn recording(args: &RecordArgs, stem: &str, finder: &Finder<'_>) -> Recording {
+pub(crate) fn recording(args: &RecordArgs, stem: &str, finder: &Finder<'_>) -> Recording {
     Recording {
         folder: args.out.clone(),
         stem: stem.to_owned(),
@@ -338,7 +338,7 @@ fn recording(args: &RecordArgs, stem: &str, finder: &Finder<'_>) -> Recording {
     }
 }
 
-fn completed(
+pub(crate) fn completed(
     action: &'static str,
     status: Status,
     reason: Option<&String>,

@@ -1,21 +1,24 @@
-//! Commands for the study of the capsule: its recording, and endurance.
+//! Commands for the study of the capsule: its recording, endurance, identification.
 
 use std::fs::{self, OpenOptions};
 use std::path::{Path, PathBuf};
 
-use protocol::capsule::{ActuationRecord, CapsuleState, GetCapsuleTotals};
+use protocol::capsule::{ActuationKind, ActuationRecord, CapsuleState, GetCapsuleTotals};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
-use crate::cli::args::{CycleArgs, TraceArgs};
+use crate::cli::args::{CycleArgs, RecordArgs, TraceArgs};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::fresh;
+use crate::cli::machines::{completed, recording};
 use crate::cli::screen::Screen;
 use crate::client::{Device, Recorded, Unobserved};
 use crate::decimal;
 use crate::endurance::{Drift, Endurance, Run};
+use crate::experiment;
 use crate::force;
+use crate::identify::{self, Estimate, Identified};
 use crate::trial::{self, RecordError, Status};
 
 pub(crate) fn trace(
@@ -114,6 +117,119 @@ fn fetch(
     ))
 }
 
+/// Refuses unless the capsule is unfolded and knows it.
+fn begin_unfolded(what: &str, capsule: &mut Device) -> Result<(), Failure> {
+    let status = capsule.capsule_status()?;
+    if status.state == CapsuleState::Unfolded && status.referenced {
+        return Ok(());
+    }
+    Err(Failure::Refused {
+        why: format!(
+            "{what} begins unfolded and referenced; the capsule is {:?}, and nothing moved",
+            status.state
+        ),
+        help: match status.state {
+            CapsuleState::Folded | CapsuleState::Stopped => "`retrograde unfold`, then again",
+            CapsuleState::WasFolded => {
+                "`retrograde capsule check`, `retrograde unfold`, then again"
+            }
+            CapsuleState::Faulted => "`retrograde info` names the fault",
+            _ => "`retrograde capsule reference`, then again",
+        }
+        .to_owned(),
+    })
+}
+
+pub(crate) fn identify(
+    args: &RecordArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let mut capsule = finder.connect(DeviceKind::Capsule)?;
+    fresh::prepare(DeviceKind::Capsule, &mut capsule, finder, screen)?;
+    begin_unfolded("an identification", &mut capsule)?;
+    screen.say("Identify: fold and unfold once, and fetch what the capsule records of them.");
+    let fold = motion(ActuationKind::Fold, &mut capsule, args, finder, screen)?;
+    let unfold = motion(ActuationKind::Unfold, &mut capsule, args, finder, screen)?;
+    let identified =
+        identify::identify(&fold.recorded.points, &unfold.recorded.points).map_err(|why| {
+            Failure::Refused {
+                why: format!("{why}; the capsule is well, and unfolded"),
+                help: "look at the two recordings: a weak cell or a wrong origami shows there"
+                    .to_owned(),
+            }
+        })?;
+    for (name, estimate, unit) in named(&identified) {
+        screen.say(&format!(
+            "  {name}: {:.3} +- {:.3} {unit}",
+            estimate.value, estimate.uncertainty
+        ));
+    }
+    screen.say("  95 of 100 capsules lie within; gears, spool and rotor are taken as designed.");
+    let motions = [&fold, &unfold];
+    for Motion { csv, sidecar, .. } in motions {
+        screen.say(&format!("  {}\n  {}", csv.display(), sidecar.display()));
+    }
+    Ok(json!({
+        "identified": identified,
+        "recordings": motions.map(|motion| &motion.csv),
+        "sidecars": motions.map(|motion| &motion.sidecar),
+    }))
+}
+
+/// A motion with its recording.
+struct Motion {
+    recorded: Recorded,
+    csv: PathBuf,
+    sidecar: PathBuf,
+}
+
+fn motion(
+    kind: ActuationKind,
+    capsule: &mut Device,
+    args: &RecordArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Motion, Failure> {
+    let (stem, action) = match kind {
+        ActuationKind::Unfold => ("identify-unfold", "unfolding"),
+        _ => ("identify-fold", "folding"),
+    };
+    let recording = recording(args, stem, finder);
+    let trial = experiment::actuate(capsule, kind, &recording, &mut screen.live())?;
+    let help = format!(
+        "the data is in {}; `retrograde info` shows the capsule's state",
+        trial.sidecar.display()
+    );
+    completed(action, trial.trial.status, trial.trial.error.as_ref(), help)?;
+    let (recorded, _) = fetch(capsule, &trial.record)?;
+    Ok(Motion {
+        csv: trial::write_recorded(&args.out, finder.connector.now(), &recorded)?,
+        recorded,
+        sidecar: trial.sidecar,
+    })
+}
+
+/// For people: name, value, unit.
+fn named(identified: &Identified) -> [(&'static str, Estimate, &'static str); 6] {
+    let Identified {
+        circuit_ohm,
+        motor_constant_mvs,
+        no_load_ma,
+        worm_friction,
+        stiffness,
+        slack_mm,
+    } = *identified;
+    [
+        ("winding, bridge and cell", circuit_ohm, "ohm"),
+        ("motor constant", motor_constant_mvs, "mV s/rad"),
+        ("no-load current", no_load_ma, "mA"),
+        ("friction in the worm", worm_friction, ""),
+        ("stiffness over the beam estimate", stiffness, ""),
+        ("slack of the thread", slack_mm, "mm"),
+    ]
+}
+
 pub(crate) fn cycle(
     args: &CycleArgs,
     finder: &Finder<'_>,
@@ -121,24 +237,7 @@ pub(crate) fn cycle(
 ) -> Result<Value, Failure> {
     let mut capsule = finder.connect(DeviceKind::Capsule)?;
     fresh::prepare(DeviceKind::Capsule, &mut capsule, finder, screen)?;
-    let status = capsule.capsule_status()?;
-    if status.state != CapsuleState::Unfolded || !status.referenced {
-        return Err(Failure::Refused {
-            why: format!(
-                "an endurance run begins unfolded and referenced; the capsule is {:?}, and nothing moved",
-                status.state
-            ),
-            help: match status.state {
-                CapsuleState::Folded | CapsuleState::Stopped => "`retrograde unfold`, then again",
-                CapsuleState::WasFolded => {
-                    "`retrograde capsule check`, `retrograde unfold`, then again"
-                }
-                CapsuleState::Faulted => "`retrograde info` names the fault",
-                _ => "`retrograde capsule reference`, then again",
-            }
-            .to_owned(),
-        });
-    }
+    begin_unfolded("an endurance run", &mut capsule)?;
     let mut run = Run::create(&args.out, finder.connector.now(), args.pairs)?;
     let (csv, summary) = (run.csv.clone(), run.summary.clone());
     screen.say(&format!(

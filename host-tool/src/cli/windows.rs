@@ -42,6 +42,7 @@ pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
             // While readings are added it would fill the line, and not come to an end.
             CapsuleSubcommand::Trace(_) => "capsule trace",
             CapsuleSubcommand::Cycle(_) => "capsule cycle",
+            CapsuleSubcommand::Identify(_) => "capsule identify",
         },
         Subcommand::Fold(_) => "fold",
         Subcommand::Unfold(_) => "unfold",

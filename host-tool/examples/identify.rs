@@ -1,0 +1,57 @@
+//! Identifies seeded capsules and prints how often, and how narrowly: the table of `docs/capsule.md`.
+//!
+//! `cargo run --release -p host-tool --example identify [CAPSULES]`, 100 unless told.
+#![allow(clippy::print_stdout)]
+
+#[path = "../tests/population/mod.rs"]
+mod population;
+
+use capsule_plant::verdict;
+
+fn main() {
+    let count = std::env::args().nth(1).map_or(Ok(100), |text| text.parse());
+    let Ok(count @ 1..) = count else {
+        println!("say how many capsules, such as 100");
+        return;
+    };
+    let found = verdict::all(count, population::tried);
+    println!(
+        "| parameter | within its uncertainty | median uncertainty | largest | largest error |"
+    );
+    println!("|---|---|---|---|---|");
+    for (index, (name, ..)) in found[0].iter().enumerate() {
+        let column: Vec<_> = found.iter().map(|row| row[index]).collect();
+        let mut shares: Vec<f64> = column
+            .iter()
+            .map(|(_, truth, found)| found.uncertainty / truth)
+            .collect();
+        shares.sort_by(f64::total_cmp);
+        let missed = column
+            .iter()
+            .filter(|one| !population::missed(&[**one]).is_empty())
+            .count();
+        let worst = column
+            .iter()
+            .map(|(_, truth, found)| (found.value / truth - 1.0).abs())
+            .fold(0.0, f64::max);
+        println!(
+            "| `{name}` | {} of {count} | {:.1} % | {:.1} % | {:.1} % |",
+            column.len() - missed,
+            100.0 * shares[shares.len() / 2],
+            100.0 * shares[shares.len() - 1],
+            100.0 * worst
+        );
+    }
+    let whole = found
+        .iter()
+        .filter(|row| population::missed(row).is_empty())
+        .count();
+    println!("all six: {whole} of {count}");
+    for (seed, row) in found
+        .iter()
+        .enumerate()
+        .filter(|(_, row)| !population::missed(row).is_empty())
+    {
+        println!("seed {seed}: {:?}", population::missed(row));
+    }
+}
