@@ -194,11 +194,7 @@ fn blocks(
     points: &[TracePoint],
     sign: f64,
 ) -> Result<Vec<Block>, IdentifyError> {
-    let far_mm = points
-        .iter()
-        .map(|point| thread_mm(point))
-        .fold(f64::MIN, f64::max)
-        - BEFORE_END_MM;
+    let far_mm = points.iter().map(thread_mm).fold(f64::MIN, f64::max) - BEFORE_END_MM;
     let all: Vec<Option<Block>> = points
         .windows(BLOCK + 1)
         .step_by(BLOCK)
