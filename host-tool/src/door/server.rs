@@ -12,7 +12,7 @@ use protocol::error::WireError;
 use protocol::frame::{Deframer, Encoded, Frame, Header, Kind, encode};
 use protocol::session::{Decision, Session, Ticket};
 use protocol::system::{Done, Identity, Urgent};
-use protocol::table::{Reply, Request, Response};
+use protocol::table::{Impact, Reply, Request, Response};
 
 use crate::door::lock::Plate;
 use crate::door::stream::{Listener, Stream, read_line};
@@ -48,6 +48,25 @@ pub struct Question {
 }
 
 impl Question {
+    /// The same question of several guests.
+    fn shared_with(self, others: VecDeque<Self>) -> Self {
+        let Self {
+            request,
+            asked,
+            answer,
+        } = self;
+        Self {
+            request,
+            asked,
+            answer: Box::new(move |reply| {
+                for other in others {
+                    other.answer(reply.clone());
+                }
+                answer(reply);
+            }),
+        }
+    }
+
     /// Hands the answer to the guest; `None` if there was none.
     pub fn answer(self, reply: Option<Reply>) {
         (self.answer)(reply);
@@ -227,11 +246,19 @@ impl Core {
             }
         };
         state.last_question = Some(now);
+        // What several guests want to see is asked once: five of them would ask more than the line can carry, and each
+        // would wait for the others until it gives up.
+        let (same, others): (VecDeque<_>, _) = state.questions.drain(..).partition(|other| {
+            question.as_ref().is_some_and(|question| {
+                other.request.impact() == Impact::None && other.request == question.request
+            })
+        });
+        state.questions = others;
         drop(state);
         for question in stale {
             question.answer(None);
         }
-        question
+        question.map(|question| question.shared_with(same))
     }
 
     // The line.
@@ -694,6 +721,42 @@ mod tests {
         assert!(core.question().is_some());
         // The next one has to wait, however often the owner looks.
         core.ask(question(Instant::now()));
+        assert!(core.question().is_none());
+    }
+
+    #[test]
+    fn what_many_want_to_see_is_asked_once_and_what_they_want_done_as_often_as_they_say() {
+        let (core, _written) = core();
+        let (answers, answered) = channel();
+        let ask = |guest: u32, request: Request| {
+            let answers = answers.clone();
+            core.ask(Question {
+                request,
+                asked: Instant::now(),
+                answer: Box::new(move |reply| answers.send((guest, reply)).expect("heard")),
+            });
+        };
+        let status = || rig::GetRigStatus.into_request();
+        for guest in 0..5 {
+            ask(guest, status());
+        }
+        ask(5, rig::Resume.into_request());
+        ask(6, status());
+        ask(7, rig::Resume.into_request());
+        let reply = Reply::Wire(WireError::Malformed);
+        let first = core.question().expect("one");
+        assert_eq!(first.request, status());
+        first.answer(Some(reply.clone()));
+        let mut guests: Vec<_> = answered.try_iter().collect();
+        guests.sort_by_key(|(guest, _)| *guest);
+        let told = |guest| (guest, Some(reply.clone()));
+        assert_eq!(guests, [0, 1, 2, 3, 4, 6].map(told));
+        for guest in [5, 7] {
+            thread::sleep(BREATH);
+            core.question().expect("another").answer(None);
+            assert_eq!(answered.try_iter().collect::<Vec<_>>(), [(guest, None)]);
+        }
+        thread::sleep(BREATH);
         assert!(core.question().is_none());
     }
 
