@@ -197,6 +197,8 @@ pub struct Capsule {
     referenced: bool,
     /// Count at thread zero.
     zero: Counts,
+    /// So much less thread than calibrated is believed to be wound at the folded end.
+    spare: Thread,
     sample: Sample,
     sample_us: u64,
     drive: Drive,
@@ -221,6 +223,7 @@ impl Capsule {
         Self {
             mode: fault.map_or(Mode::Unreferenced, Mode::Faulted),
             referenced: false,
+            spare: Thread(0),
             zero: Counts(0),
             sample: Sample::default(),
             sample_us: 0,
@@ -432,7 +435,7 @@ impl Capsule {
                 taut_to: matches!(self.mode, Mode::Folded).then(|| self.taut_to()),
             },
             (ActuationKind::Fold, Some(calibration)) => Leg::Wind {
-                end: calibration.folded,
+                end: Thread(calibration.folded.0 - self.spare.0),
                 careful: false,
             },
             (ActuationKind::CheckFolded, _) => seek(Purpose::Check {
@@ -713,10 +716,11 @@ impl Capsule {
         };
         // The end may be found a little before where the calibration found it: the thread is believed shorter, so that an
         // unfolding ends before zero.
-        let believed = match purpose {
-            Purpose::Calibrate => folded,
-            Purpose::Reference | Purpose::Check { .. } => Thread(folded.0 - FOUND_AGAIN.0),
+        self.spare = match purpose {
+            Purpose::Calibrate => Thread(0),
+            Purpose::Reference | Purpose::Check { .. } => FOUND_AGAIN,
         };
+        let believed = Thread(folded.0 - self.spare.0);
         let zero = self.sample.counts.back(believed.counts());
         self.recorder.zero_moved(self.zero.since(zero).thread());
         self.zero = zero;
