@@ -26,4 +26,6 @@ pub mod population;
 pub mod sabotage;
 pub mod serial;
 pub mod serve;
+#[cfg(unix)]
+pub mod sidedoor;
 pub mod verdicts;

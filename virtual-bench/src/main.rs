@@ -44,6 +44,13 @@ enum Subcommand {
         #[arg(default_value_t = population::CASES)]
         cases: u64,
     },
+    /// Measures the side door with the rig's image, in real time: emergency stops by a second process.
+    #[cfg(unix)]
+    Door {
+        /// Emergency stops.
+        #[arg(default_value_t = virtual_bench::sidedoor::STOPS)]
+        stops: u32,
+    },
     /// Serves the machines on local TCP ports in real time, until interrupted.
     Serve {
         /// Port of the rig; 0 for a free one.
@@ -72,6 +79,11 @@ fn main() -> ExitCode {
         Subcommand::Bench => figures::run(&mut |line| drop(writeln!(std::io::stdout(), "{line}")))
             .map_err(miette::Report::from),
         Subcommand::Capsules { cases } => population::run(cases, &mut |line| {
+            drop(writeln!(std::io::stdout(), "{line}"))
+        })
+        .map_err(miette::Report::from),
+        #[cfg(unix)]
+        Subcommand::Door { stops } => virtual_bench::sidedoor::run(stops, &mut |line| {
             drop(writeln!(std::io::stdout(), "{line}"))
         })
         .map_err(miette::Report::from),
