@@ -98,6 +98,22 @@ fn the_terminal_is_restored_however_it_ends() {
     assert_eq!(bench.urgent(), []);
 }
 
+/// A window is closed: nobody is left to press a key, and the line must not stay taken.
+#[test]
+fn a_watch_whose_terminal_is_gone_ends() {
+    let bench = Bench::at_a_port(DeviceKind::Rig);
+    let mut child = Terminal::lost(bench.command(&["watch"]));
+    let begin = Instant::now();
+    while child.try_wait().expect("a child").is_none() {
+        if begin.elapsed() > Duration::from_secs(60) {
+            child.kill().expect("it is ours");
+            panic!("it is still there");
+        }
+        thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(bench.retrograde(&["info"]).0, Some(0));
+}
+
 /// The program of the next test.
 #[test]
 #[ignore = "run by the next test in a terminal"]

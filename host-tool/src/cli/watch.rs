@@ -37,6 +37,9 @@ const DRAW: Duration = Duration::from_millis(50);
 const LINE: Duration = Duration::from_secs(1);
 
 /// A signal to end has come. A process has one handler.
+/// How long leaving may take once a signal has come: a stop may still wait for its confirmation.
+const LEAVING: Duration = Duration::from_secs(3);
+
 static SIGNALLED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
 fn signalled() -> Arc<AtomicBool> {
@@ -44,7 +47,14 @@ fn signalled() -> Arc<AtomicBool> {
         let signalled = Arc::new(AtomicBool::new(false));
         let set = Arc::clone(&signalled);
         // Looking stops nothing: whoever ends it only leaves.
-        let _ = ctrlc::set_handler(move || set.store(true, Ordering::Relaxed));
+        let _ = ctrlc::set_handler(move || {
+            set.store(true, Ordering::Relaxed);
+            // Where the terminal itself is gone, the reader of its keys never comes back.
+            thread::spawn(|| {
+                thread::sleep(LEAVING);
+                std::process::exit(0);
+            });
+        });
         signalled
     });
     Arc::clone(signalled)

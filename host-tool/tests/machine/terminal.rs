@@ -3,13 +3,14 @@
 
 use std::fs::File;
 use std::io::{Read, Write};
-use std::os::fd::{AsFd, OwnedFd};
+use std::os::fd::AsFd;
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use rustix::io::{FdFlags, fcntl_setfd};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Termios, Winsize, tcgetattr, tcsetwinsize};
 
@@ -30,7 +31,7 @@ pub enum End {
 
 /// A terminal, and a program in it.
 pub struct Terminal {
-    master: OwnedFd,
+    master: File,
     slave: File,
     pub screen: Arc<Mutex<vt100::Parser>>,
     /// All that was written to it.
@@ -41,25 +42,12 @@ pub struct Terminal {
 
 impl Terminal {
     pub fn start(mut command: Command, columns: u16, rows: u16) -> Self {
-        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a terminal");
-        grantpt(&master).expect("mine");
-        unlockpt(&master).expect("mine");
-        let name = ptsname(&master, vec![]).expect("named");
-        let name = name.into_string().expect("UTF-8");
-        let slave = File::options().read(true).write(true).open(name);
-        let slave = slave.expect("a terminal");
+        let (master, slave) = open();
         let screen = Arc::new(Mutex::new(vt100::Parser::new(rows, columns, 0)));
         let bytes = Arc::new(Mutex::new(vec![]));
         let before = tcgetattr(&slave).expect("a terminal");
-        let end = || Stdio::from(slave.try_clone().expect("one more"));
-        command
-            .stdin(end())
-            .stdout(end())
-            .stderr(end())
-            .env("TERM", "xterm")
-            .env("LC_ALL", "C.UTF-8");
         let (shown, kept) = (Arc::clone(&screen), Arc::clone(&bytes));
-        let mut reader = File::from(master.try_clone().expect("one more"));
+        let mut reader = master.try_clone().expect("one more");
         thread::spawn(move || {
             let mut block = [0; 4_096];
             while let Ok(count @ 1..) = reader.read(&mut block) {
@@ -68,15 +56,7 @@ impl Terminal {
             }
         });
         resize(master.as_fd(), columns, rows);
-        let in_session = || {
-            rustix::process::setsid()?;
-            rustix::process::ioctl_tiocsctty(rustix::stdio::stdin())?;
-            Ok(())
-        };
-        // SAFETY: between fork and exec it makes two system calls and nothing else. So the terminal is the controlling one of the
-        // program, which is in its foreground.
-        unsafe { command.pre_exec(in_session) };
-        let child = command.spawn().expect("starts");
+        let child = in_session(&mut command, &slave);
         Self {
             master,
             slave,
@@ -85,6 +65,20 @@ impl Terminal {
             before,
             child,
         }
+    }
+
+    /// Starts a program in a terminal that goes away, as a window that is closed.
+    pub fn lost(mut command: Command) -> Child {
+        let (mut master, slave) = open();
+        resize(master.as_fd(), 80, 24);
+        let child = in_session(&mut command, &slave);
+        // What the command holds of the terminal goes with it.
+        drop((command, slave));
+        let written = master.read(&mut [0; 100]).expect("something");
+        assert!(written > 0);
+        // It is waiting for keys by then.
+        thread::sleep(Duration::from_secs(1));
+        child
     }
 
     pub fn text(&self) -> String {
@@ -137,7 +131,7 @@ impl Terminal {
     }
 
     pub fn press(&self, key: &str) {
-        let mut keys = File::from(self.master.try_clone().expect("one more"));
+        let mut keys = &self.master;
         keys.write_all(key.as_bytes()).expect("typed");
     }
 
@@ -197,4 +191,36 @@ fn resize(terminal: std::os::fd::BorrowedFd<'_>, columns: u16, rows: u16) {
         ws_ypixel: 0,
     };
     tcsetwinsize(terminal, size).expect("set");
+}
+
+/// A new terminal: its two ends.
+fn open() -> (File, File) {
+    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a terminal");
+    // A program that held both ends would never see the other one go.
+    fcntl_setfd(&master, FdFlags::CLOEXEC).expect("set");
+    grantpt(&master).expect("mine");
+    unlockpt(&master).expect("mine");
+    let name = ptsname(&master, vec![]).expect("named");
+    let name = name.into_string().expect("UTF-8");
+    let slave = File::options().read(true).write(true).open(name);
+    (File::from(master), slave.expect("a terminal"))
+}
+
+/// Starts the program with the terminal as its controlling one, in its foreground.
+fn in_session(command: &mut Command, slave: &File) -> Child {
+    let end = || Stdio::from(slave.try_clone().expect("one more"));
+    command
+        .stdin(end())
+        .stdout(end())
+        .stderr(end())
+        .env("TERM", "xterm")
+        .env("LC_ALL", "C.UTF-8");
+    let in_session = || {
+        rustix::process::setsid()?;
+        rustix::process::ioctl_tiocsctty(rustix::stdio::stdin())?;
+        Ok(())
+    };
+    // SAFETY: between fork and exec it makes two system calls and nothing else.
+    unsafe { command.pre_exec(in_session) };
+    command.spawn().expect("starts")
 }
