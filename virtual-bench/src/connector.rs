@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use host_tool::commission::hands::Hands;
-use host_tool::connector::{Candidate, Connector, Ports};
+use host_tool::connector::{Candidate, Connector, Ports, Purpose};
 use host_tool::link::address::Address;
 use host_tool::link::{Link, OpenError, Reason};
 use jiff::Timestamp;
@@ -42,11 +42,12 @@ impl Connector for BenchPorts {
         kind: DeviceKind,
         address: &Address,
         baud: u32,
+        purpose: Purpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         let elsewhere = *address != Address::Virtual;
         self.elsewhere.store(elsewhere, Ordering::Relaxed);
         if elsewhere {
-            return Ports.open(kind, address, baud);
+            return Ports.open(kind, address, baud, purpose);
         }
         if let Some((machine, plug)) = &*self.handled() {
             return Ok(match machine {
@@ -70,33 +71,6 @@ impl Connector for BenchPorts {
             why: why.to_string(),
             remedy: "build the images with `cargo xtask images`".to_owned(),
         })
-    }
-
-    fn open_to_watch(
-        &self,
-        kind: DeviceKind,
-        address: &Address,
-        baud: u32,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        match address {
-            Address::Virtual => self.open(kind, address, baud),
-            _ => {
-                self.elsewhere.store(true, Ordering::Relaxed);
-                Ports.open_to_watch(kind, address, baud)
-            }
-        }
-    }
-
-    fn open_to_stop(
-        &self,
-        kind: DeviceKind,
-        address: &Address,
-        baud: u32,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        match address {
-            Address::Virtual => self.open(kind, address, baud),
-            _ => Ports.open_to_stop(kind, address, baud),
-        }
     }
 
     fn is_made_anew(&self, address: &Address) -> bool {
@@ -149,7 +123,11 @@ mod tests {
         let ports = BenchPorts::default();
         assert_eq!((ports.nonce(), ports.nonce()), (1, 1));
         let nobody = "tcp:127.0.0.1:1".parse().expect("an address");
-        assert!(ports.open(DeviceKind::Rig, &nobody, 115_200).is_err());
+        assert!(
+            ports
+                .open(DeviceKind::Rig, &nobody, 115_200, Purpose::Work)
+                .is_err()
+        );
         assert_ne!(ports.nonce(), ports.nonce());
     }
 }

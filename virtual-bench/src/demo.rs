@@ -9,7 +9,7 @@ use host_tool::experiment::{
     self, ActuationTrial, ExperimentError, Hooks, Procedure, RunTrial, Shape,
 };
 use host_tool::progress::Live;
-use host_tool::report::{self, Remark, ReportError};
+use host_tool::report::{self, Existing, Found, Remark, ReportError};
 use host_tool::{cli, decimal, identity};
 use jiff::Timestamp;
 use locomotion::kinematics::Design;
@@ -135,7 +135,12 @@ pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
         return Err(DemoError::Verdict(failures.join("\n")));
     }
     let page = options.out.join("report.html");
-    report::write(&experiment.sidecars(), &remarks, &page)?;
+    let found = Found {
+        sidecars: experiment.sidecars(),
+        left_out: vec![],
+    };
+    // The page of the demo before it, if there is one.
+    report::write(&found, &remarks, &page, Existing::Replace)?;
     say("Data and report");
     for sidecar in experiment.sidecars() {
         say(&format!(

@@ -327,7 +327,8 @@ struct Chip<W> {
     epoch_ns: u64,
     /// When the next look is scheduled, on the emulator's clock.
     wake: Option<VirtualNanos>,
-    wiring: Option<W>,
+    /// In a box: it is taken out for each look.
+    wiring: Option<Box<W>>,
 }
 
 impl<W: Wiring> Chip<W> {
@@ -364,7 +365,7 @@ impl<W: Wiring> Chip<W> {
             serial,
             epoch_ns,
             wake: None,
-            wiring: Some(wiring),
+            wiring: Some(Box::new(wiring)),
         };
         chip.adopt();
         chip.look(VirtualNanos(0));
@@ -627,7 +628,7 @@ impl<W: Wiring> Emulator<W> {
     }
 
     pub(crate) fn take_wiring(&mut self) -> Option<W> {
-        self.chip.wiring.take()
+        self.chip.wiring.take().map(|wiring| *wiring)
     }
 
     /// Shows the pins to the board after it was changed from outside.

@@ -20,6 +20,7 @@ pub mod figures;
 pub mod hands;
 pub mod link;
 pub mod log;
+mod pace;
 pub mod pins;
 pub mod plants;
 pub mod population;

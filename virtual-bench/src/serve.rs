@@ -2,15 +2,16 @@
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use host_tool::link::Link;
 
 use crate::bench::BenchError;
 use crate::hands::Plug;
+use crate::pace::Pace;
 
-/// Interval between two exchanges with the socket.
-const TURN: Duration = Duration::from_millis(1);
+/// Interval between two looks at the socket while the machine is early.
+const REST: Duration = Duration::from_micros(500);
 
 /// A machine behind a port of the loopback interface.
 pub struct Server {
@@ -47,8 +48,7 @@ impl Server {
     /// # Errors
     /// [`BenchError::Ended`] when the machine is gone.
     pub fn serve(&self, link: &mut dyn Link, plug: &Plug) -> Result<(), BenchError> {
-        let began = Instant::now();
-        let epoch_us = link.now_us();
+        let mut pace = Pace::new(link.now_us());
         let mut client: Option<TcpStream> = None;
         let mut buffer = [0; 4096];
         loop {
@@ -71,17 +71,17 @@ impl Server {
                 Ok(_) => {}
                 Err(_) => client = None,
             }
-            let due_us = epoch_us + began.elapsed().as_micros() as u64;
-            while link.now_us() < due_us {
-                let count = link.receive(&mut buffer, due_us).map_err(ended)?;
-                let written = client
-                    .as_mut()
-                    .map_or(Ok(()), |client| write(client, &buffer[..count]));
-                if written.is_err() {
-                    client = None;
-                }
+            let Some(until_us) = pace.until_us(link.now_us()) else {
+                std::thread::sleep(REST);
+                continue;
+            };
+            let count = link.receive(&mut buffer, until_us).map_err(ended)?;
+            let written = client
+                .as_mut()
+                .map_or(Ok(()), |client| write(client, &buffer[..count]));
+            if written.is_err() {
+                client = None;
             }
-            std::thread::sleep(TURN);
         }
     }
 }

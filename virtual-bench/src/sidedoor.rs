@@ -1,7 +1,7 @@
 //! The side door at the image, in real time: a run in one process, stops and windows from others, over a pseudo-terminal.
 
 use std::fs::{File, Permissions};
-use std::io::{Read, Write};
+use std::io::{Read, Seek, Write};
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -18,16 +18,15 @@ use serde_json::Value;
 use crate::bench::{Bench, BenchError};
 use crate::boards::rig::{self, RigBoard};
 use crate::link::VirtualLink;
+use crate::pace::Pace;
 use crate::plants::rig::RigOptions;
 
 /// Emergency stops unless told.
 pub const STOPS: u32 = 50;
 /// From the start of the process that stops to the pin.
 const LIMIT: Duration = Duration::from_millis(50);
-/// Interval between two exchanges with the terminal, and two looks at the pin.
-const TURN_US: u64 = 1_000;
-/// So far may the machine's time be behind before it gives up catching up.
-const MOST_LATE_US: u64 = 10_000;
+/// A process that has given its line up ends by then.
+const LEAVING: Duration = Duration::from_secs(2);
 /// Everything that is waited for has happened by then.
 const SOON: Duration = Duration::from_secs(120);
 
@@ -59,16 +58,21 @@ struct Seen {
     edges: usize,
     /// When the last of them was seen.
     last: Option<Instant>,
+    /// By how much the machine's time has fallen behind for good.
+    lost_us: u64,
 }
 
-/// A process that does not outlive this value.
-struct Process(Child);
+/// A process that does not outlive this value, and what it says.
+struct Process {
+    child: Child,
+    said: File,
+}
 
 impl Drop for Process {
     fn drop(&mut self) {
         // It may have ended by itself.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
@@ -107,6 +111,7 @@ impl Rig {
     }
 
     fn spawn(&self, args: &[&str]) -> Result<Process, DoorError> {
+        let said = tempfile::tempfile()?;
         let child = Command::new(&self.program)
             .args(args)
             .env("RETROGRADE_RIG", &self.port)
@@ -119,9 +124,9 @@ impl Rig {
             .current_dir(self.folder.path())
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(Stdio::null())
+            .stderr(said.try_clone()?)
             .spawn()?;
-        Ok(Process(child))
+        Ok(Process { child, said })
     }
 
     /// Its exit code must be `wanted`.
@@ -145,12 +150,15 @@ impl Rig {
 }
 
 fn ends(mut process: Process, args: &[&str], wanted: i32) -> Result<(), DoorError> {
-    let status = process.0.wait()?;
+    let status = process.child.wait()?;
     if status.code() == Some(wanted) {
         return Ok(());
     }
+    let mut said = String::new();
+    process.said.rewind()?;
+    process.said.read_to_string(&mut said)?;
     Err(DoorError::Wrong(format!(
-        "`{}` ended with {status}",
+        "`{}` ended with {status}: {said}",
         args.join(" ")
     )))
 }
@@ -160,24 +168,18 @@ fn serve(bench: &Bench<RigBoard>, master: OwnedFd, shown: &Mutex<Seen>) -> Resul
     let ended = |why: &dyn std::fmt::Display| BenchError::Ended(why.to_string());
     let mut link = VirtualLink::new(bench, "virtual rig");
     let mut terminal = File::from(master);
-    let (began, epoch_us, mut lost_us) = (Instant::now(), link.now_us(), 0);
+    let mut pace = Pace::new(link.now_us());
     let mut bytes = [0; 4_096];
     loop {
         if let Ok(count @ 1..) = terminal.read(&mut bytes) {
             link.send(&bytes[..count]).map_err(|why| ended(&why))?;
         }
-        let now_us = link.now_us();
-        let due_us = epoch_us + began.elapsed().as_micros() as u64 - lost_us;
-        let late_us = due_us.saturating_sub(now_us);
-        if late_us == 0 {
+        let Some(until_us) = pace.until_us(link.now_us()) else {
             thread::sleep(Duration::from_micros(200));
             continue;
-        }
-        // An emulator that cannot keep up is slow, and not later and later.
-        lost_us += late_us.saturating_sub(MOST_LATE_US);
-        let turn_us = now_us + late_us.min(TURN_US);
+        };
         let count = link
-            .receive(&mut bytes, turn_us)
+            .receive(&mut bytes, until_us)
             .map_err(|why| ended(&why))?;
         // What nobody reads is lost, as at a port.
         let _ = terminal.write(&bytes[..count]);
@@ -187,6 +189,7 @@ fn serve(bench: &Bench<RigBoard>, master: OwnedFd, shown: &Mutex<Seen>) -> Resul
             seen.last = Some(Instant::now());
         }
         seen.edges = edges;
+        seen.lost_us = pace.lost_us();
     }
 }
 
@@ -253,20 +256,21 @@ pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
 /// The paper's run with five watches, and one look after the other.
 fn windows(rig: &Rig) -> Result<String, DoorError> {
     rig.retrograde(&["home"], 0)?;
-    let edges = rig.seen().edges;
+    let before = rig.seen();
     let out = rig.folder.path().join("windows");
     let args = ["run", "--out", "windows"];
     let mut run = rig.spawn(&args)?;
-    rig.wait("motion", |seen| seen.edges > edges)?;
+    rig.wait("motion", |seen| seen.edges > before.edges)?;
     let watches = (0..5)
         .map(|_| rig.spawn(&["watch"]))
         .collect::<Result<Vec<_>, _>>()?;
     let mut looks = 0_u32;
-    while run.0.try_wait()?.is_none() {
+    while run.child.try_wait()?.is_none() {
         for args in [&["info", "rig"][..], &["health"]] {
             if let Err(why) = rig.retrograde(args, 0) {
                 // The run may have ended meanwhile, and its door with it.
-                if run.0.try_wait()?.is_none() {
+                thread::sleep(LEAVING);
+                if run.child.try_wait()?.is_none() {
                     return Err(why);
                 }
             }
@@ -277,9 +281,11 @@ fn windows(rig: &Rig) -> Result<String, DoorError> {
     drop(watches);
     ends(run, &args, 0)?;
     let (counted, missed) = record(&out)?;
-    let driven = rig.seen().edges - edges;
+    let after = rig.seen();
+    let driven = after.edges - before.edges;
+    let lost_ms = (after.lost_us - before.lost_us) / 1_000;
     let text = format!(
-        "the paper's run with five watches and {looks} looks: {driven} edges at the pin, {counted} counted, {missed} samples of telemetry missed"
+        "the paper's run with five watches and {looks} looks: {driven} edges at the pin, {counted} counted, {missed} samples of telemetry missed; the emulator was {lost_ms} ms slower than time"
     );
     if (driven, counted, missed) == (1_040_000, 1_040_000, 0) {
         Ok(text)

@@ -25,6 +25,8 @@ pub struct Capsule {
     supply_mv: f64,
     encoder: (bool, bool),
     flash_moving: u64,
+    /// When the motor was first driven since [`Capsule::forget_drive`].
+    driven_ns: Option<u64>,
     faults: Faults<Defect>,
 }
 
@@ -40,6 +42,7 @@ impl Capsule {
             awake: false,
             supply_mv: REGULATED_MV,
             flash_moving: 0,
+            driven_ns: None,
             faults: Faults::default(),
         }
     }
@@ -111,6 +114,17 @@ impl Capsule {
         self.plant.speed() != 0.0
     }
 
+    /// When the motor was first driven, either way, since [`Capsule::forget_drive`].
+    #[must_use]
+    pub fn driven_ns(&self) -> Option<u64> {
+        self.driven_ns
+    }
+
+    /// The next drive is the first one again.
+    pub fn forget_drive(&mut self) {
+        self.driven_ns = None;
+    }
+
     /// Number of flash operations begun while the motor turned.
     #[must_use]
     pub fn flash_moving(&self) -> u64 {
@@ -174,6 +188,9 @@ impl Capsule {
     /// The bridge's inputs have changed. Call after [`Capsule::advance`] to the present instant.
     pub fn drive(&mut self, awake: bool, in1: bool, in2: bool) {
         self.awake = awake;
+        if awake && in1 != in2 {
+            self.driven_ns.get_or_insert(self.now_ns);
+        }
         self.plant.set_bridge(match (awake, in1, in2) {
             (true, true, false) => Bridge::Forward,
             (true, false, true) => Bridge::Reverse,
