@@ -15,7 +15,7 @@
 use std::io;
 
 use host_tool::client::Device;
-use host_tool::connector::{Connector, Ports};
+use host_tool::connector::{Connector, Ports, Purpose};
 use host_tool::decimal;
 use host_tool::experiment::{self, PAPER_RUN};
 use host_tool::identity;
@@ -34,7 +34,7 @@ fn main() -> Result<()> {
         .into_diagnostic()?;
 
     // A session is refused if this is not a rig, or not one that speaks this program's protocol. Nothing moves yet.
-    let link = Ports.open(DeviceKind::Rig, &address, DEFAULT_BAUD)?;
+    let link = Ports.open(DeviceKind::Rig, &address, DEFAULT_BAUD, Purpose::Work)?;
     let mut rig = Device::connect(link, DeviceKind::Rig, Ports.nonce())?;
     if let Some(identity) = rig.identity() {
         println!("{}", identity::line(identity));

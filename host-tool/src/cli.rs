@@ -3,6 +3,7 @@
 
 mod already;
 pub mod args;
+mod campaign;
 mod commission;
 pub mod configured;
 pub mod doctor;
@@ -15,6 +16,7 @@ mod keyboard;
 pub mod machines;
 mod motion;
 mod offline;
+mod run;
 pub mod science;
 mod screen;
 mod settings;
@@ -158,7 +160,9 @@ fn carry_out(
         Subcommand::Doctor(which) => doctor::doctor(which, finder, screen),
         Subcommand::Info(which) => machines::info(which, finder, screen),
         Subcommand::Home => machines::home(finder, screen),
-        Subcommand::Run(args) => machines::run(args, finder, screen),
+        Subcommand::Run(args) => run::run(args, finder, screen),
+        Subcommand::Campaign { subcommand } => campaign::campaign(subcommand, finder, screen),
+        Subcommand::Verify(args) => campaign::verify(args, screen),
         Subcommand::Commission(args) => commission::commission(args, finder, screen),
         Subcommand::Stop(which) => stops::stop(Urgent::Stop, which, finder, screen),
         Subcommand::Estop(which) => stops::stop(Urgent::EStop, which, finder, screen),
@@ -192,6 +196,7 @@ fn carry_out(
         Subcommand::Plan(args) => offline::plan(args, screen),
         Subcommand::Design(args) => science::design(args, screen),
         Subcommand::Simulate(args) => science::simulate(args, screen),
+        Subcommand::List(args) => offline::list(args, screen),
         Subcommand::Report(args) => offline::report(args, screen),
         Subcommand::Flash(args) => flash::flash(args, finder, screen),
         Subcommand::Completions { shell } => offline::completions(*shell, screen),

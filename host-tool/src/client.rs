@@ -24,6 +24,7 @@ use protocol::table::{Endpoint, Impact, Reply, Request, Response, SCHEMA_KEY, Te
 use crate::diagnosis::{self, OVERHEARD, Sign};
 use crate::door::{self, Owner};
 use crate::error::ClientError;
+use crate::identity::Origin;
 use crate::link::{Link, LinkError};
 
 /// The longest time between two requests while waiting, us. A moving device stops after 1 s without one, or after the
@@ -135,9 +136,35 @@ pub trait Observer {
     fn progress(&mut self, progress: &Progress) {
         let _ = progress;
     }
+    /// The record cannot be written; the machine goes on, and so does the wait.
+    fn unrecorded(&mut self, why: &str) {
+        let _ = why;
+    }
     /// The device refused what the [`Pacer`] wanted; the wait goes on.
     fn refused(&mut self, pace: Pace, refusal: &Refusal) {
         let _ = (pace, refusal);
+    }
+    /// Called in each turn of the wait for a run or an actuation, at least every 20 ms while no request is pending, with
+    /// the link's clock. It must not take long: until it returns, nobody listens to the device.
+    fn turn(&mut self, now_us: u64, clock: Option<Clock>) {
+        let _ = (now_us, clock);
+    }
+}
+
+/// How a device's clock stands to that of its link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Clock {
+    /// Link's time less device's, us: at least, at most. The device has read its clock between a request and its answer.
+    pub ahead_us: (i64, i64),
+}
+
+impl Clock {
+    /// What an exchange shows in which the device said `device_us`.
+    fn of(asked_us: u64, device_us: u64, answered_us: u64) -> Self {
+        let ahead = |link_us: u64| link_us.cast_signed() - device_us.cast_signed();
+        Self {
+            ahead_us: (ahead(asked_us), ahead(answered_us)),
+        }
     }
 }
 
@@ -161,9 +188,17 @@ impl Observer for Both<'_> {
         self.0.progress(progress);
         self.1.progress(progress);
     }
+    fn unrecorded(&mut self, why: &str) {
+        self.0.unrecorded(why);
+        self.1.unrecorded(why);
+    }
     fn refused(&mut self, pace: Pace, refusal: &Refusal) {
         self.0.refused(pace, refusal);
         self.1.refused(pace, refusal);
+    }
+    fn turn(&mut self, now_us: u64, clock: Option<Clock>) {
+        self.0.turn(now_us, clock);
+        self.1.turn(now_us, clock);
     }
 }
 
@@ -200,6 +235,14 @@ impl From<bool> for ActionState {
     }
 }
 
+/// A request whose answer comes in [`Device::attend`].
+#[derive(Clone, Copy, Debug)]
+struct Posted {
+    name: &'static str,
+    impact: Impact,
+    at_us: u64,
+}
+
 enum Turn {
     Nothing,
     Answered(Output),
@@ -223,6 +266,10 @@ pub struct Device {
     urgent_pending: bool,
     /// A command is pending that must not be repeated after a stop.
     commanding: bool,
+    /// A request whose answer is not waited for.
+    posted: Option<Posted>,
+    /// By the last exchange that told the device's time.
+    clock: Option<Clock>,
     /// Index of the next event to deliver.
     next_event: u32,
     /// Events that arrived before an earlier one.
@@ -236,6 +283,11 @@ pub struct Device {
 
 /// Samples that are kept until somebody takes them; beyond that the oldest are dropped.
 const TELEMETRY_INBOX: usize = 4_096;
+
+/// Whether a stop makes the host forget it: once the operator has stopped, it must not be repeated.
+fn is_abandonable(impact: Impact) -> bool {
+    !matches!(impact, Impact::None | Impact::Pace)
+}
 
 fn moves(state: CapsuleState) -> bool {
     matches!(
@@ -272,6 +324,8 @@ impl Device {
             interrupted: None,
             urgent_pending: false,
             commanding: false,
+            posted: None,
+            clock: None,
             next_event: 0,
             early: BTreeMap::new(),
             events: VecDeque::new(),
@@ -371,6 +425,14 @@ impl Device {
         self.link.place()
     }
 
+    /// Whether it is a real machine; unknown before [`Device::hello`].
+    #[must_use]
+    pub fn origin(&self) -> Origin {
+        self.identity().map_or(Origin::Unknown, |identity| {
+            Origin::of(identity, &self.place())
+        })
+    }
+
     /// The process that owns the line, if it is not this one.
     #[must_use]
     pub fn owner(&self) -> Option<&Owner> {
@@ -395,6 +457,12 @@ impl Device {
             now_us: self.link.now_us(),
         };
         self.link = Box::new(gone);
+    }
+
+    /// How the device's clock stands to the link's, by the last status.
+    #[must_use]
+    pub fn clock(&self) -> Option<Clock> {
+        self.clock
     }
 
     /// The link's clock.
@@ -897,6 +965,7 @@ impl Device {
                 return Ok(());
             }
             self.pace(observer)?;
+            observer.turn(self.now_us(), self.clock);
             let now_us = self.now_us();
             if now_us >= asked_us.saturating_add(self.keep_alive_us) {
                 match state(self, None, observer)?.into() {
@@ -940,6 +1009,77 @@ impl Device {
             }
             Err(error) => Err(error),
         }
+    }
+
+    // Without waiting.
+
+    /// Sends a request; [`Device::attend`] returns the answer. One at a time, and no other request before its answer.
+    ///
+    /// # Errors
+    /// [`ClientError::Owned`], [`ClientError::Interrupted`] or [`ClientError::SessionLost`]; then it was not sent.
+    pub fn post<E: Endpoint>(&mut self, request: E) -> Result<(), ClientError> {
+        let request = request.into_request();
+        self.ask_interrupt();
+        self.admit(&request)?;
+        let (name, impact) = (request.name(), request.impact());
+        if impact != Impact::None && self.interrupted.is_some() {
+            return Err(ClientError::Interrupted { request: name });
+        }
+        self.commanding = is_abandonable(impact);
+        if self.client.request(&request).is_err() {
+            return Err(self.session_lost());
+        }
+        self.posted = Some(Posted {
+            name,
+            impact,
+            at_us: self.now_us(),
+        });
+        Ok(())
+    }
+
+    /// Whether a posted request has no answer yet.
+    #[must_use]
+    pub fn is_posted(&self) -> bool {
+        self.posted.is_some()
+    }
+
+    /// Sends and receives what is there until `until_us` on the link's clock, at once if that is past; hands out what comes.
+    /// Returns the answer to what was posted, if it has come.
+    ///
+    /// # Errors
+    /// As [`Device::call`] of what was posted.
+    pub fn attend(
+        &mut self,
+        until_us: u64,
+        observer: &mut dyn Observer,
+    ) -> Result<Option<Response>, ClientError> {
+        if self.posted.is_none() {
+            self.serve()?;
+        }
+        let mut answer = None;
+        // Once more after the end: a turn either sends or receives.
+        let mut last = false;
+        while !last && answer.is_none() {
+            last = self.now_us() >= until_us;
+            let pending = self.posted;
+            answer = match (self.turn(until_us)?, pending) {
+                (Turn::UrgentUnanswered, _) => return Err(self.stop_unconfirmed()),
+                (Turn::Answered(output), Some(posted)) => Some((posted, Some(output))),
+                (Turn::Unanswered, Some(posted)) => Some((posted, None)),
+                (Turn::Nothing, Some(posted))
+                    if is_abandonable(posted.impact) && !self.commanding =>
+                {
+                    Some((posted, None))
+                }
+                _ => None,
+            };
+        }
+        self.hand_out(observer);
+        let Some((posted, answer)) = answer else {
+            return Ok(None);
+        };
+        self.posted = None;
+        self.answered(posted, answer).map(Some)
     }
 
     /// Telemetry since the last call, oldest first, each sample with the number of those lost before it.
@@ -1013,35 +1153,68 @@ impl Device {
     // Bytes.
 
     fn exchange(&mut self, request: &Request) -> Result<Response, ClientError> {
-        let (place, request_name, impact) = (self.place(), request.name(), request.impact());
+        let (name, impact) = (request.name(), request.impact());
         self.ask_interrupt();
         let command = impact != Impact::None;
-        if let Some(owner) = self.link.owner()
-            && !door::admits(request)
-        {
-            return Err(ClientError::Owned {
-                place,
-                request: request_name,
-                owner: Box::new(owner.clone()),
-            });
-        }
+        self.admit(request)?;
         if command && self.interrupted.is_some() {
             while self.urgent_pending {
                 self.step(u64::MAX)?;
             }
-            return Err(ClientError::Interrupted {
-                request: request_name,
-            });
+            return Err(ClientError::Interrupted { request: name });
         }
-        let abandonable = command && impact != Impact::Pace;
-        self.commanding = abandonable;
+        self.commanding = is_abandonable(impact);
+        let at_us = self.now_us();
         let answer = self.asked(!command, |client| client.request(request));
-        let abandoned = abandonable && !std::mem::take(&mut self.commanding);
-        match answer? {
+        let answer = match answer {
+            Ok(answer) => answer,
+            Err(error) => {
+                self.commanding = false;
+                return Err(error);
+            }
+        };
+        let posted = Posted {
+            name,
+            impact,
+            at_us,
+        };
+        self.answered(posted, answer)
+    }
+
+    /// Refuses what the owner of the line would not do for this process.
+    fn admit(&self, request: &Request) -> Result<(), ClientError> {
+        match self.link.owner() {
+            Some(owner) if !door::admits(request) => Err(ClientError::Owned {
+                place: self.place(),
+                request: request.name(),
+                owner: Box::new(owner.clone()),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// What the answer to a request means, or its absence.
+    fn answered(
+        &mut self,
+        posted: Posted,
+        answer: Option<Output>,
+    ) -> Result<Response, ClientError> {
+        let Posted {
+            name: request_name,
+            impact,
+            at_us,
+        } = posted;
+        let place = self.place();
+        let command = impact != Impact::None;
+        let abandoned = is_abandonable(impact) && !std::mem::take(&mut self.commanding);
+        match answer {
             _ if abandoned => Err(ClientError::Interrupted {
                 request: request_name,
             }),
-            Some(Output::Accepted(response)) => Ok(response),
+            Some(Output::Accepted(response)) => {
+                self.note_clock(at_us, &response);
+                Ok(response)
+            }
             Some(Output::Refused(refusal)) => Err(ClientError::Refused {
                 place,
                 request: request_name,
@@ -1072,6 +1245,16 @@ impl Device {
                 request: request_name,
             }),
         }
+    }
+
+    /// Notes the device's time, if an answer tells it. The last one counts: clocks drift.
+    fn note_clock(&mut self, asked_us: u64, response: &Response) {
+        let device_us = match response {
+            Response::GetRigStatus(status) => status.time_us,
+            Response::GetCapsuleStatus(status) => status.time_us,
+            _ => return,
+        };
+        self.clock = Some(Clock::of(asked_us, device_us, self.now_us()));
     }
 
     /// Asks, and waits for the answer as [`Device::answer`] does. What `may_repeat` is asked again while the owner of the

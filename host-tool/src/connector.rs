@@ -30,6 +30,20 @@ pub struct Candidate {
     pub may_ask: bool,
 }
 
+/// What a link is opened for; it decides how long it may take, and what becomes of a line that somebody else has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// Whatever a machine can do.
+    Work,
+    /// Only to look, for as long as somebody likes: as the owner of the line it offers it to others from the beginning, see
+    /// [`Link::is_line_wanted`].
+    Watch,
+    /// To look once, soon: a place that does not answer by then is told as such.
+    Look,
+    /// Nothing but a stop, which does not wait for a place that does not answer.
+    Stop,
+}
+
 /// Opens links. Several threads may, so that a stop goes to all machines at once.
 pub trait Connector: Sync {
     /// Opens a link to a machine; sends nothing. Does not search: the caller finds the address behind [`Address::Auto`].
@@ -41,49 +55,8 @@ pub trait Connector: Sync {
         kind: DeviceKind,
         address: &Address,
         baud: u32,
+        purpose: Purpose,
     ) -> Result<Box<dyn Link>, OpenError>;
-
-    /// As [`Connector::open`], for nothing but a stop, which does not wait for a place that does not answer.
-    ///
-    /// # Errors
-    /// As [`Connector::open`].
-    fn open_to_stop(
-        &self,
-        kind: DeviceKind,
-        address: &Address,
-        baud: u32,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        self.open(kind, address, baud)
-    }
-
-    /// As [`Connector::open`], for a program that only looks: as the owner of the line it offers it to others from the
-    /// beginning, see [`Link::is_line_wanted`].
-    ///
-    /// # Errors
-    /// As [`Connector::open`].
-    fn open_to_watch(
-        &self,
-        kind: DeviceKind,
-        address: &Address,
-        baud: u32,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        self.open(kind, address, baud)
-    }
-
-    /// As [`Connector::open`], for a look that has to end soon: it waits no longer than `limit` for the place.
-    ///
-    /// # Errors
-    /// As [`Connector::open`].
-    fn open_within(
-        &self,
-        kind: DeviceKind,
-        address: &Address,
-        baud: u32,
-        limit: Duration,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        let _ = limit;
-        self.open(kind, address, baud)
-    }
 
     /// The machine there is made when it is opened: it is neither homed nor referenced, and nobody is near it.
     fn is_made_anew(&self, address: &Address) -> bool {
@@ -108,46 +81,33 @@ pub trait Connector: Sync {
     }
 }
 
-/// How long a connection for a stop may take. Whoever waits longer should be at the button.
-const CONNECT_TO_STOP: Duration = Duration::from_secs(1);
-
-/// How long a connection may take otherwise.
-const CONNECT: Duration = Duration::from_secs(5);
-
-/// How somebody wants a line that others may have.
-struct Wish {
-    /// How long an owner that has said who it is may leave a knock without an answer.
+/// How long each of the ways may take.
+struct Patience {
+    /// A connection.
+    connect: Duration,
+    /// An owner of the line whose door is open, with its answer to a knock.
     answer: Duration,
-    /// How long a line may be taken by somebody who has not said so yet: it comes or goes, and its disk may be slow.
+    /// A line that is taken, without a door: its owner comes or goes, and its disk may be slow.
     change: Duration,
-    /// As its owner, to give the line up to whoever wants it.
-    yields: bool,
 }
 
-const TO_WORK: Wish = Wish {
-    answer: Duration::from_secs(1),
-    change: CONNECT,
-    yields: false,
-};
-
-const TO_WATCH: Wish = Wish {
-    yields: true,
-    ..TO_WORK
-};
-
-/// A look that has to end soon.
-const TO_LOOK: Wish = Wish {
-    answer: Duration::from_millis(500),
-    change: Duration::from_millis(500),
-    yields: false,
-};
-
-/// A stop goes the direct way soon.
-const TO_STOP: Wish = Wish {
-    answer: Duration::from_millis(250),
-    change: Duration::from_millis(250),
-    yields: false,
-};
+impl Purpose {
+    fn patience(self) -> Patience {
+        let [connect, answer, change] = match self {
+            Self::Work | Self::Watch => [5_000, 2_000, 5_000],
+            // A diagnosis is there within 1 s, of which a silent machine takes 0.8 s to be called so.
+            Self::Look => [200, 500, 500],
+            // Whoever waits longer should be at the button.
+            Self::Stop => [1_000, 250, 250],
+        }
+        .map(Duration::from_millis);
+        Patience {
+            connect,
+            answer,
+            change,
+        }
+    }
+}
 
 /// Interval between two attempts at a line whose owner comes or goes.
 const AGAIN: Duration = Duration::from_millis(5);
@@ -155,19 +115,21 @@ const AGAIN: Duration = Duration::from_millis(5);
 /// Opens the line as its owner, or a window to it if another process has it.
 fn way_in(
     doorway: &Doorway,
-    wish: &Wish,
+    purpose: Purpose,
     halves: &dyn Fn() -> Result<Halves, OpenError>,
 ) -> Result<Box<dyn Link>, OpenError> {
+    let (patience, yields) = (purpose.patience(), purpose == Purpose::Watch);
     let begin = Instant::now();
     loop {
         if let Some(lock) = doorway.claim()? {
             lock.announce()?;
-            return Ok(Box::new(Shared::new(lock, halves()?, wish.yields)?));
+            return Ok(Box::new(Shared::new(lock, halves()?, yields)?));
         }
         let owner = doorway.owner();
-        let limit = match owner {
-            Some(_) => wish.answer,
-            None => wish.change,
+        let limit = if owner.is_some() && doorway.is_open() {
+            patience.answer
+        } else {
+            patience.change
         };
         let left = limit.saturating_sub(begin.elapsed());
         if left.is_zero() {
@@ -244,53 +206,24 @@ impl Connector for Ports {
         _kind: DeviceKind,
         address: &Address,
         baud: u32,
+        purpose: Purpose,
     ) -> Result<Box<dyn Link>, OpenError> {
-        let Some(doorway) = Doorway::of(address)? else {
-            return direct(address, baud, CONNECT);
-        };
-        way_in(&doorway, &TO_WORK, &|| halves(address, baud, CONNECT))
-    }
-
-    fn open_to_watch(
-        &self,
-        _kind: DeviceKind,
-        address: &Address,
-        baud: u32,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        let Some(doorway) = Doorway::of(address)? else {
-            return direct(address, baud, CONNECT);
-        };
-        way_in(&doorway, &TO_WATCH, &|| halves(address, baud, CONNECT))
-    }
-
-    fn open_within(
-        &self,
-        _kind: DeviceKind,
-        address: &Address,
-        baud: u32,
-        limit: Duration,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        let Some(doorway) = Doorway::of(address)? else {
+        let limit = purpose.patience().connect;
+        let through =
+            |doorway: &Doorway| way_in(doorway, purpose, &|| halves(address, baud, limit));
+        if purpose == Purpose::Stop {
+            // Whatever is wrong with lock or door, the stop goes the direct way.
+            if let Ok(Some(doorway)) = Doorway::of(address)
+                && let Ok(link) = through(&doorway)
+            {
+                return Ok(link);
+            }
             return direct(address, baud, limit);
-        };
-        way_in(&doorway, &TO_LOOK, &|| halves(address, baud, limit))
-    }
-
-    fn open_to_stop(
-        &self,
-        _kind: DeviceKind,
-        address: &Address,
-        baud: u32,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        // Whatever is wrong with lock or door, the stop goes the direct way.
-        if let Ok(Some(doorway)) = Doorway::of(address)
-            && let Ok(link) = way_in(&doorway, &TO_STOP, &|| {
-                halves(address, baud, CONNECT_TO_STOP)
-            })
-        {
-            return Ok(link);
         }
-        direct(address, baud, CONNECT_TO_STOP)
+        match Doorway::of(address)? {
+            Some(doorway) => through(&doorway),
+            None => direct(address, baud, limit),
+        }
     }
 
     fn candidates(&self) -> Vec<Candidate> {
@@ -312,5 +245,38 @@ impl Connector for Ports {
 
     fn now(&self) -> Timestamp {
         Timestamp::now()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A slow disk or a slow port may lie between an owner's name and its door.
+    #[test]
+    fn an_owner_without_a_door_is_waited_for_longer_than_one_that_does_not_answer() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let doorway = Doorway::new(folder.path().to_owned(), "line", "line".to_owned());
+        let owned = doorway.claim().expect("possible").expect("free");
+        owned.announce().expect("possible");
+        assert!(doorway.owner().is_some() && !doorway.is_open());
+        let leaves = thread::spawn(move || {
+            thread::sleep(Purpose::Work.patience().answer + Duration::from_millis(500));
+            drop(owned);
+        });
+        let opened = || {
+            Err(OpenError {
+                place: "line".to_owned(),
+                reason: Reason::Absent,
+                why: "it was free at last".to_owned(),
+                remedy: String::new(),
+            })
+        };
+        let error = way_in(&doorway, Purpose::Work, &opened).err();
+        leaves.join().expect("it left");
+        assert_eq!(
+            error.map(|error| error.why).as_deref(),
+            Some("it was free at last")
+        );
     }
 }

@@ -11,6 +11,7 @@ use crate::client::{Device, Observer};
 use crate::error::ClientError;
 use crate::experiment::ExperimentError;
 use crate::force::UM_MS2_PER_MA;
+use crate::identity::Origin;
 use crate::trial::{RecordError, Status, create_new, json};
 use crate::writer::replace;
 
@@ -46,6 +47,8 @@ pub struct Pair {
     pub unfold_mj: u32,
     /// Lowest battery voltage in it.
     pub unfold_battery_mv: u16,
+    /// Whether a real capsule did it.
+    pub origin: Origin,
 }
 
 /// How one figure changed.
@@ -131,6 +134,8 @@ pub struct Endurance {
     pub status: Status,
     /// Why, unless it is complete.
     pub error: Option<String>,
+    /// Whether a real capsule did it.
+    pub origin: Origin,
     /// Its start.
     pub started_utc: Timestamp,
     /// Pairs asked for.
@@ -159,7 +164,12 @@ impl Run {
     ///
     /// # Errors
     /// They cannot be created.
-    pub fn create(folder: &Path, now: Timestamp, asked: u32) -> Result<Self, RecordError> {
+    pub fn create(
+        folder: &Path,
+        now: Timestamp,
+        asked: u32,
+        origin: Origin,
+    ) -> Result<Self, RecordError> {
         fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
         let name = format!("cycle-{}", now.strftime("%Y%m%dT%H%M%SZ"));
         let (csv, file) = create_new(folder, &name)?;
@@ -167,6 +177,7 @@ impl Run {
             endurance: Endurance {
                 status: Status::Running,
                 error: None,
+                origin,
                 started_utc: now,
                 asked,
                 done: 0,
@@ -238,6 +249,7 @@ impl Run {
                 unfolded_um: unfold.thread_um,
                 unfold_mj: unfold.energy_mj,
                 unfold_battery_mv: unfold.min_battery_mv,
+                origin: self.endurance.origin,
             };
             self.keep(row)?;
             tell(&row);

@@ -5,12 +5,16 @@ use std::path::PathBuf;
 use jiff::Timestamp;
 use miette::Diagnostic;
 use protocol::capsule::{ActuationKind, ActuationRecord, Calibrate, CheckFolded};
+use protocol::error::Refusal;
 use protocol::rig::{LinkLossPolicy, Run, RunAccepted, RunRecord, RunTiming};
-use protocol::system::{DeviceKind, Identity};
+use protocol::system::{DeviceKind, Event, Identity};
+use protocol::table::Telemetry;
 
-use crate::client::{Both, Device, Homed, Observer};
+use crate::client::{Begun, Both, Clock, Device, Homed, Observer, Pace, Progress};
+use crate::decimal;
 use crate::diagnosis::Sign;
 use crate::error::ClientError;
+use crate::identity::IdentityRecord;
 use crate::trial::{Action, Ending, RecordError, Recorder, Recording, Screw, Status, Trial};
 
 /// The paper's run: 5 cycles of 130 mm in 40 s.
@@ -44,6 +48,20 @@ pub enum ExperimentError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Record(#[from] RecordError),
+    /// The action ended, but its record is not whole.
+    #[error("{ended}; but {record}")]
+    #[diagnostic(
+        code(retrograde::record),
+        help(
+            "the machine is well, what it did is said above; what was recorded until then is kept. Free space, or choose another folder: `--out DIR`"
+        )
+    )]
+    Unrecorded {
+        /// What the device says of the action.
+        ended: String,
+        /// Why the record is not whole.
+        record: RecordError,
+    },
     /// A step of the experiment did not end as planned, so the remaining steps were not begun.
     #[error("{step} ended as {status:?}{}", reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
     #[diagnostic(
@@ -100,24 +118,31 @@ pub fn run(
     recording: &Recording,
     observer: &mut dyn Observer,
 ) -> Result<RunTrial, ExperimentError> {
-    let device = identity(rig, DeviceKind::Rig)?;
+    let device = IdentityRecord::new(&identity(rig, DeviceKind::Rig)?, &rig.place());
     let action = Action::Run {
         screw: Screw::from(&rig.rig_status()?),
         requested: run,
         achieved: None,
         executed: None,
     };
-    let mut recorder = Recorder::create(Trial::new(action, &device, recording), recording)?;
+    let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
     let outcome = (|| {
         rig.set_telemetry(recording.telemetry_ms)?;
         rig.take_telemetry();
         let accepted = rig.run(run)?;
-        let record = rig.wait_run(&accepted, &mut Both(&mut recorder, observer))?;
+        let record = rig.wait_run(
+            &accepted,
+            &mut Recorded {
+                recorder: &mut recorder,
+                observer,
+            },
+        )?;
         Ok((accepted, record))
     })();
-    let (trial, (accepted, record)) =
-        end(rig, recorder, outcome, |(_, record)| Ending::Run(*record))?;
+    let (trial, (accepted, record)) = end(rig, recorder, observer, outcome, |(_, record)| {
+        Ending::Run(*record)
+    })?;
     Ok(RunTrial {
         accepted,
         record,
@@ -137,13 +162,13 @@ pub fn actuate(
     recording: &Recording,
     observer: &mut dyn Observer,
 ) -> Result<ActuationTrial, ExperimentError> {
-    let device = identity(capsule, DeviceKind::Capsule)?;
+    let device = IdentityRecord::new(&identity(capsule, DeviceKind::Capsule)?, &capsule.place());
     let action = Action::Actuation {
         actuation: kind,
         accepted: None,
         record: None,
     };
-    let mut recorder = Recorder::create(Trial::new(action, &device, recording), recording)?;
+    let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
     let outcome = (|| {
         capsule.set_telemetry(recording.telemetry_ms)?;
@@ -155,9 +180,15 @@ pub fn actuate(
             ActuationKind::Fold => capsule.fold()?,
             ActuationKind::Unfold => capsule.unfold()?,
         };
-        capsule.wait_actuation(&accepted, &mut Both(&mut recorder, observer))
+        capsule.wait_actuation(
+            &accepted,
+            &mut Recorded {
+                recorder: &mut recorder,
+                observer,
+            },
+        )
     })();
-    let (trial, record) = end(capsule, recorder, outcome, |record| {
+    let (trial, record) = end(capsule, recorder, observer, outcome, |record| {
         Ending::Actuation(*record)
     })?;
     Ok(ActuationTrial {
@@ -168,28 +199,96 @@ pub fn actuate(
     })
 }
 
-/// Writes the end of a trial, then stops the telemetry.
+/// Passes everything to the record and to the observer, who also hears what becomes of the record.
+struct Recorded<'a> {
+    recorder: &'a mut Recorder,
+    observer: &'a mut dyn Observer,
+}
+
+impl Recorded<'_> {
+    fn both(&mut self) -> Both<'_> {
+        Both(self.recorder, self.observer)
+    }
+
+    fn tell(&mut self) {
+        if let Some(error) = self.recorder.news() {
+            self.observer.unrecorded(&error.to_string());
+        }
+    }
+}
+
+impl Observer for Recorded<'_> {
+    fn begun(&mut self, begun: &Begun) {
+        self.both().begun(begun);
+    }
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.both().telemetry(sample, missed);
+        self.tell();
+    }
+    fn event(&mut self, event: &Event) {
+        self.both().event(event);
+    }
+    fn progress(&mut self, progress: &Progress) {
+        self.both().progress(progress);
+        self.tell();
+    }
+    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
+        self.both().refused(pace, refusal);
+    }
+    fn turn(&mut self, now_us: u64, clock: Option<Clock>) {
+        self.both().turn(now_us, clock);
+    }
+}
+
+/// What the device says of an action, in a sentence.
+fn verdict(ending: &Ending) -> String {
+    match ending {
+        Ending::Run(record) => format!(
+            "the run ended as {:?} after {} strokes and {} steps",
+            record.outcome, record.strokes, record.counted_edges
+        ),
+        Ending::Actuation(record) => format!(
+            "the actuation ended as {:?} with {} mm of thread after {} s",
+            record.outcome,
+            decimal::fixed(record.thread_um.into(), 3),
+            decimal::fixed(record.duration_ms.into(), 3)
+        ),
+        Ending::Lost(why) => why.clone(),
+    }
+}
+
+/// Writes the end of a trial, then stops the telemetry. A record that could not be written hides neither what the device
+/// did nor how it was lost.
 fn end<T>(
     device: &mut Device,
     recorder: Recorder,
+    observer: &mut dyn Observer,
     outcome: Result<T, ClientError>,
     ending: impl FnOnce(&T) -> Ending,
 ) -> Result<(Trial, T), ExperimentError> {
     let lost_events = device.lost_events();
     match outcome {
         Ok(value) => {
-            let trial = recorder.finish(ending(&value), lost_events)?;
+            let ending = ending(&value);
+            let ended = verdict(&ending);
+            let finished = recorder.finish(ending, lost_events);
             device.set_telemetry(0)?;
-            Ok((trial, value))
+            match finished {
+                Ok(trial) => Ok((trial, value)),
+                Err(record) => Err(ExperimentError::Unrecorded { ended, record }),
+            }
         }
         Err(error) => {
-            recorder.finish(Ending::Lost(error.to_string()), lost_events)?;
+            let lost = Ending::Lost(error.to_string());
+            if let Err(record) = recorder.finish(lost, lost_events) {
+                observer.unrecorded(&record.to_string());
+            }
             Err(error.into())
         }
     }
 }
 
-fn identity(device: &Device, wanted: DeviceKind) -> Result<Identity, ClientError> {
+pub(crate) fn identity(device: &Device, wanted: DeviceKind) -> Result<Identity, ClientError> {
     device.require(wanted)?;
     device
         .identity()
@@ -205,6 +304,8 @@ fn identity(device: &Device, wanted: DeviceKind) -> Result<Identity, ClientError
 /// # Errors
 /// As [`Device::home`] and [`Device::wait_homing`].
 pub fn home(rig: &mut Device, observer: &mut dyn Observer) -> Result<Homed, ClientError> {
+    // The end of a homing that another host has begun must not be taken for the end of this one.
+    rig.take_events()?;
     let accepted = rig.home()?;
     rig.wait_homing(&accepted, observer)
 }

@@ -9,6 +9,8 @@ use std::io::Write;
 use protocol::capsule::TracePoint;
 use serde::Serialize;
 
+use crate::identity::Origin;
+
 /// mA per newton with friction coefficients 0.10 and 0.20 in the worm.
 const MA_PER_N: (f64, f64) = (18.1, 29.0);
 /// Readings over which the current is averaged.
@@ -30,6 +32,7 @@ struct Row {
     drive_mv: i16,
     force_least_n: Option<String>,
     force_most_n: Option<String>,
+    origin: Origin,
 }
 
 /// Least and most force at a reading, N, above the current without load; none where the current does not tell.
@@ -61,6 +64,7 @@ pub fn write(
     file: impl Write,
     points: &[TracePoint],
     no_load_ma: Option<u16>,
+    origin: Origin,
 ) -> Result<(), csv::Error> {
     let mut csv = csv::Writer::from_writer(file);
     for (index, point) in points.iter().enumerate() {
@@ -74,6 +78,7 @@ pub fn write(
             drive_mv: point.drive_mv,
             force_least_n: force.map(|(least, _)| format!("{least:.2}")),
             force_most_n: force.map(|(_, most)| format!("{most:.2}")),
+            origin,
         })?;
     }
     csv.flush()?;

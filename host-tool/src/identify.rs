@@ -25,6 +25,8 @@ const LEAST_SPEED_MM_S: f64 = 1.0;
 const MOST_ACCELERATING_MA: f64 = 10.0;
 /// The same for the difference of two changes from block to block, mm/s.
 const MOST_BENT_MM_S: f64 = 0.3;
+/// Slack that is looked for, in hundredths of a millimetre: that of a calibration is 0 to 3 mm.
+const SLACK_HUNDREDTHS: (i32, i32) = (-15, 315);
 /// So much before the folded end something harder than the origami may be met, mm.
 const BEFORE_END_MM: f64 = 0.7;
 /// Half a step of the recording's drive and of its voltage: both are rounded towards zero.
@@ -162,7 +164,10 @@ fn mechanics(
     let up_share = deviations[2] / up;
     let ratio = down / up;
     let ratio_deviation = ratio * up_share.hypot(deviations[3] / down.max(deviations[3]));
-    let (friction, most) = (friction(ratio), friction(ratio + ratio_deviation));
+    let too_much = IdentifyError::NoFit("paying out takes nearly as much as winding");
+    let (friction, most) = friction(ratio)
+        .zip(friction(ratio + ratio_deviation))
+        .ok_or(too_much)?;
     // mA mV s/rad are uN m.
     let stiffness = up * constant_mvs * 1e-6 / TORQUE_PER_N / raising(friction);
     let share = up_share.hypot(raising(most) / raising(friction) - 1.0);
@@ -322,9 +327,15 @@ fn load(folding: &[Block], unfolding: &[Block]) -> Result<Fit<5>, IdentifyError>
             .min_by(|(_, one), (_, other)| one.squares.total_cmp(&other.squares))
             .ok_or(no_fit)
     };
-    // Slack of 0 to 3 mm: the range of a calibration. There is one valley.
-    let (near, _) = best(&mut (0..=300).step_by(15))?;
+    // The range of a calibration, and a step more at either end. There is one valley.
+    let (least, most) = SLACK_HUNDREDTHS;
+    let (near, _) = best(&mut (least..=most).step_by(15))?;
     let (slack, coarse) = best(&mut (near - 15..=near + 15).step_by(2))?;
+    if slack <= least || slack >= most {
+        return Err(IdentifyError::NoFit(
+            "the thread would be slack by less than 0 or more than 3 mm",
+        ));
+    }
     let slack_mm = f64::from(slack) * 0.01;
     // One step of Gauss and Newton from there: the slack's own share, and the covariance of all five.
     let [.., up, down] = coarse.values;
@@ -374,19 +385,23 @@ fn raising(friction: f64) -> f64 {
     (lead + friction.atan()).tan() / lead.tan()
 }
 
-/// Coefficient of friction at which lowering takes this share of raising.
-fn friction(ratio: f64) -> f64 {
+/// Coefficient of friction at which lowering takes this share of raising; none if it would be 1 or more.
+fn friction(ratio: f64) -> Option<f64> {
     let lead = LEAD_DEG.to_radians();
+    let share = |angle: f64| (angle - lead).tan() / (angle + lead).tan();
     let (mut low, mut high) = (lead, 45_f64.to_radians());
+    if ratio >= share(high) {
+        return None;
+    }
     for _ in 0..60 {
         let angle = f64::midpoint(low, high);
-        if (angle - lead).tan() / (angle + lead).tan() < ratio {
+        if share(angle) < ratio {
             low = angle;
         } else {
             high = angle;
         }
     }
-    low.tan()
+    Some(low.tan())
 }
 
 /// A fit by least squares.
@@ -423,6 +438,7 @@ fn fit<const N: usize>(rows: &[([f64; N], f64)]) -> Option<Fit<N>> {
     let squares: f64 = residuals.iter().map(|residual| residual * residual).sum();
     let free = rows.len().checked_sub(N).filter(|free| *free > 0)? as f64;
     let products: f64 = residuals.windows(2).map(|pair| pair[0] * pair[1]).sum();
+    // With more than this, the variance would rest on the estimate of the likeness alone.
     let alike = if squares > 0.0 {
         (products / squares).clamp(0.0, 0.9)
     } else {
@@ -519,9 +535,11 @@ mod tests {
         for truth in [0.08, 0.10, 0.15, 0.20, 0.30_f64] {
             let lead = LEAD_DEG.to_radians();
             let down = (truth.atan() - lead).tan() / lead.tan();
-            let found = friction(down / raising(truth));
+            let found = friction(down / raising(truth)).expect("a worm");
             assert!((found - truth).abs() < 1e-6, "{truth}: {found}");
         }
+        // A coefficient above 1 is no worm's, and is not told as 1.
+        assert_eq!(friction(0.8), None);
     }
 
     #[test]

@@ -1,4 +1,6 @@
-//! Names of machines, images and versions, for people and for records.
+//! Names of machines, images and versions, for people and for records, and whether a machine is real.
+//!
+//! [`Origin`] is decided here and nowhere else.
 
 use protocol::system::{DeviceKind, Identity, ResetCause, Revision};
 use serde::{Deserialize, Serialize};
@@ -34,12 +36,92 @@ pub const fn reset_cause(cause: ResetCause) -> &'static str {
     }
 }
 
+/// Whether a record is of a real machine. A virtual run must never pass as a measurement, so what is not known is never
+/// `board`, and `virtual` outweighs everything that speaks for a board.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Origin {
+    /// A board measured it.
+    Board,
+    /// The record does not say: older tools did not write it.
+    #[default]
+    Unknown,
+    /// A simulated machine produced it.
+    Virtual,
+}
+
+/// Virtual machines begin the unique number of their chip with this, in ASCII; no wafer is numbered so.
+const VIRTUAL_UID: &[u8] = b"virtual";
+/// The virtual bench's places begin with this: `virtual`, `virtual rig`.
+const VIRTUAL_PLACE: &str = "virtual";
+
+impl Origin {
+    /// Of a machine that answers with this identity at this place, as [`crate::link::Link::place`] names it.
+    #[must_use]
+    pub fn of(identity: &Identity, place: &str) -> Self {
+        let word = place.split(' ').next();
+        if identity.uid.starts_with(VIRTUAL_UID) || word == Some(VIRTUAL_PLACE) {
+            Self::Virtual
+        } else {
+            Self::Board
+        }
+    }
+
+    /// Of a record that says this of itself, by the hexadecimal UID in it, which is harder to leave out.
+    #[must_use]
+    pub fn of_record(says: Self, uid: &str) -> Self {
+        let virtual_uid: String = VIRTUAL_UID
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
+        if uid.to_ascii_lowercase().starts_with(&virtual_uid) {
+            Self::Virtual
+        } else {
+            says
+        }
+    }
+
+    /// As in records.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Board => "board",
+            Self::Unknown => "unknown",
+            Self::Virtual => "virtual",
+        }
+    }
+
+    /// What it means, for people.
+    #[must_use]
+    pub const fn meaning(self) -> &'static str {
+        match self {
+            Self::Board => "board: measured on a machine",
+            Self::Unknown => {
+                "unknown: the record does not say whether a machine or a simulation made it"
+            }
+            Self::Virtual => "virtual: simulated, not a measurement",
+        }
+    }
+}
+
+impl std::fmt::Display for Origin {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
 /// Identifies a device in one line.
 #[must_use]
 pub fn line(identity: &Identity) -> String {
-    let record = IdentityRecord::from(identity);
+    let record = IdentityRecord::new(identity, "");
+    let simulated = match record.origin {
+        Origin::Virtual => ", virtual",
+        Origin::Board | Origin::Unknown => "",
+    };
     format!(
-        "{}, UID {}, firmware {} ({}), protocol {}, schema {}, start {} ({})",
+        "{}{simulated}, UID {}, firmware {} ({}), protocol {}, schema {}, start {} ({})",
         record.device,
         record.uid,
         record.firmware,
@@ -57,6 +139,9 @@ pub fn line(identity: &Identity) -> String {
 pub struct IdentityRecord {
     /// `rig` or `capsule`.
     pub device: String,
+    /// Whether it is a real machine.
+    #[serde(default)]
+    pub origin: Origin,
     /// Unique number of the microcontroller, 24 hex digits.
     pub uid: String,
     /// Commit of the image.
@@ -73,9 +158,12 @@ pub struct IdentityRecord {
     pub reset_cause: String,
 }
 
-impl From<&Identity> for IdentityRecord {
-    fn from(identity: &Identity) -> Self {
+impl IdentityRecord {
+    /// Of the machine that answers at this place.
+    #[must_use]
+    pub fn new(identity: &Identity, place: &str) -> Self {
         Self {
+            origin: Origin::of(identity, place),
             device: kind_name(identity.device).to_owned(),
             uid: identity
                 .uid
@@ -89,5 +177,69 @@ impl From<&Identity> for IdentityRecord {
             boot_id: identity.boot_id,
             reset_cause: reset_cause(identity.reset_cause).to_owned(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use protocol::system::BuildProfile;
+
+    fn identity(uid: [u8; 12]) -> Identity {
+        Identity {
+            device: DeviceKind::Rig,
+            protocol: protocol::VERSION,
+            schema_key: 1,
+            revision: Revision {
+                commit: 1,
+                dirty: false,
+            },
+            profile: BuildProfile::Firmware,
+            uid,
+            boot_id: 1,
+            reset_cause: ResetCause::PowerOn,
+            session: 1,
+        }
+    }
+
+    #[test]
+    fn one_sign_of_a_simulation_is_enough() {
+        let board = identity(*b"1234567890ab");
+        for (of, place, origin) in [
+            (&board, "/dev/ttyACM0", Origin::Board),
+            (&board, "tcp:127.0.0.1:7001", Origin::Board),
+            (&board, "/dev/virtual", Origin::Board),
+            (&board, "virtual", Origin::Virtual),
+            (&board, "virtual capsule", Origin::Virtual),
+            (
+                &identity(*b"virtual rig\0"),
+                "/dev/ttyACM0",
+                Origin::Virtual,
+            ),
+            (&identity(*b"virtual caps"), "tcp:a:1", Origin::Virtual),
+        ] {
+            let record = IdentityRecord::new(of, place);
+            assert_eq!(record.origin, origin, "{place}");
+            let reread = Origin::of_record(Origin::Unknown, &record.uid);
+            let by_uid = of.uid.starts_with(b"virtual");
+            assert_eq!(reread == Origin::Virtual, by_uid, "{place}");
+        }
+        let rig = IdentityRecord::new(&identity(*b"virtual rig\0"), "COM3");
+        assert_eq!(Origin::of_record(Origin::Board, &rig.uid), Origin::Virtual);
+        assert_eq!(
+            Origin::of_record(Origin::Board, &rig.uid.to_uppercase()),
+            Origin::Virtual
+        );
+        assert_eq!(Origin::of_record(Origin::Unknown, "00ff"), Origin::Unknown);
+    }
+
+    #[test]
+    fn a_record_that_does_not_say_is_not_of_a_board() {
+        let record = IdentityRecord::new(&identity(*b"1234567890ab"), "COM3");
+        let mut json = serde_json::to_value(&record).expect("JSON");
+        json.as_object_mut().expect("object").remove("origin");
+        let old: IdentityRecord = serde_json::from_value(json).expect("readable");
+        assert_eq!(old.origin, Origin::Unknown);
+        assert!(Origin::Board < Origin::Unknown && Origin::Unknown < Origin::Virtual);
     }
 }

@@ -8,6 +8,7 @@
 //! * [`error`]: why a request failed, and what to do about it.
 //! * [`connector`]: where links come from.
 //! * [`decimal`]: decimal numbers as people write them, exact.
+//! * [`campaign`]: a plan of trials carried out over days: order, ledger, readings, folder, manifest.
 //! * [`trial`]: the record of an action: telemetry CSV and JSON sidecar.
 //! * [`experiment`]: recorded actions, and the paper's experiment.
 //! * [`endurance`]: folds and unfoldings in turn, and what drifts.
@@ -16,18 +17,25 @@
 //! * [`identity`]: names of machines, images and versions.
 //! * [`plan`]: a run, calculated before it is sent.
 //! * [`report`]: recorded trials as one HTML file.
+//! * [`statistics`]: mean, deviation, and a line with its band.
 //! * [`science`]: the paper's design, simulations and series, without a machine.
 //! * [`commission`]: the steps from a new board to a machine that may run, measured and recorded.
+//! * [`coordination`]: an actuation that begins at a place of a run, its [`cue`].
 //! * [`wording`]: refusals in people's units.
 //! * [`image`]: what may be flashed.
 //! * [`progress`]: progress for people, as a bar or as lines.
+//! * [`catalogue`]: campaigns and trials by date, specimen, outcome.
 //! * [`cli`]: the command line, a thin layer over all this.
 #![forbid(unsafe_code)]
 
+pub mod campaign;
+pub mod catalogue;
 pub mod cli;
 pub mod client;
 pub mod commission;
 pub mod connector;
+pub mod coordination;
+pub mod cue;
 pub mod decimal;
 pub mod diagnosis;
 pub mod door;
@@ -45,6 +53,7 @@ pub mod plan;
 pub mod progress;
 pub mod report;
 pub mod science;
+pub mod statistics;
 pub mod trial;
 pub mod wording;
 mod writer;

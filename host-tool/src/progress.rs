@@ -93,6 +93,12 @@ impl Observer for Live<'_> {
         }
     }
 
+    fn unrecorded(&mut self, why: &str) {
+        self.line(&format!(
+            "  NOT RECORDED from here on: {why}; the machine goes on, Ctrl-C stops it"
+        ));
+    }
+
     fn refused(&mut self, pace: Pace, refusal: &Refusal) {
         self.line(&refused_text(pace, refusal));
     }

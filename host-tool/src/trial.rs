@@ -12,13 +12,14 @@ use jiff::Timestamp;
 use miette::Diagnostic;
 use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome, ActuationRecord};
 use protocol::rig::{RigStatus, Run, RunAccepted, RunOutcome, RunRecord, Stroke};
-use protocol::system::{Event, Identity};
+use protocol::system::Event;
 use protocol::table::{SCHEMA_KEY, Telemetry};
 use serde::{Deserialize, Serialize};
 
 use crate::client::{Begun, Observer, Progress, Recorded};
+use crate::cue::Coordination;
 use crate::decimal;
-use crate::identity::IdentityRecord;
+use crate::identity::{IdentityRecord, Origin};
 use crate::limited;
 use crate::writer::{Appender, Writer, replace};
 
@@ -26,7 +27,7 @@ use crate::writer::{Appender, Writer, replace};
 pub const FORMAT: u32 = 1;
 
 /// Why a file of a trial could not be written or read.
-#[derive(Debug, thiserror::Error, Diagnostic)]
+#[derive(Clone, Debug, thiserror::Error, Diagnostic)]
 #[error("{path}: {why}", path = path.display())]
 #[diagnostic(code(retrograde::record), help("{remedy}"))]
 pub struct RecordError {
@@ -289,12 +290,15 @@ pub struct Trial {
     pub events: Vec<Event>,
     /// Events that the device had dropped before they could be fetched.
     pub lost_events: u32,
+    /// When it began, if it was tied to a run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub coordination: Option<Coordination>,
 }
 
 impl Trial {
     /// A trial that is about to begin.
     #[must_use]
-    pub fn new(action: Action, device: &Identity, recording: &Recording) -> Self {
+    pub fn new(action: Action, device: IdentityRecord, recording: &Recording) -> Self {
         Self {
             format: FORMAT,
             status: Status::Running,
@@ -304,13 +308,14 @@ impl Trial {
             tool: concat!("retrograde ", env!("CARGO_PKG_VERSION")).to_owned(),
             protocol: format!("{}.{}", protocol::VERSION.major, protocol::VERSION.minor),
             schema_key: format!("{SCHEMA_KEY:016x}"),
-            device: IdentityRecord::from(device),
+            device,
             action,
             telemetry: String::new(),
             samples: 0,
             missed_samples: 0,
             events: vec![],
             lost_events: 0,
+            coordination: None,
         }
     }
 
@@ -321,12 +326,14 @@ impl Trial {
     pub fn read(path: &Path) -> Result<Self, RecordError> {
         let text =
             limited::read_text(path, limited::RECORD).map_err(|io| RecordError::read(path, io))?;
-        let trial: Self =
+        let mut trial: Self =
             serde_json::from_str(&text).map_err(|json| RecordError::read(path, json))?;
         if trial.format != FORMAT {
             let why = format!("format {}, this tool reads {FORMAT}", trial.format);
             return Err(RecordError::read(path, why));
         }
+        let IdentityRecord { origin, uid, .. } = &trial.device;
+        trial.device.origin = Origin::of_record(*origin, uid);
         Ok(trial)
     }
 
@@ -383,6 +390,9 @@ pub struct RigSample {
     pub estop_loop: bool,
     /// Samples lost just before this one.
     pub missed: u16,
+    /// Whether a real machine sent it.
+    #[serde(default)]
+    pub origin: Origin,
 }
 
 /// A row of the capsule's telemetry.
@@ -402,6 +412,9 @@ pub struct CapsuleSample {
     pub drive_mv: i16,
     /// Samples lost just before this one.
     pub missed: u16,
+    /// Whether a real machine sent it.
+    #[serde(default)]
+    pub origin: Origin,
 }
 
 /// Where and when a trial is recorded.
@@ -426,8 +439,10 @@ pub struct Recorder {
     writer: Writer,
     sidecar: PathBuf,
     trial: Trial,
-    /// The first error during the trial.
+    /// The first error in making rows and text.
     failed: Option<RecordError>,
+    /// The observer has heard of an error.
+    told: bool,
 }
 
 impl Recorder {
@@ -459,6 +474,7 @@ impl Recorder {
             csv_path,
             trial,
             failed: None,
+            told: false,
         })
     }
 
@@ -472,6 +488,31 @@ impl Recorder {
     #[must_use]
     pub fn csv(&self) -> &Path {
         &self.csv_path
+    }
+
+    /// Notes when the trial began.
+    pub(crate) fn coordinated(&mut self, coordination: Coordination) {
+        self.trial.coordination = Some(coordination);
+    }
+
+    /// The first error in writing, as soon as it is known and once only: whoever watches the trial should hear of it while
+    /// it can still be stopped.
+    pub fn news(&mut self) -> Option<RecordError> {
+        if self.told {
+            return None;
+        }
+        let failure = self.failure();
+        self.told = failure.is_some();
+        failure
+    }
+
+    /// The first error in writing so far.
+    fn failure(&self) -> Option<RecordError> {
+        let writing = || {
+            let failed = self.writer.failure()?;
+            Some(RecordError::write(&failed.path, &failed.why))
+        };
+        self.failed.clone().or_else(writing)
     }
 
     /// Writes the end of the trial and the device's record of it.
@@ -505,6 +546,12 @@ impl Recorder {
         }
         self.trial.lost_events = lost_events;
         self.flush();
+        if let Some(failure) = self.failure() {
+            // Beside the verdict: whoever reads it must not take the telemetry for whole.
+            self.trial
+                .error
+                .get_or_insert_with(|| format!("the telemetry was not recorded whole: {failure}"));
+        }
         self.write_sidecar();
         drop(self.csv);
         let written = self.writer.finish();
@@ -512,7 +559,7 @@ impl Recorder {
             Some(error) => Err(error),
             None => written
                 .map(|()| self.trial)
-                .map_err(|error| RecordError::write(&error.path, error.io)),
+                .map_err(|error| RecordError::write(&error.path, error.why)),
         }
     }
 
@@ -576,6 +623,7 @@ impl Observer for Recorder {
 
     fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
         self.trial.missed_samples += u64::from(missed);
+        let origin = self.trial.device.origin;
         match (sample, &self.trial.action) {
             (Telemetry::Rig(rig), Action::Run { screw, .. }) => {
                 let position_nm = screw.nm(rig.position_steps.into());
@@ -592,6 +640,7 @@ impl Observer for Recorder {
                     far_limit: rig.inputs.far_limit,
                     estop_loop: rig.inputs.estop_loop,
                     missed,
+                    origin,
                 });
             }
             (Telemetry::Capsule(capsule), Action::Actuation { .. }) => self.row(CapsuleSample {
@@ -602,6 +651,7 @@ impl Observer for Recorder {
                 battery_mv: capsule.battery_mv,
                 drive_mv: capsule.drive_mv,
                 missed,
+                origin,
             }),
             _ => {}
         }
@@ -624,6 +674,7 @@ struct RecordedRow {
     current_ma: u16,
     battery_mv: u16,
     drive_mv: i16,
+    origin: Origin,
 }
 
 /// Writes the recording of an actuation into a new CSV file of `folder`, and returns its path.
@@ -634,6 +685,7 @@ pub fn write_recorded(
     folder: &Path,
     now: Timestamp,
     recorded: &Recorded,
+    origin: Origin,
 ) -> Result<PathBuf, RecordError> {
     fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
     let stamp = now.strftime("%Y%m%dT%H%M%SZ");
@@ -647,6 +699,7 @@ pub fn write_recorded(
             current_ma: point.current_ma,
             battery_mv: point.battery_mv,
             drive_mv: point.drive_mv,
+            origin,
         })
         .map_err(|error| RecordError::write(&path, error))?;
     }

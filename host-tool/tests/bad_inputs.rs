@@ -12,7 +12,10 @@ use bench::Bench;
 use host_tool::cli::run_on;
 use host_tool::connector::Ports;
 use host_tool::link::address::Address;
-use host_tool::{client::Device, connector::Connector as _};
+use host_tool::{
+    client::Device,
+    connector::{Connector as _, Purpose},
+};
 use protocol::rig::{GetRigHealth, RigHealth, RigStatus, RunRecord};
 use protocol::system::DeviceKind;
 use serde_json::Value;
@@ -626,7 +629,7 @@ fn retrograde(args: &[&str]) -> (u8, String, String) {
 fn counters(rig: &str) -> (RigStatus, RunRecord, RigHealth) {
     let address: Address = rig.parse().expect("an address");
     let link = Ports
-        .open(DeviceKind::Rig, &address, 115_200)
+        .open(DeviceKind::Rig, &address, 115_200, Purpose::Look)
         .expect("open");
     let mut rig = Device::connect(link, DeviceKind::Rig, Ports.nonce()).expect("a rig");
     (

@@ -278,11 +278,13 @@ fn the_recording_of_the_last_actuation_becomes_a_file() {
     let mut lines = text.lines();
     assert_eq!(
         lines.next(),
-        Some("time_ms,thread_um,current_ma,battery_mv,drive_mv")
+        Some("time_ms,thread_um,current_ma,battery_mv,drive_mv,origin")
     );
     let rows: Vec<Vec<i64>> = lines
         .map(|line| {
-            line.split(',')
+            let numbers = line.strip_suffix(",board").expect("its origin");
+            numbers
+                .split(',')
                 .map(|field| field.parse().expect("a number"))
                 .collect()
         })
@@ -330,7 +332,7 @@ fn a_fold_brings_its_recording_with_the_force() {
     let (head, readings) = rows(&fold_csv);
     assert_eq!(
         head,
-        "time_ms,thread_um,current_ma,battery_mv,drive_mv,force_least_n,force_most_n"
+        "time_ms,thread_um,current_ma,battery_mv,drive_mv,force_least_n,force_most_n,origin"
     );
     let duration_ms = json["trial"]["action"]["record"]["duration_ms"].as_u64();
     let duration_ms = duration_ms.expect("a number") as usize;

@@ -13,6 +13,7 @@ use host_tool::commission::rig::wrong_travel;
 use host_tool::commission::session::wrapped;
 use host_tool::commission::step::Step;
 use host_tool::commission::steps;
+use host_tool::identity::Origin;
 use jiff::Timestamp;
 use machine::Script;
 use machine::tool::{Memory, ready};
@@ -27,6 +28,7 @@ fn subject() -> Subject {
     Subject {
         machine: DeviceKind::Rig,
         uid: "0123456789abcdef01234567".to_owned(),
+        origin: Origin::Board,
         image: "10a2fe44".to_owned(),
         firmware: "8f1e5872".to_owned(),
         protocol: "3.0".to_owned(),

@@ -350,6 +350,15 @@ fn hold_and_resume_go_through_the_owner() {
     assert_eq!(bench.connections(), 1);
 }
 
+/// This stop has come, and no other. It is sent again until it is confirmed, which a busy computer may delay.
+fn only(bench: &Bench, stop: Urgent) {
+    let came = bench.urgent();
+    assert!(
+        !came.is_empty() && came.iter().all(|one| *one == stop),
+        "{came:?}"
+    );
+}
+
 #[test]
 fn the_death_of_the_owner_is_seen_at_once_and_the_line_is_free() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
@@ -358,7 +367,7 @@ fn the_death_of_the_owner_is_seen_at_once_and_the_line_is_free() {
     let (code, _, err) = bench.retrograde(&["estop"]);
     run.wait().expect("ended");
     assert_eq!(code, Some(0), "{err}");
-    assert_eq!(bench.urgent(), [Urgent::EStop]);
+    only(&bench, Urgent::EStop);
     let (code, _, err) = bench.retrograde(&["ack"]);
     assert_eq!(code, Some(0), "{err}");
 }
@@ -370,7 +379,7 @@ fn a_stop_gets_past_an_owner_that_is_frozen() {
     kill(Signal::STOP, run.id());
     let (code, out, err) = bench.retrograde(&["estop"]);
     assert_eq!(code, Some(0), "{out}{err}");
-    assert_eq!(bench.urgent(), [Urgent::EStop]);
+    only(&bench, Urgent::EStop);
     // Reading does not steal the line, and says who has it.
     let (code, _, err) = bench.retrograde(&["info"]);
     assert_eq!(code, Some(4), "{err}");
@@ -407,7 +416,7 @@ fn a_stop_does_not_wait_for_an_owner_whose_output_is_stuck() {
     thread::sleep(Duration::from_millis(500));
     let (code, out, err) = bench.retrograde(&["estop"]);
     assert_eq!(code, Some(0), "{out}{err}");
-    assert_eq!(bench.urgent(), [Urgent::EStop]);
+    only(&bench, Urgent::EStop);
     let (code, _, err) = bench.retrograde(&["info"]);
     assert_eq!(code, Some(4), "{err}");
     assert!(err.contains(&format!("process {}", run.id())), "{err}");
@@ -441,7 +450,7 @@ fn only_the_owner_of_the_folder_can_get_in() {
     assert!(err.contains("other users have access"), "{err}");
     // A stop goes out all the same.
     assert_eq!(bench.retrograde(&["stop"]).0, Some(0));
-    assert_eq!(bench.urgent(), [Urgent::Stop]);
+    only(&bench, Urgent::Stop);
 }
 
 #[test]

@@ -5,7 +5,7 @@ mod machine;
 use std::sync::{Arc, Mutex};
 
 use host_tool::cli::run_on;
-use host_tool::connector::{Candidate, Connector};
+use host_tool::connector::{Candidate, Connector, Purpose};
 use host_tool::link::address::Address;
 use host_tool::link::{Link, OpenError};
 use jiff::Timestamp;
@@ -34,7 +34,13 @@ impl New {
 }
 
 impl Connector for New {
-    fn open(&self, kind: DeviceKind, _: &Address, _: u32) -> Result<Box<dyn Link>, OpenError> {
+    fn open(
+        &self,
+        kind: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
         let (link, log) = link(Script::new(kind));
         self.0.lock().expect("free").push(log);
         Ok(link)

@@ -2,6 +2,7 @@
 
 mod population;
 
+use capsule_plant::Parameters;
 use host_tool::identify::{IdentifyError, identify};
 use protocol::capsule::TracePoint;
 
@@ -21,6 +22,26 @@ fn capsules_that_differ_in_everything_are_identified_within_the_stated_uncertain
             let share = estimate.uncertainty / truth;
             assert!(share < most, "seed {seed}, {name}: {estimate:?}");
         }
+    }
+}
+
+/// Where the valley lies beyond what is looked at, its edge is no estimate.
+#[test]
+fn slack_beyond_what_a_calibration_allows_is_no_fit() {
+    let recorded = population::recordings(Parameters::nominal(), 0);
+    for (further_um, fits) in [(0, true), (1_500, true), (4_000, false), (-3_000, false)] {
+        let [fold, unfold] = recorded.clone().map(|mut points| {
+            for point in &mut points {
+                point.thread_um += further_um;
+            }
+            points
+        });
+        let found = identify(&fold, &unfold);
+        assert_eq!(found.is_ok(), fits, "{further_um} um: {found:?}");
+        assert!(
+            fits || matches!(found, Err(IdentifyError::NoFit(why)) if why.contains("slack")),
+            "{further_um} um: {found:?}"
+        );
     }
 }
 

@@ -9,7 +9,8 @@ use host_tool::client::{Begun, Device, Homed, Observer, Progress, Unobserved};
 use host_tool::experiment::{
     self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
 };
-use host_tool::report::{self, Remark};
+use host_tool::identity::{IdentityRecord, Origin};
+use host_tool::report::{self, Found, Remark};
 use host_tool::trial::{Action, Recorder, Recording, RigSample, Screw, Status, Trial};
 use jiff::Timestamp;
 use machine::capsule::FOLDED_UM;
@@ -63,8 +64,10 @@ fn a_recorded_run_is_read_back_whole() {
     assert_eq!(trial.status, Status::Complete);
     assert_eq!(trial.device.uid, "ab".repeat(12));
     assert_eq!(trial.events.len(), 6);
+    assert_eq!(trial.device.origin, Origin::Board);
     let samples: Vec<RigSample> = trial.samples(&run.sidecar).expect("telemetry");
     assert_eq!(samples.len() as u64, trial.samples);
+    assert!(samples.iter().all(|sample| sample.origin == Origin::Board));
     assert!(samples.len().abs_diff(200) <= 2, "{}", samples.len());
     assert!(
         samples.is_sorted_by(|a, b| b.time_us - a.time_us == 20_000),
@@ -84,6 +87,35 @@ fn a_recorded_run_is_read_back_whole() {
     };
     assert_eq!(executed.plan_hash, achieved.plan_hash);
     assert_eq!(executed.counted_edges, 4 * 8_000);
+}
+
+#[test]
+fn a_record_without_an_origin_is_readable_and_of_no_board() {
+    let folder = tempfile::tempdir().expect("folder");
+    let run = recorded_run(folder.path());
+    // As the tools before this one wrote them.
+    let old = |path: &Path, gone: &str| {
+        let text = fs::read_to_string(path).expect("there");
+        assert!(text.contains(gone), "{text}");
+        fs::write(path, text.replace(gone, "")).expect("written");
+    };
+    old(&run.sidecar, "    \"origin\": \"board\",\n");
+    old(&run.csv, ",origin");
+    old(&run.csv, ",board");
+    let trial = Trial::read(&run.sidecar).expect("sidecar");
+    assert_eq!(trial.device.origin, Origin::Unknown);
+    let samples: Vec<RigSample> = trial.samples(&run.sidecar).expect("telemetry");
+    assert!(
+        samples
+            .iter()
+            .all(|sample| sample.origin == Origin::Unknown)
+    );
+    // The UID of a virtual machine says what the record does not.
+    let text = fs::read_to_string(&run.sidecar).expect("there");
+    let virtual_uid = "7669727475616c2072696700";
+    fs::write(&run.sidecar, text.replace(&"ab".repeat(12), virtual_uid)).expect("written");
+    let trial = Trial::read(&run.sidecar).expect("sidecar");
+    assert_eq!(trial.device.origin, Origin::Virtual);
 }
 
 #[test]
@@ -306,7 +338,13 @@ fn the_papers_experiment_goes_step_by_step_and_ends_in_a_report() {
         title: "Displacement <of the body>".to_owned(),
         rows: vec![("by the model".to_owned(), "-12 mm".to_owned())],
     };
-    let html = report::html(&sidecars, &[remark]).expect("report");
+    let found = Found {
+        sidecars,
+        left_out: vec![],
+    };
+    let report = report::html(&found, &[remark]).expect("report");
+    assert_eq!(report.damaged, [], "a clean record has no defect");
+    let html = report.html;
     assert_eq!(html.matches("<svg").count(), 10);
     assert_eq!(html.matches("<section").count(), 5);
     assert!(html.contains("Displacement &lt;of the body&gt;"));
@@ -315,8 +353,9 @@ fn the_papers_experiment_goes_step_by_step_and_ends_in_a_report() {
         "nothing is loaded"
     );
     assert_eq!(
-        report::sidecars(&[folder.path().to_owned()])
+        report::find(&[folder.path().to_owned()])
             .expect("folder")
+            .sidecars
             .len(),
         5
     );
@@ -374,12 +413,13 @@ fn a_recorder_makes_its_folder_and_says_running_at_once() {
     let folder = tempfile::tempdir().expect("folder");
     let recording = recording(&folder.path().join("a/b"));
     let rig = ready(DeviceKind::Rig);
+    let device = IdentityRecord::new(rig.identity().expect("known"), &rig.place());
     let action = Action::Actuation {
         actuation: ActuationKind::Fold,
         accepted: None,
         record: None,
     };
-    let trial = Trial::new(action, rig.identity().expect("known"), &recording);
+    let trial = Trial::new(action, device, &recording);
     let recorder = Recorder::create(trial, &recording).expect("made");
     assert_eq!(
         Trial::read(recorder.sidecar()).expect("sidecar").status,

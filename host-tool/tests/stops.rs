@@ -8,7 +8,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use host_tool::cli::run_on;
-use host_tool::connector::{Candidate, Connector, Ports};
+use host_tool::connector::{Candidate, Connector, Ports, Purpose};
 use host_tool::link::address::Address;
 use host_tool::link::{Link, LinkError, OpenError, Reason};
 use jiff::Timestamp;
@@ -44,7 +44,13 @@ impl Hall {
 }
 
 impl Connector for Hall {
-    fn open(&self, _: DeviceKind, address: &Address, _: u32) -> Result<Box<dyn Link>, OpenError> {
+    fn open(
+        &self,
+        _: DeviceKind,
+        address: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
         let place = address.to_string();
         if place == "live" {
             *self.live.lock().expect("free") = true;

@@ -4,10 +4,12 @@ use std::path::PathBuf;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, ValueEnum};
+use jiff::civil::Date;
 use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 
+use crate::campaign::plan::Millimetres;
 use crate::cli::configured::Names;
 use crate::cli::science::{DesignArgs, SimulateArgs};
 use crate::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
@@ -23,6 +25,7 @@ Examples:
   retrograde run --cycles 5 --duration-s 40     the paper's run, recorded in retrograde-data
   retrograde watch                              see it run, from another terminal
   retrograde run --stroke-mm 60 --speed-mm-s 10 --note 'second body'
+  retrograde campaign run examples/paper.toml   the paper's trials, step by step
   retrograde plan --duration-s 40 --plot run.svg   the same without a rig
   retrograde stop                               stop all machines, from any terminal
   retrograde report retrograde-data --out report.html
@@ -70,6 +73,16 @@ pub enum Subcommand {
     /// Run the waves: cycles away from home and back, recorded. The rig must be homed. At a terminal, the key h holds
     /// the run, r resumes it, s stops it.
     Run(Box<RunArgs>),
+    /// A campaign: a plan of trials with readings, displacements and records, which can be left and resumed at any time.
+    Campaign {
+        /// What to do with it.
+        #[command(subcommand)]
+        subcommand: CampaignSubcommand,
+    },
+    /// List campaigns and trials by date, specimen and outcome.
+    List(ListArgs),
+    /// Find every change of a campaign's folder since it was written: bits, lines, files. Changes nothing.
+    Verify(VerifyArgs),
     /// Take a new board into service: switches, pulses, travel and stops, measured step by step and recorded. It can be
     /// left at any time; the same command goes on where it was left.
     Commission(Box<CommissionArgs>),
@@ -113,7 +126,7 @@ pub enum Subcommand {
     Design(Box<DesignArgs>),
     /// Simulate the paper's series and free sweeps: CSV and SVG.
     Simulate(Box<SimulateArgs>),
-    /// Write an HTML report of recorded trials.
+    /// Write an HTML report of recorded trials, or of a campaign with its figures and tables.
     Report(ReportArgs),
     /// Flash a board through probe-rs.
     Flash(FlashArgs),
@@ -128,6 +141,177 @@ pub enum Subcommand {
         subcommand: Vec<String>,
     },
 }
+
+/// What to do with a campaign.
+#[derive(Debug, clap::Subcommand)]
+pub enum CampaignSubcommand {
+    /// Make the folder of a new campaign from a plan. Moves nothing.
+    New(NewArgs),
+    /// Begin a campaign from a plan, or go on with the one in a folder: readings, check-lists, runs, displacements.
+    Run(CampaignRunArgs),
+    /// Go on with a campaign, also after a crash.
+    Resume(ResumeArgs),
+    /// Show how far a campaign has come. Moves nothing.
+    Status(StatusArgs),
+    /// Correct, exclude, skip, repeat, remark. Each is a new row in the ledger; no row is ever changed. Moves nothing.
+    Edit(EditArgs),
+}
+
+/// Arguments of `campaign new`.
+#[derive(Debug, Args)]
+pub struct NewArgs {
+    /// The plan (TOML). `examples/paper.toml` explains every key.
+    #[arg(value_name = "PLAN")]
+    pub plan: PathBuf,
+    /// The campaign's folder, which must not exist; by default one below `retrograde-campaigns`, named after the plan.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// How a session goes.
+#[derive(Debug, Args)]
+pub struct SessionArgs {
+    /// Ask nobody. Only with the virtual bench: displacements are those of a model, and are marked so.
+    #[arg(long)]
+    pub yes: bool,
+    /// Leave after so many trials.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub trials: Option<u32>,
+}
+
+/// Arguments of `campaign run`.
+#[derive(Debug, Args)]
+pub struct CampaignRunArgs {
+    /// A plan (TOML), or the folder of a campaign.
+    #[arg(value_name = "PLAN|DIR")]
+    pub what: PathBuf,
+    /// The folder of a new campaign, which must not exist.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// How it goes.
+    #[command(flatten)]
+    pub session: SessionArgs,
+}
+
+/// Arguments of `campaign resume`.
+#[derive(Debug, Args)]
+pub struct ResumeArgs {
+    /// The campaign's folder.
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// How it goes.
+    #[command(flatten)]
+    pub session: SessionArgs,
+}
+
+/// Arguments of `campaign status`.
+#[derive(Debug, Args)]
+pub struct StatusArgs {
+    /// The campaign's folder.
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+}
+
+/// Arguments of `campaign edit`.
+#[derive(Debug, Args)]
+pub struct EditArgs {
+    /// The campaign's folder.
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// What is added to the ledger.
+    #[command(subcommand)]
+    pub edit: Edit,
+}
+
+/// What is added to a ledger.
+#[derive(Debug, clap::Subcommand)]
+pub enum Edit {
+    /// Correct the displacement of a trial; the former one stays in the ledger.
+    Displacement {
+        /// The trial.
+        trial: u32,
+        /// The displacement of the tail, + headward.
+        #[arg(value_name = "MM", allow_negative_numbers = true)]
+        displacement_mm: Millimetres,
+        /// Why.
+        reason: Vec<String>,
+    },
+    /// Take the displacement of a trial back: it is asked for again.
+    Undo {
+        /// The trial.
+        trial: u32,
+    },
+    /// Leave a trial that is done out of the evaluation.
+    Exclude {
+        /// The trial.
+        trial: u32,
+        /// Why.
+        #[arg(required = true)]
+        reason: Vec<String>,
+    },
+    /// Skip a trial.
+    Skip {
+        /// The trial.
+        trial: u32,
+        /// Why.
+        reason: Vec<String>,
+    },
+    /// Take a trial in again that was excluded or skipped.
+    Include {
+        /// The trial.
+        trial: u32,
+    },
+    /// Do a trial once more: its last attempt does not count.
+    Repeat {
+        /// The trial.
+        trial: u32,
+        /// Why.
+        reason: Vec<String>,
+    },
+    /// Add a remark.
+    Note {
+        /// On this trial; otherwise on the whole campaign.
+        #[arg(long, value_name = "N")]
+        trial: Option<u32>,
+        /// The remark.
+        #[arg(required = true)]
+        text: Vec<String>,
+    },
+}
+
+/// Arguments of `verify`.
+#[derive(Debug, Args)]
+pub struct VerifyArgs {
+    /// The folder of a campaign, or of records.
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+}
+
+/// Arguments of `list`.
+#[derive(Debug, Args)]
+pub struct ListArgs {
+    /// Where to look, also in folders within [default: retrograde-campaigns and retrograde-data].
+    #[arg(value_name = "DIR")]
+    pub folders: Vec<PathBuf>,
+    /// Also list every attempt at the trials of campaigns.
+    #[arg(long)]
+    pub trials: bool,
+    /// From this day on, UTC: 2026-01-31.
+    #[arg(long, value_name = "DATE")]
+    pub since: Option<Date>,
+    /// Up to this day, UTC.
+    #[arg(long, value_name = "DATE")]
+    pub until: Option<Date>,
+    /// A part of the specimen's description, or of the note of a trial outside campaigns.
+    #[arg(long, value_name = "TEXT")]
+    pub specimen: Option<String>,
+    /// What became of it: `complete` or `open` campaigns; trials that are `complete`, `stopped`, `faulted`, `link_lost` ...
+    #[arg(long, value_name = "OUTCOME")]
+    pub outcome: Option<String>,
+}
+
+/// Folder of all campaigns, unless the user names another.
+pub const CAMPAIGNS_FOLDER: &str = "retrograde-campaigns";
 
 /// What to do with settings.
 #[derive(Debug, clap::Subcommand)]
@@ -356,6 +540,15 @@ pub struct RunArgs {
     /// What the rig does when it has not heard from the host for 1 s: stop, or finish the run.
     #[arg(long, value_name = "POLICY", default_value = "stop")]
     pub on_link_loss: OnLinkLoss,
+    /// Fold the capsule when this cycle begins, from 1. It has to be unfolded before the run.
+    #[arg(long, value_name = "K", group = "tied", value_parser = cycles, allow_negative_numbers = true)]
+    pub fold_at_cycle: Option<u16>,
+    /// Unfold the capsule when this cycle begins. It has to be folded before the run.
+    #[arg(long, value_name = "K", group = "tied", value_parser = cycles, allow_negative_numbers = true)]
+    pub unfold_at_cycle: Option<u16>,
+    /// Not at the start of that cycle: where the carriage passes there on its way away from home.
+    #[arg(long, value_name = "MM", value_parser = above_zero::<Milli>, allow_negative_numbers = true, requires = "tied")]
+    pub at_mm: Option<Milli>,
     /// The record.
     #[command(flatten)]
     pub record: RecordArgs,
@@ -597,12 +790,15 @@ pub struct PlanArgs {
 /// Arguments of `report`.
 #[derive(Debug, Args)]
 pub struct ReportArgs {
-    /// Records: JSON files of trials, or folders of them.
+    /// Records: JSON files of trials, or folders of them; or the folder of one campaign.
     #[arg(required = true, value_name = "TRIAL")]
     pub trials: Vec<PathBuf>,
-    /// The HTML file.
-    #[arg(long, value_name = "FILE", default_value = "report.html")]
-    pub out: PathBuf,
+    /// The HTML file [default: report.html]; a campaign's report goes to its folder `report`.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Replace a report that is there already.
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// Arguments of `flash`.

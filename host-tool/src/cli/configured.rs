@@ -2,7 +2,6 @@
 
 use std::panic::resume_unwind;
 use std::thread;
-use std::time::Duration;
 
 use protocol::settings::GetName;
 use protocol::system::{DeviceKind, Identity};
@@ -12,12 +11,10 @@ use crate::cli::args::Cli;
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, KINDS, past_owners};
 use crate::client::{Device, matches};
+use crate::connector::Purpose;
 use crate::identity::{self, IdentityRecord};
 use crate::link::address::Address;
 use crate::named::{self, Named, NamedError};
-
-/// How long a connection to a configured place may take.
-const CONNECT: Duration = Duration::from_secs(1);
 
 /// The names by which the user has called the machines.
 #[derive(Clone, Debug, Default)]
@@ -138,7 +135,7 @@ impl Configured {
             "kind": identity::kind_name(self.kind),
             "address": self.address.to_string(),
             "carried_name": carried,
-            "identity": answer.ok().map(|(identity, _)| IdentityRecord::from(identity)),
+            "identity": answer.ok().map(|(identity, _)| IdentityRecord::new(identity, &self.address.to_string())),
             "error": answer.err().map(ToString::to_string),
         })
     }
@@ -188,7 +185,7 @@ fn ask(
 ) -> Result<(Identity, Option<String>), Failure> {
     let link = finder
         .connector
-        .open_within(kind, address, finder.cli.baud, CONNECT)?;
+        .open(kind, address, finder.cli.baud, Purpose::Look)?;
     let mut device = Device::new(link);
     let identity = device.hello(finder.connector.nonce())?;
     let carried = match identity.device {

@@ -3,7 +3,6 @@
 
 use std::panic::resume_unwind;
 use std::thread;
-use std::time::Duration;
 
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
@@ -13,15 +12,12 @@ use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, KINDS, past_owners};
 use crate::cli::screen::Screen;
 use crate::client::Device;
-use crate::connector::Candidate;
+use crate::connector::{Candidate, Purpose};
 use crate::diagnosis::Sign;
 use crate::error::ClientError;
 use crate::identity;
 use crate::link::address::Address;
 use crate::link::{OpenError, Reason};
-
-/// How long a connection, or the owner of the line, may take. After that a silent machine takes 0.8 s to be called so.
-const CONNECT: Duration = Duration::from_millis(200);
 
 /// A place to look at.
 struct Place {
@@ -219,7 +215,7 @@ fn examine(place: &Place, finder: &Finder<'_>) -> Result<(DeviceKind, String, Tr
     let address = &place.candidate.address;
     let kind = place.candidate.kind.unwrap_or(DeviceKind::Rig);
     let baud = finder.cli.baud;
-    let link = finder.connector.open_within(kind, address, baud, CONNECT)?;
+    let link = finder.connector.open(kind, address, baud, Purpose::Look)?;
     let mut device = Device::new(link);
     device.expect_haste();
     let identity = device.hello(finder.connector.nonce())?;

@@ -1,7 +1,7 @@
 //! Failures as the user sees them: text, code, help, exit code.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use locomotion::range::OutOfRange;
 use miette::Diagnostic;
@@ -10,8 +10,10 @@ use motion::run::RunError;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
+use crate::campaign::CampaignError;
+use crate::campaign::verify::Finding;
 use crate::cli::configured;
-use crate::cli::doctor::{self, Finding};
+use crate::cli::doctor::{self, Finding as Sickness};
 use crate::cli::stops::{self, Delivery, Told};
 use crate::decimal;
 use crate::error::ClientError;
@@ -19,6 +21,7 @@ use crate::experiment::ExperimentError;
 use crate::identity;
 use crate::link::OpenError;
 use crate::report::ReportError;
+use crate::report::campaign::CampaignReportError;
 use crate::report::figures::FigureError;
 use crate::trial::{RecordError, Status};
 use crate::wording;
@@ -63,10 +66,40 @@ pub enum Failure {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Record(#[from] RecordError),
+    /// A campaign cannot be used.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Campaign(#[from] CampaignError),
+    /// The operator left a campaign.
+    #[error("left; everything that was entered is in {}", folder.display())]
+    #[diagnostic(
+        code(retrograde::left),
+        help("`retrograde campaign resume {}` goes on", folder.display())
+    )]
+    Left {
+        /// Its folder.
+        folder: PathBuf,
+    },
+    /// A folder is not as it was written.
+    #[error("{}", changed(folder, findings))]
+    #[diagnostic(
+        code(retrograde::changed),
+        help("each finding above has its remedy; what was changed is no record any more")
+    )]
+    Changed {
+        /// The folder.
+        folder: PathBuf,
+        /// What is wrong with it.
+        findings: Vec<Finding>,
+    },
     /// The report could not be written.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Report(#[from] ReportError),
+    /// The report of a campaign could not be written.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    CampaignReport(#[from] CampaignReportError),
     /// A figure could not be drawn.
     #[error(transparent)]
     #[diagnostic(code(retrograde::figure))]
@@ -229,7 +262,7 @@ pub enum Failure {
     #[diagnostic(code(retrograde::doctor), help("each finding above has its remedy"))]
     Sick {
         /// All findings.
-        findings: Vec<Finding>,
+        findings: Vec<Sickness>,
     },
     /// The image could not be flashed.
     #[error("{why}")]
@@ -289,6 +322,19 @@ fn way_out(error: &RunError) -> String {
         } => format!("`--duration-s {}`; ", decimal::write(minimal_total_us, 6)),
         _ => String::new(),
     }
+}
+
+fn changed(folder: &Path, findings: &[Finding]) -> String {
+    let first = findings.first().map(ToString::to_string);
+    let more = match findings.len() {
+        0 | 1 => String::new(),
+        count => format!(", and {} more findings", count - 1),
+    };
+    format!(
+        "{} is not as it was written: {}{more}",
+        folder.display(),
+        first.unwrap_or_default()
+    )
 }
 
 fn aftermath(changed: &[String]) -> String {
@@ -356,15 +402,21 @@ impl Failure {
                 }
             }
             Self::Sick { findings } => {
-                let codes = findings.iter().map(Finding::exit_code);
+                let codes = findings.iter().map(Sickness::exit_code);
                 // A place without a machine outweighs what a machine says.
                 codes.filter(|code| *code != DONE).min().unwrap_or(FAILED)
             }
-            Self::Input { .. } | Self::Range(_) => USAGE,
+            Self::Campaign(CampaignError { misuse: true, .. })
+            | Self::Input { .. }
+            | Self::Range(_) => USAGE,
+            Self::Left { .. } => STOPPED,
             Self::Run(_) | Self::Axis(_) | Self::Refused { .. } => REFUSED,
-            Self::Experiment(ExperimentError::Record(_))
+            Self::Experiment(ExperimentError::Record(_) | ExperimentError::Unrecorded { .. })
             | Self::Record(_)
+            | Self::Campaign(_)
+            | Self::Changed { .. }
             | Self::Report(_)
+            | Self::CampaignReport(_)
             | Self::Figure(_)
             | Self::File { .. }
             | Self::Output { .. }
@@ -387,8 +439,11 @@ impl Failure {
         if let Self::Stops { told } = self {
             value["machines"] = told.iter().map(Told::json).collect();
         }
+        if let Self::Changed { findings, .. } = self {
+            value["findings"] = json!(findings);
+        }
         if let Self::Sick { findings } = self {
-            value["findings"] = findings.iter().map(Finding::json).collect();
+            value["findings"] = findings.iter().map(Sickness::json).collect();
         }
         value
     }

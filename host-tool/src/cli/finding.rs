@@ -10,7 +10,7 @@ use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::windows;
 use crate::client::Device;
-use crate::connector::{Candidate, Connector};
+use crate::connector::{Candidate, Connector, Purpose};
 use crate::error::ClientError;
 use crate::identity;
 use crate::link::LinkError;
@@ -112,7 +112,7 @@ impl Finder<'_> {
         loop {
             attempt += 1;
             let baud = self.cli.baud;
-            let link = self.connector.open_to_stop(kind, address, baud)?;
+            let link = self.connector.open(kind, address, baud, Purpose::Stop)?;
             let mut device = Device::new(link);
             match device.urgent(urgent) {
                 Ok(()) => return Ok(device.place()),
@@ -176,6 +176,7 @@ impl Finder<'_> {
             kind,
             address,
             self.cli.baud,
+            Purpose::Work,
         )?))
     }
 

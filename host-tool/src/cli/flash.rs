@@ -69,7 +69,7 @@ pub(crate) fn flash(
             "bytes": image.bytes,
             "fingerprint": format!("{:08x}", image.fingerprint),
             "dry_run": dry_run,
-            "identity": identity.map(IdentityRecord::from),
+            "identity": identity.map(|identity| IdentityRecord::new(identity, "")),
         })
     };
     if args.dry_run {

@@ -9,22 +9,19 @@ use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
 use serde_json::{Map, Value, json};
 
 use crate::cli::already;
-use crate::cli::args::{DATA_FOLDER, RecordArgs, RunArgs, Which};
+use crate::cli::args::{RecordArgs, Which};
 use crate::cli::configured;
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, line};
 use crate::cli::fresh;
-use crate::cli::keyboard::{self, SingleKeys};
 use crate::cli::screen::Screen;
 use crate::cli::study::TraceFile;
 use crate::client::matches;
-use crate::commission::warning;
 use crate::decimal;
 use crate::error::ClientError;
 use crate::experiment;
 use crate::identity::{self, IdentityRecord};
-use crate::plan;
-use crate::report;
+use crate::report::section::actuation_rows;
 use crate::trial::{Recording, Status};
 
 pub(crate) fn devices(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
@@ -48,7 +45,7 @@ pub(crate) fn devices(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Va
             json!({
                 "address": found.candidate.address.to_string(),
                 "description": found.candidate.description,
-                "identity": found.answer.as_ref().ok().map(IdentityRecord::from),
+                "identity": found.answer.as_ref().ok().map(|identity| IdentityRecord::new(identity, &found.candidate.address.to_string())),
                 "error": found.answer.as_ref().err().map(ToString::to_string),
             })
         })
@@ -117,7 +114,7 @@ pub(crate) fn info(
             identity::kind_name(kind).to_owned(),
             json!({
                 "place": device.place(),
-                "identity": IdentityRecord::from(&identity),
+                "identity": IdentityRecord::new(&identity, &device.place()),
                 "last_words": last_words,
                 "status": status,
                 "chip": chip,
@@ -204,55 +201,6 @@ pub fn homed_text(homed: &crate::client::Homed) -> String {
     )
 }
 
-pub(crate) fn run(
-    args: &RunArgs,
-    finder: &Finder<'_>,
-    screen: &mut Screen<'_>,
-) -> Result<Value, Failure> {
-    let request = args.waves.request(args.on_link_loss);
-    plan::check(&request)?;
-    let mut rig = finder.connect(DeviceKind::Rig)?;
-    fresh::prepare(DeviceKind::Rig, &mut rig, finder, screen)?;
-    let folders = [args.record.out.clone(), DATA_FOLDER.into()];
-    if let Some(warning) = warning::of_record(&mut rig, &folders)? {
-        screen.hint(&format!("warning: {warning}"));
-    }
-    // The terminal is restored on every way out of here.
-    let mut single = None;
-    if let Some(keyboard) = screen.keyboard.take() {
-        if screen.single_keys {
-            single = SingleKeys::begin();
-        }
-        screen.hint(keyboard::hint(single.is_some()));
-        rig.set_pacer(keyboard::pacer(keyboard, single.is_some()));
-    }
-    let recording = recording(&args.record, "run", finder);
-    let trial = experiment::run(&mut rig, request, &recording, &mut screen.live())?;
-    drop(single);
-    screen.say(&format!(
-        "{} of {} strokes in {} s, {} steps commanded, {} counted, residual {} steps.\n  {}\n  {}",
-        trial.record.strokes,
-        u32::from(request.cycles) * 2,
-        decimal::seconds(trial.record.ticks),
-        trial.record.commanded_edges,
-        trial.record.counted_edges,
-        trial.record.worst_residual_steps,
-        trial.csv.display(),
-        trial.sidecar.display(),
-    ));
-    let help = format!(
-        "the data is in {}; `retrograde info` shows where the rig is; a new run has to start at 0: `retrograde home`",
-        trial.sidecar.display()
-    );
-    completed(
-        "the run",
-        trial.trial.status,
-        trial.trial.error.as_ref(),
-        help,
-    )?;
-    Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
-}
-
 pub(crate) fn actuate(
     kind: ActuationKind,
     args: &RecordArgs,
@@ -306,7 +254,7 @@ pub(crate) fn actuate(
             return Err(error.into());
         }
     };
-    for (name, value) in report::actuation_rows(kind, &trial.record) {
+    for (name, value) in actuation_rows(kind, &trial.record) {
         screen.say(&format!("  {name}: {value}"));
     }
     screen.say(&format!(

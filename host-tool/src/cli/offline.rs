@@ -2,18 +2,22 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use clap::CommandFactory;
 use motion::axis::{Axis, MAX_STROKE};
 use serde_json::{Value, json};
 
-use crate::cli::args::{Cli, OnLinkLoss, PlanArgs, ReportArgs};
+use crate::campaign::folder::{ORDER, PLAN};
+use crate::catalogue::{self, Wanted};
+use crate::cli::args::{
+    CAMPAIGNS_FOLDER, Cli, DATA_FOLDER, ListArgs, OnLinkLoss, PlanArgs, ReportArgs,
+};
 use crate::cli::failure::Failure;
 use crate::cli::screen::Screen;
 use crate::decimal;
 use crate::plan::{self, REFERENCE_LIMITS, Summary};
-use crate::report::{self, figures};
+use crate::report::{self, Existing, campaign, figures};
 
 pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let run = args.waves.request(OnLinkLoss::Stop);
@@ -100,14 +104,123 @@ fingerprint:   {}",
 }
 
 pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let sidecars = report::sidecars(&args.trials)?;
-    report::write(&sidecars, &[], &args.out)?;
+    let existing = if args.force {
+        Existing::Replace
+    } else {
+        Existing::Keep
+    };
+    if let Some(folder) = args.trials.iter().find(|path| is_campaign(path)) {
+        return report_campaign(folder, args, existing, screen);
+    }
+    let out = args.out.clone().unwrap_or_else(|| "report.html".into());
+    let found = report::find(&args.trials)?;
+    let report = report::write(&found, &[], &out, existing)?;
     screen.say(&format!(
         "{} trials in {}",
-        sidecars.len(),
-        args.out.display()
+        found.sidecars.len(),
+        out.display()
     ));
-    Ok(json!({ "trials": sidecars, "report": args.out }))
+    for damaged in &report.damaged {
+        screen.hint(&format!("damaged: {}", damaged.sidecar.display()));
+        for defect in &damaged.defects {
+            screen.hint(&format!("  {defect}"));
+        }
+    }
+    for left in &found.left_out {
+        screen.hint(&left.to_string());
+    }
+    Ok(json!({
+        "trials": found.sidecars,
+        "report": out,
+        "damaged": report.damaged,
+        "left_out": found.left_out,
+    }))
+}
+
+pub(crate) fn list(args: &ListArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let mut folders = args.folders.clone();
+    if folders.is_empty() {
+        let usual = [CAMPAIGNS_FOLDER, DATA_FOLDER].map(PathBuf::from);
+        folders = usual.into_iter().filter(|folder| folder.is_dir()).collect();
+    } else if let Some(missing) = folders.iter().find(|folder| !folder.is_dir()) {
+        return Err(Failure::Input {
+            why: format!("{} is no folder", missing.display()),
+            help: "name folders of records or campaigns: `retrograde list DIR`".to_owned(),
+        });
+    }
+    let wanted = Wanted {
+        since: args.since,
+        until: args.until,
+        specimen: args.specimen.clone(),
+        outcome: args.outcome.clone(),
+    };
+    let catalogue = catalogue::list(&folders, args.trials, &wanted);
+    if catalogue.entries.is_empty() {
+        let places: Vec<_> = folders
+            .iter()
+            .map(|folder| folder.display().to_string())
+            .collect();
+        screen.say(&match places.as_slice() {
+            [] => format!("There is neither {CAMPAIGNS_FOLDER} nor {DATA_FOLDER} here: `retrograde list DIR` looks elsewhere."),
+            places => format!("Nothing of this kind in {}.", places.join(", ")),
+        });
+    }
+    for entry in &catalogue.entries {
+        let started = entry.started_utc.map_or_else(
+            || "not begun       ".to_owned(),
+            |time| time.strftime("%Y-%m-%d %H:%M").to_string(),
+        );
+        let specimen = entry.specimen.as_deref().map(|text| format!("; {text}"));
+        screen.say(&format!(
+            "{started}  {:<9}  {:<7}  {}{}\n    {}",
+            entry.outcome,
+            entry.origin.name(),
+            entry.what,
+            specimen.unwrap_or_default(),
+            entry.path.display()
+        ));
+    }
+    for why in &catalogue.unreadable {
+        screen.hint(&format!("unreadable: {why}"));
+    }
+    Ok(json!(catalogue))
+}
+
+/// The plan alone makes no campaign: people keep plans in any folder.
+fn is_campaign(path: &Path) -> bool {
+    path.join(PLAN).is_file() && path.join(ORDER).is_file()
+}
+
+fn report_campaign(
+    folder: &Path,
+    args: &ReportArgs,
+    existing: Existing,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    if args.trials.len() > 1 || args.out.is_some() {
+        return Err(Failure::Input {
+            why: format!(
+                "{} is a campaign: its report is of it alone, and goes to its folder `report`",
+                folder.display()
+            ),
+            help: format!("`retrograde report {}`", folder.display()),
+        });
+    }
+    let written = campaign::write(folder, existing)?;
+    screen.say(&format!(
+        "{} of {} trials count; origin {}",
+        written.counted, written.planned, written.origin
+    ));
+    for file in &written.files {
+        screen.say(&format!("  {}", file.display()));
+    }
+    for finding in &written.findings {
+        screen.hint(&format!("not as it was written: {finding}"));
+    }
+    for (trial, why) in &written.left_out {
+        screen.hint(&format!("trial {trial} does not count: {why}"));
+    }
+    Ok(json!(written))
 }
 
 pub(crate) fn completions(

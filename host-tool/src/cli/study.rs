@@ -32,7 +32,12 @@ pub(crate) fn trace(
         screen.say("The capsule has not moved since its start: there is no recording.");
         return Ok(json!({ "actuation": null, "readings": 0, "csv": null }));
     }
-    let csv = trial::write_recorded(&args.out, finder.connector.now(), &recorded)?;
+    let csv = trial::write_recorded(
+        &args.out,
+        finder.connector.now(),
+        &recorded,
+        capsule.origin(),
+    )?;
     screen.say(&format!(
         "Actuation {}, its last {} ms.\n  {}",
         recorded.actuation,
@@ -89,7 +94,7 @@ impl TraceFile {
                 return Err(failure);
             }
         };
-        force::write(self.file, &recorded.points, no_load_ma)
+        force::write(self.file, &recorded.points, no_load_ma, capsule.origin())
             .map_err(|error| RecordError::write(&self.path, error))?;
         Ok((self.path, recorded.points.len()))
     }
@@ -204,7 +209,12 @@ fn motion(
     completed(action, trial.trial.status, trial.trial.error.as_ref(), help)?;
     let (recorded, _) = fetch(capsule, &trial.record)?;
     Ok(Motion {
-        csv: trial::write_recorded(&args.out, finder.connector.now(), &recorded)?,
+        csv: trial::write_recorded(
+            &args.out,
+            finder.connector.now(),
+            &recorded,
+            capsule.origin(),
+        )?,
         recorded,
         sidecar: trial.sidecar,
     })
@@ -238,7 +248,12 @@ pub(crate) fn cycle(
     let mut capsule = finder.connect(DeviceKind::Capsule)?;
     fresh::prepare(DeviceKind::Capsule, &mut capsule, finder, screen)?;
     begin_unfolded("an endurance run", &mut capsule)?;
-    let mut run = Run::create(&args.out, finder.connector.now(), args.pairs)?;
+    let mut run = Run::create(
+        &args.out,
+        finder.connector.now(),
+        args.pairs,
+        capsule.origin(),
+    )?;
     let (csv, summary) = (run.csv.clone(), run.summary.clone());
     screen.say(&format!(
         "{} folds and unfoldings. Ctrl-C ends them with a controlled stop.\n  {}\n  {}",
@@ -253,15 +268,15 @@ pub(crate) fn cycle(
             // A line for each of the first ten, then one for each tenth.
             if pair.pair <= 10 || pair.pair.is_multiple_of(10) || pair.pair == args.pairs {
                 screen.say(&format!(
-                    "  {} of {}: folded at {} mm in {} s with {} J, unfolded at {} mm in {} s with {} J",
+                    "  {} of {}: folded at {} mm in {} s with {} mJ, unfolded at {} mm in {} s with {} mJ",
                     pair.pair,
                     args.pairs,
                     decimal::fixed(pair.folded_um.into(), 3),
                     decimal::fixed(pair.fold_ms.into(), 3),
-                    decimal::fixed(pair.fold_mj.into(), 3),
+                    pair.fold_mj,
                     decimal::fixed(pair.unfolded_um.into(), 3),
                     decimal::fixed(pair.unfold_ms.into(), 3),
-                    decimal::fixed(pair.unfold_mj.into(), 3),
+                    pair.unfold_mj,
                 ));
             }
         },

@@ -1,6 +1,6 @@
 //! What a command may do when another process owns the line.
 
-use crate::cli::args::{CapsuleSubcommand, SettingsSubcommand, Subcommand};
+use crate::cli::args::{CampaignSubcommand, CapsuleSubcommand, SettingsSubcommand, Subcommand};
 use crate::client::Device;
 use crate::error::ClientError;
 
@@ -35,6 +35,13 @@ pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
         Subcommand::Home => "home",
         Subcommand::Run(_) => "run",
         Subcommand::Commission(_) => "commission",
+        Subcommand::Campaign { subcommand } => match subcommand {
+            CampaignSubcommand::Run(_) => "campaign run",
+            CampaignSubcommand::Resume(_) => "campaign resume",
+            CampaignSubcommand::New(_)
+            | CampaignSubcommand::Status(_)
+            | CampaignSubcommand::Edit(_) => return None,
+        },
         Subcommand::Capsule { subcommand } => match subcommand {
             CapsuleSubcommand::Reference(_) => "capsule reference",
             CapsuleSubcommand::Calibrate(_) => "capsule calibrate",
@@ -71,7 +78,9 @@ pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
         | Subcommand::Plan(_)
         | Subcommand::Design(_)
         | Subcommand::Simulate(_)
+        | Subcommand::List(_)
         | Subcommand::Report(_)
+        | Subcommand::Verify(_)
         | Subcommand::Flash(_)
         | Subcommand::Completions { .. }
         | Subcommand::Man { .. } => return None,

@@ -16,7 +16,7 @@ use serde_json::{Map, Value};
 use crate::client::Device;
 use crate::diagnosis::Sign;
 use crate::error::ClientError;
-use crate::identity::{IdentityRecord, kind_name};
+use crate::identity::{IdentityRecord, Origin, kind_name};
 use crate::limited;
 use crate::trial::{RecordError, json};
 use crate::writer::replace;
@@ -43,6 +43,8 @@ pub struct Subject {
     pub machine: DeviceKind,
     /// Unique number of its board.
     pub uid: String,
+    /// Whether it is a real machine.
+    pub origin: Origin,
     /// Fingerprint of the rig's image, 8 hex digits; of the capsule, which has none, the commit.
     pub image: String,
     /// Commit of the image.
@@ -67,6 +69,7 @@ impl Subject {
             });
         };
         let mut subject = Self::of_identity(&identity);
+        subject.origin = device.origin();
         if identity.device == DeviceKind::Rig {
             let hash = device.call(GetRigHealth)?.image_hash;
             subject.image = format!("{hash:08x}");
@@ -79,10 +82,11 @@ impl Subject {
     }
 
     pub(super) fn of_identity(identity: &Identity) -> Self {
-        let known = IdentityRecord::from(identity);
+        let known = IdentityRecord::new(identity, "");
         Self {
             machine: identity.device,
             uid: known.uid,
+            origin: known.origin,
             image: known.firmware.clone(),
             firmware: known.firmware,
             protocol: known.protocol,
@@ -139,6 +143,9 @@ pub struct Commissioning {
     pub machine: String,
     /// Unique number of the board, 24 hex digits.
     pub board_uid: String,
+    /// Whether it is a real machine.
+    #[serde(default)]
+    pub origin: Origin,
     /// Name and version of the host tool that wrote it last.
     pub tool: String,
     /// The image at the last session, as in [`Subject::image`].
@@ -178,6 +185,7 @@ impl Commissioning {
             format: FORMAT,
             machine: kind_name(subject.machine).to_owned(),
             board_uid: subject.uid.clone(),
+            origin: subject.origin,
             tool: concat!("retrograde ", env!("CARGO_PKG_VERSION")).to_owned(),
             image: subject.image.clone(),
             firmware: subject.firmware.clone(),

@@ -79,7 +79,7 @@ impl Doorway {
         ))
     }
 
-    fn new(folder: PathBuf, line: &str, place: String) -> Self {
+    pub(crate) fn new(folder: PathBuf, line: &str, place: String) -> Self {
         // FNV-1a: the same in every build, and short, for the path of a socket has 107 bytes at most.
         let hash = line.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
             (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3)
@@ -149,6 +149,15 @@ impl Doorway {
         self.plate().map(|plate| plate.owner)
     }
 
+    /// The owner listens, as far as can be seen from outside: between its name and its door it sets up, or it leaves.
+    pub(crate) fn is_open(&self) -> bool {
+        if cfg!(unix) {
+            self.file("door").exists()
+        } else {
+            self.plate().is_some_and(|plate| plate.port.is_some())
+        }
+    }
+
     pub(crate) fn connect(&self, plate: &Plate) -> io::Result<Stream> {
         Stream::connect(&self.file("door"), plate.port)
     }
@@ -188,6 +197,8 @@ impl Lock {
 
     /// Says who has the line before its door is open.
     pub(crate) fn announce(&self) -> Result<(), OpenError> {
+        // The door of an owner that was killed leads nowhere.
+        let _ = fs::remove_file(self.doorway.file("door"));
         self.put_up(None).map(|_| ())
     }
 

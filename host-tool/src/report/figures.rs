@@ -1,17 +1,31 @@
-//! Figures of a trial as SVG: measured values over planned ones.
+//! Figures as SVG: each has a title, and says in words and in its description where its values come from.
+//!
+//! A chart is drawn so large that its letters are 12 px high on a telephone 390 px wide, and two fit beside each other on a
+//! desk.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use protocol::rig::{Run, Stroke};
 
+use crate::identity::Origin;
 use crate::trial::{Achieved, CapsuleSample, RigSample, Screw};
 
 /// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large and
 /// displayed small.
-const SIZE: (u32, u32) = (1_760, 640);
-const MEASURED: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
-const PLANNED: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
+const SIZE: (u32, u32) = (1_200, 760);
+/// Height of the title and of the line below it.
+const HEAD: u32 = 116;
+/// Height of letters to the drawing library, which writes 1 / 1.24 of it: a telephone shows the 1,200 units on 358 px.
+const LETTERS: i32 = 50;
+/// Mean width of a letter.
+const LETTER_WIDTH: i32 = 22;
+pub(crate) const MEASURED: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
+pub(crate) const PLANNED: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
 const INK: RGBColor = RGBColor(0x33, 0x33, 0x33);
+const WARNING: RGBColor = RGBColor(0xb0, 0x1c, 0x1c);
+
+/// Opacity of an area.
+const PALE: f64 = 0.16;
 
 /// Points of the planned profile per ramp.
 const RAMP_POINTS: u32 = 24;
@@ -21,6 +35,55 @@ const RAMP_POINTS: u32 = 24;
 #[error("a figure could not be drawn: {0}")]
 pub struct FigureError(String);
 
+/// Where a figure's values come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// From records of this origin.
+    Records(Origin),
+    /// Calculated by a model.
+    Model,
+    /// Calculated: what a rig is to do.
+    Plan,
+}
+
+impl Source {
+    /// For people, in the figure.
+    #[must_use]
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Records(origin) => origin.meaning(),
+            Self::Model => "model: calculated, not a measurement",
+            Self::Plan => "plan: calculated, not a measurement",
+        }
+    }
+
+    const fn colour(self) -> RGBColor {
+        match self {
+            Self::Records(Origin::Virtual | Origin::Unknown) => WARNING,
+            Self::Records(Origin::Board) | Self::Model | Self::Plan => INK,
+        }
+    }
+}
+
+/// What a figure says of itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Heading {
+    /// Its title.
+    pub title: String,
+    /// Where its values come from.
+    pub source: Source,
+}
+
+impl Heading {
+    /// Of a figure with this title.
+    pub fn new(title: impl Into<String>, source: Source) -> Self {
+        Self {
+            title: title.into(),
+            source,
+        }
+    }
+}
+
 /// How a curve is drawn.
 #[derive(Clone, Copy)]
 pub(crate) enum Mark {
@@ -28,6 +91,10 @@ pub(crate) enum Mark {
     Line(u32),
     /// Dots of this radius.
     Dots(i32),
+    /// Each two points are the ends of a line of this width.
+    Segments(u32),
+    /// The points go round a pale area.
+    Area,
 }
 
 /// One curve. Without a label it has no entry in the legend.
@@ -79,6 +146,71 @@ pub fn planned(screw: &Screw, run: &Run, achieved: &Achieved) -> Planned {
     planned
 }
 
+/// The exact position of a plan so many seconds after the run's start, mm.
+#[must_use]
+pub fn position_at(screw: &Screw, run: &Run, achieved: &Achieved, time_s: f64) -> f64 {
+    let seconds = |ticks: u64| ticks as f64 * 1e-8;
+    let (far, home) = (
+        f64::from(run.far_dwell_us) * 1e-6,
+        f64::from(run.home_dwell_us) * 1e-6,
+    );
+    let mut start = f64::from(run.start_delay_us) * 1e-6;
+    for cycle in 0..run.cycles {
+        if time_s < start + seconds(achieved.forward.duration_ticks) + far {
+            return way(screw, &achieved.forward, time_s - start);
+        }
+        start += seconds(achieved.forward.duration_ticks) + far;
+        if cycle + 1 == run.cycles {
+            start = seconds(achieved.total_ticks) - seconds(achieved.back.duration_ticks);
+        }
+        if time_s < start + seconds(achieved.back.duration_ticks) + home {
+            let length = screw.mm(f64::from(achieved.back.steps));
+            return length - way(screw, &achieved.back, time_s - start);
+        }
+        start += seconds(achieved.back.duration_ticks) + home;
+    }
+    0.0
+}
+
+/// The way since the beginning of a stroke, mm: rest before it and after it.
+fn way(screw: &Screw, stroke: &Stroke, time_s: f64) -> f64 {
+    let (t, r) = (
+        stroke.duration_ticks as f64 * 1e-8,
+        stroke.ramp_ticks as f64 * 1e-8,
+    );
+    let length = screw.mm(f64::from(stroke.steps));
+    let speed = length / (t - r);
+    match time_s {
+        time if time <= 0.0 => 0.0,
+        time if time >= t => length,
+        time if time < r => speed / r * time * time / 2.0,
+        time if time <= t - r => speed * (time - r / 2.0),
+        time => length - speed / r * (t - time) * (t - time) / 2.0,
+    }
+}
+
+/// Of each of so many stretches of time the points with the least and the greatest value: a curve of them looks the same.
+pub(crate) fn thinned(points: &[(f64, f64)], stretches: usize) -> Vec<(f64, f64)> {
+    if points.len() <= stretches * 2 {
+        return points.to_vec();
+    }
+    let mut thin = vec![];
+    for part in points.chunks(points.len().div_ceil(stretches)) {
+        let of = |worse: fn(&f64, &f64) -> bool| {
+            let better = |a: usize, b: usize| if worse(&part[a].1, &part[b].1) { b } else { a };
+            (0..part.len()).reduce(better)
+        };
+        let (Some(least), Some(most)) = (of(|a, b| b < a), of(|a, b| b > a)) else {
+            continue;
+        };
+        thin.push(part[least.min(most)]);
+        if least != most {
+            thin.push(part[least.max(most)]);
+        }
+    }
+    thin
+}
+
 fn stroke(planned: &mut Planned, screw: &Screw, stroke: &Stroke, start: f64, back: bool) {
     let steps = f64::from(stroke.steps);
     let (t, r) = (
@@ -116,10 +248,13 @@ fn stroke(planned: &mut Planned, screw: &Screw, stroke: &Stroke, start: f64, bac
 /// # Errors
 /// If the drawing library fails.
 pub fn run_figures(
+    name: &str,
+    origin: Origin,
     planned: Planned,
     samples: &[RigSample],
     start_us: u64,
 ) -> Result<[String; 2], FigureError> {
+    let heading = |what| Heading::new(format!("{name}: {what}"), Source::Records(origin));
     let number = |text: &str| text.parse::<f64>().unwrap_or(f64::NAN);
     let measured = |value: &dyn Fn(&RigSample) -> f64| {
         samples
@@ -129,17 +264,19 @@ pub fn run_figures(
     };
     Ok([
         over_time(
+            &heading("position"),
             "position / mm",
             vec![
                 plan_curve(planned.position),
-                measured_curve(measured(&|sample| number(&sample.position_mm))),
+                measured_curve(origin, measured(&|sample| number(&sample.position_mm))),
             ],
         )?,
         over_time(
+            &heading("velocity"),
             "velocity / (mm/s)",
             vec![
                 plan_curve(planned.velocity),
-                measured_curve(measured(&|sample| number(&sample.speed_mm_s))),
+                measured_curve(origin, measured(&|sample| number(&sample.speed_mm_s))),
             ],
         )?,
     ])
@@ -150,11 +287,15 @@ pub fn run_figures(
 /// # Errors
 /// If the drawing library fails.
 pub fn actuation_figures(
+    name: &str,
+    origin: Origin,
     samples: &[CapsuleSample],
     start_us: u64,
 ) -> Result<[String; 2], FigureError> {
+    let heading = |what| Heading::new(format!("{name}: {what}"), Source::Records(origin));
     let curve = |value: &dyn Fn(&CapsuleSample) -> f64| {
         measured_curve(
+            origin,
             samples
                 .iter()
                 .map(|sample| (since(start_us, sample.time_us), value(sample)))
@@ -163,10 +304,12 @@ pub fn actuation_figures(
     };
     Ok([
         over_time(
+            &heading("thread"),
             "thread wound / mm",
             vec![curve(&|sample| f64::from(sample.thread_um) / 1e3)],
         )?,
         over_time(
+            &heading("motor current"),
             "motor current / mA",
             vec![curve(&|sample| f64::from(sample.current_ma))],
         )?,
@@ -178,7 +321,11 @@ pub fn actuation_figures(
 /// # Errors
 /// If the drawing library fails.
 pub fn plan_figure(planned: Planned) -> Result<String, FigureError> {
-    over_time("position / mm", vec![plan_curve(planned.position)])
+    over_time(
+        &Heading::new("Planned position", Source::Plan),
+        "position / mm",
+        vec![plan_curve(planned.position)],
+    )
 }
 
 fn plan_curve(points: Vec<(f64, f64)>) -> Curve {
@@ -190,9 +337,18 @@ fn plan_curve(points: Vec<(f64, f64)>) -> Curve {
     }
 }
 
-fn measured_curve(points: Vec<(f64, f64)>) -> Curve {
+/// What a machine's samples are: what a simulated one sends was not measured.
+pub(crate) const fn sampled(origin: Origin) -> &'static str {
+    match origin {
+        Origin::Board => "measured",
+        Origin::Unknown => "recorded",
+        Origin::Virtual => "simulated",
+    }
+}
+
+fn measured_curve(origin: Origin, points: Vec<(f64, f64)>) -> Curve {
     Curve {
-        label: "measured".to_owned(),
+        label: sampled(origin).to_owned(),
         colour: MEASURED,
         mark: Mark::Line(3),
         points,
@@ -205,30 +361,66 @@ fn since(start_us: u64, time_us: u64) -> f64 {
     us as f64 * 1e-6
 }
 
-fn over_time(y_label: &str, curves: Vec<Curve>) -> Result<String, FigureError> {
-    figure(vec![Chart {
+fn over_time(heading: &Heading, y_label: &str, curves: Vec<Curve>) -> Result<String, FigureError> {
+    let chart = Chart {
         x_label: "time / s",
         y_label: y_label.to_owned(),
         y_from_zero: false,
         curves,
-    }])
+    };
+    figure(heading, vec![chart])
 }
 
 /// Charts one below the other, as one SVG.
 ///
 /// # Errors
 /// If the drawing library fails.
-pub(crate) fn figure(charts: Vec<Chart>) -> Result<String, FigureError> {
+pub(crate) fn figure(heading: &Heading, charts: Vec<Chart>) -> Result<String, FigureError> {
     let mut svg = String::new();
-    draw(&mut svg, charts).map_err(|error| FigureError(error.to_string()))?;
-    Ok(svg)
+    draw(&mut svg, heading, charts).map_err(|error| FigureError(error.to_string()))?;
+    described(&svg, heading).ok_or_else(|| FigureError("the drawing is no SVG".to_owned()))
 }
 
-fn draw(svg: &mut String, charts: Vec<Chart>) -> Result<(), Box<dyn std::error::Error>> {
+/// With title and description for those who hear it, and for whoever gets the file alone.
+fn described(svg: &str, heading: &Heading) -> Option<String> {
+    let body = svg.find("<svg")?;
+    let (opening, rest) = svg[body..].split_once('>')?;
+    let title = escaped(&heading.title);
+    let source = escaped(heading.source.text());
+    Some(format!(
+        "{opening} role=\"img\">\n<title>{title}</title>\n<desc>Origin: {source}</desc>{rest}"
+    ))
+}
+
+/// Text between tags.
+pub(crate) fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+}
+
+fn draw(
+    svg: &mut String,
+    heading: &Heading,
+    charts: Vec<Chart>,
+) -> Result<(), Box<dyn std::error::Error>> {
     let (width, height) = SIZE;
-    let size = (width, height * charts.len() as u32);
+    let size = (width, HEAD + height * charts.len() as u32);
     let root = SVGBackend::with_string(svg, size).into_drawing_area();
-    let areas = root.split_evenly((charts.len(), 1));
+    let (head, body) = root.split_vertically(HEAD);
+    let line = |size: i32, colour: &RGBColor| {
+        let style = ("sans-serif", size).into_font().color(colour);
+        style.pos(Pos::new(HPos::Left, VPos::Center))
+    };
+    head.draw(&Text::new(
+        heading.title.clone(),
+        (24, 34),
+        line(LETTERS + 4, &INK),
+    ))?;
+    let source = heading.source.text();
+    let colour = heading.source.colour();
+    head.draw(&Text::new(source, (24, 88), line(LETTERS - 4, &colour)))?;
+    let areas = body.split_evenly((charts.len(), 1));
     for (chart, area) in charts.into_iter().zip(&areas) {
         draw_chart(area, chart)?;
     }
@@ -246,7 +438,10 @@ fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::E
         curves,
     } = chart;
     let all = || curves.iter().flat_map(|curve| &curve.points);
-    let (x_low, x_high) = span(all().map(|point| point.0), 0.0);
+    // Dots and bars at the ends need room beside them.
+    let wide = |curve: &Curve| matches!(curve.mark, Mark::Dots(_) | Mark::Segments(_));
+    let x_margin = if curves.iter().any(wide) { 0.03 } else { 0.0 };
+    let (x_low, x_high) = span(all().map(|point| point.0), x_margin);
     let zero = y_from_zero.then_some(0.0);
     let (y_low, y_high) = span(all().map(|point| point.1).chain(zero), 0.06);
     let legend = Legend::of(&curves);
@@ -254,17 +449,19 @@ fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::E
     let mut chart = ChartBuilder::on(root)
         .margin(16)
         .margin_top(legend.height())
-        .margin_right(40)
-        .x_label_area_size(84)
-        .y_label_area_size(124)
+        .margin_right(44)
+        .x_label_area_size(124)
+        .y_label_area_size(176)
         .build_cartesian_2d(x_low..x_high, y_low..y_high)?;
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
         .bold_line_style(INK.mix(0.12).stroke_width(2))
         .axis_style(INK.stroke_width(2))
-        .label_style(text(27))
-        .axis_desc_style(text(30))
+        .x_labels(8)
+        .y_labels(7)
+        .label_style(text(LETTERS - 2))
+        .axis_desc_style(text(LETTERS))
         .x_label_formatter(&|value| tick_label(*value))
         .y_label_formatter(&|value| tick_label(*value))
         .x_desc(x_label)
@@ -283,16 +480,20 @@ fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::E
             let (x, y) = legend.place(entry);
             entry += 1;
             match mark {
-                Mark::Line(width) => root.draw(&PathElement::new(
-                    [(x, y), (x + 48, y)],
+                Mark::Line(width) | Mark::Segments(width) => root.draw(&PathElement::new(
+                    [(x, y), (x + 60, y)],
                     colour.stroke_width(width),
                 ))?,
+                Mark::Area => root.draw(&Rectangle::new(
+                    [(x, y - 14), (x + 60, y + 14)],
+                    colour.mix(PALE).filled(),
+                ))?,
                 Mark::Dots(radius) => {
-                    root.draw(&Circle::new((x + 24, y), radius, colour.filled()))?;
+                    root.draw(&Circle::new((x + 30, y), radius, colour.filled()))?;
                 }
             }
-            let anchored = text(27).pos(Pos::new(HPos::Left, VPos::Center));
-            root.draw(&Text::new(label, (x + 60, y), anchored))?;
+            let anchored = text(LETTERS - 2).pos(Pos::new(HPos::Left, VPos::Center));
+            root.draw(&Text::new(label, (x + 76, y), anchored))?;
         }
         let finite = points
             .into_iter()
@@ -304,10 +505,23 @@ fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::E
             Mark::Dots(radius) => {
                 chart.draw_series(finite.map(|at| Circle::new(at, radius, colour.filled())))?;
             }
+            Mark::Segments(width) => {
+                let points: Vec<_> = finite.collect();
+                let segments = points.chunks_exact(2);
+                let style = colour.stroke_width(width);
+                chart.draw_series(segments.map(|ends| PathElement::new(ends.to_vec(), style)))?;
+            }
+            Mark::Area => {
+                let points: Vec<_> = finite.collect();
+                chart.draw_series([Polygon::new(points, colour.mix(PALE).filled())])?;
+            }
         }
     }
     Ok(())
 }
+
+/// Where the legend begins.
+const LEFT: i32 = 60;
 
 /// Layout of a legend: rows of entries above the plot.
 struct Legend {
@@ -317,17 +531,16 @@ struct Legend {
 }
 
 impl Legend {
-    const ROW: i32 = 40;
+    const ROW: i32 = 56;
 
     fn of(curves: &[Curve]) -> Self {
         let labels = || curves.iter().filter(|curve| !curve.label.is_empty());
         let longest = labels().map(|curve| curve.label.chars().count()).max();
-        // Letters of height 27 are about 14 wide.
-        let column = (90 + 14 * longest.unwrap_or(0) as i32).max(240);
+        let column = (110 + LETTER_WIDTH * longest.unwrap_or(0) as i32).max(300);
         Self {
             entries: labels().count(),
             column,
-            columns: usize::max(1, ((SIZE.0 as i32 - 150) / column) as usize),
+            columns: usize::max(1, ((SIZE.0 as i32 - LEFT) / column) as usize),
         }
     }
 
@@ -338,8 +551,8 @@ impl Legend {
     fn place(&self, entry: usize) -> (i32, i32) {
         let (row, column) = (entry / self.columns, entry % self.columns);
         (
-            150 + self.column * column as i32,
-            32 + Self::ROW * row as i32,
+            LEFT + self.column * column as i32,
+            30 + Self::ROW * row as i32,
         )
     }
 }
@@ -404,8 +617,62 @@ mod tests {
     }
 
     #[test]
+    fn the_position_of_a_plan_is_on_its_curve() {
+        let run = Run {
+            far_dwell_us: 300_000,
+            home_dwell_us: 200_000,
+            start_delay_us: 500_000,
+            ..PAPER_RUN
+        };
+        let plan = solve(&run, &Axis::REFERENCE, &REFERENCE_LIMITS).expect("feasible");
+        let summary = summary(&run, &Axis::REFERENCE, &plan);
+        let curve = planned(&summary.screw, &run, &summary.achieved).position;
+        for (time, position) in &curve {
+            let at = position_at(&summary.screw, &run, &summary.achieved, *time);
+            assert!((at - position).abs() < 1e-6, "{time}: {at} {position}");
+        }
+        for (pair, at) in curve
+            .windows(2)
+            .filter(|pair| pair[1].0 - pair[0].0 > 0.1)
+            .map(|pair| {
+                let middle = (pair[0].0 + pair[1].0) / 2.0;
+                (
+                    pair,
+                    position_at(&summary.screw, &run, &summary.achieved, middle),
+                )
+            })
+        {
+            let straight = (pair[0].1 + pair[1].1) / 2.0;
+            assert!((at - straight).abs() < 1e-6, "{pair:?}: {at}");
+        }
+        for time in [-1.0, 0.2, 41.0] {
+            let at = position_at(&summary.screw, &run, &summary.achieved, time);
+            assert_eq!(at, 0.0, "{time}");
+        }
+    }
+
+    #[test]
+    fn a_thinned_curve_keeps_its_extremes_and_its_order() {
+        let points: Vec<_> = (0..10_000)
+            .map(|index| (f64::from(index), (f64::from(index) / 37.0).sin()))
+            .chain([(10_000.0, 5.0), (10_001.0, -7.0)])
+            .collect();
+        let thin = thinned(&points, 200);
+        assert!(thin.len() <= 400 && thin.is_sorted_by(|a, b| a.0 < b.0));
+        for wanted in [5.0, -7.0] {
+            assert!(thin.iter().any(|point| point.1 == wanted), "{wanted}");
+        }
+        assert_eq!(thinned(&points[..300], 200), points[..300]);
+    }
+
+    #[test]
     fn a_figure_without_data_is_still_a_figure() {
-        let svg = over_time("y", vec![measured_curve(vec![(f64::NAN, 1.0)])]).expect("drawn");
+        let heading = Heading::new("a < b", Source::Records(Origin::Virtual));
+        let curve = measured_curve(Origin::Virtual, vec![(f64::NAN, 1.0)]);
+        let svg = over_time(&heading, "y", vec![curve]).expect("drawn");
         assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
+        assert!(svg.contains("<title>a &lt; b</title>"), "{svg}");
+        let said = svg.matches("virtual: simulated, not a measurement").count();
+        assert_eq!(said, 2, "in the description and in the picture: {svg}");
     }
 }

@@ -3,7 +3,7 @@
 
 use plotters::style::RGBColor;
 
-use crate::report::figures::{Chart, Curve, FigureError, Mark, figure};
+use crate::report::figures::{Chart, Curve, FigureError, Heading, Mark, Source, figure};
 use crate::science::design::{Curves, Maps};
 use crate::science::series::{FoldTest, IsolatedRow, RollerRow, TubeRow, TubeRun};
 
@@ -23,6 +23,11 @@ fn curve(label: &str, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> 
     }
 }
 
+/// Heading of a figure of model values.
+fn model(title: &str) -> Heading {
+    Heading::new(title, Source::Model)
+}
+
 /// A chart whose y axis includes 0.
 fn chart(x_label: &'static str, y_label: &str, curves: Vec<Curve>) -> Chart {
     Chart {
@@ -35,6 +40,7 @@ fn chart(x_label: &'static str, y_label: &str, curves: Vec<Curve>) -> Chart {
 
 /// A figure of two curves of the model.
 fn two_curves(
+    title: &str,
     x_label: &'static str,
     y_label: &str,
     [first, second]: [(&str, Vec<(f64, f64)>); 2],
@@ -43,7 +49,7 @@ fn two_curves(
         curve(first.0, MODEL, Mark::Line(4), first.1),
         curve(second.0, SECOND, Mark::Line(4), second.1),
     ];
-    figure(vec![chart(x_label, y_label, curves)])
+    figure(&model(title), vec![chart(x_label, y_label, curves)])
 }
 
 /// Colour of a curve in a family, from light to dark.
@@ -86,7 +92,10 @@ pub fn friction(runs: &[TubeRun], rows: &[TubeRow]) -> Result<String, FigureErro
             )
         })
         .collect();
-    tube_figure(courses, "friction coefficient", rows, |row| row.friction)
+    let title = "Displacement in the tube over friction (Fig. 4a)";
+    tube_figure(title, courses, "friction coefficient", rows, |row| {
+        row.friction
+    })
 }
 
 /// Like Fig. 4(b): displacement over time at each pressure, and at the end over pressure.
@@ -98,18 +107,20 @@ pub fn pressure(runs: &[TubeRun], rows: &[TubeRow]) -> Result<String, FigureErro
         .iter()
         .map(|run| (format!("{} Pa", run.case.pressure_pa), run.course.clone()))
         .collect();
-    tube_figure(courses, "peristaltic pressure / Pa", rows, |row| {
+    let title = "Displacement in the tube over pressure (Fig. 4b)";
+    tube_figure(title, courses, "peristaltic pressure / Pa", rows, |row| {
         row.pressure_pa
     })
 }
 
 fn tube_figure(
+    title: &str,
     courses: Vec<(String, Vec<(f64, f64)>)>,
     x_label: &'static str,
     rows: &[TubeRow],
     x: impl Fn(&TubeRow) -> f64,
 ) -> Result<String, FigureError> {
-    let model = rows
+    let ours = rows
         .iter()
         .map(|row| (x(row), row.displacement_mm))
         .collect();
@@ -118,13 +129,16 @@ fn tube_figure(
         .filter_map(|row| Some((x(row), row.paper_about_mm?)))
         .collect();
     let ends = vec![
-        curve("model (calibrated)", MODEL, Mark::Line(4), model),
+        curve("model (calibrated)", MODEL, Mark::Line(4), ours),
         curve("paper's text (about)", PAPER, Mark::Dots(9), paper),
     ];
-    figure(vec![
-        chart("time / s", "displacement / mm", family(courses, 3)),
-        chart(x_label, "displacement in 20 s / mm", ends),
-    ])
+    figure(
+        &model(title),
+        vec![
+            chart("time / s", "displacement / mm", family(courses, 3)),
+            chart(x_label, "displacement in 20 s / mm", ends),
+        ],
+    )
 }
 
 /// Like Fig. 7: the rig's displacement over indentation, the tube's over pressure, each for two frictions.
@@ -163,18 +177,22 @@ pub fn comparison(rig: &[RollerRow], tube: &[TubeRow]) -> Result<String, FigureE
         tube_curve(0.08, MODEL, 3),
         curve("paper's text (about)", PAPER, Mark::Dots(9), paper),
     ];
-    figure(vec![
-        chart(
-            "peristaltic indentation / mm",
-            "displacement in 40 s / mm",
-            on_rig,
-        ),
-        chart(
-            "peristaltic pressure / Pa",
-            "displacement in 20 s / mm",
-            in_tube,
-        ),
-    ])
+    let title = "Displacement over indentation and pressure (Fig. 7)";
+    figure(
+        &model(title),
+        vec![
+            chart(
+                "peristaltic indentation / mm",
+                "displacement in 40 s / mm",
+                on_rig,
+            ),
+            chart(
+                "peristaltic pressure / Pa",
+                "displacement in 20 s / mm",
+                in_tube,
+            ),
+        ],
+    )
 }
 
 /// The fold test: displacement of both bodies over the carriage's travel.
@@ -189,6 +207,7 @@ pub fn fold(test: &FoldTest) -> Result<String, FigureError> {
             .collect()
     };
     two_curves(
+        "Folded and unfolded (Fig. 8)",
         "travel of the carriage / mm",
         "displacement / mm",
         [
@@ -209,6 +228,7 @@ pub fn isolated(rows: &[IsolatedRow]) -> Result<String, FigureError> {
             .collect()
     };
     two_curves(
+        "One pass in each direction",
         "peristaltic indentation / mm",
         "displacement by one pass / mm",
         [
@@ -234,7 +254,8 @@ pub fn sweep(
             (format!("friction {} (model)", part[0].0), points)
         })
         .collect();
-    figure(vec![chart(x_label, y_label, family(members, 4))])
+    let chart = chart(x_label, y_label, family(members, 4));
+    figure(&model("Sweep"), vec![chart])
 }
 
 /// Shortening over each angle, with a dot for the design.
@@ -249,12 +270,15 @@ pub fn maps(maps: &Maps) -> Result<String, FigureError> {
         chart(x_label, &y_label, curves)
     };
     let (over_alpha, over_beta) = (&maps.over_alpha, &maps.over_beta);
-    figure(vec![
-        over(
-            "alpha / deg",
-            over_alpha,
-            (maps.alpha_deg, maps.shortening_mm),
-        ),
-        over("beta / deg", over_beta, (maps.beta_deg, maps.shortening_mm)),
-    ])
+    figure(
+        &model("Shortening over the angles"),
+        vec![
+            over(
+                "alpha / deg",
+                over_alpha,
+                (maps.alpha_deg, maps.shortening_mm),
+            ),
+            over("beta / deg", over_beta, (maps.beta_deg, maps.shortening_mm)),
+        ],
+    )
 }

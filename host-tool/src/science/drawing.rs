@@ -51,7 +51,7 @@ impl Drawing {
         } = self;
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{w}mm\" height=\"{h}mm\" viewBox=\"0 0 {w} {h}\">\n\
-             <title>{}</title>\n<style>{STYLE}</style>\n\
+             <title>{}</title>\n<desc>Origin: model: calculated, not a measurement</desc>\n<style>{STYLE}</style>\n\
              <rect width=\"{w}\" height=\"{h}\" fill=\"#fff\"/>\n{body}</svg>\n",
             Escaped(title)
         )

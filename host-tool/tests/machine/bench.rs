@@ -24,6 +24,17 @@ use crate::machine::{Log, Machine, Script};
 /// The line of a machine: puts out bytes, and takes those that have arrived.
 type Carry = Box<dyn FnMut(&[u8], &mut [u8]) -> usize + Send>;
 
+/// A machine that another host has made ready.
+pub fn ready(kind: DeviceKind) -> Script {
+    let mut script = Script::new(kind);
+    script.ready = true;
+    if kind == DeviceKind::Rig {
+        // A busy computer may stop the tool for a second, and the run is not to end for that.
+        script.settings = vec![(SettingKey::LinkTimeoutMs, 30_000)];
+    }
+    script
+}
+
 /// A ready machine at the end of a line, and the folder of its locks and records.
 pub struct Bench {
     pub kind: DeviceKind,
@@ -37,6 +48,11 @@ pub struct Bench {
 impl Bench {
     /// On TCP, for the latest connection.
     pub fn on_tcp(kind: DeviceKind) -> Self {
+        Self::on_tcp_as(&ready(kind), 1)
+    }
+
+    /// On TCP, as this script says, so many times as fast as real time.
+    pub fn on_tcp_as(script: &Script, speed: u32) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let address = format!("tcp:{}", listener.local_addr().expect("bound"));
         listener.set_nonblocking(true).expect("set");
@@ -64,7 +80,7 @@ impl Bench {
             }
             count.unwrap_or(0)
         };
-        Self::at(kind, address, Box::new(carry), connections)
+        Self::behind(script, speed, address, Box::new(carry), connections)
     }
 
     /// At a pseudo-terminal.
@@ -89,23 +105,29 @@ impl Bench {
     pub fn at(
         kind: DeviceKind,
         address: String,
+        carry: Carry,
+        connections: Arc<Mutex<u32>>,
+    ) -> Self {
+        Self::behind(&ready(kind), 1, address, carry, connections)
+    }
+
+    fn behind(
+        script: &Script,
+        speed: u32,
+        address: String,
         mut carry: Carry,
         connections: Arc<Mutex<u32>>,
     ) -> Self {
-        let mut script = Script::new(kind);
-        script.ready = true;
-        if kind == DeviceKind::Rig {
-            // A busy computer may stop the tool for a second, and the run is not to end for that.
-            script.settings = vec![(SettingKey::LinkTimeoutMs, 30_000)];
-        }
-        let (mut machine, log) = Machine::new(script);
+        let kind = script.kind;
+        let (mut machine, log) = Machine::new(script.clone());
         thread::spawn(move || {
             let start = Instant::now();
+            let now_us = || start.elapsed().as_micros() as u64 * u64::from(speed);
             let mut bytes = [0; 256];
             loop {
-                let given = machine.give(start.elapsed().as_micros() as u64);
+                let given = machine.give(now_us());
                 let count = carry(&given, &mut bytes);
-                machine.take(&bytes[..count], start.elapsed().as_micros() as u64);
+                machine.take(&bytes[..count], now_us());
                 thread::sleep(Duration::from_micros(500));
             }
         });
@@ -217,8 +239,8 @@ impl Bench {
             .expect("telemetry");
         let text = std::fs::read_to_string(csv).expect("text");
         let missed = |line: &str| {
-            let last = line.rsplit(',').next().expect("columns");
-            last.parse::<u32>().expect("a number")
+            let missed = line.rsplit(',').nth(1).expect("columns");
+            missed.parse::<u32>().expect("a number")
         };
         let rows: Vec<_> = text.lines().skip(1).map(missed).collect();
         (rows.len(), rows.iter().sum())

@@ -31,8 +31,10 @@ use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, ResetCause, Urgent};
 use protocol::table::{Reply, SCHEMA_KEY, Telemetry};
 
-/// Identifies every chip here.
+/// Identifies every chip here, unless the script has another number.
 const UID: [u8; 12] = [0xab; 12];
+/// The number of a board that says that it is simulated.
+pub const VIRTUAL_UID: [u8; 12] = *b"virtual test";
 /// How long somebody presses a button, us.
 const PRESS_US: u64 = 50_000;
 
@@ -40,6 +42,8 @@ const PRESS_US: u64 = 50_000;
 #[derive(Clone, Debug)]
 pub struct Script {
     pub kind: DeviceKind,
+    /// Number of the chip.
+    pub uid: [u8; 12],
     /// Of the firmware's identity.
     pub schema_key: u64,
     pub major: u8,
@@ -68,6 +72,7 @@ impl Script {
     pub fn new(kind: DeviceKind) -> Self {
         Self {
             kind,
+            uid: UID,
             schema_key: SCHEMA_KEY,
             major: protocol::VERSION.major,
             flip_one_in: 0,
@@ -390,7 +395,7 @@ impl Peer for Machine {
 
 /// The link service of a device that has just started.
 fn service(script: &Script, boot_id: u32, cause: ResetCause) -> Service {
-    let mut identity = identity(script.kind, UID, boot_id, cause);
+    let mut identity = identity(script.kind, script.uid, boot_id, cause);
     (identity.protocol.major, identity.schema_key) = (script.major, script.schema_key);
     Service::new(identity)
 }

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use host_tool::cli::{Keyboard, run_at};
-use host_tool::connector::{Candidate, Connector};
+use host_tool::connector::{Candidate, Connector, Purpose};
 use host_tool::link::address::Address;
 use host_tool::link::{Link, OpenError};
 use jiff::Timestamp;
@@ -59,7 +59,13 @@ impl Memory {
 }
 
 impl Connector for Memory {
-    fn open(&self, _: DeviceKind, address: &Address, _: u32) -> Result<Box<dyn Link>, OpenError> {
+    fn open(
+        &self,
+        _: DeviceKind,
+        address: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
         let Address::Serial(index) = address else {
             panic!("only the test's own places");
         };

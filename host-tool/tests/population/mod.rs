@@ -32,12 +32,16 @@ fn recorded(sim: &mut Simulation, command: Command) -> Vec<TracePoint> {
     }
 }
 
+/// A fold and the unfolding after it.
+pub fn recordings(truth: Parameters, seed: u64) -> [Vec<TracePoint>; 2] {
+    let mut sim = Simulation::calibrated(truth, seed);
+    [Command::Fold, Command::Unfold].map(|command| recorded(&mut sim, command))
+}
+
 /// Identifies the capsule of a seed: each parameter's name, the true value, and the estimate.
 pub fn tried(seed: u64) -> Vec<(&'static str, f64, Estimate)> {
     let truth = Parameters::varied(seed);
-    let mut sim = Simulation::calibrated(truth, seed);
-    let fold = recorded(&mut sim, Command::Fold);
-    let unfold = recorded(&mut sim, Command::Unfold);
+    let [fold, unfold] = recordings(truth, seed);
     let Identified {
         circuit_ohm,
         motor_constant_mvs,

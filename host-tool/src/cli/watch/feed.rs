@@ -16,6 +16,7 @@ use crate::cli::finding::{Finder, Target};
 use crate::cli::stops::DO_NOW;
 use crate::cli::watch::panel::{Contact, Notice, Panel};
 use crate::client::{Device, Interrupt, Observer, Pace};
+use crate::connector::Purpose;
 use crate::error::ClientError;
 use crate::link::LinkError;
 use crate::link::address::Address;
@@ -194,10 +195,11 @@ impl Feed<'_> {
     /// Connects, and follows until the connection is lost, the person leaves, or somebody else needs the line.
     fn connection(&self) -> Result<(), Failure> {
         let finder = self.finder;
-        let link = finder.connector.open_to_watch(
+        let link = finder.connector.open(
             self.shared.kind,
             &self.shared.address,
             finder.cli.baud,
+            Purpose::Watch,
         )?;
         let mut device = Device::new(link);
         // Keys are seen to between two looks.

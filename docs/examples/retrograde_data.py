@@ -1,0 +1,200 @@
+"""Reads the records of Retrograde: the folder of a campaign, or a folder of trials.
+
+Needs Python 3.9 and nothing else; `Table.pandas()` and `Campaign.xarray()` need pandas and xarray.
+
+    campaign = retrograde_data.Campaign("paper")
+    for trial in campaign.trials: print(trial["trial"], trial["standing"], trial["displacement_mm"])
+    rows = campaign.telemetry(17)                 # rows of the run's CSV file, numbers as numbers
+    frame = campaign.table().pandas()
+
+Every row has an `origin`: `board` is a measurement, `virtual` a simulation. Do not mix them.
+"""
+
+import csv
+import hashlib
+import json
+import pathlib
+
+
+def value(text):
+    """A cell as int, float, bool or text; None if it is empty."""
+    if text == "":
+        return None
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
+
+
+def read_csv(path):
+    """The rows of a CSV file as dictionaries."""
+    with open(path, newline="", encoding="utf-8") as file:
+        return Table({name: value(cell) for name, cell in row.items()} for row in csv.DictReader(file))
+
+
+class Table(list):
+    """Rows as dictionaries."""
+
+    def pandas(self):
+        """As a pandas.DataFrame."""
+        import pandas
+
+        return pandas.DataFrame(list(self))
+
+
+class Trial:
+    """A sidecar and the telemetry beside it."""
+
+    def __init__(self, sidecar):
+        self.path = pathlib.Path(sidecar)
+        self.sidecar = json.loads(self.path.read_text(encoding="utf-8"))
+        if "action" not in self.sidecar or "telemetry" not in self.sidecar:
+            raise ValueError(f"{sidecar} is not the record of a trial")
+
+    @property
+    def kind(self):
+        """`run` or `actuation`."""
+        return self.sidecar["action"]["kind"]
+
+    @property
+    def origin(self):
+        """`board`, `virtual` or `unknown`: a chip that is numbered as a simulated one outweighs what is written."""
+        device = self.sidecar["device"]
+        if device["uid"].lower().startswith(b"virtual".hex()):
+            return "virtual"
+        return device.get("origin", "unknown")
+
+    @property
+    def telemetry(self):
+        """The rows of the CSV file."""
+        return read_csv(self.path.with_name(self.sidecar["telemetry"]))
+
+
+def trials_in(folder):
+    """All trials of an ordinary folder, in the order of their start."""
+    found = []
+    for path in sorted(pathlib.Path(folder).glob("*.json")):
+        try:
+            found.append(Trial(path))
+        except (ValueError, KeyError):
+            continue
+    return sorted(found, key=lambda trial: trial.sidecar["started_utc"])
+
+
+class Campaign:
+    """The folder of a campaign."""
+
+    def __init__(self, folder):
+        self.folder = pathlib.Path(folder)
+        self.order = read_csv(self.folder / "order.csv")
+        self.rows = read_csv(self.folder / "trials.csv")
+        self.readings = read_csv(self.folder / "readings.csv")
+        self.trials = [self._replay(planned) for planned in self.order]
+
+    @property
+    def origin(self):
+        """Of all rows; a campaign is measured or simulated, never both."""
+        origins = {row["origin"] for row in [*self.rows, *self.readings]}
+        return origins.pop() if len(origins) == 1 else "unknown"
+
+    def _replay(self, planned):
+        """What the ledger's rows of a trial amount to."""
+        attempts, skipped, excluded = [], None, None
+        for row in self.rows:
+            if row["trial"] != planned["trial"]:
+                continue
+            event = row["event"]
+            if event == "began":
+                attempts.append(dict(row, outcome=None, displacement_mm=None, source=None, given_up=None))
+            elif event == "ended":
+                attempts[-1].update(outcome=row["outcome"], ended_text=row["text"])
+            elif event == "displacement":
+                attempts[-1].update(displacement_mm=row["displacement_mm"], source=row["source"])
+            elif event == "undone":
+                attempts[-1].update(displacement_mm=None, source=None)
+            elif event == "repeated":
+                attempts[-1]["given_up"] = row["text"] or ""
+                excluded = None
+            elif event == "skipped":
+                skipped = row["text"] or ""
+            elif event == "excluded":
+                excluded = row["text"] or ""
+            elif event == "included":
+                # Whichever it was; a trial that is skipped was not excluded.
+                if skipped is not None:
+                    skipped = None
+                else:
+                    excluded = None
+        last = attempts[-1] if attempts else None
+        stands = last is not None and last["outcome"] == "complete" and last["given_up"] is None
+        if skipped is not None:
+            standing = "skipped"
+        elif last is not None and last["outcome"] is None:
+            standing = "under_way"
+        elif not stands:
+            standing = "open"
+        elif excluded is not None:
+            standing = "excluded"
+        elif last["displacement_mm"] is None:
+            standing = "unmeasured"
+        else:
+            standing = "done"
+        return dict(
+            planned,
+            standing=standing,
+            attempts=attempts,
+            attempt=last["attempt"] if stands else None,
+            indentation_mm=last["indentation_mm"] if stands else None,
+            displacement_mm=last["displacement_mm"] if stands else None,
+            source=last["source"] if stands else None,
+            reason=skipped or excluded,
+            origin=self.origin,
+        )
+
+    def attempt_folder(self, trial):
+        """The folder of the attempt that stands; None if none does."""
+        attempt = self.trials[trial - 1]["attempt"]
+        return None if attempt is None else self.folder / "trials" / f"{trial:03}-{attempt}"
+
+    def records(self, trial):
+        """The records of the machines in the attempt that stands."""
+        folder = self.attempt_folder(trial)
+        return [] if folder is None else trials_in(folder)
+
+    def run(self, trial):
+        """The run of the attempt that stands; None without one."""
+        return next((record for record in self.records(trial) if record.kind == "run"), None)
+
+    def telemetry(self, trial):
+        """The rows of the run's CSV file."""
+        return self.run(trial).telemetry
+
+    def changed(self):
+        """Files that are not as SHA256SUMS lists them, relative to the folder. `retrograde verify` finds more."""
+        changed = []
+        for line in (self.folder / "SHA256SUMS").read_text(encoding="utf-8").splitlines():
+            listed, name = line.split(maxsplit=1)
+            path = self.folder / name.lstrip("*")
+            if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != listed:
+                changed.append(name.lstrip("*"))
+        return changed
+
+    def counted(self):
+        """The trials that count, as rows."""
+        return Table(trial for trial in self.trials if trial["standing"] == "done")
+
+    def table(self):
+        """All trials as rows without their attempts."""
+        return Table({name: cell for name, cell in trial.items() if name != "attempts"} for trial in self.trials)
+
+    def xarray(self):
+        """Displacements of the series as an xarray.DataArray over walls, indentation and repeat."""
+        series = [trial for trial in self.counted() if trial["purpose"] == "series"]
+        frame = Table(series).pandas().set_index(["lubrication", "indentation", "repeat"])
+        array = frame["displacement_mm"].to_xarray()
+        array.attrs.update(units="mm", origin=self.origin)
+        return array

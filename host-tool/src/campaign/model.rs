@@ -1,0 +1,149 @@
+//! What the locomotion models say about an attempt: the displacement of a body on the virtual bench, whose rollers touch
+//! nothing. It is driven by the telemetry, so by what the carriage did.
+
+use std::fs;
+use std::path::Path;
+
+use locomotion::kinematics::Design;
+use locomotion::range::OutOfRange;
+use locomotion::{folded, roller};
+
+use crate::campaign::chance::Chance;
+use crate::campaign::ledger::Source;
+use crate::campaign::order::{Form, Planned};
+use crate::campaign::plan::{Lubrication, Millimetres, Plan};
+use crate::science::series::LUBRICATION;
+use crate::trial::{Action, RecordError, RigSample, Status, Trial};
+
+/// Slack of the thread before it pulls, mm: that of the bench's capsule.
+const SLACK_MM: f64 = 1.0;
+
+/// Why there is no model displacement.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// A record of the attempt cannot be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The models do not cover these numbers.
+    #[error("the model does not cover it: {0}")]
+    Range(#[from] OutOfRange),
+    /// The record of the fold is missing.
+    #[error("there is no record of a completed fold")]
+    NoFold,
+}
+
+/// A displacement that was calculated, and how.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Modelled {
+    /// The displacement, rounded to the caliper's resolution.
+    pub value: Millimetres,
+    /// With or without scatter.
+    pub source: Source,
+    /// Model and scatter in words, for the record.
+    pub text: String,
+}
+
+/// The displacement that the models give for an attempt with this indentation, with the scatter that the plan declares.
+///
+/// # Errors
+/// [`ModelError`].
+pub fn displacement(
+    plan: &Plan,
+    planned: &Planned,
+    attempt: u32,
+    indentation_mm: f64,
+    sidecar: &Path,
+) -> Result<Modelled, ModelError> {
+    let run = Trial::read(sidecar)?;
+    let samples: Vec<RigSample> = run.samples(sidecar)?;
+    let Action::Run { screw, .. } = &run.action else {
+        let why = "it is not the record of a run";
+        return Err(RecordError::read(sidecar, why).into());
+    };
+    let positions = samples
+        .iter()
+        .map(|sample| screw.mm(f64::from(sample.position_steps)));
+    let friction = friction(planned.lubrication);
+    let (mut mm, name) = match planned.shape {
+        Form::Unfolded => {
+            let mut params = roller::Params::PAPER;
+            params.body.friction = friction;
+            let mut body = roller::UnfoldedBody::new(params, indentation_mm)?;
+            for position in positions {
+                body.carriage_to(position)?;
+            }
+            (body.displacement_mm(), "roller model")
+        }
+        Form::Folded => {
+            let thread_mm = thread_mm(sidecar.parent().unwrap_or(sidecar))?;
+            let design = Design::paper_printed();
+            let mut params = folded::Params::PAPER.folded_by(&design, thread_mm - SLACK_MM)?;
+            params.friction = friction;
+            let mut body = folded::FoldedBody::new(params, indentation_mm)?;
+            for position in positions {
+                body.carriage_to(position)?;
+            }
+            (body.displacement_mm(), "folded block model")
+        }
+    };
+    let mut text = format!("{name}, friction {friction}");
+    let scatter = plan.virtual_bench;
+    let source = if scatter.scatter_mm.um > 0 {
+        // The same in a campaign that was interrupted.
+        let seed = u64::from(scatter.seed) << 32
+            | u64::from(planned.trial) << 8
+            | u64::from(attempt & 0xFF);
+        mm += scatter.scatter_mm.mm() * Chance::new(seed).normal();
+        text.push_str(&format!(
+            ", scatter of {} mm added, seed {}",
+            scatter.scatter_mm, scatter.seed
+        ));
+        Source::ModelWithScatter
+    } else {
+        Source::Model
+    };
+    let step_um = plan.metadata.caliper_resolution_mm.um.max(1);
+    let um = (mm * 1_000.0 / step_um as f64).round() as i64 * step_um;
+    Ok(Modelled {
+        value: Millimetres::from_um(um),
+        source,
+        text,
+    })
+}
+
+/// The ends of the paper's range of friction, as `simulate roller` has them.
+fn friction(lubrication: Lubrication) -> f64 {
+    let [(_, with), (_, without)] = LUBRICATION;
+    match lubrication {
+        Lubrication::Dry => without,
+        Lubrication::Lubricated => with,
+    }
+}
+
+/// How much thread the last completed fold of an attempt wound up, mm.
+fn thread_mm(folder: &Path) -> Result<f64, ModelError> {
+    let mut folds: Vec<_> = fs::read_dir(folder)
+        .map_err(|io| RecordError::read(folder, io))?
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            name.starts_with("fold-") && name.ends_with(".json")
+        })
+        .collect();
+    folds.sort();
+    for path in folds.iter().rev() {
+        let trial = Trial::read(path)?;
+        if let (
+            Status::Complete,
+            Action::Actuation {
+                record: Some(record),
+                ..
+            },
+        ) = (trial.status, &trial.action)
+        {
+            return Ok(f64::from(record.thread_um) / 1_000.0);
+        }
+    }
+    Err(ModelError::NoFold)
+}

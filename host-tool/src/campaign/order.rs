@@ -1,0 +1,120 @@
+//! The order of the trials. What a hand at the rig changes is in blocks: an indentation is set once for all its trials,
+//! and dry comes before lubricated. What is free is shuffled by the plan's seed: the blocks of equal lubrication, and the
+//! trials within a block.
+
+use serde::{Deserialize, Serialize};
+
+use crate::campaign::chance::Chance;
+use crate::campaign::plan::{Lubrication, Plan, Purpose};
+use crate::experiment::Shape;
+
+/// What is equal in trials that are averaged.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Condition {
+    /// What it is for.
+    pub purpose: Purpose,
+    /// State of the walls.
+    pub lubrication: Lubrication,
+    /// Name of the indentation.
+    pub indentation: String,
+    /// `unfolded` or `folded`.
+    pub shape: Form,
+}
+
+/// [`Shape`] in records.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Form {
+    /// The waves carry it headward.
+    Unfolded,
+    /// The same waves carry it the other way.
+    Folded,
+}
+
+impl Form {
+    /// `unfolded` or `folded`.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        Shape::name(match self {
+            Self::Unfolded => Shape::Unfolded,
+            Self::Folded => Shape::Folded,
+        })
+    }
+}
+
+impl From<Shape> for Form {
+    fn from(shape: Shape) -> Self {
+        match shape {
+            Shape::Unfolded => Self::Unfolded,
+            Shape::Folded => Self::Folded,
+        }
+    }
+}
+
+/// A row of `order.csv`: a trial that is to be done.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Planned {
+    /// Its number, from 1, in the order of carrying out.
+    pub trial: u32,
+    /// Its block, from 1. The rollers are clamped anew at the beginning of each block.
+    pub block: u32,
+    /// What it is for.
+    pub purpose: Purpose,
+    /// State of the walls.
+    pub lubrication: Lubrication,
+    /// Name of the indentation.
+    pub indentation: String,
+    /// Shape of the body.
+    pub shape: Form,
+    /// Which of the repeats of its condition, from 1.
+    pub repeat: u32,
+}
+
+impl Planned {
+    /// Its condition.
+    #[must_use]
+    pub fn condition(&self) -> Condition {
+        Condition {
+            purpose: self.purpose,
+            lubrication: self.lubrication,
+            indentation: self.indentation.clone(),
+            shape: self.shape,
+        }
+    }
+}
+
+/// All trials of a plan in the order that its seed gives.
+#[must_use]
+pub fn order(plan: &Plan) -> Vec<Planned> {
+    let mut chance = Chance::new(plan.seed);
+    let mut trials = vec![];
+    let mut block = 0;
+    for group in &plan.groups {
+        let mut indentations = group.indentations.clone();
+        chance.shuffle(&mut indentations);
+        for indentation in indentations {
+            block += 1;
+            let mut forms: Vec<Form> = group
+                .shapes
+                .iter()
+                .flat_map(|shape| std::iter::repeat_n(Form::from(*shape), group.repeats as usize))
+                .collect();
+            chance.shuffle(&mut forms);
+            let mut done = [0, 0];
+            for shape in forms {
+                let repeat = &mut done[usize::from(shape == Form::Folded)];
+                *repeat += 1;
+                trials.push(Planned {
+                    trial: trials.len() as u32 + 1,
+                    block,
+                    purpose: group.purpose,
+                    lubrication: group.lubrication,
+                    indentation: indentation.clone(),
+                    shape,
+                    repeat: *repeat,
+                });
+            }
+        }
+    }
+    trials
+}

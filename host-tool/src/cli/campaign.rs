@@ -1,0 +1,524 @@
+//! `campaign` and `verify`: a plan of trials, carried out with a person at the terminal or on the virtual bench.
+
+mod desk;
+
+use std::path::{Path, PathBuf};
+
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+
+use crate::campaign::CampaignError;
+use crate::campaign::conduct::{Broken, Conduct, Ending, Machines};
+use crate::campaign::folder::{Campaign, Folder};
+use crate::campaign::ledger::{Event, Row, Source, Standing, TrialState};
+use crate::campaign::manifest;
+use crate::campaign::plan::{Millimetres, Plan};
+use crate::campaign::readings::Summary;
+use crate::campaign::remaining::{remaining_s, text as time_text};
+use crate::campaign::verify as verification;
+use crate::cli::args::{
+    CAMPAIGNS_FOLDER, CampaignSubcommand, DATA_FOLDER, Edit, EditArgs, SessionArgs, VerifyArgs,
+};
+use crate::cli::failure::Failure;
+use crate::cli::finding::Finder;
+use crate::cli::screen::Screen;
+use crate::commission::warning;
+use crate::identity::Origin;
+use crate::limited;
+use crate::report::campaign::report_folder;
+use crate::report::{self, Existing};
+use desk::{Counter, Who};
+
+pub(crate) fn campaign(
+    subcommand: &CampaignSubcommand,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    match subcommand {
+        CampaignSubcommand::New(args) => {
+            let folder = create(&args.plan, args.out.as_deref(), finder, screen)?;
+            let campaign = folder.campaign();
+            screen.say(&format!(
+                "`retrograde campaign run {}` begins.",
+                campaign.folder.display()
+            ));
+            Ok(summary(campaign))
+        }
+        CampaignSubcommand::Run(args) if args.what.is_dir() => {
+            if args.out.is_some() {
+                return Err(Failure::Input {
+                    why: format!(
+                        "{} is the folder of a campaign already",
+                        args.what.display()
+                    ),
+                    help: "leave `--out` out, or give a plan".to_owned(),
+                });
+            }
+            resume(&args.what, &args.session, finder, screen)
+        }
+        CampaignSubcommand::Run(args) => {
+            admit(&args.session, screen)?;
+            let folder = create(&args.what, args.out.as_deref(), finder, screen)?;
+            carry_out(folder, &args.session, finder, screen)
+        }
+        CampaignSubcommand::Resume(args) => resume(&args.folder, &args.session, finder, screen),
+        CampaignSubcommand::Status(args) => {
+            let campaign = Campaign::read(&args.folder)?;
+            for line in status(&campaign) {
+                screen.say(&line);
+            }
+            Ok(summary(&campaign))
+        }
+        CampaignSubcommand::Edit(args) => edit(args, finder, screen),
+    }
+}
+
+/// Refuses a session that nobody could answer, before anything is made.
+fn admit(session: &SessionArgs, screen: &Screen<'_>) -> Result<(), Failure> {
+    if session.yes || screen.keyboard.is_some() {
+        return Ok(());
+    }
+    Err(Failure::Refused {
+        why: "a campaign asks for readings and displacements, and nobody is at a terminal"
+            .to_owned(),
+        help: "at a terminal, without `--json`; or `--yes` with `--rig virtual`".to_owned(),
+    })
+}
+
+fn create(
+    path: &Path,
+    out: Option<&Path>,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Folder, Failure> {
+    let text = limited::read_text(path, limited::BY_HAND).map_err(|io| Failure::Input {
+        why: format!("{}: {io}", path.display()),
+        help: "give a plan, such as `examples/paper.toml`".to_owned(),
+    })?;
+    let plan = Plan::parse(&text, path)?;
+    let stamp = finder.connector.now().strftime("%Y%m%dT%H%M%SZ");
+    let out = out.map_or_else(
+        || PathBuf::from(CAMPAIGNS_FOLDER).join(format!("{}-{stamp}", plan.name)),
+        Path::to_owned,
+    );
+    if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+        std::fs::create_dir_all(parent).map_err(|io| Failure::File {
+            path: parent.to_owned(),
+            io,
+        })?;
+    }
+    let folder = Folder::create(&out, &text, path)?;
+    let campaign = folder.campaign();
+    screen.say(&format!(
+        "Campaign {}: {} trials in {}, seed {}; {}.",
+        campaign.plan.name,
+        campaign.order.len(),
+        match campaign.order.last().map_or(0, |last| last.block) {
+            1 => "1 block".to_owned(),
+            blocks => format!("{blocks} blocks"),
+        },
+        campaign.plan.seed,
+        time_text(remaining_s(campaign).0),
+    ));
+    screen.say(&format!("Folder: {}", out.display()));
+    Ok(folder)
+}
+
+fn resume(
+    path: &Path,
+    session: &SessionArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    admit(session, screen)?;
+    let folder = open(path, finder, screen)?;
+    carry_out(folder, session, finder, screen)
+}
+
+/// Opens a folder for writing and tells what a crash has left.
+fn open(path: &Path, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
+    let (folder, told) = Folder::resume(path, finder.connector.now())?;
+    for line in told {
+        screen.say(&line);
+    }
+    Ok(folder)
+}
+
+fn carry_out(
+    mut folder: Folder,
+    session: &SessionArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let path = folder.campaign().folder.clone();
+    if folder.campaign().state.next().is_some() {
+        let ending = sit_down(&mut folder, session, finder, screen)?;
+        if ending == Ending::Left {
+            return Err(Failure::Left { folder: path });
+        }
+    }
+    let campaign = folder.campaign();
+    for line in status(campaign) {
+        screen.say(&line);
+    }
+    let mut value = summary(campaign);
+    if campaign.state.next().is_none() {
+        value["report"] = json!(reported(&path, screen)?);
+    }
+    Ok(value)
+}
+
+/// The report of a campaign of which nothing is left to do; one that is there already is kept.
+fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<PathBuf, Failure> {
+    let page = report_folder(folder).join("report.html");
+    if page.exists() {
+        screen.say(&format!(
+            "Report: {}, as it was; `retrograde report {} --force` makes it anew.",
+            page.display(),
+            folder.display()
+        ));
+        return Ok(page);
+    }
+    let written = report::campaign::write(folder, Existing::Keep)?;
+    screen.say(&format!("Report: {}", written.page.display()));
+    Ok(written.page)
+}
+
+fn sit_down(
+    folder: &mut Folder,
+    session: &SessionArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Ending, Failure> {
+    let plan = folder.campaign().plan.clone();
+    let path = folder.campaign().folder.clone();
+    if session.yes {
+        desk::can_answer(&plan)?;
+    }
+    let mut rig = finder.connect(DeviceKind::Rig)?;
+    let capsule = plan
+        .needs_capsule()
+        .then(|| finder.connect(DeviceKind::Capsule))
+        .transpose()?;
+    let origin = rig.origin().max(
+        capsule
+            .as_ref()
+            .map_or(Origin::Board, |capsule| capsule.origin()),
+    );
+    if session.yes && origin != Origin::Virtual {
+        return Err(Failure::Refused {
+            why: "`--yes` asks nobody, and the displacement on a board has to be measured"
+                .to_owned(),
+            help: "leave `--yes` out; with `--rig virtual` a model answers".to_owned(),
+        });
+    }
+    let folders = [path.clone(), DATA_FOLDER.into()];
+    let commissioning = warning::of_record(&mut rig, &folders)?;
+    if let Some(warning) = &commissioning {
+        screen.hint(&format!("warning: {warning}"));
+    }
+    if origin == Origin::Virtual {
+        screen.say("VIRTUAL: nothing here is a measurement; displacements are those of a model.");
+    }
+    let mut machines = Machines::new(rig, capsule, commissioning)?;
+    for machine in machines.come_to_rest()? {
+        screen.say(&format!(
+            "The {machine} was still moving, for nobody: it was stopped."
+        ));
+    }
+    let who = match screen.keyboard.take() {
+        _ if session.yes => Who::Nobody(Box::new(plan)),
+        Some(keyboard) => Who::person(keyboard),
+        None => {
+            return Err(admit(session, screen)
+                .err()
+                .unwrap_or(Failure::Left { folder: path }));
+        }
+    };
+    let mut desk = Counter::new(screen, finder, who);
+    let ended = Conduct::new(folder, &mut machines, &mut desk).carry_out(session.trials);
+    ended.map_err(|broken| failure(broken, &path))
+}
+
+fn failure(broken: Broken, folder: &Path) -> Failure {
+    let again = format!(
+        "the attempt does not count; `retrograde campaign resume {}` goes on",
+        folder.display()
+    );
+    match broken {
+        Broken::Campaign(error) => error.into(),
+        Broken::Experiment(error) => error.into(),
+        Broken::Ended {
+            action,
+            status,
+            reason,
+        } => Failure::Ended {
+            action,
+            status,
+            reason,
+            help: format!("`retrograde info` shows the machine; {again}"),
+        },
+        Broken::NotReady { why, help } => Failure::Refused { why, help },
+    }
+}
+
+// Status.
+
+/// Mean and standard deviation, as far as there are any, mm.
+fn mean_text(values: &[Millimetres]) -> String {
+    match Summary::of(values) {
+        None => String::new(),
+        Some(one) if one.count == 1 => format!("{:.3} mm", one.mean_mm),
+        Some(some) => format!("{:.3} mm, SD {:.3} mm", some.mean_mm, some.sd_mm),
+    }
+}
+
+fn rank(campaign: &Campaign) -> impl Fn(&str) -> usize + '_ {
+    |name| campaign.plan.rank(name).unwrap_or(usize::MAX)
+}
+
+/// How far a campaign has come, line by line.
+fn status(campaign: &Campaign) -> Vec<String> {
+    let state = &campaign.state;
+    let done = state
+        .trials
+        .iter()
+        .filter(|trial| trial.standing() == Standing::Done)
+        .count();
+    let origin = campaign.origin().map_or_else(
+        || "nothing yet".to_owned(),
+        |origin| origin.meaning().to_owned(),
+    );
+    let mut lines = vec![
+        format!(
+            "Campaign {}: {done} of {} trials count.",
+            campaign.plan.name,
+            state.trials.len()
+        ),
+        format!("Data: {origin}."),
+    ];
+    for tally in state.tallies(rank(campaign)) {
+        let values: Vec<_> = tally.counted.iter().map(|(_, mm)| mm.value).collect();
+        let condition = &tally.condition;
+        let mut line = format!(
+            "  {:<9} {:<10} {:<8} {:<8} n = {} of {}",
+            condition.purpose.name(),
+            condition.lubrication.name(),
+            condition.indentation,
+            condition.shape.name(),
+            values.len(),
+            tally.planned,
+        );
+        for (count, what) in [(tally.excluded, "excluded"), (tally.skipped, "skipped")] {
+            if count > 0 {
+                line.push_str(&format!(", {count} {what}"));
+            }
+        }
+        let mean = mean_text(&values);
+        if !mean.is_empty() {
+            line.push_str(&format!(": {mean}"));
+        }
+        lines.push(line);
+    }
+    lines.extend(state.trials.iter().flat_map(left_out));
+    match state.next() {
+        None => lines.push("Nothing is left to do.".to_owned()),
+        Some(next) => {
+            let (seconds, _) = remaining_s(campaign);
+            lines.push(format!(
+                "Next: trial {}, {} {} {}; {}.",
+                next.planned.trial,
+                next.planned.indentation,
+                next.planned.lubrication.name(),
+                next.planned.shape.name(),
+                time_text(seconds)
+            ));
+        }
+    }
+    lines
+}
+
+/// Attempts that do not count, and trials that are left out.
+fn left_out(trial: &TrialState) -> Vec<String> {
+    let number = trial.planned.trial;
+    let because = |reason: &str| match reason {
+        "" => String::new(),
+        reason => format!(": {reason}"),
+    };
+    let mut lines = vec![];
+    for attempt in &trial.attempts {
+        let why = match (&attempt.given_up, attempt.outcome) {
+            (Some(reason), _) => format!("given up{}", because(reason)),
+            (None, Some(outcome)) if !attempt.stands() => {
+                let reason = attempt.reason.as_deref().unwrap_or_default();
+                format!("{}{}", outcome.name(), because(reason))
+            }
+            _ => continue,
+        };
+        lines.push(format!(
+            "  trial {number}, attempt {} does not count: {why}",
+            attempt.number
+        ));
+    }
+    if let Some(reason) = &trial.skipped {
+        lines.push(format!("  trial {number} is skipped{}", because(reason)));
+    }
+    if let Some(reason) = &trial.excluded {
+        lines.push(format!("  trial {number} is excluded{}", because(reason)));
+    }
+    lines
+}
+
+/// For `--json`.
+fn summary(campaign: &Campaign) -> Value {
+    let conditions: Vec<_> = campaign
+        .state
+        .tallies(rank(campaign))
+        .into_iter()
+        .map(|tally| {
+            let values: Vec<_> = tally.counted.iter().map(|(_, mm)| mm.value).collect();
+            let some = Summary::of(&values);
+            json!({
+                "condition": tally.condition,
+                "planned": tally.planned,
+                "n": values.len(),
+                "excluded": tally.excluded,
+                "skipped": tally.skipped,
+                "displacements_mm": values.iter().map(|value| value.mm()).collect::<Vec<_>>(),
+                "mean_mm": some.map(|some| some.mean_mm),
+                "sd_mm": some.filter(|some| some.count > 1).map(|some| some.sd_mm),
+            })
+        })
+        .collect();
+    let next = campaign.state.next().map(|next| next.planned.clone());
+    json!({
+        "folder": campaign.folder,
+        "campaign": campaign.plan.name,
+        "origin": campaign.origin(),
+        "conditions": conditions,
+        "next": next,
+        "remaining_s": remaining_s(campaign).0,
+    })
+}
+
+// Edits.
+
+fn edit(args: &EditArgs, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let mut folder = open(&args.folder, finder, screen)?;
+    let Some(origin) = folder.campaign().origin() else {
+        return Err(Failure::Input {
+            why: "the campaign has not begun, so there is nothing to edit".to_owned(),
+            help: format!("`retrograde campaign run {}`", args.folder.display()),
+        });
+    };
+    let row = edited(&args.edit, folder.campaign(), origin)?;
+    folder.append(row, finder.connector.now(), origin)?;
+    for line in status(folder.campaign()) {
+        screen.say(&line);
+    }
+    Ok(summary(folder.campaign()))
+}
+
+fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<Row, Failure> {
+    let attempt = |trial: u32| {
+        campaign
+            .state
+            .trial(trial)
+            .and_then(|trial| trial.attempts.last())
+            .map(|attempt| attempt.number)
+    };
+    let text = |words: &[String]| Some(words.join(" "));
+    Ok(match edit {
+        Edit::Displacement { .. } if origin == Origin::Virtual => {
+            return Err(Failure::Refused {
+                why: "nothing can be measured on the virtual bench: its displacements are those of a model"
+                    .to_owned(),
+                help: "`undo` takes the model's value again".to_owned(),
+            });
+        }
+        Edit::Displacement {
+            trial,
+            displacement_mm,
+            reason,
+        } => {
+            let range = campaign.plan.displacement;
+            if *displacement_mm < range.least_mm || *displacement_mm > range.greatest_mm {
+                return Err(Failure::Input {
+                    why: format!(
+                        "{displacement_mm} mm: the plan allows {} to {} mm",
+                        range.least_mm, range.greatest_mm
+                    ),
+                    help: "in millimetres, + headward".to_owned(),
+                });
+            }
+            let mut row = Row::of(Event::Displacement, *trial, attempt(*trial));
+            row.displacement_mm = Some(*displacement_mm);
+            row.source = Some(Source::Measured);
+            row.saying(text(reason))
+        }
+        Edit::Undo { trial } => Row::of(Event::Undone, *trial, attempt(*trial)),
+        Edit::Exclude { trial, reason } => {
+            Row::of(Event::Excluded, *trial, attempt(*trial)).saying(text(reason))
+        }
+        Edit::Skip { trial, reason } => Row::of(Event::Skipped, *trial, None).saying(text(reason)),
+        Edit::Include { trial } => Row::of(Event::Included, *trial, None),
+        Edit::Repeat { trial, reason } => {
+            Row::of(Event::Repeated, *trial, attempt(*trial)).saying(text(reason))
+        }
+        Edit::Note {
+            trial,
+            text: remark,
+        } => {
+            let mut row = Row::of(Event::Note, 0, None).saying(text(remark));
+            row.trial = *trial;
+            row
+        }
+    })
+}
+
+// Verification.
+
+pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let folder = &args.folder;
+    let verified = verification::verify(folder)?;
+    for finding in &verified.findings {
+        screen.say(&format!("{finding}\n  remedy: {}", finding.remedy));
+    }
+    if !verified.findings.is_empty() {
+        return Err(Failure::Changed {
+            folder: folder.clone(),
+            findings: verified.findings,
+        });
+    }
+    let has_manifest = folder.join(manifest::NAME).exists();
+    if !has_manifest && verified.records == 0 {
+        return Err(CampaignError::misuse(
+            folder,
+            format!("there is no {} and no record of a trial", manifest::NAME),
+            "give the folder of a campaign, or of records",
+        )
+        .into());
+    }
+    screen.say(&match has_manifest {
+        true => format!(
+            "{}: {} files are as {} says; {} records are whole and in order.",
+            folder.display(),
+            verified.files,
+            manifest::NAME,
+            verified.records,
+        ),
+        false => format!(
+            "{}: there is no {}, so nothing shows whether files were changed; {} records have all their rows in order.",
+            folder.display(),
+            manifest::NAME,
+            verified.records,
+        ),
+    });
+    Ok(json!({
+        "campaign": verified.campaign,
+        "manifest": has_manifest,
+        "files": verified.files,
+        "records": verified.records,
+        "findings": [],
+    }))
+}

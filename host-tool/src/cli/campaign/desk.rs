@@ -1,0 +1,189 @@
+//! Who answers a campaign's questions: a person at the terminal, or nobody, on the virtual bench.
+
+use std::io::BufRead;
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use jiff::Timestamp;
+
+use crate::campaign::conduct::Desk;
+use crate::campaign::plan::{Millimetres, Plan};
+use crate::campaign::prompts::{Halt, Question};
+use crate::campaign::readings::Quantity;
+use crate::cli::failure::Failure;
+use crate::cli::finding::Finder;
+use crate::cli::screen::Screen;
+use crate::cli::{Keyboard, interrupt};
+use crate::client::{Interrupt, Observer, Pace, Pacer};
+use crate::error::ClientError;
+
+/// Interval between two looks at the keyboard.
+const TURN: Duration = Duration::from_millis(10);
+
+/// What a person types, line by line; during a run the pacer takes it.
+type Lines = Arc<Mutex<Receiver<String>>>;
+
+/// Who answers.
+pub(super) enum Who {
+    /// A person.
+    Person(Lines),
+    /// Nobody: the plan says what there is to say.
+    Nobody(Box<Plan>),
+}
+
+impl Who {
+    /// Reads lines until the program ends, on a thread of its own because a read from a terminal cannot be interrupted.
+    pub(super) fn person(keyboard: Keyboard) -> Self {
+        let (typing, typed) = channel();
+        thread::spawn(move || {
+            for line in keyboard.lines().map_while(Result::ok) {
+                if typing.send(line).is_err() {
+                    return;
+                }
+            }
+        });
+        Self::Person(Arc::new(Mutex::new(typed)))
+    }
+}
+
+/// Makes sure that the plan has what nobody can be asked for.
+///
+/// # Errors
+/// Some `about_mm` is missing.
+pub(super) fn can_answer(plan: &Plan) -> Result<(), Failure> {
+    let missing = |what: &str| Failure::Input {
+        why: format!("`--yes` takes the readings from the plan, and it has no {what}"),
+        help: "complete the plan, as in `examples/paper.toml`".to_owned(),
+    };
+    if plan.readings.width_about_mm.is_none() {
+        return Err(missing("readings.width_about_mm"));
+    }
+    match plan
+        .indentations
+        .iter()
+        .find(|indentation| indentation.about_mm.is_none())
+    {
+        Some(without) => Err(missing(&format!("about_mm for {}", without.name))),
+        None => Ok(()),
+    }
+}
+
+/// The terminal or its replacement.
+pub(super) struct Counter<'a, 'b> {
+    screen: &'a mut Screen<'b>,
+    finder: &'a Finder<'a>,
+    who: Who,
+    interrupt: Interrupt,
+}
+
+impl<'a, 'b> Counter<'a, 'b> {
+    /// From now on Ctrl-C leaves a question, too.
+    pub(super) fn new(screen: &'a mut Screen<'b>, finder: &'a Finder<'a>, who: Who) -> Self {
+        Self {
+            screen,
+            finder,
+            who,
+            interrupt: interrupt::install(),
+        }
+    }
+}
+
+impl Desk for Counter<'_, '_> {
+    fn say(&mut self, text: &str) {
+        self.screen.say(text);
+    }
+
+    fn answer(
+        &mut self,
+        question: &Question<'_>,
+        company: &mut dyn FnMut() -> Result<(), ClientError>,
+    ) -> Result<String, Halt> {
+        let lines = match &self.who {
+            Who::Nobody(_) if (self.interrupt)().is_some() => return Err(Halt::Left),
+            Who::Nobody(plan) => return Ok(by_plan(plan, question)),
+            Who::Person(lines) => lines,
+        };
+        loop {
+            if (self.interrupt)().is_some() {
+                return Err(Halt::Left);
+            }
+            let typed = lines
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .try_recv();
+            match typed {
+                Ok(line) => return Ok(line),
+                Err(TryRecvError::Disconnected) => return Err(Halt::Left),
+                Err(TryRecvError::Empty) => {
+                    company().map_err(Halt::Client)?;
+                    thread::sleep(TURN);
+                }
+            }
+        }
+    }
+
+    fn is_person(&self) -> bool {
+        matches!(self.who, Who::Person(_))
+    }
+
+    fn observer(&mut self) -> Box<dyn Observer + '_> {
+        Box::new(self.screen.live())
+    }
+
+    fn pacer(&mut self) -> Option<Pacer> {
+        let Who::Person(lines) = &self.who else {
+            return None;
+        };
+        let lines = Arc::clone(lines);
+        Some(Box::new(move || {
+            let typed = lines
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .try_recv();
+            match typed.ok()?.trim() {
+                "h" | "H" => Some(Pace::Hold),
+                "r" | "R" => Some(Pace::Resume),
+                "s" | "S" => {
+                    interrupt::press();
+                    None
+                }
+                "" => None,
+                _ => {
+                    interrupt::tell(crate::cli::keyboard::hint(false));
+                    None
+                }
+            }
+        }))
+    }
+
+    fn now(&self) -> Timestamp {
+        self.finder.connector.now()
+    }
+}
+
+/// What a person would type on the virtual bench.
+fn by_plan(plan: &Plan, question: &Question<'_>) -> String {
+    let width_um = plan.readings.width_about_mm.unwrap_or_default().um;
+    match question {
+        Question::Reading {
+            quantity: Quantity::BetweenCrests,
+            indentation,
+            ..
+        } => {
+            let about = plan
+                .indentations
+                .iter()
+                .find(|known| Some(known.name.as_str()) == *indentation)
+                .and_then(|known| known.about_mm)
+                .unwrap_or_default();
+            Millimetres::from_um(width_um - 2 * about.um).to_string()
+        }
+        Question::Reading { .. } => Millimetres::from_um(width_um).to_string(),
+        Question::Odd { .. } => "yes".to_owned(),
+        Question::Prepare { .. } | Question::Ready { .. } | Question::Displacement { .. } => {
+            String::new()
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! The command `run`, alone or with a fold or an unfolding at a place of it.
+
+use protocol::capsule::CapsuleState;
+use protocol::rig::Run;
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+
+use crate::cli::args::{DATA_FOLDER, RunArgs};
+use crate::cli::failure::Failure;
+use crate::cli::finding::Finder;
+use crate::cli::fresh;
+use crate::cli::keyboard::{self, SingleKeys};
+use crate::cli::machines::{completed, recording};
+use crate::cli::screen::Screen;
+use crate::client::Device;
+use crate::commission::warning;
+use crate::coordination::{self, Coordinated, Recordings, Shaping};
+use crate::cue::{Coordination, Cue};
+use crate::decimal;
+use crate::experiment::{self, RunTrial};
+use crate::plan;
+use crate::report::section::actuation_rows;
+
+/// What is tied to the run, if anything is.
+fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {
+    let (shaping, cycle) = match (args.fold_at_cycle, args.unfold_at_cycle) {
+        (Some(cycle), _) => (Shaping::Fold, cycle),
+        (None, Some(cycle)) => (Shaping::Unfold, cycle),
+        (None, None) => return Ok(None),
+    };
+    let at_um = args.at_mm.map(|at_mm| at_mm.0);
+    let cue = Cue { cycle, at_um };
+    cue.check(run, args.record.telemetry_ms).map_err(|error| Failure::Input {
+        why: error.to_string(),
+        help: "nothing moved; `retrograde plan` shows the strokes of a run, `--telemetry-ms` sets the interval".to_owned(),
+    })?;
+    Ok(Some((shaping, cue)))
+}
+
+/// A capsule that can do it, or why not. Nothing has moved yet.
+fn ready(
+    shaping: Shaping,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Device, Failure> {
+    let mut capsule = finder.connect(DeviceKind::Capsule)?;
+    fresh::prepare(DeviceKind::Capsule, &mut capsule, finder, screen)?;
+    let status = capsule.capsule_status()?;
+    let (begins, command) = match shaping {
+        Shaping::Fold => (CapsuleState::Unfolded, "unfold"),
+        Shaping::Unfold => (CapsuleState::Folded, "fold"),
+    };
+    if status.state == begins && status.referenced {
+        return Ok(capsule);
+    }
+    Err(Failure::Refused {
+        why: format!(
+            "the capsule has to be {begins:?} and referenced before the run; it is {:?}, and the run was not begun",
+            status.state
+        ),
+        help: match status.state {
+            CapsuleState::Faulted => "`retrograde info capsule` names the fault".to_owned(),
+            _ if status.referenced => format!("`retrograde {command}`, then again"),
+            _ => "`retrograde capsule reference`, then again".to_owned(),
+        },
+    })
+}
+
+pub(crate) fn run(
+    args: &RunArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let request = args.waves.request(args.on_link_loss);
+    plan::check(&request)?;
+    let tied = tied(args, &request)?;
+    let partner = match tied {
+        Some((shaping, cue)) => Some((ready(shaping, finder, screen)?, shaping, cue)),
+        None => None,
+    };
+    let mut rig = finder.connect(DeviceKind::Rig)?;
+    fresh::prepare(DeviceKind::Rig, &mut rig, finder, screen)?;
+    let folders = [args.record.out.clone(), DATA_FOLDER.into()];
+    if let Some(warning) = warning::of_record(&mut rig, &folders)? {
+        screen.hint(&format!("warning: {warning}"));
+    }
+    // The terminal is restored on every way out of here.
+    let mut single = None;
+    if let Some(keyboard) = screen.keyboard.take() {
+        if screen.single_keys {
+            single = SingleKeys::begin();
+        }
+        screen.hint(keyboard::hint(single.is_some()));
+        rig.set_pacer(keyboard::pacer(keyboard, single.is_some()));
+    }
+    let of_run = recording(&args.record, "run", finder);
+    let Some((mut capsule, shaping, cue)) = partner else {
+        let trial = experiment::run(&mut rig, request, &of_run, &mut screen.live())?;
+        drop(single);
+        return ended(&request, &trial, screen);
+    };
+    let of_actuation = recording(&args.record, stem(shaping), finder);
+    let recordings = Recordings {
+        run: &of_run,
+        actuation: &of_actuation,
+    };
+    let devices = (&mut rig, &mut capsule);
+    let Coordinated {
+        run,
+        actuation,
+        coordination,
+    } = coordination::run(
+        devices,
+        request,
+        (shaping, cue),
+        &recordings,
+        &mut screen.live(),
+    )?;
+    drop(single);
+    let ran = ended(&request, &run, screen);
+    if let Some(text) = latency_text(shaping, &coordination) {
+        screen.say(&text);
+    }
+    let actuation = match (actuation, ran.is_ok()) {
+        (Ok(actuation), _) => actuation,
+        (Err(error), true) => return Err(error.into()),
+        // The run's own failure is the exit code, and the reason for this one more often than not.
+        (Err(error), false) => {
+            screen.say(&error.to_string());
+            return ran;
+        }
+    };
+    for (name, value) in actuation_rows(shaping.into(), &actuation.record) {
+        screen.say(&format!("  {name}: {value}"));
+    }
+    screen.say(&format!("  {}", actuation.sidecar.display()));
+    let mut value = ran?;
+    completed(
+        stem(shaping),
+        actuation.trial.status,
+        actuation.trial.error.as_ref(),
+        format!("the data is in {}", actuation.sidecar.display()),
+    )?;
+    if let Some(object) = value.as_object_mut() {
+        object.insert("actuation".to_owned(), json!(actuation.trial));
+    }
+    Ok(value)
+}
+
+fn stem(shaping: Shaping) -> &'static str {
+    match shaping {
+        Shaping::Fold => "fold",
+        Shaping::Unfold => "unfold",
+    }
+}
+
+/// What the record says of a run that has ended, or the failure if it is not complete.
+fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    screen.say(&format!(
+        "{} of {} strokes in {} s, {} steps commanded, {} counted, residual {} steps.\n  {}\n  {}",
+        trial.record.strokes,
+        u32::from(request.cycles) * 2,
+        decimal::seconds(trial.record.ticks),
+        trial.record.commanded_edges,
+        trial.record.counted_edges,
+        trial.record.worst_residual_steps,
+        trial.csv.display(),
+        trial.sidecar.display(),
+    ));
+    let help = format!(
+        "the data is in {}; `retrograde info` shows where the rig is; a new run has to start at 0: `retrograde home`",
+        trial.sidecar.display()
+    );
+    completed(
+        "the run",
+        trial.trial.status,
+        trial.trial.error.as_ref(),
+        help,
+    )?;
+    Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
+}
+
+/// When it began, by both clocks.
+fn latency_text(shaping: Shaping, coordination: &Coordination) -> Option<String> {
+    let (least_us, most_us) = coordination.latency_us?;
+    let place = match coordination.cue.at_um {
+        Some(at_um) => format!(
+            "the carriage passed {} mm in",
+            decimal::write(at_um.into(), 3)
+        ),
+        None => "the start of".to_owned(),
+    };
+    // Halves of a microsecond are rounded so that the interval is not narrowed.
+    let (middle_us, half_us) = ((least_us + most_us) / 2, (most_us - least_us + 1) / 2);
+    let ms = |us: i64| decimal::write_signed(us, 3);
+    Some(format!(
+        "The {} began {} +- {} ms after {place} cycle {}.",
+        stem(shaping),
+        ms(middle_us),
+        ms(half_us),
+        coordination.cue.cycle,
+    ))
+}

@@ -1,0 +1,189 @@
+//! Campaigns in processes of their own, at a machine on TCP: killed at random instants and resumed, and left at a prompt.
+#![cfg(unix)]
+
+#[path = "machine/bench.rs"]
+mod bench;
+mod machine;
+#[path = "machine/terminal.rs"]
+mod terminal;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use bench::{Bench, ready};
+use host_tool::campaign::chance::Chance;
+use host_tool::campaign::folder::Campaign;
+use host_tool::campaign::ledger::Event;
+use host_tool::campaign::ledger::Standing;
+use host_tool::campaign::verify::verify;
+use machine::VIRTUAL_UID;
+use protocol::system::DeviceKind;
+use terminal::Terminal;
+
+/// The machine's clock runs so many times as fast as the world's.
+const SPEED: u32 = 12;
+
+/// Ten short trials in one block.
+fn plan() -> String {
+    include_str!("../../examples/paper.toml")
+        .replace("duration_s = 40", "duration_s = 1")
+        .replace("telemetry_ms = 10 ", "telemetry_ms = 50 ")
+        .replace("stroke_mm = 130", "stroke_mm = 5")
+        .replace("cycles = 5", "cycles = 1")
+        .replace(r#"["dry", "lubricated"]"#, r#"["dry"]"#)
+        .replace(r#"["a1", "a2", "a3", "a4", "a5"]"#, r#"["a5"]"#)
+        .replace(
+            "[fold_test]\nlubrication = \"lubricated\"\nindentation = \"a5\"\nrepeats = 1\n",
+            "",
+        )
+}
+
+/// The displacements that count, and the attempts that they are of.
+fn done(campaign: &Campaign) -> BTreeMap<u32, (u32, i64)> {
+    let of = |trial: &host_tool::campaign::ledger::TrialState| {
+        let mm = trial.counted()?;
+        Some((trial.planned.trial, (trial.attempt()?.number, mm.value.um)))
+    };
+    campaign.state.trials.iter().filter_map(of).collect()
+}
+
+/// How many kills: all of them where RETROGRADE_CAMPAIGN is set, else the first.
+fn kills() -> u32 {
+    match std::env::var_os("RETROGRADE_CAMPAIGN") {
+        Some(_) => 50,
+        None => 6,
+    }
+}
+
+/// No trial that was done is lost, none counts twice.
+#[test]
+fn a_campaign_survives_being_killed_at_any_instant() {
+    let mut script = ready(DeviceKind::Rig);
+    script.uid = VIRTUAL_UID;
+    let bench = Bench::on_tcp_as(&script, SPEED);
+    let place = bench.folder.path();
+    let repeats = kills() + 2;
+    let text = plan().replace("repeats = 10", &format!("repeats = {repeats}"));
+    assert!(!text.contains("fold_test"));
+    std::fs::write(place.join("plan.toml"), text).expect("written");
+    let folder = place.join("c");
+    let mut chance = Chance::new(50);
+    let mut before = BTreeMap::new();
+    let mut killed = 0;
+    let begin = Instant::now();
+    loop {
+        let args: &[&str] = match folder.exists() {
+            true => &["campaign", "resume", "c", "--yes"],
+            false => &["campaign", "run", "plan.toml", "--out", "c", "--yes"],
+        };
+        let mut child = bench.command(args).spawn().expect("starts");
+        if killed < kills() {
+            // From before the first byte to within some trial; every second one within a run.
+            let (runs, mut over) = (bench.count("Run"), killed % 2 == 0);
+            while !over && bench.count("Run") == runs {
+                over = child.try_wait().expect("a child").is_some();
+                thread::sleep(Duration::from_millis(1));
+            }
+            let at_most_ms = if killed % 2 == 0 { 500 } else { 60 };
+            thread::sleep(Duration::from_millis(chance.below(at_most_ms) as u64));
+            // That is SIGKILL; it may have ended by itself.
+            let _ = child.kill();
+            killed += 1;
+        }
+        let (code, out, err) = bench::read(child.wait_with_output().expect("ends"));
+        if folder.exists() {
+            let now = done(&Campaign::read(Path::new(&folder)).expect("readable at any instant"));
+            for (trial, value) in &before {
+                assert_eq!(
+                    now.get(trial),
+                    Some(value),
+                    "trial {trial} after kill {killed}"
+                );
+            }
+            before = now;
+        }
+        if killed == kills() && code.is_some() {
+            assert_eq!(code, Some(0), "{out}{err}");
+            break;
+        }
+        assert!(code.is_none() || code == Some(0), "{out}{err}");
+        assert!(begin.elapsed() < Duration::from_secs(300), "{before:?}");
+    }
+    assert_eq!(before.len() as u32, repeats);
+    assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
+    let campaign = Campaign::read(&folder).expect("a campaign");
+    for trial in 1..=repeats {
+        let measured = campaign
+            .rows
+            .iter()
+            .filter(|row| row.event == Event::Displacement && row.trial == Some(trial));
+        assert_eq!(measured.count(), 1, "trial {trial}");
+        let state = campaign.state.trial(trial).expect("there");
+        let standing = state.attempts.iter().filter(|attempt| attempt.stands());
+        assert_eq!(standing.count(), 1, "trial {trial}");
+    }
+    // Not every kill came between two trials.
+    let attempts = |campaign: &Campaign| -> usize {
+        campaign
+            .state
+            .trials
+            .iter()
+            .map(|trial| trial.attempts.len())
+            .sum()
+    };
+    assert!(
+        attempts(&campaign) > repeats as usize,
+        "no kill has hit an attempt"
+    );
+}
+
+/// While a question waits the rig hears the tool, others look through its door, and Ctrl-C leaves.
+#[test]
+fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
+    let bench = Bench::on_tcp_as(&ready(DeviceKind::Rig), SPEED);
+    let text = plan().replace("count = 5", "count = 1");
+    std::fs::write(bench.folder.path().join("plan.toml"), text).expect("written");
+    let at_terminal = |args: &[&str]| Terminal::start(bench.command(args), 100, 40);
+    let mut session = at_terminal(&["campaign", "run", "plan.toml", "--out", "c"]);
+    session.wait_for("rollers OFF");
+    let (before, begin) = (bench.count("KeepAlive"), Instant::now());
+    while bench.count("KeepAlive") < before + 3 {
+        assert!(
+            begin.elapsed() < Duration::from_secs(30),
+            "the rig hears nothing"
+        );
+        thread::sleep(Duration::from_millis(5));
+    }
+    let (code, out, err) = bench.retrograde(&["info"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.contains("Ready, homed"), "{out}");
+    for (wanted, line) in [
+        ("Enter when it is done", "\n"),
+        ("Reading 1 of 1: D", "24.4\n"),
+        ("Clamp both rollers", "\n"),
+        ("Reading 1 of 1: i", "14.3\n"),
+        ("Trial 1 of 10", "\n"),
+    ] {
+        session.wait_for(wanted);
+        session.press(line);
+    }
+    session.wait_for("Displacement of the tail");
+    session.press("\x03");
+    assert_eq!(session.ends_restored(), Some(130));
+    let folder = bench.folder.path().join("c");
+    assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
+    let standing = || {
+        let campaign = Campaign::read(&folder).expect("a campaign");
+        campaign.state.trial(1).expect("there").standing()
+    };
+    assert_eq!(standing(), Standing::Unmeasured);
+    let mut session = at_terminal(&["campaign", "resume", "c"]);
+    session.wait_for("Displacement of the tail");
+    session.press("4.5\n");
+    session.wait_for("Trial 2 of 10");
+    session.press("q\n");
+    assert_eq!(session.ends_restored(), Some(130));
+    assert_eq!(standing(), Standing::Done);
+}

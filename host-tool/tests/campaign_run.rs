@@ -1,0 +1,505 @@
+//! Campaigns on the command line, over the firmware's own request handling in virtual time: a person at the keyboard, and
+//! nobody.
+
+mod machine;
+
+use std::fs;
+use std::io::{self, BufRead, Read, Write};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use host_tool::campaign::folder::Campaign;
+use host_tool::campaign::ledger::{Event, Outcome, Source, Standing};
+use host_tool::campaign::order::Form;
+use host_tool::campaign::verify::verify;
+use host_tool::cli::run_at;
+use host_tool::identity::Origin;
+use machine::tool::Memory;
+use machine::{Script, VIRTUAL_UID, World};
+use protocol::system::DeviceKind;
+
+const PAPER: &str = include_str!("../../examples/paper.toml");
+
+/// The paper's plan, but for the number of trials and the length of the run.
+fn small_plan() -> String {
+    PAPER
+        .replace("repeats = 10", "repeats = 1")
+        .replace("duration_s = 40", "duration_s = 8")
+        .replace("cycles = 5", "cycles = 1")
+        .replace(r#"["a1", "a2", "a3", "a4", "a5"]"#, r#"["a2", "a5"]"#)
+        .replace("telemetry_ms = 10 ", "telemetry_ms = 50 ")
+        .replace("count = 5", "count = 2")
+}
+
+fn machines(uid: Option<[u8; 12]>) -> Memory {
+    Memory::with(
+        [DeviceKind::Rig, DeviceKind::Capsule]
+            .map(|kind| {
+                let mut script = Script::new(kind);
+                script.uid = uid.unwrap_or(script.uid);
+                script
+            })
+            .to_vec(),
+    )
+}
+
+fn place(plan: &str) -> tempfile::TempDir {
+    let place = tempfile::tempdir().expect("a folder");
+    fs::write(place.path().join("plan.toml"), plan).expect("written");
+    place
+}
+
+fn path(place: &tempfile::TempDir, name: &str) -> String {
+    place.path().join(name).display().to_string()
+}
+
+const AT: [&str; 4] = ["--rig", "0", "--capsule", "1"];
+
+fn whole(folder: &str) -> Campaign {
+    let verified = verify(Path::new(folder)).expect("a folder");
+    assert_eq!(verified.findings, vec![]);
+    Campaign::read(Path::new(folder)).expect("a campaign")
+}
+
+#[test]
+fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
+    let place = place(&small_plan().replace("scatter_mm = 0 ", "scatter_mm = 0.5 "));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(Some(VIRTUAL_UID));
+    let args = |extra: &[&str]| -> Vec<String> {
+        let all = [&["campaign"], extra, &AT[..]].concat();
+        all.into_iter().map(str::to_owned).collect()
+    };
+    let run = |extra: &[&str]| {
+        let args = args(extra);
+        memory.run(&args.iter().map(String::as_str).collect::<Vec<_>>())
+    };
+    let (code, said, err) = run(&["run", &plan, "--out", &out, "--yes", "--trials", "3"]);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(said.contains("3 of 6 trials count"), "{said}");
+    assert!(
+        said.contains("VIRTUAL: nothing here is a measurement"),
+        "{said}"
+    );
+    assert!(
+        said.contains("min left") || said.contains("minute left"),
+        "{said}"
+    );
+    let (code, said, err) = run(&["resume", &out, "--yes"]);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(
+        said.contains("6 of 6 trials count") && said.contains("Nothing is left"),
+        "{said}"
+    );
+    let report = Path::new(&out).join("report");
+    assert!(report.join("report.html").is_file() && report.join("figure7.svg").is_file());
+    let campaign = whole(&out);
+    assert!(
+        campaign
+            .rows
+            .iter()
+            .all(|row| row.origin == Origin::Virtual)
+    );
+    assert!(
+        campaign
+            .reading_rows
+            .iter()
+            .all(|row| row.origin == Origin::Virtual)
+    );
+    for row in campaign
+        .rows
+        .iter()
+        .filter(|row| row.event == Event::Displacement)
+    {
+        assert_eq!(row.source, Some(Source::ModelWithScatter));
+        let text = row.text.as_deref().unwrap_or_default();
+        assert!(
+            text.contains("model") && text.contains("scatter of 0.5 mm added, seed 1"),
+            "{text}"
+        );
+    }
+    for trial in &campaign.state.trials {
+        let attempt = trial.attempt().expect("done");
+        let (number, planned) = (trial.planned.trial, &trial.planned);
+        let about = if planned.indentation == "a2" {
+            "2"
+        } else {
+            "5.05"
+        };
+        assert_eq!(
+            attempt.indentation_mm.map(|a| a.to_string()).as_deref(),
+            Some(about)
+        );
+        let mm = trial.counted().expect("counts").value.mm();
+        match planned.shape {
+            Form::Unfolded => assert!(mm > 0.0, "{number}: {mm}"),
+            Form::Folded => assert!(mm < -20.0, "{number}: {mm}"),
+        }
+        let folder = campaign.attempt_folder(number, 1);
+        let conditions = fs::read_to_string(folder.join("conditions.json")).expect("there");
+        for word in [
+            "\"origin\": \"virtual\"",
+            "stroke_um",
+            "\"shift_steps\"",
+            "\"uid\"",
+        ] {
+            assert!(conditions.contains(word), "{word}: {conditions}");
+        }
+        // Two strokes, 4 s apart.
+        let pulses = fs::read_to_string(folder.join("sync.csv")).expect("there");
+        let times: Vec<u64> = pulses
+            .lines()
+            .skip(1)
+            .map(|line| {
+                line.split(',')
+                    .nth(1)
+                    .expect("columns")
+                    .parse()
+                    .expect("a number")
+            })
+            .collect();
+        assert_eq!(times.len(), 2, "{pulses}");
+        assert!(
+            (times[1] - times[0]).abs_diff(4_000_000) < 10_000,
+            "{pulses}"
+        );
+    }
+    // The same seed gives the same scatter.
+    let again = path(&place, "again");
+    assert_eq!(run(&["run", &plan, "--out", &again, "--yes"]).0, 0);
+    let values = |campaign: &Campaign| {
+        let trials = campaign.state.trials.iter();
+        trials
+            .map(|trial| trial.counted().map(|mm| mm.value))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(values(&whole(&again)), values(&campaign));
+    // The folded body is measured, then unfolded; both are in the attempt's folder.
+    let fold = campaign
+        .state
+        .trials
+        .iter()
+        .find(|trial| trial.planned.shape == Form::Folded);
+    let folder = campaign.attempt_folder(fold.expect("one").planned.trial, 1);
+    let stems: Vec<String> = fs::read_dir(folder)
+        .expect("there")
+        .map(|entry| {
+            entry
+                .expect("an entry")
+                .file_name()
+                .to_string_lossy()
+                .into_owned()
+        })
+        .collect();
+    for stem in ["fold-", "run-", "unfold-"] {
+        assert!(
+            stems.iter().any(|name| name.starts_with(stem)),
+            "{stem}: {stems:?}"
+        );
+    }
+}
+
+#[test]
+fn nobody_answers_for_a_board() {
+    let place = place(&small_plan());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(None);
+    let args = |extra: &[&'static str]| {
+        [&["campaign", "run", &plan, "--out", &out], extra, &AT]
+            .concat()
+            .iter()
+            .map(|arg| (*arg).to_owned())
+            .collect::<Vec<String>>()
+    };
+    let run = |args: Vec<String>| memory.run(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    let (code, _, err) = run(args(&[]));
+    assert_eq!(code, 3, "{err}");
+    assert!(
+        err.contains("nobody is at a terminal") && !Path::new(&out).exists(),
+        "{err}"
+    );
+    let (code, _, err) = run(args(&["--yes"]));
+    assert_eq!(code, 3, "{err}");
+    assert!(
+        err.contains("displacement on a board has to be measured"),
+        "{err}"
+    );
+    assert!(!memory.heard().contains(&"Run") && !memory.heard().contains(&"Home"));
+    assert_eq!(whole(&out).rows, vec![]);
+}
+
+/// Output that a keyboard can look at.
+#[derive(Clone, Default)]
+struct Shown(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Shown {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().expect("free").extend(bytes);
+        Ok(bytes.len())
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Shown {
+    fn text(&self) -> String {
+        String::from_utf8_lossy(&self.0.lock().expect("free")).into_owned()
+    }
+}
+
+/// A person who waits for a text, then types a line.
+struct Person {
+    shown: Shown,
+    seen: usize,
+    lines: std::vec::IntoIter<(&'static str, &'static str)>,
+    typing: Vec<u8>,
+}
+
+impl Read for Person {
+    fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+        unreachable!("lines are read")
+    }
+}
+
+impl BufRead for Person {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        if self.typing.is_empty()
+            && let Some((wanted, line)) = self.lines.next()
+        {
+            let begin = Instant::now();
+            loop {
+                let text = self.shown.text();
+                if let Some(place) = text[self.seen..].find(wanted) {
+                    self.seen += place + wanted.len();
+                    break;
+                }
+                let late = begin.elapsed() > Duration::from_secs(20);
+                assert!(!late, "no `{wanted}` in:\n{}", &text[self.seen..]);
+                thread::sleep(Duration::from_millis(1));
+            }
+            self.typing = format!("{line}\n").into_bytes();
+        }
+        Ok(&self.typing)
+    }
+    fn consume(&mut self, count: usize) {
+        self.typing.drain(..count);
+    }
+}
+
+/// Exit code, and all that was shown.
+fn converse(
+    memory: &Memory,
+    args: &[&str],
+    lines: Vec<(&'static str, &'static str)>,
+) -> (u8, String) {
+    let shown = Shown::default();
+    let person = Person {
+        shown: shown.clone(),
+        seen: 0,
+        lines: lines.into_iter(),
+        typing: vec![],
+    };
+    let all = [&["retrograde", "campaign"], args, &AT].concat();
+    let (mut out, mut err) = (shown.clone(), shown.clone());
+    let code = run_at(
+        all.into_iter().map(Into::into),
+        memory,
+        &mut out,
+        &mut err,
+        false,
+        Some(Box::new(person)),
+    );
+    (code, shown.text())
+}
+
+#[test]
+fn a_person_is_asked_again_until_the_answer_can_be() {
+    let plan = small_plan().replace("camera = \"none\"", "camera = \"overhead\"");
+    let place = place(&plan);
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(None);
+    let (code, shown) = converse(
+        &memory,
+        &["run", &plan, "--out", &out],
+        vec![
+            ("rollers OFF", ""),
+            ("Reading 1 of 2: D", "24,4"),
+            ("has a comma", "24.4 mm"),
+            ("has a unit", "2.44e1"),
+            ("exponent", "0"),
+            ("above 0", "24.401"),
+            ("resolution is 0.01", "24.6"),
+            ("Reading 2 of 2: D", "undo"),
+            ("Reading 1 of 2: D", "24.4"),
+            ("Reading 2 of 2: D", "25.4"),
+            ("differ by 1 mm", "again"),
+            ("rollers OFF", ""),
+            ("Reading 1 of 2: D", "24.4"),
+            ("Reading 2 of 2: D", "24.4"),
+            ("D = 24.400 mm", ""),
+            ("Reading 1 of 2: i", "24.4"),
+            ("rollers do not touch", "20.4"),
+            ("Reading 2 of 2: i", "20.4"),
+            ("(D - i)/2 = 2.000 mm", "note 21 degC"),
+            ("camera records, as paper-001-1", "camera IMG_1.MOV"),
+            ("camera records, as IMG_1.MOV", ""),
+            ("Displacement of the tail", "12,5"),
+            ("has a comma", "1300"),
+            ("the plan allows -130 to 130", "12.5"),
+            ("Clamp both rollers", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    assert!(shown.contains("campaign resume"), "{shown}");
+    let campaign = whole(&out);
+    let first = campaign.state.trial(1).expect("there");
+    assert_eq!(first.counted().map(|mm| mm.value.um), Some(12_500));
+    assert_eq!(first.notes, ["21 degC"]);
+    assert_eq!(first.attempts[0].camera_file.as_deref(), Some("IMG_1.MOV"));
+    assert_eq!(
+        campaign.rows.last().expect("some").source,
+        Some(Source::Measured)
+    );
+    assert!(campaign.readings.sets[0].discarded && !campaign.readings.sets[1].discarded);
+    assert_eq!(campaign.origin(), Some(Origin::Board));
+
+    // The next day: the second indentation; undo, repeat, exclude, skip.
+    let (code, shown) = converse(
+        &memory,
+        &["resume", &out],
+        vec![
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "14.3"),
+            ("Reading 2 of 2: i", "14.3"),
+            ("Trial 2 of 6", "undo"),
+            ("Displacement of the tail", "13.5"),
+            ("Trial 2 of 6", ""),
+            ("Displacement of the tail", "repeat it was not at its mark"),
+            ("Trial 2 of 6, attempt 2", ""),
+            ("Displacement of the tail", "40"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "14.5"),
+            ("Reading 2 of 2: i", "14.5"),
+            ("Trial 3 of 6", "exclude the wall was torn"),
+            ("Trial 3 of 6", "skip no soap"),
+            ("Clamp both rollers", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    let campaign = whole(&out);
+    let standing = |trial| campaign.state.trial(trial).expect("there").standing();
+    assert_eq!(
+        [1, 2, 3, 4].map(standing),
+        [
+            Standing::Done,
+            Standing::Excluded,
+            Standing::Skipped,
+            Standing::Open
+        ]
+    );
+    let (_, said, _) = memory.run(&["campaign", "status", &out]);
+    for line in [
+        "1 of 6 trials count",
+        "attempt 1 does not count: given up: it was not at its mark",
+        "trial 2 is excluded: the wall was torn",
+        "trial 3 is skipped: no soap",
+        "13.500 mm",
+    ] {
+        assert!(said.contains(line), "{line}: {said}");
+    }
+    for args in [
+        &["include", "2"][..],
+        &["displacement", "2", "-1.5", "misread"],
+        &["include", "3"],
+        &["note", "all", "well"],
+    ] {
+        let (code, said, err) = memory.run(&[&["campaign", "edit", &out], args].concat());
+        assert_eq!(code, 0, "{args:?}: {said}{err}");
+    }
+    for args in [
+        &["exclude", "5", "x"][..],
+        &["displacement", "2", "140"],
+        &["undo", "99"],
+        &["include", "1"],
+    ] {
+        let (code, said, err) = memory.run(&[&["campaign", "edit", &out], args].concat());
+        assert_eq!(code, 2, "{args:?}: {said}{err}");
+    }
+    let campaign = whole(&out);
+    let second = campaign
+        .state
+        .trial(2)
+        .expect("there")
+        .counted()
+        .expect("counts");
+    assert_eq!((second.value.um, second.entered), (-1_500, 2));
+    assert_eq!(campaign.state.notes, ["all well"]);
+}
+
+#[test]
+fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
+    let place = place(&small_plan());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let mut rig = Script::new(DeviceKind::Rig);
+    rig.uid = VIRTUAL_UID;
+    let mut capsule = Script::new(DeviceKind::Capsule);
+    capsule.uid = VIRTUAL_UID;
+    let mut broken = rig.clone();
+    // The loop opens within the first run, and stays open.
+    broken.world = vec![(9_000_000, World::EStopLoop { open: true })];
+    let memory = Memory::with(vec![broken, capsule.clone()]);
+    let run = |memory: &Memory, args: &[&str]| memory.run(&[&["campaign"], args, &AT].concat());
+    let (code, said, err) = run(&memory, &["run", &plan, "--out", &out, "--yes"]);
+    assert_eq!(code, 6, "{said}{err}");
+    let campaign = whole(&out);
+    let first = campaign.state.trial(1).expect("there");
+    assert_eq!(
+        first.attempts[0].outcome,
+        Some(Outcome::Faulted),
+        "{said}{err}"
+    );
+    assert_eq!(first.standing(), Standing::Open);
+    let memory = Memory::with(vec![rig, capsule]);
+    let (code, said, err) = run(&memory, &["resume", &out, "--yes"]);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(
+        said.contains("trial 1, attempt 1 does not count: faulted"),
+        "{said}"
+    );
+    assert_eq!(whole(&out).state.trial(1).expect("there").attempts.len(), 2);
+}
+
+#[test]
+fn verify_says_what_is_wrong_and_what_to_do() {
+    let place = place(&small_plan());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(Some(VIRTUAL_UID));
+    let (code, said, err) = memory.run(&["campaign", "new", &plan, "--out", &out]);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(said.contains("6 trials in 5 blocks, seed 20221"), "{said}");
+    let (code, said, _) = memory.run(&["verify", &out]);
+    assert_eq!(code, 0);
+    assert!(said.contains("4 files are as SHA256SUMS says"), "{said}");
+    fs::write(Path::new(&out).join("notes.txt"), "x").expect("written");
+    let (code, said, err) = memory.run(&["verify", &out]);
+    assert_eq!(code, 1, "{said}{err}");
+    assert!(
+        said.contains("notes.txt: is not in SHA256SUMS")
+            && said.contains("remedy: was it put there by hand?"),
+        "{said}"
+    );
+    let (code, said, _) = memory.run(&["--json", "verify", &out]);
+    let json: serde_json::Value = serde_json::from_str(&said).expect("JSON");
+    assert_eq!(
+        (code, &json["findings"][0]["path"]),
+        (1, &"notes.txt".into())
+    );
+    let empty = path(&place, "empty");
+    fs::create_dir(&empty).expect("made");
+    let (code, _, err) = memory.run(&["verify", &empty]);
+    assert_eq!(code, 2, "{err}");
+    assert!(err.contains("no SHA256SUMS and no record"), "{err}");
+}
