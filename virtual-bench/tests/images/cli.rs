@@ -3,7 +3,7 @@
 
 use crate::common::RigRun;
 use host_tool::cli;
-use host_tool::connector::{Candidate, Connector, Ports};
+use host_tool::connector::{Candidate, Connector, Ports, Purpose};
 use host_tool::link::address::Address;
 use host_tool::link::{Link, OpenError};
 use jiff::Timestamp;
@@ -16,7 +16,13 @@ use virtual_bench::link::VirtualLink;
 struct OneRig(Bench<RigBoard>);
 
 impl Connector for OneRig {
-    fn open(&self, _: DeviceKind, _: &Address, _: u32) -> Result<Box<dyn Link>, OpenError> {
+    fn open(
+        &self,
+        _: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
         Ok(Box::new(VirtualLink::new(&self.0, "virtual rig")))
     }
     fn candidates(&self) -> Vec<Candidate> {

@@ -15,7 +15,7 @@ use host_tool::commission::record::{Commissioning, Outcome, Subject};
 use host_tool::commission::session::{Ending, carry_out};
 use host_tool::commission::steps;
 use host_tool::commission::work::{Options, Work};
-use host_tool::connector::{Candidate, Connector, Ports};
+use host_tool::connector::{Candidate, Connector, Ports, Purpose};
 use host_tool::link::address::Address;
 use host_tool::link::{Link, OpenError};
 use jiff::Timestamp;
@@ -72,7 +72,13 @@ impl Workshop {
 }
 
 impl Connector for Workshop {
-    fn open(&self, _: DeviceKind, _: &Address, _: u32) -> Result<Box<dyn Link>, OpenError> {
+    fn open(
+        &self,
+        _: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
         Ok(self.link())
     }
     fn candidates(&self) -> Vec<Candidate> {

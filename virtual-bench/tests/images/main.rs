@@ -3,9 +3,11 @@
 
 mod common;
 
+mod campaign;
 mod capsule;
 mod cli;
 mod commission;
+mod coordination;
 mod edge_timing;
 mod endurance;
 mod estop;

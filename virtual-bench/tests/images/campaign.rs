@@ -1,0 +1,68 @@
+//! A campaign on both images: the paper's plan with few and short runs, left and resumed, nobody asked.
+
+use std::ffi::OsString;
+use std::fs;
+use std::path::Path;
+
+use host_tool::campaign::folder::Campaign;
+use host_tool::campaign::ledger::{Source, Standing};
+use host_tool::campaign::verify::verify;
+use host_tool::cli;
+use virtual_bench::connector::BenchPorts;
+
+const PAPER: &str = include_str!("../../../examples/paper.toml");
+
+/// One dry trial, and the fold test: three runs of 8 s.
+fn short_plan() -> String {
+    [
+        ("repeats = 10", "repeats = 1"),
+        ("duration_s = 40", "duration_s = 8"),
+        ("cycles = 5", "cycles = 1"),
+        (r#"["dry", "lubricated"]"#, r#"["dry"]"#),
+        (r#"["a1", "a2", "a3", "a4", "a5"]"#, r#"["a5"]"#),
+    ]
+    .iter()
+    .fold(PAPER.to_owned(), |plan, (long, short)| {
+        assert!(plan.contains(long), "{long}");
+        plan.replace(long, short)
+    })
+}
+
+fn retrograde(args: &[&str]) -> String {
+    let (mut out, mut err) = (vec![], vec![]);
+    let line = ["retrograde", "--rig", "virtual", "--capsule", "virtual"]
+        .iter()
+        .chain(args)
+        .map(OsString::from);
+    let code = cli::run_on(line, &BenchPorts::default(), &mut out, &mut err, false);
+    out.extend(err);
+    let text = String::from_utf8_lossy(&out).into_owned();
+    assert_eq!(code, 0, "{args:?}: {text}");
+    text
+}
+
+#[test]
+fn a_short_campaign_is_left_and_resumed_and_reported() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| place.path().join(name).display().to_string();
+    let (plan, folder) = (path("plan.toml"), path("short"));
+    fs::write(&plan, short_plan()).expect("written");
+    retrograde(&[
+        "campaign", "run", &plan, "--out", &folder, "--yes", "--trials", "1",
+    ]);
+    // Other machines: those of the first command are gone, as after a crash.
+    retrograde(&["campaign", "resume", &folder, "--yes"]);
+    retrograde(&["verify", &folder]);
+    let verified = verify(Path::new(&folder)).expect("a folder");
+    assert_eq!(verified.findings, vec![]);
+    let campaign = Campaign::read(Path::new(&folder)).expect("a campaign");
+    assert_eq!(campaign.state.trials.len(), 3);
+    for trial in &campaign.state.trials {
+        assert_eq!(trial.standing(), Standing::Done, "{trial:?}");
+        assert_eq!(trial.attempts.len(), 1, "{trial:?}");
+    }
+    let sources: Vec<_> = campaign.rows.iter().filter_map(|row| row.source).collect();
+    assert_eq!(sources, [Source::Model; 3]);
+    let page = fs::read_to_string(path("short/report/report.html")).expect("a report");
+    assert!(page.contains("not a measurement"));
+}
