@@ -250,11 +250,12 @@ fn a_check_confirms_a_folded_capsule_and_pays_nothing_out() {
     assert!(sim.plant.travel_mm() > 20.0);
 }
 
-/// A slice of what `examples/capsules.rs` tries, and those of its seeds that came nearest to zero.
+/// A slice of what `examples/capsules.rs` tries, those of its seeds that came nearest to zero, and the two that were called
+/// jammed at the end when a fold after a reference run still looked for all of the calibrated thread.
 #[test]
 fn zero_is_not_passed_after_a_reset() {
-    for folded in [true, false] {
-        for seed in 0..6 {
+    for (folded, chosen) in [(true, [207, 909]), (false, [594, 620])] {
+        for seed in (0..4).chain(chosen) {
             let found = cases::found_again(seed, folded);
             let [least_mm, left_mm] =
                 found.unwrap_or_else(|| panic!("seed {seed} ends in a fault"));
