@@ -74,12 +74,12 @@ pub const MOST_NO_LOAD_MA: u16 = 30;
 /// Deceleration of a motor that coasts without load, counts/s2 per mA of no-load current: friction over inertia.
 pub const COASTING_CPS2_PER_MA: u32 = 4_200;
 
-/// Current above the no-load current at the end force: 6.1 N with the assumed friction of the worm, 5.0 to 7.9 N
-/// over the friction's range.
-pub const FORCE_MA: u16 = 144;
+/// Current above the no-load current at the end force: 5.9 N with the assumed friction of the worm, 4.8 to 7.6 N
+/// over the friction's range. The last millimetres before it take most of a fold's energy.
+pub const FORCE_MA: u16 = 138;
 
 /// The same at half of the end force: start of the rise that tells an origami from an obstacle.
-pub const RISE_START_MA: u16 = 72;
+pub const RISE_START_MA: u16 = 69;
 
 /// Least thread wound between [`RISE_START_MA`] and [`FORCE_MA`] if it is the origami that pulls. The origami takes
 /// 1.6 mm, with half to four times the assumed stiffness 1.0 to 3 mm; a hard stop or a caught thread takes almost
