@@ -388,7 +388,7 @@ mod anything {
         check(100_000);
     }
 
-    /// `cargo test --release -p firmware-rig --test sequences -- --ignored`
+    /// `cargo test -p firmware-rig --test sequences -- --ignored`
     #[test]
     #[ignore = "for a release build"]
     fn holds_in_a_long_series() {
@@ -545,7 +545,7 @@ mod executed {
         check(3_000);
     }
 
-    /// `cargo test --release -p firmware-rig --test sequences -- --ignored`
+    /// `cargo test -p firmware-rig --test sequences -- --ignored`
     #[test]
     #[ignore = "for a release build"]
     fn holds_in_a_long_series() {

@@ -1,6 +1,6 @@
 //! What arrives may be anything: noise, corrupted frames, frames with a good CRC and nonsense in them.
 //!
-//! The long ones run in `cargo xtask ci`, or by `cargo test --release -p protocol -- --ignored`.
+//! The long ones run in `cargo xtask ci`, or by `cargo test -p protocol -- --ignored`.
 
 #[allow(missing_docs, dead_code, unreachable_pub)]
 mod exemplars;

@@ -163,7 +163,7 @@ fn no_command_is_executed_twice() {
 }
 
 /// A million commands at each error rate where RETROGRADE_CAMPAIGN is set, else the first quarter of them:
-/// `cargo test --release -p protocol -- --ignored`.
+/// `cargo test -p protocol -- --ignored`.
 #[test]
 #[ignore = "minutes in a debug build"]
 fn no_command_of_a_long_series_is_executed_twice() {

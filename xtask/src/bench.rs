@@ -16,7 +16,7 @@ const EMULATOR_REQUIRES: Version = Version(1, 98);
 pub(crate) fn run_command(command: &str, options: &[String]) -> Result<()> {
     let mut cargo = host_cargo("run");
     // Only the output of the program itself matters here.
-    cargo.args(["--quiet", "--release", "--package", "virtual-bench"]);
+    cargo.args(["--quiet", "--package", "virtual-bench"]);
     accept_this_rust(&mut cargo);
     cargo.args(["--", command]).args(options);
     run(
@@ -38,13 +38,13 @@ pub(crate) fn models() -> Result<()> {
     )
 }
 
-/// Tests the images: every test of the bench, in release because the emulator is too slow otherwise.
+/// Tests the images: every test of the bench.
 ///
 /// # Errors
 /// A test fails.
 pub(crate) fn test() -> Result<()> {
     let mut cargo = host_cargo("test");
-    cargo.args(["--release", "--package", "virtual-bench", "--no-fail-fast"]);
+    cargo.args(["--package", "virtual-bench", "--no-fail-fast"]);
     accept_this_rust(&mut cargo);
     run(
         &mut cargo,

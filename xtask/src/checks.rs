@@ -1,8 +1,8 @@
 //! The steps of `cargo xtask test`, `lint` and `ci`.
 //!
-//! Everything is compiled as rarely as possible: once in the dev profile for the host tests, once in
-//! release for the bench (its tests and the demo share that), once as metadata for the linter and the
-//! documentation, once for the chip.
+//! Everything is compiled as rarely as possible: once for the host tests, the bench and the demo, in the
+//! dev profile, in which the emulator is optimised; once as metadata for the linter and the documentation;
+//! once for the chip.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -100,7 +100,6 @@ fn host_tests() -> Result<()> {
 fn long_tests() -> Result<()> {
     let mut cargo = host_cargo("test");
     // With the bench, so that what they share with it is built with the same features, once.
-    cargo.arg("--release");
     for package in ["protocol", "firmware-rig", "virtual-bench"] {
         cargo.args(["--package", package]);
     }
@@ -109,7 +108,7 @@ fn long_tests() -> Result<()> {
     cargo.args(["--test", "fuzz", "--test", "link", "--test", "sequences"]);
     run(
         cargo.args(["--", "--ignored"]),
-        "run the failing test alone: `cargo test --release -p PACKAGE NAME -- --ignored`",
+        "run the failing test alone: `cargo test -p PACKAGE NAME -- --ignored`",
     )
 }
 
