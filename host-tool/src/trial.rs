@@ -5,7 +5,7 @@
 //! All numbers in the CSV come from the device, so the same run gives the same bytes.
 
 use std::fs::{self, File, OpenOptions};
-use std::io;
+use std::io::{self, BufRead};
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
@@ -546,20 +546,26 @@ impl Recorder {
         }
         self.trial.lost_events = lost_events;
         self.flush();
-        if let Some(failure) = self.failure() {
+        drop(self.csv);
+        let written = self
+            .writer
+            .finish()
+            .map_err(|error| RecordError::write(&error.path, error.why));
+        let failure = self.failed.or(written.err());
+        if let Some(failure) = &failure {
+            self.trial.samples = keep_whole_rows(&self.csv_path).unwrap_or(0);
             // Beside the verdict: whoever reads it must not take the telemetry for whole.
             self.trial
                 .error
                 .get_or_insert_with(|| format!("the telemetry was not recorded whole: {failure}"));
         }
-        self.write_sidecar();
-        drop(self.csv);
-        let written = self.writer.finish();
-        match self.failed {
+        // Tried after a failure, too: it says how the trial ended.
+        let said = json(&self.trial)
+            .and_then(|bytes| replace(&self.sidecar, &bytes))
+            .map_err(|io| RecordError::write(&self.sidecar, io));
+        match failure {
             Some(error) => Err(error),
-            None => written
-                .map(|()| self.trial)
-                .map_err(|error| RecordError::write(&error.path, error.why)),
+            None => said.map(|()| self.trial),
         }
     }
 
@@ -587,6 +593,24 @@ impl Recorder {
             }
         }
     }
+}
+
+/// Takes a last row that is not whole off a file that could not be written to its end. Returns how many rows are left.
+fn keep_whole_rows(csv: &Path) -> io::Result<u64> {
+    let file = OpenOptions::new().read(true).write(true).open(csv)?;
+    let mut reader = io::BufReader::new(&file);
+    let (mut line, mut lines, mut whole) = (vec![], 0_u64, 0);
+    loop {
+        line.clear();
+        let count = reader.read_until(b'\n', &mut line)?;
+        if line.last() != Some(&b'\n') {
+            break;
+        }
+        (lines, whole) = (lines + 1, whole + count as u64);
+    }
+    file.set_len(whole)?;
+    // The first one is the header.
+    Ok(lines.saturating_sub(1))
 }
 
 /// A JSON file's text.

@@ -5,32 +5,8 @@
 mod bench;
 mod machine;
 
-use std::process::Command;
-
-use bench::{Bench, read};
+use bench::{Bench, read, with_little_space};
 use protocol::system::DeviceKind;
-
-/// The same command, with files of at most so many bytes: the system refuses to write more, as on a full disk.
-fn with_little_space(command: &Command, bytes: u32) -> Command {
-    // Without the trap the system would end the process.
-    let script = format!(
-        "trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"",
-        bytes / 512
-    );
-    let mut shell = Command::new("sh");
-    shell.args(["-c", &script]).arg(command.get_program());
-    shell.args(command.get_args());
-    for (name, value) in command.get_envs() {
-        match value {
-            Some(value) => shell.env(name, value),
-            None => shell.env_remove(name),
-        };
-    }
-    if let Some(folder) = command.get_current_dir() {
-        shell.current_dir(folder);
-    }
-    shell
-}
 
 #[test]
 fn a_disk_that_fills_in_mid_run_is_told_at_once_and_the_verdict_is_not_lost() {

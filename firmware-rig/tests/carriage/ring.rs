@@ -32,7 +32,7 @@ pub struct Slots {
     periods: VecDeque<Period>,
     /// Rounds of the first period that have begun.
     begun: u32,
-    running: bool,
+    pub running: bool,
     /// Periods that have been played to their end since the path's start.
     played: u64,
     /// Of all queued periods, the first one included as a whole.

@@ -256,3 +256,29 @@ pub fn read(output: Output) -> (Option<i32>, String, String) {
         text(&output.stderr),
     )
 }
+
+/// The same command, with files of at most so many bytes: the system refuses to write more, as on a full disk.
+pub fn with_little_space(command: &Command, bytes: u32) -> Command {
+    // Without the trap the system would end the process.
+    let script = format!(
+        "trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"",
+        bytes / 512
+    );
+    let mut shell = Command::new("sh");
+    shell.args(["-c", &script]).arg(command.get_program());
+    shell
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    shell.args(command.get_args());
+    for (name, value) in command.get_envs() {
+        match value {
+            Some(value) => shell.env(name, value),
+            None => shell.env_remove(name),
+        };
+    }
+    if let Some(folder) = command.get_current_dir() {
+        shell.current_dir(folder);
+    }
+    shell
+}

@@ -151,6 +151,10 @@ impl Device for Capsule {
         Some(Telemetry::Capsule(CapsuleTelemetry { time_us, ..shown }))
     }
 
+    fn is_driven(&mut self) -> bool {
+        self.control.capsule().board.drive != Drive::Off
+    }
+
     fn world(&mut self, event: World) {
         let World::Battery { mv } = event else {
             unreachable!("{event:?} is of the rig");

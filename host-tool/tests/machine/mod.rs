@@ -35,6 +35,8 @@ use protocol::table::{Reply, SCHEMA_KEY, Telemetry};
 const UID: [u8; 12] = [0xab; 12];
 /// The number of a board that says that it is simulated.
 pub const VIRTUAL_UID: [u8; 12] = *b"virtual test";
+/// So often is looked whether a machine is driven, us.
+const LOOK_US: u64 = 5_000;
 /// How long somebody presses a button, us.
 const PRESS_US: u64 = 50_000;
 
@@ -129,6 +131,10 @@ pub struct Log {
     /// Names of all request frames that arrived, and `Urgent`.
     pub heard: Vec<&'static str>,
     pub urgent: Vec<(Urgent, u64)>,
+    /// When bytes of the host last arrived.
+    pub heard_us: u64,
+    /// When the machine was last seen driven.
+    pub driven_us: u64,
     /// The machine's flash, and how often it was written before.
     flash: Flash,
     writes_before: usize,
@@ -141,6 +147,8 @@ impl Log {
             executed: vec![],
             heard: vec![],
             urgent: vec![],
+            heard_us: 0,
+            driven_us: 0,
             flash: flash.clone(),
             writes_before: flash.operations().len(),
         }
@@ -180,6 +188,8 @@ trait Device: Send {
     fn answer(&mut self, inbound: Inbound) -> Reply;
     fn telemetry(&mut self) -> Option<Telemetry>;
     fn world(&mut self, event: World);
+    /// Pulses go out, or the bridge is awake.
+    fn is_driven(&mut self) -> bool;
 }
 
 /// A machine and the line to it.
@@ -273,6 +283,11 @@ impl Machine {
         *self.log() = Log::new(flash);
     }
 
+    /// When it was last seen driven, on the link's clock.
+    pub fn driven_us(&self) -> u64 {
+        self.log().driven_us
+    }
+
     fn log(&self) -> MutexGuard<'_, Log> {
         self.log
             .lock()
@@ -283,12 +298,17 @@ impl Machine {
     fn live(&mut self, now_us: u64) {
         loop {
             let event_us = self.world.front().map_or(u64::MAX, |(time_us, _)| *time_us);
-            self.run(event_us.min(now_us));
-            if event_us > now_us {
-                break;
+            let until_us = event_us.min(now_us).min(self.now_us + LOOK_US);
+            self.run(until_us);
+            if self.device.is_driven() {
+                self.log().driven_us = until_us - self.connected_us;
             }
-            if let Some((_, event)) = self.world.pop_front() {
-                self.happen(event);
+            if event_us == until_us {
+                if let Some((_, event)) = self.world.pop_front() {
+                    self.happen(event);
+                }
+            } else if until_us == now_us {
+                break;
             }
         }
         self.send();
@@ -374,6 +394,9 @@ impl Peer for Machine {
         let bytes = self.line.carry_to_machine(bytes, &mut heard);
         let mut log = self.log();
         log.now_us = now_us;
+        if !bytes.is_empty() {
+            log.heard_us = now_us;
+        }
         log.heard.extend(heard);
         drop(log);
         self.receive(&bytes);
@@ -420,7 +443,7 @@ fn make_ready(host: &mut client::Device, script: &Script) {
 }
 
 /// A machine that outlives its link.
-struct Shared(Arc<Mutex<Machine>>);
+pub struct Shared(pub Arc<Mutex<Machine>>);
 
 impl Shared {
     fn machine(&self) -> MutexGuard<'_, Machine> {

@@ -214,6 +214,11 @@ impl Device for Rig {
         }))
     }
 
+    fn is_driven(&mut self) -> bool {
+        let ring = &self.carriage().ring;
+        ring.armed && ring.running
+    }
+
     fn world(&mut self, event: World) {
         match event {
             World::EStopLoop { open } => {

@@ -131,7 +131,12 @@ impl Conduct<'_> {
         // The first of several reasons is the one to tell.
         let stopped = matches!(&result, Err(broken) if broken.outcome() == Outcome::Stopped);
         match result {
-            Err(_) if stopped && ended.is_ok() => Ok(Then::Leave),
+            Err(_) if stopped && ended.is_ok() => {
+                self.desk.say(&format!(
+                    "  stopped: attempt {attempt} of trial {trial} does not count"
+                ));
+                Ok(Then::Leave)
+            }
             Err(broken) => Err(broken),
             Ok(()) => {
                 ended?;

@@ -1,0 +1,446 @@
+//! What happens to the computer, the cable or the disk at a random instant of a campaign: the rig comes to rest in time, the
+//! reason is told at once and kept, the folder is whole, and the campaign goes on.
+#![cfg(unix)]
+
+#[path = "machine/bench.rs"]
+mod bench;
+mod machine;
+
+use std::fs;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::process::Command;
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use bench::{Bench, read, with_little_space};
+use host_tool::campaign::chance::Chance;
+use host_tool::campaign::folder::Campaign;
+use host_tool::campaign::ledger::{Event, Outcome, Standing};
+use host_tool::campaign::verify::verify;
+use host_tool::cli::run_at;
+use host_tool::connector::{Candidate, Connector, Purpose};
+use host_tool::link::address::Address;
+use host_tool::link::memory::{Memory, Peer};
+use host_tool::link::{Link, LinkError, OpenError};
+use jiff::{SignedDuration, Timestamp};
+use machine::signal::{Signal, kill};
+use machine::{Machine, Script, Shared, VIRTUAL_UID};
+use protocol::settings::SettingKey;
+use protocol::system::DeviceKind;
+
+/// All instants where RETROGRADE_CAMPAIGN is set, else the first.
+fn count(all: usize, first: usize) -> usize {
+    match std::env::var_os("RETROGRADE_CAMPAIGN") {
+        Some(_) => all,
+        None => first,
+    }
+}
+
+/// Two short trials of one run, so many seconds each.
+fn plan(duration_s: u32) -> String {
+    include_str!("../../examples/paper.toml")
+        .replace("repeats = 10", "repeats = 2")
+        .replace("duration_s = 40", &format!("duration_s = {duration_s}"))
+        .replace("stroke_mm = 130", "stroke_mm = 20")
+        .replace("cycles = 5", "cycles = 1")
+        .replace(r#"["dry", "lubricated"]"#, r#"["dry"]"#)
+        .replace(r#"["a1", "a2", "a3", "a4", "a5"]"#, r#"["a5"]"#)
+        .replace(
+            "[fold_test]\nlubrication = \"lubricated\"\nindentation = \"a5\"\nrepeats = 1\n",
+            "",
+        )
+}
+
+/// How the attempt ended that did not end as planned, in a folder in which the campaign went on after it: the outcome and
+/// the reason in the ledger. None if there was no such attempt.
+fn went_on(folder: &Path) -> Option<(Outcome, String)> {
+    let verified = verify(folder).expect("a folder");
+    assert_eq!(verified.findings, vec![], "{}", folder.display());
+    let campaign = Campaign::read(folder).expect("a campaign");
+    for trial in &campaign.state.trials {
+        assert_eq!(trial.standing(), Standing::Done, "{trial:?}");
+        let standing = trial.attempts.iter().filter(|attempt| attempt.stands());
+        assert_eq!(standing.count(), 1, "{trial:?}");
+    }
+    let mut broken = campaign.rows.iter().filter(|row| {
+        row.outcome
+            .is_some_and(|outcome| outcome != Outcome::Complete)
+    });
+    let row = broken.next()?;
+    assert_eq!(broken.next(), None, "one blow, one attempt");
+    Some((row.outcome?, row.text.clone().unwrap_or_default()))
+}
+
+/// When the telemetry of the run of the latest attempt ends, us of the rig's clock.
+fn last_sample_us(folder: &Path) -> Option<u64> {
+    let campaign = Campaign::read(folder).expect("a campaign");
+    let mut rows = campaign.rows.iter().rev();
+    let began = rows.find(|row| row.event == Event::Began)?;
+    let mut files = fs::read_dir(campaign.attempt_folder(began.trial?, began.attempt?)).ok()?;
+    let csv = files.find_map(|entry| {
+        let path = entry.expect("an entry").path();
+        let name = path.file_name()?.to_str()?;
+        (name.starts_with("run-") && name.ends_with(".csv")).then_some(path)
+    })?;
+    let text = fs::read_to_string(csv).expect("text");
+    // What a crash cut off does not count.
+    let whole = &text[..text.rfind('\n')?];
+    whole.lines().last()?.split(',').next()?.parse().ok()
+}
+
+// In a process of its own.
+
+/// The machine's clock runs so many times as fast as the world's.
+const SPEED: u32 = 12;
+/// Half a second of the world's.
+const TIMEOUT_MS: u32 = 6_000;
+/// From the fastest of these runs to rest.
+const BRAKING_US: u64 = 1_000_000;
+/// A busy computer, in the machine's time: half a second of the world's.
+const HELD_UP_US: u64 = 6_000_000;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Blow {
+    Signal(Signal),
+    Killed,
+    DiskFull,
+    FolderRemoved,
+}
+
+const BLOWS: [Blow; 6] = [
+    Blow::Signal(Signal::INT),
+    Blow::Killed,
+    Blow::DiskFull,
+    Blow::Signal(Signal::TERM),
+    Blow::FolderRemoved,
+    Blow::Signal(Signal::HUP),
+];
+
+#[test]
+fn what_happens_to_the_process_is_told_kept_and_survived() {
+    // Switched on with the line, so that both clocks are the same.
+    let mut script = Script::new(DeviceKind::Rig);
+    script.uid = VIRTUAL_UID;
+    script.settings = vec![(SettingKey::LinkTimeoutMs, TIMEOUT_MS)];
+    let bench = Bench::on_tcp_as(&script, SPEED);
+    let place = bench.folder.path();
+    fs::write(place.join("plan.toml"), plan(12)).expect("written");
+    let mut chance = Chance::new(200);
+    for index in 0..count(134, 6) {
+        let blow = BLOWS[index % BLOWS.len()];
+        let name = format!("c{index}");
+        suffer(&bench, &name, blow, &mut chance);
+        let folder = place.join(&name);
+        if blow == Blow::FolderRemoved {
+            continue;
+        }
+        let (code, out, err) = bench.retrograde(&["campaign", "resume", &name, "--yes"]);
+        assert_eq!(code, Some(0), "{blow:?}: {out}{err}");
+        let first = went_on(&folder);
+        let Some((outcome, reason)) = first else {
+            assert_ne!(blow, Blow::DiskFull, "the file was not cut");
+            continue;
+        };
+        let wanted = match blow {
+            Blow::Signal(_) => Outcome::Stopped,
+            _ => Outcome::Lost,
+        };
+        assert_eq!(outcome, wanted, "{blow:?}: {reason}");
+        assert!(!reason.is_empty(), "{blow:?}");
+    }
+}
+
+/// Begins a campaign and lets this happen in its first run.
+fn suffer(bench: &Bench, name: &str, blow: Blow, chance: &mut Chance) {
+    let plain = bench.command(&["campaign", "run", "plan.toml", "--out", name, "--yes"]);
+    let mut command = match blow {
+        // The locks, the ledger and the like are smaller; the telemetry is not.
+        Blow::DiskFull => little_space(&plain, chance),
+        _ => plain,
+    };
+    let folder = bench.folder.path().join(name);
+    let runs = bench.count("Run");
+    let mut child = command.spawn().expect("starts");
+    let begin = Instant::now();
+    while bench.count("Run") == runs {
+        assert!(begin.elapsed() < Duration::from_secs(60), "no run");
+        if let Some(status) = child.try_wait().expect("a child") {
+            let (_, out, err) = read(child.wait_with_output().expect("ended"));
+            panic!("{blow:?}: {status}: {out}{err}");
+        }
+        thread::sleep(Duration::from_millis(1));
+    }
+    let began_us = bench.log.lock().expect("log").now_us;
+    thread::sleep(Duration::from_millis(chance.below(900) as u64));
+    match blow {
+        Blow::Signal(signal) => kill(signal, child.id()),
+        Blow::Killed => child.kill().expect("ours"),
+        Blow::FolderRemoved => fs::remove_dir_all(&folder).expect("ours"),
+        Blow::DiskFull => {}
+    }
+    let (code, out, err) = read(child.wait_with_output().expect("ends"));
+    let (ended_us, heard_us) = {
+        let log = bench.log.lock().expect("log");
+        (log.now_us, log.heard_us)
+    };
+    let (wanted, words): (_, &[&str]) = match blow {
+        Blow::Signal(_) => (Some(130), &["stopped"]),
+        Blow::Killed => (None, &[]),
+        Blow::DiskFull => (Some(1), &["NOT RECORDED", "File too large"]),
+        Blow::FolderRemoved => (Some(1), &["No such file"]),
+    };
+    assert_eq!(code, wanted, "{blow:?}: {out}{err}");
+    let said = format!("{out}{err}");
+    for word in words {
+        assert!(said.contains(word), "{blow:?}: {word}: {said}");
+    }
+    if blow == Blow::Killed {
+        // A quarter of a second, and what was under way.
+        let last_us = last_sample_us(&folder).unwrap_or(began_us);
+        assert!(
+            heard_us < last_us + HELD_UP_US,
+            "the last sample is of {last_us} us, it was killed at {heard_us} us"
+        );
+    }
+    // It stands, at the latest when the rig has missed the tool for so long.
+    let deadline_us = ended_us + u64::from(TIMEOUT_MS) * 1_000 + BRAKING_US;
+    while bench.log.lock().expect("log").now_us < deadline_us {
+        thread::sleep(Duration::from_millis(2));
+    }
+    let driven_us = bench.log.lock().expect("log").driven_us;
+    let at_most_us = heard_us + u64::from(TIMEOUT_MS) * 1_000 + BRAKING_US;
+    assert!(
+        driven_us <= at_most_us,
+        "{blow:?}: driven at {driven_us}, heard at {heard_us}"
+    );
+}
+
+fn little_space(command: &Command, chance: &mut Chance) -> Command {
+    with_little_space(command, 512 * (24 + chance.below(60) as u32))
+}
+
+// In this process, in virtual time: at every instant of a session, to the microsecond.
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fault {
+    /// The tool has a defect.
+    Panics,
+    /// The cable is pulled, and the system says so.
+    Pulled,
+    /// The cable breaks, and nothing is heard any more.
+    Silent,
+    /// The clock of the computer goes back by a day.
+    ClockSetBack,
+}
+
+const FAULTS: [Fault; 4] = [
+    Fault::Panics,
+    Fault::Pulled,
+    Fault::Silent,
+    Fault::ClockSetBack,
+];
+
+/// A computer to which this happens at this instant of the link's clock.
+struct Computer {
+    fault: Option<(Fault, u64)>,
+    machine: Arc<Mutex<Machine>>,
+    clock_us: Arc<Mutex<u64>>,
+}
+
+struct Faulty {
+    link: Memory<Shared>,
+    fault: Option<(Fault, u64)>,
+    clock_us: Arc<Mutex<u64>>,
+}
+
+impl Faulty {
+    fn due(&self) -> Option<Fault> {
+        let (fault, at_us) = self.fault?;
+        (self.link.now_us() >= at_us).then_some(fault)
+    }
+
+    fn lost(&self) -> LinkError {
+        LinkError::Lost {
+            place: self.link.place(),
+            why: "the device is gone".to_owned(),
+        }
+    }
+}
+
+impl Link for Faulty {
+    fn place(&self) -> String {
+        self.link.place()
+    }
+
+    fn now_us(&self) -> u64 {
+        self.link.now_us()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        match self.due() {
+            Some(Fault::Panics) => panic!("a defect of the tool"),
+            Some(Fault::Pulled) => Err(self.lost()),
+            Some(Fault::Silent) => Ok(()),
+            Some(Fault::ClockSetBack) | None => self.link.send(bytes),
+        }
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        *self.clock_us.lock().expect("free") = self.link.now_us();
+        match self.due() {
+            Some(Fault::Panics) => panic!("a defect of the tool"),
+            Some(Fault::Pulled) => Err(self.lost()),
+            Some(Fault::Silent) => {
+                while self.link.now_us() < deadline_us {
+                    self.link.receive(&mut [0; 256], deadline_us)?;
+                }
+                Ok(0)
+            }
+            Some(Fault::ClockSetBack) | None => {
+                // Not past the instant.
+                let at_us = self.fault.map_or(u64::MAX, |(_, at_us)| at_us);
+                let until_us = match self.due() {
+                    None => deadline_us.min(at_us),
+                    Some(_) => deadline_us,
+                };
+                self.link.receive(buffer, until_us)
+            }
+        }
+    }
+}
+
+impl Connector for Computer {
+    fn open(
+        &self,
+        _: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        Ok(Box::new(Faulty {
+            link: Memory::new("test rig", Shared(Arc::clone(&self.machine))),
+            fault: self.fault,
+            clock_us: Arc::clone(&self.clock_us),
+        }))
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        let us = *self.clock_us.lock().expect("free");
+        let now = Timestamp::UNIX_EPOCH
+            + SignedDuration::from_hours(500_000)
+            + SignedDuration::from_micros(us as i64);
+        match self.fault {
+            Some((Fault::ClockSetBack, at_us)) if us >= at_us => {
+                now - SignedDuration::from_hours(24)
+            }
+            _ => now,
+        }
+    }
+}
+
+/// Carries the campaign on in a new session at a new rig. Exit code, if it did not panic; what it said; how long the session
+/// was, us; and the rig.
+fn session(
+    place: &Path,
+    fault: Option<(Fault, u64)>,
+) -> (Option<u8>, String, u64, Arc<Mutex<Machine>>) {
+    let mut script = Script::new(DeviceKind::Rig);
+    script.uid = VIRTUAL_UID;
+    let machine = Arc::new(Mutex::new(Machine::new(script).0));
+    let computer = Computer {
+        fault,
+        machine: Arc::clone(&machine),
+        clock_us: Arc::default(),
+    };
+    let folder = place.join("c").display().to_string();
+    let plan = place.join("plan.toml").display().to_string();
+    let mut args = vec!["retrograde", "campaign"];
+    match place.join("c").exists() {
+        true => args.extend(["resume", &folder, "--yes"]),
+        false => args.extend(["run", &plan, "--out", &folder, "--yes"]),
+    }
+    args.extend(["--rig", "0"]);
+    let (mut out, mut err) = (vec![], vec![]);
+    let code = catch_unwind(AssertUnwindSafe(|| {
+        let args = args.iter().map(Into::into);
+        run_at(args, &computer, &mut out, &mut err, false, None)
+    }));
+    let said = String::from_utf8_lossy(&[out, err].concat()).into_owned();
+    let us = *computer.clock_us.lock().expect("free");
+    (code.ok(), said, us, machine)
+}
+
+#[test]
+fn what_happens_to_tool_cable_and_clock_is_told_kept_and_survived() {
+    let new_place = || {
+        let place = tempfile::tempdir().expect("a folder");
+        fs::write(place.path().join("plan.toml"), plan(4)).expect("written");
+        place
+    };
+    let place = new_place();
+    let (code, said, session_us, _) = session(place.path(), None);
+    assert_eq!(code, Some(0), "{said}");
+    assert_eq!(went_on(&place.path().join("c")), None);
+
+    let timeout_us = u64::from(SettingKey::LinkTimeoutMs.range().default) * 1_000;
+    let mut chance = Chance::new(66);
+    let mut in_runs = 0;
+    for index in 0..count(66, 24) {
+        let fault = FAULTS[index % FAULTS.len()];
+        let at_us = chance.below(session_us as usize) as u64;
+        let place = new_place();
+        let (code, said, _, machine) = session(place.path(), Some((fault, at_us)));
+        let what = format!("{fault:?} at {at_us} us: {said}");
+        match fault {
+            Fault::Panics => assert_eq!(code, None, "{what}"),
+            Fault::Pulled => {
+                assert!(matches!(code, Some(4 | 7)), "{code:?} {what}");
+                assert!(said.contains("the device is gone"), "{what}");
+            }
+            Fault::Silent => assert!(matches!(code, Some(4 | 7)), "{code:?} {what}"),
+            Fault::ClockSetBack => {
+                assert_eq!(code, Some(0), "{what}");
+                assert_eq!(went_on(&place.path().join("c")), None, "{what}");
+                continue;
+            }
+        }
+        // The rig stands as soon as it has missed the tool for the time of its setting.
+        let mut machine = machine.lock().expect("it has not panicked");
+        machine.give(at_us + timeout_us + BRAKING_US);
+        let rested_us = machine.driven_us();
+        assert!(
+            rested_us < at_us + timeout_us + BRAKING_US,
+            "{rested_us} {what}"
+        );
+        drop(machine);
+        let folder = place.path().join("c");
+        let begun = folder.exists();
+        let sampled_us = begun.then(|| last_sample_us(&folder)).flatten();
+        let (code, said, ..) = session(place.path(), None);
+        assert_eq!(code, Some(0), "{what}\n{said}");
+        let Some((outcome, reason)) = went_on(&folder) else {
+            continue;
+        };
+        assert_eq!(outcome, Outcome::Lost, "{what}");
+        assert!(!reason.is_empty(), "{what}");
+        if let Some(sampled_us) = sampled_us {
+            in_runs += 1;
+            // The rig was switched on with the link here, so the clocks are the same.
+            assert!(
+                at_us < sampled_us + 1_000_000,
+                "the last sample is of {sampled_us} us: {what}"
+            );
+        }
+    }
+    assert!(in_runs > 2, "hardly any instant was within a run");
+}
