@@ -16,6 +16,7 @@ mod keyboard;
 pub mod machines;
 mod motion;
 mod offline;
+mod records;
 mod run;
 pub mod science;
 mod screen;
@@ -163,6 +164,7 @@ fn carry_out(
         Subcommand::Run(args) => run::run(args, finder, screen),
         Subcommand::Campaign { subcommand } => campaign::campaign(subcommand, finder, screen),
         Subcommand::Verify(args) => campaign::verify(args, screen),
+        Subcommand::Records { subcommand } => records::records(subcommand, finder, screen),
         Subcommand::Commission(args) => commission::commission(args, finder, screen),
         Subcommand::Stop(which) => stops::stop(Urgent::Stop, which, finder, screen),
         Subcommand::Estop(which) => stops::stop(Urgent::EStop, which, finder, screen),

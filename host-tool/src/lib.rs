@@ -11,6 +11,7 @@
 //! * [`campaign`]: a plan of trials carried out over days: order, ledger, readings, folder, manifest.
 //! * [`trial`]: the record of an action: telemetry CSV and JSON sidecar.
 //! * [`experiment`]: recorded actions, and the paper's experiment.
+//! * [`fetched`]: what a machine itself still knows of its last action.
 //! * [`endurance`]: folds and unfoldings in turn, and what drifts.
 //! * [`force`]: force against thread from a recording.
 //! * [`identify`]: a capsule's parameters, from its recordings.
@@ -42,6 +43,7 @@ pub mod door;
 pub mod endurance;
 pub mod error;
 pub mod experiment;
+pub mod fetched;
 pub mod force;
 pub mod identify;
 pub mod identity;

@@ -81,6 +81,12 @@ pub enum Subcommand {
     },
     /// List campaigns and trials by date, specimen and outcome.
     List(ListArgs),
+    /// What the machines themselves still know of their last action.
+    Records {
+        /// What to do with it.
+        #[command(subcommand)]
+        subcommand: RecordsSubcommand,
+    },
     /// Find every change of a campaign's folder since it was written: bits, lines, files. Changes nothing.
     Verify(VerifyArgs),
     /// Take a new board into service: switches, pulses, travel and stops, measured step by step and recorded. It can be
@@ -277,6 +283,25 @@ pub enum Edit {
         #[arg(required = true)]
         text: Vec<String>,
     },
+}
+
+/// What to do with the machines' own records.
+#[derive(Debug, clap::Subcommand)]
+pub enum RecordsSubcommand {
+    /// Write what a machine still knows of its last run or actuation into a file, for example after the computer died or
+    /// somebody pressed the start button. There is no telemetry in it. Changes nothing.
+    Fetch(FetchArgs),
+}
+
+/// Arguments of `records fetch`.
+#[derive(Debug, Args)]
+pub struct FetchArgs {
+    /// The machines.
+    #[command(flatten)]
+    pub which: Which,
+    /// Folder of the file.
+    #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
+    pub out: PathBuf,
 }
 
 /// Arguments of `verify`.

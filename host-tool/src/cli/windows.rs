@@ -81,6 +81,7 @@ pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
         | Subcommand::List(_)
         | Subcommand::Report(_)
         | Subcommand::Verify(_)
+        | Subcommand::Records { .. }
         | Subcommand::Flash(_)
         | Subcommand::Completions { .. }
         | Subcommand::Man { .. } => return None,

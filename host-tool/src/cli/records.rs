@@ -1,0 +1,63 @@
+//! `records fetch`: what a machine itself still knows of its last action, into a file.
+
+use serde_json::{Map, Value, json};
+
+use crate::cli::args::{FetchArgs, RecordsSubcommand};
+use crate::cli::failure::Failure;
+use crate::cli::finding::Finder;
+use crate::cli::screen::Screen;
+use crate::decimal;
+use crate::fetched::{self, Fetched, Kept, Nothing};
+use crate::identity::kind_name;
+
+pub(crate) fn records(
+    subcommand: &RecordsSubcommand,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let RecordsSubcommand::Fetch(FetchArgs { which, out }) = subcommand;
+    let mut files = Map::new();
+    for kind in finder.machines(which)? {
+        let machine = kind_name(kind);
+        let mut device = finder.connect(kind)?;
+        match fetched::fetch(&mut device, finder.connector.now())? {
+            Ok(fetched) => {
+                let path = fetched.write(out)?;
+                screen.say(&format!("{machine}: {}", text(&fetched)));
+                screen.say(&format!("  {}", path.display()));
+                files.insert(machine.to_owned(), json!(path));
+            }
+            Err(Nothing::Yet) => screen.say(&format!(
+                "{machine}: nothing to fetch, it has done nothing since it was switched on or reset"
+            )),
+            Err(Nothing::Running) => {
+                return Err(Failure::Refused {
+                    why: format!("the {machine} is still at it, and its record is not complete"),
+                    help: "`retrograde watch` shows when it ends; then again".to_owned(),
+                });
+            }
+        }
+    }
+    Ok(Value::Object(files))
+}
+
+fn text(fetched: &Fetched) -> String {
+    let status = json!(fetched.status);
+    let status = status.as_str().unwrap_or_default();
+    match &fetched.record {
+        Kept::Run { number, executed } => format!(
+            "run {number}: {status}, {} strokes, {} steps at the pin of {} commanded, {} s",
+            executed.strokes,
+            executed.counted_edges,
+            executed.commanded_edges,
+            decimal::fixed((executed.ticks / 100_000).cast_signed(), 3)
+        ),
+        Kept::Actuation(record) => format!(
+            "actuation {}, {:?}: {status}, {} s, thread at {} mm",
+            record.actuation,
+            record.kind,
+            decimal::fixed(record.duration_ms.into(), 3),
+            decimal::fixed(record.thread_um.into(), 3)
+        ),
+    }
+}
