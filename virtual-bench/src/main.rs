@@ -43,6 +43,8 @@ enum Subcommand {
         /// Cases of each defect.
         #[arg(default_value_t = population::CASES)]
         cases: u64,
+        /// Only these defects, as the table names them.
+        only: Vec<String>,
     },
     /// Measures the side door with the rig's image, in real time: emergency stops by a second process.
     #[cfg(unix)]
@@ -78,7 +80,7 @@ fn main() -> ExitCode {
         }
         Subcommand::Bench => figures::run(&mut |line| drop(writeln!(std::io::stdout(), "{line}")))
             .map_err(miette::Report::from),
-        Subcommand::Capsules { cases } => population::run(cases, &mut |line| {
+        Subcommand::Capsules { cases, only } => population::run(cases, &only, &mut |line| {
             drop(writeln!(std::io::stdout(), "{line}"))
         })
         .map_err(miette::Report::from),
