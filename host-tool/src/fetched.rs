@@ -19,7 +19,7 @@ use crate::trial::{Executed, RecordError, Status, json};
 use crate::writer::create;
 
 /// Version of the format; incremented when a field changes its meaning.
-const FORMAT: u32 = 1;
+pub const FORMAT: u32 = 1;
 
 /// The record of an action as the machine keeps it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
