@@ -104,7 +104,7 @@ fn long_tests() -> Result<()> {
         cargo.args(["--package", package]);
     }
     bench::accept_this_rust(&mut cargo);
-    // The files that have such tests: nothing else has to be built in release.
+    // The files that have such tests.
     cargo.args(["--test", "fuzz", "--test", "link", "--test", "sequences"]);
     run(
         cargo.args(["--", "--ignored"]),
