@@ -94,8 +94,8 @@ fn last_sample_us(folder: &Path) -> Option<u64> {
 
 /// The machine's clock runs so many times as fast as the world's.
 const SPEED: u32 = 12;
-/// Half a second of the world's.
-const TIMEOUT_MS: u32 = 6_000;
+/// Three quarters of a second of the world's: three keep-alives of a busy computer.
+const TIMEOUT_MS: u32 = 9_000;
 /// From the fastest of these runs to rest.
 const BRAKING_US: u64 = 1_000_000;
 /// A busy computer, in the machine's time: half a second of the world's.
