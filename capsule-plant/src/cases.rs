@@ -1,5 +1,7 @@
 //! Seeded capsules with one defect each: the population that the firmware is tried against, as a library and as an image.
 
+use std::str::FromStr;
+
 use crate::{Defect, Parameters, Random};
 
 /// What goes wrong, and when.
@@ -43,6 +45,18 @@ pub enum Kind {
     Empty,
 }
 
+impl FromStr for Kind {
+    type Err = String;
+
+    /// By its name in the table.
+    fn from_str(name: &str) -> Result<Self, String> {
+        let named = Self::ALL
+            .into_iter()
+            .find(|kind| format!("{kind:?}") == name);
+        named.ok_or_else(|| format!("no such defect; there are {:?}", Self::ALL))
+    }
+}
+
 impl Kind {
     /// All of them.
     pub const ALL: [Self; 18] = [
@@ -65,6 +79,13 @@ impl Kind {
         Self::Collapse,
         Self::Empty,
     ];
+
+    /// The kinds that are wanted: those in `only`, or all if there is none.
+    pub fn wanted(only: &[Self]) -> impl Iterator<Item = Self> {
+        Self::ALL
+            .into_iter()
+            .filter(move |kind| only.is_empty() || only.contains(kind))
+    }
 
     /// The names that are right: variants of the protocol's outcomes, faults and refusals.
     #[must_use]

@@ -14,12 +14,9 @@ fn share(part: usize, whole: usize) -> f64 {
     100.0 * part as f64 / whole as f64
 }
 
-fn faults(count: u64, only: &[String]) {
+fn faults(count: u64, only: &[Kind]) {
     println!("{}", verdict::HEAD);
-    for kind in Kind::ALL {
-        if !only.is_empty() && !only.contains(&format!("{kind:?}")) {
-            continue;
-        }
+    for kind in Kind::wanted(only) {
         let count = if kind == Kind::Healthy {
             2 * count
         } else {
@@ -94,7 +91,13 @@ fn main() {
         );
         return;
     };
-    let only: Vec<_> = arguments.collect();
+    let only = match arguments
+        .map(|name| name.parse())
+        .collect::<Result<Vec<Kind>, _>>()
+    {
+        Ok(only) => only,
+        Err(why) => return println!("{why}"),
+    };
     if only.is_empty() {
         healthy(2 * count);
     }

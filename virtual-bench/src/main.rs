@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::thread;
 
+use capsule_plant::cases::Kind;
 use clap::Parser;
 use jiff::Timestamp;
 use virtual_bench::bench::{Bench, BenchError};
@@ -44,7 +45,7 @@ enum Subcommand {
         #[arg(default_value_t = population::CASES)]
         cases: u64,
         /// Only these defects, as the table names them.
-        only: Vec<String>,
+        only: Vec<Kind>,
     },
     /// Measures the side door with the rig's image, in real time: emergency stops by a second process.
     #[cfg(unix)]

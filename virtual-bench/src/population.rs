@@ -257,18 +257,15 @@ impl Moved {
     }
 }
 
-/// Tries `cases` of each kind, or of those in `only`, twice as many healthy ones, and writes the table of `docs/capsule.md`, line by line.
+/// Tries `cases` of each kind, or of those in `only`, twice as many healthy ones, and writes the table of
+/// `docs/capsule.md`, line by line.
 ///
 /// # Errors
 /// As [`Workbench::try_case`].
-pub fn run(cases: u64, only: &[String], line: &mut impl FnMut(String)) -> Result<(), CaseError> {
-    let wanted = |kind: &Kind| only.is_empty() || only.contains(&format!("{kind:?}"));
+pub fn run(cases: u64, only: &[Kind], line: &mut impl FnMut(String)) -> Result<(), CaseError> {
     let of_seed = |seed| -> Result<Vec<(Kind, Verdict)>, CaseError> {
         let mut workbench = Workbench::new()?;
-        let kinds = Kind::ALL
-            .into_iter()
-            .filter(wanted)
-            .filter(|kind| seed < cases || *kind == Kind::Healthy);
+        let kinds = Kind::wanted(only).filter(|kind| seed < cases || *kind == Kind::Healthy);
         kinds
             .map(|kind| Ok((kind, workbench.try_case(kind, seed)?)))
             .collect()
@@ -276,7 +273,7 @@ pub fn run(cases: u64, only: &[String], line: &mut impl FnMut(String)) -> Result
     let seeds: Result<Vec<_>, _> = verdict::all(2 * cases, of_seed).into_iter().collect();
     let found: Vec<_> = seeds?.into_iter().flatten().collect();
     line(verdict::HEAD.to_owned());
-    for kind in Kind::ALL.into_iter().filter(wanted) {
+    for kind in Kind::wanted(only) {
         let verdicts: Vec<_> = found
             .iter()
             .filter(|(tried, _)| *tried == kind)
