@@ -19,25 +19,21 @@ use host_tool::campaign::ledger::Event;
 use host_tool::campaign::ledger::Standing;
 use host_tool::campaign::verify::verify;
 use machine::VIRTUAL_UID;
+use machine::plan::{ONE_CONDITION, PAPER, changed};
 use protocol::system::DeviceKind;
 use terminal::Terminal;
 
 /// The machine's clock runs so many times as fast as the world's.
 const SPEED: u32 = 12;
 
-/// Ten short trials in one block.
-fn plan() -> String {
-    include_str!("../../examples/paper.toml")
-        .replace("duration_s = 40", "duration_s = 1")
-        .replace("telemetry_ms = 10 ", "telemetry_ms = 50 ")
-        .replace("stroke_mm = 130", "stroke_mm = 5")
-        .replace("cycles = 5", "cycles = 1")
-        .replace(r#"["dry", "lubricated"]"#, r#"["dry"]"#)
-        .replace(r#"["a1", "a2", "a3", "a4", "a5"]"#, r#"["a5"]"#)
-        .replace(
-            "[fold_test]\nlubrication = \"lubricated\"\nindentation = \"a5\"\nrepeats = 1\n",
-            "",
-        )
+/// Ten short trials in one block, with these changes.
+fn plan(changes: &[(&str, &str)]) -> String {
+    let short = [
+        ("duration_s = 40", "duration_s = 1"),
+        ("telemetry_ms = 10 ", "telemetry_ms = 50 "),
+        ("stroke_mm = 130", "stroke_mm = 5"),
+    ];
+    changed(&changed(PAPER, &ONE_CONDITION), &[&short, changes].concat())
 }
 
 /// The displacements that count, and the attempts that they are of.
@@ -65,8 +61,7 @@ fn a_campaign_survives_being_killed_at_any_instant() {
     let bench = Bench::on_tcp_as(&script, SPEED);
     let place = bench.folder.path();
     let repeats = kills() + 2;
-    let text = plan().replace("repeats = 10", &format!("repeats = {repeats}"));
-    assert!(!text.contains("fold_test"));
+    let text = plan(&[("repeats = 10", &format!("repeats = {repeats}"))]);
     std::fs::write(place.join("plan.toml"), text).expect("written");
     let folder = place.join("c");
     let mut chance = Chance::new(50);
@@ -143,7 +138,7 @@ fn a_campaign_survives_being_killed_at_any_instant() {
 #[test]
 fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
     let bench = Bench::on_tcp_as(&ready(DeviceKind::Rig), SPEED);
-    let text = plan().replace("count = 5", "count = 1");
+    let text = plan(&[("count = 5", "count = 1")]);
     std::fs::write(bench.folder.path().join("plan.toml"), text).expect("written");
     let at_terminal = |args: &[&str]| Terminal::start(bench.command(args), 100, 40);
     let mut session = at_terminal(&["campaign", "run", "plan.toml", "--out", "c"]);

@@ -16,21 +16,22 @@ use host_tool::campaign::order::Form;
 use host_tool::campaign::verify::verify;
 use host_tool::cli::run_at;
 use host_tool::identity::Origin;
+use machine::plan::{PAPER, changed};
 use machine::tool::Memory;
 use machine::{Script, VIRTUAL_UID, World};
 use protocol::system::DeviceKind;
 
-const PAPER: &str = include_str!("../../examples/paper.toml");
-
-/// The paper's plan, but for the number of trials and the length of the run.
-fn small_plan() -> String {
-    PAPER
-        .replace("repeats = 10", "repeats = 1")
-        .replace("duration_s = 40", "duration_s = 8")
-        .replace("cycles = 5", "cycles = 1")
-        .replace(r#"["a1", "a2", "a3", "a4", "a5"]"#, r#"["a2", "a5"]"#)
-        .replace("telemetry_ms = 10 ", "telemetry_ms = 50 ")
-        .replace("count = 5", "count = 2")
+/// The paper's plan, but for the number of trials and the length of the run, with these changes.
+fn small_plan(changes: &[(&str, &str)]) -> String {
+    let small = [
+        ("repeats = 10", "repeats = 1"),
+        ("duration_s = 40", "duration_s = 8"),
+        ("cycles = 5", "cycles = 1"),
+        (r#"["a1", "a2", "a3", "a4", "a5"]"#, r#"["a2", "a5"]"#),
+        ("telemetry_ms = 10 ", "telemetry_ms = 50 "),
+        ("count = 5", "count = 2"),
+    ];
+    changed(PAPER, &[&small, changes].concat())
 }
 
 fn machines(uid: Option<[u8; 12]>) -> Memory {
@@ -65,7 +66,7 @@ fn whole(folder: &str) -> Campaign {
 
 #[test]
 fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
-    let place = place(&small_plan().replace("scatter_mm = 0 ", "scatter_mm = 0.5 "));
+    let place = place(&small_plan(&[("scatter_mm = 0 ", "scatter_mm = 0.5 ")]));
     let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
     let memory = machines(Some(VIRTUAL_UID));
     let args = |extra: &[&str]| -> Vec<String> {
@@ -203,7 +204,7 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
 
 #[test]
 fn nobody_answers_for_a_board() {
-    let place = place(&small_plan());
+    let place = place(&small_plan(&[]));
     let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
     let memory = machines(None);
     let args = |extra: &[&'static str]| {
@@ -317,7 +318,7 @@ fn converse(
 
 #[test]
 fn a_person_is_asked_again_until_the_answer_can_be() {
-    let plan = small_plan().replace("camera = \"none\"", "camera = \"overhead\"");
+    let plan = small_plan(&[("camera = \"none\"", "camera = \"overhead\"")]);
     let place = place(&plan);
     let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
     let memory = machines(None);
@@ -441,7 +442,7 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
 
 #[test]
 fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
-    let place = place(&small_plan());
+    let place = place(&small_plan(&[]));
     let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
     let mut rig = Script::new(DeviceKind::Rig);
     rig.uid = VIRTUAL_UID;
@@ -474,7 +475,7 @@ fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
 
 #[test]
 fn verify_says_what_is_wrong_and_what_to_do() {
-    let place = place(&small_plan());
+    let place = place(&small_plan(&[]));
     let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
     let memory = machines(Some(VIRTUAL_UID));
     let (code, said, err) = memory.run(&["campaign", "new", &plan, "--out", &out]);

@@ -25,6 +25,7 @@ use host_tool::link::address::Address;
 use host_tool::link::memory::{Memory, Peer};
 use host_tool::link::{Link, LinkError, OpenError};
 use jiff::{SignedDuration, Timestamp};
+use machine::plan::{ONE_CONDITION, PAPER, changed};
 use machine::signal::{Signal, kill};
 use machine::{Machine, Script, Shared, VIRTUAL_UID};
 use protocol::settings::SettingKey;
@@ -40,17 +41,13 @@ fn count(all: usize, first: usize) -> usize {
 
 /// Two short trials of one run, so many seconds each.
 fn plan(duration_s: u32) -> String {
-    include_str!("../../examples/paper.toml")
-        .replace("repeats = 10", "repeats = 2")
-        .replace("duration_s = 40", &format!("duration_s = {duration_s}"))
-        .replace("stroke_mm = 130", "stroke_mm = 20")
-        .replace("cycles = 5", "cycles = 1")
-        .replace(r#"["dry", "lubricated"]"#, r#"["dry"]"#)
-        .replace(r#"["a1", "a2", "a3", "a4", "a5"]"#, r#"["a5"]"#)
-        .replace(
-            "[fold_test]\nlubrication = \"lubricated\"\nindentation = \"a5\"\nrepeats = 1\n",
-            "",
-        )
+    let duration = format!("duration_s = {duration_s}");
+    let short = [
+        ("repeats = 10", "repeats = 2"),
+        ("duration_s = 40", &*duration),
+        ("stroke_mm = 130", "stroke_mm = 20"),
+    ];
+    changed(&changed(PAPER, &ONE_CONDITION), &short)
 }
 
 /// How the attempt ended that did not end as planned, in a folder in which the campaign went on after it: the outcome and

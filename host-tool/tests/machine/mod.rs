@@ -6,6 +6,7 @@ pub mod capsule;
 #[path = "../../../device/tests/chip/mod.rs"]
 mod chip;
 mod line;
+pub mod plan;
 mod port;
 mod rig;
 #[cfg(unix)]
