@@ -75,7 +75,7 @@ pub const MOST_NO_LOAD_MA: u16 = 30;
 pub const COASTING_CPS2_PER_MA: u32 = 4_200;
 
 /// Current above the no-load current at the end force: 5.9 N with the assumed friction of the worm, 4.8 to 7.6 N
-/// over the friction's range. The last millimetres before it take most of a fold's energy.
+/// over the friction's range. Of the nominal fold's energy the last 1.6 mm before it take 37 %.
 pub const FORCE_MA: u16 = 138;
 
 /// The same at half of the end force: start of the rise that tells an origami from an obstacle.

@@ -255,7 +255,7 @@ fn a_check_confirms_a_folded_capsule_and_pays_nothing_out() {
 #[test]
 fn zero_is_not_passed_after_a_reset() {
     for (folded, chosen) in [(true, [207, 909]), (false, [594, 620])] {
-        for seed in (0..4).chain(chosen) {
+        for seed in (0..6).chain(chosen) {
             let found = cases::found_again(seed, folded);
             let [least_mm, left_mm] =
                 found.unwrap_or_else(|| panic!("seed {seed} ends in a fault"));

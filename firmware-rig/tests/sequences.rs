@@ -390,7 +390,7 @@ mod anything {
 
     /// `cargo test -p firmware-rig --test sequences -- --ignored`
     #[test]
-    #[ignore = "for a release build"]
+    #[ignore = "a long series, a step of `cargo xtask ci`"]
     fn holds_in_a_long_series() {
         check(a_million());
     }
@@ -547,7 +547,7 @@ mod executed {
 
     /// `cargo test -p firmware-rig --test sequences -- --ignored`
     #[test]
-    #[ignore = "for a release build"]
+    #[ignore = "a long series, a step of `cargo xtask ci`"]
     fn holds_in_a_long_series() {
         check(a_million());
     }

@@ -262,19 +262,19 @@ fn corrupted_bodies_are_survived() {
 }
 
 #[test]
-#[ignore = "minutes in a debug build"]
+#[ignore = "a long series, a step of `cargo xtask ci`"]
 fn a_frame_after_garbage_is_found_a_million_times() {
     frames_after_garbage(1_000_000, 4712);
 }
 
 #[test]
-#[ignore = "minutes in a debug build"]
+#[ignore = "a long series, a step of `cargo xtask ci`"]
 fn none_of_ten_million_corrupted_frames_is_accepted() {
     corrupted_frames(10_000_000, 817);
 }
 
 #[test]
-#[ignore = "minutes in a debug build"]
+#[ignore = "a long series, a step of `cargo xtask ci`"]
 fn ten_million_corrupted_bodies_are_survived() {
     corrupted_bodies(10_000_000, 818);
 }

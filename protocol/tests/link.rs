@@ -165,7 +165,7 @@ fn no_command_is_executed_twice() {
 /// A million commands at each error rate where RETROGRADE_CAMPAIGN is set, else the first quarter of them:
 /// `cargo test -p protocol -- --ignored`.
 #[test]
-#[ignore = "minutes in a debug build"]
+#[ignore = "a long series, a step of `cargo xtask ci`"]
 fn no_command_of_a_long_series_is_executed_twice() {
     let seeds = match std::env::var_os("RETROGRADE_CAMPAIGN") {
         Some(_) => 100,
