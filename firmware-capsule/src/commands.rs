@@ -48,7 +48,7 @@ pub fn execute(
     };
     let actions = capsule.step(context.now_us, Event::Command(command));
     let accepted = |kind| ActuationAccepted {
-        actuation: capsule.record().actuation,
+        actuation: capsule.actuation(),
         timeout_ms: Capsule::timeout_ms(kind),
     };
     let response = match command {
@@ -78,7 +78,7 @@ fn respond(
     }
     let response = match query {
         Request::GetCapsuleStatus(_) => Response::GetCapsuleStatus(status(capsule, context.now_us)),
-        Request::GetActuationRecord(_) => Response::GetActuationRecord(*capsule.record()),
+        Request::GetActuationRecord(_) => Response::GetActuationRecord(capsule.record()),
         Request::GetTrace(get) => Response::GetTrace(context.recording.part(&get, capsule.zero())),
         Request::GetCapsuleTotals(_) => Response::GetCapsuleTotals(totals(capsule, context.totals)),
         // The rig's; the others have been answered above, and a Hello by the session.
@@ -109,7 +109,7 @@ fn status(capsule: &Capsule, time_us: u64) -> CapsuleStatus {
         thread_um: capsule.thread().0,
         current_ma: capsule.sample().current_ma,
         battery_mv: capsule.sample().battery_mv,
-        actuation: capsule.record().actuation,
+        actuation: capsule.actuation(),
         needs_acknowledge: matches!(
             capsule.fault(),
             Some(CapsuleFault::Watchdog | CapsuleFault::Panic)

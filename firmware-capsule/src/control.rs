@@ -87,11 +87,12 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     pub fn read(&mut self, at_us: u64, sample: Sample) {
         let recorded = self.machine.is_moving() || self.machine.drive() != Drive::Off;
         let actions = self.machine.step(at_us, Event::Sample(sample));
+        // Before anything else: the motor runs on as it did until then.
+        self.perform(&actions);
         if recorded {
-            let actuation = self.machine.record().actuation;
+            let actuation = self.machine.actuation();
             self.recording.take(actuation, &sample, actions.drive);
         }
-        self.perform(&actions);
         self.watch_link();
         self.keep(at_us, sample.counts);
     }

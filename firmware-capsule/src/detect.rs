@@ -333,7 +333,8 @@ impl Detector {
         let excess_ma = means.map(|(mean_ma, _)| mean_ma.saturating_sub(no_load_ma));
         let above = |level| excess_ma.is_some_and(|excess| excess >= level);
         // What accelerates the motor does not pull at the thread.
-        let pulls = |level| above(self.accelerating_ma().saturating_add(level));
+        let accelerating_ma = self.accelerating_ma();
+        let pulls = |level| above(accelerating_ma.saturating_add(level));
         let end_force = pulls(FORCE_MA);
         let rise = above(RISE_START_MA);
         let met = pulls(MET_MA) && self.meets_something();
@@ -365,7 +366,7 @@ impl Detector {
         let losing = earlier.saturating_sub(before).max(0) / 12 * 7;
         let sudden = (before / 14).max(STRUCK_LOSS_CPS);
         let least = before.saturating_sub(losing).saturating_sub(sudden);
-        self.window.means_ma(12).is_some() && before >= FAST_CPS && now < least
+        self.window.is_driven(12) && before >= FAST_CPS && now < least
     }
 
     /// Part of the current that makes the motor faster; none while it becomes slower.

@@ -299,8 +299,13 @@ impl Capsule {
     }
 
     /// The present or last actuation.
-    pub fn record(&self) -> &ActuationRecord {
+    pub fn record(&self) -> ActuationRecord {
         self.recorder.record()
+    }
+
+    /// Number of the present or last actuation.
+    pub fn actuation(&self) -> u32 {
+        self.recorder.actuation()
     }
 
     /// Longest time an actuation of this kind may take.
@@ -469,7 +474,7 @@ impl Capsule {
         self.recorder
             .start(kind, self.thread(), self.sample.battery_mv);
         actions.emit(CapsuleEvent::Started {
-            actuation: self.record().actuation,
+            actuation: self.actuation(),
             kind,
         });
         // If the leg is already at its end, the motor is not even switched on.
@@ -779,7 +784,7 @@ impl Capsule {
         self.mode = mode;
         self.recorder.end(outcome, self.thread());
         actions.emit(CapsuleEvent::Ended {
-            actuation: self.record().actuation,
+            actuation: self.actuation(),
             outcome,
         });
     }

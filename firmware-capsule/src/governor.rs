@@ -104,10 +104,10 @@ fn drive_mv(current_ua: u32, cps: i32, battery_mv: u16) -> u16 {
     if headroom < LEAST_HEADROOM_MV {
         return battery_mv;
     }
-    // uA * mohm / 1000 = uV; uV * mV / mV / 1000 = mV. 4 A * 6 ohm * 65 V fits in 64 bits.
-    let resistive_uv = u64::from(current_ua) * u64::from(LOOP_MILLIOHM) / 1_000;
-    let drive = resistive_uv * u64::from(battery) / u64::from(headroom) / 1_000;
-    drive.min(u64::from(battery)) as u16
+    // uA * mohm / 1000 = uV, and a sixteenth of it times mV / mV: both products fit, up to 660 mA and 10 V.
+    let resistive = current_ua.saturating_mul(LOOP_MILLIOHM) / 16_000;
+    let drive_mv = resistive.saturating_mul(battery) / headroom * 2 / 125;
+    drive_mv.min(battery) as u16
 }
 
 #[cfg(test)]

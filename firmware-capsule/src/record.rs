@@ -3,11 +3,16 @@
 use crate::{detect::Sample, mechanics::Thread};
 use protocol::capsule::{ActuationKind, ActuationOutcome, ActuationRecord};
 
+/// The unit in which energy is counted: a fold has 2.4e14 of them, and no division is needed for each reading.
+const FJ_PER_MJ: u64 = 1_000_000_000_000;
+
 /// Fills an [`ActuationRecord`] while the actuation runs.
 #[derive(Clone, Debug)]
 pub(crate) struct Recorder {
+    /// Without duration and energy, which are counted finer.
     record: ActuationRecord,
-    energy_pj: u64,
+    duration_us: u64,
+    energy_fj: u64,
 }
 
 impl Recorder {
@@ -26,18 +31,29 @@ impl Recorder {
                 energy_mj: 0,
                 min_battery_mv: 0,
             },
-            energy_pj: 0,
+            duration_us: 0,
+            energy_fj: 0,
         }
     }
 
+    /// Number of the actuation.
+    pub(crate) fn actuation(&self) -> u32 {
+        self.record.actuation
+    }
+
     /// The record so far.
-    pub(crate) fn record(&self) -> &ActuationRecord {
-        &self.record
+    pub(crate) fn record(&self) -> ActuationRecord {
+        let energy_mj = self.energy_fj.saturating_add(FJ_PER_MJ / 2) / FJ_PER_MJ;
+        ActuationRecord {
+            duration_ms: u32::try_from(self.duration_us / 1_000).unwrap_or(u32::MAX),
+            energy_mj: u32::try_from(energy_mj).unwrap_or(u32::MAX),
+            ..self.record
+        }
     }
 
     /// Begins the record of the next actuation.
     pub(crate) fn start(&mut self, kind: ActuationKind, thread: Thread, battery_mv: u16) {
-        self.energy_pj = 0;
+        (self.duration_us, self.energy_fj) = (0, 0);
         self.record = ActuationRecord {
             actuation: self.record.actuation.saturating_add(1),
             kind,
@@ -68,18 +84,15 @@ impl Recorder {
             .checked_div(u32::from(drive_mv))
             .map_or(sag_mv, |sag| sag.min(u32::from(rest_mv) / 2));
         let under_load_mv = u32::from(rest_mv.max(sample.battery_mv)) - in_pulses_mv.max(sag_mv);
-        let power = u64::from(under_load_mv) * u64::from(sample.current_ua) / 1_000;
-        self.energy_pj = self
-            .energy_pj
-            .saturating_add(power.saturating_mul(elapsed_us));
+        let power_nw = u64::from(under_load_mv) * u64::from(sample.current_ua);
+        self.energy_fj = self
+            .energy_fj
+            .saturating_add(power_nw.saturating_mul(elapsed_us));
     }
 
     /// Notes a sample of the running actuation.
     pub(crate) fn update(&mut self, duration_us: u64, battery_mv: u16) {
-        self.record.duration_ms = u32::try_from(duration_us / 1_000).unwrap_or(u32::MAX);
-        self.record.energy_mj =
-            u32::try_from(self.energy_pj.saturating_add(500_000_000) / 1_000_000_000)
-                .unwrap_or(u32::MAX);
+        self.duration_us = duration_us;
         self.record.min_battery_mv = self.record.min_battery_mv.min(battery_mv);
     }
 

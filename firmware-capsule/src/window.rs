@@ -5,19 +5,27 @@ use crate::{detect::Sample, mechanics::Counts};
 /// Readings that are kept: 32 ms.
 const KEPT: usize = 32;
 
-/// One reading with what was ordered before it.
+/// One reading with what was ordered before it. A mean over any number of readings is the difference of two sums: the
+/// processor has a millisecond for everything.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Point {
-    /// When it was taken.
-    pub at_us: u64,
-    /// Encoder.
-    pub counts: Counts,
-    /// Motor current.
-    pub current_ma: u16,
-    /// Battery.
-    pub battery_mv: u16,
+struct Point {
+    at_us: u64,
+    counts: Counts,
+    /// Counts since the reading before, if that was about 1 ms earlier.
+    step: Option<i32>,
     /// Current that the drive before the reading was meant to give; `None` if it gave no pulses.
-    pub ordered_ma: Option<u16>,
+    ordered_ma: Option<u16>,
+    /// So many readings without a pause were driven, up to this one.
+    driven: usize,
+    /// Of all readings up to this one, wrapping.
+    sums: Sums,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    current_ma: u32,
+    ordered_ma: u32,
+    battery_mv: u32,
 }
 
 /// The last readings.
@@ -40,20 +48,52 @@ impl Window {
 
     /// Takes a reading.
     pub fn push(&mut self, at_us: u64, sample: &Sample, ordered_ma: Option<u16>) {
+        let before = self.back(0).copied().unwrap_or_default();
+        let elapsed_us = at_us.saturating_sub(before.at_us);
+        let follows = self.count != 0 && (500..=1_500).contains(&elapsed_us);
+        let sums = Sums {
+            current_ma: before
+                .sums
+                .current_ma
+                .wrapping_add(sample.current_ma.into()),
+            ordered_ma: before
+                .sums
+                .ordered_ma
+                .wrapping_add(ordered_ma.unwrap_or(0).into()),
+            battery_mv: before
+                .sums
+                .battery_mv
+                .wrapping_add(sample.battery_mv.into()),
+        };
         self.points[self.next] = Point {
             at_us,
             counts: sample.counts,
-            current_ma: sample.current_ma,
-            battery_mv: sample.battery_mv,
+            step: follows.then(|| sample.counts.since(before.counts).0),
             ordered_ma,
+            driven: match ordered_ma {
+                Some(_) => (before.driven + 1).min(KEPT),
+                None => 0,
+            },
+            sums,
         };
         self.next = (self.next + 1) % KEPT;
         self.count = (self.count + 1).min(KEPT);
     }
 
     /// The reading `age` readings before the last one.
-    pub fn back(&self, age: usize) -> Option<&Point> {
+    fn back(&self, age: usize) -> Option<&Point> {
         (age < self.count).then(|| &self.points[(self.next + KEPT - 1 - age) % KEPT])
+    }
+
+    /// The last reading, and the sums before the last `over` of them; `None` if some of them are missing.
+    fn over(&self, over: usize) -> Option<(&Point, Sums)> {
+        let last = self.back(0)?;
+        // The sums begin at 0, and a window that has lost readings has more of them than anything asks for.
+        let before = match over == self.count {
+            true if over < KEPT => Sums::default(),
+            _ => self.back(over)?.sums,
+        };
+        Some((last, before))
     }
 
     /// Counts per second from the reading `from` readings ago, or the oldest, to the one `to` readings ago. Positive winds.
@@ -63,7 +103,14 @@ impl Window {
             return 0;
         };
         let elapsed_us = last.at_us.saturating_sub(first.at_us);
-        let travel = i64::from(last.counts.since(first.counts).0) * 1_000_000;
+        let counts = last.counts.since(first.counts).0;
+        // The chip divides 32 bits in 12 cycles, and 64 bits in hundreds; a reading asks ten times.
+        if let (Some(travel), Ok(elapsed_us)) =
+            (counts.checked_mul(1_000_000), i32::try_from(elapsed_us))
+        {
+            return travel.checked_div(elapsed_us).unwrap_or(0);
+        }
+        let travel = i64::from(counts) * 1_000_000;
         let elapsed_us = i64::try_from(elapsed_us).unwrap_or(i64::MAX);
         let speed = travel.checked_div(elapsed_us).unwrap_or(0);
         speed.clamp(i32::MIN.into(), i32::MAX.into()) as i32
@@ -71,24 +118,27 @@ impl Window {
 
     /// Counts between the reading `age` readings ago and the one before it, if they are about 1 ms apart.
     pub fn step(&self, age: usize) -> Option<i32> {
-        let (last, first) = (self.back(age)?, self.back(age + 1)?);
-        let elapsed_us = last.at_us.saturating_sub(first.at_us);
-        (500..=1_500)
-            .contains(&elapsed_us)
-            .then(|| last.counts.since(first.counts).0)
+        self.back(age)?.step
     }
 
-    /// Means of current and of ordered current over the last `over` readings; `None` if some of them are missing or were
-    /// not driven.
+    /// The last `over` readings are there, and all of them were driven.
+    pub fn is_driven(&self, over: usize) -> bool {
+        self.back(0).is_some_and(|last| last.driven >= over)
+    }
+
+    /// Means of current and of ordered current over the last `over` readings, fewer than are kept; `None` if some of them
+    /// are missing or were not driven.
     pub fn means_ma(&self, over: usize) -> Option<(u16, u16)> {
-        let (mut current, mut ordered) = (0_u32, 0_u32);
-        for age in 0..over {
-            let point = self.back(age)?;
-            current += u32::from(point.current_ma);
-            ordered += u32::from(point.ordered_ma?);
+        let (last, before) = self.over(over)?;
+        if last.driven < over {
+            return None;
         }
-        let mean = |sum: u32| (sum + over as u32 / 2).checked_div(over as u32);
-        Some((mean(current)? as u16, mean(ordered)? as u16))
+        let mean = |sum: u32, before: u32| {
+            (sum.wrapping_sub(before) + over as u32 / 2).checked_div(over as u32)
+        };
+        let current_ma = mean(last.sums.current_ma, before.current_ma)?;
+        let ordered_ma = mean(last.sums.ordered_ma, before.ordered_ma)?;
+        Some((current_ma as u16, ordered_ma as u16))
     }
 
     /// No more current was ordered in the last `over` readings than in the last one; false if some of them are missing
@@ -98,12 +148,10 @@ impl Window {
         ordered(0).is_some_and(|now| (0..over).all(|age| ordered(age).is_some_and(|ma| ma <= now)))
     }
 
-    /// Mean of the battery voltage over the last `over` readings.
+    /// Mean of the battery voltage over the last `over` readings, fewer than are kept.
     pub fn battery_mv(&self, over: usize) -> Option<u16> {
-        let mut sum = 0_u32;
-        for age in 0..over {
-            sum += u32::from(self.back(age)?.battery_mv);
-        }
+        let (last, before) = self.over(over)?;
+        let sum = last.sums.battery_mv.wrapping_sub(before.battery_mv);
         sum.checked_div(over as u32).map(|mean| mean as u16)
     }
 }

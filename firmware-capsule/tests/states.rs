@@ -439,7 +439,7 @@ fn the_answers_say_what_they_should() {
     let (record, _) = reply(&mut sim, Request::GetActuationRecord(GetActuationRecord));
     assert_eq!(
         record,
-        Reply::Accepted(Response::GetActuationRecord(*sim.capsule.record()))
+        Reply::Accepted(Response::GetActuationRecord(sim.capsule.record()))
     );
 
     let (words, _) = reply(&mut sim, Request::GetLastWords(GetLastWords));

@@ -22,7 +22,11 @@ const SLEEP_MA: [f64; 2] = [0.4, 1.3];
 const SENSORS_MA: f64 = 8.3;
 /// What is always there, mA: the battery's divider of 200 kohm, the regulator, a bridge asleep [assumed].
 const ALWAYS_MA: f64 = 0.03;
-/// Interval at which the processor is looked at for wake-ups.
+/// TIM3's compare register of the winding input: its duty.
+const WINDING_DUTY: u32 = 0x4000_0434;
+/// Readings of a fold whose orders are timed.
+const READINGS: u64 = 200;
+/// Interval at which the processor is looked at.
 const LOOK_US: u64 = 20;
 
 /// What the image does.
@@ -36,6 +40,15 @@ struct Measured {
     pair_mah: f64,
     /// How long sensors and processor are on for that, s.
     pair_s: f64,
+    order: Order,
+}
+
+/// From a reading of a moving capsule to the duty that follows from it, us.
+struct Order {
+    mean_us: f64,
+    latest_us: f64,
+    /// Share of the time that the processor is awake.
+    awake: f64,
 }
 
 struct Resting {
@@ -77,6 +90,38 @@ impl Resting {
         }
         Ok(f64::from(wake_ups))
     }
+
+    /// Follows a fold under way: the processor wakes up for each reading, and changes the duty.
+    fn order(&self) -> Result<Order, FigureError> {
+        let look = || {
+            self.bench
+                .visit(|visit| (visit.instructions(), visit.register(WINDING_DUTY)))
+        };
+        let (mut before, mut duty) = look()?;
+        let (mut began_us, mut taken_us) = (None, Vec::new());
+        let (mut awake_looks, looks) = (0_u64, READINGS * 1_000 / LOOK_US);
+        for at_us in (0..looks).map(|look| look * LOOK_US) {
+            self.bench.advance_us(LOOK_US)?;
+            let (now, ordered) = look()?;
+            let awake = now > before;
+            awake_looks += u64::from(awake);
+            began_us = began_us.or((awake && at_us > 0).then_some(at_us));
+            if ordered != duty
+                && let Some(began_us) = began_us
+            {
+                taken_us.push((at_us + LOOK_US - began_us) as f64);
+            }
+            if !awake {
+                began_us = None;
+            }
+            (before, duty) = (now, ordered);
+        }
+        Ok(Order {
+            mean_us: taken_us.iter().sum::<f64>() / taken_us.len().max(1) as f64,
+            latest_us: taken_us.into_iter().fold(0.0, f64::max),
+            awake: awake_looks as f64 / looks as f64,
+        })
+    }
 }
 
 fn measure() -> Result<Measured, FigureError> {
@@ -93,11 +138,14 @@ fn measure() -> Result<Measured, FigureError> {
             .visit(|visit| visit.board().capsule.plant().charge_c())
     };
     let (before_c, powered_ns) = (charge_c(&resting)?, resting.sensors_ns()?);
-    for accepted in [Device::fold, Device::unfold] {
-        let accepted = accepted(&mut device)?;
-        device.wait_actuation(&accepted, &mut Unobserved)?;
-        device.idle(500_000, &mut Unobserved)?;
-    }
+    let folding = device.fold()?;
+    device.idle(400_000, &mut Unobserved)?;
+    let order = resting.order()?;
+    device.wait_actuation(&folding, &mut Unobserved)?;
+    device.idle(500_000, &mut Unobserved)?;
+    let unfolding = device.unfold()?;
+    device.wait_actuation(&unfolding, &mut Unobserved)?;
+    device.idle(500_000, &mut Unobserved)?;
     let pair_mah = (charge_c(&resting)? - before_c) / 3.6;
     let pair_s = (resting.sensors_ns()? - powered_ns) as f64 * 1e-9;
     drop(device);
@@ -110,6 +158,7 @@ fn measure() -> Result<Measured, FigureError> {
         sensors,
         pair_mah,
         pair_s,
+        order,
     })
 }
 
@@ -135,6 +184,17 @@ pub fn run(line: &mut impl FnMut(&str, String, &str)) -> Result<(), FigureError>
         percent(measured.sensors),
         "",
     );
+    let Order {
+        mean_us,
+        latest_us,
+        awake,
+    } = measured.order;
+    line(
+        "capsule folding: from a reading to its duty",
+        format!("{mean_us:.0} us, at most {latest_us:.0} us"),
+        "< 1 ms",
+    );
+    line("    awake", percent(awake), "");
     line(
         "a fold and an unfolding: motor's charge, time awake",
         format!("{:.4} mAh, {:.2} s", measured.pair_mah, measured.pair_s),

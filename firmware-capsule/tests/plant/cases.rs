@@ -160,7 +160,7 @@ pub fn figures(parameters: Parameters, seed: u64, cycles: u32) -> Option<Figures
                 return None;
             }
             sim.settle();
-            let record = *sim.capsule.record();
+            let record = sim.capsule.record();
             if record.outcome != ActuationOutcome::Complete {
                 return None;
             }

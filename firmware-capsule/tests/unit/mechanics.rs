@@ -51,8 +51,8 @@ fn current_ma(newton: f64) -> f64 {
 
 #[test]
 fn currents_are_the_forces_they_stand_for() {
-    assert!((f64::from(FORCE_MA) - current_ma(5.87)).abs() < 1.0);
-    assert!((f64::from(RISE_START_MA) - current_ma(2.935)).abs() < 1.0);
+    assert!((f64::from(FORCE_MA) - current_ma(5.74)).abs() < 1.0);
+    assert!((f64::from(RISE_START_MA) - current_ma(2.87)).abs() < 1.0);
 }
 
 #[test]
