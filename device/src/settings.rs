@@ -1,4 +1,5 @@
-//! Settings and name of a device: single values as on the wire, kept in flash. What they mean is the image's business.
+//! Values of the settings as on the wire, and the rig's store of them and of its name in flash. What they mean is the image's
+//! business.
 
 use crate::store::{NAME_RECORD, StorageFailed, Store};
 use embedded_storage_async::nor_flash::NorFlash;
@@ -6,6 +7,7 @@ use heapless::String;
 use protocol::{
     error::Refusal,
     settings::{MAX_NAME, SettingKey},
+    system::DeviceKind,
 };
 
 /// Layout of a record in flash; others are not read.
@@ -170,7 +172,7 @@ impl<F: NorFlash> SettingsStore<F> {
     }
 
     fn save_defaults(&mut self) -> Result<(), StorageFailed> {
-        for key in SettingKey::ALL {
+        for key in SettingKey::of(DeviceKind::Rig) {
             let default = key.range().default;
             // After a conflict the values in force are not those in flash.
             if self.found == Found::Conflict || self.values.get(key) != default {

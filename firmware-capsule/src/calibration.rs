@@ -1,6 +1,6 @@
 //! What is known of one capsule: measured once, when a person says "this is unfolded", and kept in flash.
 
-use crate::mechanics::{FOLDED_RANGE, NO_LOAD_MA, Thread};
+use crate::mechanics::{POSSIBLE_FOLD, Thread};
 
 /// Found by a calibration. Its evidence needs no temperature: lengths, and currents that later ones are compared with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,17 +37,12 @@ impl Calibration {
             return None;
         };
         let folded = Thread(i32::from_le_bytes([a, b, c, d]));
-        let (shortest, longest) = FOLDED_RANGE;
+        let (shortest, longest) = POSSIBLE_FOLD;
         (shortest..=longest).contains(&folded).then(|| Self {
             folded,
             no_load_ma: u16::from_le_bytes([e, f]),
             rise: Thread(i32::from(u16::from_le_bytes([g, h]))),
             tension_ma: u16::from_le_bytes([i, j]),
         })
-    }
-
-    /// No-load current of a capsule: measured, or that of the data sheet.
-    pub fn no_load_of(calibration: Option<&Self>) -> u16 {
-        calibration.map_or(NO_LOAD_MA, |calibration| calibration.no_load_ma)
     }
 }

@@ -3,16 +3,23 @@
 use crate::{
     fold::{Actions, Capsule, Command, Drive, Event},
     kept::Totals,
+    mechanics::Thread,
+    settings::Settings,
     trace::Recording,
 };
-use device::common::{About, Effect, Executed};
+use device::{
+    common::{About, Effect, Executed},
+    settings::Values,
+};
+use heapless::String;
 use protocol::{
     capsule::{
         ActuationAccepted, ActuationKind, CapsuleCalibration, CapsuleFault, CapsuleStatus,
         CapsuleTelemetry, CapsuleTotals,
     },
     error::Refusal,
-    system::Done,
+    settings::{GetSetting, MAX_NAME, Name, Setting},
+    system::{DeviceKind, Done},
     table::{Request, Response},
 };
 
@@ -20,16 +27,35 @@ use protocol::{
 pub struct Context<'a> {
     /// Of the present or last motion.
     pub recording: &'a Recording,
-    /// What is kept in flash.
+    /// Totals in flash.
     pub totals: &'a Totals,
+    /// Settings, value by value.
+    pub values: &'a Values,
+    /// The capsule's name.
+    pub name: &'a str,
+    /// The motor stands, and has for long enough.
+    pub rests: bool,
     /// Device time.
     pub now_us: u64,
     /// What common requests are answered from.
     pub about: About<'a>,
 }
 
-/// A capsule keeps no settings yet.
-pub type Change = core::convert::Infallible;
+/// A change of what is in flash.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// A setting, and what all of them mean with it.
+    Value {
+        /// The setting.
+        setting: Setting,
+        /// All of them.
+        settings: Settings,
+    },
+    /// The name.
+    Name(String<MAX_NAME>),
+    /// Everything to its default.
+    Reset,
+}
 
 /// Carries out one request; no actions after a query.
 pub fn execute(
@@ -43,13 +69,14 @@ pub fn execute(
         Request::CheckFolded(_) => Command::CheckFolded,
         Request::Fold(_) => Command::Fold,
         Request::Unfold(_) => Command::Unfold,
+        Request::FoldTo(to) => Command::FoldTo(Thread(to.thread_um)),
         Request::Acknowledge(_) => Command::Acknowledge,
         query => return Executed::new(respond(query, capsule, context), None),
     };
     let actions = capsule.step(context.now_us, Event::Command(command));
     let accepted = |kind| ActuationAccepted {
         actuation: capsule.actuation(),
-        timeout_ms: Capsule::timeout_ms(kind),
+        timeout_ms: capsule.timeout_ms(kind),
     };
     let response = match command {
         Command::Reference => Response::Reference(accepted(ActuationKind::Reference)),
@@ -57,6 +84,7 @@ pub fn execute(
         Command::CheckFolded => Response::CheckFolded(accepted(ActuationKind::CheckFolded)),
         Command::Fold => Response::Fold(accepted(ActuationKind::Fold)),
         Command::Unfold => Response::Unfold(accepted(ActuationKind::Unfold)),
+        Command::FoldTo(_) => Response::FoldTo(accepted(ActuationKind::FoldTo)),
         _ => Response::Acknowledge(Done),
     };
     let effect = match command {
@@ -81,10 +109,50 @@ fn respond(
         Request::GetActuationRecord(_) => Response::GetActuationRecord(capsule.record()),
         Request::GetTrace(get) => Response::GetTrace(context.recording.part(&get, capsule.zero())),
         Request::GetCapsuleTotals(_) => Response::GetCapsuleTotals(totals(capsule, context.totals)),
+        Request::GetSetting(GetSetting { key }) if key.is_of(DeviceKind::Capsule) => {
+            Response::GetSetting(Setting {
+                key,
+                value: context.values.get(key),
+            })
+        }
+        Request::SetSetting(setting) if setting.key.is_of(DeviceKind::Capsule) => {
+            may_write(capsule, context)?;
+            let key = setting.key;
+            let values = context.values.with(key, setting.value)?;
+            let settings =
+                Settings::new(&values).map_err(|rule| Refusal::SettingRule { key, rule })?;
+            let change = Change::Value { setting, settings };
+            return Ok((Response::SetSetting(setting), Effect::Store(change)));
+        }
+        Request::FactoryReset(_) => {
+            may_write(capsule, context)?;
+            return Ok((Response::FactoryReset(Done), Effect::Store(Change::Reset)));
+        }
+        Request::GetName(_) => Response::GetName(Name {
+            name: context.name.try_into().unwrap_or_default(),
+        }),
+        Request::SetName(name) => {
+            may_write(capsule, context)?;
+            // A terminal would obey an escape sequence in it.
+            if name.name.chars().any(char::is_control) {
+                return Err(Refusal::NameNotPrintable);
+            }
+            let change = Change::Name(name.name.clone());
+            return Ok((Response::SetName(name), Effect::Store(change)));
+        }
         // The rig's; the others have been answered above, and a Hello by the session.
         _ => return Err(Refusal::WrongDevice),
     };
     Ok((response, Effect::None))
+}
+
+/// While the flash is written the chip executes nothing: only with the motor at rest.
+fn may_write(capsule: &Capsule, context: &Context<'_>) -> Result<(), Refusal> {
+    capsule.may_change_settings()?;
+    match context.rests {
+        true => Ok(()),
+        false => Err(Refusal::CapsuleBusy(capsule.state())),
+    }
 }
 
 fn totals(capsule: &Capsule, totals: &Totals) -> CapsuleTotals {

@@ -3,7 +3,7 @@
 
 use crate::{
     calibration::Calibration,
-    commands::{self, Context},
+    commands::{self, Change, Context},
     detect::Sample,
     fold::{self, Actions, Command, Drive, Event},
     kept::{Kept, Totals},
@@ -15,17 +15,17 @@ use device::{
     common::{About, Effect, Surroundings},
     last_words::LastWords,
     service::Answers,
+    store::StorageFailed,
 };
 use embedded_storage_async::nor_flash::NorFlash;
 use protocol::{
     capsule::{CapsuleEvent, CapsuleFault, CapsuleState, CapsuleTelemetry},
+    error::Refusal,
     events::EventRing,
+    settings::SettingKey,
     system::{ResetCause, Urgent, What},
     table::{Reply, Request},
 };
-
-/// A moving capsule stops when no good frame has come for this long.
-const LINK_TIMEOUT_US: u32 = 1_000_000;
 
 /// A motor whose bridge has failed runs out without a brake, for 0.3 s.
 const STANDS_US: u64 = 500_000;
@@ -56,7 +56,7 @@ pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
 impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     /// Control after a start, from what the previous one left, and from flash.
     pub fn new(capsule: C, flash: F, left: Retained, reset_cause: ResetCause) -> Self {
-        let kept = Kept::load(flash);
+        let (kept, usable) = Kept::load(flash);
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(CapsuleFault::Panic),
             (ResetCause::Watchdog, _) => Some(CapsuleFault::Watchdog),
@@ -65,7 +65,12 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         };
         let mut control = Self {
             capsule,
-            machine: fold::Capsule::new(fault, kept.calibration(), kept.totals().folded),
+            machine: fold::Capsule::new(
+                fault,
+                kept.calibration(),
+                kept.totals().folded,
+                *kept.settings(),
+            ),
             kept,
             ended: (0, 0),
             resting: (Counts(0), 0),
@@ -75,6 +80,11 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
             last_words: left.last_words.unwrap_or_default(),
         };
         control.emit(What::Booted(reset_cause));
+        if !usable {
+            control.emit(What::Capsule(CapsuleEvent::SettingsUnusable));
+        }
+        let period_ms = control.kept.values().get(SettingKey::TelemetryMs) as u16;
+        control.capsule.set_telemetry(period_ms);
         control
     }
 
@@ -145,7 +155,9 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     }
 
     fn watch_link(&mut self) {
-        if self.machine.is_moving() && self.capsule.silence_us() > LINK_TIMEOUT_US {
+        if self.machine.is_moving()
+            && self.capsule.silence_us() > self.machine.settings().link_timeout_us
+        {
             self.emit(What::LinkLost);
             let actions = self.machine.step(self.capsule.now_us(), Event::LinkSilent);
             self.perform(&actions);
@@ -171,6 +183,24 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         }
     }
 
+    /// Flash first: what is in force is what the next start will find.
+    fn change(&mut self, change: Change) -> Result<(), StorageFailed> {
+        let event = match change {
+            Change::Value { setting, settings } => {
+                self.kept.set(setting.key, setting.value, settings)?;
+                CapsuleEvent::SettingChanged(setting.key)
+            }
+            Change::Name(name) => return self.kept.set_name(name),
+            Change::Reset => {
+                self.kept.reset()?;
+                CapsuleEvent::SettingsReset
+            }
+        };
+        self.machine.set_settings(*self.kept.settings());
+        self.emit(What::Capsule(event));
+        Ok(())
+    }
+
     fn emit(&mut self, what: What) {
         let event = self.events.record(self.capsule.now_us(), what);
         self.capsule.tell(&event);
@@ -183,6 +213,9 @@ impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
         let context = Context {
             recording: &self.recording,
             totals: self.kept.totals(),
+            values: self.kept.values(),
+            name: self.kept.name(),
+            rests: self.capsule.now_us().saturating_sub(self.resting.1) >= STANDS_US,
             now_us: self.capsule.now_us(),
             about: About {
                 events: &self.events,
@@ -201,6 +234,14 @@ impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
             Effect::Acknowledged => {
                 self.capsule.keep_latched(None);
                 self.emit(What::Acknowledged);
+            }
+            Effect::Store(change) => {
+                if self.capsule.chip().supply_low {
+                    return Reply::Refused(Refusal::SupplyLow);
+                }
+                if self.change(change).is_err() {
+                    return Reply::Refused(Refusal::StorageFailed);
+                }
             }
         }
         executed.reply

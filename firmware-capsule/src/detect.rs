@@ -4,7 +4,8 @@
 //! bounded by the speed loop: a healthy motor draws 250 mA at most, also from standstill and when it is blocked.
 
 use crate::{
-    mechanics::{COASTING_CPS2_PER_MA, Counts, FORCE_MA, RISE_START_MA},
+    mechanics::{COASTING_CPS2_PER_MA, Counts},
+    settings::Settings,
     window::Window,
 };
 
@@ -68,8 +69,6 @@ const SURPLUS_MA: u32 = 60;
 const SURPLUS_DEBOUNCE_US: u64 = 4_000;
 /// A motor that stands draws what was ordered, within winding, cell and amplifier; one that turns draws less, by its back-EMF.
 const STALLED_PERCENT: u32 = 85;
-/// A battery that sags below this under load is empty.
-pub const BATTERY_UNDER_LOAD_MV: u16 = 2_700;
 /// A sag must last this long.
 const SAG_DEBOUNCE_US: u64 = 15_000;
 /// Below this a cell has collapsed: the chip's own supply goes with it, and what is measured against it means nothing.
@@ -96,8 +95,6 @@ const FAST_CPS: i32 = 6_000;
 const STRUCK_LOSS_CPS: i32 = 750;
 /// Above the no-load current: resistance. The stiffest origami with the most friction takes 115 mA where a fold becomes slow.
 const RESISTED_MA: u16 = 130;
-/// With this current above the no-load current, a slow motor that meets something hard is at the end force.
-const MET_MA: u16 = 100;
 /// From this speed on, counts/s, a loss of a fifth is more than rounding.
 const SLOW_CPS_AT_LEAST: i32 = 3_000;
 /// Readings with which the order is compared.
@@ -260,6 +257,7 @@ impl Detector {
         sample: &Sample,
         ordered_ma: Option<u16>,
         no_load_ma: u16,
+        settings: &Settings,
     ) -> Result<Load, Trip> {
         let Sample {
             counts,
@@ -282,7 +280,7 @@ impl Detector {
         if lasts(&mut self.over_current, over, OVER_CURRENT_DEBOUNCE_US) {
             return Err(Trip::OverCurrent { current_ma });
         }
-        let low = battery_mv < BATTERY_UNDER_LOAD_MV;
+        let low = battery_mv < settings.loaded_battery_mv;
         if battery_mv < COLLAPSED_MV {
             self.collapses = self.collapses.saturating_add(1);
         }
@@ -309,7 +307,7 @@ impl Detector {
         if lasts(&mut self.silence, silent, SILENCE_US) && self.makes_progress(now_us) {
             return Err(self.name_of_silence());
         }
-        let mut load = self.load(now_us, counts, no_load_ma);
+        let mut load = self.load(now_us, counts, no_load_ma, settings);
         // What is more than ordered may be a short circuit; its own debounce decides.
         load.end_force &= !surplus;
         let stands = self.stands_still(now_us, counts);
@@ -327,7 +325,7 @@ impl Detector {
         Ok(load)
     }
 
-    fn load(&mut self, now_us: u64, counts: Counts, no_load_ma: u16) -> Load {
+    fn load(&mut self, now_us: u64, counts: Counts, no_load_ma: u16, settings: &Settings) -> Load {
         let seen = self.sees_force(now_us) && now_us >= self.steady_from_us;
         let means = self.window.means_ma(FORCE_READINGS).filter(|_| seen);
         let excess_ma = means.map(|(mean_ma, _)| mean_ma.saturating_sub(no_load_ma));
@@ -335,9 +333,9 @@ impl Detector {
         // What accelerates the motor does not pull at the thread.
         let accelerating_ma = self.accelerating_ma();
         let pulls = |level| above(accelerating_ma.saturating_add(level));
-        let end_force = pulls(FORCE_MA);
-        let rise = above(RISE_START_MA);
-        let met = pulls(MET_MA) && self.meets_something();
+        let end_force = pulls(settings.force_ma);
+        let rise = above(settings.rise_start_ma);
+        let met = pulls(settings.met_ma) && self.meets_something();
         let slowed = self.is_slowed();
         Load {
             end_force: self

@@ -4,11 +4,13 @@
 //! |---|---|---|
 //! | any at rest | Calibrate, Reference \[battery, amplifier\] | Referencing |
 //! | Unfolded, Stopped | Fold \[battery, amplifier\] | Folding |
+//! | Unfolded, Folded, Stopped | FoldTo \[calibration, battery, amplifier\] | Folding or Unfolding |
 //! | Folded, Stopped | Unfold \[battery, amplifier\] | Unfolding |
 //! | Unreferenced, WasFolded | CheckFolded \[calibration, battery, amplifier\] | Checking |
 //! | any at rest | Reference, Fold, ... \[amplifier shows a current\] | Faulted |
 //! | Referencing | zero found and reached | Unfolded |
-//! | Folding | end force at the calibrated end | Folded |
+//! | Folding | end force at the calibrated end | Folded; WasFolded if the end has wandered |
+//! | Folding, Unfolding | where a partial fold was to stop | Stopped |
 //! | Checking | end force | Folded |
 //! | Unfolding | zero reached | Unfolded |
 //! | Folding, Unfolding | Stop, link silent | Stopped |
@@ -26,18 +28,19 @@
 
 use crate::{
     calibration::Calibration,
-    detect::{BATTERY_UNDER_LOAD_MV, Detector, Load, Sample, Spooling, Trip},
+    detect::{Detector, Load, Sample, Spooling, Trip},
     governor::{Effort, Governor},
     leg::{Decision, Leg, MOST_MA, Purpose, TENSION_ZONE, is_near},
-    mechanics::{Counts, FOLDED_RANGE, FOUND_AGAIN, MOST_NO_LOAD_MA, Thread},
+    mechanics::{Counts, FOUND_AGAIN, MOST_NO_LOAD_MA, Thread},
     record::Recorder,
     sense::MOST_OFFSET_MA,
+    settings::Settings,
 };
 use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleFault, CapsuleState,
     },
-    error::Refusal,
+    error::{Field, Refusal},
 };
 
 /// How long the motor is shorted after a motion: six of its time constants.
@@ -55,14 +58,12 @@ const LOAD_MA: u16 = 80;
 const RESERVE_MV: u16 = 100;
 /// Above the no-load current, the thread pulls: 0.3 N.
 const ENGAGED_MA: u16 = 7;
-/// Below this battery voltage a motion is refused.
-pub const LEAST_BATTERY_MV: u16 = 3_000;
 /// Two slow windings of 28.5 mm, 5.7 s each, and two ways out.
 pub const REFERENCE_TIMEOUT_MS: u32 = 16_000;
-/// The model motor takes 1.7 s, and 4.4 s if something resisted on the way.
-pub const FOLD_TIMEOUT_MS: u32 = 8_000;
-/// The model motor takes 1.3 s, with an almost empty battery twice as long.
-pub const UNFOLD_TIMEOUT_MS: u32 = 4_000;
+/// A partial fold is this far from either end: the ends have motions of their own.
+pub const PARTIAL_MARGIN: Thread = Thread(500);
+/// As near as a partial fold stops.
+const ARRIVED: i32 = 100;
 
 /// State of the bridge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -89,6 +90,8 @@ pub enum Command {
     Fold,
     /// Pay out to zero.
     Unfold,
+    /// Wind or pay out to here.
+    FoldTo(Thread),
     /// Motor off; never refused.
     Stop,
     /// Motor off and fault; never refused.
@@ -190,6 +193,25 @@ const STEADY_UM: i32 = 300;
 /// A taut thread that unfolds takes at least this above the no-load current.
 const LEAST_TENSION_MA: u16 = 4;
 
+/// Where folds have ended since the zero was found.
+#[derive(Clone, Copy, Debug, Default)]
+struct Drift {
+    first: Option<Thread>,
+    /// Of the distances from the first end, over about four folds, so that one of them does not decide.
+    mean: Thread,
+    folds: i32,
+}
+
+impl Drift {
+    /// Takes an end; returns how far the ends have wandered.
+    fn add(&mut self, end: Thread) -> Thread {
+        let first = *self.first.get_or_insert(end);
+        self.folds = (self.folds + 1).min(4);
+        self.mean.0 += (end.0 - first.0 - self.mean.0) / self.folds;
+        self.mean
+    }
+}
+
 /// The state machine.
 #[derive(Clone, Debug)]
 pub struct Capsule {
@@ -209,16 +231,19 @@ pub struct Capsule {
     cell_milliohm: u32,
     /// The last motion of the run before ended folded, and nothing has moved since.
     was_folded: bool,
+    drift: Drift,
+    settings: Settings,
     recorder: Recorder,
 }
 
 impl Capsule {
     /// At the start of the device, position unknown. `fault` is what ended the last run of the firmware, if a
-    /// fault did; `calibration` and whether it `was_folded` come from flash.
+    /// fault did; `calibration`, whether it `was_folded`, and `settings` come from flash.
     pub fn new(
         fault: Option<CapsuleFault>,
         calibration: Option<Calibration>,
         was_folded: bool,
+        settings: Settings,
     ) -> Self {
         Self {
             mode: fault.map_or(Mode::Unreferenced, Mode::Faulted),
@@ -229,10 +254,13 @@ impl Capsule {
             sample_us: 0,
             drive: Drive::Off,
             brake_until_us: 0,
-            no_load_ma: Calibration::no_load_of(calibration.as_ref()),
+            no_load_ma: calibration
+                .map_or(settings.no_load_ma, |calibration| calibration.no_load_ma),
             calibration,
             cell_milliohm: CELL_MILLIOHM,
             was_folded,
+            drift: Drift::default(),
+            settings,
             recorder: Recorder::new(),
         }
     }
@@ -251,6 +279,10 @@ impl Capsule {
                 ActuationKind::CheckFolded => CapsuleState::Checking,
                 ActuationKind::Fold => CapsuleState::Folding,
                 ActuationKind::Unfold => CapsuleState::Unfolding,
+                ActuationKind::FoldTo => match actuation.leg.spooling() {
+                    Spooling::Wind => CapsuleState::Folding,
+                    Spooling::PayOut => CapsuleState::Unfolding,
+                },
             },
         }
     }
@@ -298,6 +330,27 @@ impl Capsule {
         self.drive
     }
 
+    /// What a person can change.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// Other settings are in force. Not while it moves.
+    pub fn set_settings(&mut self, settings: Settings) {
+        self.settings = settings;
+    }
+
+    /// Settings may be changed.
+    ///
+    /// # Errors
+    /// The motor is driven.
+    pub fn may_change_settings(&self) -> Result<(), Refusal> {
+        if self.is_moving() || self.drive != Drive::Off {
+            return Err(Refusal::CapsuleBusy(self.state()));
+        }
+        Ok(())
+    }
+
     /// The present or last actuation.
     pub fn record(&self) -> ActuationRecord {
         self.recorder.record()
@@ -309,13 +362,13 @@ impl Capsule {
     }
 
     /// Longest time an actuation of this kind may take.
-    pub fn timeout_ms(kind: ActuationKind) -> u32 {
+    pub fn timeout_ms(&self, kind: ActuationKind) -> u32 {
         match kind {
             ActuationKind::Reference | ActuationKind::Calibrate | ActuationKind::CheckFolded => {
                 REFERENCE_TIMEOUT_MS
             }
-            ActuationKind::Fold => FOLD_TIMEOUT_MS,
-            ActuationKind::Unfold => UNFOLD_TIMEOUT_MS,
+            ActuationKind::Fold | ActuationKind::FoldTo => self.settings.fold_timeout_ms,
+            ActuationKind::Unfold => self.settings.unfold_timeout_ms,
         }
     }
 
@@ -346,6 +399,7 @@ impl Capsule {
             Command::CheckFolded => ActuationKind::CheckFolded,
             Command::Fold => ActuationKind::Fold,
             Command::Unfold => ActuationKind::Unfold,
+            Command::FoldTo(_) => ActuationKind::FoldTo,
             Command::Stop => {
                 self.stop(now_us, ActuationOutcome::Stopped, actions);
                 return Ok(());
@@ -362,21 +416,29 @@ impl Capsule {
             }
             (Mode::Faulted(fault), _) => return Err(Refusal::CapsuleFaulted(*fault)),
             (Mode::Moving(_), _) => return Err(Refusal::CapsuleBusy(self.state())),
-            (Mode::Unreferenced, ActuationKind::Fold | ActuationKind::Unfold) => {
+            (
+                Mode::Unreferenced,
+                ActuationKind::Fold | ActuationKind::Unfold | ActuationKind::FoldTo,
+            ) => {
                 return Err(Refusal::NotReferenced);
             }
             (Mode::Folded, ActuationKind::CheckFolded | ActuationKind::Fold)
             | (Mode::Unfolded, ActuationKind::Unfold) => {
                 return Err(Refusal::AlreadyThere);
             }
-            (_, ActuationKind::Fold | ActuationKind::CheckFolded) if self.calibration.is_none() => {
+            (_, ActuationKind::Fold | ActuationKind::CheckFolded | ActuationKind::FoldTo)
+                if self.calibration.is_none() =>
+            {
                 return Err(Refusal::NotCalibrated);
             }
             _ => {}
         }
+        if let Command::FoldTo(target) = command {
+            self.may_stop_at(target)?;
+        }
         let min_mv = match kind {
             // Paying out takes little, and somebody may need it.
-            ActuationKind::Unfold => LEAST_BATTERY_MV,
+            ActuationKind::Unfold => self.settings.least_battery_mv,
             _ => self.least_battery_mv(),
         };
         if self.sample.battery_mv < min_mv {
@@ -389,17 +451,46 @@ impl Capsule {
             self.fail(now_us, fault, actions);
             return Err(Refusal::CapsuleFaulted(fault));
         }
-        self.start(now_us, kind, actions);
+        let target = match command {
+            Command::FoldTo(target) => target,
+            _ => Thread(0),
+        };
+        self.start(now_us, kind, target, actions);
         Ok(())
+    }
+
+    /// A partial fold ends between the ends, and somewhere else than here.
+    fn may_stop_at(&self, target: Thread) -> Result<(), Refusal> {
+        let Thread(end_um) = self.folded_end().unwrap_or_default();
+        let (min, max) = (PARTIAL_MARGIN.0, end_um - PARTIAL_MARGIN.0);
+        if !(min..=max).contains(&target.0) {
+            let count = |um: i32| u64::try_from(um).unwrap_or(0);
+            return Err(Refusal::OutOfRange {
+                field: Field::ThreadUm,
+                requested: count(target.0),
+                min: count(min),
+                max: count(max),
+            });
+        }
+        if self.thread().0.abs_diff(target.0) <= ARRIVED.unsigned_abs() {
+            return Err(Refusal::AlreadyThere);
+        }
+        Ok(())
+    }
+
+    /// Where the folded end is believed to be.
+    fn folded_end(&self) -> Option<Thread> {
+        let calibration = self.calibration.as_ref()?;
+        Some(Thread(calibration.folded.0 - self.spare.0))
     }
 
     /// What the cell must have at rest to stay above its limit under the end force, twice: to fold and to unfold again.
     fn least_battery_mv(&self) -> u16 {
         let sag_mv = self.cell_milliohm * u32::from(MOST_MA) / 1_000;
-        let under_load_mv = u32::from(BATTERY_UNDER_LOAD_MV + RESERVE_MV) + sag_mv;
+        let under_load_mv = u32::from(self.settings.loaded_battery_mv + RESERVE_MV) + sag_mv;
         u16::try_from(under_load_mv)
             .unwrap_or(u16::MAX)
-            .max(LEAST_BATTERY_MV)
+            .max(self.settings.least_battery_mv)
     }
 
     /// The shunt amplifier shows a current at rest. Nothing it says under drive can then be relied on.
@@ -413,7 +504,9 @@ impl Capsule {
             return Err(Refusal::NothingToAcknowledge);
         };
         let persists = match fault {
-            CapsuleFault::LowBattery { .. } => self.sample.battery_mv < LEAST_BATTERY_MV,
+            CapsuleFault::LowBattery { .. } => {
+                self.sample.battery_mv < self.settings.least_battery_mv
+            }
             CapsuleFault::DriverFault => self.sample.driver_fault,
             CapsuleFault::OverCurrent { .. } => self.amplifier_fault().is_some(),
             _ => false,
@@ -425,7 +518,8 @@ impl Capsule {
         Ok(())
     }
 
-    fn start(&mut self, now_us: u64, kind: ActuationKind, actions: &mut Actions) {
+    /// `target` is that of a partial fold.
+    fn start(&mut self, now_us: u64, kind: ActuationKind, target: Thread, actions: &mut Actions) {
         let origin = self.sample.counts;
         let seek = |purpose| Leg::Seek {
             origin,
@@ -435,14 +529,23 @@ impl Capsule {
         let calibrates = kind == ActuationKind::Calibrate
             || kind == ActuationKind::Reference && self.calibration.is_none();
         let slack = calibrates || matches!(self.mode, Mode::Unfolded);
-        let leg = match (kind, &self.calibration) {
-            (ActuationKind::Unfold, _) => Leg::PayOut {
-                taut_to: matches!(self.mode, Mode::Folded).then(|| self.taut_to()),
-            },
-            (ActuationKind::Fold, Some(calibration)) => Leg::Wind {
-                end: Thread(calibration.folded.0 - self.spare.0),
-                careful: false,
-            },
+        let pay_out = |to: Thread| Leg::PayOut {
+            to,
+            // Not if it ends before the tension has been measured.
+            taut_to: matches!(self.mode, Mode::Folded)
+                .then(|| self.taut_to())
+                .filter(|taut_to| to < *taut_to),
+        };
+        let wind = |end, short| Leg::Wind {
+            end,
+            careful: false,
+            short,
+        };
+        let leg = match (kind, self.folded_end()) {
+            (ActuationKind::Unfold, _) => pay_out(Thread(0)),
+            (ActuationKind::FoldTo, _) if target < self.thread() => pay_out(target),
+            (ActuationKind::FoldTo, Some(end)) => wind(end, Some(target)),
+            (ActuationKind::Fold, Some(end)) => wind(end, None),
             (ActuationKind::CheckFolded, _) => seek(Purpose::Check {
                 believed: self.was_folded,
             }),
@@ -454,7 +557,7 @@ impl Capsule {
         }
         self.was_folded = false;
         let from_us = now_us.max(self.brake_until_us);
-        let timeout_us = u64::from(Self::timeout_ms(kind)) * 1_000;
+        let timeout_us = u64::from(self.timeout_ms(kind)) * 1_000;
         self.mode = Mode::Moving(Actuation {
             kind,
             leg,
@@ -521,9 +624,14 @@ impl Capsule {
             actuation.effort = actuation.governor.brake();
             return;
         }
-        let aim = actuation.leg.aim(thread, no_load_ma, actuation.near);
+        let aim = actuation
+            .leg
+            .aim(thread, no_load_ma, actuation.near, &self.settings);
         let battery_mv = self.sample.battery_mv;
-        actuation.effort = actuation.governor.step(aim, cps, least_cps, battery_mv);
+        let speeds = (cps, least_cps);
+        actuation.effort = actuation
+            .governor
+            .step(aim, speeds, battery_mv, &self.settings);
     }
 
     /// Judges the last sample while moving.
@@ -551,14 +659,20 @@ impl Capsule {
             };
             actuation
                 .detector
-                .check(now_us, &self.sample, ordered_ma, self.no_load_ma)
+                .check(
+                    now_us,
+                    &self.sample,
+                    ordered_ma,
+                    self.no_load_ma,
+                    &self.settings,
+                )
                 .map_err(|trip| fault_of(trip, thread))?
         } else {
             // The first sample of a leg was taken before its drive: only its position counts.
             Load::default()
         };
         if let Some(excess_ma) = load.excess_ma {
-            actuation.near = is_near(actuation.near, excess_ma);
+            actuation.near = is_near(actuation.near, excess_ma, &self.settings);
             let current_ma = excess_ma.saturating_add(self.no_load_ma);
             self.recorder.current(current_ma);
             if current_ma >= LOAD_MA {
@@ -600,6 +714,7 @@ impl Capsule {
         }
         let Leg::PayOut {
             taut_to: Some(taut_to),
+            to,
         } = actuation.leg
         else {
             return Ok(());
@@ -611,7 +726,7 @@ impl Capsule {
             }
             return Ok(());
         }
-        actuation.leg = Leg::PayOut { taut_to: None };
+        actuation.leg = Leg::PayOut { taut_to: None, to };
         // Without a steady reading there is no verdict: the next fold finds a broken thread.
         let tension_ma = actuation
             .taut
@@ -650,7 +765,10 @@ impl Capsule {
         };
         let stopping = actuation.detector.stopping_distance();
         let counts = self.sample.counts;
-        let next = match actuation.leg.decide(counts, self.zero, load, stopping)? {
+        let next = match actuation
+            .leg
+            .decide(counts, self.zero, load, stopping, &self.settings)?
+        {
             Decision::Continue if now_us >= actuation.deadline_us => {
                 return Err(CapsuleFault::Timeout);
             }
@@ -676,6 +794,11 @@ impl Capsule {
             },
             Decision::Folded => {
                 self.end(now_us, Mode::Folded, ActuationOutcome::Complete, actions);
+                self.watch_drift(actions);
+                return Ok(());
+            }
+            Decision::Arrived => {
+                self.end(now_us, Mode::Stopped, ActuationOutcome::Complete, actions);
                 return Ok(());
             }
             Decision::Unfolded => {
@@ -710,7 +833,7 @@ impl Capsule {
         let folded = match (purpose, &self.calibration) {
             (Purpose::Reference | Purpose::Check { .. }, Some(calibration)) => calibration.folded,
             _ => {
-                if wound < FOLDED_RANGE.0 {
+                if wound < self.settings.folded_range.0 {
                     return Err(CapsuleFault::NotUnfolded { wound_um: wound.0 });
                 }
                 if let Mode::Moving(actuation) = &mut self.mode {
@@ -729,14 +852,28 @@ impl Capsule {
         let zero = self.sample.counts.back(believed.counts());
         self.recorder.zero_moved(self.zero.since(zero).thread());
         self.zero = zero;
+        self.drift = Drift::default();
         // A calibration counts only with its last part, the tension.
         self.referenced = purpose != Purpose::Calibrate;
         if matches!(purpose, Purpose::Check { .. }) {
             return Ok(None);
         }
         Ok(Some(Leg::PayOut {
+            to: Thread(0),
             taut_to: Some(self.taut_to()),
         }))
+    }
+
+    /// A folded end that wanders means that thread or zero are not what they were.
+    fn watch_drift(&mut self, actions: &mut Actions) {
+        let by = self.drift.add(self.thread());
+        if by.0.saturating_abs() <= self.settings.drift.0 {
+            return;
+        }
+        self.referenced = false;
+        self.was_folded = true;
+        self.mode = Mode::Unreferenced;
+        actions.emit(CapsuleEvent::Drifted { by_um: by.0 });
     }
 
     fn stop(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {

@@ -5,10 +5,8 @@
 //! from the first pulse on, whether it is measured or not. To slow down, the motor is shorted for a millisecond at a
 //! time, which takes 14 % of its speed and nothing from the battery.
 
-use crate::mechanics::{BACK_EMF_UV_PER_CPS, LOOP_MILLIOHM};
+use crate::settings::Settings;
 
-/// Proportional part, uA per count/s: with the motor's 4.2 counts/s2 per uA a bandwidth of 60 rad/s. The speed is 4 ms old.
-const PROPORTIONAL: i32 = 15;
 /// Integral part, uA per count/s and ms, times 1/4: a time constant of 67 ms.
 const INTEGRAL_QUARTERS: i32 = 1;
 /// The same while the motor hardly turns: it has a load to get over.
@@ -62,7 +60,13 @@ impl Governor {
 
     /// Once a millisecond, with the speed in the direction of the leg, and the least that it may be by now: the current
     /// is bounded also while something stops the motor.
-    pub fn step(&mut self, aim: Aim, cps: i32, least_cps: i32, battery_mv: u16) -> Effort {
+    pub fn step(
+        &mut self,
+        aim: Aim,
+        (cps, least_cps): (i32, i32),
+        battery_mv: u16,
+        settings: &Settings,
+    ) -> Effort {
         let error = aim.cps.saturating_sub(cps);
         // The speed is a mean over 3 ms; while the motor is shorted, it is less by now.
         let by_now_cps = match self.braked_ms {
@@ -77,7 +81,7 @@ impl Governor {
         let limit_ua = i32::from(aim.limit_ma) * 1_000;
         let held_ua = i32::from(aim.held_ma.min(aim.limit_ma)) * 1_000;
         // While the proportional part alone is at the limit, the integral part would only wind up.
-        let proportional_ua = error.saturating_mul(PROPORTIONAL);
+        let proportional_ua = error.saturating_mul(settings.proportional_ua);
         if proportional_ua < limit_ua {
             let quarters = if cps < aim.cps / 8 {
                 STANDING_QUARTERS
@@ -91,21 +95,22 @@ impl Governor {
             .saturating_add(self.integral_ua)
             .clamp(0, limit_ua);
         self.ordered_ma = Some((current_ua / 1_000) as u16);
-        Effort::Millivolts(drive_mv(current_ua as u32, least_cps, battery_mv))
+        Effort::Millivolts(drive_mv(current_ua as u32, least_cps, battery_mv, settings))
     }
 }
 
 /// Duty times battery voltage that gives this mean current at this speed.
-fn drive_mv(current_ua: u32, cps: i32, battery_mv: u16) -> u16 {
+fn drive_mv(current_ua: u32, cps: i32, battery_mv: u16, settings: &Settings) -> u16 {
     let battery = u32::from(battery_mv);
     // A motor that turns the other way adds to the current; its speed counts as none.
-    let back = (cps.max(0) as u32).saturating_mul(BACK_EMF_UV_PER_CPS) / 1_000;
+    let back = (cps.max(0) as u32).saturating_mul(settings.back_emf_uv_per_cps) / 1_000;
     let headroom = battery.saturating_sub(back);
     if headroom < LEAST_HEADROOM_MV {
         return battery_mv;
     }
-    // uA * mohm / 1000 = uV, and a sixteenth of it times mV / mV: both products fit, up to 660 mA and 10 V.
-    let resistive = current_ua.saturating_mul(LOOP_MILLIOHM) / 16_000;
+    // uA * mohm / 1000 = uV, and a sixteenth of it times mV / mV: 250 mA and 20 ohm, and 5 V and 4.2 V, fit; more saturates,
+    // and the battery bounds it.
+    let resistive = (current_ua / 4).saturating_mul(settings.loop_milliohm / 4) / 1_000;
     let drive_mv = resistive.saturating_mul(battery) / headroom * 2 / 125;
     drive_mv.min(battery) as u16
 }

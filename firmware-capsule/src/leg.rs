@@ -14,43 +14,32 @@
 //! the origami takes at least [`LEAST_RISE`] of thread, an obstacle almost none. A rise that is too short may also mean
 //! that the origami was folded from the start, so a reference run backs off by [`BACK_OFF`] and tries once more; the
 //! second try decides. Only a thread that catches within the first 4 mm is paid out too far by that, by the part of
-//! the 4 mm that was not wound; [`SEEK_LIMIT`] allows for it. A check never pays out.
+//! the 4 mm that was not wound; [`Settings::seek_limit`] allows for it. A check never pays out.
 //!
 //! # Folded is not a force alone
 //!
-//! A fold ends on force, but it is folded only where the calibration says, within [`END_TOLERANCE`]: an
+//! A fold ends on force, but it is folded only where the calibration says, within [`Settings::end_tolerance`]: an
 //! obstacle in the last millimetres has force and rise of the right kind, and is short. That is called a jam. Beyond
-//! the calibrated end, by [`END_OVERRUN`], the thread is broken or has slipped.
+//! the calibrated end, by [`Settings::end_overrun`], the thread is broken or has slipped.
 //!
 //! # Speeds
 //!
 //! A thread that catches has to stop the motor, and the motor's own momentum pulls with 27 N at full speed, whatever
-//! the current does; so winding is bounded to [`FAST_CPS`]. Paying out is bounded by what the motor would coast if the power were
+//! the current does; so winding is bounded to [`Settings::fold_cps`]: at 13.5 mm/s a jam in the last
+//! 2 mm reaches 20.8 N, at 12.9 mm/s 19.5 N. Paying out is bounded by what the motor would coast if the power were
 //! cut: it must stand before zero without a brake.
 
 use crate::{
     detect::{Load, Spooling},
     governor::Aim,
-    mechanics::{
-        BACK_OFF, COASTING_CPS2_PER_MA, Counts, END_OVERRUN, END_TOLERANCE, FOLDED_RANGE,
-        LEAST_RISE, SEEK_LIMIT, Thread,
-    },
+    mechanics::{BACK_OFF, COASTING_CPS2_PER_MA, Counts, LEAST_RISE, Thread},
+    settings::Settings,
 };
 use protocol::capsule::CapsuleFault;
 
-/// Winding over the long way: 12.9 mm/s. At 13.5 mm/s a jam in the last 2 mm reaches 20.8 N.
-pub const FAST_CPS: i32 = 10_550;
-/// Winding where force ends it: 7 mm/s.
-pub const SLOW_CPS: i32 = 5_700;
-/// Winding near the end force: 4.9 mm/s. A soft origami meets its hard end just there.
-const NEAR_CPS: i32 = 4_000;
 /// Above the no-load current: from this pull on, a fold becomes slower, so that pull and momentum together do not grow. It
 /// ends a fold with less current than one that keeps its speed.
 const LOADED_FROM_MA: u16 = 82;
-/// Near the end force, above the no-load current; and where it is no longer, so that the speed does not go to and fro.
-const NEAR_MA: (u16, u16) = (105, 75);
-/// Paying out: 21 mm/s, or what the battery gives.
-pub const PAY_OUT_CPS: i32 = 17_100;
 /// The last of paying out: 2 mm/s.
 const LAST_CPS: i32 = 1_600;
 /// A fold is slow for so much before its calibrated end.
@@ -108,9 +97,13 @@ pub enum Leg {
         end: Thread,
         /// Something resisted on the way: slow from there.
         careful: bool,
+        /// Stop here instead, before the end.
+        short: Option<Thread>,
     },
-    /// Pay out to zero.
+    /// Pay out to zero, or not so far.
     PayOut {
+        /// Where to stop.
+        to: Thread,
         /// The thread is taut down to here.
         taut_to: Option<Thread>,
     },
@@ -138,6 +131,8 @@ pub enum Decision {
     Folded,
     /// Paid out to zero.
     Unfolded,
+    /// Where a partial fold was to stop.
+    Arrived,
 }
 
 /// Least speed at which the motor, coasting with this no-load current, ends so many counts further. A quarter less
@@ -149,8 +144,9 @@ fn coasting_cps(counts: i32, no_load_ma: u16) -> i32 {
 }
 
 /// With so much current above the no-load current, the end force is near; it `was` so before.
-pub fn is_near(was: bool, excess_ma: u16) -> bool {
-    excess_ma >= if was { NEAR_MA.1 } else { NEAR_MA.0 }
+pub fn is_near(was: bool, excess_ma: u16, settings: &Settings) -> bool {
+    let (from_ma, to_ma) = settings.near_ma;
+    excess_ma >= if was { to_ma } else { from_ma }
 }
 
 impl Leg {
@@ -163,36 +159,46 @@ impl Leg {
     }
 
     /// Speed and current with `thread` on the spool; `near` is [`is_near`].
-    pub fn aim(self, thread: Thread, no_load_ma: u16, near: bool) -> Aim {
+    pub fn aim(self, thread: Thread, no_load_ma: u16, near: bool, settings: &Settings) -> Aim {
         let slow = Aim {
-            cps: if near { NEAR_CPS } else { SLOW_CPS },
+            cps: if near {
+                settings.near_cps
+            } else {
+                settings.slow_cps
+            },
             limit_ma: no_load_ma.saturating_add(FORCE_LIMIT_MA),
             held_ma: MOST_MA,
         };
         match self {
             Leg::Seek { .. } | Leg::BackOff { .. } => slow,
-            Leg::Wind { end, careful } if careful || thread.0 >= end.0 - SLOW_ZONE.0 => slow,
+            Leg::Wind {
+                end,
+                careful,
+                short,
+            } if careful || thread.0 >= short.unwrap_or(end).0 - SLOW_ZONE.0 => slow,
             Leg::Wind { .. } => Aim {
-                cps: FAST_CPS,
+                cps: settings.fold_cps,
                 limit_ma: MOST_MA,
                 held_ma: no_load_ma.saturating_add(LOADED_FROM_MA),
             },
             Leg::PayOut {
                 taut_to: Some(taut_to),
+                ..
             } if thread > taut_to => Aim {
-                cps: SLOW_CPS,
+                cps: settings.slow_cps,
                 limit_ma: MOST_MA,
                 held_ma: MOST_MA,
             },
-            Leg::PayOut { .. } => {
-                let counts = Thread(thread.0.saturating_sub(STOP_MARGIN.0)).counts().0;
-                let limit_ma = if thread < LAST_ZONE {
+            Leg::PayOut { to, .. } => {
+                let left = Thread(thread.0.saturating_sub(to.0));
+                let counts = Thread(left.0.saturating_sub(STOP_MARGIN.0)).counts().0;
+                let limit_ma = if left < LAST_ZONE {
                     LAST_LIMIT_MA
                 } else {
                     MOST_MA
                 };
                 Aim {
-                    cps: coasting_cps(counts, no_load_ma).clamp(LAST_CPS, PAY_OUT_CPS),
+                    cps: coasting_cps(counts, no_load_ma).clamp(LAST_CPS, settings.pay_out_cps),
                     limit_ma,
                     held_ma: limit_ma,
                 }
@@ -211,6 +217,7 @@ impl Leg {
         zero: Counts,
         load: Load,
         stopping: Counts,
+        settings: &Settings,
     ) -> Result<Decision, CapsuleFault> {
         let thread = counts.since(zero).thread();
         let stop_within = Thread(stopping.thread().0.saturating_add(STOP_MARGIN.0));
@@ -224,15 +231,26 @@ impl Leg {
         };
         Ok(match self {
             Leg::Wind { end, .. } if load.end_force => {
-                if thread.0 < end.0 - END_TOLERANCE.0 {
+                if thread.0 < end.0 - settings.end_tolerance.0 {
                     return Err(jam);
                 }
                 Decision::Folded
             }
-            Leg::Wind { end, .. } if thread.0 >= end.0 + END_OVERRUN.0 => return Err(past_the_end),
-            Leg::Wind { end, careful } if load.resisted && !careful => {
-                Decision::Careful(Leg::Wind { end, careful: true })
+            Leg::Wind {
+                short: Some(short), ..
+            } if thread.0.saturating_add(stop_within.0) >= short.0 => Decision::Arrived,
+            Leg::Wind { end, .. } if thread.0 >= end.0 + settings.end_overrun.0 => {
+                return Err(past_the_end);
             }
+            Leg::Wind {
+                end,
+                careful: false,
+                short,
+            } if load.resisted => Decision::Careful(Leg::Wind {
+                end,
+                careful: true,
+                short,
+            }),
             Leg::Wind { .. } => Decision::Continue,
             Leg::Seek {
                 origin,
@@ -263,8 +281,10 @@ impl Leg {
                 origin,
                 purpose: Purpose::Calibrate,
                 ..
-            } if counts.since(origin).thread() > FOLDED_RANGE.1 => return Err(past_the_end),
-            Leg::Seek { origin, .. } if counts.since(origin).thread() >= SEEK_LIMIT => {
+            } if counts.since(origin).thread() > settings.folded_range.1 => {
+                return Err(past_the_end);
+            }
+            Leg::Seek { origin, .. } if counts.since(origin).thread() >= settings.seek_limit() => {
                 return Err(past_the_end);
             }
             Leg::Seek { .. } => Decision::Continue,
@@ -275,7 +295,10 @@ impl Leg {
                     purpose: Purpose::Reference,
                 })
             }
-            Leg::PayOut { .. } if thread <= stop_within => Decision::Unfolded,
+            Leg::PayOut { to, .. } if thread.0 - to.0 <= stop_within.0 => match to {
+                Thread(0) => Decision::Unfolded,
+                _ => Decision::Arrived,
+            },
             Leg::BackOff { .. } | Leg::PayOut { .. } => Decision::Continue,
         })
     }

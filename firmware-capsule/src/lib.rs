@@ -14,5 +14,6 @@ pub mod leg;
 pub mod mechanics;
 mod record;
 pub mod sense;
+pub mod settings;
 pub mod trace;
 pub mod window;

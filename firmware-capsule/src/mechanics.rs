@@ -70,49 +70,23 @@ const fn rescale(value: i32, numerator: i64, denominator: i64) -> i32 {
     }
 }
 
-/// Winding 5.4 ohm, both switches of the bridge 0.6, cell 0.5.
-pub const LOOP_MILLIOHM: u32 = 6_500;
-
-/// Back-EMF of the model motor, uV per count per second: 0.221 mV/rpm over 64 counts.
-pub const BACK_EMF_UV_PER_CPS: u32 = 207;
-
-/// No-load current from the data sheet. The first motion from a slack thread replaces it with a measurement.
-pub const NO_LOAD_MA: u16 = 16;
 /// A no-load current above this was not measured on a slack thread.
 pub const MOST_NO_LOAD_MA: u16 = 30;
 
 /// Deceleration of a motor that coasts without load, counts/s2 per mA of no-load current: friction over inertia.
 pub const COASTING_CPS2_PER_MA: u32 = 4_200;
 
-/// Current above the no-load current at the end force: 5.7 N with the assumed friction of the worm, 4.7 to 7.4 N
-/// over the friction's range. Of the nominal fold's energy the last 1.6 mm before it take 37 %.
-pub const FORCE_MA: u16 = 135;
-
-/// The same at half of the end force: start of the rise that tells an origami from an obstacle.
-pub const RISE_START_MA: u16 = 67;
-
-/// Least thread wound between [`RISE_START_MA`] and [`FORCE_MA`] if it is the origami that pulls. The origami takes
+/// Least thread wound between half of the end force and the end force if it is the origami that pulls. The origami takes
 /// 1.6 mm, with half to four times the assumed stiffness 1.0 to 3 mm; a hard stop or a caught thread takes almost
 /// none.
 pub const LEAST_RISE: Thread = Thread(500);
 
-/// Shortest and longest way from the unfolded end to the end force that a calibration accepts: 16.7 mm of travel
-/// with four times the stiffness and much friction, 23.4 mm of longest travel, and the slack.
-pub const FOLDED_RANGE: (Thread, Thread) = (Thread(16_000), Thread(24_500));
-
-/// So much before the calibrated end is an end force still that of the folded origami.
-pub const END_TOLERANCE: Thread = Thread(250);
+/// What a calibration can be, whatever the settings are: the shortest and the longest fold that they allow.
+pub const POSSIBLE_FOLD: (Thread, Thread) = (Thread(8_000), Thread(28_000));
 
 /// How much less thread than calibrated a check or a reference run may have found: the worst seen was 0.1 mm, and zero is
 /// not to be passed.
 pub const FOUND_AGAIN: Thread = Thread(100);
-/// So far beyond the calibrated end is the thread wound if no end force comes.
-pub const END_OVERRUN: Thread = Thread(400);
-
-/// Longest way to the folded end from an unknown position: the longest calibration, plus 4 mm that an interrupted
-/// back-off may have paid out too far.
-pub const SEEK_LIMIT: Thread = Thread(FOLDED_RANGE.1.0 + 4_000);
-
 /// How far a reference run backs off before its second try.
 pub const BACK_OFF: Thread = Thread(4_000);
 

@@ -18,12 +18,13 @@ use firmware_capsule::{
 };
 use protocol::{
     capsule::{
-        ActuationKind, ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState,
+        ActuationKind, ActuationOutcome, Calibrate, CapsuleEvent, CapsuleFault, CapsuleState,
         CapsuleTelemetry, CapsuleTotals, Fold, GetCapsuleStatus, GetCapsuleTotals, GetTrace,
         Reference,
     },
     error::Refusal,
     rig,
+    settings::{GetSetting, Setting, SettingKey, SettingRule},
     system::{
         self, Acknowledge, Done, GetEvents, GetLastWords, ResetCause, SetTelemetry, Urgent, What,
     },
@@ -343,13 +344,14 @@ fn the_host_sets_the_interval_of_telemetry() {
         let response = device.accepted(Request::SetTelemetry(set));
         assert_eq!(response, Response::SetTelemetry(set));
     }
-    assert_eq!(device.board().telemetry_ms, [10, 0]);
+    // The setting comes first.
+    assert_eq!(device.board().telemetry_ms, [0, 10, 0]);
     let refused = device.ask(Request::SetTelemetry(SetTelemetry { period_ms: 4 }));
     assert!(matches!(
         refused,
         Reply::Refused(Refusal::OutOfRange { .. })
     ));
-    assert_eq!(device.board().telemetry_ms, [10, 0]);
+    assert_eq!(device.board().telemetry_ms, [0, 10, 0]);
 }
 
 #[test]
@@ -473,4 +475,41 @@ fn what_is_the_rigs_is_refused() {
         Reply::Refused(Refusal::WrongDevice)
     );
     assert_eq!(device.board().drives.len(), before, "nothing was ordered");
+}
+
+fn set(key: SettingKey, value: u32) -> Request {
+    Request::SetSetting(Setting { key, value })
+}
+
+/// What is in force is what the next start finds, and nothing is written while the motor may turn.
+#[test]
+fn settings_are_kept_at_rest_and_refused_in_motion() {
+    let mut device = Device::ready();
+    let (key, value) = (SettingKey::EndForceMa, 120);
+    for _ in 0..1_000 {
+        device.read();
+    }
+    let set_to = Response::SetSetting(Setting { key, value });
+    assert_eq!(device.accepted(set(key, value)), set_to);
+    let get = Request::GetSetting(GetSetting { key });
+    let got = Response::GetSetting(Setting { key, value });
+    assert_eq!(device.accepted(get), got);
+    let too_much = device.ask(set(key, 161));
+    let range = Refusal::SettingRange {
+        key,
+        requested: 161,
+    };
+    assert_eq!(too_much, Reply::Refused(range));
+    let (key, rule) = (SettingKey::LoadedBatteryMv, SettingRule::LoadedBelowRest);
+    let broken = Reply::Refused(Refusal::SettingRule { key, rule });
+    assert_eq!(device.ask(set(key, 2_900)), broken);
+    let rigs = device.ask(set(SettingKey::StrokeUm, 1_000));
+    assert_eq!(rigs, Reply::Refused(Refusal::WrongDevice));
+    device.accepted(Request::Calibrate(Calibrate));
+    device.read();
+    let moving = device.ask(set(SettingKey::EndForceMa, 130));
+    assert!(matches!(
+        moving,
+        Reply::Refused(Refusal::CapsuleBusy(CapsuleState::Referencing))
+    ));
 }

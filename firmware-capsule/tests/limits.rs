@@ -5,7 +5,8 @@ use firmware_capsule::{
     calibration::Calibration,
     detect::Sample,
     fold::{Actions, BRAKE_US, Capsule, Command, Drive, Event},
-    mechanics::{BACK_OFF, Counts, END_OVERRUN, SEEK_LIMIT, Thread},
+    mechanics::{BACK_OFF, Counts, Thread},
+    settings::Settings,
 };
 use proptest::prelude::*;
 use protocol::capsule::{
@@ -35,6 +36,7 @@ fn command() -> impl Strategy<Value = Command> {
         1 => Just(Command::CheckFolded),
         4 => Just(Command::Fold),
         4 => Just(Command::Unfold),
+        4 => (-100..25_000).prop_map(|um| Command::FoldTo(Thread(um))),
         1 => Just(Command::Stop),
         1 => Just(Command::EStop),
         2 => Just(Command::Acknowledge),
@@ -113,7 +115,16 @@ impl Monitor {
                     prop_assert_eq!(outcome, self.capsule.record().outcome);
                     prop_assert!(outcome != ActuationOutcome::Running);
                 }
-                CapsuleEvent::NotKept => prop_assert!(false, "the machine writes nothing"),
+                CapsuleEvent::NotKept
+                | CapsuleEvent::SettingChanged(_)
+                | CapsuleEvent::SettingsReset
+                | CapsuleEvent::SettingsUnusable => {
+                    prop_assert!(false, "the machine writes nothing");
+                }
+                CapsuleEvent::Drifted { .. } => {
+                    prop_assert_eq!(self.capsule.state(), CapsuleState::WasFolded);
+                    prop_assert!(!self.capsule.referenced());
+                }
                 CapsuleEvent::Faulted(fault) => {
                     prop_assert_eq!(self.capsule.fault(), Some(fault));
                 }
@@ -122,7 +133,7 @@ impl Monitor {
         prop_assert_eq!(self.running.is_some(), self.capsule.is_moving());
         if let Some((kind, since_us)) = self.running {
             // The deadline counts from the end of the brake before the motion and is not judged while a reversal brakes.
-            let limit_us = u64::from(Capsule::timeout_ms(kind)) * 1_000 + 2 * BRAKE_US;
+            let limit_us = u64::from(self.capsule.timeout_ms(kind)) * 1_000 + 2 * BRAKE_US;
             let record = self.capsule.record();
             prop_assert_eq!((record.kind, record.actuation), (kind, self.actuations));
             prop_assert!(self.now_us - since_us < limit_us, "{:?} for too long", kind);
@@ -140,7 +151,11 @@ impl Monitor {
         let thread = self.capsule.thread();
         if self.capsule.referenced() && millivolts > 0 {
             let end = self.capsule.calibration().expect("referenced").folded;
-            prop_assert!(thread.0 < end.0 + END_OVERRUN.0, "winds at {:?}", thread);
+            prop_assert!(
+                thread.0 < end.0 + self.capsule.settings().end_overrun.0,
+                "winds at {:?}",
+                thread
+            );
         }
         if self.capsule.referenced() && millivolts < 0 {
             prop_assert!(thread > Thread(0), "pays out at {:?}", thread);
@@ -149,7 +164,11 @@ impl Monitor {
             let seeks = matches!(state, CapsuleState::Referencing | CapsuleState::Checking);
             prop_assert!(seeks, "drives in {:?}", state);
             let way = self.sample.counts.since(self.seek_from).thread();
-            prop_assert!(millivolts < 0 || way < SEEK_LIMIT, "seeks at {:?}", way);
+            prop_assert!(
+                millivolts < 0 || way < self.capsule.settings().seek_limit(),
+                "seeks at {:?}",
+                way
+            );
             let out = self.top.since(self.sample.counts).thread();
             // A calibration pays out what it wound; it counts as referenced once the tension is known.
             prop_assert!(millivolts > 0 || out < BACK_OFF, "backs off by {:?}", out);
@@ -218,7 +237,12 @@ fn monitor(fault: Option<CapsuleFault>, start: i32, known: bool) -> Monitor {
         driver_fault: false,
     };
     Monitor {
-        capsule: Capsule::new(fault, known.then_some(CALIBRATION), known),
+        capsule: Capsule::new(
+            fault,
+            known.then_some(CALIBRATION),
+            known,
+            Settings::default(),
+        ),
         now_us: 0,
         sample,
         seek_from: Counts(start),

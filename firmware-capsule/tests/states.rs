@@ -5,17 +5,20 @@ mod plant;
 
 use capsule_plant::Parameters;
 use device::common::{About, Effect};
+use device::settings::Values;
 use firmware_capsule::{
     commands::{self, Change, Context},
     fold::{Capsule, Command, Drive, Event},
+    mechanics::Thread,
+    settings::Settings,
 };
 use firmware_capsule::{kept::Totals, trace::Recording};
 use plant::Simulation;
 use protocol::{
     capsule::{
         ActuationOutcome, Calibrate, CapsuleEvent, CapsuleFault, CapsuleState, CapsuleStatus,
-        CheckFolded, Fold, GetActuationRecord, GetCapsuleStatus, GetCapsuleTotals, GetTrace,
-        Reference, Unfold,
+        CheckFolded, Fold, FoldTo, GetActuationRecord, GetCapsuleStatus, GetCapsuleTotals,
+        GetTrace, Reference, Unfold,
     },
     error::{Field, Refusal},
     events::EventRing,
@@ -102,6 +105,9 @@ fn expected(state: CapsuleState, event: Event) -> Result<CapsuleState, Refusal> 
         Event::Command(_) if matches!(state, Unreferenced | WasFolded) => {
             Err(Refusal::NotReferenced)
         }
+        // Half way up, which is above Stopped and below Folded.
+        Event::Command(Command::FoldTo(_)) if state == Folded => Ok(Unfolding),
+        Event::Command(Command::FoldTo(_)) => Ok(Folding),
         Event::Command(Command::Fold) if state == Folded => Err(Refusal::AlreadyThere),
         Event::Command(Command::Fold) => Ok(Folding),
         Event::Command(Command::Unfold) if state == Unfolded => Err(Refusal::AlreadyThere),
@@ -121,6 +127,7 @@ fn every_state_with_every_event() {
             Event::Command(Command::CheckFolded),
             Event::Command(Command::Fold),
             Event::Command(Command::Unfold),
+            Event::Command(Command::FoldTo(Thread(18_000))),
             Event::Command(Command::Stop),
             Event::Command(Command::EStop),
             Event::Command(Command::Acknowledge),
@@ -182,7 +189,7 @@ fn a_stop_acts_at_once_in_every_state() {
 fn after_a_failed_start_nothing_moves_until_acknowledged() {
     for fault in [CapsuleFault::Watchdog, CapsuleFault::Panic] {
         let mut sim = Simulation::nominal();
-        sim.capsule = Capsule::new(Some(fault), None, false);
+        sim.capsule = Capsule::new(Some(fault), None, false, Settings::default());
         sim.tick();
         for command in [Command::Reference, Command::Fold, Command::Unfold] {
             let refusal = sim.give(Event::Command(command)).refusal;
@@ -198,7 +205,7 @@ fn after_a_failed_start_nothing_moves_until_acknowledged() {
 
 #[test]
 fn nothing_starts_before_the_battery_was_measured() {
-    let mut capsule = Capsule::new(None, None, false);
+    let mut capsule = Capsule::new(None, None, false, Settings::default());
     let actions = capsule.step(0, Event::Command(Command::Reference));
     assert!(matches!(
         actions.refusal,
@@ -212,6 +219,9 @@ fn reply(sim: &mut Simulation, request: Request) -> (Reply, Effect<Change>) {
     let context = Context {
         recording: &recording,
         totals: &totals,
+        values: &Values::DEFAULT,
+        name: "c-1",
+        rests: !sim.capsule.is_moving(),
         now_us: sim.now_us,
         about: About {
             events: &ring,
@@ -241,9 +251,6 @@ fn is_for_the_rig(request: &Request) -> bool {
             | Request::MoveTo(_)
             | Request::GetSetting(_)
             | Request::SetSetting(_)
-            | Request::FactoryReset(_)
-            | Request::GetName(_)
-            | Request::SetName(_)
             | Request::GetRigHealth(_)
     )
 }
@@ -292,6 +299,7 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
         Request::CheckFolded(CheckFolded),
         Request::GetTrace(GetTrace { from: 0 }),
         Request::GetCapsuleTotals(GetCapsuleTotals),
+        Request::FoldTo(FoldTo { thread_um: 12_000 }),
     ];
     // Hello belongs to the session; Run differs from the other rig rows in its body only.
     assert_eq!(requests.len() + 2, Request::NAMES.len());
@@ -311,6 +319,7 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
                     assert!(state != CapsuleState::Faulted || !starts);
                     let impact = match effect {
                         Effect::Acknowledged => Impact::Fault,
+                        Effect::Store(_) => Impact::Flash,
                         _ if starts => Impact::Motion,
                         _ => Impact::None,
                     };
@@ -397,7 +406,7 @@ fn the_status_asks_for_an_acknowledge_after_a_watchdog_reset_or_a_panic_only() {
     ];
     for (fault, needs_acknowledge) in cases {
         let mut sim = Simulation::nominal();
-        sim.capsule = Capsule::new(fault, None, false);
+        sim.capsule = Capsule::new(fault, None, false, Settings::default());
         let status = status(&mut sim);
         assert_eq!(status.fault, fault);
         assert_eq!(status.needs_acknowledge, needs_acknowledge, "{fault:?}");

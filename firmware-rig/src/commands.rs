@@ -13,7 +13,7 @@ use protocol::{
     error::{Field, Refusal},
     rig::{self, LinkLossPolicy, RigFault, RigHealth, RigStatus, RunTiming},
     settings::{GetSetting, MAX_NAME, Name, Setting, SettingKey},
-    system::Done,
+    system::{DeviceKind, Done},
     table::{Request, Response},
 };
 
@@ -136,14 +136,16 @@ fn respond(
                 stroke: planning::stroke(&profile, &settings.axis),
             })
         }
-        Request::GetSetting(GetSetting { key }) => Response::GetSetting(Setting {
-            key,
-            value: context.values.get(key),
-        }),
+        Request::GetSetting(GetSetting { key }) if key.is_of(DeviceKind::Rig) => {
+            Response::GetSetting(Setting {
+                key,
+                value: context.values.get(key),
+            })
+        }
         Request::GetName(_) => Response::GetName(Name {
             name: context.name.try_into().unwrap_or_default(),
         }),
-        Request::SetSetting(setting) => {
+        Request::SetSetting(setting) if setting.key.is_of(DeviceKind::Rig) => {
             machine.may_change_settings()?;
             let values = context.values.with(setting.key, setting.value)?;
             let key = setting.key;

@@ -23,7 +23,7 @@ use protocol::{
         RigStatus, Run, RunAccepted, RunOutcome, RunTiming, Stroke,
     },
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
-    system::{self, Done, Hello, LastWords, ResetCause, SetTelemetry, What},
+    system::{self, DeviceKind, Done, Hello, LastWords, ResetCause, SetTelemetry, What},
     table::{Impact, Reply, Request, Response},
 };
 
@@ -440,7 +440,7 @@ fn a_move_to_where_the_counter_stands_needs_a_position() {
 #[test]
 fn settings_are_read_and_checked() {
     let mut rig = Rig::homed(SETTINGS);
-    for key in SettingKey::ALL {
+    for key in SettingKey::of(DeviceKind::Rig) {
         let (reply, effect, _) = send(&mut rig, Request::GetSetting(GetSetting { key }));
         let value = key.range().default;
         let expected = Reply::Accepted(Response::GetSetting(Setting { key, value }));

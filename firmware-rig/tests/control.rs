@@ -29,7 +29,8 @@ use protocol::{
     },
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{
-        self, Acknowledge, Done, GetEvents, GetLastWords, ResetCause, SetTelemetry, Urgent, What,
+        self, Acknowledge, DeviceKind, Done, GetEvents, GetLastWords, ResetCause, SetTelemetry,
+        Urgent, What,
     },
     table::{Reply, Request, Response},
 };
@@ -469,7 +470,7 @@ mod start {
             assert_eq!(bench.told(), [What::Booted(ResetCause::PowerOn), unusable]);
             assert_eq!(bench.board().telemetry_ms, [0]);
             assert_eq!(bench.status().steps_per_rev, 3_200);
-            for key in SettingKey::ALL {
+            for key in SettingKey::of(DeviceKind::Rig) {
                 assert_eq!(bench.value(key), key.range().default);
             }
             // A reset to the defaults makes the flash usable again.

@@ -10,6 +10,7 @@ use firmware_rig::{
     settings::Settings,
 };
 use motion::{axis::Direction, units::Steps};
+use protocol::system::DeviceKind;
 use protocol::{
     error::Refusal,
     rig::{HomingPhase, LinkLossPolicy, RigEvent, RigFault, RigState, RunOutcome},
@@ -456,7 +457,7 @@ mod settings {
     /// What changes the meaning of a position makes it unknown; nothing else does.
     #[test]
     fn unhome_where_positions_change_their_meaning() {
-        for key in SettingKey::ALL {
+        for key in SettingKey::of(DeviceKind::Rig) {
             let value = match key {
                 SettingKey::FullSteps => 400,
                 SettingKey::Microsteps => 8,

@@ -11,6 +11,7 @@ use motion::{
     units::{StepPosition, Steps},
 };
 use proptest::prelude::*;
+use protocol::system::DeviceKind;
 use protocol::{
     error::Refusal,
     rig::{RigFault, RigState},
@@ -93,7 +94,7 @@ fn the_defaults_are_the_papers_rig() {
 #[test]
 fn ranges_end_where_they_say() {
     use SettingKey as Key;
-    for key in Key::ALL {
+    for key in Key::of(DeviceKind::Rig) {
         let range = key.range();
         for (value, end) in [(range.min, "min"), (range.max, "max")] {
             let expected = match (key, end) {
@@ -193,7 +194,7 @@ fn config(cases: u32) -> ProptestConfig {
 
 fn any_change() -> impl Strategy<Value = (SettingKey, u32)> {
     (
-        prop::sample::select(SettingKey::ALL.to_vec()),
+        prop::sample::select(SettingKey::of(DeviceKind::Rig).collect::<Vec<_>>()),
         any::<u32>(),
         0..4_u8,
     )
@@ -239,7 +240,7 @@ proptest! {
             }
         }
         let mut loaded = DEFAULT;
-        for key in SettingKey::ALL {
+        for key in SettingKey::of(DeviceKind::Rig) {
             loaded.load(key as u8, &Values::record(values.get(key)));
         }
         prop_assert_eq!(loaded, values);

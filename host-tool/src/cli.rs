@@ -16,6 +16,7 @@ mod keyboard;
 pub mod machines;
 mod motion;
 mod offline;
+mod partial;
 mod records;
 mod run;
 pub mod science;
@@ -180,10 +181,7 @@ fn carry_out(
             };
             machines::actuate(kind, args, None, finder, screen)
         }
-        Subcommand::Fold(FoldArgs { record, trace }) => {
-            let trace = trace.as_deref();
-            machines::actuate(ActuationKind::Fold, record, trace, finder, screen)
-        }
+        Subcommand::Fold(args) => partial::fold(args, finder, screen),
         Subcommand::Unfold(FoldArgs { record, trace }) => {
             let trace = trace.as_deref();
             machines::actuate(ActuationKind::Unfold, record, trace, finder, screen)
@@ -194,7 +192,9 @@ fn carry_out(
         Subcommand::Move(args) => motion::move_to(args, finder, screen),
         Subcommand::Watch(args) => watch::watch(args, finder, screen),
         Subcommand::Health => motion::health(finder, screen),
-        Subcommand::Settings { subcommand } => settings::settings(subcommand, finder, screen),
+        Subcommand::Settings { of, subcommand } => {
+            settings::settings(*of, subcommand, finder, screen)
+        }
         Subcommand::Plan(args) => offline::plan(args, screen),
         Subcommand::Design(args) => science::design(args, screen),
         Subcommand::Simulate(args) => science::simulate(args, screen),

@@ -374,16 +374,13 @@ impl Device {
         if matches(&identity) {
             // Events from before this session are not reported.
             self.next_event = self.events(u32::MAX)?.next;
-            self.keep_alive_us = self.asked_keep_alive_us(identity.device)?;
+            self.keep_alive_us = self.asked_keep_alive_us()?;
         }
         Ok(identity)
     }
 
     /// How often this device wants to hear the host while it moves, us.
-    fn asked_keep_alive_us(&mut self, device: DeviceKind) -> Result<u64, ClientError> {
-        if device == DeviceKind::Capsule {
-            return Ok(KEEP_ALIVE_US);
-        }
+    fn asked_keep_alive_us(&mut self) -> Result<u64, ClientError> {
         let key = SettingKey::LinkTimeoutMs;
         let timeout_ms = self.call(GetSetting { key })?.value;
         Ok(KEEP_ALIVE_US.min(u64::from(timeout_ms) * 1_000 / 3))

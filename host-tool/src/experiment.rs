@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use jiff::Timestamp;
 use miette::Diagnostic;
-use protocol::capsule::{ActuationKind, ActuationRecord, Calibrate, CheckFolded};
+use protocol::capsule::{ActuationKind, ActuationRecord, Calibrate, CheckFolded, FoldTo};
 use protocol::error::Refusal;
 use protocol::rig::{LinkLossPolicy, Run, RunAccepted, RunRecord, RunTiming};
 use protocol::system::{DeviceKind, Event, Identity};
@@ -152,16 +152,43 @@ pub fn run(
     })
 }
 
+/// What the capsule is to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Motion {
+    /// Kind of actuation.
+    pub kind: ActuationKind,
+    /// Thread at which a partial fold stops; the others have ends of their own.
+    pub target_um: i32,
+}
+
+impl From<ActuationKind> for Motion {
+    fn from(kind: ActuationKind) -> Self {
+        Self { kind, target_um: 0 }
+    }
+}
+
+impl Motion {
+    /// A fold or an unfolding that stops with so much thread on the spool.
+    #[must_use]
+    pub const fn fold_to(target_um: i32) -> Self {
+        Self {
+            kind: ActuationKind::FoldTo,
+            target_um,
+        }
+    }
+}
+
 /// Executes one actuation and records it, however it ends.
 ///
 /// # Errors
 /// The capsule refused or was lost, or the record could not be written. Both files exist before anything moves.
 pub fn actuate(
     capsule: &mut Device,
-    kind: ActuationKind,
+    motion: impl Into<Motion>,
     recording: &Recording,
     observer: &mut dyn Observer,
 ) -> Result<ActuationTrial, ExperimentError> {
+    let Motion { kind, target_um } = motion.into();
     let device = IdentityRecord::new(&identity(capsule, DeviceKind::Capsule)?, &capsule.place());
     let action = Action::Actuation {
         actuation: kind,
@@ -179,6 +206,9 @@ pub fn actuate(
             ActuationKind::CheckFolded => capsule.call(CheckFolded)?,
             ActuationKind::Fold => capsule.fold()?,
             ActuationKind::Unfold => capsule.unfold()?,
+            ActuationKind::FoldTo => capsule.call(FoldTo {
+                thread_um: target_um,
+            })?,
         };
         capsule.wait_actuation(
             &accepted,
@@ -437,6 +467,7 @@ pub fn paper(
             ActuationKind::CheckFolded => ("check the capsule", "check-folded", "checking"),
             ActuationKind::Fold => ("fold the capsule", "fold", "folding"),
             ActuationKind::Unfold => ("unfold the capsule", "unfold", "unfolding"),
+            ActuationKind::FoldTo => ("fold the capsule partly", "fold-to", "folding partly"),
         };
         hooks.begins(begins);
         let trial = actuate(capsule, kind, &recording(stem, None), hooks.observer())?;

@@ -143,6 +143,7 @@ fn named(field: Field) -> (&'static str, u32, &'static str) {
         Field::PeriodMs => ("the telemetry interval", 0, " ms"),
         Field::PositionUm => ("the position", 3, " mm"),
         Field::SpeedUmS => ("the speed", 3, " mm/s"),
+        Field::ThreadUm => ("the thread", 3, " mm"),
     }
 }
 

@@ -1,5 +1,6 @@
 //! Messages of the capsule.
 
+use crate::settings::SettingKey;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +29,15 @@ pub struct Calibrate;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CheckFolded;
+
+/// Winds or pays out to a length of thread between zero and the calibrated end, and stays there. A thread that is broken is not
+/// felt before the end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct FoldTo {
+    /// Thread wound up, from zero.
+    pub thread_um: i32,
+}
 
 /// An actuation was accepted and has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
@@ -156,6 +166,8 @@ pub enum ActuationKind {
     Calibrate,
     /// [`CheckFolded`].
     CheckFolded,
+    /// [`FoldTo`].
+    FoldTo,
 }
 
 /// How an actuation ended.
@@ -297,6 +309,17 @@ pub enum CapsuleEvent {
     Faulted(CapsuleFault),
     /// The flash could not be written: totals or calibration are lost with the next reset.
     NotKept,
+    /// The folded end has wandered since the reference, by more than [`crate::settings::SettingKey::DriftUm`]. The reference is taken away.
+    Drifted {
+        /// How far it lies beyond that of the first fold.
+        by_um: i32,
+    },
+    /// A setting has another value.
+    SettingChanged(SettingKey),
+    /// All settings are at their defaults, and the name is cleared.
+    SettingsReset,
+    /// The settings in flash cannot be used; the defaults are in force.
+    SettingsUnusable,
 }
 
 /// Telemetry of the capsule.

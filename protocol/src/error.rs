@@ -148,6 +148,8 @@ pub enum Field {
     PositionUm,
     /// Speed in um/s.
     SpeedUmS,
+    /// Thread in um.
+    ThreadUm,
 }
 
 /// A frame with a good CRC whose content could not be used. Nothing moved.
@@ -179,6 +181,7 @@ impl fmt::Display for Field {
             Field::PeriodMs => "telemetry period (ms)",
             Field::PositionUm => "position (um)",
             Field::SpeedUmS => "speed (um/s)",
+            Field::ThreadUm => "thread (um)",
         })
     }
 }

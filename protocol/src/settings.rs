@@ -1,10 +1,11 @@
-//! Settings of the rig: key, unit, range and default, in one table for device, host and manual.
+//! Settings of rig and capsule: key, whose it is, unit, range and default, in one table for device, host and manual.
 
+use crate::system::DeviceKind;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
 macro_rules! settings {
-    ($($key:ident: $name:literal, $unit:literal, $min:literal..=$max:literal, $default:literal, $doc:literal;)*) => {
+    ($($key:ident of $owner:ident: $name:literal, $unit:literal, $min:literal..=$max:literal, $default:literal, $doc:literal;)*) => {
         /// Key of a setting. Index-coded, and the number of its record in flash: append only.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -14,6 +15,8 @@ macro_rules! settings {
         impl SettingKey {
             /// All keys in the order of their numbers.
             pub const ALL: [Self; 0 $(+ { let _ = Self::$key; 1 })*] = [$(Self::$key),*];
+
+            const OWNERS: [Owner; Self::ALL.len()] = [$(Owner::$owner),*];
 
             const RANGES: [Range; Self::ALL.len()] =
                 [$(Range { min: $min, max: $max, default: $default }),*];
@@ -47,32 +50,57 @@ macro_rules! settings {
 
 settings! {
     // Append only.
-    LeadUm: "lead_um", "um", 500..=50_000, 4_000, "Travel of the carriage per turn of the screw.";
-    FullSteps: "full_steps", "steps/turn", 200..=400, 200, "Full steps of the motor per turn: 200 or 400.";
-    Microsteps: "microsteps", "1", 1..=256, 16, "Microsteps per full step, a power of two, as the driver is strapped.";
-    StrokeUm: "stroke_um", "um", 1..=130_000, 130_000, "Longest stroke; no step leaves 0..stroke in a run.";
-    MaxSpeedUmS: "max_speed_um_s", "um/s", 1..=200_000, 49_000, "Highest speed of the carriage that is accepted.";
-    MaxAccelUmS2: "max_accel_um_s2", "um/s2", 1..=10_000_000, 2_000_000, "Highest acceleration that is accepted.";
-    MaxStepHz: "max_step_hz", "Hz", 1_000..=250_000, 250_000, "Highest step rate that the driver takes.";
-    StepPulseNs: "step_pulse_ns", "ns", 1_000..=10_000, 2_000, "Width of a step pulse; the pause after it is at least as long.";
-    TurnaroundUs: "turnaround_us", "us", 400..=100_000, 1_000, "Least time between two strokes; DIR changes in it, 10 us after the last pulse or later.";
-    SeekUmS: "seek_um_s", "um/s", 100..=100_000, 20_000, "Homing: speed of the first pass.";
-    LocateUmS: "locate_um_s", "um/s", 100..=20_000, 2_000, "Homing: speed of the second, measuring pass.";
-    HomingAccelUmS2: "homing_accel_um_s2", "um/s2", 1_000..=10_000_000, 200_000, "Acceleration of homing, jog and move.";
-    StopAccelUmS2: "stop_accel_um_s2", "um/s2", 10_000..=10_000_000, 1_000_000, "Deceleration of stop and hold.";
-    OvertravelUm: "overtravel_um", "um", 1_000..=20_000, 10_000, "Homing: how far beyond the stroke the flag is searched for.";
-    PullOffUm: "pull_off_um", "um", 100..=20_000, 3_000, "Homing: distance between the two passes.";
-    FlagUm: "flag_um", "um", 0..=20_000, 1_000, "Where the home flag's edge lies, from position 0.";
-    HomingTimeoutS: "homing_timeout_s", "s", 5..=600, 60, "Homing that takes longer is a fault.";
-    LedgerLimitSteps: "ledger_limit_steps", "steps", 0..=10_000, 8, "Largest residual at the home flag that a run tolerates.";
-    LinkTimeoutMs: "link_timeout_ms", "ms", 200..=60_000, 1_000, "Silence of the host that counts as a lost link while something moves.";
-    DeadManMs: "dead_man_ms", "ms", 50..=2_000, 300, "A jog that is not renewed within this time stops.";
-    SwitchFilterUs: "switch_filter_us", "us", 5..=24, 21, "How long home flag and far limit must stay open or closed to count. A contact that bounces for long may be told up to 3.5 ms late; the position is that of its first edge.";
-    TelemetryMs: "telemetry_ms", "ms", 0..=1_000, 0, "Interval of telemetry after a start: 5..=1000, or 0 for none until it is asked for.";
-    ButtonCycles: "button_cycles", "1", 1..=10_000, 5, "Run of the start button: cycles.";
-    ButtonStrokeUm: "button_stroke_um", "um", 1..=130_000, 130_000, "Run of the start button: stroke.";
-    ButtonTotalMs: "button_total_ms", "ms", 100..=86_400_000, 40_000, "Run of the start button: total duration.";
-    ButtonAccelUmS2: "button_accel_um_s2", "um/s2", 1..=10_000_000, 100_000, "Run of the start button: acceleration.";
+    LeadUm of Rig: "lead_um", "um", 500..=50_000, 4_000, "Travel of the carriage per turn of the screw.";
+    FullSteps of Rig: "full_steps", "steps/turn", 200..=400, 200, "Full steps of the motor per turn: 200 or 400.";
+    Microsteps of Rig: "microsteps", "1", 1..=256, 16, "Microsteps per full step, a power of two, as the driver is strapped.";
+    StrokeUm of Rig: "stroke_um", "um", 1..=130_000, 130_000, "Longest stroke; no step leaves 0..stroke in a run.";
+    MaxSpeedUmS of Rig: "max_speed_um_s", "um/s", 1..=200_000, 49_000, "Highest speed of the carriage that is accepted.";
+    MaxAccelUmS2 of Rig: "max_accel_um_s2", "um/s2", 1..=10_000_000, 2_000_000, "Highest acceleration that is accepted.";
+    MaxStepHz of Rig: "max_step_hz", "Hz", 1_000..=250_000, 250_000, "Highest step rate that the driver takes.";
+    StepPulseNs of Rig: "step_pulse_ns", "ns", 1_000..=10_000, 2_000, "Width of a step pulse; the pause after it is at least as long.";
+    TurnaroundUs of Rig: "turnaround_us", "us", 400..=100_000, 1_000, "Least time between two strokes; DIR changes in it, 10 us after the last pulse or later.";
+    SeekUmS of Rig: "seek_um_s", "um/s", 100..=100_000, 20_000, "Homing: speed of the first pass.";
+    LocateUmS of Rig: "locate_um_s", "um/s", 100..=20_000, 2_000, "Homing: speed of the second, measuring pass.";
+    HomingAccelUmS2 of Rig: "homing_accel_um_s2", "um/s2", 1_000..=10_000_000, 200_000, "Acceleration of homing, jog and move.";
+    StopAccelUmS2 of Rig: "stop_accel_um_s2", "um/s2", 10_000..=10_000_000, 1_000_000, "Deceleration of stop and hold.";
+    OvertravelUm of Rig: "overtravel_um", "um", 1_000..=20_000, 10_000, "Homing: how far beyond the stroke the flag is searched for.";
+    PullOffUm of Rig: "pull_off_um", "um", 100..=20_000, 3_000, "Homing: distance between the two passes.";
+    FlagUm of Rig: "flag_um", "um", 0..=20_000, 1_000, "Where the home flag's edge lies, from position 0.";
+    HomingTimeoutS of Rig: "homing_timeout_s", "s", 5..=600, 60, "Homing that takes longer is a fault.";
+    LedgerLimitSteps of Rig: "ledger_limit_steps", "steps", 0..=10_000, 8, "Largest residual at the home flag that a run tolerates.";
+    LinkTimeoutMs of Both: "link_timeout_ms", "ms", 200..=60_000, 1_000, "Silence of the host that counts as a lost link while something moves.";
+    DeadManMs of Rig: "dead_man_ms", "ms", 50..=2_000, 300, "A jog that is not renewed within this time stops.";
+    SwitchFilterUs of Rig: "switch_filter_us", "us", 5..=24, 21, "How long home flag and far limit must stay open or closed to count. A contact that bounces for long may be told up to 3.5 ms late; the position is that of its first edge.";
+    TelemetryMs of Both: "telemetry_ms", "ms", 0..=1_000, 0, "Interval of telemetry after a start: 5..=1000, or 0 for none until it is asked for.";
+    ButtonCycles of Rig: "button_cycles", "1", 1..=10_000, 5, "Run of the start button: cycles.";
+    ButtonStrokeUm of Rig: "button_stroke_um", "um", 1..=130_000, 130_000, "Run of the start button: stroke.";
+    ButtonTotalMs of Rig: "button_total_ms", "ms", 100..=86_400_000, 40_000, "Run of the start button: total duration.";
+    ButtonAccelUmS2 of Rig: "button_accel_um_s2", "um/s2", 1..=10_000_000, 100_000, "Run of the start button: acceleration.";
+    EndForceMa of Capsule: "end_force_ma", "mA", 60..=160, 135, "Current above the no-load current at which the thread counts as wound to its end.";
+    FoldUmS of Capsule: "fold_um_s", "um/s", 7_000..=12_947, 12_947, "Winding over the long way of a fold. No faster: a thread that catches has to stop the motor's momentum.";
+    UnfoldUmS of Capsule: "unfold_um_s", "um/s", 7_000..=20_985, 20_985, "Paying out, at most; slower where the motor must stop before zero by friction alone.";
+    SlowUmS of Capsule: "slow_um_s", "um/s", 5_500..=6_995, 6_995, "Winding where force ends it: calibrate, reference, check, and the last of a fold.";
+    LeastBatteryMv of Capsule: "least_battery_mv", "mV", 2_900..=4_000, 3_000, "Battery at rest below which a motion is refused.";
+    LoadedBatteryMv of Capsule: "loaded_battery_mv", "mV", 2_400..=3_500, 2_700, "Battery under load below which a motion ends with LowBattery.";
+    MotorMohm of Capsule: "motor_mohm", "mohm", 2_000..=20_000, 6_500, "Winding, both switches of the bridge, and cell: what bounds the current.";
+    BackEmfUvCps of Capsule: "back_emf_uv_cps", "uV/cps", 50..=1_000, 207, "Back-EMF of the motor per encoder count per second.";
+    NoLoadMa of Capsule: "no_load_ma", "mA", 8..=30, 16, "Current of the motor with a slack thread, until a calibration has measured it.";
+    SpeedGainUaCps of Capsule: "speed_gain_ua_cps", "uA/cps", 5..=25, 15, "Speed loop: proportional part.";
+    ShortestFoldUm of Capsule: "shortest_fold_um", "um", 8_000..=24_000, 16_000, "A calibration that finds the end force before this was not unfolded.";
+    LongestFoldUm of Capsule: "longest_fold_um", "um", 9_000..=28_000, 24_500, "A calibration that has not found the end force by then has no thread to wind.";
+    EndToleranceUm of Capsule: "end_tolerance_um", "um", 100..=250, 250, "So much before the calibrated end is an end force still the folded end, not a jam.";
+    EndOverrunUm of Capsule: "end_overrun_um", "um", 200..=1_000, 400, "So far beyond the calibrated end is a thread wound that does not reach the end force.";
+    DriftUm of Capsule: "drift_um", "um", 100..=400, 150, "Folded ends that have wandered by more since the reference, over four folds, take the reference away.";
+    FoldTimeoutMs of Capsule: "fold_timeout_ms", "ms", 2_000..=20_000, 8_000, "A fold that takes longer is a fault.";
+    UnfoldTimeoutMs of Capsule: "unfold_timeout_ms", "ms", 2_000..=20_000, 4_000, "An unfolding that takes longer is a fault.";
+}
+
+/// Which machine has a setting.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Owner {
+    Rig,
+    Capsule,
+    Both,
 }
 
 /// Allowed values of a setting and its default.
@@ -82,11 +110,26 @@ pub struct Range {
     pub min: u32,
     /// Largest allowed value.
     pub max: u32,
-    /// Value of a new rig.
+    /// Value of a new machine.
     pub default: u32,
 }
 
 impl SettingKey {
+    /// A machine of this kind has the setting; the other one refuses its key.
+    #[must_use]
+    pub const fn is_of(self, kind: DeviceKind) -> bool {
+        match Self::OWNERS[self as usize] {
+            Owner::Both => true,
+            Owner::Rig => matches!(kind, DeviceKind::Rig),
+            Owner::Capsule => matches!(kind, DeviceKind::Capsule),
+        }
+    }
+
+    /// Keys of a machine, in the order of their numbers.
+    pub fn of(kind: DeviceKind) -> impl Iterator<Item = Self> {
+        Self::ALL.into_iter().filter(move |key| key.is_of(kind))
+    }
+
     /// The key with this number.
     #[must_use]
     pub fn from_number(number: u8) -> Option<Self> {
@@ -114,6 +157,10 @@ pub enum SettingRule {
     HomingWithinStepRate,
     /// [`SettingKey::TelemetryMs`].
     TelemetryInterval,
+    /// [`SettingKey::ShortestFoldUm`], [`SettingKey::LongestFoldUm`].
+    FoldHasARange,
+    /// [`SettingKey::LoadedBatteryMv`], [`SettingKey::LeastBatteryMv`].
+    LoadedBelowRest,
 }
 
 impl SettingRule {
@@ -137,6 +184,10 @@ impl SettingRule {
                 "seek_um_s and twice locate_um_s must not need more than max_step_hz with this lead and these microsteps"
             }
             Self::TelemetryInterval => "telemetry_ms is 0, or 5 to 1000",
+            Self::FoldHasARange => "shortest_fold_um must be at least 1000 below longest_fold_um",
+            Self::LoadedBelowRest => {
+                "loaded_battery_mv must be at least 200 below least_battery_mv"
+            }
         }
     }
 }
@@ -159,12 +210,12 @@ pub struct Setting {
     pub value: u32,
 }
 
-/// Sets all settings back to their defaults and clears the name.
+/// Sets all settings back to their defaults and clears the name. A capsule's calibration and totals stay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FactoryReset;
 
-/// Asks for the rig's name.
+/// Asks for the machine's name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetName;
@@ -172,7 +223,7 @@ pub struct GetName;
 /// Longest name, bytes.
 pub const MAX_NAME: usize = 24;
 
-/// The rig's name; empty = none. As a request it changes the name; as the answer to both requests it says what it is.
+/// The machine's name; empty = none. As a request it changes the name; as the answer to both requests it says what it is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Name {

@@ -1,6 +1,6 @@
 //! The table of requests: one row per request with everything that both ends must agree on.
 //!
-//! The module of a request's type says which machine serves it: `system` both, `rig` and `settings` the rig, `capsule`
+//! The module of a request's type says which machine serves it: `system` and `settings` both, `rig` the rig, `capsule`
 //! the capsule. The other machine refuses it with [`Refusal::WrongDevice`]. While a fault is latched, a machine refuses
 //! what moves it ([`Impact::Pace`], [`Impact::Motion`]) and serves the rest.
 
@@ -111,6 +111,7 @@ table! {
     CheckFolded: capsule::CheckFolded => capsule::ActuationAccepted, match true, impact Motion;
     GetTrace: capsule::GetTrace => capsule::Trace, match true, impact None;
     GetCapsuleTotals: capsule::GetCapsuleTotals => capsule::CapsuleTotals, match true, impact None;
+    FoldTo: capsule::FoldTo => capsule::ActuationAccepted, match true, impact Motion;
 }
 
 /// Answer to a request.

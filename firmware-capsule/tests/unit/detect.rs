@@ -4,6 +4,10 @@ use super::*;
 
 const NO_LOAD_MA: u16 = 16;
 
+fn force_ma() -> u16 {
+    Settings::default().force_ma
+}
+
 /// Readings of a motor that winds.
 struct Feed {
     detector: Detector,
@@ -36,8 +40,13 @@ impl Feed {
         self.now_us += 1_000;
         let along = self.spooling.along(counts);
         self.sample.counts = Counts(self.sample.counts.0.wrapping_add(along));
-        self.detector
-            .check(self.now_us, &self.sample, self.ordered_ma, NO_LOAD_MA)
+        self.detector.check(
+            self.now_us,
+            &self.sample,
+            self.ordered_ma,
+            NO_LOAD_MA,
+            &Settings::default(),
+        )
     }
 
     /// Milliseconds until a trip; none within `ms`.
@@ -72,11 +81,11 @@ fn a_healthy_motor_trips_nothing() {
 #[test]
 fn the_end_force_is_a_mean_of_8_readings_above_the_no_load_current() {
     let mut feed = Feed::at_speed(Spooling::Wind, 5);
-    feed.draws(NO_LOAD_MA + FORCE_MA, 170);
+    feed.draws(NO_LOAD_MA + force_ma(), 170);
     let after_ms = (1..40).find(|_| feed.step(5).is_ok_and(|load| load.end_force));
     assert_eq!(after_ms, Some(10), "8 readings, and 2 ms");
     let mut feed = Feed::at_speed(Spooling::Wind, 5);
-    feed.draws(NO_LOAD_MA + FORCE_MA - 1, 170);
+    feed.draws(NO_LOAD_MA + force_ma() - 1, 170);
     assert!((0..100).all(|_| feed.step(5).is_ok_and(|load| !load.end_force)));
     // A motor that accelerates draws as much.
     let mut feed = Feed::new(Spooling::Wind);
@@ -128,7 +137,7 @@ fn a_motor_that_becomes_slower_is_not_struck() {
 /// 2 counts/ms more than 12 ms before are 166,700 counts/s2, 39 mA.
 #[test]
 fn what_makes_the_motor_faster_does_not_pull_at_the_thread() {
-    for (pull_ma, found) in [(FORCE_MA + 36, false), (FORCE_MA + 42, true)] {
+    for (pull_ma, found) in [(force_ma() + 36, false), (force_ma() + 42, true)] {
         let mut feed = Feed::at_speed(Spooling::Wind, 2);
         feed.draws(NO_LOAD_MA + pull_ma, 220);
         let last = (0..12).map(|_| feed.step(4)).last();
@@ -282,14 +291,14 @@ fn short_circuits_are_seen_by_level_and_by_surplus() {
 #[test]
 fn battery_and_driver_are_debounced() {
     let mut feed = Feed::at_speed(Spooling::Wind, 11);
-    feed.sample.battery_mv = BATTERY_UNDER_LOAD_MV - 1;
+    feed.sample.battery_mv = Settings::default().loaded_battery_mv - 1;
     let battery_mv = feed.sample.battery_mv;
     assert_eq!(
         feed.until_trip(50, 11),
         Some((16, Trip::LowBattery { battery_mv }))
     );
     let mut feed = Feed::at_speed(Spooling::Wind, 11);
-    feed.sample.battery_mv = BATTERY_UNDER_LOAD_MV;
+    feed.sample.battery_mv = Settings::default().loaded_battery_mv;
     assert_eq!(feed.until_trip(50, 11), None);
     feed.sample.driver_fault = true;
     assert_eq!(feed.until_trip(50, 11), Some((4, Trip::Driver)));
@@ -327,9 +336,13 @@ fn readings_without_time_trip_nothing_and_overflow_nothing() {
     let mut feed = Feed::new(Spooling::Wind);
     for counts in [i32::MIN, i32::MAX, 0, 40_000] {
         feed.sample.counts = Counts(counts);
-        let _ = feed
-            .detector
-            .check(5, &feed.sample, Some(u16::MAX), NO_LOAD_MA);
+        let _ = feed.detector.check(
+            5,
+            &feed.sample,
+            Some(u16::MAX),
+            NO_LOAD_MA,
+            &Settings::default(),
+        );
         let _ = feed.detector.speeds_cps();
         let _ = feed.detector.stopping_distance();
     }

@@ -14,7 +14,9 @@ fn the_first_pulse_is_bounded_by_the_current() {
     for battery_mv in [2_900, 3_700, 4_200] {
         let mut governor = Governor::default();
         for _ in 0..200 {
-            let Effort::Millivolts(drive_mv) = governor.step(FAST, 0, 0, battery_mv) else {
+            let Effort::Millivolts(drive_mv) =
+                governor.step(FAST, (0, 0), battery_mv, &Settings::default())
+            else {
                 panic!("it brakes");
             };
             assert!(drive_mv <= 1_430, "{drive_mv} mV are more than 220 mA");
@@ -26,11 +28,21 @@ fn the_first_pulse_is_bounded_by_the_current() {
 #[test]
 fn a_turning_motor_is_given_more_for_the_same_current() {
     // 11,000 counts/s are 2,277 mV of back-EMF: 1,423 mV of 3,700 remain.
-    assert_eq!(drive_mv(100_000, 0, 3_700), 650);
-    assert_eq!(drive_mv(100_000, 11_000, 3_700), 1_690);
-    assert_eq!(drive_mv(100_000, 18_000, 3_700), 3_700, "nothing remains");
-    assert_eq!(drive_mv(100_000, -11_000, 3_700), 650);
-    assert_eq!(drive_mv(u32::MAX, i32::MAX, u16::MAX), u16::MAX);
+    assert_eq!(drive_mv(100_000, 0, 3_700, &Settings::default()), 650);
+    assert_eq!(
+        drive_mv(100_000, 11_000, 3_700, &Settings::default()),
+        1_690
+    );
+    assert_eq!(
+        drive_mv(100_000, 18_000, 3_700, &Settings::default()),
+        3_700,
+        "nothing remains"
+    );
+    assert_eq!(drive_mv(100_000, -11_000, 3_700, &Settings::default()), 650);
+    assert_eq!(
+        drive_mv(u32::MAX, i32::MAX, u16::MAX, &Settings::default()),
+        u16::MAX
+    );
 }
 
 #[test]
@@ -46,7 +58,7 @@ fn a_motor_that_is_too_fast_is_braked_and_a_little_too_fast_is_not() {
             cps: aim_cps,
             ..FAST
         };
-        let effort = governor.step(aim, cps, cps, 3_700);
+        let effort = governor.step(aim, (cps, cps), 3_700, &Settings::default());
         assert_eq!(effort == Effort::Brake, brakes, "{cps} for {aim_cps}");
         assert_eq!(governor.ordered_ma().is_none(), brakes);
     }
@@ -56,12 +68,15 @@ fn a_motor_that_is_too_fast_is_braked_and_a_little_too_fast_is_not() {
 #[test]
 fn the_current_is_bounded_by_the_least_speed() {
     let mut governor = Governor::default();
-    governor.step(FAST, 11_000, 11_000, 3_700);
+    governor.step(FAST, (11_000, 11_000), 3_700, &Settings::default());
     let mut slowed = governor.clone();
-    let Effort::Millivolts(steady) = governor.step(FAST, 10_000, 10_000, 3_700) else {
+    let Effort::Millivolts(steady) =
+        governor.step(FAST, (10_000, 10_000), 3_700, &Settings::default())
+    else {
         panic!("it brakes");
     };
-    let Effort::Millivolts(stopped) = slowed.step(FAST, 10_000, 0, 3_700) else {
+    let Effort::Millivolts(stopped) = slowed.step(FAST, (10_000, 0), 3_700, &Settings::default())
+    else {
         panic!("it brakes");
     };
     assert!(stopped * 2 < steady, "{stopped} of {steady} mV");
@@ -82,7 +97,7 @@ fn a_motor_that_is_being_braked_is_not_braked_too_long() {
             governor.brake();
         }
         let aim = Aim { cps: 8_000, ..FAST };
-        let effort = governor.step(aim, cps, cps, 3_700);
+        let effort = governor.step(aim, (cps, cps), 3_700, &Settings::default());
         assert_eq!(
             effort == Effort::Brake,
             brakes,
@@ -100,13 +115,13 @@ fn what_needs_more_than_is_held_is_moved_more_slowly() {
         ..FAST
     };
     for _ in 0..1_000 {
-        governor.step(aim, 9_000, 9_000, 3_700);
+        governor.step(aim, (9_000, 9_000), 3_700, &Settings::default());
     }
     assert_eq!(governor.ordered_ma(), Some(130));
-    governor.step(aim, 11_000, 11_000, 3_700);
+    governor.step(aim, (11_000, 11_000), 3_700, &Settings::default());
     assert_eq!(governor.ordered_ma(), Some(100));
     for _ in 0..1_000 {
-        governor.step(FAST, 9_000, 9_000, 3_700);
+        governor.step(FAST, (9_000, 9_000), 3_700, &Settings::default());
     }
     assert_eq!(governor.ordered_ma(), Some(220), "all is held");
 }

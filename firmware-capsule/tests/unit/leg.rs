@@ -18,6 +18,7 @@ const fn seek(second: bool, purpose: Purpose) -> Leg {
 const WIND: Leg = Leg::Wind {
     end: END,
     careful: false,
+    short: None,
 };
 
 /// The first count that reads `um` of thread from `from`.
@@ -46,12 +47,12 @@ const END_FORCE: Load = Load {
 const FORCE: u16 = 150;
 
 fn decide(leg: Leg, counts: Counts, load: Load) -> Result<Decision, CapsuleFault> {
-    leg.decide(counts, ZERO, load, Counts(0))
+    leg.decide(counts, ZERO, load, Counts(0), &Settings::default())
 }
 
 #[test]
 fn a_fold_is_folded_at_its_calibrated_end_and_jammed_before() {
-    let end_um = END.0 - END_TOLERANCE.0;
+    let end_um = END.0 - Settings::default().end_tolerance.0;
     let at = after(ZERO, end_um);
     assert_eq!(decide(WIND, at, END_FORCE), Ok(Decision::Folded));
     let before = Counts(at.0 - 2);
@@ -62,7 +63,7 @@ fn a_fold_is_folded_at_its_calibrated_end_and_jammed_before() {
 
 #[test]
 fn past_the_end_the_thread_is_broken_or_has_slipped() {
-    let past = after(ZERO, END.0 + END_OVERRUN.0);
+    let past = after(ZERO, END.0 + Settings::default().end_overrun.0);
     let loaded = |excess_ma| Load { excess_ma, ..NONE };
     for (excess_ma, fault) in [
         (None, CapsuleFault::ThreadBroken),
@@ -78,8 +79,8 @@ fn past_the_end_the_thread_is_broken_or_has_slipped() {
     }
     for purpose in [Purpose::Calibrate, Purpose::Reference] {
         let limit = match purpose {
-            Purpose::Calibrate => FOLDED_RANGE.1.0 + 1,
-            _ => SEEK_LIMIT.0,
+            Purpose::Calibrate => Settings::default().folded_range.1.0 + 1,
+            _ => Settings::default().seek_limit().0,
         };
         let far = after(ORIGIN, limit);
         let leg = seek(false, purpose);
@@ -97,24 +98,42 @@ fn what_resists_makes_a_fold_careful() {
     let careful = Leg::Wind {
         end: END,
         careful: true,
+        short: None,
     };
     let at = after(ZERO, 9_000);
     assert_eq!(decide(WIND, at, resisted), Ok(Decision::Careful(careful)));
     assert_eq!(decide(careful, at, resisted), Ok(Decision::Continue));
-    assert_eq!(WIND.aim(Thread(9_000), 16, false).cps, FAST_CPS);
-    assert_eq!(careful.aim(Thread(9_000), 16, false).cps, SLOW_CPS);
     assert_eq!(
-        WIND.aim(Thread(END.0 - SLOW_ZONE.0), 16, false).cps,
-        SLOW_CPS
+        WIND.aim(Thread(9_000), 16, false, &Settings::default()).cps,
+        Settings::default().fold_cps
+    );
+    assert_eq!(
+        careful
+            .aim(Thread(9_000), 16, false, &Settings::default())
+            .cps,
+        Settings::default().slow_cps
+    );
+    assert_eq!(
+        WIND.aim(Thread(END.0 - SLOW_ZONE.0), 16, false, &Settings::default())
+            .cps,
+        Settings::default().slow_cps
     );
 }
 
 #[test]
 fn near_the_end_force_the_speed_does_not_go_to_and_fro() {
-    assert!(is_near(false, 105) && !is_near(false, 104));
-    assert!(is_near(true, 75) && !is_near(true, 74));
-    assert_eq!(WIND.aim(END, 16, true).cps, NEAR_CPS);
-    assert_eq!(WIND.aim(Thread(9_000), 16, true).cps, FAST_CPS);
+    assert!(
+        is_near(false, 105, &Settings::default()) && !is_near(false, 104, &Settings::default())
+    );
+    assert!(is_near(true, 75, &Settings::default()) && !is_near(true, 74, &Settings::default()));
+    assert_eq!(
+        WIND.aim(END, 16, true, &Settings::default()).cps,
+        Settings::default().near_cps
+    );
+    assert_eq!(
+        WIND.aim(Thread(9_000), 16, true, &Settings::default()).cps,
+        Settings::default().fold_cps
+    );
 }
 
 /// A short rise is an obstacle, or an origami that was folded from the start.
@@ -159,23 +178,37 @@ fn a_short_rise_is_tried_again_by_a_reference_only() {
 
 #[test]
 fn paying_out_ends_before_zero_by_what_the_motor_runs_on() {
-    let leg = Leg::PayOut { taut_to: None };
+    let leg = Leg::PayOut {
+        to: Thread(0),
+        taut_to: None,
+    };
     let stopping = Thread(200).counts();
     let at = after(ZERO, 200 + STOP_MARGIN.0 + 2);
-    assert_eq!(leg.decide(at, ZERO, NONE, stopping), Ok(Decision::Continue));
+    assert_eq!(
+        leg.decide(at, ZERO, NONE, stopping, &Settings::default()),
+        Ok(Decision::Continue)
+    );
     let at = Counts(at.0 - 4);
-    assert_eq!(leg.decide(at, ZERO, NONE, stopping), Ok(Decision::Unfolded));
+    assert_eq!(
+        leg.decide(at, ZERO, NONE, stopping, &Settings::default()),
+        Ok(Decision::Unfolded)
+    );
 }
 
 /// Wherever the power is cut, friction alone stops the motor before zero: with 4,200 counts/s2 per mA, and a
 /// quarter less than that.
 #[test]
 fn paying_out_is_never_faster_than_friction_stops() {
-    let leg = Leg::PayOut { taut_to: None };
+    let leg = Leg::PayOut {
+        to: Thread(0),
+        taut_to: None,
+    };
     for no_load_ma in [10, 16, 22] {
         let mut last = 0;
         for thread_um in (0..24_000).step_by(50) {
-            let cps = leg.aim(Thread(thread_um), no_load_ma, false).cps;
+            let cps = leg
+                .aim(Thread(thread_um), no_load_ma, false, &Settings::default())
+                .cps;
             assert!(cps >= last, "slower further out");
             last = cps;
             let deceleration = 4_200.0 * f64::from(no_load_ma) * 0.75;
@@ -185,6 +218,6 @@ fn paying_out_is_never_faster_than_friction_stops() {
                 "{cps} counts/s at {thread_um} um coast {coasts_um} um"
             );
         }
-        assert_eq!(last, PAY_OUT_CPS);
+        assert_eq!(last, Settings::default().pay_out_cps);
     }
 }

@@ -42,23 +42,3 @@ fn distances_survive_the_wrap_of_the_counter() {
     assert_eq!(Counts(7).since(Counts(-3)), Counts(10));
     assert_eq!(Counts(7).back(Counts(10)), Counts(-3));
 }
-
-/// Current above no-load at a thread force: spool, gears and motor as in the data sheets.
-fn current_ma(newton: f64) -> f64 {
-    let torque_mnm = newton * 1.5 / (120.0 * 0.8 * 0.315);
-    torque_mnm / 2.11 * 1e3
-}
-
-#[test]
-fn currents_are_the_forces_they_stand_for() {
-    assert!((f64::from(FORCE_MA) - current_ma(5.74)).abs() < 1.0);
-    assert!((f64::from(RISE_START_MA) - current_ma(2.87)).abs() < 1.0);
-}
-
-#[test]
-fn the_ends_of_the_travel_are_in_order() {
-    // 20.7 mm of travel, 1.0 mm of slack, 0.2 mm of reserve in the slack.
-    let (shortest, longest) = FOLDED_RANGE;
-    assert!(shortest < longest && END_TOLERANCE < END_OVERRUN);
-    assert_eq!(SEEK_LIMIT.0 - longest.0, BACK_OFF.0);
-}

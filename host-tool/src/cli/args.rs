@@ -104,8 +104,8 @@ pub enum Subcommand {
         #[command(subcommand)]
         subcommand: CapsuleSubcommand,
     },
-    /// Fold the capsule's origami, recorded.
-    Fold(FoldArgs),
+    /// Fold the capsule's origami, or fold or unfold it partly, recorded.
+    Fold(PartialArgs),
     /// Unfold the capsule's origami, recorded.
     Unfold(FoldArgs),
     /// Hold a run that goes on without its host: decelerate, keep the position, ready to resume.
@@ -120,8 +120,11 @@ pub enum Subcommand {
     Watch(WatchArgs),
     /// Show the rig's counters: false pulses, serial errors, stack use, underruns.
     Health,
-    /// The rig's settings.
+    /// Settings and name of a machine.
     Settings {
+        /// Whose: those of the rig, unless the setting is one that only the capsule has.
+        #[arg(long, value_enum, value_name = "MACHINE", global = true)]
+        of: Option<MachineKind>,
         /// What to do with them.
         #[command(subcommand)]
         subcommand: SettingsSubcommand,
@@ -369,7 +372,7 @@ pub enum SettingsSubcommand {
         /// The file.
         file: PathBuf,
     },
-    /// Show the rig's name, or change it.
+    /// Show the machine's name, or change it.
     Name {
         /// At most 24 bytes.
         name: Option<String>,
@@ -479,6 +482,33 @@ pub struct CycleArgs {
     /// Folder of the two files.
     #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
     pub out: PathBuf,
+}
+
+/// Arguments of `fold`.
+#[derive(Debug, Args)]
+pub struct PartialArgs {
+    /// Record and recording.
+    #[command(flatten)]
+    pub fold: FoldArgs,
+    /// Stop with so much thread on the spool, in mm from the unfolded end, winding or paying out.
+    #[arg(
+        long,
+        value_name = "MM",
+        allow_negative_numbers = true,
+        conflicts_with = "indentation_mm"
+    )]
+    pub thread_mm: Option<Milli>,
+    /// Stop where the paper's origami is folded as an indentation of so many mm would fold it (Eq. 7).
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    pub indentation_mm: Option<Milli>,
+    /// With `--indentation-mm`: slack of the unfolded thread.
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value = "1",
+        allow_negative_numbers = true
+    )]
+    pub slack_mm: Milli,
 }
 
 /// Arguments of `fold` and `unfold`.

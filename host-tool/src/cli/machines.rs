@@ -19,7 +19,7 @@ use crate::cli::study::TraceFile;
 use crate::client::matches;
 use crate::decimal;
 use crate::error::ClientError;
-use crate::experiment;
+use crate::experiment::{self, Motion};
 use crate::identity::{self, IdentityRecord};
 use crate::report::section::actuation_rows;
 use crate::trial::{Recording, Status};
@@ -202,12 +202,14 @@ pub fn homed_text(homed: &crate::client::Homed) -> String {
 }
 
 pub(crate) fn actuate(
-    kind: ActuationKind,
+    motion: impl Into<Motion>,
     args: &RecordArgs,
     trace: Option<&Path>,
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
+    let motion = motion.into();
+    let kind = motion.kind;
     let (stem, action, what) = match kind {
         ActuationKind::Reference => (
             "reference",
@@ -234,9 +236,17 @@ pub(crate) fn actuate(
             "unfolding",
             "Unfold: pay the thread out to its zero.",
         ),
+        ActuationKind::FoldTo => (
+            "fold-to",
+            "folding partly",
+            "Partial fold: wind or pay out to a length of thread, and stay there.",
+        ),
     };
     let mut capsule = finder.connect(DeviceKind::Capsule)?;
-    if matches!(kind, ActuationKind::Fold | ActuationKind::Unfold) {
+    if matches!(
+        kind,
+        ActuationKind::Fold | ActuationKind::Unfold | ActuationKind::FoldTo
+    ) {
         fresh::prepare(DeviceKind::Capsule, &mut capsule, finder, screen)?;
     }
     if let Some(result) = already::actuated(kind, &mut capsule, screen)? {
@@ -245,7 +255,7 @@ pub(crate) fn actuate(
     screen.say(what);
     let recording = recording(args, stem, finder);
     let trace = trace.map(TraceFile::create).transpose()?;
-    let trial = match experiment::actuate(&mut capsule, kind, &recording, &mut screen.live()) {
+    let trial = match experiment::actuate(&mut capsule, motion, &recording, &mut screen.live()) {
         Ok(trial) => trial,
         Err(error) => {
             if let Some(trace) = trace {

@@ -1,4 +1,4 @@
-//! Commands for the rig's settings and its name. Nothing is written to flash while something moves.
+//! Commands for settings and name of a machine. Nothing is written to flash while something moves.
 
 mod import;
 
@@ -12,11 +12,12 @@ use protocol::system::DeviceKind;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::cli::args::SettingsSubcommand;
+use crate::cli::args::{MachineKind, SettingsSubcommand};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
 use crate::client::Device;
+use crate::identity;
 
 /// Contents of a settings file.
 #[derive(Debug, Serialize)]
@@ -26,37 +27,39 @@ struct Exported {
 }
 
 pub(crate) fn settings(
+    of: Option<MachineKind>,
     subcommand: &SettingsSubcommand,
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     // Arguments are checked before a machine is looked for.
+    let kind = of.map_or(DeviceKind::Rig, DeviceKind::from);
     match subcommand {
-        SettingsSubcommand::List => list(&mut finder.connect(DeviceKind::Rig)?, screen),
+        SettingsSubcommand::List => list(&mut finder.connect(kind)?, kind, screen),
         SettingsSubcommand::Get { key } => {
-            let mut rig = finder.connect(DeviceKind::Rig)?;
-            let value = rig.call(GetSetting { key: key.0 })?.value;
+            let mut machine = finder.connect(owner(key.0, of)?)?;
+            let value = machine.call(GetSetting { key: key.0 })?.value;
             screen.say(&value.to_string());
             Ok(json!({ key.0.name(): value }))
         }
         SettingsSubcommand::Set { key, value } => {
             let (key, value) = (key.0, value_of(key.0, value)?);
             let set = finder
-                .connect(DeviceKind::Rig)?
+                .connect(owner(key, of)?)?
                 .call(Setting { key, value })?;
             screen.say(&format!("{} = {}", set.key.name(), set.value));
             Ok(json!({ set.key.name(): set.value }))
         }
-        SettingsSubcommand::Export { file, force } => export(file, *force, finder, screen),
+        SettingsSubcommand::Export { file, force } => export(file, *force, kind, finder, screen),
         SettingsSubcommand::Import { file } => {
-            let wanted = import::read(file)?;
-            let mut rig = finder.connect(DeviceKind::Rig)?;
+            let wanted = import::read(file, kind)?;
+            let mut rig = finder.connect(kind)?;
             let changed = import::import(&mut rig, file, wanted)?;
             screen.say(&format!("{changed} settings changed"));
             Ok(json!({ "changed": changed }))
         }
         SettingsSubcommand::Name { name: None } => {
-            let name = finder.connect(DeviceKind::Rig)?.call(GetName)?.name;
+            let name = finder.connect(kind)?.call(GetName)?.name;
             screen.say(&name);
             Ok(json!({ "name": name.as_str() }))
         }
@@ -65,20 +68,22 @@ pub(crate) fn settings(
                 why,
                 help: "use letters, digits and spaces".to_owned(),
             })?;
-            let name = finder.connect(DeviceKind::Rig)?.call(Name { name })?;
+            let name = finder.connect(kind)?.call(Name { name })?;
             screen.say(&name.name);
             Ok(json!({ "name": name.name.as_str() }))
         }
         SettingsSubcommand::Reset { yes } => {
-            let question =
-                "All settings of the rig go back to their defaults, and its name is removed.";
-            if !yes && !screen.confirms(question) {
+            let question = format!(
+                "All settings of the {} go back to their defaults, and its name is removed.",
+                identity::kind_name(kind)
+            );
+            if !yes && !screen.confirms(&question) {
                 return Err(Failure::Refused {
                     why: "a reset was not confirmed; nothing was changed".to_owned(),
                     help: "`retrograde settings export FILE` keeps what is there; then `retrograde settings reset --yes`".to_owned(),
                 });
             }
-            finder.connect(DeviceKind::Rig)?.call(FactoryReset)?;
+            finder.connect(kind)?.call(FactoryReset)?;
             screen.say("all settings and the name are at their defaults");
             Ok(json!({ "reset": true }))
         }
@@ -88,6 +93,7 @@ pub(crate) fn settings(
 fn export(
     file: &Path,
     force: bool,
+    kind: DeviceKind,
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
@@ -98,7 +104,7 @@ fn export(
     if !force && file.exists() {
         return Err(exists());
     }
-    let exported = exported(&mut finder.connect(DeviceKind::Rig)?)?;
+    let exported = exported(&mut finder.connect(kind)?, kind)?;
     let text = serde_json::to_string_pretty(&exported).unwrap_or_default() + "\n";
     let mut options = OpenOptions::new();
     options.write(true);
@@ -125,10 +131,10 @@ fn export(
     Ok(json!(exported))
 }
 
-fn list(rig: &mut Device, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let exported = exported(rig)?;
+fn list(rig: &mut Device, kind: DeviceKind, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let exported = exported(rig, kind)?;
     screen.say(&format!("name: {}", exported.name));
-    for key in SettingKey::ALL {
+    for key in SettingKey::of(kind) {
         let value = exported.settings.get(key.name()).copied().unwrap_or(0);
         let range = key.range();
         let note = if value == range.default {
@@ -147,14 +153,27 @@ fn list(rig: &mut Device, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     Ok(json!(exported))
 }
 
-fn exported(rig: &mut Device) -> Result<Exported, Failure> {
+fn exported(rig: &mut Device, kind: DeviceKind) -> Result<Exported, Failure> {
     let name = rig.call(GetName)?.name.as_str().to_owned();
     let mut settings = BTreeMap::new();
-    for key in SettingKey::ALL {
+    for key in SettingKey::of(kind) {
         let value = rig.call(GetSetting { key })?.value;
         settings.insert(key.name().to_owned(), value);
     }
     Ok(Exported { name, settings })
+}
+
+/// The machine that has a setting: the one that is named, or else the only one, or the rig.
+fn owner(key: SettingKey, of: Option<MachineKind>) -> Result<DeviceKind, Failure> {
+    let kinds = [DeviceKind::Rig, DeviceKind::Capsule];
+    let named = of.map(DeviceKind::from);
+    let owner = kinds
+        .into_iter()
+        .find(|kind| key.is_of(*kind) && named.is_none_or(|named| named == *kind));
+    owner.ok_or_else(|| Failure::Input {
+        why: format!("{} is no setting of this machine", key.name()),
+        help: "nothing was sent; leave `--of` away".to_owned(),
+    })
 }
 
 /// Reads a value and checks it against the range of its setting.

@@ -24,7 +24,8 @@ pub(crate) fn is_naming(subcommand: &Subcommand) -> bool {
     matches!(
         subcommand,
         Subcommand::Settings {
-            subcommand: SettingsSubcommand::Name { .. }
+            subcommand: SettingsSubcommand::Name { .. },
+            ..
         }
     )
 }
@@ -55,7 +56,7 @@ pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
         Subcommand::Unfold(_) => "unfold",
         Subcommand::Jog(_) => "jog",
         Subcommand::Move(_) => "move",
-        Subcommand::Settings { subcommand } => match subcommand {
+        Subcommand::Settings { subcommand, .. } => match subcommand {
             SettingsSubcommand::Set { .. } => "settings set",
             SettingsSubcommand::Import { .. } => "settings import",
             SettingsSubcommand::Name { name: Some(_) } => "settings name",

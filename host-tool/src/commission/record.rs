@@ -73,7 +73,7 @@ impl Subject {
         if identity.device == DeviceKind::Rig {
             let hash = device.call(GetRigHealth)?.image_hash;
             subject.image = format!("{hash:08x}");
-            for key in SettingKey::ALL {
+            for key in SettingKey::of(DeviceKind::Rig) {
                 let value = device.call(GetSetting { key })?.value;
                 subject.settings.insert(key.name().to_owned(), value);
             }

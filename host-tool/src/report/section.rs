@@ -257,6 +257,7 @@ pub(crate) fn heading(trial: &Trial) -> String {
             ActuationKind::CheckFolded => "Check that it is folded".to_owned(),
             ActuationKind::Fold => "Fold".to_owned(),
             ActuationKind::Unfold => "Unfold".to_owned(),
+            ActuationKind::FoldTo => "Partial fold".to_owned(),
         },
     }
 }

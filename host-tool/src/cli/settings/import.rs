@@ -6,6 +6,7 @@ use std::fmt;
 use std::path::Path;
 
 use protocol::settings::{GetName, GetSetting, MAX_NAME, Name, Setting};
+use protocol::system::DeviceKind;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde_json::Value;
 
@@ -14,6 +15,7 @@ use crate::cli::failure::Failure;
 use crate::cli::settings::{checked_name, value_of};
 use crate::client::Device;
 use crate::error::ClientError;
+use crate::identity;
 use crate::limited::{self, BY_HAND};
 
 /// The file. Unknown and repeated fields are errors.
@@ -57,7 +59,7 @@ pub(super) struct Wanted {
 ///
 /// # Errors
 /// [`Failure::Input`] with everything that is wrong with it.
-pub(super) fn read(file: &Path) -> Result<Wanted, Failure> {
+pub(super) fn read(file: &Path, kind: DeviceKind) -> Result<Wanted, Failure> {
     let unusable = |why: String, help: &str| Failure::Input {
         why: format!("{}: {why}", file.display()),
         help: format!("nothing was sent; {help}"),
@@ -82,6 +84,10 @@ pub(super) fn read(file: &Path) -> Result<Wanted, Failure> {
             wrong.push(format!("{name} appears twice"));
         }
         match name.parse() {
+            Ok(Key(key)) if !key.is_of(kind) => wrong.push(format!(
+                "{name} is no setting of the {}: `--of` says whose they are",
+                identity::kind_name(kind)
+            )),
             Ok(Key(key)) => match value_of(key, &value.to_string()) {
                 Ok(value) => settings.push(Setting { key, value }),
                 Err(failure) => wrong.push(failure.to_string()),

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use protocol::capsule::{CapsuleEvent, CapsuleStatus};
 use protocol::rig::{RigEvent, RigStatus};
+use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, What};
 use protocol::table::Telemetry;
 
@@ -310,7 +311,21 @@ pub fn event_text(event: &Event) -> String {
         }
         What::Capsule(CapsuleEvent::Faulted(fault)) => format!("fault: {fault}"),
         What::Capsule(CapsuleEvent::NotKept) => "the flash could not be written".to_owned(),
+        What::Capsule(CapsuleEvent::Drifted { by_um }) => format!(
+            "the folded end has wandered by {} mm: check or reference the capsule",
+            decimal::fixed(by_um.into(), 3)
+        ),
+        What::Capsule(CapsuleEvent::SettingChanged(key)) => setting_changed(key),
+        What::Capsule(CapsuleEvent::SettingsReset) => SETTINGS_RESET.to_owned(),
+        What::Capsule(CapsuleEvent::SettingsUnusable) => SETTINGS_UNUSABLE.to_owned(),
     }
+}
+
+const SETTINGS_RESET: &str = "all settings are at their defaults";
+const SETTINGS_UNUSABLE: &str = "the stored settings cannot be used: the defaults are in force";
+
+fn setting_changed(key: SettingKey) -> String {
+    format!("setting {} changed", key.name())
 }
 
 fn rig_text(event: RigEvent) -> String {
@@ -333,11 +348,9 @@ fn rig_text(event: RigEvent) -> String {
         RigEvent::Held { position_steps } => format!("held at {position_steps} steps"),
         RigEvent::Resumed => "resumed".to_owned(),
         RigEvent::Moved { position_steps } => format!("moved to {position_steps} steps"),
-        RigEvent::SettingChanged(key) => format!("setting {} changed", key.name()),
-        RigEvent::SettingsReset => "all settings are at their defaults".to_owned(),
-        RigEvent::SettingsUnusable => {
-            "the stored settings cannot be used: the defaults are in force".to_owned()
-        }
+        RigEvent::SettingChanged(key) => setting_changed(key),
+        RigEvent::SettingsReset => SETTINGS_RESET.to_owned(),
+        RigEvent::SettingsUnusable => SETTINGS_UNUSABLE.to_owned(),
         RigEvent::ButtonIgnored => "the start button was pressed; nothing could start".to_owned(),
     }
 }

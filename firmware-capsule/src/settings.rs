@@ -1,0 +1,127 @@
+//! The limits of the capsule as its control uses them, worked out of the settings in flash.
+
+use crate::mechanics::{BACK_OFF, Thread};
+use device::settings::Values;
+use protocol::settings::{SettingKey as Key, SettingRule};
+
+/// Of all the values that a person can change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// Current above the no-load current at the end force: 5.7 N with the assumed friction of the worm, 4.7 to 7.4 N over the
+    /// friction's range. Of the nominal fold's energy the last 1.6 mm before it take 37 %.
+    pub force_ma: u16,
+    /// The same at half of the end force: start of the rise that tells an origami from an obstacle.
+    pub rise_start_ma: u16,
+    /// Near the end force; and where it is no longer, so that the speed does not go to and fro.
+    pub near_ma: (u16, u16),
+    /// With this current above the no-load current, a slow motor that meets something hard is at the end force.
+    pub met_ma: u16,
+    /// Winding over the long way, counts/s.
+    pub fold_cps: i32,
+    /// Winding where force ends it, counts/s.
+    pub slow_cps: i32,
+    /// Winding near the end force, counts/s. A soft origami meets its hard end just there.
+    pub near_cps: i32,
+    /// Paying out, counts/s, or what the battery gives.
+    pub pay_out_cps: i32,
+    /// Below this battery voltage a motion is refused.
+    pub least_battery_mv: u16,
+    /// A battery that sags below this under load is empty.
+    pub loaded_battery_mv: u16,
+    /// Winding 5.4 ohm, both switches of the bridge 0.6, cell 0.5.
+    pub loop_milliohm: u32,
+    /// Back-EMF, uV per count per second: 0.221 mV/rpm over 64 counts.
+    pub back_emf_uv_per_cps: u32,
+    /// No-load current until it is measured: the data sheet's.
+    pub no_load_ma: u16,
+    /// Proportional part of the speed loop, uA per count/s: with the motor's 4.2 counts/s2 per uA, 15 is a bandwidth of 60 rad/s.
+    /// The speed is 4 ms old.
+    pub proportional_ua: i32,
+    /// Shortest and longest way from the unfolded end to the end force that a calibration accepts: 16.7 mm of travel with four
+    /// times the stiffness and much friction, 23.4 mm of longest travel, and the slack.
+    pub folded_range: (Thread, Thread),
+    /// So much before the calibrated end is an end force still that of the folded origami.
+    pub end_tolerance: Thread,
+    /// So far beyond the calibrated end is the thread wound if no end force comes.
+    pub end_overrun: Thread,
+    /// So far may the folded end wander.
+    pub drift: Thread,
+    /// Longest time of a fold: the model motor takes 1.8 s, and 4.4 s if something resisted on the way.
+    pub fold_timeout_ms: u32,
+    /// Longest time of an unfolding: the model motor takes 1.3 s, with an almost empty battery twice as long.
+    pub unfold_timeout_ms: u32,
+    /// Silence of the host that ends a motion.
+    pub link_timeout_us: u32,
+}
+
+/// Shares of the end force: 135 mA and what belongs to it were tried together.
+const fn share(force_ma: u32, of_135: u32) -> u16 {
+    (force_ma * of_135 / 135) as u16
+}
+
+impl Settings {
+    /// Works out the limits; `Values` are within their ranges.
+    ///
+    /// # Errors
+    /// The rule that the values break together.
+    pub fn new(values: &Values) -> Result<Self, SettingRule> {
+        // The ranges of the settings fit the smaller types.
+        let get = |key| values.get(key);
+        let milli = |key| get(key) as u16;
+        let thread = |key| Thread(get(key) as i32);
+        let cps = |key| thread(key).counts().0;
+        let (shortest, longest) = (thread(Key::ShortestFoldUm), thread(Key::LongestFoldUm));
+        if shortest.0 + 1_000 > longest.0 {
+            return Err(SettingRule::FoldHasARange);
+        }
+        let (least, loaded) = (milli(Key::LeastBatteryMv), milli(Key::LoadedBatteryMv));
+        if loaded + 200 > least {
+            return Err(SettingRule::LoadedBelowRest);
+        }
+        if (1..5).contains(&get(Key::TelemetryMs)) {
+            return Err(SettingRule::TelemetryInterval);
+        }
+        let force_ma = get(Key::EndForceMa);
+        let slow_cps = cps(Key::SlowUmS);
+        Ok(Self {
+            force_ma: force_ma as u16,
+            rise_start_ma: share(force_ma, 67),
+            near_ma: (share(force_ma, 105), share(force_ma, 75)),
+            met_ma: share(force_ma, 100),
+            fold_cps: cps(Key::FoldUmS),
+            slow_cps,
+            near_cps: slow_cps * 40 / 57,
+            pay_out_cps: cps(Key::UnfoldUmS),
+            least_battery_mv: least,
+            loaded_battery_mv: loaded,
+            loop_milliohm: get(Key::MotorMohm),
+            back_emf_uv_per_cps: get(Key::BackEmfUvCps),
+            no_load_ma: milli(Key::NoLoadMa),
+            proportional_ua: get(Key::SpeedGainUaCps) as i32,
+            folded_range: (shortest, longest),
+            end_tolerance: thread(Key::EndToleranceUm),
+            end_overrun: thread(Key::EndOverrunUm),
+            drift: thread(Key::DriftUm),
+            fold_timeout_ms: get(Key::FoldTimeoutMs),
+            unfold_timeout_ms: get(Key::UnfoldTimeoutMs),
+            link_timeout_us: get(Key::LinkTimeoutMs).saturating_mul(1_000),
+        })
+    }
+
+    /// Longest way to the folded end from an unknown position: the longest calibration, and what an interrupted back-off may
+    /// have paid out too far.
+    pub fn seek_limit(&self) -> Thread {
+        Thread(self.folded_range.1.0 + BACK_OFF.0)
+    }
+}
+
+impl Default for Settings {
+    /// Those of a new capsule.
+    fn default() -> Self {
+        // A test holds that the defaults go together; without them nothing could be driven at all.
+        match Self::new(&Values::DEFAULT) {
+            Ok(settings) => settings,
+            Err(_) => unreachable!(),
+        }
+    }
+}

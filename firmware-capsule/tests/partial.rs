@@ -1,0 +1,139 @@
+//! Folds that stop between the ends, and folded ends that wander, in closed loop with the model of the mechanics.
+
+#[allow(dead_code)] // each test file uses a part of it
+mod plant;
+
+use capsule_plant::{Defect, Parameters};
+use firmware_capsule::{
+    fold::{Command, Event, PARTIAL_MARGIN},
+    mechanics::Thread,
+};
+use plant::Simulation;
+use protocol::{
+    capsule::{ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState},
+    error::{Field, Refusal},
+};
+
+fn refusal(sim: &mut Simulation, um: i32) -> Option<Refusal> {
+    sim.give(Event::Command(Command::FoldTo(Thread(um))))
+        .refusal
+}
+
+/// Up and down, short ways and long ones, soft and stiff: it stops where it was told, and unfolds to zero from there.
+#[test]
+fn a_partial_fold_stops_where_it_was_told() {
+    for seed in 0..12 {
+        let mut sim = Simulation::calibrated(Parameters::varied(seed), seed);
+        for um in [10_000, 15_000, 15_400, 4_000, 700, 12_345, 11_900, 500] {
+            sim.run(Command::FoldTo(Thread(um)));
+            let record = sim.capsule.record();
+            assert_eq!(record.outcome, ActuationOutcome::Complete, "{seed}: {um}");
+            assert_eq!(sim.capsule.state(), CapsuleState::Stopped);
+            let off_mm = sim.plant.wound_mm() - f64::from(um) / 1e3;
+            assert!(
+                off_mm.abs() < 0.1,
+                "seed {seed}: {um} um, {off_mm:.3} mm off"
+            );
+        }
+        sim.run(Command::FoldTo(Thread(9_000)));
+        sim.run(Command::Fold);
+        assert_eq!(sim.capsule.state(), CapsuleState::Folded);
+        let end = sim.capsule.thread().0;
+        for um in [end - 5_000, 3_000] {
+            sim.run(Command::FoldTo(Thread(um)));
+            let off_mm = sim.plant.wound_mm() - f64::from(um) / 1e3;
+            assert!(
+                off_mm.abs() < 0.1,
+                "seed {seed}: {um} um, {off_mm:.3} mm off"
+            );
+        }
+        sim.run(Command::Unfold);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
+        assert!(sim.plant.extremes_mm().0 >= 0.0, "seed {seed}: past zero");
+        assert!(sim.plant.wound_mm() < 0.1);
+    }
+}
+
+#[test]
+fn a_partial_fold_is_refused_at_the_ends_and_where_it_stands() {
+    let mut sim = Simulation::calibrated(Parameters::nominal(), 0);
+    let end = sim.capsule.calibration().expect("calibrated").folded.0;
+    let (min, max) = (PARTIAL_MARGIN.0, end - PARTIAL_MARGIN.0);
+    for (um, sent) in [(-5, 0), (0, 0), (min - 1, min - 1), (max + 1, max + 1)] {
+        let range = Refusal::OutOfRange {
+            field: Field::ThreadUm,
+            requested: sent as u64,
+            min: min as u64,
+            max: max as u64,
+        };
+        assert_eq!(refusal(&mut sim, um), Some(range), "{um}");
+    }
+    sim.run(Command::FoldTo(Thread(5_000)));
+    assert_eq!(refusal(&mut sim, 5_050), Some(Refusal::AlreadyThere));
+    assert_eq!(refusal(&mut sim, 5_200), None);
+    let busy = Refusal::CapsuleBusy(CapsuleState::Folding);
+    assert_eq!(refusal(&mut sim, 9_000), Some(busy));
+    let mut new = Simulation::nominal();
+    assert_eq!(refusal(&mut new, 5_000), Some(Refusal::NotReferenced));
+}
+
+#[test]
+fn a_jam_under_way_is_a_jam() {
+    let mut sim = Simulation::calibrated(Parameters::nominal(), 0);
+    sim.plant.suffer(Defect::Jam(8.0));
+    sim.run(Command::FoldTo(Thread(14_000)));
+    assert!(matches!(
+        sim.capsule.fault(),
+        Some(CapsuleFault::Jam { .. })
+    ));
+    assert!(sim.plant.peak_force_n() < 20.0);
+}
+
+/// A counter that loses 0.06 mm in each cycle has the zero somewhere else after a while. No single fold shows it.
+#[test]
+fn ends_that_wander_take_the_reference_away() {
+    let mut sim = Simulation::calibrated(Parameters::nominal(), 0);
+    let mut folds = 0;
+    let drifted = loop {
+        sim.run(Command::Fold);
+        folds += 1;
+        let drifted = sim.events.iter().find_map(|event| match event {
+            CapsuleEvent::Drifted { by_um } => Some(*by_um),
+            _ => None,
+        });
+        if let Some(by_um) = drifted {
+            break by_um;
+        }
+        assert_eq!(sim.capsule.state(), CapsuleState::Folded);
+        assert!(folds < 8, "not noticed");
+        sim.run(Command::Unfold);
+        sim.board.miscount(50);
+    };
+    assert!(
+        (4..=7).contains(&folds) && (150..350).contains(&drifted),
+        "{folds}: {drifted}"
+    );
+    let record = sim.capsule.record();
+    assert_eq!(record.outcome, ActuationOutcome::Complete, "it is folded");
+    assert_eq!(sim.capsule.state(), CapsuleState::WasFolded);
+    let refused = sim.give(Event::Command(Command::Unfold)).refusal;
+    assert_eq!(refused, Some(Refusal::NotReferenced));
+    // A check finds the end, and with it the zero.
+    sim.run(Command::CheckFolded);
+    assert_eq!(sim.capsule.state(), CapsuleState::Folded);
+    sim.forget();
+    sim.run(Command::Unfold);
+    assert!(sim.plant.wound_mm().abs() < 0.2);
+    assert!(sim.plant.extremes_mm().0 >= 0.0);
+}
+
+/// A healthy capsule folds the same way again and again.
+#[test]
+fn a_healthy_capsule_does_not_drift() {
+    let mut sim = Simulation::calibrated(Parameters::varied(7), 7);
+    for _ in 0..25 {
+        sim.run(Command::Fold);
+        assert_eq!(sim.capsule.state(), CapsuleState::Folded);
+        sim.run(Command::Unfold);
+    }
+}
