@@ -206,7 +206,8 @@ impl<W: Wiring> Visit<'_, W> {
 type Visitor<W> = Box<dyn FnOnce(&mut Visit<'_, W>) + Send>;
 
 enum Job<W: Wiring> {
-    /// Put `bytes` on the line and run to `until_ns`; with `eager`, only until the machine has sent something.
+    /// Put `bytes` on the line and run to `until_ns`; with `eager`, only until the machine has sent a whole frame: there is
+    /// nothing that the host could do with part of one.
     Run {
         until_ns: u64,
         eager: bool,
@@ -276,7 +277,7 @@ impl<W: Wiring> Driver<Emulator<W>> for Conductor<W> {
     ) -> Option<VirtualNanos> {
         let now_ns = self.epoch_ns + stop.at.0;
         self.tap.drain(host, now_ns);
-        if now_ns < self.until_ns && !(self.eager && self.line().has_sent()) {
+        if now_ns < self.until_ns && !(self.eager && self.line().has_sent_frame()) {
             return Some(self.next_instant(now_ns));
         }
         let bytes = self.line().take();

@@ -102,6 +102,10 @@ impl fmt::Display for Pin {
 
 /// A board around the chip: what is connected to its pins.
 pub trait Wiring: fmt::Debug + Send + 'static {
+    /// A look does nothing unless a pin has changed since the last one, the instant given to [`Pads::wake_at`] has come, or
+    /// the board was changed from outside. All other looks are left out.
+    const LOOKS_AT_CHANGES_ONLY: bool = false;
+
     /// Reads the pins and drives them. Called after every timer event and every register access that can change a pin,
     /// and again until no pin changes any more.
     fn look(&mut self, pads: &mut Pads<'_>);
@@ -309,6 +313,9 @@ struct Slots {
     exti: usize,
     syscfg: usize,
     flash: usize,
+    usart2: usize,
+    /// Those whose state [`Pads`] shows to the board.
+    seen: [usize; 6],
 }
 
 /// The chip with a board around it.
@@ -327,6 +334,8 @@ struct Chip<W> {
     epoch_ns: u64,
     /// When the next look is scheduled, on the emulator's clock.
     wake: Option<VirtualNanos>,
+    /// Something that the board sees may have changed since its last look.
+    unseen: bool,
     /// In a box: it is taken out for each look.
     wiring: Option<Box<W>>,
 }
@@ -351,6 +360,15 @@ impl<W: Wiring> Chip<W> {
             exti: bus.slot("EXTI")?,
             syscfg: bus.slot("SYSCFG")?,
             flash: bus.slot("FLASH")?,
+            usart2: bus.slot("USART2")?,
+            seen: [
+                bus.slot("GPIOA")?,
+                bus.slot("GPIOB")?,
+                bus.slot("GPIOC")?,
+                bus.slot("TIM1")?,
+                bus.slot("TIM3")?,
+                bus.slot("RCC")?,
+            ],
         };
         let mut chip = Self {
             tim1: Watched::new(hollow_advanced(), &[1, 3]),
@@ -365,6 +383,7 @@ impl<W: Wiring> Chip<W> {
             serial,
             epoch_ns,
             wake: None,
+            unseen: true,
             wiring: Some(Box::new(wiring)),
         };
         chip.adopt();
@@ -410,6 +429,7 @@ impl<W: Wiring> Chip<W> {
             return false;
         };
         let mut touched = false;
+        self.wake.take_if(|wake| *wake <= at);
         loop {
             let mut pads = Pads {
                 part: &mut self.part,
@@ -427,7 +447,7 @@ impl<W: Wiring> Chip<W> {
             if let Some(wake) = pads.wake {
                 let wake = VirtualNanos(wake.saturating_sub(self.epoch_ns)).max(at);
                 // One scheduled look is enough: each look asks for the next one.
-                if self.wake.is_none_or(|asked| asked <= at || wake < asked) {
+                if self.wake.is_none_or(|asked| wake < asked) {
                     self.wake = Some(wake);
                     let bus = self.part.bus_mut();
                     bus.drive(at, self.slots.exti).1.schedule(wake);
@@ -438,12 +458,22 @@ impl<W: Wiring> Chip<W> {
             }
         }
         self.wiring = Some(wiring);
+        self.unseen = false;
         touched
+    }
+
+    /// A look, unless it would show the board nothing new.
+    fn look_if_changed(&mut self, at: VirtualNanos) -> bool {
+        let due = self.wake.is_some_and(|wake| wake <= at);
+        if W::LOOKS_AT_CHANGES_ONLY && !self.unseen && !due {
+            return false;
+        }
+        self.look(at)
     }
 
     /// A look outside the emulator's polling. If it drives a pin, a stop is scheduled so that the change takes effect.
     fn look_between(&mut self, at: VirtualNanos) {
-        if self.look(at) {
+        if self.look_if_changed(at) {
             self.part
                 .bus_mut()
                 .drive(at, self.slots.exti)
@@ -484,11 +514,18 @@ impl<W: Wiring> Mcu for Chip<W> {
     }
 
     fn poll(&mut self, now: VirtualNanos) {
-        self.part.poll(now);
-        self.look(now);
+        // Of all models only the serial ones look outside, and only this one has something there.
+        let (bus, serial) = self.part.split(self.slots.usart2);
+        if let Some(serial) = serial {
+            let (registers, mut context) = bus.drive(now, self.slots.usart2);
+            serial.poll(registers, &mut context);
+        }
+        self.look_if_changed(now);
     }
 
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
+        // Every access to a device and every event of one comes through here.
+        self.unseen |= self.slots.seen.contains(&slot);
         let Slots {
             tim1,
             tim3,
@@ -624,6 +661,7 @@ impl<W: Wiring> Emulator<W> {
     /// # Panics
     /// Only during a look, and it cannot be called then.
     pub fn wiring(&mut self) -> &mut W {
+        self.chip.unseen = true;
         self.chip.wiring.as_mut().expect("between two looks")
     }
 
@@ -633,6 +671,7 @@ impl<W: Wiring> Emulator<W> {
 
     /// Shows the pins to the board after it was changed from outside.
     pub(crate) fn refresh(&mut self, at: VirtualNanos) {
+        self.chip.unseen = true;
         self.chip.look_between(at);
     }
 

@@ -52,9 +52,9 @@ impl Serial {
         std::mem::take(&mut self.from_machine)
     }
 
-    /// Whether the machine has sent bytes that were not taken.
-    pub(crate) fn has_sent(&self) -> bool {
-        !self.from_machine.is_empty()
+    /// Whether the end of a frame is among the bytes that the machine has sent and that were not taken.
+    pub(crate) fn has_sent_frame(&self) -> bool {
+        self.from_machine.iter().any(|(_, byte)| *byte == 0)
     }
 
     /// Corrupts the host's byte `number`, counted from 0 since the start of the bench.

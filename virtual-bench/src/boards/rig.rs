@@ -149,6 +149,8 @@ impl RigBoard {
 }
 
 impl Wiring for RigBoard {
+    const LOOKS_AT_CHANGES_ONLY: bool = true;
+
     fn restarted(&mut self) {
         self.contacts = [None; 3];
         self.button = None;
