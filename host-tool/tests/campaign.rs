@@ -171,6 +171,16 @@ fn a_plan_that_cannot_be_carried_out_says_why() {
         ),
         ("repeats = 2", "repeats = 0", "series.repeats: 0"),
         ("repeats = 1", "repeats = 1001", "fold_test.repeats: 1001"),
+        (
+            "repeats = 1",
+            "repeats = 1\nfold_at_cycle = 6",
+            "fold_test.fold_at_cycle: there is no cycle 6: the run has 1",
+        ),
+        (
+            "repeats = 1",
+            "repeats = 1\nfold_at_cycle = 0",
+            "fold_test.fold_at_cycle: there is no cycle 0",
+        ),
     ];
     for (good, bad, says) in cases {
         let text = SMALL.replacen(good, bad, 1);

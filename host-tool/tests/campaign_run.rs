@@ -137,6 +137,7 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
         match planned.shape {
             Form::Unfolded => assert!(mm > 0.0, "{number}: {mm}"),
             Form::Folded => assert!(mm < -20.0, "{number}: {mm}"),
+            Form::Folding => unreachable!("the plan has none"),
         }
         let folder = campaign.attempt_folder(number, 1);
         let conditions = fs::read_to_string(folder.join("conditions.json")).expect("there");
@@ -200,6 +201,72 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
             "{stem}: {stems:?}"
         );
     }
+}
+
+#[test]
+fn the_capsule_folds_within_the_runs_that_the_plan_says() {
+    let place = place(&small_plan(&[
+        ("# fold_at_cycle = 3 ", "fold_at_cycle = 2 "),
+        ("cycles = 1", "cycles = 3"),
+        ("duration_s = 8", "duration_s = 24"),
+        (r#"["dry", "lubricated"]"#, r#"["dry"]"#),
+        (r#"["a2", "a5"]"#, r#"["a5"]"#),
+    ]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(Some(VIRTUAL_UID));
+    let run = [&["campaign", "run", &plan, "--out", &out, "--yes"][..], &AT].concat();
+    let (code, said, err) = memory.run(&run);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(
+        said.contains("it will be unfolded, and fold in the run")
+            && said.contains("4 of 4 trials count"),
+        "{said}"
+    );
+    let campaign = whole(&out);
+    let mm = |form: Form| {
+        let mut trials = campaign.state.trials.iter();
+        let trial = trials.find(|trial| trial.planned.shape == form && trial.planned.block == 2);
+        let trial = trial.expect("one of each");
+        let counted = trial.counted().expect("counts");
+        (trial.planned.trial, counted.value.mm())
+    };
+    // Wherever the folded block lies, the carriage pushes it to the same end.
+    let ((_, unfolded), (_, folded)) = (mm(Form::Unfolded), mm(Form::Folded));
+    let (number, folding) = mm(Form::Folding);
+    assert!(
+        unfolded > 20.0 && folded < -50.0 && (folding - folded).abs() < 0.1,
+        "{folded} {folding} {unfolded}"
+    );
+    let row = campaign
+        .rows
+        .iter()
+        .find(|row| (row.trial, row.event) == (Some(number), Event::Displacement));
+    let text = row.and_then(|row| row.text.as_deref()).unwrap_or_default();
+    assert!(
+        text.contains("roller model until the fold begins"),
+        "{text}"
+    );
+    // The fold is recorded beside the run, and names its place.
+    let of_fold = fs::read_dir(campaign.attempt_folder(number, 1))
+        .expect("there")
+        .map(|entry| entry.expect("an entry").path())
+        .find(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            name.starts_with("fold-") && name.ends_with(".json")
+        });
+    let record = fs::read_to_string(of_fold.expect("a record")).expect("there");
+    assert!(
+        record.contains("\"cycle\": 2") && record.contains("\"latency_us\""),
+        "{record}"
+    );
+    let report = Path::new(&out).join("report");
+    let conditions = fs::read_to_string(report.join("conditions.csv")).expect("there");
+    assert!(
+        conditions.contains("fold_test,lubricated,a5,folding,1,1,"),
+        "{conditions}"
+    );
+    let figure = fs::read_to_string(report.join("figure8.svg")).expect("there");
+    assert!(figure.contains("folding at cycle 2, n = 1"));
 }
 
 #[test]

@@ -60,30 +60,48 @@ pub fn displacement(
         let why = "it is not the record of a run";
         return Err(RecordError::read(sidecar, why).into());
     };
-    let positions = samples
-        .iter()
-        .map(|sample| screw.mm(f64::from(sample.position_steps)));
     let friction = friction(planned.lubrication);
-    let (mut mm, name) = match planned.shape {
-        Form::Unfolded => {
-            let mut params = roller::Params::PAPER;
-            params.body.friction = friction;
-            let mut body = roller::UnfoldedBody::new(params, indentation_mm)?;
-            for position in positions {
-                body.carriage_to(position)?;
-            }
-            (body.displacement_mm(), "roller model")
+    let positions = |samples: &[RigSample]| -> Vec<f64> {
+        let steps = samples.iter().map(|sample| sample.position_steps);
+        steps.map(|steps| screw.mm(f64::from(steps))).collect()
+    };
+    let unfolded = |samples: &[RigSample]| -> Result<f64, OutOfRange> {
+        let mut params = roller::Params::PAPER;
+        params.body.friction = friction;
+        let mut body = roller::UnfoldedBody::new(params, indentation_mm)?;
+        for position in positions(samples) {
+            body.carriage_to(position)?;
         }
+        Ok(body.displacement_mm())
+    };
+    let folded = |samples: &[RigSample], fold: &Fold, moved_mm: f64| -> Result<f64, OutOfRange> {
+        let design = Design::paper_printed();
+        let mut params = folded::Params::PAPER.folded_by(&design, fold.thread_mm - SLACK_MM)?;
+        params.friction = friction;
+        params.tail_mm += moved_mm;
+        let mut body = folded::FoldedBody::new(params, indentation_mm)?;
+        for position in positions(samples) {
+            body.carriage_to(position)?;
+        }
+        Ok(body.displacement_mm())
+    };
+    let attempt_folder = sidecar.parent().unwrap_or(sidecar);
+    let (mut mm, name) = match planned.shape {
+        Form::Unfolded => (unfolded(&samples)?, "roller model"),
         Form::Folded => {
-            let thread_mm = thread_mm(sidecar.parent().unwrap_or(sidecar))?;
-            let design = Design::paper_printed();
-            let mut params = folded::Params::PAPER.folded_by(&design, thread_mm - SLACK_MM)?;
-            params.friction = friction;
-            let mut body = folded::FoldedBody::new(params, indentation_mm)?;
-            for position in positions {
-                body.carriage_to(position)?;
-            }
-            (body.displacement_mm(), "folded block model")
+            let fold = last_fold(attempt_folder)?;
+            (folded(&samples, &fold, 0.0)?, "folded block model")
+        }
+        Form::Folding => {
+            let fold = last_fold(attempt_folder)?;
+            let cue_us = fold.cue_us.ok_or(ModelError::NoFold)?;
+            let (before, after) =
+                samples.split_at(samples.partition_point(|sample| sample.time_us < cue_us));
+            let moved_mm = unfolded(before)?;
+            (
+                moved_mm + folded(after, &fold, moved_mm)?,
+                "roller model until the fold begins, folded block model from then on",
+            )
         }
     };
     let mut text = format!("{name}, friction {friction}");
@@ -120,8 +138,16 @@ fn friction(lubrication: Lubrication) -> f64 {
     }
 }
 
-/// How much thread the last completed fold of an attempt wound up, mm.
-fn thread_mm(folder: &Path) -> Result<f64, ModelError> {
+/// A fold that was completed.
+struct Fold {
+    /// The thread that it wound up, mm.
+    thread_mm: f64,
+    /// When the carriage was where it was to begin, by the rig's clock, us; none if it was folded before the run.
+    cue_us: Option<u64>,
+}
+
+/// The last completed fold of an attempt.
+fn last_fold(folder: &Path) -> Result<Fold, ModelError> {
     let mut folds: Vec<_> = fs::read_dir(folder)
         .map_err(|io| RecordError::read(folder, io))?
         .flatten()
@@ -142,7 +168,13 @@ fn thread_mm(folder: &Path) -> Result<f64, ModelError> {
             },
         ) = (trial.status, &trial.action)
         {
-            return Ok(f64::from(record.thread_um) / 1_000.0);
+            return Ok(Fold {
+                thread_mm: f64::from(record.thread_um) / 1_000.0,
+                cue_us: trial
+                    .coordination
+                    .as_ref()
+                    .and_then(|tied| tied.cue_time_us),
+            });
         }
     }
     Err(ModelError::NoFold)

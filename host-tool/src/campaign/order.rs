@@ -17,11 +17,11 @@ pub struct Condition {
     pub lubrication: Lubrication,
     /// Name of the indentation.
     pub indentation: String,
-    /// `unfolded` or `folded`.
+    /// Shape of the body.
     pub shape: Form,
 }
 
-/// [`Shape`] in records.
+/// What the body's shape is during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Form {
@@ -29,16 +29,19 @@ pub enum Form {
     Unfolded,
     /// The same waves carry it the other way.
     Folded,
+    /// It is unfolded at first, and folds while the carriage runs.
+    Folding,
 }
 
 impl Form {
-    /// `unfolded` or `folded`.
+    /// As in ledgers.
     #[must_use]
     pub const fn name(self) -> &'static str {
-        Shape::name(match self {
-            Self::Unfolded => Shape::Unfolded,
-            Self::Folded => Shape::Folded,
-        })
+        match self {
+            Self::Unfolded => Shape::Unfolded.name(),
+            Self::Folded => Shape::Folded.name(),
+            Self::Folding => "folding",
+        }
     }
 }
 
@@ -95,14 +98,14 @@ pub fn order(plan: &Plan) -> Vec<Planned> {
         for indentation in indentations {
             block += 1;
             let mut forms: Vec<Form> = group
-                .shapes
+                .forms
                 .iter()
-                .flat_map(|shape| std::iter::repeat_n(Form::from(*shape), group.repeats as usize))
+                .flat_map(|form| std::iter::repeat_n(*form, group.repeats as usize))
                 .collect();
             chance.shuffle(&mut forms);
-            let mut done = [0, 0];
+            let mut done = [0; 3];
             for shape in forms {
-                let repeat = &mut done[usize::from(shape == Form::Folded)];
+                let repeat = &mut done[shape as usize];
                 *repeat += 1;
                 trials.push(Planned {
                     trial: trials.len() as u32 + 1,

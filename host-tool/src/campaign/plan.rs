@@ -9,8 +9,9 @@ use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::campaign::CampaignError;
+use crate::campaign::order::Form;
+use crate::cue::Cue;
 use crate::decimal;
-use crate::experiment::Shape;
 use crate::plan;
 use crate::wording;
 
@@ -213,6 +214,7 @@ struct FoldTable {
     lubrication: Lubrication,
     indentation: String,
     repeats: u32,
+    fold_at_cycle: Option<u16>,
 }
 
 /// What a displacement may be.
@@ -265,7 +267,7 @@ pub struct Group {
     pub indentations: Vec<String>,
     /// Shapes of the body.
     #[serde(skip)]
-    pub shapes: Vec<Shape>,
+    pub forms: Vec<Form>,
     /// Trials of each indentation and shape.
     pub repeats: u32,
 }
@@ -289,6 +291,8 @@ pub struct Plan {
     pub indentations: Vec<Indentation>,
     /// What is done, dry groups first.
     pub groups: Vec<Group>,
+    /// Where the body folds in the runs in which it does.
+    pub fold_at: Option<Cue>,
     /// What a displacement may be.
     pub displacement: Range,
     /// What the virtual bench adds.
@@ -328,16 +332,26 @@ impl Plan {
         let indentations = check_indentations(file.indentation, &file.readings)?;
         let known: BTreeSet<&str> = indentations.iter().map(|known| &*known.name).collect();
         let mut groups = vec![];
+        let mut fold_at = None;
         if let Some(series) = file.series {
             groups = series_groups(&series)?;
         }
         if let Some(fold) = file.fold_test {
             repeats("fold_test.repeats", fold.repeats)?;
+            let mut forms = vec![Form::Unfolded, Form::Folded];
+            if let Some(cycle) = fold.fold_at_cycle {
+                // The models of the virtual bench know the folded body beside the rollers only, not under them.
+                let cue = Cue { cycle, at_um: None };
+                cue.check(&run, telemetry_ms)
+                    .map_err(|error| format!("fold_test.fold_at_cycle: {error}"))?;
+                fold_at = Some(cue);
+                forms.push(Form::Folding);
+            }
             groups.push(Group {
                 purpose: Purpose::FoldTest,
                 lubrication: fold.lubrication,
                 indentations: vec![fold.indentation],
-                shapes: vec![Shape::Unfolded, Shape::Folded],
+                forms,
                 repeats: fold.repeats,
             });
         }
@@ -380,6 +394,7 @@ impl Plan {
             readings: file.readings,
             indentations,
             groups,
+            fold_at,
             displacement,
             virtual_bench: file.virtual_bench,
         })
@@ -573,7 +588,7 @@ fn series_groups(series: &SeriesTable) -> Result<Vec<Group>, String> {
             purpose: Purpose::Series,
             lubrication: *lubrication,
             indentations: series.indentation.clone(),
-            shapes: vec![Shape::Unfolded],
+            forms: vec![Form::Unfolded],
             repeats: series.repeats,
         });
     }

@@ -227,6 +227,10 @@ pub fn checks(
         lines.push(match planned.shape {
             Form::Unfolded => "  [ ] the capsule is connected; it will be unfolded".to_owned(),
             Form::Folded => "  [ ] the capsule is connected; it will be folded now".to_owned(),
+            Form::Folding => {
+                "  [ ] the capsule is connected; it will be unfolded, and fold in the run"
+                    .to_owned()
+            }
         });
     }
     lines.push("  [ ] the tail is at its mark, the way of the carriage is free".to_owned());

@@ -15,6 +15,7 @@ use crate::trial::{Action, RigSample, Screw};
 
 const DRY: RGBColor = RGBColor(0xc0, 0x6a, 0x10);
 const WET: RGBColor = MEASURED;
+const IN_RUN: RGBColor = RGBColor(0x3a, 0x8a, 0x4c);
 /// Points of a band's edge.
 const EDGE: u32 = 48;
 /// Stretches of time of which a run's figure shows the extremes.
@@ -123,7 +124,11 @@ fn bars<'a>(rows: impl Iterator<Item = &'a ConditionRow>, half_width: f64) -> Ve
 /// # Errors
 /// If the drawing library fails.
 pub fn figure8(evaluation: &Evaluation) -> Result<Option<String>, FigureError> {
-    let shapes = [(Form::Unfolded, WET), (Form::Folded, DRY)];
+    let shapes = [
+        (Form::Unfolded, WET),
+        (Form::Folded, DRY),
+        (Form::Folding, IN_RUN),
+    ];
     let (mut displacements, mut carriages) = (vec![], vec![]);
     for (shape, colour) in shapes {
         let rows = evaluation.trials.iter().zip(&evaluation.parts);
@@ -144,7 +149,11 @@ pub fn figure8(evaluation: &Evaluation) -> Result<Option<String>, FigureError> {
         if ends.is_empty() {
             continue;
         }
-        let label = format!("{}, n = {}", shape.name(), ends.len());
+        let name = match (shape, evaluation.campaign.plan.fold_at) {
+            (Form::Folding, Some(cue)) => format!("folding at cycle {}", cue.cycle),
+            _ => shape.name().to_owned(),
+        };
+        let label = format!("{name}, n = {}", ends.len());
         let from_zero = ends.iter().flat_map(|end| [(0.0, 0.0), *end]).collect();
         displacements.push(curve("", colour, Mark::Segments(2), from_zero));
         displacements.push(curve(label, colour, Mark::Dots(9), ends));
@@ -153,7 +162,7 @@ pub fn figure8(evaluation: &Evaluation) -> Result<Option<String>, FigureError> {
             && let Some(points) = positions(run)
         {
             let width = if carriages.is_empty() { 9 } else { 3 };
-            carriages.push(curve(shape.name(), colour, Mark::Line(width), points));
+            carriages.push(curve(name, colour, Mark::Line(width), points));
         }
     }
     if displacements.is_empty() {

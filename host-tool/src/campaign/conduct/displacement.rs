@@ -123,7 +123,7 @@ impl Conduct<'_> {
             campaign.rows.iter().rfind(began).is_some_and(|row| {
                 (row.trial, row.attempt) == (Some(planned.trial), Some(attempt))
             });
-        if planned.shape == Form::Folded
+        if planned.shape != Form::Unfolded
             && is_last
             && let Some(capsule) = &mut self.machines.capsule
             && capsule.capsule_status()?.state == CapsuleState::Folded

@@ -16,6 +16,7 @@ use crate::campaign::plan::{Millimetres, Purpose};
 use crate::campaign::prompts::{Answer, Question, camera_file, checks};
 use crate::campaign::remaining;
 use crate::client::Device;
+use crate::coordination::{self, Recordings, Shaping};
 use crate::error::ClientError;
 use crate::experiment;
 use crate::identity::Origin;
@@ -160,20 +161,51 @@ impl Conduct<'_> {
         if planned.purpose == Purpose::FoldTest {
             self.shape(planned.shape, folder)?;
         }
-        let run = self.folder.campaign().plan.run;
+        let plan = &self.folder.campaign().plan;
+        let (run, fold_at) = (plan.run, plan.fold_at);
         let recording = self.recording(folder, "run", planned);
         if let Some(pacer) = self.desk.pacer() {
             self.machines.rig.set_pacer(pacer);
         }
-        let mut observer = self.desk.observer();
-        let trial = experiment::run(&mut self.machines.rig, run, &recording, &mut *observer)?;
-        drop(observer);
+        let mut fold = None;
+        let trial = match fold_at {
+            Some(cue) if planned.shape == Form::Folding => {
+                let of_fold = self.recording(folder, "fold", planned);
+                let recordings = Recordings {
+                    run: &recording,
+                    actuation: &of_fold,
+                };
+                let capsule = self.machines.capsule.as_mut().ok_or_else(no_capsule)?;
+                let ran = coordination::run(
+                    (&mut self.machines.rig, capsule),
+                    run,
+                    (Shaping::Fold, cue),
+                    &recordings,
+                    &mut *self.desk.observer(),
+                )?;
+                fold = Some(ran.actuation);
+                ran.run
+            }
+            _ => {
+                let mut observer = self.desk.observer();
+                experiment::run(&mut self.machines.rig, run, &recording, &mut *observer)?
+            }
+        };
         write_pulses(folder, &trial.trial.events, self.machines.origin)?;
         if trial.trial.status != Status::Complete {
             return Err(Broken::Ended {
                 action: "the run",
                 status: trial.trial.status,
                 reason: trial.trial.error,
+            });
+        }
+        if let Some(fold) = fold.transpose()?
+            && fold.trial.status != Status::Complete
+        {
+            return Err(Broken::Ended {
+                action: "the fold in the run",
+                status: fold.trial.status,
+                reason: fold.trial.error,
             });
         }
         Ok(())
