@@ -335,7 +335,7 @@ proptest! {
         // Few trials, so that many rows are possible.
         for _ in 0..200 {
             let mut row = any_row(&mut chance, 3);
-            row.row = state.next_row();
+            row.row = state.sequence.next_row();
             let before = state.clone();
             match state.apply(&row) {
                 Ok(()) => rows.push(row),
@@ -360,7 +360,7 @@ proptest! {
         let (mut state, mut rows) = (State::new(&order), vec![]);
         while rows.len() < 8 {
             let mut row = any_row(&mut chance, 3);
-            row.row = state.next_row();
+            row.row = state.sequence.next_row();
             if state.apply(&row).is_ok() {
                 rows.push(row);
             }
@@ -385,7 +385,7 @@ fn a_trial_goes_through_its_standings() {
     let mut state = State::new(&order);
     let mut step = |event, attempt, outcome, standing| {
         let mut row = Row::of(event, 1, Some(attempt));
-        row.row = state.next_row();
+        row.row = state.sequence.next_row();
         row.origin = Origin::Board;
         row.outcome = outcome;
         row.displacement_mm = Some(mm("12.5"));
@@ -465,7 +465,7 @@ fn accepted(of: &ReadingRow) -> ReadingRow {
 }
 
 fn apply(readings: &mut Readings, mut row: ReadingRow) {
-    row.row = readings.next_row();
+    row.row = readings.sequence.next_row();
     readings.apply(&row).expect("possible");
 }
 

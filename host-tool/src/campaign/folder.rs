@@ -86,7 +86,7 @@ impl Campaign {
         let reading_rows: Vec<ReadingRow> = self::rows(&path, READINGS_HEADER)?;
         let readings = Readings::replay(&reading_rows)
             .map_err(|error| CampaignError::new(&path, error, RESTORE))?;
-        if let (Some(one), Some(other)) = (state.origin, readings.origin)
+        if let (Some(one), Some(other)) = (state.sequence.origin(), readings.sequence.origin())
             && one != other
         {
             let why = format!("its origin is {other}, that of {TRIALS} is {one}");
@@ -120,7 +120,7 @@ impl Campaign {
     /// Where its data come from; none before there are any.
     #[must_use]
     pub fn origin(&self) -> Option<Origin> {
-        self.state.origin.or(self.readings.origin)
+        (self.state.sequence.origin()).or(self.readings.sequence.origin())
     }
 }
 
@@ -372,7 +372,7 @@ impl Folder {
         now: Timestamp,
         told: &mut Vec<String>,
     ) -> Result<(), CampaignError> {
-        let Some(origin) = self.campaign.state.origin else {
+        let Some(origin) = self.campaign.state.sequence.origin() else {
             return Ok(());
         };
         let open: Vec<(u32, u32)> = self
@@ -423,14 +423,10 @@ impl Folder {
         now: Timestamp,
         origin: Origin,
     ) -> Result<(), CampaignError> {
-        row.row = self.campaign.state.next_row();
+        row.row = self.campaign.state.sequence.next_row();
         row.time_utc = now;
         row.origin = origin;
-        if let Some(other) = self.campaign.origin()
-            && other != origin
-        {
-            return Err(self.other_origin(other, origin));
-        }
+        self.is_of(origin)?;
         row.text = row.text.as_deref().map(in_a_line);
         row.camera_file = row.camera_file.as_deref().map(in_a_line);
         let mut state = self.campaign.state.clone();
@@ -457,14 +453,10 @@ impl Folder {
         now: Timestamp,
         origin: Origin,
     ) -> Result<(), CampaignError> {
-        row.row = self.campaign.readings.next_row();
+        row.row = self.campaign.readings.sequence.next_row();
         row.time_utc = now;
         row.origin = origin;
-        if let Some(other) = self.campaign.origin()
-            && other != origin
-        {
-            return Err(self.other_origin(other, origin));
-        }
+        self.is_of(origin)?;
         row.text = row.text.as_deref().map(in_a_line);
         let mut readings = self.campaign.readings.clone();
         readings
@@ -476,12 +468,16 @@ impl Folder {
         self.seal()
     }
 
-    fn other_origin(&self, has: Origin, wanted: Origin) -> CampaignError {
-        CampaignError::misuse(
-            &self.campaign.folder,
-            format!("it was begun with a machine of origin {has}, and this one is {wanted}"),
-            "a campaign is measured or simulated, never both: begin another one with `retrograde campaign new`",
-        )
+    /// Refuses rows of another origin than those before them.
+    fn is_of(&self, origin: Origin) -> Result<(), CampaignError> {
+        match self.campaign.origin() {
+            Some(has) if has != origin => Err(CampaignError::misuse(
+                &self.campaign.folder,
+                format!("it was begun with a machine of origin {has}, and this one is {origin}"),
+                "a campaign is measured or simulated, never both: begin another one with `retrograde campaign new`",
+            )),
+            _ => Ok(()),
+        }
     }
 
     /// Adds the files of an attempt to the manifest.

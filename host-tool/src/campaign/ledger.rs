@@ -296,6 +296,46 @@ pub struct Tally {
     pub skipped: u32,
 }
 
+/// What `trials.csv` and `readings.csv` have in common: rows that are numbered from 1 without gaps, all of one origin.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sequence {
+    rows: u32,
+    origin: Option<Origin>,
+}
+
+impl Sequence {
+    /// The number of the next row.
+    #[must_use]
+    pub fn next_row(&self) -> u32 {
+        self.rows + 1
+    }
+
+    /// Of all rows; none before the first one.
+    #[must_use]
+    pub fn origin(&self) -> Option<Origin> {
+        self.origin
+    }
+
+    /// Whether a row of this number and origin can be the next one, or why not.
+    pub(crate) fn check(&self, row: u32, origin: Origin) -> Result<(), String> {
+        if row != self.next_row() {
+            return Err(format!("it is numbered {row}"));
+        }
+        match self.origin {
+            Some(before) if before != origin => Err(format!(
+                "its origin is {origin}, that of the rows before it {before}"
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// The next row is there.
+    pub(crate) fn take(&mut self, origin: Origin) {
+        self.rows += 1;
+        self.origin = Some(origin);
+    }
+}
+
 /// What a ledger amounts to.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State {
@@ -303,9 +343,8 @@ pub struct State {
     pub trials: Vec<TrialState>,
     /// Remarks on the whole.
     pub notes: Vec<String>,
-    /// Of all rows; none before the first one.
-    pub origin: Option<Origin>,
-    rows: u32,
+    /// Numbers and origin of the rows.
+    pub sequence: Sequence,
 }
 
 impl State {
@@ -322,8 +361,7 @@ impl State {
         Self {
             trials: order.iter().map(trial).collect(),
             notes: vec![],
-            origin: None,
-            rows: 0,
+            sequence: Sequence::default(),
         }
     }
 
@@ -339,30 +377,14 @@ impl State {
         Ok(state)
     }
 
-    /// The number of the next row.
-    #[must_use]
-    pub fn next_row(&self) -> u32 {
-        self.rows + 1
-    }
-
     /// Takes one more row.
     ///
     /// # Errors
     /// It cannot come now; nothing has changed.
     pub fn apply(&mut self, row: &Row) -> Result<(), Contradiction> {
-        let number = self.rows + 1;
+        let number = self.sequence.next_row();
         let wrong = |why: String| Contradiction { row: number, why };
-        if row.row != number {
-            return Err(wrong(format!("it is numbered {}", row.row)));
-        }
-        if let Some(origin) = self.origin
-            && origin != row.origin
-        {
-            return Err(wrong(format!(
-                "its origin is {}, that of the rows before it {origin}",
-                row.origin
-            )));
-        }
+        self.sequence.check(row.row, row.origin).map_err(wrong)?;
         match row.trial {
             None if row.event == Event::Note => {
                 self.notes.push(row.text.clone().unwrap_or_default());
@@ -378,8 +400,7 @@ impl State {
                 state.apply(row).map_err(wrong)?;
             }
         }
-        self.origin = Some(row.origin);
-        self.rows = number;
+        self.sequence.take(row.origin);
         Ok(())
     }
 

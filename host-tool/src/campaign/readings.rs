@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use locomotion::kinematics::indentation_from_calipers_mm;
 use serde::{Deserialize, Serialize};
 
-use crate::campaign::ledger::Contradiction;
+use crate::campaign::ledger::{Contradiction, Sequence};
 use crate::campaign::plan::{Millimetres, Plan};
 use crate::identity::Origin;
 
@@ -130,9 +130,8 @@ impl Summary {
 pub struct Readings {
     /// In the order of their numbers, from 1.
     pub sets: Vec<Set>,
-    /// Of all rows; none before the first one.
-    pub origin: Option<Origin>,
-    rows: u32,
+    /// Numbers and origin of the rows.
+    pub sequence: Sequence,
 }
 
 impl Readings {
@@ -148,30 +147,14 @@ impl Readings {
         Ok(readings)
     }
 
-    /// The number of the next row.
-    #[must_use]
-    pub fn next_row(&self) -> u32 {
-        self.rows + 1
-    }
-
     /// Takes one more row.
     ///
     /// # Errors
     /// It cannot come now; nothing has changed.
     pub fn apply(&mut self, row: &ReadingRow) -> Result<(), Contradiction> {
-        let number = self.rows + 1;
+        let number = self.sequence.next_row();
         let wrong = |why: String| Contradiction { row: number, why };
-        if row.row != number {
-            return Err(wrong(format!("it is numbered {}", row.row)));
-        }
-        if let Some(origin) = self.origin
-            && origin != row.origin
-        {
-            return Err(wrong(format!(
-                "its origin is {}, that of the rows before it {origin}",
-                row.origin
-            )));
-        }
+        self.sequence.check(row.row, row.origin).map_err(wrong)?;
         if (row.quantity == Quantity::BetweenCrests) != row.indentation.is_some() {
             return Err(wrong("i_n needs an indentation, D has none".to_owned()));
         }
@@ -233,8 +216,7 @@ impl Readings {
                 return Err(wrong(format!("set {} is complete", set.number)));
             }
         }
-        self.origin = Some(row.origin);
-        self.rows = number;
+        self.sequence.take(row.origin);
         Ok(())
     }
 
