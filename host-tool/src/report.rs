@@ -8,6 +8,7 @@ pub mod check;
 pub mod evaluation;
 pub mod figures;
 mod page;
+mod pdf;
 pub mod section;
 
 use std::fs;

@@ -1,4 +1,4 @@
-//! The report of a campaign: one page, its figures as SVG and its tables as CSV, in the folder `report` of the campaign.
+//! The report of a campaign: one page, its figures as SVG and PDF, and its tables as CSV, in the folder `report` of the campaign.
 //!
 //! A cell with a number that was worked out has the attribute `data-is`, its place in the tables: `docs/examples/check_report.py`
 //! works each of them out again from the campaign's own files and compares.
@@ -20,6 +20,7 @@ use crate::decimal;
 use crate::identity::Origin;
 use crate::report::campaign_figures::{figure7, figure8, run_over_plan};
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, run_of};
+use crate::report::figures::Figure;
 use crate::report::section::{reasons, status};
 use crate::report::{Existing, ReportError, page, put};
 use crate::science::table;
@@ -76,8 +77,8 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
     }
     let evaluation = evaluate(folder)?;
     let figures = Figures {
-        figure7: figure7(&evaluation).map_err(ReportError::from)?,
-        figure8: figure8(&evaluation).map_err(ReportError::from)?,
+        figure7: Drawings::of(figure7(&evaluation))?,
+        figure8: Drawings::of(figure8(&evaluation))?,
     };
     let html = html(&evaluation, &figures)?;
     let mut files = vec![];
@@ -88,13 +89,17 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
         files.push(path);
         Ok::<_, ReportError>(())
     };
-    for (name, figure) in [
-        ("figure7.svg", &figures.figure7),
-        ("figure8.svg", &figures.figure8),
-    ] {
-        match figure {
-            Some(svg) => keep(name, svg.as_bytes())?,
-            None => remove_stale(&into.join(name))?,
+    for (name, drawings) in [("figure7", &figures.figure7), ("figure8", &figures.figure8)] {
+        let (svg, pdf) = (format!("{name}.svg"), format!("{name}.pdf"));
+        match drawings {
+            Some(drawings) => {
+                keep(&svg, drawings.svg.as_bytes())?;
+                keep(&pdf, &drawings.pdf)?;
+            }
+            None => {
+                remove_stale(&into.join(svg))?;
+                remove_stale(&into.join(pdf))?;
+            }
         }
     }
     let lines: Vec<_> = evaluation.lines.iter().map(|(row, _)| row).collect();
@@ -138,9 +143,25 @@ fn remove_stale(path: &Path) -> Result<(), ReportError> {
     }
 }
 
+/// A figure in its two formats.
+struct Drawings {
+    svg: String,
+    pdf: Vec<u8>,
+}
+
+impl Drawings {
+    fn of(figure: Option<Figure>) -> Result<Option<Self>, ReportError> {
+        let Some(figure) = figure else {
+            return Ok(None);
+        };
+        let (svg, pdf) = (figure.svg()?, figure.pdf()?);
+        Ok(Some(Self { svg, pdf }))
+    }
+}
+
 struct Figures {
-    figure7: Option<String>,
-    figure8: Option<String>,
+    figure7: Option<Drawings>,
+    figure8: Option<Drawings>,
 }
 
 fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportError> {
@@ -159,7 +180,7 @@ fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportErro
         (summary(evaluation))
         section {
             h2 { "Displacement over indentation" }
-            (figure(figures.figure7.as_ref(), "No trial of the series counts yet: no figure.",
+            (figure(figures.figure7.as_ref().map(|figure| &*figure.svg), "No trial of the series counts yet: no figure.",
                 "Each dot is a trial, each bar the mean of a condition with one standard deviation up and down. The line is that of least squares through all dots, \
                  the pale area its band of 95 % confidence."))
             (conditions(evaluation, Purpose::Series))
@@ -167,7 +188,7 @@ fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportErro
         }
         section {
             h2 { "Folded against unfolded" }
-            (figure(figures.figure8.as_ref(), "No trial of the fold test counts yet: no figure.",
+            (figure(figures.figure8.as_ref().map(|figure| &*figure.svg), "No trial of the fold test counts yet: no figure.",
                 "The displacement is read at the beginning, where it is zero, and at the end: the straight lines join the two and say nothing of the way between. \
                  Below, the carriage in the first trial of each shape."))
             (conditions(evaluation, Purpose::FoldTest))
@@ -229,7 +250,7 @@ fn number(is: &str, value: Option<impl Display>) -> Markup {
     html! { td.n { @match value { Some(value) => (cell(is, value)), None => "-" } } }
 }
 
-fn figure(svg: Option<&String>, otherwise: &str, caption: &str) -> Markup {
+fn figure(svg: Option<&str>, otherwise: &str, caption: &str) -> Markup {
     html! {
         @match svg {
             Some(svg) => figure.one { (PreEscaped(svg)) figcaption { (caption) } },
@@ -433,7 +454,7 @@ fn trial(evaluation: &Evaluation, row: &TrialRow, parts: &[Part]) -> Result<Mark
         section.trial id={ "trial-" (row.trial) } {
             h3 { (name) (page::tag(evaluation.origin)) }
             @if let Some(why) = &row.reason { p.bad { (why) } }
-            (figure(svg.as_ref(), "No telemetry with a plan: no figure.", "The carriage by the read-back counter over the plan, and the one less the other. Time 0 is the run's start."))
+            (figure(svg.as_deref(), "No telemetry with a plan: no figure.", "The carriage by the read-back counter over the plan, and the one less the other. Time 0 is the run's start."))
             div.facts {
             div.wide.short { table { tbody {
                 tr { th { "displacement / mm" } (number(&format!("{key}/displacement_mm"), row.displacement_mm)) }

@@ -8,8 +8,8 @@ use crate::campaign::plan::{Lubrication, Purpose};
 use crate::report::check;
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
 use crate::report::figures::{
-    Chart, Curve, FigureError, Heading, MEASURED, Mark, PLANNED, Source, figure, planned, sampled,
-    thinned,
+    Chart, Curve, Figure, FigureError, Heading, MEASURED, Mark, PLANNED, Source, figure, planned,
+    sampled, thinned,
 };
 use crate::trial::{Action, RigSample, Screw};
 
@@ -46,10 +46,8 @@ fn bar(x: f64, mean: f64, sd: f64, half_width: f64) -> [(f64, f64); 8] {
 }
 
 /// Displacement against indentation; none without a trial that counts.
-///
-/// # Errors
-/// If the drawing library fails.
-pub fn figure7(evaluation: &Evaluation) -> Result<Option<String>, FigureError> {
+#[must_use]
+pub fn figure7(evaluation: &Evaluation) -> Option<Figure> {
     let mut curves = vec![];
     for (lubrication, colour) in [(Lubrication::Dry, DRY), (Lubrication::Lubricated, WET)] {
         let points = evaluation.points(lubrication);
@@ -95,7 +93,7 @@ pub fn figure7(evaluation: &Evaluation) -> Result<Option<String>, FigureError> {
         curves.push(curve("", colour, Mark::Segments(4), bars(rows, half_width)));
     }
     if curves.is_empty() {
-        return Ok(None);
+        return None;
     }
     let chart = Chart {
         x_label: "indentation a / mm",
@@ -105,7 +103,7 @@ pub fn figure7(evaluation: &Evaluation) -> Result<Option<String>, FigureError> {
     };
     let title = "Fig. 7: displacement over indentation";
     let heading = Heading::new(title, Source::Records(evaluation.origin));
-    figure(&heading, vec![chart]).map(Some)
+    Some(Figure::new(heading, vec![chart]))
 }
 
 /// Bars of all conditions that have a standard deviation.
@@ -120,10 +118,8 @@ fn bars<'a>(rows: impl Iterator<Item = &'a ConditionRow>, half_width: f64) -> Ve
 
 /// Folded against unfolded over time; none without a trial that counts. The displacement is read at the beginning, where it
 /// is zero, and at the end; between them is the carriage.
-///
-/// # Errors
-/// If the drawing library fails.
-pub fn figure8(evaluation: &Evaluation) -> Result<Option<String>, FigureError> {
+#[must_use]
+pub fn figure8(evaluation: &Evaluation) -> Option<Figure> {
     let shapes = [
         (Form::Unfolded, WET),
         (Form::Folded, DRY),
@@ -166,7 +162,7 @@ pub fn figure8(evaluation: &Evaluation) -> Result<Option<String>, FigureError> {
         }
     }
     if displacements.is_empty() {
-        return Ok(None);
+        return None;
     }
     let chart = |y_label: &str, y_from_zero, curves| Chart {
         x_label: "time / s",
@@ -182,7 +178,7 @@ pub fn figure8(evaluation: &Evaluation) -> Result<Option<String>, FigureError> {
     if !carriages.is_empty() {
         charts.push(chart("carriage / mm", false, carriages));
     }
-    figure(&heading, charts).map(Some)
+    Some(Figure::new(heading, charts))
 }
 
 /// Position of the carriage over time.

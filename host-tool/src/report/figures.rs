@@ -1,4 +1,4 @@
-//! Figures as SVG: each has a title, and says in words and in its description where its values come from.
+//! Figures as SVG and PDF: each has a title, and says in words and in its description where its values come from.
 //!
 //! A chart is drawn so large that its letters are 12 px high on a telephone 390 px wide, and two fit beside each other on a
 //! desk.
@@ -8,6 +8,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use protocol::rig::{Run, Stroke};
 
 use crate::identity::Origin;
+use crate::report::pdf::{Drawn, Page};
 use crate::trial::{Achieved, CapsuleSample, RigSample, Screw};
 
 /// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large and
@@ -376,9 +377,51 @@ fn over_time(heading: &Heading, y_label: &str, curves: Vec<Curve>) -> Result<Str
 /// # Errors
 /// If the drawing library fails.
 pub(crate) fn figure(heading: &Heading, charts: Vec<Chart>) -> Result<String, FigureError> {
-    let mut svg = String::new();
-    draw(&mut svg, heading, charts).map_err(|error| FigureError(error.to_string()))?;
-    described(&svg, heading).ok_or_else(|| FigureError("the drawing is no SVG".to_owned()))
+    Figure::new(heading.clone(), charts).svg()
+}
+
+/// A figure that is drawn as a file of its own: charts one below the other.
+pub struct Figure {
+    heading: Heading,
+    charts: Vec<Chart>,
+}
+
+impl Figure {
+    pub(crate) fn new(heading: Heading, charts: Vec<Chart>) -> Self {
+        Self { heading, charts }
+    }
+
+    fn size(&self) -> (u32, u32) {
+        let (width, height) = SIZE;
+        (width, HEAD + height * self.charts.len() as u32)
+    }
+
+    /// For a page, and for drawing programs.
+    ///
+    /// # Errors
+    /// If the drawing library fails.
+    pub fn svg(&self) -> Result<String, FigureError> {
+        let mut svg = String::new();
+        draw(SVGBackend::with_string(&mut svg, self.size()), self)
+            .map_err(|error| FigureError(error.to_string()))?;
+        described(&svg, &self.heading)
+            .ok_or_else(|| FigureError("the drawing is no SVG".to_owned()))
+    }
+
+    /// For a manuscript.
+    ///
+    /// # Errors
+    /// If the drawing library fails.
+    pub fn pdf(&self) -> Result<Vec<u8>, FigureError> {
+        let (mut drawn, size) = (Drawn::new(), self.size());
+        let page = Page {
+            drawn: &mut drawn,
+            size,
+        };
+        draw(page, self).map_err(|error| FigureError(error.to_string()))?;
+        let source = format!("Origin: {}", self.heading.source.text());
+        Ok(drawn.into_pdf(size, &self.heading.title, &source))
+    }
 }
 
 /// With title and description for those who hear it, and for whoever gets the file alone.
@@ -399,14 +442,12 @@ pub(crate) fn escaped(text: &str) -> String {
         .replace('>', "&gt;")
 }
 
-fn draw(
-    svg: &mut String,
-    heading: &Heading,
-    charts: Vec<Chart>,
-) -> Result<(), Box<dyn std::error::Error>> {
-    let (width, height) = SIZE;
-    let size = (width, HEAD + height * charts.len() as u32);
-    let root = SVGBackend::with_string(svg, size).into_drawing_area();
+fn draw<B: DrawingBackend>(backend: B, figure: &Figure) -> Result<(), Box<dyn std::error::Error>>
+where
+    B::ErrorType: 'static,
+{
+    let Figure { heading, charts } = figure;
+    let root = backend.into_drawing_area();
     let (head, body) = root.split_vertically(HEAD);
     let line = |size: i32, colour: &RGBColor| {
         let style = ("sans-serif", size).into_font().color(colour);
@@ -421,16 +462,20 @@ fn draw(
     let colour = heading.source.colour();
     head.draw(&Text::new(source, (24, 88), line(LETTERS - 4, &colour)))?;
     let areas = body.split_evenly((charts.len(), 1));
-    for (chart, area) in charts.into_iter().zip(&areas) {
+    for (chart, area) in charts.iter().zip(&areas) {
         draw_chart(area, chart)?;
     }
     root.present()?;
     Ok(())
 }
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
-
-fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::Error>> {
+fn draw_chart<B: DrawingBackend>(
+    root: &DrawingArea<B, plotters::coord::Shift>,
+    chart: &Chart,
+) -> Result<(), Box<dyn std::error::Error>>
+where
+    B::ErrorType: 'static,
+{
     let Chart {
         x_label,
         y_label,
@@ -442,9 +487,9 @@ fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::E
     let wide = |curve: &Curve| matches!(curve.mark, Mark::Dots(_) | Mark::Segments(_));
     let x_margin = if curves.iter().any(wide) { 0.03 } else { 0.0 };
     let (x_low, x_high) = span(all().map(|point| point.0), x_margin);
-    let zero = y_from_zero.then_some(0.0);
+    let zero = (*y_from_zero).then_some(0.0);
     let (y_low, y_high) = span(all().map(|point| point.1).chain(zero), 0.06);
-    let legend = Legend::of(&curves);
+    let legend = Legend::of(curves);
     let text = |size: i32| ("sans-serif", size).into_font().color(&INK);
     let mut chart = ChartBuilder::on(root)
         .margin(16)
@@ -464,7 +509,7 @@ fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::E
         .axis_desc_style(text(LETTERS))
         .x_label_formatter(&|value| tick_label(*value))
         .y_label_formatter(&|value| tick_label(*value))
-        .x_desc(x_label)
+        .x_desc(*x_label)
         .y_desc(y_label)
         .draw()?;
     // The legend goes above the plot, where no curve runs.
@@ -480,7 +525,7 @@ fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::E
             let (x, y) = legend.place(entry);
             entry += 1;
             match mark {
-                Mark::Line(width) | Mark::Segments(width) => root.draw(&PathElement::new(
+                &(Mark::Line(width) | Mark::Segments(width)) => root.draw(&PathElement::new(
                     [(x, y), (x + 60, y)],
                     colour.stroke_width(width),
                 ))?,
@@ -488,17 +533,18 @@ fn draw_chart(root: &Area<'_>, chart: Chart) -> Result<(), Box<dyn std::error::E
                     [(x, y - 14), (x + 60, y + 14)],
                     colour.mix(PALE).filled(),
                 ))?,
-                Mark::Dots(radius) => {
+                &Mark::Dots(radius) => {
                     root.draw(&Circle::new((x + 30, y), radius, colour.filled()))?;
                 }
             }
             let anchored = text(LETTERS - 2).pos(Pos::new(HPos::Left, VPos::Center));
-            root.draw(&Text::new(label, (x + 76, y), anchored))?;
+            root.draw(&Text::new(label.clone(), (x + 76, y), anchored))?;
         }
         let finite = points
-            .into_iter()
+            .iter()
+            .copied()
             .filter(|point| point.0.is_finite() && point.1.is_finite());
-        match mark {
+        match *mark {
             Mark::Line(width) => {
                 chart.draw_series(LineSeries::new(finite, colour.stroke_width(width)))?;
             }
@@ -674,5 +720,38 @@ mod tests {
         assert!(svg.contains("<title>a &lt; b</title>"), "{svg}");
         let said = svg.matches("virtual: simulated, not a measurement").count();
         assert_eq!(said, 2, "in the description and in the picture: {svg}");
+    }
+
+    #[test]
+    fn a_pdf_says_all_that_the_svg_says() {
+        let heading = Heading::new("Fig. 9: a test", Source::Records(Origin::Board));
+        let curves =
+            [Mark::Line(3), Mark::Dots(7), Mark::Segments(2), Mark::Area].map(|mark| Curve {
+                label: "a label".to_owned(),
+                colour: MEASURED,
+                mark,
+                points: vec![(0.0, 1.0), (1.0, -2.5), (2.0, 3.0)],
+            });
+        let chart = Chart {
+            x_label: "time / s",
+            y_label: "way / mm".to_owned(),
+            y_from_zero: true,
+            curves: curves.into(),
+        };
+        let figure = Figure::new(heading, vec![chart]);
+        let (svg, pdf) = (figure.svg().expect("drawn"), figure.pdf().expect("drawn"));
+        assert_eq!(pdf, figure.pdf().expect("drawn"), "the same each time");
+        let pdf = String::from_utf8_lossy(&pdf).into_owned();
+        assert!(pdf.starts_with("%PDF-1.") && pdf.trim_end().ends_with("%%EOF"));
+        let texts: Vec<_> = svg
+            .split("<text")
+            .skip(1)
+            .filter_map(|text| Some(text.split_once('>')?.1.split_once('<')?.0.trim()))
+            .collect();
+        assert!(texts.len() > 15, "{svg}");
+        for text in texts {
+            assert!(pdf.contains(&format!("({text}) Tj")), "{text}");
+        }
+        assert!(pdf.contains("/Title (Fig. 9: a test)"), "{pdf}");
     }
 }
