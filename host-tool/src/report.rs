@@ -95,6 +95,8 @@ pub struct LeftOut {
     pub path: PathBuf,
     /// Why it is left out.
     pub why: String,
+    /// It is what is left of the record of a trial, and not a file of another kind.
+    pub is_record: bool,
 }
 
 /// What a report is of.
@@ -156,7 +158,11 @@ pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
             match belongs(&file) {
                 Ok(Some(trial)) => trials.push((trial.started_utc, file)),
                 Ok(None) => {}
-                Err(why) => left.push(LeftOut { path: file, why }),
+                Err((why, is_record)) => left.push(LeftOut {
+                    path: file,
+                    why,
+                    is_record,
+                }),
             }
         }
         trials.sort();
@@ -173,35 +179,48 @@ pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
     Ok(all)
 }
 
-/// A trial, if this file is its sidecar; none for a file that needs no mention; or why it is left out.
-fn belongs(file: &Path) -> Result<Option<Trial>, String> {
+/// What the files of a trial's record begin with.
+const STEMS: [&str; 5] = ["run-", "fold-", "unfold-", "reference-", "check-"];
+
+/// A trial, if this file is its sidecar; none for a file that needs no mention; or why it is left out, and whether it is what is
+/// left of a trial's record.
+fn belongs(file: &Path) -> Result<Option<Trial>, (String, bool)> {
+    let stem = file.file_name().unwrap_or_default().to_string_lossy();
+    let is_record = STEMS.iter().any(|known| stem.starts_with(known));
     let is = |wanted: &str| {
         file.extension()
             .is_some_and(|extension| extension == wanted)
     };
     if is("part") {
-        return Err("what is left of a write that was cut off".to_owned());
+        return Err((
+            "what is left of a write that was cut off".to_owned(),
+            is_record,
+        ));
     }
     if is("csv") {
         // Those of a sidecar are told with it.
         return if file.with_extension("json").exists() {
             Ok(None)
         } else {
-            Err("no sidecar of this name is beside it".to_owned())
+            Err(("no sidecar of this name is beside it".to_owned(), is_record))
         };
     }
     if !is("json") {
         return Ok(None);
     }
-    let trial = Trial::read(file).map_err(|error| other(file).unwrap_or(error.why))?;
+    let trial = Trial::read(file).map_err(|error| match other(file) {
+        Some(kind) => (kind, false),
+        None => (error.why, true),
+    })?;
     let named = Path::new(&trial.telemetry).with_extension("json");
     let name = file.file_name().unwrap_or_default();
     if named.as_os_str() != name {
-        return Err(format!(
+        let why = format!(
             "it was renamed: its telemetry is {}, so its name was {}",
             trial.telemetry,
             named.display()
-        ));
+        );
+        return Err((why, true));
     }
     Ok(Some(trial))
 }

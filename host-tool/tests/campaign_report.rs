@@ -388,6 +388,16 @@ fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
     fs::write(&ledger, edited).expect("edited");
     let written = write(&path, Existing::Replace).expect("written");
     assert!(page(&written).contains("NOT AS IT WAS WRITTEN"));
+    // A script sees it by the exit code; the page is there all the same.
+    fs::remove_file(&written.page).expect("removed");
+    let folder = path.display().to_string();
+    let (code, _, err) = Memory::with(vec![]).run(&["report", &folder]);
+    assert_eq!(code, 1, "{err}");
+    assert!(
+        err.contains("is written, but `verify` has") && err.contains("trials.csv"),
+        "{err}"
+    );
+    assert!(page(&written).contains("NOT AS IT WAS WRITTEN"));
 }
 
 /// The same campaign, as the virtual bench would have written it.

@@ -346,6 +346,16 @@ fn what_is_left_out_is_listed_with_the_reason() {
     assert!(why("cycle.json").contains("endurance"));
     assert!(why("run.json.part").contains("cut off"));
     assert_eq!(found.left_out.len(), 5, "{found:?}");
+    let is_record = |name: &str| {
+        let mut left = found.left_out.iter();
+        left.any(|left| left.path.ends_with(name) && left.is_record)
+    };
+    assert!(
+        ["my-fold.json", "broken.json", &telemetry]
+            .into_iter()
+            .all(is_record)
+    );
+    assert!(!["cycle.json", "run.json.part"].into_iter().any(is_record));
     let html = report::html(&found, &[]).expect("a page").html;
     for left in &found.left_out {
         assert!(html.contains(&left.why.replace('"', "&quot;")), "{left}");
@@ -382,11 +392,23 @@ fn a_report_replaces_nothing_unasked_and_never_a_record() {
     // A damaged record is told at the terminal, too.
     fs::write(run.with_extension("csv"), "").expect("emptied");
     let (code, _, err) = memory.run(&["report", &run_at, "--out", &out_at, "--force"]);
-    assert_eq!(code, 0);
+    assert_eq!(code, 1);
     assert!(
         err.contains("damaged: ") && err.contains("is empty"),
         "{err}"
     );
+    let said = "is written, but 1 of its trials contradict themselves, and 0 records are left out";
+    assert!(err.contains(said), "{err}");
+    assert!(
+        fs::read_to_string(&out)
+            .expect("there")
+            .contains("is empty")
+    );
+    let (code, json, _) = memory.run(&["--json", "report", &run_at, "--out", &out_at, "--force"]);
+    assert_eq!(code, 1);
+    for part in ["\"ok\": false", "\"damaged\"", "retrograde::report_defects"] {
+        assert!(json.contains(part), "{part}: {json}");
+    }
 }
 
 #[test]

@@ -92,6 +92,22 @@ pub enum Failure {
         /// What is wrong with it.
         findings: Vec<Finding>,
     },
+    /// A report was written, but not all that was to be on it can be relied on.
+    #[error("{} is written, but {defects}; the lines above name each", page.display())]
+    #[diagnostic(
+        code(retrograde::report_defects),
+        help(
+            "the page says the same in red; what is not named can be relied on. `retrograde verify` looks at a folder without a report"
+        )
+    )]
+    ReportDefects {
+        /// The page.
+        page: PathBuf,
+        /// How many cannot be relied on, in words.
+        defects: String,
+        /// The same as after success, for `--json`.
+        written: Value,
+    },
     /// The report could not be written.
     #[error(transparent)]
     #[diagnostic(transparent)]
@@ -415,6 +431,7 @@ impl Failure {
             | Self::Record(_)
             | Self::Campaign(_)
             | Self::Changed { .. }
+            | Self::ReportDefects { .. }
             | Self::Report(_)
             | Self::CampaignReport(_)
             | Self::Figure(_)
@@ -441,6 +458,11 @@ impl Failure {
         }
         if let Self::Changed { findings, .. } = self {
             value["findings"] = json!(findings);
+        }
+        if let Self::ReportDefects { written, .. } = self
+            && let (Some(value), Some(written)) = (value.as_object_mut(), written.as_object())
+        {
+            value.extend(written.clone());
         }
         if let Self::Sick { findings } = self {
             value["findings"] = findings.iter().map(Sickness::json).collect();

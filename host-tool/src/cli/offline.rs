@@ -129,12 +129,23 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
     for left in &found.left_out {
         screen.hint(&left.to_string());
     }
-    Ok(json!({
+    let value = json!({
         "trials": found.sidecars,
         "report": out,
         "damaged": report.damaged,
         "left_out": found.left_out,
-    }))
+    });
+    let lost = found.left_out.iter().filter(|left| left.is_record).count();
+    match (report.damaged.len(), lost) {
+        (0, 0) => Ok(value),
+        (damaged, lost) => Err(Failure::ReportDefects {
+            page: out,
+            defects: format!(
+                "{damaged} of its trials contradict themselves, and {lost} records are left out"
+            ),
+            written: value,
+        }),
+    }
 }
 
 pub(crate) fn list(args: &ListArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
@@ -220,7 +231,14 @@ fn report_campaign(
     for (trial, why) in &written.left_out {
         screen.hint(&format!("trial {trial} does not count: {why}"));
     }
-    Ok(json!(written))
+    match written.findings.len() {
+        0 => Ok(json!(written)),
+        findings => Err(Failure::ReportDefects {
+            page: written.page.clone(),
+            defects: format!("`verify` has {findings} findings"),
+            written: json!(written),
+        }),
+    }
 }
 
 pub(crate) fn completions(
