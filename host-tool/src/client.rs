@@ -446,6 +446,11 @@ impl Device {
         self.link.is_line_wanted()
     }
 
+    /// From now on other processes may have the line, or no longer: an owner that works at times and only looks at others.
+    pub fn offer_line(&mut self, offered: bool) {
+        self.link.offer_line(offered);
+    }
+
     /// Gives the link up, so that another one can be opened to the same port. From now on everything fails as with a
     /// pulled cable; the operator's stop is still noticed.
     pub fn hang_up(&mut self) {

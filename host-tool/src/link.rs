@@ -130,6 +130,11 @@ pub trait Link: Send {
         false
     }
 
+    /// From now on the line is offered to other processes, or no longer. Nothing where it is not this process's own.
+    fn offer_line(&mut self, offered: bool) {
+        let _ = offered;
+    }
+
     /// Forgets the stops that other processes have sent so far.
     fn forget_stop(&mut self) {}
 

@@ -80,7 +80,7 @@ pub(crate) struct Core {
     out: Mutex<Out>,
     closing: AtomicBool,
     /// The owner gives the line up for whoever wants it.
-    yields: bool,
+    yields: AtomicBool,
     /// Somebody wants it.
     wanted: AtomicBool,
 }
@@ -138,7 +138,7 @@ impl Core {
                 noticed: 0,
             }),
             closing: AtomicBool::new(false),
-            yields,
+            yields: AtomicBool::new(yields),
             wanted: AtomicBool::new(false),
         })
     }
@@ -219,6 +219,27 @@ impl Core {
 
     pub(crate) fn is_line_wanted(&self) -> bool {
         self.wanted.load(Ordering::Relaxed)
+    }
+
+    /// Offers the line to others, or does so no longer: whoever wanted it until now has to ask again.
+    pub(crate) fn offer_line(&self, offered: bool) {
+        let _state = self.state();
+        self.yields.store(offered, Ordering::Relaxed);
+        if !offered {
+            self.wanted.store(false, Ordering::Relaxed);
+        }
+    }
+
+    /// Notes that somebody wants the line; false if it is not offered.
+    fn want_line(&self) -> bool {
+        let mut state = self.state();
+        let offered = self.yields.load(Ordering::Relaxed);
+        if offered {
+            self.wanted.store(true, Ordering::Relaxed);
+            state.nudged = true;
+            self.woken.notify_all();
+        }
+        offered
     }
 
     /// Forgets the stops that the owner has noticed. One that it has not stays.
@@ -427,15 +448,13 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
     if knock.token != plate.token {
         return Err(io::ErrorKind::PermissionDenied.into());
     }
-    if knock.wants_line && core.yields {
-        core.wanted.store(true, Ordering::Relaxed);
-        core.state().nudged = true;
-        core.woken.notify_all();
+    if knock.wants_line {
+        core.want_line();
     }
     let welcome = Welcome {
         retrograde_door: VERSION,
         owner: plate.owner.clone(),
-        yields: core.yields,
+        yields: core.yields.load(Ordering::Relaxed),
     };
     let mut line = serde_json::to_vec(&welcome)?;
     line.push(b'\n');
@@ -649,6 +668,18 @@ mod tests {
     fn core() -> (Arc<Core>, Receiver<Vec<u8>>) {
         let (tap, written) = channel();
         (Core::new(Box::new(Tap(tap)), false), written)
+    }
+
+    #[test]
+    fn a_line_that_is_no_longer_offered_is_given_to_nobody() {
+        let (core, _written) = core();
+        assert!(!core.want_line() && !core.is_line_wanted());
+        core.offer_line(true);
+        assert!(core.want_line() && core.is_line_wanted());
+        // The owner begins to work: whoever wanted the line has to ask again.
+        core.offer_line(false);
+        assert!(!core.is_line_wanted() && !core.want_line());
+        assert!(!core.is_line_wanted());
     }
 
     fn request(seq: u16) -> Encoded {

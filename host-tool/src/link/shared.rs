@@ -124,6 +124,10 @@ impl Link for Shared {
         self.core.is_line_wanted()
     }
 
+    fn offer_line(&mut self, offered: bool) {
+        self.core.offer_line(offered);
+    }
+
     fn forget_stop(&mut self) {
         self.core.forget_stop();
     }
