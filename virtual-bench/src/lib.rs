@@ -30,3 +30,5 @@ pub mod serve;
 #[cfg(unix)]
 pub mod sidedoor;
 pub mod verdicts;
+#[cfg(unix)]
+pub mod webpage;

@@ -54,6 +54,13 @@ enum Subcommand {
         #[arg(default_value_t = virtual_bench::sidedoor::STOPS)]
         stops: u32,
     },
+    /// Measures `retrograde serve` with the rig's image, in real time: emergency stops over HTTP, and a run with 50 readers.
+    #[cfg(unix)]
+    Page {
+        /// Emergency stops.
+        #[arg(default_value_t = virtual_bench::sidedoor::STOPS)]
+        stops: u32,
+    },
     /// Serves the machines on local TCP ports in real time, until interrupted.
     Serve {
         /// Port of the rig; 0 for a free one.
@@ -67,7 +74,7 @@ enum Subcommand {
         #[arg(long, value_name = "PORT")]
         hands: Option<u16>,
     },
-    /// Any command of the host tool, which here also takes `--rig virtual` and `--capsule virtual`.
+    /// Any command of the host tool, also behind the word `retrograde`, as its own `serve` has to be; which here also takes `--rig virtual` and `--capsule virtual`.
     #[command(external_subcommand)]
     Retrograde(Vec<OsString>),
 }
@@ -90,6 +97,11 @@ fn main() -> ExitCode {
             drop(writeln!(std::io::stdout(), "{line}"))
         })
         .map_err(miette::Report::from),
+        #[cfg(unix)]
+        Subcommand::Page { stops } => virtual_bench::webpage::run(stops, &mut |line| {
+            drop(writeln!(std::io::stdout(), "{line}"))
+        })
+        .map_err(miette::Report::from),
         Subcommand::Serve {
             rig,
             capsule,
@@ -97,8 +109,12 @@ fn main() -> ExitCode {
         } => serve(rig, capsule, hands).map_err(|why| miette::miette!("{why}")),
         Subcommand::Retrograde(arguments) => {
             let program = OsString::from("virtual-bench");
+            // `serve` is this program's own; the tool's is `virtual-bench retrograde serve`.
+            let own = arguments.first().is_some_and(|word| word == "retrograde");
             return host_tool::cli::run(
-                [program].into_iter().chain(arguments),
+                [program]
+                    .into_iter()
+                    .chain(arguments.into_iter().skip(usize::from(own))),
                 &BenchPorts::default(),
             );
         }

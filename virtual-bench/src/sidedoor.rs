@@ -53,18 +53,18 @@ pub enum DoorError {
 
 /// What is seen of the rig.
 #[derive(Clone, Copy, Debug, Default)]
-struct Seen {
+pub(crate) struct Seen {
     /// STEP edges so far.
-    edges: usize,
+    pub(crate) edges: usize,
     /// When the last of them was seen.
-    last: Option<Instant>,
+    pub(crate) last: Option<Instant>,
     /// By how much the machine's time has fallen behind for good.
-    lost_us: u64,
+    pub(crate) lost_us: u64,
 }
 
 /// A process that does not outlive this value, and what it says.
-struct Process {
-    child: Child,
+pub(crate) struct Process {
+    pub(crate) child: Child,
     said: File,
 }
 
@@ -77,15 +77,15 @@ impl Drop for Process {
 }
 
 /// A rig at the end of a terminal, in real time.
-struct Rig {
+pub(crate) struct Rig {
     port: String,
     seen: Arc<Mutex<Seen>>,
-    folder: tempfile::TempDir,
+    pub(crate) folder: tempfile::TempDir,
     program: PathBuf,
 }
 
 impl Rig {
-    fn start() -> Result<Self, DoorError> {
+    pub(crate) fn start() -> Result<Self, DoorError> {
         let bench = rig::start(RigOptions::WITH_BOTH_JUMPERS)?;
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
         grantpt(&master)?;
@@ -106,11 +106,22 @@ impl Rig {
         })
     }
 
-    fn seen(&self) -> Seen {
+    /// The emulator translates the image as it goes: at first it is slower than real time.
+    pub(crate) fn warm_up(&self) -> Result<(), DoorError> {
+        let begin = Instant::now();
+        while let Err(why) = self.retrograde(&["info", "rig"], 0) {
+            if begin.elapsed() > SOON {
+                return Err(why);
+            }
+        }
+        Ok(())
+    }
+
+    pub(crate) fn seen(&self) -> Seen {
         *self.seen.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn spawn(&self, args: &[&str]) -> Result<Process, DoorError> {
+    pub(crate) fn spawn(&self, args: &[&str]) -> Result<Process, DoorError> {
         let said = tempfile::tempfile()?;
         let child = Command::new(&self.program)
             .args(args)
@@ -130,11 +141,15 @@ impl Rig {
     }
 
     /// Its exit code must be `wanted`.
-    fn retrograde(&self, args: &[&str], wanted: i32) -> Result<(), DoorError> {
+    pub(crate) fn retrograde(&self, args: &[&str], wanted: i32) -> Result<(), DoorError> {
         ends(self.spawn(args)?, args, wanted)
     }
 
-    fn wait(&self, what: &str, until: impl Fn(&Seen) -> bool) -> Result<Seen, DoorError> {
+    pub(crate) fn wait(
+        &self,
+        what: &str,
+        until: impl Fn(&Seen) -> bool,
+    ) -> Result<Seen, DoorError> {
         let begin = Instant::now();
         loop {
             let seen = self.seen();
@@ -199,13 +214,7 @@ fn serve(bench: &Bench<RigBoard>, master: OwnedFd, shown: &Mutex<Seen>) -> Resul
 /// [`DoorError`]; a stop that came too late is one.
 pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
     let rig = Rig::start()?;
-    // The emulator translates the image as it goes: at first it is slower than real time.
-    let begin = Instant::now();
-    while let Err(why) = rig.retrograde(&["info", "rig"], 0) {
-        if begin.elapsed() > SOON {
-            return Err(why);
-        }
-    }
+    rig.warm_up()?;
     let mut took = vec![];
     // The first one is not counted: the emulator translates what a stop executes.
     for number in 0..=stops {
@@ -234,19 +243,31 @@ pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
         }
         rig.retrograde(&["ack"], 0)?;
     }
+    let what = "E-stop by a second process, from its start to the last edge of STEP";
+    let late = judge(what, took, say);
+    say(windows(&rig)?);
+    late
+}
+
+/// Says how long stops have taken; one that came too late is an error.
+pub(crate) fn judge(
+    what: &str,
+    mut took: Vec<Duration>,
+    say: &mut dyn FnMut(String),
+) -> Result<(), DoorError> {
     took.sort();
     let (median, most) = (took.get(took.len() / 2), took.last());
     let late = took.iter().filter(|took| **took > LIMIT).count();
     if let (Some(median), Some(most)) = (median, most) {
         say(format!(
-            "E-stop by a second process, from its start to the last edge of STEP: {} of {stops} within {} ms; median {:.1} ms, latest {:.1} ms",
+            "{what}: {} of {} within {} ms; median {:.1} ms, latest {:.1} ms",
             took.len() - late,
+            took.len(),
             LIMIT.as_millis(),
             median.as_secs_f64() * 1e3,
             most.as_secs_f64() * 1e3,
         ));
     }
-    say(windows(&rig)?);
     if late > 0 {
         return Err(DoorError::Wrong(format!("{late} stops came late")));
     }
@@ -295,7 +316,7 @@ fn windows(rig: &Rig) -> Result<String, DoorError> {
 }
 
 /// Counted edges and missed samples of the one trial in a folder.
-fn record(folder: &Path) -> Result<(u64, u64), DoorError> {
+pub(crate) fn record(folder: &Path) -> Result<(u64, u64), DoorError> {
     let (mut counted, mut missed) = (None, 0);
     for entry in std::fs::read_dir(folder)? {
         let path = entry?.path();

@@ -1,0 +1,304 @@
+//! `retrograde serve` at the image, in real time: emergency stops over HTTP, timed to the pin, and the paper's run with 50
+//! readers of which some are slow and some do not read at all.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use crate::sidedoor::{DoorError, Process, Rig, judge, record};
+
+/// Readers of the stream during a run: those that read, those that read slowly, those that do not.
+const READERS: [usize; 3] = [40, 5, 5];
+/// A slow reader reads so much at a time, with pauses of so long: less than what comes.
+const SLOW: (usize, Duration) = (1_024, Duration::from_millis(500));
+/// By how much the server may grow while it is read, KiB: what 50 connections may have waiting, and some more.
+const GROWTH_KIB: u64 = 16 * 1_024;
+/// How long the rig goes on without its host.
+const LINK_TIMEOUT_MS: &str = "10000";
+/// Everything that is waited for has happened by then.
+const SOON: Duration = Duration::from_secs(120);
+
+/// A server that a program has found as programs do.
+struct Server {
+    process: Process,
+    at: String,
+    token: String,
+    instance: String,
+    commands: u32,
+}
+
+fn wrong(why: impl std::fmt::Display) -> DoorError {
+    DoorError::Wrong(why.to_string())
+}
+
+impl Server {
+    fn start(rig: &Rig) -> Result<Self, DoorError> {
+        let process = rig.spawn(&["retrograde", "serve", "--listen", "127.0.0.1:0"])?;
+        let begin = Instant::now();
+        let plate: Value = loop {
+            if let Ok(text) = std::fs::read(rig.folder.path().join("serve.json")) {
+                break serde_json::from_slice(&text).map_err(wrong)?;
+            }
+            if begin.elapsed() > SOON {
+                return Err(wrong("the server does not say where it is"));
+            }
+            thread::sleep(Duration::from_millis(10));
+        };
+        let text = |name: &str| plate[name].as_str().unwrap_or_default().to_owned();
+        let url = text("url");
+        let at = url.trim_start_matches("http://").trim_end_matches('/');
+        let server = Self {
+            process,
+            at: at.to_owned(),
+            token: text("token"),
+            instance: text("instance"),
+            commands: 0,
+        };
+        while server.get("/api/v1/state")?["machines"]["rig"]["contact"] != "owned" {
+            if begin.elapsed() > SOON {
+                return Err(wrong("the server has no line"));
+            }
+            thread::sleep(Duration::from_millis(50));
+        }
+        Ok(server)
+    }
+
+    fn request(&self, head: &str, body: &str) -> Result<Value, DoorError> {
+        let mut stream = TcpStream::connect(&self.at)?;
+        stream.set_read_timeout(Some(SOON))?;
+        let text = format!(
+            "{head} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\nAuthorization: Bearer {}\r\nIdempotency-Key: {}-{}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
+            self.at,
+            self.token,
+            self.instance,
+            self.commands,
+            body.len()
+        );
+        stream.write_all(text.as_bytes())?;
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer)?;
+        let (_, body) = answer.split_once("\r\n\r\n").unwrap_or_default();
+        serde_json::from_str(body).map_err(|why| wrong(format!("{head}: {why}: {answer}")))
+    }
+
+    fn get(&self, path: &str) -> Result<Value, DoorError> {
+        self.request(&format!("GET {path}"), "")
+    }
+
+    /// A command from its acceptance on.
+    fn begin(&mut self, path: &str, body: &Value) -> Result<Value, DoorError> {
+        self.commands += 1;
+        let answer = self.request(&format!("POST /api/v1/rig/{path}"), &body.to_string())?;
+        match answer["ok"] == true {
+            true => Ok(answer["action"].clone()),
+            false => Err(wrong(format!("{path}: {answer}"))),
+        }
+    }
+
+    /// Its end, which must be as wanted.
+    fn end(&self, action: &Value, wanted: &str) -> Result<(), DoorError> {
+        let id = action["id"].as_str().unwrap_or_default();
+        let begin = Instant::now();
+        loop {
+            let now = &self.get(&format!("/api/v1/actions/{id}?wait_s=60"))?["action"];
+            match now["state"].as_str() {
+                Some(state) if state == wanted => return Ok(()),
+                Some("under_way" | "starting") if begin.elapsed() < SOON => {}
+                _ => return Err(wrong(format!("not {wanted}: {now}"))),
+            }
+        }
+    }
+
+    /// Memory of the process that is in use, KiB.
+    fn resident_kib(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.process.child.id()));
+        let status = status.unwrap_or_default();
+        let line = status.lines().find(|line| line.starts_with("VmRSS:"));
+        let number = line.and_then(|line| line.split_whitespace().nth(1));
+        number.and_then(|text| text.parse().ok()).unwrap_or(0)
+    }
+}
+
+/// Emergency stops over HTTP while a run is at work, then a run with readers; prints what was measured.
+///
+/// # Errors
+/// [`DoorError`]; a stop that came too late is one, and so is a server that grows.
+pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
+    let rig = Rig::start()?;
+    rig.warm_up()?;
+    // A busy computer may leave the server without time for a second; what is measured is not to end for that.
+    rig.retrograde(&["settings", "set", "link_timeout_ms", LINK_TIMEOUT_MS], 0)?;
+    let mut server = Server::start(&rig)?;
+    let mut took = vec![];
+    // The first one is not counted: the emulator translates what a stop executes.
+    for number in 0..=stops {
+        let homing = server.begin("home", &json!({}))?;
+        server.end(&homing, "complete")?;
+        let edges = rig.seen().edges;
+        let body = json!({ "cycles": 1, "stroke_mm": 40, "duration_s": 8 });
+        let running = server.begin("run", &body)?;
+        // Somewhere in the first half second.
+        let at = edges + 200 + (number as usize * 37) % 1_500;
+        rig.wait("motion", |seen| seen.edges > at)?;
+        let begin = Instant::now();
+        let answer = server.request("POST /api/v1/estop", "")?;
+        if answer["ok"] != true {
+            return Err(wrong(format!("not stopped: {answer}")));
+        }
+        server.end(&running, "faulted")?;
+        let last = rig.seen().last.unwrap_or(begin);
+        if number > 0 {
+            took.push(last.duration_since(begin));
+        }
+        server.begin("ack", &json!({}))?;
+    }
+    let late = judge(
+        "E-stop over HTTP, from before its connection to the last edge of STEP",
+        took,
+        say,
+    );
+    say(readers(&rig, &mut server)?);
+    late
+}
+
+/// What a reader has got.
+#[derive(Default)]
+struct Got {
+    samples: u64,
+    lost: u64,
+}
+
+/// The paper's run with 50 readers.
+fn readers(rig: &Rig, server: &mut Server) -> Result<String, DoorError> {
+    let homing = server.begin("home", &json!({}))?;
+    server.end(&homing, "complete")?;
+    let data = rig.folder.path().join("retrograde-data");
+    // Those of the stops.
+    std::fs::remove_dir_all(&data)?;
+    let resident = server.resident_kib();
+    let before = rig.seen();
+    let (mut reading, mut stuck) = (vec![], vec![]);
+    let over = Arc::new(AtomicBool::new(false));
+    for (kind, count) in READERS.into_iter().enumerate() {
+        for _ in 0..count {
+            let mut stream = TcpStream::connect(&server.at)?;
+            let head = format!("GET /api/v1/stream HTTP/1.1\r\nHost: {}\r\n\r\n", server.at);
+            stream.write_all(head.as_bytes())?;
+            match kind {
+                0 => reading.push((0, thread::spawn(move || read(stream)))),
+                1 => {
+                    let slow = Slow(stream, Arc::clone(&over));
+                    reading.push((1, thread::spawn(move || read(slow))));
+                }
+                _ => stuck.push(stream),
+            }
+        }
+    }
+    let running = server.begin("run", &json!({}))?;
+    let mut most = resident;
+    let id = running["id"].clone();
+    loop {
+        let action = &server.get("/api/v1/state")?["machines"]["rig"]["action"];
+        most = most.max(server.resident_kib());
+        if action["id"] == id && action["state"] != "under_way" {
+            break;
+        }
+        thread::sleep(Duration::from_millis(250));
+    }
+    server.end(&running, "complete")?;
+    let (counted, missed) = counts(&data)?;
+    let after = rig.seen();
+    let driven = after.edges - before.edges;
+    let lost_ms = (after.lost_us - before.lost_us) / 1_000;
+    over.store(true, Ordering::Relaxed);
+    // Slow ones hear what is left for them, and what they have lost.
+    thread::sleep(Duration::from_secs(3));
+    // The ends of the streams are those of the server.
+    let _ = server.process.child.kill();
+    drop(stuck);
+    let mut got = [(u64::MAX, 0), (u64::MAX, 0)];
+    let mut all = vec![];
+    for (kind, reader) in reading {
+        let Ok(Got { samples, lost }) = reader.join() else {
+            return Err(wrong("a reader failed"));
+        };
+        all.push(samples + lost);
+        let (least, most) = &mut got[kind];
+        *least = samples.min(*least);
+        *most = lost.max(*most);
+    }
+    let [(fast, fast_lost), (slow, slow_lost)] = got;
+    let growth = most.saturating_sub(resident);
+    let text = format!(
+        "the paper's run with {} readers that read, {} slow ones and {} that do not: {driven} edges at the pin, {counted} counted, {missed} samples missed in the record; each that reads got {fast} samples or more and lost {fast_lost} at most, a slow one got {slow} and was told of {slow_lost} lost; the server took {:.1} MiB before and {:.1} MiB at most; the emulator was {lost_ms} ms slower than time",
+        READERS[0],
+        READERS[1],
+        READERS[2],
+        resident as f64 / 1_024.0,
+        most as f64 / 1_024.0,
+    );
+    // Whoever was told of losses was told of all of them; at the very end some may have heard a portion more.
+    let spread = all.iter().max().zip(all.iter().min());
+    let told = spread.is_some_and(|(most, least)| most - least < 40);
+    let exact = (driven, counted, missed) == (1_040_000, 1_040_000, 0);
+    if exact && told && fast_lost == 0 && slow_lost > 0 && growth < GROWTH_KIB {
+        Ok(text)
+    } else {
+        Err(wrong(text))
+    }
+}
+
+/// Edges and missed samples of the one run; its record is closed shortly after its end.
+fn counts(folder: &Path) -> Result<(u64, u64), DoorError> {
+    let begin = Instant::now();
+    loop {
+        match record(folder) {
+            Ok(counts) => return Ok(counts),
+            Err(why) if begin.elapsed() > Duration::from_secs(5) => return Err(why),
+            Err(_) => thread::sleep(Duration::from_millis(50)),
+        }
+    }
+}
+
+/// Reads less than what comes, until the run is over.
+struct Slow(TcpStream, Arc<AtomicBool>);
+
+impl Read for Slow {
+    fn read(&mut self, into: &mut [u8]) -> std::io::Result<usize> {
+        if self.1.load(Ordering::Relaxed) {
+            return self.0.read(into);
+        }
+        thread::sleep(SLOW.1);
+        let most = into.len().min(SLOW.0);
+        self.0.read(&mut into[..most])
+    }
+}
+
+/// Reads a stream to its end.
+fn read(from: impl Read) -> Got {
+    let mut got = Got::default();
+    let mut event = String::new();
+    for line in BufReader::new(from).lines().map_while(Result::ok) {
+        if let Some(name) = line.strip_prefix("event: ") {
+            name.clone_into(&mut event);
+        } else if let Some(data) = line.strip_prefix("data: ") {
+            let Ok(data) = serde_json::from_str::<Value>(data) else {
+                continue;
+            };
+            match event.as_str() {
+                "rig" => {
+                    got.samples += data["samples"].as_array().map_or(0, |all| all.len() as u64)
+                }
+                "lost" => got.lost += data["rig_samples"].as_u64().unwrap_or(0),
+                _ => {}
+            }
+        }
+    }
+    got
+}
