@@ -1,26 +1,27 @@
 //! The command line tool, a thin layer over the library. A program that has a [`Connector`] of its own can call [`run`],
 //! too.
 
-mod already;
+pub(crate) mod already;
 pub mod args;
 mod campaign;
 mod commission;
 pub mod configured;
 pub mod doctor;
 pub mod failure;
-mod finding;
+pub(crate) mod finding;
 mod flash;
 mod fresh;
-mod interrupt;
+pub(crate) mod interrupt;
 mod keyboard;
 pub mod machines;
-mod motion;
+pub(crate) mod motion;
 mod offline;
 mod partial;
 mod records;
 mod run;
 pub mod science;
 mod screen;
+mod serve;
 mod settings;
 pub mod stops;
 mod study;
@@ -190,6 +191,7 @@ fn carry_out(
         Subcommand::Resume => motion::resume(finder, screen),
         Subcommand::Jog(args) => motion::jog(args, finder, screen),
         Subcommand::Move(args) => motion::move_to(args, finder, screen),
+        Subcommand::Serve(args) => serve::serve(args, finder, screen),
         Subcommand::Watch(args) => watch::watch(args, finder, screen),
         Subcommand::Health => motion::health(finder, screen),
         Subcommand::Settings { of, subcommand } => {

@@ -25,6 +25,7 @@
 //! * [`wording`]: refusals in people's units.
 //! * [`image`]: what may be flashed.
 //! * [`progress`]: progress for people, as a bar or as lines.
+//! * [`serve`]: both machines for browsers and programs, over HTTP.
 //! * [`catalogue`]: campaigns and trials by date, specimen, outcome.
 //! * [`cli`]: the command line, a thin layer over all this.
 #![forbid(unsafe_code)]
@@ -55,6 +56,7 @@ pub mod plan;
 pub mod progress;
 pub mod report;
 pub mod science;
+pub mod serve;
 pub mod statistics;
 pub mod trial;
 pub mod wording;

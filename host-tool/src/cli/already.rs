@@ -1,6 +1,6 @@
 //! Commands that find their goal reached: they succeed and say so, so that a script can repeat them.
 
-use protocol::capsule::{ActuationKind, CapsuleState};
+use protocol::capsule::{ActuationKind, CapsuleState, CapsuleStatus};
 use protocol::error::Refusal;
 use serde_json::{Value, json};
 
@@ -20,12 +20,11 @@ pub(crate) fn is_there(error: &ClientError) -> bool {
     )
 }
 
-/// The result if the capsule already is what the actuation would make it: nothing moves and nothing is recorded.
-pub(crate) fn actuated(
+/// The capsule's status, and what it is called, if it already is what the actuation would make it.
+pub(crate) fn reached(
     kind: ActuationKind,
     capsule: &mut Device,
-    screen: &mut Screen<'_>,
-) -> Result<Option<Value>, Failure> {
+) -> Result<Option<(CapsuleStatus, &'static str)>, ClientError> {
     let (goal, name) = match kind {
         ActuationKind::Fold => (CapsuleState::Folded, "folded"),
         ActuationKind::Unfold => (CapsuleState::Unfolded, "unfolded"),
@@ -33,9 +32,19 @@ pub(crate) fn actuated(
     };
     let status = capsule.capsule_status()?;
     // One that is not referenced has more to say.
-    if status.state != goal || !status.referenced || status.fault.is_some() {
+    let there = status.state == goal && status.referenced && status.fault.is_none();
+    Ok(there.then_some((status, name)))
+}
+
+/// The result if the capsule already is what the actuation would make it: nothing moves and nothing is recorded.
+pub(crate) fn actuated(
+    kind: ActuationKind,
+    capsule: &mut Device,
+    screen: &mut Screen<'_>,
+) -> Result<Option<Value>, Failure> {
+    let Some((status, name)) = reached(kind, capsule)? else {
         return Ok(None);
-    }
+    };
     screen.say(&format!(
         "The capsule is {name} already; nothing moved and nothing was recorded."
     ));

@@ -1,5 +1,6 @@
 //! The command line.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -24,6 +25,7 @@ Examples:
   retrograde home                               find the position, before a run
   retrograde run --cycles 5 --duration-s 40     the paper's run, recorded in retrograde-data
   retrograde watch                              see it run, from another terminal
+  retrograde serve                              the same on a page, with buttons, and for programs
   retrograde run --stroke-mm 60 --speed-mm-s 10 --note 'second body'
   retrograde campaign run examples/paper.toml   the paper's trials, step by step
   retrograde plan --duration-s 40 --plot run.svg   the same without a rig
@@ -118,6 +120,9 @@ pub enum Subcommand {
     Move(MoveArgs),
     /// Watch the machines on one screen, also while another `retrograde` works with them; keys hold, resume and stop.
     Watch(WatchArgs),
+    /// Serve both machines to browsers and programs: a page, and HTTP with JSON, on this computer only unless told
+    /// otherwise. Other commands keep working beside it.
+    Serve(ServeArgs),
     /// Show the rig's counters: false pulses, serial errors, stack use, underruns.
     Health,
     /// Settings and name of a machine.
@@ -567,6 +572,27 @@ pub struct WatchArgs {
     /// End after this time in s; otherwise with q, or with a signal.
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = above_zero::<ShortSeconds>)]
     pub for_s: Option<ShortSeconds>,
+}
+
+/// Arguments of `serve`.
+#[derive(Debug, Args)]
+pub struct ServeArgs {
+    /// Where to listen; port 0 takes a free one. With an address that others can reach, whoever reads along in that
+    /// network reads the token and can move the machines: there is no encryption.
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7080")]
+    pub listen: SocketAddr,
+    /// Read the token from this file, and make one there if there is none. Otherwise each start has a new one.
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
+    /// A name by which browsers call this computer, beside `localhost` and numbers; repeat it for several.
+    #[arg(long = "host", value_name = "NAME")]
+    pub hosts: Vec<String>,
+    /// Folder of the records.
+    #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
+    pub out: PathBuf,
+    /// The campaign whose next step is shown; by default the newest one that is not complete.
+    #[arg(long, value_name = "DIR")]
+    pub campaign: Option<PathBuf>,
 }
 
 /// Folder of all records, unless the user names another.

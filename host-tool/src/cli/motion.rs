@@ -20,7 +20,16 @@ use crate::trial::Status;
 const RENEW_US: u64 = 100_000;
 
 pub(crate) fn hold(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut rig = finder.connect(DeviceKind::Rig)?;
+    let status = held(&mut finder.connect(DeviceKind::Rig)?)?;
+    screen.say(&format!(
+        "Held at {} mm; `retrograde resume` continues the run, `retrograde stop` ends it.",
+        millimetres(&status)
+    ));
+    Ok(json!({ "held": true, "status": status }))
+}
+
+/// Holds the run that goes on, and waits until the carriage stands.
+pub(crate) fn held(rig: &mut Device) -> Result<RigStatus, Failure> {
     rig.call(rig::Hold)?;
     let status = rig.wait_rest()?;
     if status.state == RigState::Running {
@@ -39,11 +48,7 @@ pub(crate) fn hold(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value
             ending => ended("the run", ending, &status, None),
         });
     }
-    screen.say(&format!(
-        "Held at {} mm; `retrograde resume` continues the run, `retrograde stop` ends it.",
-        millimetres(&status)
-    ));
-    Ok(json!({ "held": true, "status": status }))
+    Ok(status)
 }
 
 pub(crate) fn resume(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
@@ -143,7 +148,7 @@ pub(crate) fn move_to(
 }
 
 /// The failure of a motion that ended early.
-fn cut_short(action: &'static str, rig: &Device, status: &RigStatus) -> Failure {
+pub(crate) fn cut_short(action: &'static str, rig: &Device, status: &RigStatus) -> Failure {
     let (ending, reason) = match (status.fault, rig.interrupted()) {
         (Some(_), _) => (Status::Faulted, None),
         (None, Some(_)) => (Status::Stopped, None),
@@ -179,7 +184,7 @@ fn ended(
     }
 }
 
-fn millimetres(status: &RigStatus) -> String {
+pub(crate) fn millimetres(status: &RigStatus) -> String {
     decimal::write_signed(status.position_um.into(), 3)
 }
 

@@ -53,7 +53,7 @@ pub struct Told {
 }
 
 impl Told {
-    fn new(target: &Target, result: Result<String, Failure>) -> Self {
+    pub(crate) fn new(target: &Target, result: Result<String, Failure>) -> Self {
         let (delivery, why) = match &result {
             Ok(_) => (Delivery::Stopped, String::new()),
             Err(failure) => (delivery(failure), failure.to_string()),

@@ -75,6 +75,7 @@ pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
         | Subcommand::Hold
         | Subcommand::Resume
         | Subcommand::Health
+        | Subcommand::Serve(_)
         | Subcommand::Watch(_)
         | Subcommand::Plan(_)
         | Subcommand::Design(_)

@@ -244,7 +244,7 @@ fn host(at: SocketAddr) -> String {
 }
 
 /// The folder, made if need be, and safe from other users.
-fn folder() -> Result<PathBuf, String> {
+pub(crate) fn folder() -> Result<PathBuf, String> {
     let folder = match std::env::var_os(FOLDER_VARIABLE) {
         Some(folder) if !folder.is_empty() => PathBuf::from(folder),
         _ => default_folder()?,

@@ -1,0 +1,211 @@
+//! What does not pass through a keeper, each on a thread of its own: stops, which wait for nothing, and questions that are
+//! asked through the door, as other processes ask them, so that they are answered while the keeper works.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::Receiver;
+use std::thread::{self, Scope};
+use std::time::{Duration, Instant};
+
+use protocol::rig;
+use protocol::settings::{GetSetting, SettingKey};
+use protocol::system::{DeviceKind, Urgent};
+use serde_json::{Value, json};
+use tokio::sync::oneshot;
+
+use crate::cli::failure::Failure;
+use crate::cli::finding::{Finder, Target, past_owners};
+use crate::cli::stops::{DO_NOW, Delivery, Told};
+use crate::cli::watch::panel::Notice;
+use crate::client::Device;
+use crate::connector::Purpose;
+use crate::serve::board::{Board, Machine, stop_name};
+
+/// Stops on their way at a time. Beyond that they are left to the keepers, which send them within 20 ms.
+const STOPS: usize = 32;
+
+/// Questions on their way at a time.
+const QUESTIONS: usize = 4;
+
+/// How long the keeper may take to confirm a stop that did not get through on its own way.
+const KEEPERS: Duration = Duration::from_secs(1);
+
+/// A question about the rig.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Question {
+    Health,
+    Settings,
+}
+
+/// What is to be done.
+pub(crate) enum Errand {
+    Stop {
+        machine: DeviceKind,
+        urgent: Urgent,
+        reply: oneshot::Sender<Told>,
+    },
+    Ask {
+        question: Question,
+        reply: oneshot::Sender<Result<Value, Failure>>,
+    },
+    /// The server ends.
+    End,
+}
+
+/// Errands on their way.
+#[derive(Debug, Default)]
+pub(crate) struct Counts {
+    stops: AtomicUsize,
+    questions: AtomicUsize,
+}
+
+/// One more on its way, as long as it lives.
+struct Counted<'a>(&'a AtomicUsize);
+
+impl<'a> Counted<'a> {
+    fn take(count: &'a AtomicUsize, most: usize) -> Option<Self> {
+        let more = |before: usize| (before < most).then_some(before + 1);
+        count
+            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, more)
+            .ok()
+            .map(|_| Self(count))
+    }
+}
+
+impl Drop for Counted<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+/// Sends errands off until the server ends.
+pub(crate) fn run<'scope>(
+    scope: &'scope Scope<'scope, '_>,
+    finder: &'scope Finder<'scope>,
+    board: &'scope Board,
+    counts: &'scope Counts,
+    errands: &Receiver<Errand>,
+) {
+    for errand in errands {
+        match errand {
+            Errand::End => return,
+            Errand::Stop {
+                machine,
+                urgent,
+                reply,
+            } => {
+                let Some(machine) = board.machine(machine) else {
+                    continue;
+                };
+                let counted = Counted::take(&counts.stops, STOPS);
+                let direct = counted.is_some();
+                if !direct && counts.stops.load(Ordering::SeqCst) > 8 * STOPS {
+                    // The keeper has it all the same.
+                    continue;
+                }
+                let counted = counted.unwrap_or_else(|| {
+                    counts.stops.fetch_add(1, Ordering::SeqCst);
+                    Counted(&counts.stops)
+                });
+                scope.spawn(move || {
+                    let told = stop(finder, board, machine, urgent, direct);
+                    drop(counted);
+                    // Whoever wanted it may have left.
+                    let _ = reply.send(told);
+                });
+            }
+            Errand::Ask { question, reply } => match Counted::take(&counts.questions, QUESTIONS) {
+                None => {
+                    let _ = reply.send(Err(Failure::NothingFound {
+                        there: "too many questions at once: ask again".to_owned(),
+                    }));
+                }
+                Some(counted) => {
+                    scope.spawn(move || {
+                        let answer = ask(finder, board, question);
+                        drop(counted);
+                        let _ = reply.send(answer);
+                    });
+                }
+            },
+        }
+    }
+}
+
+/// Stops a machine through the door of its owner, which is the keeper's more often than not, or over a line of its own; and if that
+/// fails, waits for the keeper, which sends it, too.
+fn stop(
+    finder: &Finder<'_>,
+    board: &Board,
+    machine: &Machine,
+    urgent: Urgent,
+    direct: bool,
+) -> Told {
+    let target = Target {
+        kind: Some(machine.kind),
+        address: Some(machine.address.clone()),
+    };
+    let mut told = if direct {
+        Told::new(&target, finder.urgent(&target, urgent))
+    } else {
+        Told {
+            machine: target.to_string(),
+            delivery: Delivery::NotConfirmed,
+            why: "many stops at once".to_owned(),
+        }
+    };
+    if told.delivery != Delivery::Stopped {
+        let begin = Instant::now();
+        while begin.elapsed() < KEEPERS && machine.wanted().is_some_and(|wanted| wanted == urgent) {
+            thread::sleep(Duration::from_millis(5));
+        }
+        if machine.wanted().is_none() {
+            told.delivery = Delivery::Stopped;
+            told.why = String::new();
+        }
+    }
+    let name = stop_name(urgent);
+    if told.delivery != Delivery::Stopped {
+        let notice = format!("{name} NOT CONFIRMED: {DO_NOW} ({})", told.why);
+        board.notice(machine, Notice::Bad(notice));
+    }
+    machine.done(urgent);
+    told
+}
+
+fn ask(finder: &Finder<'_>, board: &Board, question: Question) -> Result<Value, Failure> {
+    let Some(machine) = board.machine(DeviceKind::Rig) else {
+        return Err(Failure::Input {
+            why: "this server has no rig".to_owned(),
+            help: "start it with `--rig WHERE`".to_owned(),
+        });
+    };
+    past_owners(|| {
+        let link = finder.connector.open(
+            machine.kind,
+            &machine.address,
+            finder.cli.baud,
+            Purpose::Look,
+        )?;
+        let mut rig = Device::new(link);
+        rig.hello(finder.connector.nonce())?;
+        rig.require(DeviceKind::Rig)?;
+        match question {
+            Question::Health => Ok(json!({ "health": rig.call(rig::GetRigHealth)? })),
+            Question::Settings => {
+                let settings = SettingKey::ALL
+                    .iter()
+                    .map(|&key| {
+                        let value = rig.call(GetSetting { key })?.value;
+                        let range = key.range();
+                        Ok(json!({
+                            "name": key.name(), "value": value, "unit": key.unit(),
+                            "min": range.min, "max": range.max, "default": range.default,
+                            "purpose": key.doc(),
+                        }))
+                    })
+                    .collect::<Result<Vec<_>, Failure>>()?;
+                Ok(json!({ "settings": settings }))
+            }
+        }
+    })
+}
