@@ -429,7 +429,7 @@ pub enum RigEvent {
         /// Shift of the reference against the previous homing, if the position was trusted.
         shift_steps: i32,
     },
-    /// The first stroke began.
+    /// A run was accepted and begins, with its start delay.
     RunStarted {
         /// Number of the run.
         run: u32,
