@@ -16,6 +16,7 @@ mod limits;
 mod link;
 mod random;
 mod rig;
+mod serial_client;
 mod settings;
 mod silicon;
 mod speed;
