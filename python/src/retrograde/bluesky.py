@@ -1,0 +1,371 @@
+"""Devices for bluesky's RunEngine. Nothing of bluesky is imported: the RunEngine asks only for the methods.
+
+    from bluesky import RunEngine
+    from bluesky.plans import fly
+    from bluesky.preprocessors import stage_wrapper
+    import retrograde
+    from retrograde.bluesky import Rig
+
+    rig = Rig(retrograde.connect())
+    RE = RunEngine()
+    RE(stage_wrapper(fly([rig]), [rig]))      # homes if need be, then the paper's run
+
+`Rig` can be read (position, speed, state, the last run), moved (`bps.mv(rig, 60)`, mm) and flown (a run; its telemetry is collected).
+`bps.prepare(rig, {...})` says which run: what `Rig.run` of the package takes. RE's pause holds a run, its resume goes on with it.
+Its stop and abort stop it, if the device was staged, as above.
+
+`Capsule` can be read and set to "folded" or "unfolded".
+"""
+
+from __future__ import annotations
+
+import datetime
+import threading
+import time
+from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple
+
+from .client import Action, Lab
+from .errors import RetrogradeError, Stopped
+
+# Value and time stamp, as bluesky describes them.
+Reading = Any
+# Description of a value: dtype, unit.
+Key = Tuple[str, str]
+
+
+class Status:
+    """Tells whether something has ended, and how: bluesky's `Status`."""
+
+    def __init__(self, work: Callable[[], Any]) -> None:
+        self._lock = threading.Lock()
+        self._ended = threading.Event()
+        self._callbacks: List[Callable[["Status"], None]] = []
+        self._exception: Optional[BaseException] = None
+        self.value: Any = None
+        """What the work gave."""
+        threading.Thread(target=self._run, args=(work,), daemon=True).start()
+
+    def __repr__(self) -> str:
+        if not self.done:
+            return "<Status: under way>"
+        return "<Status: done>" if self._exception is None else f"<Status: failed: {self._exception}>"
+
+    def _run(self, work: Callable[[], Any]) -> None:
+        try:
+            self.value = work()
+        except BaseException as why:  # noqa: B902 - the RunEngine is told
+            self._exception = why
+        with self._lock:
+            self._ended.set()
+            callbacks = list(self._callbacks)
+        for callback in callbacks:
+            callback(self)
+
+    def add_callback(self, callback: Callable[["Status"], None]) -> None:
+        """Calls it at the end; at once if that has been."""
+        with self._lock:
+            if not self._ended.is_set():
+                self._callbacks.append(callback)
+                return
+        callback(self)
+
+    def exception(self, timeout: Optional[float] = 0.0) -> Optional[BaseException]:
+        """How it failed, if it did; waits for the end."""
+        if not self._ended.wait(timeout):
+            raise TimeoutError("it has not ended")
+        return self._exception
+
+    def wait(self, timeout: Optional[float] = None) -> None:
+        """Waits for the end; raises how it failed."""
+        why = self.exception(timeout)
+        if why is not None:
+            raise why
+
+    @property
+    def done(self) -> bool:
+        """It has ended."""
+        return self._ended.is_set()
+
+    @property
+    def success(self) -> bool:
+        """It has ended as planned."""
+        return self.done and self._exception is None
+
+
+def _described(source: str, keys: Mapping[str, Key]) -> Dict[str, Any]:
+    described: Dict[str, Any] = {}
+    for name, (dtype, units) in keys.items():
+        described[name] = {"source": source, "dtype": dtype, "shape": []}
+        if units:
+            described[name]["units"] = units
+    return described
+
+
+def _read(values: Mapping[str, Any]) -> Dict[str, Reading]:
+    now = time.time()
+    return {name: {"value": value, "timestamp": now} for name, value in values.items()}
+
+
+class Rig:
+    """The rig as a readable, movable and flyable device."""
+
+    parent = None
+
+    def __init__(self, lab: Lab, name: str = "rig", **run: Any) -> None:
+        """`run` says which run is flown, as in `retrograde.Rig.run`; the paper's if nothing is said."""
+        self.name = name
+        self._lab = lab
+        self._rig = lab.rig
+        self._run: Dict[str, Any] = run
+        self._flown: Optional[Action[Any]] = None
+        self._flight: Optional[Status] = None
+        self._moving: Optional[Action[Any]] = None
+        self._target_mm: Optional[float] = None
+        self._held = False
+        self._resumed = False
+        self._record: Dict[str, Any] = {}
+
+    @property
+    def hints(self) -> Dict[str, Any]:
+        """What is worth a plot."""
+        return {"fields": [self.name]}
+
+    # Readable: the position is called as the device.
+
+    def _keys(self) -> Dict[str, Key]:
+        name = self.name
+        return {
+            name: ("number", "mm"),
+            f"{name}_speed": ("number", "mm/s"),
+            f"{name}_state": ("string", ""),
+            f"{name}_run": ("integer", ""),
+            f"{name}_run_outcome": ("string", ""),
+            f"{name}_run_steps_counted": ("integer", "steps"),
+            f"{name}_run_duration": ("number", "s"),
+        }
+
+    def describe(self) -> Dict[str, Any]:
+        """What `read` gives."""
+        return _described(self._lab.url, self._keys())
+
+    def read(self) -> Dict[str, Reading]:
+        """Position and speed now, and the run that this device has flown last."""
+        sample = self._rig.sample()
+        record = self._record
+        values = (
+            sample["position_um"] / 1e3,
+            sample["speed_um_s"] / 1e3,
+            sample["state"],
+            record.get("run", 0),
+            record.get("outcome", "none"),
+            record.get("counted_edges", 0),
+            record.get("ticks", 0) / 1e8,
+        )
+        return _read(dict(zip(self._keys(), values)))
+
+    def describe_configuration(self) -> Dict[str, Any]:
+        """What `read_configuration` gives."""
+        keys: Dict[str, Key] = {f"{self.name}_{key}": ("string", "") for key in ("uid", "firmware", "origin")}
+        keys.update({f"{self.name}_{it['name']}": ("integer", it.get("unit", "")) for it in self._rig.settings()})
+        return _described(self._lab.url, keys)
+
+    def read_configuration(self) -> Dict[str, Reading]:
+        """Which rig it is, whether it is a real one (`origin`), and its settings."""
+        state = self._rig.state()
+        identity = state.get("identity") or {}
+        values: Dict[str, Any] = {
+            f"{self.name}_uid": identity.get("uid", ""),
+            f"{self.name}_firmware": identity.get("revision", ""),
+            f"{self.name}_origin": state.get("origin", "unknown"),
+        }
+        values.update({f"{self.name}_{it['name']}": it["value"] for it in self._rig.settings()})
+        return _read(values)
+
+    # Stageable.
+
+    def stage(self) -> List[Any]:
+        """Homes the rig if it does not know its position, or does not stand at 0."""
+        if not self._rig.state().get("homed") or self.position:
+            self._rig.home()
+        return [self]
+
+    def unstage(self) -> List[Any]:
+        """Stops a run that is still under way: its plan was ended early. (The RunEngine itself stops only what was `set`.)"""
+        flown, self._resumed = self._flown, False
+        if flown is not None and not flown.is_over:
+            self._rig.stop()
+            flown.refresh(10)
+        return [self]
+
+    # Movable.
+
+    @property
+    def position(self) -> float:
+        """Where the carriage is, mm."""
+        return self._rig.sample()["position_um"] / 1e3
+
+    def set(self, position_mm: float) -> Status:
+        """Moves to a position, mm."""
+        self._target_mm = float(position_mm)
+        self._moving = action = self._rig.start_move(self._target_mm)
+        return Status(action.wait)
+
+    def locate(self) -> Dict[str, float]:
+        """Where it was sent, and where it is, mm."""
+        position = self.position
+        return {"setpoint": position if self._target_mm is None else self._target_mm, "readback": position}
+
+    def stop(self, *, success: bool = False) -> None:
+        """Called at the end of a plan that failed or was ended, whatever the device was doing: stops what goes on."""
+        del success
+        if any(action is not None and not action.is_over for action in (self._moving, self._flown)):
+            self._rig.stop()
+
+    # Flyable: a run.
+
+    def prepare(self, run: Mapping[str, Any]) -> Status:
+        """Which run is flown from now on."""
+
+        def prepare() -> None:
+            wanted = dict(run)
+            # Solved before anything moves: what no rig can do is refused here.
+            self._lab.plan(**wanted)
+            self._run = wanted
+
+        return Status(prepare)
+
+    def kickoff(self) -> Status:
+        """Starts the run; done when the rig has accepted it."""
+        # After a pause the RunEngine repeats what it did since the last checkpoint. The run that was held goes on already.
+        goes_on, self._resumed = self._resumed, False
+
+        def start() -> None:
+            if not (goes_on and self._flown is not None and not self._flown.is_over):
+                self._flown = self._rig.start_run(**self._run)
+
+        return Status(start)
+
+    def complete(self) -> Status:
+        """Done at the end of the run; fails if it was stopped or ended by a fault."""
+        flown = self._flown
+        if flown is None:
+            raise RetrogradeError("no run was started", "kickoff comes first")
+
+        def end() -> None:
+            record = flown.wait()
+            # The record says how it went, the plan which one it was.
+            self._record = {"run": (flown.data.get("accepted") or {}).get("run", 0), **record}
+
+        self._flight = Status(end)
+        return self._flight
+
+    def pause(self) -> None:
+        """The RunEngine pauses: a run is held. One that ends before it can be held is complete."""
+        if self._flown is not None and not self._flown.is_over:
+            try:
+                self._rig.hold()
+                self._held = True
+            except Stopped:
+                raise
+            except RetrogradeError:
+                if not self._flown.refresh()["state"] == "complete":
+                    raise
+
+    def resume(self) -> None:
+        """The RunEngine resumes: goes on with the held run."""
+        if self._held:
+            self._held = False
+            self._rig.resume()
+            self._resumed = True
+
+    def _flight_keys(self) -> Dict[str, Key]:
+        name = self.name
+        return {
+            f"{name}_telemetry_device_time": ("number", "s"),
+            f"{name}_telemetry_position": ("number", "mm"),
+            f"{name}_telemetry_speed": ("number", "mm/s"),
+            f"{name}_telemetry_stroke": ("integer", ""),
+            f"{name}_telemetry_missed": ("integer", ""),
+        }
+
+    def describe_collect(self) -> Dict[str, Dict[str, Any]]:
+        """One stream: the telemetry of the run."""
+        return {f"{self.name}_telemetry": _described(self._lab.url, self._flight_keys())}
+
+    def collect(self) -> Iterator[Dict[str, Any]]:
+        """The telemetry of the run, as the server has recorded it. Wall-clock times are right to some 10 ms; those of the device to 1 us."""
+        flown = self._flown
+        if flown is None:
+            raise RetrogradeError("there is no run to collect", "kickoff and complete come first")
+        if not flown.is_over or "csv" not in flown.files:
+            # The RunEngine also collects when a plan fails or is aborted.
+            return
+        rows = self._lab.rows(flown.files["csv"])
+        began = _wall(flown.data["started_utc"])
+        first_us = rows[0]["time_us"] if rows else 0
+        for row in rows:
+            at = began + (row["time_us"] - first_us) / 1e6
+            values = (row["time_us"] / 1e6, float(row["position_mm"]), float(row["speed_mm_s"]), row["stroke"], row["missed"])
+            data = dict(zip(self._flight_keys(), values))
+            yield {"time": at, "data": data, "timestamps": {key: at for key in data}}
+
+
+def _wall(utc: str) -> float:
+    """Seconds since 1970 of a time as the server writes it."""
+    whole, _, rest = utc.rstrip("Z").partition(".")
+    moment = datetime.datetime.strptime(whole, "%Y-%m-%dT%H:%M:%S").replace(tzinfo=datetime.timezone.utc)
+    return moment.timestamp() + (float(f"0.{rest}") if rest else 0.0)
+
+
+class Capsule:
+    """The capsule as a readable and movable device: "folded", "unfolded"."""
+
+    parent = None
+
+    def __init__(self, lab: Lab, name: str = "capsule") -> None:
+        self.name = name
+        self._lab = lab
+        self._capsule = lab.capsule
+        self._moving: Optional[Action[Any]] = None
+
+    def _keys(self) -> Dict[str, Key]:
+        name = self.name
+        return {
+            name: ("string", ""),
+            f"{name}_thread": ("number", "mm"),
+            f"{name}_battery": ("number", "V"),
+        }
+
+    def describe(self) -> Dict[str, Any]:
+        """What `read` gives."""
+        return _described(self._lab.url, self._keys())
+
+    def read(self) -> Dict[str, Reading]:
+        """State, thread wound up, battery."""
+        sample = self._capsule.sample()
+        values = (sample["state"].lower(), sample["thread_um"] / 1e3, sample["battery_mv"] / 1e3)
+        return _read(dict(zip(self._keys(), values)))
+
+    def stage(self) -> List[Any]:
+        """References the capsule if it does not know its thread. It is unfolded then."""
+        if not self._capsule.state().get("referenced"):
+            self._capsule.reference()
+        return [self]
+
+    def unstage(self) -> List[Any]:
+        """Nothing is left to do."""
+        return [self]
+
+    def set(self, shape: str) -> Status:
+        """Folds or unfolds."""
+        commands = {"folded": "fold", "unfolded": "unfold"}
+        if shape not in commands:
+            raise RetrogradeError(f"the capsule cannot be {shape!r}", "it can be 'folded' or 'unfolded'")
+        self._moving = action = self._capsule.start(commands[shape])
+        return Status(action.wait)
+
+    def stop(self, *, success: bool = False) -> None:
+        """Stops what goes on."""
+        del success
+        if self._moving is not None and not self._moving.is_over:
+            self._capsule.stop()

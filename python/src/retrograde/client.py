@@ -1,0 +1,609 @@
+"""The client: one method per request of docs/serve.md.
+
+Every command carries a key, so that it is executed once however often it is sent; this client sends it again where an answer is lost.
+Waiting for the end of a motion that is interrupted, by Ctrl-C or an exception in `on_progress`, stops the machine.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import pathlib
+import sys
+import tempfile
+import threading
+import time
+import urllib.parse
+import uuid
+from decimal import Decimal
+from http.client import HTTPConnection, HTTPException
+from typing import Any, Callable, Dict, Generic, Iterator, List, Optional, Tuple, TypeVar, Union, cast
+
+from . import errors
+from .errors import NoMachine, NoServer, NotStopped, OutcomeUnknown, RetrogradeError, WrongRequest
+from .stream import Stream
+from .types import (
+    ActionData,
+    ActuationRecord,
+    CapsuleState,
+    Homed,
+    Moved,
+    Number,
+    RecordEntry,
+    RigState,
+    RunRecord,
+    Sample,
+    Setting,
+    State,
+)
+
+Result = TypeVar("Result")
+Progress = Callable[[ActionData], None]
+
+# How long the server may take for an answer, s: a machine that is busy with its flash takes up to 3.
+ANSWER_S = 30.0
+# How long a stop may take to be confirmed, s; the server itself gives up after 10.
+STOP_S = 15.0
+# How long an answer to a command that was sent is tried to be had, s.
+PATIENCE_S = 20.0
+# How long a sample may take to come, s; the slowest telemetry is one in a second.
+SAMPLE_S = 5.0
+# The server waits so long for the end of an action before it answers that it goes on, s.
+TURN_S = 1
+
+OVER = ("complete", "stopped", "link_lost", "faulted", "refused", "failed", "unknown")
+NO_SERVER = "start `retrograde serve`, or say where it is: connect('http://127.0.0.1:7080', token='...')"
+
+
+def runtime_folder() -> pathlib.Path:
+    """Where `retrograde serve` leaves its address for programs of the same user."""
+    given = os.environ.get("RETROGRADE_RUNTIME_DIR")
+    if given:
+        return pathlib.Path(given)
+    if sys.platform == "win32":
+        return pathlib.Path(os.environ.get("LOCALAPPDATA", tempfile.gettempdir())) / "retrograde"
+    return pathlib.Path(f"/tmp/retrograde-{os.getuid()}")
+
+
+def connect(url: Optional[str] = None, token: Optional[str] = None) -> "Lab":
+    """Finds the server and makes sure that it answers. Moves nothing.
+
+    Without `url` it is the server that this user has started on this computer. Elsewhere: the address that `retrograde serve` prints,
+    as it is, or with the token beside it.
+    """
+    if url is None:
+        url, found = _found()
+        token = token or found
+    lab = Lab(url, token)
+    lab.state()
+    return lab
+
+
+def _found() -> Tuple[str, str]:
+    file = runtime_folder() / "serve.json"
+    try:
+        if sys.platform != "win32" and file.stat().st_uid != os.getuid():
+            raise NoServer(f"{file} belongs to another user", NO_SERVER)
+        found = json.loads(file.read_text(encoding="utf-8"))
+        return str(found["url"]), str(found["token"])
+    except (OSError, ValueError, KeyError, TypeError) as why:
+        raise NoServer(f"no server of this user was found: {why}", NO_SERVER) from None
+
+
+def _number(name: str, value: Number) -> Union[int, float, str]:
+    """A number as the server reads it: decimal, and exact."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, str, Decimal)):
+        raise WrongRequest(f"{name} is {value!r}", "give a number, or its decimal text")
+    return format(value, "f") if isinstance(value, Decimal) else value
+
+
+def _body(numbers: Dict[str, Optional[Number]], **others: Optional[object]) -> Dict[str, object]:
+    """The fields that are given."""
+    body: Dict[str, object] = {name: _number(name, value) for name, value in numbers.items() if value is not None}
+    body.update({name: value for name, value in others.items() if value is not None})
+    return body
+
+
+class Lab:
+    """Both machines behind one server. Methods may be called from several threads."""
+
+    def __init__(self, url: str, token: Optional[str] = None) -> None:
+        parts = urllib.parse.urlsplit(url if "//" in url else f"http://{url}")
+        if parts.scheme != "http" or not parts.hostname:
+            raise WrongRequest(f"{url} is no address of a server", NO_SERVER)
+        in_address = urllib.parse.parse_qs(parts.fragment).get("token", [None])[0]
+        self._host = parts.hostname
+        self._port = parts.port or 80
+        self._token = token or in_address
+        self.rig = Rig(self)
+        self.capsule = Capsule(self)
+
+    def __enter__(self) -> "Lab":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing is left open, and what moves goes on."""
+
+    @property
+    def url(self) -> str:
+        """Address of the server, without the token."""
+        return f"http://{self._host}:{self._port}/"
+
+    # To look.
+
+    def state(self) -> State:
+        """Everything at once: machines, run, faults, campaign."""
+        return cast(State, self._get("/api/v1/state"))
+
+    def stream(self) -> Stream:
+        """States, telemetry, events and actions as they come."""
+        connection = self._connection(2 * ANSWER_S)
+        try:
+            self._send(connection, "GET", "/api/v1/stream", None, None)
+            return Stream(connection)
+        except (OSError, HTTPException) as why:
+            raise self._no_server(why) from None
+
+    def actions(self) -> List[ActionData]:
+        """The latest actions, the oldest first."""
+        return cast(List[ActionData], self._get("/api/v1/actions")["actions"])
+
+    def action(self, id: str, wait_s: int = 0) -> ActionData:
+        """One action; the server waits for its end for at most `wait_s`, 0 to 60."""
+        quoted = urllib.parse.quote(id, safe="")
+        return cast(ActionData, self._get(f"/api/v1/actions/{quoted}?wait_s={wait_s}", ANSWER_S + wait_s)["action"])
+
+    def records(self) -> List[RecordEntry]:
+        """The records in the server's folder."""
+        return cast(List[RecordEntry], self._get("/api/v1/records")["records"])
+
+    def record(self, name: str) -> bytes:
+        """A file of a record: `...csv` or `...json`."""
+        status, content = self._once("GET", f"/api/v1/records/{urllib.parse.quote(name, safe='')}", None, None, ANSWER_S)
+        if status != 200:
+            raise errors.of_answer(status, _decoded(content))
+        return content
+
+    def rows(self, name: str) -> List[Dict[str, Any]]:
+        """The rows of a record's CSV file, numbers as numbers."""
+        text = io.StringIO(self.record(name).decode("utf-8"), newline="")
+        return [{key: _value(cell) for key, cell in row.items()} for row in csv.DictReader(text)]
+
+    def plan(self, **run: Any) -> Dict[str, Any]:
+        """What a run asks of a rig as delivered; takes what `Rig.run` takes. Asks no machine."""
+        status, answer = self._post("/api/v1/plan", _run_body(**run), None, ANSWER_S)
+        if status != 200:
+            raise errors.of_answer(status, answer)
+        return cast(Dict[str, Any], answer["plan"])
+
+    # To stop.
+
+    def stop(self, machine: Optional[str] = None) -> None:
+        """Stops both machines, or `rig` or `capsule`; the position is kept. Needs no token on this computer.
+
+        Raises `NotStopped` unless every machine has confirmed it.
+        """
+        self._stop("/api/v1/stop", machine)
+
+    def estop(self, machine: Optional[str] = None) -> None:
+        """Emergency stop: pulses and motor current end at once. It is latched: `acknowledge()`, then home or reference."""
+        self._stop("/api/v1/estop", machine)
+
+    def _stop(self, path: str, machine: Optional[str]) -> None:
+        body: Dict[str, object] = {} if machine is None else {"machine": machine}
+        why = "no answer"
+        # Each try is a stop of its own: repeating it does no harm.
+        for _ in range(3):
+            try:
+                status, answer = self._post(path, body, None, STOP_S)
+            except (OSError, HTTPException) as problem:
+                why = str(problem)
+                continue
+            machines = answer.get("machines")
+            if status == 200 and answer.get("ok") is True:
+                return
+            why = f"status {status}"
+            if isinstance(machines, list):
+                whys = [f"{it.get('machine')}: {it.get('outcome')} {it.get('why') or ''}".strip() for it in machines]
+                why = "; ".join(whys) or why
+            elif isinstance(answer.get("error"), dict):
+                why = str(errors.of_answer(status, answer))
+            if status in (401, 403, 404):
+                break
+        raise NotStopped(f"NOT STOPPED: {why}", "press the button, or cut the motor supply")
+
+    # Below: requests.
+
+    def _connection(self, timeout_s: float) -> HTTPConnection:
+        return HTTPConnection(self._host, self._port, timeout=timeout_s)
+
+    def _send(
+        self, connection: HTTPConnection, method: str, path: str, body: Optional[Dict[str, object]], key: Optional[str]
+    ) -> None:
+        headers = {}
+        if self._token:
+            headers["Authorization"] = f"Bearer {self._token}"
+        if key:
+            headers["Idempotency-Key"] = key
+        content = None
+        if body is not None:
+            headers["Content-Type"] = "application/json"
+            content = json.dumps(body).encode()
+        connection.request(method, path, content, headers)
+
+    def _once(
+        self, method: str, path: str, body: Optional[Dict[str, object]], key: Optional[str], timeout_s: float
+    ) -> Tuple[int, bytes]:
+        connection = self._connection(timeout_s)
+        try:
+            self._send(connection, method, path, body, key)
+            response = connection.getresponse()
+            return response.status, response.read()
+        finally:
+            connection.close()
+
+    def _post(
+        self, path: str, body: Dict[str, object], key: Optional[str], timeout_s: float
+    ) -> Tuple[int, Dict[str, object]]:
+        status, content = self._once("POST", path, body, key, timeout_s)
+        return status, _decoded(content)
+
+    def _get(self, path: str, timeout_s: float = ANSWER_S) -> Dict[str, Any]:
+        try:
+            status, content = self._once("GET", path, None, None, timeout_s)
+        except (OSError, HTTPException) as why:
+            raise self._no_server(why) from None
+        answer = _decoded(content)
+        if status != 200:
+            raise errors.of_answer(status, answer)
+        return answer
+
+    def _no_server(self, why: Exception) -> NoServer:
+        return NoServer(f"{self.url} does not answer: {why}", NO_SERVER)
+
+    def _command(self, machine: str, name: str, body: Dict[str, object]) -> ActionData:
+        """Sends a command until it is answered; the server executes it once."""
+        # Of this moment: with a key of an earlier server nothing would be done.
+        key = f"{self.state()['instance']}-{uuid.uuid4().hex}"
+        until = time.monotonic() + PATIENCE_S
+        unsure: Optional[str] = None
+        while True:
+            try:
+                status, answer = self._post(f"/api/v1/{machine}/{name}", body, key, ANSWER_S)
+            except ConnectionRefusedError as why:
+                if unsure is None:
+                    raise self._no_server(why) from None
+                unsure = str(why)
+            except (OSError, HTTPException) as why:
+                unsure = str(why) or type(why).__name__
+            else:
+                if status in (200, 202):
+                    return cast(ActionData, answer["action"])
+                error = errors.of_answer(status, answer)
+                if status == 428 and unsure is not None:
+                    # The server that got it first has ended since.
+                    raise OutcomeUnknown(f"{machine}: {name} was sent, and then the server was started again", "look at the machine")
+                raise error
+            if time.monotonic() > until:
+                raise OutcomeUnknown(f"{machine}: {name} was sent and not answered: {unsure}", "look at the machine") from None
+            time.sleep(0.2)
+
+
+def _decoded(content: bytes) -> Dict[str, Any]:
+    try:
+        answer = json.loads(content)
+    except ValueError:
+        answer = None
+    if not isinstance(answer, dict):
+        raise RetrogradeError("the server's answer is no JSON object", "is that `retrograde serve`?")
+    return answer
+
+
+def _value(cell: Optional[str]) -> Any:
+    """A cell of a CSV file as int, float, bool or text; None if it is empty."""
+    if not cell:
+        return None
+    if cell in ("true", "false"):
+        return cell == "true"
+    for kind in (int, float):
+        try:
+            return kind(cell)
+        except ValueError:
+            pass
+    return cell
+
+
+class Action(Generic[Result]):
+    """Something that a machine does, or has done."""
+
+    def __init__(self, lab: Lab, data: ActionData) -> None:
+        self._lab = lab
+        self.data = data
+        """As the server told it last."""
+
+    @property
+    def id(self) -> str:
+        """Its name for `Lab.action`."""
+        return self.data["id"]
+
+    @property
+    def state(self) -> str:
+        """`starting` or `under_way`; at the end one of `OVER`."""
+        return self.data["state"]
+
+    @property
+    def is_over(self) -> bool:
+        """It has ended, well or not."""
+        return self.state in OVER
+
+    @property
+    def files(self) -> Dict[str, str]:
+        """Names of the record's `csv` and `sidecar`, if there is one."""
+        return cast(Dict[str, str], self.data.get("files") or {})
+
+    def refresh(self, wait_s: int = 0) -> ActionData:
+        """Asks the server, which waits for the end for at most `wait_s`."""
+        self.data = self._lab.action(self.id, wait_s)
+        return self.data
+
+    def stop(self) -> None:
+        """Stops the machine."""
+        self._lab.stop(self.data["machine"])
+
+    def wait(self, on_progress: Optional[Progress] = None) -> Result:
+        """Waits for the end; the result, or the error that says how it ended.
+
+        `on_progress` sees the action about once a second. Ctrl-C, and an exception in `on_progress`, stop the machine. A server that
+        does not answer for 20 s ends the wait with `OutcomeUnknown`; the machine may go on.
+        """
+        silent_since: Optional[float] = None
+        try:
+            while not self.is_over:
+                try:
+                    self.refresh(TURN_S)
+                    silent_since = None
+                except NoServer as why:
+                    silent_since = silent_since or time.monotonic()
+                    if time.monotonic() - silent_since > PATIENCE_S:
+                        raise OutcomeUnknown(f"{self.data['kind']} was under way: {why.message}", "look at the machine") from None
+                    time.sleep(0.2)
+                    continue
+                if on_progress is not None:
+                    on_progress(self.data)
+        except OutcomeUnknown:
+            raise
+        except BaseException:
+            self.stop()
+            raise
+        return self.result()
+
+    def result(self) -> Result:
+        """What came of it; raises how it ended if not as planned. Only after its end."""
+        if self.state == "complete":
+            return cast(Result, self.data.get("result") or {})
+        kind = errors.BY_STATE.get(self.state, RetrogradeError)
+        raise errors.of_error(kind, self.data.get("error"), f"{self.data['kind']} ended: {self.state}")
+
+
+class _Machine:
+    """What both machines have."""
+
+    name = ""
+
+    def __init__(self, lab: Lab) -> None:
+        self._lab = lab
+
+    def _start(self, command: str, body: Optional[Dict[str, object]] = None) -> Action[Any]:
+        return Action(self._lab, self._lab._command(self.name, command, body or {}))
+
+    def _state(self) -> Dict[str, Any]:
+        machines = cast(Dict[str, Dict[str, Any]], self._lab.state()["machines"])
+        if self.name not in machines:
+            raise NoMachine(f"this server has no {self.name}", f"start it with `retrograde serve --{self.name} WHERE`")
+        return machines[self.name]
+
+    def sample(self) -> Sample:
+        """A sample of telemetry that was taken after this call. (`state` shows what was known last, some 50 ms old.)"""
+        until = time.monotonic() + SAMPLE_S
+        with self._lab.stream() as stream:
+            portions = 0
+            for message in stream:
+                if message.event == self.name and message.data.get("samples"):
+                    portions += 1
+                    # The first portion may have been begun before.
+                    if portions == 2:
+                        return cast(Sample, message.data["samples"][-1])
+                # The state comes once a second at least.
+                if time.monotonic() > until:
+                    break
+        why = self._state().get("contact_text") or "it sends no telemetry"
+        raise NoMachine(f"no sample of the {self.name}: {why}", "look at the machine and its line")
+
+    def stop(self) -> None:
+        """Stops it; the position is kept."""
+        self._lab.stop(self.name)
+
+    def estop(self) -> None:
+        """Emergency stop, latched."""
+        self._lab.estop(self.name)
+
+    def acknowledge(self) -> None:
+        """Clears a latched fault whose cause is gone."""
+        self._start("ack").wait()
+
+
+class Rig(_Machine):
+    """The rollers' rig."""
+
+    name = "rig"
+
+    def state(self) -> RigState:
+        """The rig now."""
+        return cast(RigState, self._state())
+
+    def health(self) -> Dict[str, Any]:
+        """Counters since its start."""
+        return cast(Dict[str, Any], self._lab._get("/api/v1/rig/health")["health"])
+
+    def settings(self) -> List[Setting]:
+        """Its settings with units and ranges."""
+        return cast(List[Setting], self._lab._get("/api/v1/rig/settings")["settings"])
+
+    def start_home(self) -> Action[Homed]:
+        """Begins to home."""
+        return self._start("home")
+
+    def home(self, on_progress: Optional[Progress] = None) -> Homed:
+        """Finds the reference and goes to 0."""
+        return self.start_home().wait(on_progress)
+
+    def start_run(self, **run: Any) -> Action[RunRecord]:
+        """Begins a run; takes what `run` takes. `data["accepted"]` has the plan."""
+        return self._start("run", _run_body(**run))
+
+    def run(self, on_progress: Optional[Progress] = None, **run: Any) -> RunRecord:
+        """A run from position 0, recorded: the paper's, 5 cycles of 130 mm in 40 s, unless told otherwise.
+
+        `cycles`, `stroke_mm`; one of `duration_s`, `speed_mm_s` (with `return_speed_mm_s`), `waves_per_minute`, `preset` (`paper`, `wave`);
+        `accel_mm_s2`, `far_dwell_s`, `home_dwell_s`, `start_delay_s`, `on_link_loss` (`stop`, `finish`), `telemetry_ms`, `note`.
+        """
+        return self.start_run(**run).wait(on_progress)
+
+    def start_move(self, position_mm: Number, speed_mm_s: Optional[Number] = None) -> Action[Moved]:
+        """Begins to move to a position."""
+        return self._start("move", _body({"position_mm": position_mm, "speed_mm_s": speed_mm_s}))
+
+    def move(self, position_mm: Number, speed_mm_s: Optional[Number] = None) -> Moved:
+        """Moves to a position within the stroke."""
+        return self.start_move(position_mm, speed_mm_s).wait()
+
+    def jog(self, direction: str, speed_mm_s: Optional[Number] = None) -> "Jog":
+        """Moves `away` or `home` within a `with`, and stops at its end."""
+        return Jog(self, _body({"speed_mm_s": speed_mm_s}, direction=direction))
+
+    def hold(self) -> Moved:
+        """Brakes within the run, which can be resumed; where the carriage stands."""
+        held: Action[Moved] = self._start("hold")
+        return held.wait()
+
+    def resume(self) -> Moved:
+        """Goes on with the held run."""
+        resumed: Action[Moved] = self._start("resume")
+        return resumed.wait()
+
+
+RUN_NUMBERS = (
+    "cycles",
+    "stroke_mm",
+    "duration_s",
+    "speed_mm_s",
+    "return_speed_mm_s",
+    "waves_per_minute",
+    "accel_mm_s2",
+    "far_dwell_s",
+    "home_dwell_s",
+    "start_delay_s",
+    "telemetry_ms",
+)
+RUN_TEXTS = ("preset", "on_link_loss", "note")
+
+
+def _run_body(**run: Any) -> Dict[str, object]:
+    unknown = sorted(set(run) - set(RUN_NUMBERS) - set(RUN_TEXTS))
+    if unknown:
+        raise WrongRequest(f"a run has no {', '.join(unknown)}", f"it has {', '.join(RUN_NUMBERS + RUN_TEXTS)}")
+    return _body({name: run.get(name) for name in RUN_NUMBERS}, **{name: run.get(name) for name in RUN_TEXTS})
+
+
+class Jog:
+    """A jog: it goes on while this program renews it, four times within the rig's dead-man time. A program that hangs or dies ends it."""
+
+    def __init__(self, rig: Rig, body: Dict[str, object]) -> None:
+        self._rig = rig
+        self._body = body
+        self._ends = threading.Event()
+        self._thread: Optional[threading.Thread] = None
+        self._action: Optional[Action[Moved]] = None
+        self.why: Optional[str] = None
+        """Why it ended by itself, if it did: a renewal that was refused, or came too late."""
+
+    def __enter__(self) -> "Jog":
+        self._action = action = self._rig._start("jog", self._body)
+        if action.is_over:
+            action.result()
+            return self
+        within_s = float(action.data["accepted"]["renew_within_ms"]) / 1e3
+        self._thread = threading.Thread(target=self._renew, args=(action.id, within_s), daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ends.set()
+        if self._thread is None or self._action is None:
+            return
+        self._rig.stop()
+        self._thread.join(2)
+        # It brakes: what comes next would be refused.
+        until = time.monotonic() + STOP_S
+        while not self._action.is_over and time.monotonic() < until:
+            self._action.refresh(TURN_S)
+
+    def _renew(self, id: str, within_s: float) -> None:
+        for number in _count():
+            if self._ends.wait(within_s / 4):
+                return
+            try:
+                body: Dict[str, object] = {"action": id, "n": number}
+                status, answer = self._rig._lab._post("/api/v1/rig/jog/renew", body, None, within_s)
+            except (OSError, HTTPException, RetrogradeError) as why:
+                # The next one may come in time.
+                self.why = str(why)
+                continue
+            if status != 200:
+                self.why = str(errors.of_answer(status, answer))
+                return
+
+
+def _count() -> Iterator[int]:
+    number = 0
+    while True:
+        number += 1
+        yield number
+
+
+class Capsule(_Machine):
+    """The capsule that folds."""
+
+    name = "capsule"
+
+    def state(self) -> CapsuleState:
+        """The capsule now."""
+        return cast(CapsuleState, self._state())
+
+    def start(self, command: str, telemetry_ms: Optional[Number] = None, note: Optional[str] = None) -> Action[ActuationRecord]:
+        """Begins `reference`, `calibrate`, `check`, `fold` or `unfold`, recorded."""
+        if command not in ("reference", "calibrate", "check", "fold", "unfold"):
+            raise WrongRequest(f"the capsule has no command {command!r}", "it has reference, calibrate, check, fold, unfold")
+        return self._start(command, _body({"telemetry_ms": telemetry_ms}, note=note))
+
+    def reference(self, note: Optional[str] = None) -> ActuationRecord:
+        """Finds the thread's zero; unfolded then. Without a calibration it is one."""
+        return self.start("reference", note=note).wait()
+
+    def calibrate(self, note: Optional[str] = None) -> ActuationRecord:
+        """"This is unfolded": measures how far it is to the end force."""
+        return self.start("calibrate", note=note).wait()
+
+    def check(self, note: Optional[str] = None) -> ActuationRecord:
+        """Winds gently to the end force and stays folded."""
+        return self.start("check", note=note).wait()
+
+    def fold(self, note: Optional[str] = None) -> ActuationRecord:
+        """Folds."""
+        return self.start("fold", note=note).wait()
+
+    def unfold(self, note: Optional[str] = None) -> ActuationRecord:
+        """Unfolds."""
+        return self.start("unfold", note=note).wait()

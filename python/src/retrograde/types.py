@@ -1,0 +1,204 @@
+"""What the server's answers hold; docs/serve.md says it in words.
+
+Units are in the names. A server may send more than this, and leaves out what is not known.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, List, Optional, TypedDict, Union
+from decimal import Decimal
+
+# A number for a command. A float goes as Python prints it; text and Decimal go exactly.
+Number = Union[int, float, str, Decimal]
+
+
+class Fault(TypedDict, total=False):
+    """What happened and what to do now."""
+
+    text: str
+
+
+class LinkQuality(TypedDict, total=False):
+    """How well the machine is heard."""
+
+    samples_per_s: int
+    missed_samples: int
+    bad_frames: int
+    losses: int
+    answer_ms: Optional[int]
+
+
+class RunProgress(TypedDict, total=False):
+    """Within a run."""
+
+    number: int
+    stroke: int
+    strokes: int
+    elapsed_us: int
+    thousandths: int
+    left_s: Optional[int]
+
+
+class ActionData(TypedDict, total=False):
+    """An action as the server tells it."""
+
+    id: str
+    machine: str
+    kind: str
+    state: str
+    requested: Any
+    accepted: Any
+    progress: Any
+    result: Any
+    error: Any
+    files: Any
+    started_utc: str
+    ended_utc: Optional[str]
+
+
+class MachineState(TypedDict, total=False):
+    """What both machines tell."""
+
+    place: str
+    contact: str
+    contact_text: str
+    identity: Optional[Dict[str, Any]]
+    origin: str
+    state: Optional[str]
+    fault: Optional[Fault]
+    needs_acknowledge: bool
+    link: LinkQuality
+    events: List[Dict[str, Any]]
+    status: Optional[Dict[str, Any]]
+    action: Optional[ActionData]
+
+
+class RigState(MachineState, total=False):
+    """The rig."""
+
+    position_um: int
+    speed_um_s: int
+    stroke_length_um: int
+    homed: bool
+    home_flag_open: bool
+    far_limit_open: bool
+    estop_loop_open: bool
+    run: Optional[RunProgress]
+
+
+class CapsuleState(MachineState, total=False):
+    """The capsule."""
+
+    referenced: bool
+    thread_um: int
+    current_ma: int
+    battery_mv: int
+
+
+class Sample(TypedDict, total=False):
+    """A sample of telemetry: of the rig, of the capsule."""
+
+    time_us: int
+    state: str
+    missed: int
+    position_um: int
+    position_steps: int
+    commanded_steps: int
+    speed_um_s: int
+    stroke: int
+    residual_steps: int
+    home_flag_open: bool
+    far_limit_open: bool
+    estop_loop_open: bool
+    thread_um: int
+    current_ma: int
+    battery_mv: int
+    drive_mv: int
+
+
+class Machines(TypedDict, total=False):
+    """The machines that the server has."""
+
+    rig: RigState
+    capsule: CapsuleState
+
+
+class State(TypedDict, total=False):
+    """Everything at once."""
+
+    instance: str
+    version: str
+    time_utc: str
+    machines: Machines
+    campaign: Optional[Dict[str, Any]]
+
+
+class Homed(TypedDict, total=False):
+    """Result of homing."""
+
+    repeat_steps: int
+    shift_steps: int
+    duration_us: int
+
+
+class RunRecord(TypedDict, total=False):
+    """The rig's own record of a run."""
+
+    run: int
+    outcome: str
+    strokes: int
+    commanded_edges: int
+    counted_edges: int
+    ticks: int
+    min_steps: int
+    max_steps: int
+    worst_residual_steps: int
+    holds: int
+
+
+class Moved(TypedDict, total=False):
+    """Where the carriage stands."""
+
+    position_um: int
+    position_steps: int
+    already: bool
+
+
+class ActuationRecord(TypedDict, total=False):
+    """The capsule's own record of a motion."""
+
+    actuation: int
+    outcome: str
+    duration_ms: int
+    thread_um: int
+    end_current_ma: int
+    peak_current_ma: int
+    engaged_um: int
+    energy_mj: int
+    min_battery_mv: int
+    already: bool
+
+
+class Setting(TypedDict, total=False):
+    """A setting of the rig."""
+
+    name: str
+    value: int
+    unit: str
+    min: int
+    max: int
+    default: int
+    purpose: str
+
+
+class RecordEntry(TypedDict, total=False):
+    """A record in the server's folder."""
+
+    name: str
+    kind: str
+    started_utc: str
+    what: str
+    note: Optional[str]
+    outcome: str
+    origin: str
+    csv: Optional[str]

@@ -1,0 +1,341 @@
+"""The client against a server that answers as docs/serve.md says, and as it must not."""
+
+import io
+import json
+import os
+import pathlib
+import tempfile
+import threading
+import time
+import unittest
+from decimal import Decimal
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, Callable, Dict, List, Optional, Tuple
+from unittest import mock
+
+import retrograde
+from retrograde import client
+
+Answer = Tuple[int, Dict[str, Any]]
+INSTANCE = "abc123"
+
+
+class Call:
+    """A request that the server has got."""
+
+    def __init__(self, method: str, path: str, body: Any, headers: Dict[str, str]) -> None:
+        self.method, self.path, self.body, self.headers = method, path, body, headers
+
+
+class Server(ThreadingHTTPServer):
+    """Answers with what a test has put in: `answer(call)`; None closes the connection instead."""
+
+    daemon_threads = True
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.calls: List[Call] = []
+        self.answer: Callable[[Call], Optional[Answer]] = lambda call: (404, failure(2, "nothing"))
+        self.stream = b""
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        pass
+
+
+class Handler(BaseHTTPRequestHandler):
+    """One request."""
+
+    def log_message(self, format: str, *args: Any) -> None:
+        pass
+
+    def do_GET(self) -> None:
+        self.handle_it("GET")
+
+    def do_POST(self) -> None:
+        self.handle_it("POST")
+
+    def handle_it(self, method: str) -> None:
+        server = self.server
+        assert isinstance(server, Server)
+        content = self.rfile.read(int(self.headers.get("Content-Length", 0)))
+        call = Call(method, self.path, json.loads(content) if content else None, dict(self.headers.items()))
+        server.calls.append(call)
+        if self.path == "/api/v1/stream":
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(server.stream)
+            return
+        answer = server.answer(call)
+        if answer is None:
+            self.close_connection = True
+            self.connection.close()
+            return
+        status, value = answer
+        coded = json.dumps(value).encode()
+        self.send_response(status)
+        self.send_header("Content-Length", str(len(coded)))
+        self.end_headers()
+        self.wfile.write(coded)
+
+
+def failure(exit_code: int, message: str, help: str = "do this") -> Dict[str, Any]:
+    return {"ok": False, "exit_code": exit_code, "error": {"code": "retrograde::x", "message": message, "help": help}}
+
+
+def action(state: str, **more: Any) -> Dict[str, Any]:
+    return {"ok": True, "action": {"id": "abc123-1", "machine": "rig", "kind": "home", "state": state, **more}}
+
+
+STATE: Answer = (200, {"ok": True, "instance": INSTANCE, "machines": {"rig": {"state": "Ready"}}})
+
+
+class ClientTest(unittest.TestCase):
+    def setUp(self) -> None:
+        self.server = Server()
+        thread = threading.Thread(target=self.server.serve_forever, args=(0.02,), daemon=True)
+        thread.start()
+        self.addCleanup(self.server.server_close)
+        self.addCleanup(self.server.shutdown)
+        self.url = f"http://127.0.0.1:{self.server.server_port}/"
+        self.lab = retrograde.Lab(f"{self.url}#token=secret-token")
+
+    def answers(self, table: Dict[str, Any]) -> None:
+        """What is answered to each path: an answer, or a list of them, one for each call."""
+
+        def answer(call: Call) -> Optional[Answer]:
+            found = table.get(call.path.split("?")[0], STATE if call.path == "/api/v1/state" else None)
+            return found.pop(0) if isinstance(found, list) else found
+
+        self.server.answer = answer
+
+    def posts(self) -> List[Call]:
+        return [call for call in self.server.calls if call.method == "POST"]
+
+    def test_a_command_is_sent_with_key_and_token_and_waited_for(self) -> None:
+        done = action("complete", result={"repeat_steps": 1, "shift_steps": 0, "duration_us": 5})
+        self.answers(
+            {"/api/v1/rig/home": (202, action("under_way")), "/api/v1/actions/abc123-1": [(200, action("under_way")), (200, done)]}
+        )
+        seen: List[str] = []
+        homed = self.lab.rig.home(lambda data: seen.append(data["state"]))
+        self.assertEqual(homed["repeat_steps"], 1)
+        self.assertEqual(seen, ["under_way", "complete"])
+        (post,) = self.posts()
+        self.assertEqual(post.headers["Authorization"], "Bearer secret-token")
+        self.assertRegex(post.headers["Idempotency-Key"], rf"^{INSTANCE}-[0-9a-f]{{32}}$")
+
+    def test_a_lost_answer_is_asked_for_again_with_the_same_key(self) -> None:
+        done = action("complete", result={})
+        self.answers({"/api/v1/rig/run": [None, None, (200, done)]})
+        self.lab.rig.run(cycles=1)
+        keys = {post.headers["Idempotency-Key"] for post in self.posts()}
+        self.assertEqual((len(self.posts()), len(keys)), (3, 1))
+
+    def test_two_commands_have_two_keys(self) -> None:
+        self.answers({"/api/v1/rig/home": [(200, action("complete"))] * 2})
+        self.lab.rig.home()
+        self.lab.rig.home()
+        self.assertEqual(len({post.headers["Idempotency-Key"] for post in self.posts()}), 2)
+
+    def test_a_server_that_was_started_again_leaves_the_outcome_unknown(self) -> None:
+        self.answers({"/api/v1/rig/run": [None, (428, failure(2, "the key is not of this server"))]})
+        with self.assertRaises(retrograde.OutcomeUnknown):
+            self.lab.rig.run()
+        # Where nothing was sent before, nothing was done.
+        self.answers({"/api/v1/rig/run": [(428, failure(2, "the key is not of this server"))]})
+        with self.assertRaises(retrograde.WrongRequest):
+            self.lab.rig.run()
+
+    def test_no_answer_at_all_is_an_unknown_outcome(self) -> None:
+        self.answers({"/api/v1/rig/run": None})
+        with mock.patch.object(client, "PATIENCE_S", 0.5), self.assertRaises(retrograde.OutcomeUnknown):
+            self.lab.rig.run()
+        self.assertEqual(len({post.headers["Idempotency-Key"] for post in self.posts()}), 1)
+
+    def test_where_nobody_listens_nothing_was_sent(self) -> None:
+        self.server.shutdown()
+        self.server.server_close()
+        with self.assertRaises(retrograde.NoServer) as raised:
+            self.lab.rig.home()
+        self.assertIn("retrograde serve", str(raised.exception))
+
+    def test_each_failure_has_its_class_and_the_text_of_the_server(self) -> None:
+        for status, code, kind in [
+            (400, 2, retrograde.WrongRequest),
+            (401, 2, retrograde.Denied),
+            (403, 2, retrograde.Denied),
+            (409, 3, retrograde.Refused),
+            (409, 6, retrograde.Faulted),
+            (409, 130, retrograde.Stopped),
+            (502, 5, retrograde.Mismatch),
+            (503, 4, retrograde.NoMachine),
+            (504, 7, retrograde.OutcomeUnknown),
+            (500, 1, retrograde.RetrogradeError),
+        ]:
+            self.answers({"/api/v1/rig/home": (status, failure(code, "why it failed"))})
+            with self.subTest(status=status, code=code), self.assertRaises(retrograde.RetrogradeError) as raised:
+                self.lab.rig.home()
+            self.assertIs(type(raised.exception), kind)
+            self.assertEqual(str(raised.exception), "why it failed (do this)")
+
+    def test_each_end_of_an_action_has_its_class(self) -> None:
+        for state, kind in [
+            ("stopped", retrograde.Stopped),
+            ("link_lost", retrograde.LinkLost),
+            ("faulted", retrograde.Faulted),
+            ("refused", retrograde.Refused),
+            ("unknown", retrograde.OutcomeUnknown),
+            ("failed", retrograde.RetrogradeError),
+        ]:
+            error = {"code": "x", "message": "it ended", "help": "home"}
+            ended = action(state, error=error)
+            self.answers({"/api/v1/rig/home": (202, action("under_way")), "/api/v1/actions/abc123-1": (200, ended)})
+            with self.subTest(state=state), self.assertRaises(retrograde.RetrogradeError) as raised:
+                self.lab.rig.home()
+            self.assertIs(type(raised.exception), kind)
+            self.assertIn("it ended", str(raised.exception))
+
+    def test_ctrl_c_while_waiting_stops_the_machine(self) -> None:
+        self.answers(
+            {
+                "/api/v1/rig/home": (202, action("under_way")),
+                "/api/v1/actions/abc123-1": (200, action("under_way")),
+                "/api/v1/stop": (200, {"ok": True, "machines": []}),
+            }
+        )
+
+        def press(_: Any) -> None:
+            raise KeyboardInterrupt
+
+        with self.assertRaises(KeyboardInterrupt):
+            self.lab.rig.home(press)
+        self.assertEqual((self.posts()[-1].path, self.posts()[-1].body), ("/api/v1/stop", {"machine": "rig"}))
+
+    def test_a_stop_without_confirmation_is_told(self) -> None:
+        machines = [{"machine": "rig", "outcome": "not_confirmed", "why": "no answer"}]
+        answer = {"ok": False, "machines": machines, **failure(8, "x")}
+        self.answers({"/api/v1/stop": (504, answer), "/api/v1/estop": None})
+        for stop in (self.lab.stop, self.lab.estop):
+            self.server.calls.clear()
+            with self.subTest(stop=stop), self.assertRaises(retrograde.NotStopped) as raised:
+                stop()
+            self.assertIn("NOT STOPPED", str(raised.exception))
+            self.assertEqual(len(self.posts()), 3)
+
+    def test_a_stop_is_tried_again(self) -> None:
+        self.answers({"/api/v1/stop": [None, (200, {"ok": True, "machines": []})]})
+        self.lab.stop()
+
+    def test_numbers_go_as_they_are_and_unknown_fields_nowhere(self) -> None:
+        self.answers({"/api/v1/rig/run": (200, action("complete"))})
+        self.lab.rig.run(cycles=3, stroke_mm=Decimal("0.1"), duration_s="40.5", note="dry", home_dwell_s=None)
+        self.assertEqual(self.posts()[-1].body, {"cycles": 3, "stroke_mm": "0.1", "duration_s": "40.5", "note": "dry"})
+        sent = len(self.posts())
+        wrong: List[Dict[str, Any]] = [{"cycle": 3}, {"cycles": True}, {"cycles": [3]}]
+        for run in wrong:
+            with self.subTest(run=run), self.assertRaises(retrograde.WrongRequest):
+                self.lab.rig.run(**run)
+        self.assertEqual(len(self.posts()), sent)
+
+    def test_a_machine_that_the_server_does_not_have(self) -> None:
+        self.answers({})
+        with self.assertRaises(retrograde.NoMachine):
+            self.lab.capsule.state()
+        with self.assertRaises(retrograde.WrongRequest):
+            self.lab.capsule.start("stretch")
+
+    def test_a_jog_is_renewed_while_it_lasts_and_then_stopped(self) -> None:
+        accepted = {"renew_within_ms": 80}
+        self.answers(
+            {
+                "/api/v1/rig/jog": (202, action("under_way", accepted=accepted)),
+                "/api/v1/rig/jog/renew": (200, {"ok": True}),
+                "/api/v1/stop": (200, {"ok": True, "machines": []}),
+                "/api/v1/actions/abc123-1": (200, action("stopped")),
+            }
+        )
+        with self.lab.rig.jog("away", speed_mm_s=5) as jog:
+            time.sleep(0.2)
+        self.assertIsNone(jog.why)
+        numbers = [post.body["n"] for post in self.posts() if post.path.endswith("renew")]
+        self.assertGreaterEqual(len(numbers), 3)
+        self.assertEqual(numbers, list(range(1, len(numbers) + 1)))
+        self.assertEqual(self.posts()[-1].path, "/api/v1/stop")
+        sent = len(self.posts())
+        time.sleep(0.1)
+        self.assertEqual(len(self.posts()), sent)
+
+    def test_a_renewal_that_is_refused_ends_the_renewing(self) -> None:
+        self.answers(
+            {
+                "/api/v1/rig/jog": (202, action("under_way", accepted={"renew_within_ms": 40})),
+                "/api/v1/rig/jog/renew": (409, failure(3, "it has ended")),
+                "/api/v1/stop": (200, {"ok": True, "machines": []}),
+                "/api/v1/actions/abc123-1": (200, action("complete")),
+            }
+        )
+        with self.lab.rig.jog("home") as jog:
+            time.sleep(0.15)
+        self.assertIn("it has ended", str(jog.why))
+        self.assertEqual(len([post for post in self.posts() if post.path.endswith("renew")]), 1)
+
+    def test_the_stream_gives_events_and_passes_over_signs_of_life(self) -> None:
+        self.server.stream = b': alive\n\nevent: state\ndata: {"a": 1}\n\n:\nevent: rig\ndata: {"first": 2}\n\nevent: cut'
+        with self.lab.stream() as stream:
+            self.assertEqual([(it.event, it.data) for it in stream], [("state", {"a": 1}), ("rig", {"first": 2})])
+
+    def test_a_sample_is_one_that_was_taken_after_the_call(self) -> None:
+        portions = [f'event: rig\ndata: {{"samples": [{{"position_um": {um}}}]}}\n\n' for um in (1, 2, 3)]
+        self.server.stream = ("event: state\ndata: {}\n\n" + "".join(portions)).encode()
+        self.assertEqual(self.lab.rig.sample()["position_um"], 2)
+        self.server.stream = b"event: state\ndata: {}\n\n"
+        self.answers({})
+        with self.assertRaises(retrograde.NoMachine):
+            self.lab.rig.sample()
+
+    def test_an_answer_that_is_no_json(self) -> None:
+        class Other(Handler):
+            def handle_it(self, method: str) -> None:
+                self.send_response(200)
+                self.end_headers()
+                self.wfile.write(b"<html>")
+
+        self.server.RequestHandlerClass = Other
+        with self.assertRaises(retrograde.RetrogradeError) as raised:
+            self.lab.state()
+        self.assertIn("retrograde serve", str(raised.exception))
+
+    def test_the_server_of_this_user_is_found(self) -> None:
+        self.answers({})
+        with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, {"RETROGRADE_RUNTIME_DIR": folder}):
+            with self.assertRaises(retrograde.NoServer):
+                retrograde.connect()
+            file = pathlib.Path(folder, "serve.json")
+            for content in ["", "[]", "{}", "no"]:
+                file.write_text(content)
+                with self.subTest(content=content), self.assertRaises(retrograde.NoServer):
+                    retrograde.connect()
+            file.write_text(json.dumps({"url": self.url, "token": "t" * 32, "instance": INSTANCE, "pid": 1}))
+            lab = retrograde.connect()
+        self.assertEqual(lab.url, self.url)
+        self.assertEqual(self.server.calls[-1].headers["Authorization"], "Bearer " + "t" * 32)
+
+    def test_wrong_addresses_are_refused(self) -> None:
+        for url in ["https://127.0.0.1:1/", "ftp://x", "http://", ""]:
+            with self.subTest(url=url), self.assertRaises(retrograde.WrongRequest):
+                retrograde.Lab(url)
+
+    def test_the_rows_of_a_record(self) -> None:
+        class Record(Handler):
+            def handle_it(self, method: str) -> None:
+                self.send_response(200)
+                self.end_headers()
+                self.wfile.write(b"time_us,position_mm,far_limit,state,note\n5,1.250,false,Running,\n")
+
+        self.server.RequestHandlerClass = Record
+        row = {"time_us": 5, "position_mm": 1.25, "far_limit": False, "state": "Running", "note": None}
+        self.assertEqual(self.lab.rows("run-1.csv"), [row])
+
+
+if __name__ == "__main__":
+    unittest.main()
