@@ -49,6 +49,7 @@ const SOURCES: [(&str, &str, &str); 6] = [
     ),
 ];
 
+const BLESS: &str = "`BLESS=1 cargo test -p protocol --test document` writes what is generated";
 const HOW: &str = "docs/protocol.md must be enough to write a client without reading Rust";
 
 // ---- The document ----
@@ -670,6 +671,37 @@ fn the_constants_are_those_of_the_code() {
     check("constants", &text);
 }
 
+/// Numbers within sentences.
+#[test]
+fn the_numbers_in_the_text_are_those_of_the_code() {
+    let (retry_ms, raw) = (RETRY_AFTER_US / 1_000, MAX_BODY + 8);
+    let mut wanted = vec![
+        format!("exactly one message, 0 to {MAX_BODY} bytes"),
+        format!("a frame has {raw} bytes at most"),
+        format!("one of the last {CACHED_REPLIES} answered"),
+        format!("keeps the newest {RING}"),
+        format!("{EVENTS_PER_REPLY} at a time"),
+        format!("waits {retry_ms} ms between two tries"),
+        format!("gives up after {ATTEMPTS}, or after {FLASH_ATTEMPTS}"),
+        format!("at most {MAX_NAME} bytes of UTF-8"),
+    ];
+    for (kind, name) in [
+        (Kind::Request, "request"),
+        (Kind::Reply, "reply"),
+        (Kind::Urgent, "urgent"),
+        (Kind::Telemetry, "telemetry"),
+        (Kind::Event, "event"),
+    ] {
+        wanted.push(format!("| {} | {name} |", kind as u8));
+    }
+    let document = document().split_whitespace().collect::<Vec<_>>().join(" ");
+    wanted.retain(|text| !document.contains(text));
+    assert!(
+        wanted.is_empty(),
+        "docs/protocol.md does not say {wanted:?}; correct the sentence that has the number, here or there"
+    );
+}
+
 // ---- Examples ----
 
 /// The bytes of a value, one group per number, text or variant, split by nothing but the schema.
@@ -892,7 +924,9 @@ fn every_frame_of_the_page_comes_back() {
     fn again<T: serde::de::DeserializeOwned + serde::Serialize + Debug>(
         frame: &Frame<'_>,
     ) -> (String, Encoded) {
-        let value: T = frame.decode().expect("exactly one message");
+        let value: T = frame
+            .decode()
+            .unwrap_or_else(|| panic!("{frame:?} of docs/protocol.md is no message; {BLESS}"));
         let encoded = encode(frame.header, &value).expect("it fits");
         (format!("{value:?}"), encoded)
     }
