@@ -245,7 +245,7 @@ class ClientTest(unittest.TestCase):
             self.lab.capsule.start("stretch")
 
     def test_a_jog_is_renewed_while_it_lasts_and_then_stopped(self) -> None:
-        accepted = {"renew_within_ms": 80}
+        accepted = {"renew_within_ms": 400}
         self.answers(
             {
                 "/api/v1/rig/jog": (202, action("under_way", accepted=accepted)),
@@ -255,27 +255,27 @@ class ClientTest(unittest.TestCase):
             }
         )
         with self.lab.rig.jog("away", speed_mm_s=5) as jog:
-            time.sleep(0.2)
+            time.sleep(0.8)
         self.assertIsNone(jog.why)
         numbers = [post.body["n"] for post in self.posts() if post.path.endswith("renew")]
-        self.assertGreaterEqual(len(numbers), 3)
+        self.assertGreaterEqual(len(numbers), 2)
         self.assertEqual(numbers, list(range(1, len(numbers) + 1)))
         self.assertEqual(self.posts()[-1].path, "/api/v1/stop")
         sent = len(self.posts())
-        time.sleep(0.1)
+        time.sleep(0.3)
         self.assertEqual(len(self.posts()), sent)
 
     def test_a_renewal_that_is_refused_ends_the_renewing(self) -> None:
         self.answers(
             {
-                "/api/v1/rig/jog": (202, action("under_way", accepted={"renew_within_ms": 40})),
+                "/api/v1/rig/jog": (202, action("under_way", accepted={"renew_within_ms": 400})),
                 "/api/v1/rig/jog/renew": (409, failure(3, "it has ended")),
                 "/api/v1/stop": (200, {"ok": True, "machines": []}),
                 "/api/v1/actions/abc123-1": (200, action("complete")),
             }
         )
         with self.lab.rig.jog("home") as jog:
-            time.sleep(0.15)
+            time.sleep(0.5)
         self.assertIn("it has ended", str(jog.why))
         self.assertEqual(len([post for post in self.posts() if post.path.endswith("renew")]), 1)
 

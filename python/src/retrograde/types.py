@@ -68,6 +68,7 @@ class MachineState(TypedDict, total=False):
     fault: Optional[Fault]
     needs_acknowledge: bool
     link: LinkQuality
+    notice: Optional[Dict[str, Any]]
     events: List[Dict[str, Any]]
     status: Optional[Dict[str, Any]]
     action: Optional[ActionData]
