@@ -153,6 +153,7 @@ CAPSULE_FAULT = enum(
     LowBattery=struct(battery_mv=uint),
     NotUnfolded=struct(wound_um=sint),
 )
+FIELD = enum("Cycles StrokeUm TotalUs AccelUmS2 ForwardUmS ReturnUmS FarDwellUs HomeDwellUs StartDelayUs PeriodMs PositionUm SpeedUmS")
 REFUSAL = enum(
     "WrongDevice Incompatible RigFaulted CapsuleFaulted CauseStillPresent NothingToAcknowledge AcknowledgeFirst NotHomed NotReferenced"
     " RigBusy CapsuleBusy OutOfRange TooFast SpeedLimit StepRateLimit TooSlow NotAtHome BatteryLow AlreadyThere SettingRange SettingRule"
@@ -161,14 +162,7 @@ REFUSAL = enum(
     CapsuleFaulted=CAPSULE_FAULT,
     RigBusy=RIG_STATE,
     CapsuleBusy=CAPSULE_STATE,
-    OutOfRange=struct(
-        field=enum(
-            "Cycles StrokeUm TotalUs AccelUmS2 ForwardUmS ReturnUmS FarDwellUs HomeDwellUs StartDelayUs PeriodMs PositionUm SpeedUmS"
-        ),
-        requested=uint,
-        min=uint,
-        max=uint,
-    ),
+    OutOfRange=struct(field=FIELD, requested=uint, min=uint, max=uint),
     TooFast=struct(requested_us=uint, min_us=uint, min_accel_um_s2=uint),
     SpeedLimit=struct(needed_um_s=uint, max_um_s=uint),
     StepRateLimit=struct(needed_hz=uint, max_hz=uint),
@@ -177,10 +171,10 @@ REFUSAL = enum(
     SettingRange=struct(key=SETTING_KEY, requested=uint),
     SettingRule=struct(key=SETTING_KEY, rule=uint),
 )
+WIRE_ERROR = enum("NoSession Malformed SequenceReused Stale")
 RUN_OUTCOME = enum("None Running Complete Stopped LinkLost Faulted", Faulted=RIG_FAULT)
 ACTUATION_KIND = enum("Reference Fold Unfold Calibrate CheckFolded")
 ACTUATION_OUTCOME = enum("None Running Complete Stopped LinkLost Faulted", Faulted=CAPSULE_FAULT)
-RIG_INPUTS = struct(home_flag=boolean, far_limit=boolean, estop_loop=boolean)
 
 RIG_EVENT = enum(
     "Homed RunStarted StrokeDone RunEnded Stopped Faulted Held Resumed Moved SettingChanged SettingsReset SettingsUnusable ButtonIgnored",
@@ -200,53 +194,49 @@ CAPSULE_EVENT = enum(
     Ended=struct(actuation=uint, outcome=ACTUATION_OUTCOME),
     Faulted=CAPSULE_FAULT,
 )
-EVENT = struct(
-    index=uint,
-    time_us=uint,
-    what=enum("Booted Acknowledged LinkLost Rig Capsule", Booted=RESET_CAUSE, Rig=RIG_EVENT, Capsule=CAPSULE_EVENT),
-)
+WHAT = enum("Booted Acknowledged LinkLost Rig Capsule", Booted=RESET_CAUSE, Rig=RIG_EVENT, Capsule=CAPSULE_EVENT)
+EVENT = struct(index=uint, time_us=uint, what=WHAT)
 
-TELEMETRY = enum(
-    "Rig Capsule",
-    Rig=struct(
-        time_us=uint,
-        state=RIG_STATE,
-        position_steps=sint,
-        commanded_steps=sint,
-        speed_um_s=sint,
-        stroke=uint,
-        residual_steps=sint,
-        inputs=RIG_INPUTS,
-    ),
-    Capsule=struct(time_us=uint, state=CAPSULE_STATE, thread_um=sint, current_ma=uint, battery_mv=uint, drive_mv=sint),
+RIG_INPUTS = struct(home_flag=boolean, far_limit=boolean, estop_loop=boolean)
+RIG_TELEMETRY = struct(
+    time_us=uint, state=RIG_STATE, position_steps=sint, commanded_steps=sint, speed_um_s=sint, stroke=uint, residual_steps=sint, inputs=RIG_INPUTS
 )
+CAPSULE_TELEMETRY = struct(time_us=uint, state=CAPSULE_STATE, thread_um=sint, current_ma=uint, battery_mv=uint, drive_mv=sint)
+TELEMETRY = enum("Rig Capsule", Rig=RIG_TELEMETRY, Capsule=CAPSULE_TELEMETRY)
 
-STROKE = struct(steps=uint, duration_ticks=uint, ramp_ticks=uint, peak_um_s=uint, accel_um_s2=uint)
+TIMING = enum(
+    "Total Speeds",
+    Total=struct(total_us=uint, accel_um_s2=uint),
+    Speeds=struct(forward_um_s=uint, return_um_s=uint, accel_um_s2=uint),
+)
 RUN = struct(
-    cycles=uint,
-    stroke_um=uint,
-    timing=enum(
-        "Total Speeds",
-        Total=struct(total_us=uint, accel_um_s2=uint),
-        Speeds=struct(forward_um_s=uint, return_um_s=uint, accel_um_s2=uint),
-    ),
-    far_dwell_us=uint,
-    home_dwell_us=uint,
-    start_delay_us=uint,
-    link_loss=enum("Stop Finish"),
+    cycles=uint, stroke_um=uint, timing=TIMING, far_dwell_us=uint, home_dwell_us=uint, start_delay_us=uint, link_loss=enum("Stop Finish")
 )
-VERSION_TYPE = struct(major=u8, minor=u8)
+STROKE = struct(steps=uint, duration_ticks=uint, ramp_ticks=uint, peak_um_s=uint, accel_um_s2=uint)
+RUN_ACCEPTED = struct(run=uint, requested=RUN, forward=STROKE, back=STROKE, total_ticks=uint, edges=uint, plan_hash=uint)
+# fmt: off
 IDENTITY = struct(
-    device=enum("Rig Capsule"),
-    protocol=VERSION_TYPE,
-    schema_key=uint,
-    uid=bytes_of(12),
-    revision=struct(commit=uint, dirty=boolean),
-    profile=enum("Debug Firmware"),
-    boot_id=uint,
-    reset_cause=RESET_CAUSE,
-    session=u8,
+    device=enum("Rig Capsule"), protocol=struct(major=u8, minor=u8), schema_key=uint, uid=bytes_of(12),
+    revision=struct(commit=uint, dirty=boolean), profile=enum("Debug Firmware"), boot_id=uint, reset_cause=RESET_CAUSE, session=u8,
 )
+RIG_STATUS = struct(
+    time_us=uint, state=RIG_STATE, fault=optional(RIG_FAULT), homed=boolean, position_steps=sint, position_um=sint, stroke_um=uint,
+    steps_per_rev=uint, lead_um=uint, inputs=RIG_INPUTS, run=uint, stroke=uint, strokes=uint, elapsed_us=uint, needs_acknowledge=boolean,
+)
+RUN_RECORD = struct(
+    run=uint, outcome=RUN_OUTCOME, strokes=uint, commanded_edges=uint, counted_edges=uint, ticks=uint, plan_hash=uint, min_steps=sint,
+    max_steps=sint, worst_residual_steps=sint, min_queue=optional(uint), glitches=uint, holds=uint, image_hash=uint, prepared_edges=uint,
+    edges_timed=uint, worst_interval_error_ticks=uint,
+)
+CAPSULE_STATUS = struct(
+    time_us=uint, state=CAPSULE_STATE, fault=optional(CAPSULE_FAULT), referenced=boolean, thread_um=sint, current_ma=uint, battery_mv=uint,
+    actuation=uint, needs_acknowledge=boolean,
+)
+ACTUATION_RECORD = struct(
+    actuation=uint, kind=ACTUATION_KIND, outcome=ACTUATION_OUTCOME, duration_ms=uint, thread_um=sint, end_current_ma=uint,
+    peak_current_ma=uint, engaged_um=sint, energy_mj=uint, min_battery_mv=uint,
+)
+# fmt: on
 DONE = struct()
 ACTUATION_ACCEPTED = struct(actuation=uint, timeout_ms=uint)
 
@@ -256,85 +246,14 @@ REQUESTS = {
     "KeepAlive": (1, DONE),
     "SetTelemetry": (3, struct(period_ms=uint)),
     "GetEvents": (4, struct(oldest=uint, next=uint, events=list_of(EVENT))),
-    "GetRigStatus": (
-        6,
-        struct(
-            time_us=uint,
-            state=RIG_STATE,
-            fault=optional(RIG_FAULT),
-            homed=boolean,
-            position_steps=sint,
-            position_um=sint,
-            stroke_um=uint,
-            steps_per_rev=uint,
-            lead_um=uint,
-            inputs=RIG_INPUTS,
-            run=uint,
-            stroke=uint,
-            strokes=uint,
-            elapsed_us=uint,
-            needs_acknowledge=boolean,
-        ),
-    ),
+    "GetRigStatus": (6, RIG_STATUS),
     "Home": (7, struct(seek_um_s=uint, locate_um_s=uint, max_travel_um=uint)),
-    "Run": (
-        8,
-        struct(run=uint, requested=RUN, forward=STROKE, back=STROKE, total_ticks=uint, edges=uint, plan_hash=uint),
-    ),
-    "GetRunRecord": (
-        9,
-        struct(
-            run=uint,
-            outcome=RUN_OUTCOME,
-            strokes=uint,
-            commanded_edges=uint,
-            counted_edges=uint,
-            ticks=uint,
-            plan_hash=uint,
-            min_steps=sint,
-            max_steps=sint,
-            worst_residual_steps=sint,
-            min_queue=optional(uint),
-            glitches=uint,
-            holds=uint,
-            image_hash=uint,
-            prepared_edges=uint,
-            edges_timed=uint,
-            worst_interval_error_ticks=uint,
-        ),
-    ),
-    "GetCapsuleStatus": (
-        10,
-        struct(
-            time_us=uint,
-            state=CAPSULE_STATE,
-            fault=optional(CAPSULE_FAULT),
-            referenced=boolean,
-            thread_um=sint,
-            current_ma=uint,
-            battery_mv=uint,
-            actuation=uint,
-            needs_acknowledge=boolean,
-        ),
-    ),
+    "Run": (8, RUN_ACCEPTED),
+    "GetRunRecord": (9, RUN_RECORD),
+    "GetCapsuleStatus": (10, CAPSULE_STATUS),
     "Reference": (11, ACTUATION_ACCEPTED),
     "Fold": (12, ACTUATION_ACCEPTED),
-    "Unfold": (13, ACTUATION_ACCEPTED),
-    "GetActuationRecord": (
-        14,
-        struct(
-            actuation=uint,
-            kind=ACTUATION_KIND,
-            outcome=ACTUATION_OUTCOME,
-            duration_ms=uint,
-            thread_um=sint,
-            end_current_ma=uint,
-            peak_current_ma=uint,
-            engaged_um=sint,
-            energy_mj=uint,
-            min_battery_mv=uint,
-        ),
-    ),
+    "GetActuationRecord": (14, ACTUATION_RECORD),
 }
 
 
@@ -478,7 +397,7 @@ class Machine:
             "Accepted Refused Wire Urgent",
             Accepted=lambda data: (expect("the response's number", uint(data), number), response(data))[1],
             Refused=REFUSAL,
-            Wire=enum("NoSession Malformed SequenceReused Stale"),
+            Wire=WIRE_ERROR,
         )
         reply = value_of(reply, answer)
         if reply.name == "Refused":
@@ -496,11 +415,13 @@ class Machine:
 
     def attend(self, seconds):
         """Takes what comes for a while, and gives a sign of life now and then."""
-        until = time.monotonic() + seconds
-        while (left := until - time.monotonic()) > 0:
-            self._receive(min(left, KEEP_ALIVE_S))
-            if left > KEEP_ALIVE_S:
+        until, next_sign = time.monotonic() + seconds, time.monotonic() + KEEP_ALIVE_S
+        while (now := time.monotonic()) < until:
+            if now >= next_sign:
                 self.ask("KeepAlive")
+                next_sign = time.monotonic() + KEEP_ALIVE_S
+            else:
+                self._receive(min(until, next_sign) - now)
 
     def _exchange(self, kind, body, name):
         """The body of the reply to this frame, which is sent until it comes."""
