@@ -98,6 +98,8 @@ class BenchTest(unittest.TestCase):
     @classmethod
     def setUpClass(cls) -> None:
         why = missing()
+        if why and "RETROGRADE_PROGRAMS" in os.environ:
+            raise AssertionError(why)
         if why:
             raise unittest.SkipTest(why)
         cls.bench = Bench()

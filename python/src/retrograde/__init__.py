@@ -15,7 +15,6 @@ This is no safety function: a hard-wired switch in the motor supply is required.
 
 from .client import Action, Capsule, Jog, Lab, Rig, connect
 from .errors import (
-    Busy,
     Denied,
     Faulted,
     LinkLost,
@@ -33,7 +32,6 @@ from .stream import Message, Stream
 
 __all__ = [
     "Action",
-    "Busy",
     "Capsule",
     "Denied",
     "Faulted",

@@ -34,10 +34,6 @@ class NoMachine(RetrogradeError):
     """The server has no connection to this machine, or too much to do at once; nothing was begun."""
 
 
-class Busy(NoMachine):
-    """Too many requests, or readers, at once."""
-
-
 class Mismatch(RetrogradeError):
     """Firmware and tool were built from different protocols: flash the board."""
 
