@@ -20,8 +20,8 @@ import time
 from itertools import islice
 from types import SimpleNamespace
 
-VERSION = (3, 1)
-SCHEMA_KEY = 0xAE54B6AF231E733A
+VERSION = (3, 2)
+SCHEMA_KEY = 0xC60306D81EA9D91C
 
 RETRY_AFTER_S = 0.1
 KEEP_ALIVE_S = 0.25
@@ -134,7 +134,9 @@ RESET_CAUSE = enum("PowerOn Pin Panic Watchdog Software")
 SETTING_KEY = enum(
     "LeadUm FullSteps Microsteps StrokeUm MaxSpeedUmS MaxAccelUmS2 MaxStepHz StepPulseNs TurnaroundUs SeekUmS LocateUmS HomingAccelUmS2"
     " StopAccelUmS2 OvertravelUm PullOffUm FlagUm HomingTimeoutS LedgerLimitSteps LinkTimeoutMs DeadManMs SwitchFilterUs TelemetryMs"
-    " ButtonCycles ButtonStrokeUm ButtonTotalMs ButtonAccelUmS2"
+    " ButtonCycles ButtonStrokeUm ButtonTotalMs ButtonAccelUmS2 EndForceMa FoldUmS UnfoldUmS SlowUmS LeastBatteryMv LoadedBatteryMv"
+    " MotorMohm BackEmfUvCps NoLoadMa SpeedGainUaCps ShortestFoldUm LongestFoldUm EndToleranceUm EndOverrunUm DriftUm FoldTimeoutMs"
+    " UnfoldTimeoutMs"
 )
 RIG_FAULT = enum(
     "EStopLoop EStopFrame FarLimit FlagNotFound FlagStuck BothSwitchesOpen LostSteps ReadBack Underrun WindowGuard Watchdog Panic"
@@ -153,7 +155,7 @@ CAPSULE_FAULT = enum(
     LowBattery=struct(battery_mv=uint),
     NotUnfolded=struct(wound_um=sint),
 )
-FIELD = enum("Cycles StrokeUm TotalUs AccelUmS2 ForwardUmS ReturnUmS FarDwellUs HomeDwellUs StartDelayUs PeriodMs PositionUm SpeedUmS")
+FIELD = enum("Cycles StrokeUm TotalUs AccelUmS2 ForwardUmS ReturnUmS FarDwellUs HomeDwellUs StartDelayUs PeriodMs PositionUm SpeedUmS ThreadUm")
 REFUSAL = enum(
     "WrongDevice Incompatible RigFaulted CapsuleFaulted CauseStillPresent NothingToAcknowledge AcknowledgeFirst NotHomed NotReferenced"
     " RigBusy CapsuleBusy OutOfRange TooFast SpeedLimit StepRateLimit TooSlow NotAtHome BatteryLow AlreadyThere SettingRange SettingRule"
@@ -173,7 +175,7 @@ REFUSAL = enum(
 )
 WIRE_ERROR = enum("NoSession Malformed SequenceReused Stale")
 RUN_OUTCOME = enum("None Running Complete Stopped LinkLost Faulted", Faulted=RIG_FAULT)
-ACTUATION_KIND = enum("Reference Fold Unfold Calibrate CheckFolded")
+ACTUATION_KIND = enum("Reference Fold Unfold Calibrate CheckFolded FoldTo")
 ACTUATION_OUTCOME = enum("None Running Complete Stopped LinkLost Faulted", Faulted=CAPSULE_FAULT)
 
 RIG_EVENT = enum(
@@ -189,10 +191,12 @@ RIG_EVENT = enum(
     SettingChanged=SETTING_KEY,
 )
 CAPSULE_EVENT = enum(
-    "Started Ended Faulted NotKept",
+    "Started Ended Faulted NotKept Drifted SettingChanged SettingsReset SettingsUnusable",
     Started=struct(actuation=uint, kind=ACTUATION_KIND),
     Ended=struct(actuation=uint, outcome=ACTUATION_OUTCOME),
     Faulted=CAPSULE_FAULT,
+    Drifted=struct(by_um=sint),
+    SettingChanged=SETTING_KEY,
 )
 WHAT = enum("Booted Acknowledged LinkLost Rig Capsule", Booted=RESET_CAUSE, Rig=RIG_EVENT, Capsule=CAPSULE_EVENT)
 EVENT = struct(index=uint, time_us=uint, what=WHAT)

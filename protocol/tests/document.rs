@@ -432,6 +432,8 @@ fn rule_text(name: &str) -> String {
         PulseWithinStep,
         HomingWithinStepRate,
         TelemetryInterval,
+        FoldHasARange,
+        LoadedBelowRest,
     ];
     let rule = rules.iter().find(|rule| format!("{rule:?}") == name);
     rule.unwrap_or_else(|| panic!("add SettingRule::{name} to tests/document.rs"))
@@ -516,7 +518,8 @@ fn the_requests_are_those_of_the_code() {
         };
         let machine = match module {
             "system" => "both",
-            "rig" | "settings" => "rig",
+            "rig" => "rig",
+            "settings" => "both",
             module => module,
         };
         let matched = if exemplar.needs_match() { "yes" } else { "no" };

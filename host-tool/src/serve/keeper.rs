@@ -446,6 +446,7 @@ impl Keeper<'_> {
             ActuationKind::CheckFolded => ("check-folded", "checking"),
             ActuationKind::Fold => ("fold", "folding"),
             ActuationKind::Unfold => ("unfold", "unfolding"),
+            ActuationKind::FoldTo => ("fold-to", "folding partly"),
         };
         let recording = self.recording(stem, record);
         let trial = experiment::actuate(capsule, kind, &recording, &mut busy)?;

@@ -87,7 +87,7 @@ impl Work {
             Subcommand::Hold => Self::Hold,
             Subcommand::Resume => Self::Resume,
             Subcommand::Ack(_) => Self::Acknowledge,
-            Subcommand::Fold(FoldArgs { record, .. }) => Self::Actuate(ActuationKind::Fold, record),
+            Subcommand::Fold(args) => Self::Actuate(ActuationKind::Fold, args.fold.record),
             Subcommand::Unfold(FoldArgs { record, .. }) => {
                 Self::Actuate(ActuationKind::Unfold, record)
             }
@@ -123,6 +123,7 @@ impl Work {
                 ActuationKind::CheckFolded => "check",
                 ActuationKind::Fold => "fold",
                 ActuationKind::Unfold => "unfold",
+                ActuationKind::FoldTo => "fold-to",
             },
         }
     }

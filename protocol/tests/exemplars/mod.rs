@@ -66,6 +66,7 @@ pub fn requests() -> std::vec::Vec<Request> {
         Request::CheckFolded(CheckFolded),
         Request::GetTrace(GetTrace { from: 1_300 }),
         Request::GetCapsuleTotals(GetCapsuleTotals),
+        Request::FoldTo(FoldTo { thread_um: 12_345 }),
     ]
 }
 
@@ -158,6 +159,12 @@ pub fn events() -> std::vec::Vec<Event> {
             CapsuleFault::NotUnfolded { wound_um: 9_000 },
         ))),
         event(What::Capsule(CapsuleEvent::NotKept)),
+        event(What::Capsule(CapsuleEvent::Drifted { by_um: -180 })),
+        event(What::Capsule(CapsuleEvent::SettingChanged(
+            SettingKey::EndForceMa,
+        ))),
+        event(What::Capsule(CapsuleEvent::SettingsReset)),
+        event(What::Capsule(CapsuleEvent::SettingsUnusable)),
     ]
 }
 
@@ -353,6 +360,10 @@ pub fn responses() -> std::vec::Vec<Response> {
                 no_load_ma: 16,
                 tension_ma: 22,
             }),
+        }),
+        Response::FoldTo(ActuationAccepted {
+            actuation: 7,
+            timeout_ms: 8_000,
         }),
     ]
 }
