@@ -10,7 +10,7 @@ use std::time::SystemTime;
 
 use crate::process::{Failure, Result, host_cargo, root, run};
 use crate::steps::{self, Step};
-use crate::{bench, images};
+use crate::{bench, images, python};
 
 const HOST_TESTS: Step = Step::new(
     "host tests",
@@ -31,6 +31,13 @@ const BENCH_TESTS: Step = Step::new(
     "bench tests",
     "boots the images on the virtual bench and judges them from their pins",
     bench::test,
+)
+.after("images");
+
+const PYTHON: Step = Step::new(
+    "python",
+    "the Python package against `retrograde serve` and the images",
+    python::test,
 )
 .after("images");
 
@@ -65,7 +72,7 @@ const DEMO: Step = Step::new(
 
 /// Runs every test, with all set-up.
 pub(crate) fn test() -> ExitCode {
-    steps::run(&[IMAGES, HOST_TESTS, LONG_TESTS, BENCH_TESTS])
+    steps::run(&[IMAGES, HOST_TESTS, LONG_TESTS, BENCH_TESTS, PYTHON])
 }
 
 /// Runs the checks that execute no code of ours.
@@ -86,6 +93,7 @@ pub(crate) fn ci() -> ExitCode {
         IMAGES,
         LINT_IMAGES,
         BENCH_TESTS,
+        PYTHON,
         DEMO,
     ])
 }

@@ -28,6 +28,7 @@ mod layout;
 mod mutants;
 mod places;
 mod process;
+mod python;
 mod steps;
 mod toolchain;
 mod version;
