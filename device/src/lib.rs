@@ -8,6 +8,7 @@
 #[cfg(target_os = "none")]
 pub mod chip;
 pub mod common;
+pub mod due;
 pub mod half_periods;
 pub mod identity;
 pub mod last_words;

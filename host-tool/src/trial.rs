@@ -284,7 +284,7 @@ pub struct Trial {
     pub telemetry: String,
     /// Rows in the CSV.
     pub samples: u64,
-    /// Samples that were lost on the link.
+    /// Samples that were lost: on the link, or because the device left them out while it wrote its flash.
     pub missed_samples: u64,
     /// Events of the device during the trial, in order.
     pub events: Vec<Event>,

@@ -1,6 +1,7 @@
 //! Sends a sample at the interval that the host asked for.
 
 use super::channels::{SESSION, TELEMETRY_CHANGED, TELEMETRY_MS, send_if_free};
+use crate::due;
 use core::sync::atomic::Ordering;
 use embassy_time::{Duration, Instant, with_deadline};
 use protocol::{
@@ -8,8 +9,9 @@ use protocol::{
     table::Telemetry,
 };
 
-/// Sends what `sample` makes, for ever; nothing where it makes nothing. A sample that finds the line busy is dropped,
-/// and the sequence number of the next one shows the gap.
+/// Sends what `sample` makes, for ever; nothing where it makes nothing. A sample that finds the line busy is dropped, and
+/// those that come due while the processor stands or no task runs, as when flash is written, are left out; the sequence
+/// number of the next one shows the gap.
 pub async fn run(mut sample: impl FnMut(Instant) -> Option<Telemetry>) -> ! {
     let mut seq = 0_u16;
     let mut next = Instant::now();
@@ -17,13 +19,17 @@ pub async fn run(mut sample: impl FnMut(Instant) -> Option<Telemetry>) -> ! {
         let period = TELEMETRY_MS.load(Ordering::Relaxed);
         next = match period {
             0 => Instant::MAX,
-            _ => (next + Duration::from_millis(u64::from(period))).max(Instant::now()),
+            _ => next + Duration::from_millis(u64::from(period)),
         };
         if with_deadline(next, TELEMETRY_CHANGED.wait()).await.is_ok() {
             next = Instant::now();
             continue;
         }
-        let Some(sample) = sample(Instant::now()) else {
+        let now = Instant::now();
+        let left_out = due::left_out(next.as_micros(), now.as_micros(), u32::from(period) * 1_000);
+        next += Duration::from_millis(u64::from(period) * u64::from(left_out));
+        seq = seq.wrapping_add(left_out as u16);
+        let Some(sample) = sample(now) else {
             continue;
         };
         let header = Header {

@@ -229,7 +229,7 @@ fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Vec<String> {
             .sum();
         if missed != trial.missed_samples {
             defects.push(format!(
-                "by the rows of {name} {missed} samples were lost on the link, by the sidecar {}",
+                "by the rows of {name} {missed} samples were lost, by the sidecar {}",
                 trial.missed_samples
             ));
         }

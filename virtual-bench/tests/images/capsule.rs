@@ -3,7 +3,7 @@
 use crate::common::trials;
 use capsule_plant::cases::Kind;
 use host_tool::{
-    client::{Device, Unobserved},
+    client::{Device, Observer, Unobserved},
     error::ClientError,
 };
 use protocol::{
@@ -13,6 +13,7 @@ use protocol::{
     },
     error::Refusal,
     system::{DeviceKind, ResetCause, Urgent},
+    table::Telemetry,
 };
 use virtual_bench::{
     bench::Bench,
@@ -739,6 +740,58 @@ fn a_panic_switches_off_and_leaves_its_callers() {
         assert!(
             (0x0801_0000..0x0808_0000).contains(&callers[0]),
             "{words:?}"
+        );
+    }
+}
+
+/// Device time of each sample, us, and how many were missing before it.
+#[derive(Default)]
+struct Samples(Vec<(u64, u16)>);
+
+impl Observer for Samples {
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        let Telemetry::Capsule(sample) = sample else {
+            panic!("{sample:?} of a capsule");
+        };
+        self.0.push((sample.time_us, missed));
+    }
+}
+
+/// The totals are written half a second after a motion. In an empty log a sector comes into use with that: it is looked through,
+/// and erased unless it is blank.
+#[test]
+fn telemetry_counts_the_samples_that_it_leaves_out_while_flash_is_written() {
+    const INTERVAL_US: u64 = 10_000;
+    for (is_blank, silent_us) in [(true, 0..20_000), (false, 250_000..300_000)] {
+        let mut capsule = referenced();
+        if !is_blank {
+            // In the middle of the first sector, as an erasure that was cut off may leave it.
+            let dirt = capsule
+                .bench
+                .visit(|visit| visit.overwrite(0x0800_6000, &[0; 2]));
+            dirt.expect("the bench runs");
+        }
+        let mut samples = Samples::default();
+        capsule.device.set_telemetry(10).expect("accepted");
+        capsule
+            .device
+            .idle(1_500_000, &mut samples)
+            .expect("the link stays");
+        let totals = capsule.device.call(GetCapsuleTotals).expect("totals");
+        assert_eq!(totals.actuations, 1, "blank: {is_blank}");
+        let mut longest_us = 0;
+        for pair in samples.0.windows(2) {
+            let apart_us = pair[1].0 - pair[0].0;
+            let explained_us = INTERVAL_US * (u64::from(pair[1].1) + 1);
+            assert!(
+                apart_us.abs_diff(explained_us) < INTERVAL_US,
+                "blank: {is_blank}, {pair:?}"
+            );
+            longest_us = longest_us.max(apart_us);
+        }
+        assert!(
+            silent_us.contains(&longest_us),
+            "blank: {is_blank}, {longest_us} us"
         );
     }
 }
