@@ -6,13 +6,15 @@ use std::path::Path;
 
 use host_tool::campaign::folder::Campaign;
 use host_tool::campaign::ledger::{Source, Standing};
+use host_tool::campaign::order::Form;
 use host_tool::campaign::verify::verify;
 use host_tool::cli;
+use host_tool::report::evaluation::evaluate;
 use virtual_bench::connector::BenchPorts;
 
 const PAPER: &str = include_str!("../../../examples/paper.toml");
 
-/// One dry trial, and the fold test: three runs of 8 s.
+/// One dry trial, and the fold test with a fold in a run: four runs of 8 s.
 fn short_plan() -> String {
     [
         ("repeats = 10", "repeats = 1"),
@@ -20,6 +22,7 @@ fn short_plan() -> String {
         ("cycles = 5", "cycles = 1"),
         (r#"["dry", "lubricated"]"#, r#"["dry"]"#),
         (r#"["a1", "a2", "a3", "a4", "a5"]"#, r#"["a5"]"#),
+        ("# fold_at_cycle = 3", "fold_at_cycle = 1"),
     ]
     .iter()
     .fold(PAPER.to_owned(), |plan, (long, short)| {
@@ -56,13 +59,23 @@ fn a_short_campaign_is_left_and_resumed_and_reported() {
     let verified = verify(Path::new(&folder)).expect("a folder");
     assert_eq!(verified.findings, vec![]);
     let campaign = Campaign::read(Path::new(&folder)).expect("a campaign");
-    assert_eq!(campaign.state.trials.len(), 3);
+    assert_eq!(campaign.state.trials.len(), 4);
     for trial in &campaign.state.trials {
         assert_eq!(trial.standing(), Standing::Done, "{trial:?}");
         assert_eq!(trial.attempts.len(), 1, "{trial:?}");
     }
     let sources: Vec<_> = campaign.rows.iter().filter_map(|row| row.source).collect();
-    assert_eq!(sources, [Source::Model; 3]);
+    assert_eq!(sources, [Source::Model; 4]);
     let page = fs::read_to_string(path("short/report/report.html")).expect("a report");
     assert!(page.contains("not a measurement"));
+    // One that contradicts itself is left out of the report with its trial.
+    let evaluation = evaluate(Path::new(&folder)).expect("a campaign");
+    let folding = evaluation
+        .trials
+        .iter()
+        .filter(|trial| trial.shape == Form::Folding);
+    assert_eq!(folding.count(), 1);
+    for part in evaluation.parts.iter().flatten() {
+        assert!(part.defects.is_empty(), "{part:?}");
+    }
 }
