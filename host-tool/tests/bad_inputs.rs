@@ -39,7 +39,32 @@ const INPUTS: &[(&str, u8, &str, &str)] = &[
         "a value is required for '--rig <WHERE>'",
         "--help",
     ),
-    ("settings", 2, "The rig's settings", "import"),
+    ("settings", 2, "Settings and name of a machine", "import"),
+    (
+        "settings set stroke_um 5 --of capsule",
+        2,
+        "stroke_um is no setting of this machine",
+        "--of",
+    ),
+    (
+        "settings get end_force_ma --of rig",
+        2,
+        "end_force_ma is no setting of this machine",
+        "--of",
+    ),
+    (
+        "fold --thread-mm 5 --indentation-mm 2",
+        2,
+        "cannot be used with",
+        "--help",
+    ),
+    ("fold --thread-mm -3", 2, "--thread-mm", "--help"),
+    (
+        "fold --indentation-mm 100",
+        2,
+        "100",
+        "nothing was sent",
+    ),
     ("simulate nothing", 2, "unrecognized subcommand", "--help"),
     (
         "--rig RIG stop other",
