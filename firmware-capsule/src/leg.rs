@@ -43,7 +43,7 @@ const LOADED_FROM_MA: u16 = 82;
 /// The last of paying out: 2 mm/s.
 const LAST_CPS: i32 = 1_600;
 /// A fold is slow for so much before its calibrated end.
-pub const SLOW_ZONE: Thread = Thread(500);
+pub const SLOW_ZONE: Thread = Thread(300);
 /// The first of an unfolding is slow, so that its current tells whether the thread pulls.
 pub const TENSION_ZONE: Thread = Thread(500);
 /// A leg that pays out is braked so that the motor stops this far before its end. The stopping distance, 0.01 mm at

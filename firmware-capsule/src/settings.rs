@@ -7,7 +7,7 @@ use protocol::settings::{SettingKey as Key, SettingRule};
 /// Of all the values that a person can change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
-    /// Current above the no-load current at the end force: 5.7 N with the assumed friction of the worm, 4.7 to 7.4 N over the
+    /// Current above the no-load current at the end force: 5.6 N with the assumed friction of the worm, 4.6 to 7.2 N over the
     /// friction's range. Of the nominal fold's energy the last 1.6 mm before it take 37 %.
     pub force_ma: u16,
     /// The same at half of the end force: start of the rise that tells an origami from an obstacle.
@@ -54,7 +54,7 @@ pub struct Settings {
     pub link_timeout_us: u32,
 }
 
-/// Shares of the end force: 135 mA and what belongs to it were tried together.
+/// Shares of the end force, as they were at 135 mA.
 const fn share(force_ma: u32, of_135: u32) -> u16 {
     (force_ma * of_135 / 135) as u16
 }

@@ -28,15 +28,15 @@ fn current_ma(newton: f64) -> f64 {
 #[test]
 fn currents_are_the_forces_they_stand_for() {
     let settings = Settings::default();
-    assert!((f64::from(settings.force_ma) - current_ma(5.74)).abs() < 1.0);
-    assert!((f64::from(settings.rise_start_ma) - current_ma(2.87)).abs() < 1.0);
+    assert!((f64::from(settings.force_ma) - current_ma(5.61)).abs() < 1.0);
+    assert!((f64::from(settings.rise_start_ma) - current_ma(2.78)).abs() < 1.0);
 }
 
 #[test]
 fn the_defaults_are_what_the_population_was_tried_with() {
     let settings = Settings::default();
-    assert_eq!((settings.force_ma, settings.rise_start_ma), (135, 67));
-    assert_eq!((settings.near_ma, settings.met_ma), ((105, 75), 100));
+    assert_eq!((settings.force_ma, settings.rise_start_ma), (132, 65));
+    assert_eq!((settings.near_ma, settings.met_ma), ((102, 73), 97));
     assert_eq!((settings.fold_cps, settings.pay_out_cps), (10_550, 17_100));
     assert_eq!((settings.slow_cps, settings.near_cps), (5_700, 4_000));
     assert_eq!(settings.link_timeout_us, 1_000_000);

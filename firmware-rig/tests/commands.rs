@@ -225,6 +225,7 @@ fn requests() -> Vec<Request> {
         Request::CheckFolded(capsule::CheckFolded),
         Request::GetTrace(capsule::GetTrace { from: 0 }),
         Request::GetCapsuleTotals(capsule::GetCapsuleTotals),
+        Request::FoldTo(capsule::FoldTo { thread_um: 9_000 }),
     ];
     let names: Vec<_> = requests.iter().map(|request| request.name()).collect();
     assert_eq!(names, Request::NAMES);
@@ -243,6 +244,7 @@ fn is_for_the_capsule(request: &Request) -> bool {
             | Request::CheckFolded(_)
             | Request::GetTrace(_)
             | Request::GetCapsuleTotals(_)
+            | Request::FoldTo(_)
     )
 }
 

@@ -59,12 +59,7 @@ const INPUTS: &[(&str, u8, &str, &str)] = &[
         "--help",
     ),
     ("fold --thread-mm -3", 2, "--thread-mm", "--help"),
-    (
-        "fold --indentation-mm 100",
-        2,
-        "100",
-        "nothing was sent",
-    ),
+    ("fold --indentation-mm 100", 2, "100", "nothing was sent"),
     ("simulate nothing", 2, "unrecognized subcommand", "--help"),
     (
         "--rig RIG stop other",

@@ -231,7 +231,7 @@ fn standing(current_ma: u16, ordered_ma: u16, battery_mv: u16) -> Option<(u32, T
 
 #[test]
 fn a_standstill_has_four_names() {
-    assert_eq!(standing(150, 150, 3_600), Some((41, Trip::Blocked)));
+    assert_eq!(standing(145, 145, 3_600), Some((41, Trip::Blocked)));
     assert_eq!(standing(128, 150, 3_600), Some((41, Trip::Blocked)));
     assert_eq!(standing(127, 150, 3_600), Some((41, Trip::EncoderLost)));
     assert_eq!(standing(30, 200, 3_690), Some((41, Trip::EncoderLost)));

@@ -123,9 +123,9 @@ fn what_resists_makes_a_fold_careful() {
 #[test]
 fn near_the_end_force_the_speed_does_not_go_to_and_fro() {
     assert!(
-        is_near(false, 105, &Settings::default()) && !is_near(false, 104, &Settings::default())
+        is_near(false, 102, &Settings::default()) && !is_near(false, 101, &Settings::default())
     );
-    assert!(is_near(true, 75, &Settings::default()) && !is_near(true, 74, &Settings::default()));
+    assert!(is_near(true, 73, &Settings::default()) && !is_near(true, 72, &Settings::default()));
     assert_eq!(
         WIND.aim(END, 16, true, &Settings::default()).cps,
         Settings::default().near_cps

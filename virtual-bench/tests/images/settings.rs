@@ -7,7 +7,7 @@ use protocol::{
     frame::{Header, Kind, encode},
     rig::{RigEvent, RigState},
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
-    system::What,
+    system::{DeviceKind, What},
     table::{Endpoint, Request},
 };
 use virtual_bench::{emulator::CutAt, link::VirtualLink};
@@ -58,7 +58,7 @@ fn operations(rig: &RigRun) -> u64 {
 #[test]
 fn settings_are_the_defaults_at_first_and_survive_reset_and_power() {
     let mut rig = rig();
-    for key in SettingKey::ALL {
+    for key in SettingKey::of(DeviceKind::Rig) {
         assert_eq!(get(&mut rig, key), key.range().default, "{}", key.name());
     }
     assert_eq!(operations(&rig), 0, "a start writes nothing");
@@ -84,7 +84,7 @@ fn settings_are_the_defaults_at_first_and_survive_reset_and_power() {
         .expect("homed");
     rig.device.call(FactoryReset).expect("accepted");
     power_cycle(&mut rig);
-    for key in SettingKey::ALL {
+    for key in SettingKey::of(DeviceKind::Rig) {
         assert_eq!(get(&mut rig, key), key.range().default, "{}", key.name());
     }
     assert!(rig.device.call(GetName).expect("a name").name.is_empty());
@@ -98,7 +98,7 @@ fn what_cannot_be_is_refused_and_nothing_is_written() {
         Err(ClientError::Refused { refusal, .. }) => assert_eq!(refusal, expected),
         other => panic!("{other:?}"),
     };
-    for key in SettingKey::ALL {
+    for key in SettingKey::of(DeviceKind::Rig) {
         let range = key.range();
         for value in [range.min.checked_sub(1), range.max.checked_add(1)] {
             let Some(requested) = value else { continue };
