@@ -216,7 +216,7 @@ fn the_wrong_machine_is_named_and_left_alone() {
     assert!(
         heard
             .iter()
-            .all(|name| ["Hello", "GetEvents"].contains(name)),
+            .all(|name| ["Hello", "GetEvents", "GetSetting"].contains(name)),
         "{heard:?}"
     );
 }
