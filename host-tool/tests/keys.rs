@@ -110,8 +110,8 @@ fn ctrl_c_after_the_key_is_the_emergency_stop() {
         let shown = Arc::clone(&terminal.bytes);
         let code = terminal.ends_restored();
         let took = braking.elapsed();
-        if code == Some(130) && took > Duration::from_secs(5) && attempt < 3 {
-            // The computer stood still for as long as the rig brakes: this shows nothing.
+        if code == Some(130) && attempt < 3 {
+            // The computer may have stood still for as long as the rig brakes: once, that shows nothing.
             assert_eq!(bench.retrograde(&["home"]).0, Some(0));
             continue;
         }

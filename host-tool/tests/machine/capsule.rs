@@ -25,7 +25,7 @@ const ASLEEP_US: u64 = 100_000;
 const COASTS_US: u64 = 500_000;
 
 /// Thread of the folded capsule, um: 6 N at 20.7 mm of travel (docs/science.md), and 1 mm of slack.
-pub const FOLDED_UM: i32 = 21_600;
+pub const FOLDED_UM: i32 = 21_510;
 
 /// A capsule.
 pub struct Capsule {
