@@ -591,6 +591,18 @@ fn a_run_is_held_resumed_recorded_and_followed() {
     assert_eq!(code, Some(3), "{err}");
     assert!(err.contains("serve"), "{err}");
     assert!(server.get("/api/v1/rig/health").json()["health"]["underruns"].is_u64());
+    // Those of the rig, and none that only a capsule has.
+    let settings = server.get("/api/v1/rig/settings").json();
+    let names: Vec<_> = settings["settings"]
+        .as_array()
+        .expect("a list")
+        .iter()
+        .map(|one| one["name"].clone())
+        .collect();
+    assert!(
+        names.contains(&"stroke_um".into()) && !names.contains(&"end_force_ma".into()),
+        "{settings}"
+    );
     let resumed = server.done("/api/v1/rig/resume", &json!({}));
     assert_eq!(resumed["state"], "complete", "{resumed}");
     let ended = server.end_of(&action);

@@ -192,9 +192,8 @@ fn ask(finder: &Finder<'_>, board: &Board, question: Question) -> Result<Value, 
         match question {
             Question::Health => Ok(json!({ "health": rig.call(rig::GetRigHealth)? })),
             Question::Settings => {
-                let settings = SettingKey::ALL
-                    .iter()
-                    .map(|&key| {
+                let settings = SettingKey::of(DeviceKind::Rig)
+                    .map(|key| {
                         let value = rig.call(GetSetting { key })?.value;
                         let range = key.range();
                         Ok(json!({

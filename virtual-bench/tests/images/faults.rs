@@ -8,7 +8,7 @@ use protocol::{
     error::Refusal,
     rig::{RigFault, RigState, Run, RunOutcome, RunTiming},
     settings::{FactoryReset, GetSetting, Setting, SettingKey},
-    system::ResetCause,
+    system::{DeviceKind, ResetCause},
     table::Telemetry,
 };
 use virtual_bench::faults::When;
@@ -259,7 +259,7 @@ fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
         let mut dice = Dice(0xF1A5_4005 + 7919 * seed);
         flash[SETTINGS].fill_with(|| dice.roll(0..256) as u8);
         let mut rig = rig_from_flash(flash);
-        for key in SettingKey::ALL {
+        for key in SettingKey::of(DeviceKind::Rig) {
             let found = rig.device.call(GetSetting { key }).expect("it answers");
             assert_eq!(found.value, key.range().default, "{}", key.name());
         }
