@@ -326,7 +326,7 @@ fn a_wrong_kind_of_machine_is_not_driven() {
         &rig.bench,
         "virtual rig",
     ));
-    let wanted = protocol::system::DeviceKind::Capsule;
+    let wanted = DeviceKind::Capsule;
     let refused = host_tool::client::Device::connect(link, wanted, 7).err();
     assert!(
         matches!(refused, Some(ClientError::WrongDevice { .. })),
