@@ -1,5 +1,5 @@
-//! Values of the settings as on the wire, and the rig's store of them and of its name in flash. What they mean is the image's
-//! business.
+//! Values of the settings as on the wire, and the store of them, of the name, and of what else a machine keeps in flash. What
+//! they mean is the image's business.
 
 use crate::store::{NAME_RECORD, StorageFailed, Store};
 use embedded_storage_async::nor_flash::NorFlash;
@@ -71,6 +71,38 @@ impl Values {
     }
 }
 
+/// A record as it is written to flash, without its number.
+pub type Record = heapless::Vec<u8, MAX_NAME>;
+
+/// What a machine keeps in the log beside its settings and its name.
+pub trait Records: Clone + Default {
+    /// Whose settings the log holds.
+    const KIND: DeviceKind;
+    /// Numbers of these records; no setting of the machine has them.
+    const NUMBERS: &'static [u8];
+
+    /// Takes over a record as read from flash. One of another layout is left out.
+    fn load(&mut self, number: u8, record: &[u8]);
+
+    /// What is to be written under a number, if there is anything.
+    fn record(&self, number: u8) -> Option<Record>;
+}
+
+/// The rig keeps settings and name alone.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SettingsOnly;
+
+impl Records for SettingsOnly {
+    const KIND: DeviceKind = DeviceKind::Rig;
+    const NUMBERS: &'static [u8] = &[];
+
+    fn load(&mut self, _: u8, _: &[u8]) {}
+
+    fn record(&self, _: u8) -> Option<Record> {
+        None
+    }
+}
+
 /// What a start found in flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Found {
@@ -82,26 +114,38 @@ enum Found {
     Noise,
 }
 
-/// Values and name in force, and the log in flash that they came from.
-pub struct SettingsStore<F: NorFlash> {
+/// Values, name and records in force, and the log in flash that they came from.
+pub struct SettingsStore<F: NorFlash, R = SettingsOnly> {
     store: Store<F>,
     found: Found,
     values: Values,
     name: String<MAX_NAME>,
+    records: R,
 }
 
 impl<F: NorFlash> SettingsStore<F> {
+    /// Reads the flash of a machine that keeps nothing else, as [`SettingsStore::load_with`].
+    pub fn load(flash: F, go_together: impl FnOnce(&Values) -> bool) -> (Self, bool) {
+        Self::load_with(flash, go_together)
+    }
+}
+
+impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     /// Reads the flash. The second value is false if what is there cannot be used: not a log, or values that do not
     /// `go_together` (a cut of the power within a reset to the defaults may leave such). Then the defaults are in force.
-    pub fn load(flash: F, go_together: impl FnOnce(&Values) -> bool) -> (Self, bool) {
+    /// Without a log nothing is known of the other records either: what could be read of them may be of years ago.
+    pub fn load_with(flash: F, go_together: impl FnOnce(&Values) -> bool) -> (Self, bool) {
         let mut store = Store::new(flash);
         let (mut values, mut name) = (Values::DEFAULT, String::new());
+        let mut records = R::default();
         let loaded = store.load(|number, record| match number {
             NAME_RECORD => {
                 let text = core::str::from_utf8(record).unwrap_or_default();
                 name = text.try_into().unwrap_or_default();
             }
-            _ => values.load(number, record),
+            _ if R::NUMBERS.contains(&number) => records.load(number, record),
+            _ if setting::<R>(number).is_some() => values.load(number, record),
+            _ => {} // of another firmware
         });
         let found = if loaded.is_err() {
             Found::Noise
@@ -114,11 +158,15 @@ impl<F: NorFlash> SettingsStore<F> {
         if !usable {
             values = Values::DEFAULT;
         }
+        if found == Found::Noise {
+            (name, records) = (String::new(), R::default());
+        }
         let kept = Self {
             store,
             found,
             values,
             name,
+            records,
         };
         (kept, usable)
     }
@@ -131,6 +179,11 @@ impl<F: NorFlash> SettingsStore<F> {
     /// The device's name; empty = none.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The other records in force.
+    pub fn records(&self) -> &R {
+        &self.records
     }
 
     // Flash first: what is in force is what the next start will find.
@@ -156,14 +209,28 @@ impl<F: NorFlash> SettingsStore<F> {
         Ok(())
     }
 
-    /// Goes back to the defaults of all values and of the name.
+    /// Changes the other records, of which only the one with this number differs. A flash without a log is erased for it:
+    /// the machine keeps them by itself, and nobody would be there to order a reset.
+    ///
+    /// # Errors
+    /// Nothing has changed.
+    pub fn keep(&mut self, number: u8, records: R) -> Result<(), StorageFailed> {
+        let record = records.record(number).ok_or(StorageFailed)?;
+        if self.found == Found::Noise {
+            self.begin_anew()?;
+        }
+        self.save(number, &record)?;
+        self.records = records;
+        Ok(())
+    }
+
+    /// Goes back to the defaults of all values and of the name. The other records stay.
     ///
     /// # Errors
     /// The flash is worn out; some values may have changed in it, none in force.
     pub fn reset(&mut self) -> Result<(), StorageFailed> {
         if self.found == Found::Noise || self.save_defaults().is_err() {
-            // The flash holds something that is no log.
-            self.store.erase()?;
+            self.begin_anew()?;
         }
         self.found = Found::Settings;
         self.name.clear();
@@ -171,8 +238,20 @@ impl<F: NorFlash> SettingsStore<F> {
         Ok(())
     }
 
+    /// Erases a flash that holds something that is no log. It is one of defaults then, and of the other records.
+    fn begin_anew(&mut self) -> Result<(), StorageFailed> {
+        self.store.erase()?;
+        self.found = Found::Settings;
+        for number in R::NUMBERS {
+            if let Some(record) = self.records.record(*number) {
+                self.store.save(*number, &record)?;
+            }
+        }
+        Ok(())
+    }
+
     fn save_defaults(&mut self) -> Result<(), StorageFailed> {
-        for key in SettingKey::of(DeviceKind::Rig) {
+        for key in SettingKey::of(R::KIND) {
             let default = key.range().default;
             // After a conflict the values in force are not those in flash.
             if self.found == Found::Conflict || self.values.get(key) != default {
@@ -184,15 +263,32 @@ impl<F: NorFlash> SettingsStore<F> {
 
     /// Writes a record, and again before it those that would be dropped some day.
     fn save(&mut self, number: u8, content: &[u8]) -> Result<(), StorageFailed> {
-        while let Some(number) = self.store.overdue() {
-            match SettingKey::from_number(number) {
-                Some(key) => {
-                    let record = Values::record(self.values.get(key));
-                    self.store.save(number, &record)?;
-                }
-                None => self.store.save(number, self.name.as_bytes())?,
-            }
+        if self.found == Found::Noise {
+            // The next start would not get as far as this record.
+            return Err(StorageFailed);
+        }
+        while let Some(overdue) = self.store.overdue() {
+            // What another firmware wrote gives way to an empty record, which no firmware reads.
+            let record = self.record(overdue).unwrap_or_default();
+            self.store.save(overdue, &record)?;
         }
         self.store.save(number, content)
     }
+
+    /// What is in force under a number.
+    fn record(&self, number: u8) -> Option<Record> {
+        if number == NAME_RECORD {
+            return Some(self.name.as_bytes().try_into().unwrap_or_default());
+        }
+        if R::NUMBERS.contains(&number) {
+            return self.records.record(number);
+        }
+        let value = self.values.get(setting::<R>(number)?);
+        Some(Values::record(value).into_iter().collect())
+    }
+}
+
+/// The setting that a record is of.
+fn setting<R: Records>(number: u8) -> Option<SettingKey> {
+    SettingKey::from_number(number).filter(|key| key.is_of(R::KIND))
 }

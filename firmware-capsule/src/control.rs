@@ -6,8 +6,9 @@ use crate::{
     commands::{self, Change, Context},
     detect::Sample,
     fold::{self, Actions, Command, Drive, Event},
-    kept::{Kept, Totals},
+    kept::{CALIBRATION, Kept, TOTALS, Totals},
     mechanics::Counts,
+    settings::Settings,
     trace::Recording,
 };
 use device::retained::{EStop, Retained};
@@ -15,6 +16,7 @@ use device::{
     common::{About, Effect, Surroundings},
     last_words::LastWords,
     service::Answers,
+    settings::SettingsStore,
     store::StorageFailed,
 };
 use embedded_storage_async::nor_flash::NorFlash;
@@ -42,7 +44,7 @@ pub trait Capsule {
 pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
     capsule: C,
     machine: fold::Capsule,
-    kept: Kept<F>,
+    store: SettingsStore<F, Kept>,
     /// Motions that have ended and are not yet in the totals, and their energy.
     ended: (u32, u64),
     /// Position, and since when it has not changed with the bridge asleep.
@@ -56,7 +58,13 @@ pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
 impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     /// Control after a start, from what the previous one left, and from flash.
     pub fn new(capsule: C, flash: F, left: Retained, reset_cause: ResetCause) -> Self {
-        let (kept, usable) = Kept::load(flash);
+        let (store, usable) =
+            SettingsStore::<F, Kept>::load_with(flash, |values| Settings::new(values).is_ok());
+        let settings = Settings::new(store.values()).unwrap_or(Settings::REFERENCE);
+        let Kept {
+            calibration,
+            totals,
+        } = *store.records();
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(CapsuleFault::Panic),
             (ResetCause::Watchdog, _) => Some(CapsuleFault::Watchdog),
@@ -65,13 +73,8 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         };
         let mut control = Self {
             capsule,
-            machine: fold::Capsule::new(
-                fault,
-                kept.calibration(),
-                kept.totals().folded,
-                *kept.settings(),
-            ),
-            kept,
+            machine: fold::Capsule::new(fault, calibration, totals.folded, settings),
+            store,
             ended: (0, 0),
             resting: (Counts(0), 0),
             calibrated: None,
@@ -83,7 +86,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         if !usable {
             control.emit(What::Capsule(CapsuleEvent::SettingsUnusable));
         }
-        let period_ms = control.kept.values().get(SettingKey::TelemetryMs) as u16;
+        let period_ms = control.store.values().get(SettingKey::TelemetryMs) as u16;
         control.capsule.set_telemetry(period_ms);
         control
     }
@@ -121,17 +124,24 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         }
         let mut failed = false;
         if let Some(calibration) = self.calibrated.take() {
-            failed |= self.kept.keep_calibration(calibration).is_err();
+            let kept = Kept {
+                calibration: Some(calibration),
+                ..*self.store.records()
+            };
+            failed |= self.store.keep(CALIBRATION, kept).is_err();
         }
         let (actuations, energy_mj) = core::mem::take(&mut self.ended);
         if actuations != 0 {
-            let before = *self.kept.totals();
-            let totals = Totals {
+            let before = self.store.records().totals;
+            failed |= self.keep_totals(Totals {
                 actuations: before.actuations.saturating_add(actuations),
                 energy_mj: before.energy_mj.saturating_add(energy_mj),
-                folded: self.machine.state() == CapsuleState::Folded,
-            };
-            failed |= self.kept.keep_totals(totals).is_err();
+                // An end that has wandered costs the reference, not the fold.
+                folded: matches!(
+                    self.machine.state(),
+                    CapsuleState::Folded | CapsuleState::WasFolded
+                ),
+            });
         }
         if failed {
             self.emit(What::Capsule(CapsuleEvent::NotKept));
@@ -141,7 +151,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     /// Before the motor turns: a cut of the power under way must not leave "folded" behind.
     fn leave_folded(&mut self, actions: &Actions) {
         let starts = |event: &CapsuleEvent| matches!(event, CapsuleEvent::Started { .. });
-        let totals = *self.kept.totals();
+        let totals = self.store.records().totals;
         if !totals.folded || !actions.events.iter().any(starts) {
             return;
         }
@@ -149,9 +159,18 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
             folded: false,
             ..totals
         };
-        if self.kept.keep_totals(left).is_err() {
+        if self.keep_totals(left) {
             self.emit(What::Capsule(CapsuleEvent::NotKept));
         }
+    }
+
+    /// True if they are not kept.
+    fn keep_totals(&mut self, totals: Totals) -> bool {
+        let kept = Kept {
+            totals,
+            ..*self.store.records()
+        };
+        self.store.keep(TOTALS, kept).is_err()
     }
 
     fn watch_link(&mut self) {
@@ -185,18 +204,18 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
 
     /// Flash first: what is in force is what the next start will find.
     fn change(&mut self, change: Change) -> Result<(), StorageFailed> {
-        let event = match change {
+        let (settings, event) = match change {
             Change::Value { setting, settings } => {
-                self.kept.set(setting.key, setting.value, settings)?;
-                CapsuleEvent::SettingChanged(setting.key)
+                self.store.set(setting.key, setting.value)?;
+                (settings, CapsuleEvent::SettingChanged(setting.key))
             }
-            Change::Name(name) => return self.kept.set_name(name),
+            Change::Name(name) => return self.store.set_name(name),
             Change::Reset => {
-                self.kept.reset()?;
-                CapsuleEvent::SettingsReset
+                self.store.reset()?;
+                (Settings::REFERENCE, CapsuleEvent::SettingsReset)
             }
         };
-        self.machine.set_settings(*self.kept.settings());
+        self.machine.set_settings(settings);
         self.emit(What::Capsule(event));
         Ok(())
     }
@@ -212,9 +231,9 @@ impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
     fn request(&mut self, request: Request) -> Reply {
         let context = Context {
             recording: &self.recording,
-            totals: self.kept.totals(),
-            values: self.kept.values(),
-            name: self.kept.name(),
+            totals: &self.store.records().totals,
+            values: self.store.values(),
+            name: self.store.name(),
             rests: self.capsule.now_us().saturating_sub(self.resting.1) >= STANDS_US,
             now_us: self.capsule.now_us(),
             about: About {

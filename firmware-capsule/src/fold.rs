@@ -6,7 +6,7 @@
 //! | Unfolded, Stopped | Fold \[battery, amplifier\] | Folding |
 //! | Unfolded, Folded, Stopped | FoldTo \[calibration, battery, amplifier\] | Folding or Unfolding |
 //! | Folded, Stopped | Unfold \[battery, amplifier\] | Unfolding |
-//! | Unreferenced, WasFolded | CheckFolded \[calibration, battery, amplifier\] | Checking |
+//! | any at rest but Folded | CheckFolded \[calibration, battery, amplifier\] | Checking |
 //! | any at rest | Reference, Fold, ... \[amplifier shows a current\] | Faulted |
 //! | Referencing | zero found and reached | Unfolded |
 //! | Folding | end force at the calibrated end | Folded; WasFolded if the end has wandered |
@@ -337,6 +337,10 @@ impl Capsule {
 
     /// Other settings are in force. Not while it moves.
     pub fn set_settings(&mut self, settings: Settings) {
+        // A measured current stays, unless somebody knows better.
+        if self.calibration.is_none() && settings.no_load_ma != self.settings.no_load_ma {
+            self.no_load_ma = settings.no_load_ma;
+        }
         self.settings = settings;
     }
 

@@ -60,51 +60,61 @@ const fn share(force_ma: u32, of_135: u32) -> u16 {
 }
 
 impl Settings {
+    /// Those of a new capsule.
+    pub const REFERENCE: Self = match Self::new(&Values::DEFAULT) {
+        Ok(settings) => settings,
+        Err(_) => panic!("the defaults keep the rules"),
+    };
+
     /// Works out the limits; `Values` are within their ranges.
     ///
     /// # Errors
     /// The rule that the values break together.
-    pub fn new(values: &Values) -> Result<Self, SettingRule> {
+    pub const fn new(values: &Values) -> Result<Self, SettingRule> {
         // The ranges of the settings fit the smaller types.
-        let get = |key| values.get(key);
-        let milli = |key| get(key) as u16;
-        let thread = |key| Thread(get(key) as i32);
-        let cps = |key| thread(key).counts().0;
-        let (shortest, longest) = (thread(Key::ShortestFoldUm), thread(Key::LongestFoldUm));
+        let get = Values::get;
+        let (shortest, longest) = (
+            Thread(get(values, Key::ShortestFoldUm) as i32),
+            Thread(get(values, Key::LongestFoldUm) as i32),
+        );
         if shortest.0 + 1_000 > longest.0 {
             return Err(SettingRule::FoldHasARange);
         }
-        let (least, loaded) = (milli(Key::LeastBatteryMv), milli(Key::LoadedBatteryMv));
-        if loaded + 200 > least {
+        let (least_mv, loaded_mv) = (
+            get(values, Key::LeastBatteryMv) as u16,
+            get(values, Key::LoadedBatteryMv) as u16,
+        );
+        if loaded_mv + 200 > least_mv {
             return Err(SettingRule::LoadedBelowRest);
         }
-        if (1..5).contains(&get(Key::TelemetryMs)) {
+        if matches!(get(values, Key::TelemetryMs), 1..=4) {
             return Err(SettingRule::TelemetryInterval);
         }
-        let force_ma = get(Key::EndForceMa);
-        let slow_cps = cps(Key::SlowUmS);
+        let force_ma = get(values, Key::EndForceMa);
+        let slow_cps = counts_of(get(values, Key::SlowUmS));
         Ok(Self {
             force_ma: force_ma as u16,
             rise_start_ma: share(force_ma, 67),
             near_ma: (share(force_ma, 105), share(force_ma, 75)),
             met_ma: share(force_ma, 100),
-            fold_cps: cps(Key::FoldUmS),
+            fold_cps: counts_of(get(values, Key::FoldUmS)),
             slow_cps,
             near_cps: slow_cps * 40 / 57,
-            pay_out_cps: cps(Key::UnfoldUmS),
-            least_battery_mv: least,
-            loaded_battery_mv: loaded,
-            loop_milliohm: get(Key::MotorMohm),
-            back_emf_uv_per_cps: get(Key::BackEmfUvCps),
-            no_load_ma: milli(Key::NoLoadMa),
-            proportional_ua: get(Key::SpeedGainUaCps) as i32,
+            pay_out_cps: counts_of(get(values, Key::UnfoldUmS)),
+            least_battery_mv: least_mv,
+            loaded_battery_mv: loaded_mv,
+            loop_milliohm: get(values, Key::MotorMohm),
+            back_emf_uv_per_cps: get(values, Key::BackEmfUvCps),
+            no_load_ma: get(values, Key::NoLoadMa) as u16,
+            proportional_ua: get(values, Key::SpeedGainUaCps) as i32,
             folded_range: (shortest, longest),
-            end_tolerance: thread(Key::EndToleranceUm),
-            end_overrun: thread(Key::EndOverrunUm),
-            drift: thread(Key::DriftUm),
-            fold_timeout_ms: get(Key::FoldTimeoutMs),
-            unfold_timeout_ms: get(Key::UnfoldTimeoutMs),
-            link_timeout_us: get(Key::LinkTimeoutMs).saturating_mul(1_000),
+            end_tolerance: Thread(get(values, Key::EndToleranceUm) as i32),
+            end_overrun: Thread(get(values, Key::EndOverrunUm) as i32),
+            drift: Thread(get(values, Key::DriftUm) as i32),
+            fold_timeout_ms: get(values, Key::FoldTimeoutMs),
+            unfold_timeout_ms: get(values, Key::UnfoldTimeoutMs),
+            // At most a minute.
+            link_timeout_us: get(values, Key::LinkTimeoutMs) * 1_000,
         })
     }
 
@@ -115,13 +125,7 @@ impl Settings {
     }
 }
 
-impl Default for Settings {
-    /// Those of a new capsule.
-    fn default() -> Self {
-        // A test holds that the defaults go together; without them nothing could be driven at all.
-        match Self::new(&Values::DEFAULT) {
-            Ok(settings) => settings,
-            Err(_) => unreachable!(),
-        }
-    }
+/// Counts of a length of thread; per second, of a speed.
+const fn counts_of(um: u32) -> i32 {
+    Thread(um as i32).counts().0
 }

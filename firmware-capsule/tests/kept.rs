@@ -3,14 +3,59 @@
 #[path = "../../device/tests/chip/mod.rs"]
 mod chip;
 
-use chip::{Cut, Flash};
+use chip::{Cut, Flash, Random};
+use device::{settings::SettingsStore, store::StorageFailed};
 use firmware_capsule::{
     calibration::Calibration,
-    kept::{Kept, Totals},
+    kept::{CALIBRATION as CALIBRATION_NUMBER, Kept, TOTALS as TOTALS_NUMBER, Totals},
     mechanics::Thread,
     settings::Settings,
 };
-use protocol::settings::SettingKey as Key;
+use protocol::{
+    settings::{MAX_NAME, SettingKey as Key},
+    system::DeviceKind,
+};
+
+type Store = SettingsStore<Flash, Kept>;
+
+/// A start, and whether what it finds is usable.
+fn load(flash: &Flash) -> (Store, bool) {
+    Store::load_with(flash.clone(), |values| Settings::new(values).is_ok())
+}
+
+/// A start on a log that is usable.
+fn start(flash: &Flash) -> Store {
+    let (store, usable) = load(flash);
+    assert!(usable);
+    store
+}
+
+fn keep_totals(store: &mut Store, totals: Totals) -> Result<(), StorageFailed> {
+    let kept = Kept {
+        totals,
+        ..*store.records()
+    };
+    store.keep(TOTALS_NUMBER, kept)
+}
+
+fn keep_calibration(store: &mut Store) {
+    let kept = Kept {
+        calibration: Some(CALIBRATION),
+        ..*store.records()
+    };
+    store.keep(CALIBRATION_NUMBER, kept).unwrap();
+}
+
+fn kept(totals: Totals) -> Kept {
+    Kept {
+        calibration: Some(CALIBRATION),
+        totals,
+    }
+}
+
+fn name(text: &str) -> heapless::String<MAX_NAME> {
+    text.try_into().unwrap()
+}
 
 const CALIBRATION: Calibration = Calibration {
     folded: Thread(21_727),
@@ -30,34 +75,23 @@ fn totals(actuations: u32) -> Totals {
 #[test]
 fn both_records_come_back() {
     let flash = Flash::blank();
-    let mut kept = Kept::load(flash.clone()).0;
-    assert_eq!(
-        (kept.calibration(), *kept.totals()),
-        (None, Totals::default())
-    );
-    kept.keep_calibration(CALIBRATION).unwrap();
-    kept.keep_totals(totals(7)).unwrap();
-    let later = Kept::load(flash).0;
-    assert_eq!(
-        (later.calibration(), *later.totals()),
-        (Some(CALIBRATION), totals(7))
-    );
+    let mut store = start(&flash);
+    assert_eq!(*store.records(), Kept::default());
+    keep_calibration(&mut store);
+    keep_totals(&mut store, totals(7)).unwrap();
+    assert_eq!(*start(&flash).records(), kept(totals(7)));
 }
 
 /// The log drops its oldest sector; a calibration from years ago must not be in it.
 #[test]
 fn a_calibration_survives_thousands_of_motions() {
     let flash = Flash::blank();
-    let mut kept = Kept::load(flash.clone()).0;
-    kept.keep_calibration(CALIBRATION).unwrap();
+    let mut store = start(&flash);
+    keep_calibration(&mut store);
     for actuations in 1..=5_000 {
-        kept.keep_totals(totals(actuations)).unwrap();
+        keep_totals(&mut store, totals(actuations)).unwrap();
     }
-    let later = Kept::load(flash).0;
-    assert_eq!(
-        (later.calibration(), *later.totals()),
-        (Some(CALIBRATION), totals(5_000))
-    );
+    assert_eq!(*start(&flash).records(), kept(totals(5_000)));
 }
 
 #[test]
@@ -65,17 +99,16 @@ fn a_cut_leaves_the_old_totals_or_the_new_ones() {
     for (seed, cut) in (0..).zip(Cut::ALL) {
         for after in 0..4 {
             let flash = Flash::blank();
-            let mut kept = Kept::load(flash.clone()).0;
-            kept.keep_calibration(CALIBRATION).unwrap();
-            kept.keep_totals(totals(1)).unwrap();
+            let mut store = start(&flash);
+            keep_calibration(&mut store);
+            keep_totals(&mut store, totals(1)).unwrap();
             let flash = Flash::holding(flash.bytes());
-            let mut kept = Kept::load(flash.clone()).0;
+            let mut store = start(&flash);
             flash.cut(after, cut, seed);
-            let _ = kept.keep_totals(totals(2));
-            let later = Kept::load(Flash::holding(flash.bytes())).0;
-            assert_eq!(later.calibration(), Some(CALIBRATION), "{cut:?} {after}");
+            let _ = keep_totals(&mut store, totals(2));
+            let later = start(&Flash::holding(flash.bytes()));
             assert!(
-                [totals(1), totals(2)].contains(later.totals()),
+                [kept(totals(1)), kept(totals(2))].contains(later.records()),
                 "{cut:?} {after}"
             );
         }
@@ -98,36 +131,27 @@ fn records_of_another_layout_are_left_out() {
     }
 }
 
-/// Sets a value as control does.
-fn set(kept: &mut Kept<Flash>, key: Key, value: u32) -> bool {
-    let values = kept.values().with(key, value).expect("within its range");
-    let settings = Settings::new(&values).expect("they go together");
-    kept.set(key, value, settings).is_ok()
-}
-
 #[test]
 fn settings_and_name_outlive_thousands_of_motions_and_a_reset_leaves_the_calibration() {
     let flash = Flash::blank();
-    let mut kept = Kept::load(flash.clone()).0;
-    kept.keep_calibration(CALIBRATION).unwrap();
-    assert!(set(&mut kept, Key::EndForceMa, 120));
-    assert!(set(&mut kept, Key::LinkTimeoutMs, 2_500));
-    kept.set_name("c-1".try_into().unwrap()).unwrap();
+    let mut store = start(&flash);
+    keep_calibration(&mut store);
+    store.set(Key::EndForceMa, 120).unwrap();
+    store.set(Key::LinkTimeoutMs, 2_500).unwrap();
+    store.set_name(name("c-1")).unwrap();
     for actuations in 1..=2_000 {
-        kept.keep_totals(totals(actuations)).unwrap();
+        keep_totals(&mut store, totals(actuations)).unwrap();
     }
-    let (mut later, usable) = Kept::load(flash.clone());
-    assert!(usable);
+    let mut later = start(&flash);
     assert_eq!(later.values().get(Key::EndForceMa), 120);
-    assert_eq!(later.settings().force_ma, 120);
-    assert_eq!(later.settings().link_timeout_us, 2_500_000);
+    assert_eq!(later.values().get(Key::LinkTimeoutMs), 2_500);
     assert_eq!(later.name(), "c-1");
     later.reset().unwrap();
-    let (reset, usable) = Kept::load(flash);
-    assert!(usable);
-    assert_eq!(*reset.settings(), Settings::default());
-    assert_eq!((reset.name(), reset.calibration()), ("", Some(CALIBRATION)));
-    assert_eq!(*reset.totals(), totals(2_000));
+    let reset = start(&flash);
+    for key in Key::of(DeviceKind::Capsule) {
+        assert_eq!(reset.values().get(key), key.range().default);
+    }
+    assert_eq!((reset.name(), *reset.records()), ("", kept(totals(2_000))));
 }
 
 #[test]
@@ -135,20 +159,17 @@ fn a_cut_leaves_the_old_setting_or_the_new_one() {
     for (seed, cut) in (0..).zip(Cut::ALL) {
         for after in 0..4 {
             let flash = Flash::blank();
-            let mut kept = Kept::load(flash.clone()).0;
-            kept.keep_calibration(CALIBRATION).unwrap();
-            assert!(set(&mut kept, Key::EndForceMa, 100));
+            let mut store = start(&flash);
+            keep_calibration(&mut store);
+            store.set(Key::EndForceMa, 100).unwrap();
             let flash = Flash::holding(flash.bytes());
-            let mut kept = Kept::load(flash.clone()).0;
+            let mut store = start(&flash);
             flash.cut(after, cut, seed);
-            let _ = set(&mut kept, Key::EndForceMa, 120);
-            let (later, usable) = Kept::load(Flash::holding(flash.bytes()));
-            assert!(usable);
-            assert_eq!(later.calibration(), Some(CALIBRATION), "{cut:?} {after}");
-            assert!(
-                [100, 120].contains(&later.settings().force_ma),
-                "{cut:?} {after}"
-            );
+            let _ = store.set(Key::EndForceMa, 120);
+            let later = start(&Flash::holding(flash.bytes()));
+            assert_eq!(later.records().calibration, Some(CALIBRATION), "{cut:?}");
+            let end_force_ma = later.values().get(Key::EndForceMa);
+            assert!([100, 120].contains(&end_force_ma), "{cut:?} {after}");
         }
     }
 }
@@ -157,32 +178,73 @@ fn a_cut_leaves_the_old_setting_or_the_new_one() {
 #[test]
 fn settings_that_do_not_go_together_are_the_defaults() {
     let flash = Flash::blank();
-    let mut kept = Kept::load(flash.clone()).0;
-    kept.keep_calibration(CALIBRATION).unwrap();
+    let mut store = start(&flash);
+    keep_calibration(&mut store);
     // As no request could: the rules are what `Settings::new` checks.
-    let defaults = Settings::default();
-    kept.set(Key::LoadedBatteryMv, 3_400, defaults).unwrap();
-    let (mut later, usable) = Kept::load(flash.clone());
+    store.set(Key::LoadedBatteryMv, 3_400).unwrap();
+    let (mut later, usable) = load(&flash);
     assert!(!usable);
-    assert_eq!(*later.settings(), defaults);
     assert_eq!(later.values().get(Key::LoadedBatteryMv), 2_700);
-    assert_eq!(later.calibration(), Some(CALIBRATION));
+    assert_eq!(later.records().calibration, Some(CALIBRATION));
     later.reset().unwrap();
-    assert!(Kept::load(flash).1);
+    let later = start(&flash);
+    assert_eq!(later.records().calibration, Some(CALIBRATION));
+}
+
+/// Noise after the records that looks like one that is too long.
+fn unreadable_after_what_is_there(flash: &Flash) -> Vec<u8> {
+    let bytes = flash.bytes();
+    let written = bytes.iter().rposition(|byte| *byte != 0xFF).unwrap();
+    let next = (written + 1).next_multiple_of(4);
+    let noisy = |seed| {
+        let mut random = Random(seed);
+        let mut bytes = bytes.clone();
+        bytes[next..next + 64].fill_with(|| random.next() as u8);
+        bytes
+    };
+    let mut noises = (0..10_000).map(noisy);
+    noises
+        .find(|bytes| !load(&Flash::holding(bytes.clone())).1)
+        .expect("one of them looks like a record")
+}
+
+/// Of a log that cannot be read to its end nobody knows what came later: nothing of it is in force, until a motion or a
+/// reset begins a new one.
+#[test]
+fn of_a_log_that_is_no_log_nothing_is_in_force() {
+    let flash = Flash::blank();
+    let mut store = start(&flash);
+    keep_calibration(&mut store);
+    store.set(Key::EndForceMa, 120).unwrap();
+    store.set_name(name("c-1")).unwrap();
+    keep_totals(&mut store, totals(1)).unwrap();
+    let bytes = unreadable_after_what_is_there(&flash);
+    type Change = fn(&mut Store) -> Result<(), StorageFailed>;
+    let changes: [Change; 2] = [|store| keep_totals(store, totals(1)), Store::reset];
+    for (change, totals) in changes.into_iter().zip([totals(1), Totals::default()]) {
+        let flash = Flash::holding(bytes.clone());
+        let (mut store, usable) = load(&flash);
+        assert!(!usable);
+        assert_eq!(store.values().get(Key::EndForceMa), 132);
+        assert_eq!((store.name(), *store.records()), ("", Kept::default()));
+        assert_eq!(store.set(Key::EndForceMa, 100), Err(StorageFailed));
+        assert_eq!(store.set_name(name("c-2")), Err(StorageFailed));
+        change(&mut store).unwrap();
+        store.set(Key::EndForceMa, 100).unwrap();
+        let later = start(&flash);
+        assert_eq!(later.values().get(Key::EndForceMa), 100);
+        assert_eq!(later.records().totals, totals);
+    }
 }
 
 /// A rig's records, should the flash have been a rig's, are no settings of a capsule.
 #[test]
 fn a_key_of_the_rig_is_no_setting() {
     let flash = Flash::blank();
-    let mut rig = device::settings::SettingsStore::load(flash.clone(), |_| true).0;
+    let mut rig = SettingsStore::load(flash.clone(), |_| true).0;
     rig.set(Key::StrokeUm, 100_000).unwrap();
     rig.set(Key::LeadUm, 5_000).unwrap();
-    let (kept, usable) = Kept::load(flash);
-    assert!(usable);
-    assert_eq!(kept.values().get(Key::StrokeUm), 130_000);
-    assert_eq!(
-        (kept.calibration(), *kept.totals()),
-        (None, Totals::default())
-    );
+    let store = start(&flash);
+    assert_eq!(store.values().get(Key::StrokeUm), 130_000);
+    assert_eq!(*store.records(), Kept::default());
 }

@@ -241,7 +241,7 @@ fn monitor(fault: Option<CapsuleFault>, start: i32, known: bool) -> Monitor {
             fault,
             known.then_some(CALIBRATION),
             known,
-            Settings::default(),
+            Settings::REFERENCE,
         ),
         now_us: 0,
         sample,

@@ -155,7 +155,7 @@ fn a_calibration_is_kept_and_a_later_reference_finds_the_same_zero_from_anywhere
             },
             0,
         );
-        sim.capsule = Capsule::new(None, Some(kept), false, Settings::default());
+        sim.capsule = Capsule::new(None, Some(kept), false, Settings::REFERENCE);
         sim.tick();
         sim.run(Command::Reference);
         assert_eq!(
@@ -196,7 +196,7 @@ fn a_caught_thread_is_not_taken_for_a_folded_origami() {
     for jam_mm in [6.0, 12.0, 17.0] {
         for calibration in [None, kept] {
             let mut sim = Simulation::nominal();
-            sim.capsule = Capsule::new(None, calibration, false, Settings::default());
+            sim.capsule = Capsule::new(None, calibration, false, Settings::REFERENCE);
             sim.tick();
             sim.plant.suffer(Defect::Jam(jam_mm));
             sim.run(Command::Reference);

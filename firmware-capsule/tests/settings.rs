@@ -27,14 +27,14 @@ fn current_ma(newton: f64) -> f64 {
 
 #[test]
 fn currents_are_the_forces_they_stand_for() {
-    let settings = Settings::default();
+    let settings = Settings::REFERENCE;
     assert!((f64::from(settings.force_ma) - current_ma(5.61)).abs() < 1.0);
     assert!((f64::from(settings.rise_start_ma) - current_ma(2.78)).abs() < 1.0);
 }
 
 #[test]
 fn the_defaults_are_what_the_population_was_tried_with() {
-    let settings = Settings::default();
+    let settings = Settings::REFERENCE;
     assert_eq!((settings.force_ma, settings.rise_start_ma), (132, 65));
     assert_eq!((settings.near_ma, settings.met_ma), ((102, 73), 97));
     assert_eq!((settings.fold_cps, settings.pay_out_cps), (10_550, 17_100));

@@ -54,7 +54,7 @@ impl Simulation {
     pub fn new(parameters: Parameters, seed: u64) -> Self {
         let mut sim = Self {
             board: Board::new(parameters, seed),
-            capsule: Capsule::new(None, None, false, Settings::default()),
+            capsule: Capsule::new(None, None, false, Settings::REFERENCE),
             now_us: 0,
             events: Vec::new(),
             kept: None,
@@ -130,7 +130,7 @@ impl Simulation {
 
     /// A reset at rest: the position is lost, the worm holds. Extremes and events count from here.
     pub fn reset(&mut self, was_folded: bool) {
-        self.capsule = Capsule::new(None, self.kept, was_folded, Settings::default());
+        self.capsule = Capsule::new(None, self.kept, was_folded, Settings::REFERENCE);
         self.forget();
         for _ in 0..100 {
             self.tick();

@@ -5,7 +5,7 @@ use super::*;
 const NO_LOAD_MA: u16 = 16;
 
 fn force_ma() -> u16 {
-    Settings::default().force_ma
+    Settings::REFERENCE.force_ma
 }
 
 /// Readings of a motor that winds.
@@ -45,7 +45,7 @@ impl Feed {
             &self.sample,
             self.ordered_ma,
             NO_LOAD_MA,
-            &Settings::default(),
+            &Settings::REFERENCE,
         )
     }
 
@@ -291,14 +291,14 @@ fn short_circuits_are_seen_by_level_and_by_surplus() {
 #[test]
 fn battery_and_driver_are_debounced() {
     let mut feed = Feed::at_speed(Spooling::Wind, 11);
-    feed.sample.battery_mv = Settings::default().loaded_battery_mv - 1;
+    feed.sample.battery_mv = Settings::REFERENCE.loaded_battery_mv - 1;
     let battery_mv = feed.sample.battery_mv;
     assert_eq!(
         feed.until_trip(50, 11),
         Some((16, Trip::LowBattery { battery_mv }))
     );
     let mut feed = Feed::at_speed(Spooling::Wind, 11);
-    feed.sample.battery_mv = Settings::default().loaded_battery_mv;
+    feed.sample.battery_mv = Settings::REFERENCE.loaded_battery_mv;
     assert_eq!(feed.until_trip(50, 11), None);
     feed.sample.driver_fault = true;
     assert_eq!(feed.until_trip(50, 11), Some((4, Trip::Driver)));
@@ -341,7 +341,7 @@ fn readings_without_time_trip_nothing_and_overflow_nothing() {
             &feed.sample,
             Some(u16::MAX),
             NO_LOAD_MA,
-            &Settings::default(),
+            &Settings::REFERENCE,
         );
         let _ = feed.detector.speeds_cps();
         let _ = feed.detector.stopping_distance();

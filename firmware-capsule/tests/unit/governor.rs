@@ -15,7 +15,7 @@ fn the_first_pulse_is_bounded_by_the_current() {
         let mut governor = Governor::default();
         for _ in 0..200 {
             let Effort::Millivolts(drive_mv) =
-                governor.step(FAST, (0, 0), battery_mv, &Settings::default())
+                governor.step(FAST, (0, 0), battery_mv, &Settings::REFERENCE)
             else {
                 panic!("it brakes");
             };
@@ -28,19 +28,19 @@ fn the_first_pulse_is_bounded_by_the_current() {
 #[test]
 fn a_turning_motor_is_given_more_for_the_same_current() {
     // 11,000 counts/s are 2,277 mV of back-EMF: 1,423 mV of 3,700 remain.
-    assert_eq!(drive_mv(100_000, 0, 3_700, &Settings::default()), 650);
+    assert_eq!(drive_mv(100_000, 0, 3_700, &Settings::REFERENCE), 650);
     assert_eq!(
-        drive_mv(100_000, 11_000, 3_700, &Settings::default()),
+        drive_mv(100_000, 11_000, 3_700, &Settings::REFERENCE),
         1_690
     );
     assert_eq!(
-        drive_mv(100_000, 18_000, 3_700, &Settings::default()),
+        drive_mv(100_000, 18_000, 3_700, &Settings::REFERENCE),
         3_700,
         "nothing remains"
     );
-    assert_eq!(drive_mv(100_000, -11_000, 3_700, &Settings::default()), 650);
+    assert_eq!(drive_mv(100_000, -11_000, 3_700, &Settings::REFERENCE), 650);
     assert_eq!(
-        drive_mv(u32::MAX, i32::MAX, u16::MAX, &Settings::default()),
+        drive_mv(u32::MAX, i32::MAX, u16::MAX, &Settings::REFERENCE),
         u16::MAX
     );
 }
@@ -58,7 +58,7 @@ fn a_motor_that_is_too_fast_is_braked_and_a_little_too_fast_is_not() {
             cps: aim_cps,
             ..FAST
         };
-        let effort = governor.step(aim, (cps, cps), 3_700, &Settings::default());
+        let effort = governor.step(aim, (cps, cps), 3_700, &Settings::REFERENCE);
         assert_eq!(effort == Effort::Brake, brakes, "{cps} for {aim_cps}");
         assert_eq!(governor.ordered_ma().is_none(), brakes);
     }
@@ -68,14 +68,14 @@ fn a_motor_that_is_too_fast_is_braked_and_a_little_too_fast_is_not() {
 #[test]
 fn the_current_is_bounded_by_the_least_speed() {
     let mut governor = Governor::default();
-    governor.step(FAST, (11_000, 11_000), 3_700, &Settings::default());
+    governor.step(FAST, (11_000, 11_000), 3_700, &Settings::REFERENCE);
     let mut slowed = governor.clone();
     let Effort::Millivolts(steady) =
-        governor.step(FAST, (10_000, 10_000), 3_700, &Settings::default())
+        governor.step(FAST, (10_000, 10_000), 3_700, &Settings::REFERENCE)
     else {
         panic!("it brakes");
     };
-    let Effort::Millivolts(stopped) = slowed.step(FAST, (10_000, 0), 3_700, &Settings::default())
+    let Effort::Millivolts(stopped) = slowed.step(FAST, (10_000, 0), 3_700, &Settings::REFERENCE)
     else {
         panic!("it brakes");
     };
@@ -97,7 +97,7 @@ fn a_motor_that_is_being_braked_is_not_braked_too_long() {
             governor.brake();
         }
         let aim = Aim { cps: 8_000, ..FAST };
-        let effort = governor.step(aim, (cps, cps), 3_700, &Settings::default());
+        let effort = governor.step(aim, (cps, cps), 3_700, &Settings::REFERENCE);
         assert_eq!(
             effort == Effort::Brake,
             brakes,
@@ -115,13 +115,13 @@ fn what_needs_more_than_is_held_is_moved_more_slowly() {
         ..FAST
     };
     for _ in 0..1_000 {
-        governor.step(aim, (9_000, 9_000), 3_700, &Settings::default());
+        governor.step(aim, (9_000, 9_000), 3_700, &Settings::REFERENCE);
     }
     assert_eq!(governor.ordered_ma(), Some(130));
-    governor.step(aim, (11_000, 11_000), 3_700, &Settings::default());
+    governor.step(aim, (11_000, 11_000), 3_700, &Settings::REFERENCE);
     assert_eq!(governor.ordered_ma(), Some(100));
     for _ in 0..1_000 {
-        governor.step(FAST, (9_000, 9_000), 3_700, &Settings::default());
+        governor.step(FAST, (9_000, 9_000), 3_700, &Settings::REFERENCE);
     }
     assert_eq!(governor.ordered_ma(), Some(220), "all is held");
 }

@@ -47,12 +47,12 @@ const END_FORCE: Load = Load {
 const FORCE: u16 = 150;
 
 fn decide(leg: Leg, counts: Counts, load: Load) -> Result<Decision, CapsuleFault> {
-    leg.decide(counts, ZERO, load, Counts(0), &Settings::default())
+    leg.decide(counts, ZERO, load, Counts(0), &Settings::REFERENCE)
 }
 
 #[test]
 fn a_fold_is_folded_at_its_calibrated_end_and_jammed_before() {
-    let end_um = END.0 - Settings::default().end_tolerance.0;
+    let end_um = END.0 - Settings::REFERENCE.end_tolerance.0;
     let at = after(ZERO, end_um);
     assert_eq!(decide(WIND, at, END_FORCE), Ok(Decision::Folded));
     let before = Counts(at.0 - 2);
@@ -63,7 +63,7 @@ fn a_fold_is_folded_at_its_calibrated_end_and_jammed_before() {
 
 #[test]
 fn past_the_end_the_thread_is_broken_or_has_slipped() {
-    let past = after(ZERO, END.0 + Settings::default().end_overrun.0);
+    let past = after(ZERO, END.0 + Settings::REFERENCE.end_overrun.0);
     let loaded = |excess_ma| Load { excess_ma, ..NONE };
     for (excess_ma, fault) in [
         (None, CapsuleFault::ThreadBroken),
@@ -79,8 +79,8 @@ fn past_the_end_the_thread_is_broken_or_has_slipped() {
     }
     for purpose in [Purpose::Calibrate, Purpose::Reference] {
         let limit = match purpose {
-            Purpose::Calibrate => Settings::default().folded_range.1.0 + 1,
-            _ => Settings::default().seek_limit().0,
+            Purpose::Calibrate => Settings::REFERENCE.folded_range.1.0 + 1,
+            _ => Settings::REFERENCE.seek_limit().0,
         };
         let far = after(ORIGIN, limit);
         let leg = seek(false, purpose);
@@ -104,35 +104,35 @@ fn what_resists_makes_a_fold_careful() {
     assert_eq!(decide(WIND, at, resisted), Ok(Decision::Careful(careful)));
     assert_eq!(decide(careful, at, resisted), Ok(Decision::Continue));
     assert_eq!(
-        WIND.aim(Thread(9_000), 16, false, &Settings::default()).cps,
-        Settings::default().fold_cps
+        WIND.aim(Thread(9_000), 16, false, &Settings::REFERENCE).cps,
+        Settings::REFERENCE.fold_cps
     );
     assert_eq!(
         careful
-            .aim(Thread(9_000), 16, false, &Settings::default())
+            .aim(Thread(9_000), 16, false, &Settings::REFERENCE)
             .cps,
-        Settings::default().slow_cps
+        Settings::REFERENCE.slow_cps
     );
     assert_eq!(
-        WIND.aim(Thread(END.0 - SLOW_ZONE.0), 16, false, &Settings::default())
+        WIND.aim(Thread(END.0 - SLOW_ZONE.0), 16, false, &Settings::REFERENCE)
             .cps,
-        Settings::default().slow_cps
+        Settings::REFERENCE.slow_cps
     );
 }
 
 #[test]
 fn near_the_end_force_the_speed_does_not_go_to_and_fro() {
     assert!(
-        is_near(false, 102, &Settings::default()) && !is_near(false, 101, &Settings::default())
+        is_near(false, 102, &Settings::REFERENCE) && !is_near(false, 101, &Settings::REFERENCE)
     );
-    assert!(is_near(true, 73, &Settings::default()) && !is_near(true, 72, &Settings::default()));
+    assert!(is_near(true, 73, &Settings::REFERENCE) && !is_near(true, 72, &Settings::REFERENCE));
     assert_eq!(
-        WIND.aim(END, 16, true, &Settings::default()).cps,
-        Settings::default().near_cps
+        WIND.aim(END, 16, true, &Settings::REFERENCE).cps,
+        Settings::REFERENCE.near_cps
     );
     assert_eq!(
-        WIND.aim(Thread(9_000), 16, true, &Settings::default()).cps,
-        Settings::default().fold_cps
+        WIND.aim(Thread(9_000), 16, true, &Settings::REFERENCE).cps,
+        Settings::REFERENCE.fold_cps
     );
 }
 
@@ -185,12 +185,12 @@ fn paying_out_ends_before_zero_by_what_the_motor_runs_on() {
     let stopping = Thread(200).counts();
     let at = after(ZERO, 200 + STOP_MARGIN.0 + 2);
     assert_eq!(
-        leg.decide(at, ZERO, NONE, stopping, &Settings::default()),
+        leg.decide(at, ZERO, NONE, stopping, &Settings::REFERENCE),
         Ok(Decision::Continue)
     );
     let at = Counts(at.0 - 4);
     assert_eq!(
-        leg.decide(at, ZERO, NONE, stopping, &Settings::default()),
+        leg.decide(at, ZERO, NONE, stopping, &Settings::REFERENCE),
         Ok(Decision::Unfolded)
     );
 }
@@ -207,7 +207,7 @@ fn paying_out_is_never_faster_than_friction_stops() {
         let mut last = 0;
         for thread_um in (0..24_000).step_by(50) {
             let cps = leg
-                .aim(Thread(thread_um), no_load_ma, false, &Settings::default())
+                .aim(Thread(thread_um), no_load_ma, false, &Settings::REFERENCE)
                 .cps;
             assert!(cps >= last, "slower further out");
             last = cps;
@@ -218,6 +218,6 @@ fn paying_out_is_never_faster_than_friction_stops() {
                 "{cps} counts/s at {thread_um} um coast {coasts_um} um"
             );
         }
-        assert_eq!(last, Settings::default().pay_out_cps);
+        assert_eq!(last, Settings::REFERENCE.pay_out_cps);
     }
 }
