@@ -43,12 +43,15 @@ struct Measured {
     order: Order,
 }
 
-/// From a reading of a moving capsule to the duty that follows from it, us.
-struct Order {
-    mean_us: f64,
-    latest_us: f64,
+/// From a reading of a moving capsule to the duty that follows from it.
+#[derive(Clone, Copy, Debug)]
+pub struct Order {
+    /// Mean.
+    pub mean_us: f64,
+    /// Longest of all.
+    pub latest_us: f64,
     /// Share of the time that the processor is awake.
-    awake: f64,
+    pub awake: f64,
 }
 
 struct Resting {
@@ -90,38 +93,38 @@ impl Resting {
         }
         Ok(f64::from(wake_ups))
     }
+}
 
-    /// Follows a fold under way: the processor wakes up for each reading, and changes the duty.
-    fn order(&self) -> Result<Order, FigureError> {
-        let look = || {
-            self.bench
-                .visit(|visit| (visit.instructions(), visit.register(WINDING_DUTY)))
-        };
-        let (mut before, mut duty) = look()?;
-        let (mut began_us, mut taken_us) = (None, Vec::new());
-        let (mut awake_looks, looks) = (0_u64, READINGS * 1_000 / LOOK_US);
-        for at_us in (0..looks).map(|look| look * LOOK_US) {
-            self.bench.advance_us(LOOK_US)?;
-            let (now, ordered) = look()?;
-            let awake = now > before;
-            awake_looks += u64::from(awake);
-            began_us = began_us.or((awake && at_us > 0).then_some(at_us));
-            if ordered != duty
-                && let Some(began_us) = began_us
-            {
-                taken_us.push((at_us + LOOK_US - began_us) as f64);
-            }
-            if !awake {
-                began_us = None;
-            }
-            (before, duty) = (now, ordered);
+/// Follows a fold under way for [`READINGS`] ms: the processor wakes up for each reading, and changes the duty.
+///
+/// # Errors
+/// The emulator failed.
+pub fn order(bench: &Bench<CapsuleBoard>) -> Result<Order, FigureError> {
+    let look = || bench.visit(|visit| (visit.instructions(), visit.register(WINDING_DUTY)));
+    let (mut before, mut duty) = look()?;
+    let (mut began_us, mut taken_us) = (None, Vec::new());
+    let (mut awake_looks, looks) = (0_u64, READINGS * 1_000 / LOOK_US);
+    for at_us in (0..looks).map(|look| look * LOOK_US) {
+        bench.advance_us(LOOK_US)?;
+        let (now, ordered) = look()?;
+        let awake = now > before;
+        awake_looks += u64::from(awake);
+        began_us = began_us.or((awake && at_us > 0).then_some(at_us));
+        if ordered != duty
+            && let Some(began_us) = began_us
+        {
+            taken_us.push((at_us + LOOK_US - began_us) as f64);
         }
-        Ok(Order {
-            mean_us: taken_us.iter().sum::<f64>() / taken_us.len().max(1) as f64,
-            latest_us: taken_us.into_iter().fold(0.0, f64::max),
-            awake: awake_looks as f64 / looks as f64,
-        })
+        if !awake {
+            began_us = None;
+        }
+        (before, duty) = (now, ordered);
     }
+    Ok(Order {
+        mean_us: taken_us.iter().sum::<f64>() / taken_us.len().max(1) as f64,
+        latest_us: taken_us.into_iter().fold(0.0, f64::max),
+        awake: awake_looks as f64 / looks as f64,
+    })
 }
 
 fn measure() -> Result<Measured, FigureError> {
@@ -140,7 +143,7 @@ fn measure() -> Result<Measured, FigureError> {
     let (before_c, powered_ns) = (charge_c(&resting)?, resting.sensors_ns()?);
     let folding = device.fold()?;
     device.idle(400_000, &mut Unobserved)?;
-    let order = resting.order()?;
+    let order = order(&resting.bench)?;
     device.wait_actuation(&folding, &mut Unobserved)?;
     device.idle(500_000, &mut Unobserved)?;
     let unfolding = device.unfold()?;

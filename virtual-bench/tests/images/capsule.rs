@@ -24,9 +24,9 @@ use virtual_bench::{
     sabotage::{Misbehaviour, Sabotage},
 };
 
-struct CapsuleRun {
-    bench: Bench<CapsuleBoard>,
-    device: Device,
+pub(crate) struct CapsuleRun {
+    pub(crate) bench: Bench<CapsuleBoard>,
+    pub(crate) device: Device,
 }
 
 fn start() -> CapsuleRun {
@@ -40,7 +40,7 @@ fn start_with(options: Parameters) -> CapsuleRun {
     CapsuleRun { bench, device }
 }
 
-fn referenced() -> CapsuleRun {
+pub(crate) fn referenced() -> CapsuleRun {
     referenced_with(Parameters::nominal())
 }
 
@@ -61,13 +61,16 @@ fn referenced_with(options: Parameters) -> CapsuleRun {
 }
 
 impl CapsuleRun {
-    fn look<T: Send + 'static>(&self, look: impl FnOnce(&mut Capsule) -> T + Send + 'static) -> T {
+    pub(crate) fn look<T: Send + 'static>(
+        &self,
+        look: impl FnOnce(&mut Capsule) -> T + Send + 'static,
+    ) -> T {
         self.bench
             .visit(|visit| look(&mut visit.board().capsule))
             .expect("the bench runs")
     }
 
-    fn log(&self) -> String {
+    pub(crate) fn log(&self) -> String {
         let log = self.bench.log().expect("the bench runs");
         log.lines()
             .iter()
@@ -75,21 +78,34 @@ impl CapsuleRun {
             .collect()
     }
 
-    fn fold(&mut self) -> ActuationRecord {
+    pub(crate) fn fold(&mut self) -> ActuationRecord {
         let accepted = self.device.fold().expect("folding is accepted");
         self.device
             .wait_actuation(&accepted, &mut Unobserved)
             .expect("it ends")
     }
 
-    fn unfold(&mut self) -> ActuationRecord {
+    pub(crate) fn unfold(&mut self) -> ActuationRecord {
         let accepted = self.device.unfold().expect("unfolding is accepted");
         self.device
             .wait_actuation(&accepted, &mut Unobserved)
             .expect("it ends")
     }
 
-    fn state(&mut self) -> (CapsuleState, Option<CapsuleFault>, bool) {
+    /// Long enough for what is kept to be written.
+    pub(crate) fn rest(&mut self) {
+        self.device
+            .idle(1_500_000, &mut Unobserved)
+            .expect("the link stays");
+    }
+
+    /// Off for a second; a new session.
+    pub(crate) fn power_cycle(&mut self, nonce: u32) {
+        self.bench.power_cycle(1_000_000).expect("the bench runs");
+        self.device.hello(nonce).expect("it answers again");
+    }
+
+    pub(crate) fn state(&mut self) -> (CapsuleState, Option<CapsuleFault>, bool) {
         let status = self.device.capsule_status().expect("a status");
         (status.state, status.fault, status.referenced)
     }
@@ -126,7 +142,7 @@ impl CapsuleRun {
         );
     }
 
-    fn check_clean(&self) {
+    pub(crate) fn check_clean(&self) {
         self.bench
             .bus()
             .expect("the bench runs")
@@ -355,10 +371,7 @@ fn what_happens_to_wires_and_bridge_is_named() {
 fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
     let mut capsule = referenced();
     assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
-    capsule
-        .device
-        .idle(1_500_000, &mut Unobserved)
-        .expect("the link stays");
+    capsule.rest();
     let before = capsule.device.call(GetCapsuleTotals).expect("an answer");
     assert_eq!(before.actuations, 2);
     let drawn_mj = capsule.look(|capsule| capsule.energy_j() * 1e3);
@@ -372,11 +385,7 @@ fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
         (21_500..21_900).contains(&calibration.folded_um),
         "{calibration:?}"
     );
-    capsule
-        .bench
-        .power_cycle(1_000_000)
-        .expect("the bench runs");
-    capsule.device.hello(2).expect("it answers again");
+    capsule.power_cycle(2);
     assert_eq!(capsule.state(), (CapsuleState::WasFolded, None, false));
     assert_eq!(
         capsule.device.call(GetCapsuleTotals).expect("an answer"),
@@ -413,20 +422,13 @@ fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
     assert!((0.0..0.3).contains(&unfolded_mm), "{unfolded_mm} mm");
     // A cut in the unfolding leaves no "folded" behind.
     assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
-    capsule
-        .device
-        .idle(1_500_000, &mut Unobserved)
-        .expect("the link stays");
+    capsule.rest();
     capsule.device.unfold().expect("it is accepted");
     capsule
         .device
         .idle(500_000, &mut Unobserved)
         .expect("the link stays");
-    capsule
-        .bench
-        .power_cycle(1_000_000)
-        .expect("the bench runs");
-    capsule.device.hello(3).expect("it answers again");
+    capsule.power_cycle(3);
     assert_eq!(capsule.state(), (CapsuleState::Unreferenced, None, false));
     capsule.check_clean();
 }

@@ -5,6 +5,7 @@ mod common;
 
 mod campaign;
 mod capsule;
+mod capsule_settings;
 mod cli;
 mod commission;
 mod coordination;

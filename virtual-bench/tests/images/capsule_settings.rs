@@ -1,0 +1,288 @@
+//! The capsule's settings, partial folds, and ends that wander, on the image.
+
+use crate::capsule::{CapsuleRun, referenced};
+use host_tool::{client::Unobserved, error::ClientError};
+use protocol::{
+    capsule::{
+        ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleState, CheckFolded, FoldTo,
+        GetCapsuleTotals,
+    },
+    error::{Field, Refusal},
+    settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
+    system::What,
+};
+use virtual_bench::{budget, emulator::CutAt, plants::capsule::Defect};
+
+fn get(capsule: &mut CapsuleRun, key: SettingKey) -> u32 {
+    let got = capsule.device.call(GetSetting { key }).expect("it answers");
+    assert_eq!(got.key, key);
+    got.value
+}
+
+fn set(capsule: &mut CapsuleRun, key: SettingKey, value: u32) -> Result<Setting, Refusal> {
+    match capsule.device.call(Setting { key, value }) {
+        Ok(setting) => Ok(setting),
+        Err(ClientError::Refused { refusal, .. }) => Err(refusal),
+        Err(other) => panic!("{other}"),
+    }
+}
+
+fn name(capsule: &mut CapsuleRun) -> String {
+    let got = capsule.device.call(GetName).expect("it answers");
+    got.name.as_str().to_owned()
+}
+
+fn fold_to(capsule: &mut CapsuleRun, thread_um: i32) -> Result<ActuationRecord, Refusal> {
+    match capsule.device.call(FoldTo { thread_um }) {
+        Ok(accepted) => Ok(capsule
+            .device
+            .wait_actuation(&accepted, &mut Unobserved)
+            .expect("it ends")),
+        Err(ClientError::Refused { refusal, .. }) => Err(refusal),
+        Err(other) => panic!("{other}"),
+    }
+}
+
+/// Everything that it tells since its start.
+fn events(capsule: &mut CapsuleRun) -> Vec<What> {
+    let mut all = Vec::new();
+    loop {
+        let part = capsule.device.events(all.len() as u32).expect("events");
+        if part.events.is_empty() {
+            return all;
+        }
+        all.extend(part.events.iter().map(|event| event.what));
+    }
+}
+
+#[test]
+fn settings_count_at_once_and_after_the_next_start() {
+    let mut capsule = referenced();
+    capsule.rest();
+    let usual = capsule.fold();
+    assert_eq!(capsule.unfold().outcome, ActuationOutcome::Complete);
+    capsule.rest();
+    let (end, speed) = (SettingKey::EndForceMa, SettingKey::FoldUmS);
+    for (key, value) in [(end, 110), (speed, 9_000)] {
+        assert_eq!(set(&mut capsule, key, value), Ok(Setting { key, value }));
+        assert_eq!(get(&mut capsule, key), value);
+    }
+    let range = Refusal::SettingRange {
+        key: end,
+        requested: 161,
+    };
+    assert_eq!(set(&mut capsule, end, 161), Err(range));
+    let key = SettingKey::LoadedBatteryMv;
+    let rule = Refusal::SettingRule {
+        key,
+        rule: SettingRule::LoadedBelowRest,
+    };
+    assert_eq!(set(&mut capsule, key, 2_900), Err(rule));
+    let rigs = set(&mut capsule, SettingKey::StrokeUm, 1_000);
+    assert_eq!(rigs, Err(Refusal::WrongDevice));
+    let called = Name {
+        name: "c-1".try_into().expect("short"),
+    };
+    capsule.device.call(called).expect("a name");
+
+    // The calibration is of the old end force: a weaker one ends before its end, and that would be a jam.
+    let accepted = capsule.device.reference().expect("it is accepted");
+    capsule
+        .device
+        .wait_actuation(&accepted, &mut Unobserved)
+        .expect("it ends");
+    let calibrated = capsule
+        .device
+        .call(protocol::capsule::Calibrate)
+        .expect("it is accepted");
+    capsule
+        .device
+        .wait_actuation(&calibrated, &mut Unobserved)
+        .expect("it ends");
+    capsule.rest();
+    let accepted = capsule.device.fold().expect("it is accepted");
+    capsule
+        .device
+        .idle(300_000, &mut Unobserved)
+        .expect("the link stays");
+    let moving = set(&mut capsule, end, 130);
+    assert_eq!(moving, Err(Refusal::CapsuleBusy(CapsuleState::Folding)));
+    let slower = capsule
+        .device
+        .wait_actuation(&accepted, &mut Unobserved)
+        .expect("it ends");
+    assert_eq!(
+        slower.outcome,
+        ActuationOutcome::Complete,
+        "{}",
+        capsule.log()
+    );
+    assert!(
+        slower.end_current_ma + 15 < usual.end_current_ma,
+        "{slower:?} {usual:?}"
+    );
+    assert!(
+        slower.duration_ms > usual.duration_ms + 400,
+        "{slower:?} {usual:?}"
+    );
+    assert_eq!(capsule.unfold().outcome, ActuationOutcome::Complete);
+    capsule.rest();
+
+    let kept = capsule.device.call(GetCapsuleTotals).expect("an answer");
+    capsule.power_cycle(2);
+    assert_eq!(
+        (get(&mut capsule, end), get(&mut capsule, speed)),
+        (110, 9_000)
+    );
+    assert_eq!(name(&mut capsule), "c-1");
+    capsule.rest();
+    capsule.device.call(FactoryReset).expect("a reset");
+    assert_eq!(
+        (get(&mut capsule, end), get(&mut capsule, speed)),
+        (132, 12_947)
+    );
+    capsule.power_cycle(3);
+    assert_eq!(
+        (get(&mut capsule, end), name(&mut capsule)),
+        (132, String::new())
+    );
+    let later = capsule.device.call(GetCapsuleTotals).expect("an answer");
+    assert_eq!(later, kept, "calibration and totals stay");
+    capsule.check_clean();
+}
+
+/// On the host each operation is tried (`firmware-capsule/tests/kept.rs`).
+#[test]
+fn a_cut_within_a_change_leaves_the_old_setting_or_the_new_one() {
+    let mut capsule = referenced();
+    capsule.rest();
+    let key = SettingKey::EndForceMa;
+    let mut before = 132;
+    for (nonce, at) in (2..).zip([CutAt::Before, CutAt::Within, CutAt::After]) {
+        let wanted = before - 1;
+        capsule
+            .bench
+            .visit(move |visit| {
+                let done = visit.flash_operations();
+                visit.cut_flash(at, done);
+            })
+            .expect("the bench runs");
+        // Whatever it answers: from the cut on, nothing reaches the flash.
+        let _ = capsule.device.call(Setting { key, value: wanted });
+        let cut = capsule.bench.visit(|visit| visit.flash_is_cut());
+        assert!(cut.expect("the bench runs"), "{at:?}: never reached");
+        capsule.power_cycle(nonce);
+        let after = get(&mut capsule, key);
+        assert!([before, wanted].contains(&after), "{at:?}: {after}");
+        let totals = capsule.device.call(GetCapsuleTotals).expect("an answer");
+        assert!(totals.calibration.is_some(), "{at:?}");
+        before = after;
+        capsule.rest();
+    }
+}
+
+#[test]
+fn a_partial_fold_stops_where_it_was_told() {
+    let mut capsule = referenced();
+    for thread_um in [5_000, 14_000, 3_000] {
+        let record = fold_to(&mut capsule, thread_um).expect("it is accepted");
+        assert_eq!(
+            record.outcome,
+            ActuationOutcome::Complete,
+            "{}",
+            capsule.log()
+        );
+        assert_eq!(capsule.state(), (CapsuleState::Stopped, None, true));
+        capsule.rest();
+        let wound_mm = capsule.look(|capsule| capsule.wound_mm());
+        let short_mm = wound_mm - f64::from(thread_um) * 1e-3;
+        assert!(short_mm.abs() < 0.1, "{short_mm:.3} mm off {thread_um} um");
+    }
+    let end_um = capsule
+        .device
+        .call(GetCapsuleTotals)
+        .expect("an answer")
+        .calibration
+        .expect("one")
+        .folded_um;
+    for (thread_um, requested) in [(-5, 0), (499, 499), (end_um, end_um as u64)] {
+        let refused = fold_to(&mut capsule, thread_um).expect_err("at an end");
+        let Refusal::OutOfRange {
+            field: Field::ThreadUm,
+            requested: told,
+            min: 500,
+            ..
+        } = refused
+        else {
+            panic!("{thread_um}: {refused:?}");
+        };
+        assert_eq!(told, requested);
+    }
+    let there = fold_to(&mut capsule, 3_050).expect_err("it is there");
+    assert_eq!(there, Refusal::AlreadyThere);
+    assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
+    assert_eq!(capsule.unfold().outcome, ActuationOutcome::Complete);
+    let (least_mm, _) = capsule.look(|capsule| capsule.extremes_mm());
+    assert!(least_mm >= 0.0, "{least_mm} mm");
+    capsule.check_clean();
+}
+
+/// A thread that slips by a little with each cycle: no single fold shows it. What is folded stays known as folded, over
+/// a cut of the power as well.
+#[test]
+fn ends_that_wander_take_the_reference_away_but_not_the_fold() {
+    let mut capsule = referenced();
+    let mut folds = 0;
+    while capsule.state().0 != CapsuleState::WasFolded {
+        folds += 1;
+        assert!(folds < 9, "not noticed\n{}", capsule.log());
+        assert_eq!(
+            capsule.fold().outcome,
+            ActuationOutcome::Complete,
+            "{}",
+            capsule.log()
+        );
+        if capsule.state().0 == CapsuleState::Folded {
+            assert_eq!(capsule.unfold().outcome, ActuationOutcome::Complete);
+            capsule.look(|capsule| capsule.plant_mut().suffer(Defect::Slip(0.06)));
+        }
+    }
+    assert!(folds > 2, "of {folds} folds");
+    let events = events(&mut capsule);
+    let drifted = events.iter().find_map(|what| match what {
+        What::Capsule(CapsuleEvent::Drifted { by_um }) => Some(*by_um),
+        _ => None,
+    });
+    assert!(drifted.is_some_and(|by_um| by_um.abs() > 150), "{events:?}");
+    capsule.rest();
+    capsule.power_cycle(2);
+    assert_eq!(capsule.state(), (CapsuleState::WasFolded, None, false));
+    capsule.rest();
+    let accepted = capsule.device.call(CheckFolded).expect("it is accepted");
+    let record = capsule
+        .device
+        .wait_actuation(&accepted, &mut Unobserved)
+        .expect("it ends");
+    assert_eq!(
+        record.outcome,
+        ActuationOutcome::Complete,
+        "{}",
+        capsule.log()
+    );
+    assert_eq!(capsule.state(), (CapsuleState::Folded, None, true));
+    capsule.check_clean();
+}
+
+/// The library is tried with this latency (`firmware-capsule/tests/plant`): with more, a jam near the end pulls harder.
+#[test]
+fn a_duty_follows_its_reading_as_soon_as_the_library_is_tried_with() {
+    let mut capsule = referenced();
+    capsule.device.fold().expect("it is accepted");
+    capsule
+        .device
+        .idle(400_000, &mut Unobserved)
+        .expect("the link stays");
+    let order = budget::order(&capsule.bench).expect("the bench runs");
+    assert!((300.0..620.0).contains(&order.mean_us), "{order:?}");
+    assert!(order.latest_us < 800.0, "{order:?}");
+}
