@@ -95,12 +95,22 @@ settings! {
     UnfoldTimeoutMs of Capsule: "unfold_timeout_ms", "ms", 2_000..=20_000, 4_000, "An unfolding that takes longer is a fault.";
 }
 
-/// Which machine has a setting.
+/// Which machine has a setting or a rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Owner {
     Rig,
     Capsule,
     Both,
+}
+
+impl Owner {
+    const fn is(self, kind: DeviceKind) -> bool {
+        match self {
+            Self::Both => true,
+            Self::Rig => matches!(kind, DeviceKind::Rig),
+            Self::Capsule => matches!(kind, DeviceKind::Capsule),
+        }
+    }
 }
 
 /// Allowed values of a setting and its default.
@@ -118,11 +128,7 @@ impl SettingKey {
     /// A machine of this kind has the setting; the other one refuses its key.
     #[must_use]
     pub const fn is_of(self, kind: DeviceKind) -> bool {
-        match Self::OWNERS[self as usize] {
-            Owner::Both => true,
-            Owner::Rig => matches!(kind, DeviceKind::Rig),
-            Owner::Capsule => matches!(kind, DeviceKind::Capsule),
-        }
+        Self::OWNERS[self as usize].is(kind)
     }
 
     /// Keys of a machine, in the order of their numbers.
@@ -137,58 +143,47 @@ impl SettingKey {
     }
 }
 
-/// Rules between settings; each variant lists the settings that it is about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum SettingRule {
-    /// [`SettingKey::FullSteps`].
-    FullSteps,
-    /// [`SettingKey::Microsteps`].
-    Microsteps,
-    /// [`SettingKey::StrokeUm`], lead and microsteps.
-    StrokeHoldsAStep,
-    /// [`SettingKey::PullOffUm`], lead and microsteps.
-    PullOffHoldsAStep,
-    /// [`SettingKey::FlagUm`], [`SettingKey::PullOffUm`], [`SettingKey::StrokeUm`].
-    FlagWithinStroke,
-    /// [`SettingKey::StepPulseNs`], [`SettingKey::MaxStepHz`].
-    PulseWithinStep,
-    /// [`SettingKey::SeekUmS`], [`SettingKey::LocateUmS`], [`SettingKey::MaxStepHz`], lead and microsteps.
-    HomingWithinStepRate,
-    /// [`SettingKey::TelemetryMs`].
-    TelemetryInterval,
-    /// [`SettingKey::ShortestFoldUm`], [`SettingKey::LongestFoldUm`].
-    FoldHasARange,
-    /// [`SettingKey::LoadedBatteryMv`], [`SettingKey::LeastBatteryMv`].
-    LoadedBelowRest,
+macro_rules! rules {
+    ($($rule:ident of $owner:ident: $text:literal, $doc:literal;)*) => {
+        /// Rules between settings; each variant lists the settings that it is about. Index-coded: append only.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        pub enum SettingRule { $(#[doc = $doc] $rule),* }
+
+        impl SettingRule {
+            /// All rules in the order of their numbers.
+            pub const ALL: [Self; 0 $(+ { let _ = Self::$rule; 1 })*] = [$(Self::$rule),*];
+
+            const OWNERS: [Owner; Self::ALL.len()] = [$(Owner::$owner),*];
+
+            /// The rule in words.
+            #[must_use]
+            pub const fn text(self) -> &'static str {
+                match self { $(Self::$rule => $text),* }
+            }
+        }
+    };
+}
+
+rules! {
+    // Append only.
+    FullSteps of Rig: "full_steps is 200 or 400", "[`SettingKey::FullSteps`].";
+    Microsteps of Rig: "microsteps is a power of two", "[`SettingKey::Microsteps`].";
+    StrokeHoldsAStep of Rig: "stroke_um must hold at least one step of lead_um / (full_steps x microsteps)", "[`SettingKey::StrokeUm`], lead and microsteps.";
+    PullOffHoldsAStep of Rig: "pull_off_um must hold at least one step of lead_um / (full_steps x microsteps)", "[`SettingKey::PullOffUm`], lead and microsteps.";
+    FlagWithinStroke of Rig: "flag_um + pull_off_um must not exceed stroke_um", "[`SettingKey::FlagUm`], [`SettingKey::PullOffUm`], [`SettingKey::StrokeUm`].";
+    PulseWithinStep of Rig: "two of step_pulse_ns must fit between two steps at max_step_hz", "[`SettingKey::StepPulseNs`], [`SettingKey::MaxStepHz`].";
+    HomingWithinStepRate of Rig: "seek_um_s and twice locate_um_s must not need more than max_step_hz with this lead and these microsteps", "[`SettingKey::SeekUmS`], [`SettingKey::LocateUmS`], [`SettingKey::MaxStepHz`], lead and microsteps.";
+    TelemetryInterval of Both: "telemetry_ms is 0, or 5 to 1000", "[`SettingKey::TelemetryMs`].";
+    FoldHasARange of Capsule: "shortest_fold_um must be at least 1000 below longest_fold_um", "[`SettingKey::ShortestFoldUm`], [`SettingKey::LongestFoldUm`].";
+    LoadedBelowRest of Capsule: "loaded_battery_mv must be at least 200 below least_battery_mv", "[`SettingKey::LoadedBatteryMv`], [`SettingKey::LeastBatteryMv`].";
 }
 
 impl SettingRule {
-    /// The rule in words.
-    #[must_use]
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::FullSteps => "full_steps is 200 or 400",
-            Self::Microsteps => "microsteps is a power of two",
-            Self::StrokeHoldsAStep => {
-                "stroke_um must hold at least one step of lead_um / (full_steps x microsteps)"
-            }
-            Self::PullOffHoldsAStep => {
-                "pull_off_um must hold at least one step of lead_um / (full_steps x microsteps)"
-            }
-            Self::FlagWithinStroke => "flag_um + pull_off_um must not exceed stroke_um",
-            Self::PulseWithinStep => {
-                "two of step_pulse_ns must fit between two steps at max_step_hz"
-            }
-            Self::HomingWithinStepRate => {
-                "seek_um_s and twice locate_um_s must not need more than max_step_hz with this lead and these microsteps"
-            }
-            Self::TelemetryInterval => "telemetry_ms is 0, or 5 to 1000",
-            Self::FoldHasARange => "shortest_fold_um must be at least 1000 below longest_fold_um",
-            Self::LoadedBelowRest => {
-                "loaded_battery_mv must be at least 200 below least_battery_mv"
-            }
-        }
+    /// Rules of a machine's settings, in the order of their numbers.
+    pub fn of(kind: DeviceKind) -> impl Iterator<Item = Self> {
+        let rules = Self::ALL.into_iter();
+        rules.filter(move |rule| Self::OWNERS[*rule as usize].is(kind))
     }
 }
 

@@ -145,17 +145,7 @@ fn each_field_has_its_own_name() {
 /// A rule uses the names that the operator types.
 #[test]
 fn each_rule_names_a_setting() {
-    let rules = [
-        SettingRule::FullSteps,
-        SettingRule::Microsteps,
-        SettingRule::StrokeHoldsAStep,
-        SettingRule::PullOffHoldsAStep,
-        SettingRule::FlagWithinStroke,
-        SettingRule::PulseWithinStep,
-        SettingRule::HomingWithinStepRate,
-        SettingRule::TelemetryInterval,
-    ];
-    for text in distinct(rules.map(SettingRule::text)) {
+    for text in distinct(SettingRule::ALL.map(SettingRule::text)) {
         let named = SettingKey::ALL.iter().any(|key| text.contains(key.name()));
         assert!(named, "{text}");
     }
