@@ -148,11 +148,11 @@ fn respond(
 
 /// While the flash is written the chip executes nothing: only with the motor at rest.
 fn may_write(capsule: &Capsule, context: &Context<'_>) -> Result<(), Refusal> {
-    capsule.may_change_settings()?;
-    match context.rests {
-        true => Ok(()),
-        false => Err(Refusal::CapsuleBusy(capsule.state())),
+    // A motion that was accepted since the last reading is no rest either.
+    if capsule.is_moving() || !context.rests {
+        return Err(Refusal::CapsuleBusy(capsule.state()));
     }
+    Ok(())
 }
 
 fn totals(capsule: &Capsule, totals: &Totals) -> CapsuleTotals {

@@ -344,17 +344,6 @@ impl Capsule {
         self.settings = settings;
     }
 
-    /// Settings may be changed.
-    ///
-    /// # Errors
-    /// The motor is driven.
-    pub fn may_change_settings(&self) -> Result<(), Refusal> {
-        if self.is_moving() || self.drive != Drive::Off {
-            return Err(Refusal::CapsuleBusy(self.state()));
-        }
-        Ok(())
-    }
-
     /// The present or last actuation.
     pub fn record(&self) -> ActuationRecord {
         self.recorder.record()

@@ -24,9 +24,9 @@
 //!
 //! # Speeds
 //!
-//! A thread that catches has to stop the motor, and the motor's own momentum pulls with 27 N at full speed, whatever
+//! A thread that catches has to stop the motor, and the motor's own momentum pulls with 27 N at its no-load speed, whatever
 //! the current does; so winding is bounded to [`Settings::fold_cps`]: at 13.5 mm/s a jam in the last
-//! 2 mm reaches 20.8 N, at 12.9 mm/s 19.5 N. Paying out is bounded by what the motor would coast if the power were
+//! 2 mm reaches 20.8 N, at 12.9 mm/s 19.6 N. Paying out is bounded by what the motor would coast if the power were
 //! cut: it must stand before zero without a brake.
 
 use crate::{
