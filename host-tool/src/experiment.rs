@@ -178,6 +178,32 @@ impl Motion {
     }
 }
 
+/// An actuation as its files are called.
+#[must_use]
+pub const fn stem(kind: ActuationKind) -> &'static str {
+    match kind {
+        ActuationKind::Reference => "reference",
+        ActuationKind::Calibrate => "calibrate",
+        ActuationKind::CheckFolded => "check-folded",
+        ActuationKind::Fold => "fold",
+        ActuationKind::Unfold => "unfold",
+        ActuationKind::FoldTo => "fold-to",
+    }
+}
+
+/// What the capsule does meanwhile.
+#[must_use]
+pub const fn doing(kind: ActuationKind) -> &'static str {
+    match kind {
+        ActuationKind::Reference => "referencing",
+        ActuationKind::Calibrate => "calibrating",
+        ActuationKind::CheckFolded => "checking",
+        ActuationKind::Fold => "folding",
+        ActuationKind::Unfold => "unfolding",
+        ActuationKind::FoldTo => "folding partly",
+    }
+}
+
 /// Executes one actuation and records it, however it ends.
 ///
 /// # Errors
@@ -460,18 +486,15 @@ pub fn paper(
         &identity(capsule, DeviceKind::Capsule)?,
     );
 
-    let mut actuated = |kind: ActuationKind, hooks: &mut dyn Hooks| {
-        let (begins, stem, step) = match kind {
-            ActuationKind::Reference => ("reference the capsule", "reference", "referencing"),
-            ActuationKind::Calibrate => ("calibrate the capsule", "calibrate", "calibrating"),
-            ActuationKind::CheckFolded => ("check the capsule", "check-folded", "checking"),
-            ActuationKind::Fold => ("fold the capsule", "fold", "folding"),
-            ActuationKind::Unfold => ("unfold the capsule", "unfold", "unfolding"),
-            ActuationKind::FoldTo => ("fold the capsule partly", "fold-to", "folding partly"),
-        };
+    let mut actuated = |begins: &'static str, kind: ActuationKind, hooks: &mut dyn Hooks| {
         hooks.begins(begins);
-        let trial = actuate(capsule, kind, &recording(stem, None), hooks.observer())?;
-        complete(step, &trial.trial, &trial.sidecar)?;
+        let trial = actuate(
+            capsule,
+            kind,
+            &recording(stem(kind), None),
+            hooks.observer(),
+        )?;
+        complete(doing(kind), &trial.trial, &trial.sidecar)?;
         Ok::<_, ExperimentError>(trial)
     };
     let ran = |rig: &mut Device, shape: Shape, hooks: &mut dyn Hooks| {
@@ -486,7 +509,7 @@ pub fn paper(
         Ok::<_, ExperimentError>(trial)
     };
 
-    let reference = actuated(ActuationKind::Reference, hooks)?;
+    let reference = actuated("reference the capsule", ActuationKind::Reference, hooks)?;
     hooks.referenced(&reference);
 
     hooks.begins("home the rig");
@@ -495,12 +518,12 @@ pub fn paper(
 
     let unfolded_run = ran(rig, Shape::Unfolded, hooks)?;
 
-    let fold = actuated(ActuationKind::Fold, hooks)?;
+    let fold = actuated("fold the capsule", ActuationKind::Fold, hooks)?;
     hooks.folded(&fold);
 
     let folded_run = ran(rig, Shape::Folded, hooks)?;
 
-    let unfold = actuated(ActuationKind::Unfold, hooks)?;
+    let unfold = actuated("unfold the capsule", ActuationKind::Unfold, hooks)?;
     hooks.unfolded(&unfold);
 
     Ok(Experiment {

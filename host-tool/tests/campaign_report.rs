@@ -449,9 +449,15 @@ fn a_virtual_campaign_cannot_pass_as_a_measurement() {
     fs::write(&sidecar, text.replace("\"virtual\"", "\"board\"")).expect("written");
     let sums = manifest::of_folder(&path).expect("a folder");
     fs::write(path.join(manifest::NAME), sums.text()).expect("written");
-    assert_eq!(
-        write(&path, Existing::Replace).expect("written").counted,
-        11
+    let written = write(&path, Existing::Replace).expect("written");
+    assert_eq!((written.counted, written.defects), (11, 1));
+    // A script sees that as well.
+    let at = path.to_str().expect("UTF-8");
+    let (code, _, err) = Memory::with(vec![]).run(&["report", at, "--force"]);
+    assert_eq!(code, 1, "{err}");
+    assert!(
+        err.contains("the records of 1 trials cannot be relied on"),
+        "{err}"
     );
 }
 

@@ -384,6 +384,14 @@ fn ended(status: Status) -> &'static str {
 }
 
 impl Failure {
+    /// With its remedy, in one line.
+    #[must_use]
+    pub(crate) fn in_one_line(&self) -> String {
+        let help = self.help().map(|help| format!("; {help}"));
+        let text = format!("{self}{}", help.unwrap_or_default());
+        text.split_whitespace().collect::<Vec<_>>().join(" ")
+    }
+
     /// The exit code; the table is in `docs/host-tool.md`.
     #[must_use]
     pub fn exit_code(&self) -> u8 {

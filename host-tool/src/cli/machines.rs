@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use protocol::capsule::{ActuationKind, CapsuleStatus};
+use protocol::capsule::{ActuationKind, CapsuleState, CapsuleStatus};
 use protocol::error::Refusal;
 use protocol::rig::RigStatus;
 use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
@@ -16,7 +16,7 @@ use crate::cli::finding::{Finder, line};
 use crate::cli::fresh;
 use crate::cli::screen::Screen;
 use crate::cli::study::TraceFile;
-use crate::client::matches;
+use crate::client::{Device, matches};
 use crate::decimal;
 use crate::error::ClientError;
 use crate::experiment::{self, Motion};
@@ -210,37 +210,21 @@ pub(crate) fn actuate(
 ) -> Result<Value, Failure> {
     let motion = motion.into();
     let kind = motion.kind;
-    let (stem, action, what) = match kind {
-        ActuationKind::Reference => (
-            "reference",
-            "referencing",
-            "Reference: wind slowly to the end force, then pay out to zero. Without a calibration it is one: begin unfolded.",
-        ),
-        ActuationKind::Calibrate => (
-            "calibrate",
-            "calibrating",
-            "Calibrate: what is now is unfolded. Wind slowly to the end force, pay out again, and keep how far that was.",
-        ),
-        ActuationKind::CheckFolded => (
-            "check-folded",
-            "checking",
-            "Check: wind gently to the end force, and stay folded.",
-        ),
-        ActuationKind::Fold => (
-            "fold",
-            "folding",
-            "Fold: wind the thread until the motor current at the calibrated end says that the origami is folded.",
-        ),
-        ActuationKind::Unfold => (
-            "unfold",
-            "unfolding",
-            "Unfold: pay the thread out to its zero.",
-        ),
-        ActuationKind::FoldTo => (
-            "fold-to",
-            "folding partly",
-            "Partial fold: wind or pay out to a length of thread, and stay there.",
-        ),
+    let what = match kind {
+        ActuationKind::Reference => {
+            "Reference: wind slowly to the end force, then pay out to zero. Without a calibration it is one: begin unfolded."
+        }
+        ActuationKind::Calibrate => {
+            "Calibrate: what is now is unfolded. Wind slowly to the end force, pay out again, and keep how far that was."
+        }
+        ActuationKind::CheckFolded => "Check: wind gently to the end force, and stay folded.",
+        ActuationKind::Fold => {
+            "Fold: wind the thread until the motor current at the calibrated end says that the origami is folded."
+        }
+        ActuationKind::Unfold => "Unfold: pay the thread out to its zero.",
+        ActuationKind::FoldTo => {
+            "Partial fold: wind or pay out to a length of thread, and stay there."
+        }
     };
     let mut capsule = finder.connect(DeviceKind::Capsule)?;
     if matches!(
@@ -253,7 +237,7 @@ pub(crate) fn actuate(
         return Ok(result);
     }
     screen.say(what);
-    let recording = recording(args, stem, finder);
+    let recording = recording(args, experiment::stem(kind), finder);
     let trace = trace.map(TraceFile::create).transpose()?;
     let trial = match experiment::actuate(&mut capsule, motion, &recording, &mut screen.live()) {
         Ok(trial) => trial,
@@ -267,6 +251,7 @@ pub(crate) fn actuate(
     for (name, value) in actuation_rows(kind, &trial.record) {
         screen.say(&format!("  {name}: {value}"));
     }
+    tell_drift(kind, &mut capsule, screen);
     screen.say(&format!(
         "  {}\n  {}",
         trial.csv.display(),
@@ -281,9 +266,28 @@ pub(crate) fn actuate(
     if let Some(Ok((path, readings))) = &traced {
         screen.say(&format!("  {}: {readings} ms", path.display()));
     }
-    completed(action, trial.trial.status, trial.trial.error.as_ref(), help)?;
+    completed(
+        experiment::doing(kind),
+        trial.trial.status,
+        trial.trial.error.as_ref(),
+        help,
+    )?;
     let traced = traced.transpose()?.map(|(path, _)| path);
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar, "trace": traced }))
+}
+
+/// A fold may be complete and yet cost the reference, because its end has wandered.
+fn tell_drift(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) {
+    let mut drifted = || {
+        let status = capsule.capsule_status();
+        status.is_ok_and(|status| status.state == CapsuleState::WasFolded)
+    };
+    if kind == ActuationKind::Fold && drifted() {
+        screen.hint(
+            "it is folded, but the folded end has wandered, and the reference is gone: `retrograde capsule check` finds \
+             it again without unfolding. Should it wander again, a thread slips or stretches, or the origami has changed",
+        );
+    }
 }
 
 pub(crate) fn recording(args: &RecordArgs, stem: &str, finder: &Finder<'_>) -> Recording {

@@ -231,11 +231,13 @@ fn report_campaign(
     for (trial, why) in &written.left_out {
         screen.hint(&format!("trial {trial} does not count: {why}"));
     }
-    match written.findings.len() {
-        0 => Ok(json!(written)),
-        findings => Err(Failure::ReportDefects {
+    match (written.findings.len(), written.defects) {
+        (0, 0) => Ok(json!(written)),
+        (findings, defects) => Err(Failure::ReportDefects {
             page: written.page.clone(),
-            defects: format!("`verify` has {findings} findings"),
+            defects: format!(
+                "`verify` has {findings} findings, and the records of {defects} trials cannot be relied on"
+            ),
             written: json!(written),
         }),
     }

@@ -52,6 +52,8 @@ pub struct Written {
     pub counted: usize,
     /// Trials that do not, and why.
     pub left_out: Vec<(u32, String)>,
+    /// Those of them that are done, but whose records cannot be relied on.
+    pub defects: usize,
     /// What `verify` has found.
     pub findings: Vec<String>,
     /// Where the data come from.
@@ -126,6 +128,11 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
         planned: evaluation.trials.len(),
         counted: evaluation.trials.iter().filter(|row| row.counts).count(),
         left_out: left_out.collect(),
+        defects: evaluation
+            .trials
+            .iter()
+            .filter(|row| row.has_defect)
+            .count(),
         findings: evaluation
             .findings
             .iter()

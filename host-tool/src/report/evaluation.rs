@@ -68,6 +68,9 @@ pub struct TrialRow {
     pub counts: bool,
     /// Why it is not.
     pub reason: Option<String>,
+    /// It is done, but its record cannot be relied on.
+    #[serde(skip)]
+    pub has_defect: bool,
     /// Attempts at it.
     pub attempts: usize,
     /// The one that stands.
@@ -375,34 +378,36 @@ impl Evaluation {
         Some(manifest::hex(self.manifest.0.get(&self.within(file))?))
     }
 
-    /// Why a trial does not count; none for one that does.
-    fn reason(&self, state: &TrialState, parts: &[Part]) -> Option<String> {
+    /// Why a trial does not count by the ledger; none for one that is done.
+    fn not_done(state: &TrialState) -> Option<String> {
         let of = |what: &str, why: &str| match why {
             "" => what.to_owned(),
             why => format!("{what}: {why}"),
         };
         match state.standing() {
-            Standing::Done => {}
+            Standing::Done => None,
             Standing::Excluded => {
                 let why = state.excluded.as_deref().unwrap_or_default();
-                return Some(of("excluded", why));
+                Some(of("excluded", why))
             }
             Standing::Skipped => {
                 let why = state.skipped.as_deref().unwrap_or_default();
-                return Some(of("skipped", why));
+                Some(of("skipped", why))
             }
-            Standing::Unmeasured => return Some("its displacement is missing".to_owned()),
-            Standing::UnderWay => return Some("under way".to_owned()),
-            Standing::Open => {
-                return Some(match state.attempts.last() {
-                    None => "not done yet".to_owned(),
-                    Some(last) => {
-                        let outcome = last.outcome.map_or("open", Outcome::name);
-                        format!("no attempt stands; the last one: {outcome}")
-                    }
-                });
-            }
+            Standing::Unmeasured => Some("its displacement is missing".to_owned()),
+            Standing::UnderWay => Some("under way".to_owned()),
+            Standing::Open => Some(match state.attempts.last() {
+                None => "not done yet".to_owned(),
+                Some(last) => {
+                    let outcome = last.outcome.map_or("open", Outcome::name);
+                    format!("no attempt stands; the last one: {outcome}")
+                }
+            }),
         }
+    }
+
+    /// Why the record of a trial that is done cannot be relied on.
+    fn record_defect(&self, state: &TrialState, parts: &[Part]) -> Option<String> {
         let attempt = state.attempt()?;
         let folder = format!(
             "{ATTEMPTS}/{}/",
@@ -434,7 +439,13 @@ impl Evaluation {
         let planned = &state.planned;
         let attempt = state.attempt();
         let displacement = attempt.and_then(|attempt| attempt.displacement);
-        let reason = self.reason(state, parts);
+        let not_done = Self::not_done(state);
+        let record_defect = match not_done {
+            None => self.record_defect(state, parts),
+            Some(_) => None,
+        };
+        let has_defect = record_defect.is_some();
+        let reason = not_done.or(record_defect);
         let run = run_of(parts);
         let (achieved, executed) = match run.map(|part| &part.trial.action) {
             Some(Action::Run {
@@ -468,6 +479,7 @@ impl Evaluation {
             repeat: planned.repeat,
             counts: reason.is_none(),
             reason,
+            has_defect,
             attempts: state.attempts.len(),
             attempt: attempt.map(|attempt| attempt.number),
             indentation_mm: attempt.and_then(|attempt| attempt.indentation_mm),

@@ -11,14 +11,14 @@ use protocol::capsule::ActuationKind;
 use protocol::error::Refusal;
 use protocol::rig::{self, RigEvent, RigState, RigStatus};
 use protocol::settings::{GetSetting, SettingKey};
-use protocol::system::{DeviceKind, Event, Urgent, What};
+use protocol::system::{Event, Urgent, What};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
 
 use crate::cli::args::{DATA_FOLDER, RecordArgs};
 use crate::cli::failure::{Failure, NO_DEVICE, UNKNOWN};
 use crate::cli::finding::Finder;
-use crate::cli::watch::panel::{Contact, Notice};
+use crate::cli::watch::panel::{self, Contact, Notice};
 use crate::cli::{already, motion};
 use crate::client::{Begun, Device, Interrupt, Observer, Pace, Progress, while_moving};
 use crate::commission::warning;
@@ -117,7 +117,7 @@ impl Keeper<'_> {
             }
             drop(panel);
             self.board
-                .contact(self.machine, Contact::Lost(told(&failure)));
+                .contact(self.machine, Contact::Lost(failure.in_one_line()));
             if let Some(order) = waiting.take() {
                 self.refuse(&order, &lost(&failure));
             }
@@ -227,21 +227,7 @@ impl Keeper<'_> {
     }
 
     fn ask(&self, device: &mut Device) -> Result<(), ClientError> {
-        let begin = device.now_us();
-        match self.machine.kind {
-            DeviceKind::Rig => {
-                let status = device.rig_status()?;
-                self.machine.panel().rig_status(&status, Instant::now());
-            }
-            DeviceKind::Capsule => {
-                let status = device.capsule_status()?;
-                self.machine.panel().capsule_status(&status, Instant::now());
-            }
-        }
-        let mut panel = self.machine.panel();
-        panel.quality.round_trip = Some(Duration::from_micros(device.now_us() - begin));
-        panel.quality.bad_frames = device.rejected_frames();
-        Ok(())
+        panel::ask(device, || self.machine.panel())
     }
 
     /// Waits until a stop that was sent is confirmed, and is ready for the next order.
@@ -303,7 +289,7 @@ impl Keeper<'_> {
         };
         let notice = match &outcome.failure {
             None => Notice::Done(format!("{kind}: done")),
-            Some(failure) => Notice::Bad(told(failure)),
+            Some(failure) => Notice::Bad(failure.in_one_line()),
         };
         // Whoever hears of the end finds the machine as it is then, and all samples until then told.
         self.board.flush(self.machine, true);
@@ -440,18 +426,10 @@ impl Keeper<'_> {
         if let Some((status, _)) = already::reached(kind, capsule)? {
             return Ok(json!({ "already": true, "thread_um": status.thread_um }).into());
         }
-        let (stem, what) = match kind {
-            ActuationKind::Reference => ("reference", "referencing"),
-            ActuationKind::Calibrate => ("calibrate", "calibrating"),
-            ActuationKind::CheckFolded => ("check-folded", "checking"),
-            ActuationKind::Fold => ("fold", "folding"),
-            ActuationKind::Unfold => ("unfold", "unfolding"),
-            ActuationKind::FoldTo => ("fold-to", "folding partly"),
-        };
-        let recording = self.recording(stem, record);
+        let recording = self.recording(experiment::stem(kind), record);
         let trial = experiment::actuate(capsule, kind, &recording, &mut busy)?;
         let help = format!("the data is in {}", trial.sidecar.display());
-        let failure = ended(what, &trial.trial, help);
+        let failure = ended(experiment::doing(kind), &trial.trial, help);
         self.board
             .actions
             .update(action, |action| action.progress = Value::Null);
@@ -607,7 +585,7 @@ fn ended(action: &'static str, trial: &Trial, help: String) -> Option<Failure> {
 /// What an order finds without a connection.
 fn lost(failure: &Failure) -> Failure {
     Failure::NothingFound {
-        there: format!("nothing was sent: {}", told(failure)),
+        there: format!("nothing was sent: {}", failure.in_one_line()),
     }
 }
 
@@ -616,13 +594,6 @@ fn ending() -> Failure {
         why: "the server ends".to_owned(),
         help: "nothing was moved; start it again".to_owned(),
     }
-}
-
-/// A failure with its remedy, in one line.
-fn told(failure: &Failure) -> String {
-    let help = miette::Diagnostic::help(failure).map(|help| format!("; {help}"));
-    let text = format!("{failure}{}", help.unwrap_or_default());
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// Sees what happens while nothing is ordered.
@@ -685,7 +656,7 @@ impl Busy<'_> {
             Ok(result) => board.ended(action, result, None),
             Err(failure) => {
                 board.ended(action, Value::Null, Some(failure));
-                board.notice(self.keeper.machine, Notice::Bad(told(failure)));
+                board.notice(self.keeper.machine, Notice::Bad(failure.in_one_line()));
             }
         }
     }

@@ -14,7 +14,7 @@ use protocol::table::Telemetry;
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, Target};
 use crate::cli::stops::DO_NOW;
-use crate::cli::watch::panel::{Contact, Notice, Panel};
+use crate::cli::watch::panel::{self, Contact, Notice, Panel};
 use crate::client::{Device, Interrupt, Observer, Pace};
 use crate::connector::Purpose;
 use crate::error::ClientError;
@@ -178,7 +178,7 @@ impl Feed<'_> {
             if !matches!(panel.contact, Contact::Lost(_)) {
                 panel.quality.losses += 1;
             }
-            panel.contact = Contact::Lost(told(&failure));
+            panel.contact = Contact::Lost(failure.in_one_line());
             drop(panel);
             let begin = Instant::now();
             while begin.elapsed() < AGAIN && !self.is_leaving() {
@@ -249,21 +249,7 @@ impl Feed<'_> {
     }
 
     fn ask(&self, device: &mut Device) -> Result<(), ClientError> {
-        let begin = device.now_us();
-        match self.shared.kind {
-            DeviceKind::Rig => {
-                let status = device.rig_status()?;
-                self.shared.panel().rig_status(&status, Instant::now());
-            }
-            DeviceKind::Capsule => {
-                let status = device.capsule_status()?;
-                self.shared.panel().capsule_status(&status, Instant::now());
-            }
-        }
-        let mut panel = self.shared.panel();
-        panel.quality.round_trip = Some(Duration::from_micros(device.now_us() - begin));
-        panel.quality.bad_frames = device.rejected_frames();
-        Ok(())
+        panel::ask(device, || self.shared.panel())
     }
 
     /// Waits until a stop that was sent is confirmed, and is ready for the next one.
@@ -317,11 +303,4 @@ fn confirmed(urgent: Urgent) -> Notice {
 
 fn reason(refusal: &Refusal) -> String {
     crate::wording::refusal(refusal)
-}
-
-/// A failure with its remedy, in one line.
-fn told(failure: &Failure) -> String {
-    let help = miette::Diagnostic::help(failure).map(|help| format!("; {help}"));
-    let text = format!("{failure}{}", help.unwrap_or_default());
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -1,6 +1,7 @@
 //! What is known of one machine that is watched. It is filled by `feed` and shown by `draw`.
 
 use std::collections::VecDeque;
+use std::sync::MutexGuard;
 use std::time::{Duration, Instant};
 
 use protocol::capsule::{CapsuleEvent, CapsuleStatus};
@@ -9,7 +10,9 @@ use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, What};
 use protocol::table::Telemetry;
 
+use crate::client::Device;
 use crate::decimal;
+use crate::error::ClientError;
 
 /// Events that are kept for the screen.
 const KEPT_EVENTS: usize = 60;
@@ -353,4 +356,31 @@ fn rig_text(event: RigEvent) -> String {
         RigEvent::SettingsUnusable => SETTINGS_UNUSABLE.to_owned(),
         RigEvent::ButtonIgnored => "the start button was pressed; nothing could start".to_owned(),
     }
+}
+
+/// Asks the machine for its status, and the panel takes it over, with how long the answer took. The panel is not held
+/// meanwhile.
+///
+/// # Errors
+/// No answer.
+pub(crate) fn ask<'a>(
+    device: &mut Device,
+    panel: impl Fn() -> MutexGuard<'a, Panel>,
+) -> Result<(), ClientError> {
+    let begin_us = device.now_us();
+    let kind = panel().kind;
+    match kind {
+        DeviceKind::Rig => {
+            let status = device.rig_status()?;
+            panel().rig_status(&status, Instant::now());
+        }
+        DeviceKind::Capsule => {
+            let status = device.capsule_status()?;
+            panel().capsule_status(&status, Instant::now());
+        }
+    }
+    let mut panel = panel();
+    panel.quality.round_trip = Some(Duration::from_micros(device.now_us() - begin_us));
+    panel.quality.bad_frames = device.rejected_frames();
+    Ok(())
 }
