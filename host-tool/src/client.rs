@@ -310,12 +310,12 @@ pub struct Recorded {
 
 impl Device {
     /// A client without a session: [`Device::urgent`] works at once, everything else after
-    /// [`Device::hello`].
+    /// [`Device::hello`]. It numbers its frames from the low bits of `nonce`, which should be new for every connection.
     #[must_use]
-    pub fn new(link: Box<dyn Link>) -> Self {
+    pub fn new(link: Box<dyn Link>, nonce: u32) -> Self {
         Self {
             link,
-            client: Client::new(),
+            client: Client::numbering_from(nonce as u16),
             identity: None,
             keep_alive_us: KEEP_ALIVE_US,
             owner_patience_us: OWNER_PATIENCE_US,
@@ -345,7 +345,7 @@ impl Device {
         wanted: DeviceKind,
         nonce: u32,
     ) -> Result<Self, ClientError> {
-        let mut device = Self::new(link);
+        let mut device = Self::new(link, nonce);
         device.hello(nonce)?;
         device.require(wanted)?;
         Ok(device)
@@ -1396,7 +1396,7 @@ impl Device {
             if std::mem::take(&mut self.commanding) {
                 // Repeated after the stop, the command would start what the operator has just stopped. Only a new
                 // client forgets it. That also ends the session, which a stop does not need.
-                self.client = Client::new();
+                self.client = self.client.renewed();
             }
             self.client.urgent(urgent);
             self.urgent_pending = true;

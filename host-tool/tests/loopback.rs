@@ -231,7 +231,7 @@ fn another_protocol_is_refused_with_the_remedy_and_can_still_be_stopped() {
         script.schema_key = schema_key;
         script.major = major;
         let (link, log) = link(script);
-        let mut rig = Device::new(link);
+        let mut rig = Device::new(link, 3);
         rig.hello(3).expect("Hello works with everyone");
         let error = rig.require(DeviceKind::Rig).expect_err("they differ");
         let text = error.to_string();
@@ -396,7 +396,7 @@ fn silence_is_reported_as_what_it_means() {
         Err(ClientError::NoAnswer { .. })
     ));
     assert!(matches!(
-        Device::new(dead()).urgent(Urgent::Stop),
+        Device::new(dead(), 1).urgent(Urgent::Stop),
         Err(ClientError::StopUnconfirmed { .. })
     ));
 

@@ -110,12 +110,18 @@ impl Default for Client {
 }
 
 impl Client {
-    /// A client without a session.
+    /// A client without a session, which numbers its frames from 0.
     pub const fn new() -> Self {
+        Self::numbering_from(0)
+    }
+
+    /// A client without a session. A number that no earlier connection has just used keeps its late replies apart: taken
+    /// for this one's, they would confirm a stop that nobody has received.
+    pub const fn numbering_from(seq: u16) -> Self {
         Self {
             deframer: Deframer::new(),
             session: 0,
-            next_seq: 0,
+            next_seq: seq,
             pending: None,
             urgent: None,
             next_telemetry: None,
@@ -177,6 +183,11 @@ impl Client {
         self.urgent = encode(header, &urgent)
             .ok()
             .map(|frame| Pending::new(header, frame, ATTEMPTS));
+    }
+
+    /// A client without a session and without anything pending, which goes on with the numbers.
+    pub const fn renewed(&self) -> Self {
+        Self::numbering_from(self.next_seq)
     }
 
     fn take_seq(&mut self) -> u16 {

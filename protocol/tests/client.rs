@@ -254,3 +254,25 @@ fn bad_frames_are_counted() {
         assert_eq!(client.rejected_frames(), count);
     }
 }
+
+/// A reply that an earlier connection has not waited for confirms nothing here, least of all a stop. Its number is what
+/// tells it from one of this connection.
+#[test]
+fn a_late_reply_to_an_earlier_connection_confirms_nothing() {
+    let done = Reply::Urgent(Urgent::EStop);
+    let confirmed = Some(Output::UrgentDone(Urgent::EStop));
+    let mut earlier = Client::numbering_from(41);
+    earlier.urgent(Urgent::EStop);
+    let late = header(&sent(&mut earlier, 0)).seq;
+    let mut client = Client::numbering_from(7);
+    client.urgent(Urgent::EStop);
+    let own = header(&sent(&mut client, 0)).seq;
+    assert_eq!(hear(&mut client, Kind::Reply, late, &done), None);
+    assert_eq!(hear(&mut client, Kind::Reply, own, &done), confirmed);
+    // A client that forgets its session does not begin to count anew.
+    let mut renewed = client.renewed();
+    renewed.urgent(Urgent::EStop);
+    let next = header(&sent(&mut renewed, 0)).seq;
+    assert_eq!(hear(&mut renewed, Kind::Reply, own, &done), None);
+    assert_eq!(hear(&mut renewed, Kind::Reply, next, &done), confirmed);
+}

@@ -186,8 +186,9 @@ fn ask(
     let link = finder
         .connector
         .open(kind, address, finder.cli.baud, Purpose::Look)?;
-    let mut device = Device::new(link);
-    let identity = device.hello(finder.connector.nonce())?;
+    let nonce = finder.connector.nonce();
+    let mut device = Device::new(link, nonce);
+    let identity = device.hello(nonce)?;
     let carried = match identity.device {
         DeviceKind::Rig if matches(&identity) => Some(device.call(GetName)?.name),
         _ => None,

@@ -216,9 +216,10 @@ fn examine(place: &Place, finder: &Finder<'_>) -> Result<(DeviceKind, String, Tr
     let kind = place.candidate.kind.unwrap_or(DeviceKind::Rig);
     let baud = finder.cli.baud;
     let link = finder.connector.open(kind, address, baud, Purpose::Look)?;
-    let mut device = Device::new(link);
+    let nonce = finder.connector.nonce();
+    let mut device = Device::new(link, nonce);
     device.expect_haste();
-    let identity = device.hello(finder.connector.nonce())?;
+    let identity = device.hello(nonce)?;
     device.require(place.wanted.unwrap_or(identity.device))?;
     if place.wanted.is_some() {
         finder.require_name(&mut device)?;

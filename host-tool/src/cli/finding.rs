@@ -113,7 +113,7 @@ impl Finder<'_> {
             attempt += 1;
             let baud = self.cli.baud;
             let link = self.connector.open(kind, address, baud, Purpose::Stop)?;
-            let mut device = Device::new(link);
+            let mut device = Device::new(link, self.connector.nonce());
             match device.urgent(urgent) {
                 Ok(()) => return Ok(device.place()),
                 // The owner of the line has ended; then the line is free.
@@ -172,12 +172,9 @@ impl Finder<'_> {
     }
 
     fn open(&self, kind: DeviceKind, address: &Address) -> Result<Device, Failure> {
-        Ok(Device::new(self.connector.open(
-            kind,
-            address,
-            self.cli.baud,
-            Purpose::Work,
-        )?))
+        let baud = self.cli.baud;
+        let link = self.connector.open(kind, address, baud, Purpose::Work)?;
+        Ok(Device::new(link, self.connector.nonce()))
     }
 
     /// The address of a machine: as given by the user, or the only one where such a machine answers.

@@ -186,8 +186,9 @@ fn ask(finder: &Finder<'_>, board: &Board, question: Question) -> Result<Value, 
             finder.cli.baud,
             Purpose::Look,
         )?;
-        let mut rig = Device::new(link);
-        rig.hello(finder.connector.nonce())?;
+        let nonce = finder.connector.nonce();
+        let mut rig = Device::new(link, nonce);
+        rig.hello(nonce)?;
         rig.require(DeviceKind::Rig)?;
         match question {
             Question::Health => Ok(json!({ "health": rig.call(rig::GetRigHealth)? })),

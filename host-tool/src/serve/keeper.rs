@@ -159,10 +159,11 @@ impl Keeper<'_> {
             finder.cli.baud,
             Purpose::Watch,
         )?;
-        let mut device = Device::new(link);
+        let nonce = finder.connector.nonce();
+        let mut device = Device::new(link, nonce);
         device.expect_haste();
         device.set_interrupt(machine.interrupt(Arc::clone(&self.pressed)));
-        device.hello(finder.connector.nonce())?;
+        device.hello(nonce)?;
         device.require(machine.kind)?;
         finder.require_name(&mut device)?;
         machine.meet(device.identity(), device.place());

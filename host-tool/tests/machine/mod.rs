@@ -262,7 +262,7 @@ impl Machine {
         let script = self.script.clone();
         let shared = Arc::new(Mutex::new(self));
         let link = Memory::new("another host's", Shared(Arc::clone(&shared)));
-        let mut host = client::Device::new(Box::new(link));
+        let mut host = client::Device::new(Box::new(link), u32::MAX);
         // Nobody else uses this nonce.
         host.hello(u32::MAX).expect("there");
         make_ready(&mut host, &script);

@@ -302,7 +302,7 @@ fn session(
     let leaves = Arc::new(AtomicBool::new(false));
     let stop = Arc::clone(&leaves);
     let connect = || {
-        let mut device = Device::new(workshop.link());
+        let mut device = Device::new(workshop.link(), 1);
         let stop = Arc::clone(&stop);
         if by_key {
             device.set_interrupt(Arc::new(move || {

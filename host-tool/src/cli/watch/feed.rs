@@ -201,11 +201,12 @@ impl Feed<'_> {
             finder.cli.baud,
             Purpose::Watch,
         )?;
-        let mut device = Device::new(link);
+        let nonce = finder.connector.nonce();
+        let mut device = Device::new(link, nonce);
         // Keys are seen to between two looks.
         device.expect_haste();
         device.set_interrupt(self.shared.interrupt());
-        device.hello(finder.connector.nonce())?;
+        device.hello(nonce)?;
         device.require(self.shared.kind)?;
         finder.require_name(&mut device)?;
         let owned = device.owner().is_none();
