@@ -16,7 +16,7 @@ mod keyboard;
 pub mod machines;
 pub(crate) mod motion;
 mod offline;
-mod partial;
+pub(crate) mod partial;
 mod records;
 mod run;
 pub mod science;

@@ -923,6 +923,33 @@ fn the_capsule_is_folded_once_and_says_when_it_was_so_already() {
         server.done("/api/v1/capsule/unfold", &json!({}))["state"],
         "complete"
     );
+    let partly = server.done("/api/v1/capsule/fold", &json!({ "thread_mm": 12.5 }));
+    let thread_um = partly["result"]["thread_um"].as_i64().expect("a length");
+    assert!((thread_um - 12_500).abs() < 150, "{partly}");
+    assert_eq!(partly["requested"], json!({ "thread_um": 12_500 }));
+    assert_eq!((bench.count("Fold"), bench.count("FoldTo")), (1, 1));
+    for (body, why) in [
+        (json!({ "thread_mm": -1 }), "negative"),
+        (
+            json!({ "thread_mm": 5, "indentation_mm": 2 }),
+            "cannot be used",
+        ),
+        (json!({ "indentation_mm": 1_000 }), "indentation"),
+    ] {
+        let refused = server.post("/api/v1/capsule/fold", &body);
+        assert_eq!(refused.status, 400, "{body}");
+        let said = refused.json().to_string();
+        assert!(said.contains(why), "{said}");
+    }
+    assert_eq!(bench.count("FoldTo"), 1);
+    assert_eq!(
+        server.done("/api/v1/capsule/unfold", &json!({}))["state"],
+        "complete"
+    );
+    let settings = server.get("/api/v1/capsule/settings").json();
+    let names = settings["settings"].as_array().expect("a list").iter();
+    let names: Vec<_> = names.map(|setting| setting["name"].clone()).collect();
+    assert!(names.contains(&json!("end_force_ma")) && !names.contains(&json!("lead_um")));
     let state = server.state();
     assert_eq!(state["machines"]["capsule"]["state"], "Unfolded");
     assert!(state["machines"]["rig"].is_null());

@@ -82,7 +82,10 @@ class MachinesTest(BenchTest):
         self.assertEqual(folded["outcome"], "Complete")
         self.assertTrue(20_000 < folded["thread_um"] < 23_000)
         self.assertTrue(capsule.fold().get("already"))
+        partly = capsule.fold(thread_mm=8)
+        self.assertAlmostEqual(partly["thread_um"], 8_000, delta=150)
         self.assertEqual(capsule.unfold()["outcome"], "Complete")
+        self.assertIn("end_force_ma", [setting["name"] for setting in capsule.settings()])
 
     def test_5_the_stream_tells_the_rigs_samples(self) -> None:
         with self.lab.stream() as stream:

@@ -52,7 +52,7 @@ class OpenApiTest(unittest.TestCase):
         rig, capsule = lab.rig, lab.capsule
         calls: List[Callable[[], object]] = [lab.state, lab.actions, lab.records, lab.plan, lab.stop, lab.estop]
         calls += [lambda: lab.action("ID"), lambda: lab.record("NAME"), lambda: rig.move(1), lambda: rig.jog("away").__enter__()]
-        calls += [rig.health, rig.settings, rig.home, rig.run, rig.hold, rig.resume, rig.acknowledge]
+        calls += [rig.health, rig.settings, capsule.settings, rig.home, rig.run, rig.hold, rig.resume, rig.acknowledge]
         calls += [capsule.acknowledge, capsule.reference, capsule.calibrate, capsule.check, capsule.fold, capsule.unfold]
         for call in calls:
             call()

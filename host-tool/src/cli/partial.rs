@@ -17,22 +17,31 @@ pub(crate) fn fold(
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let motion = match (args.thread_mm, args.indentation_mm) {
-        (Some(thread), _) => Motion::fold_to(target_um(thread.0.into())?),
-        (None, Some(indentation)) => {
-            let target_um = thread_um(indentation.0.into(), args.slack_mm.0.into())?;
-            screen.say(&format!(
-                "An indentation of {} mm is {} mm of thread by the paper's Eq. (7), with {} mm of slack.",
-                decimal::write(indentation.0.into(), 3),
-                decimal::fixed(target_um.into(), 3),
-                decimal::write(args.slack_mm.0.into(), 3)
-            ));
-            Motion::fold_to(target_um)
-        }
-        (None, None) => ActuationKind::Fold.into(),
-    };
+    let motion = motion(args)?;
+    if let (Some(indentation), slack) = (args.indentation_mm, args.slack_mm) {
+        screen.say(&format!(
+            "An indentation of {} mm is {} mm of thread by the paper's Eq. (7), with {} mm of slack.",
+            decimal::write(indentation.0.into(), 3),
+            decimal::fixed(motion.target_um.into(), 3),
+            decimal::write(slack.0.into(), 3)
+        ));
+    }
     let trace = args.fold.trace.as_deref();
     machines::actuate(motion, &args.fold.record, trace, finder, screen)
+}
+
+/// What is wanted of the capsule.
+///
+/// # Errors
+/// No origami and no thread is that long.
+pub(crate) fn motion(args: &PartialArgs) -> Result<Motion, Failure> {
+    Ok(match (args.thread_mm, args.indentation_mm) {
+        (Some(thread), _) => Motion::fold_to(target_um(thread.0.into())?),
+        (None, Some(indentation)) => {
+            Motion::fold_to(thread_um(indentation.0.into(), args.slack_mm.0.into())?)
+        }
+        (None, None) => ActuationKind::Fold.into(),
+    })
 }
 
 fn target_um(thread_um: u64) -> Result<i32, Failure> {

@@ -18,6 +18,7 @@ use crate::cli::stops::{DO_NOW, Delivery, Told};
 use crate::cli::watch::panel::Notice;
 use crate::client::Device;
 use crate::connector::Purpose;
+use crate::identity::kind_name;
 use crate::serve::board::{Board, Machine, stop_name};
 
 /// Stops on their way at a time. Beyond that they are left to the keepers, which send them within 20 ms.
@@ -29,11 +30,22 @@ const QUESTIONS: usize = 4;
 /// How long the keeper may take to confirm a stop that did not get through on its own way.
 const KEEPERS: Duration = Duration::from_secs(1);
 
-/// A question about the rig.
+/// A question about a machine.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Question {
+    /// Of the rig.
     Health,
-    Settings,
+    /// Of this machine.
+    Settings(DeviceKind),
+}
+
+impl Question {
+    fn about(self) -> DeviceKind {
+        match self {
+            Self::Health => DeviceKind::Rig,
+            Self::Settings(kind) => kind,
+        }
+    }
 }
 
 /// What is to be done.
@@ -173,10 +185,11 @@ fn stop(
 }
 
 fn ask(finder: &Finder<'_>, board: &Board, question: Question) -> Result<Value, Failure> {
-    let Some(machine) = board.machine(DeviceKind::Rig) else {
+    let Some(machine) = board.machine(question.about()) else {
+        let name = kind_name(question.about());
         return Err(Failure::Input {
-            why: "this server has no rig".to_owned(),
-            help: "start it with `--rig WHERE`".to_owned(),
+            why: format!("this server has no {name}"),
+            help: format!("start it with `--{name} WHERE`"),
         });
     };
     past_owners(|| {
@@ -187,15 +200,15 @@ fn ask(finder: &Finder<'_>, board: &Board, question: Question) -> Result<Value, 
             Purpose::Look,
         )?;
         let nonce = finder.connector.nonce();
-        let mut rig = Device::new(link, nonce);
-        rig.hello(nonce)?;
-        rig.require(DeviceKind::Rig)?;
+        let mut device = Device::new(link, nonce);
+        device.hello(nonce)?;
+        device.require(machine.kind)?;
         match question {
-            Question::Health => Ok(json!({ "health": rig.call(rig::GetRigHealth)? })),
-            Question::Settings => {
-                let settings = SettingKey::of(DeviceKind::Rig)
+            Question::Health => Ok(json!({ "health": device.call(rig::GetRigHealth)? })),
+            Question::Settings(kind) => {
+                let settings = SettingKey::of(kind)
                     .map(|key| {
-                        let value = rig.call(GetSetting { key })?.value;
+                        let value = device.call(GetSetting { key })?.value;
                         let range = key.range();
                         Ok(json!({
                             "name": key.name(), "value": value, "unit": key.unit(),

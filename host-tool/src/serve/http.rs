@@ -50,7 +50,7 @@ const PAGE: &str = include_str!("page.html");
 const NONCE: &str = "@NONCE@";
 
 /// All requests: method and path, as in [`OPENAPI`].
-pub const ROUTES: [(&str, &str); 27] = [
+pub const ROUTES: [(&str, &str); 28] = [
     ("get", "/"),
     ("get", "/openapi.json"),
     ("get", "/api/v1/state"),
@@ -61,6 +61,7 @@ pub const ROUTES: [(&str, &str); 27] = [
     ("get", "/api/v1/records/{name}"),
     ("get", "/api/v1/rig/health"),
     ("get", "/api/v1/rig/settings"),
+    ("get", "/api/v1/capsule/settings"),
     ("post", "/api/v1/plan"),
     ("post", "/api/v1/stop"),
     ("post", "/api/v1/estop"),
@@ -121,7 +122,8 @@ pub(crate) fn router(app: Arc<App>) -> Router {
         .route("/api/v1/records", get(records))
         .route("/api/v1/records/{name}", get(record))
         .route("/api/v1/rig/health", get(health))
-        .route("/api/v1/rig/settings", get(settings))
+        .route("/api/v1/rig/settings", get(rig_settings))
+        .route("/api/v1/capsule/settings", get(capsule_settings))
         .route("/api/v1/plan", post(plan_run))
         .route("/api/v1/stop", post(stop))
         .route("/api/v1/estop", post(estop))
@@ -446,8 +448,12 @@ async fn health(State(app): Shared) -> Response {
     ask(&app, Question::Health).await
 }
 
-async fn settings(State(app): Shared) -> Response {
-    ask(&app, Question::Settings).await
+async fn rig_settings(State(app): Shared) -> Response {
+    ask(&app, Question::Settings(DeviceKind::Rig)).await
+}
+
+async fn capsule_settings(State(app): Shared) -> Response {
+    ask(&app, Question::Settings(DeviceKind::Capsule)).await
 }
 
 async fn ask(app: &App, question: Question) -> Response {

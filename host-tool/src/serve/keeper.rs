@@ -7,7 +7,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use protocol::capsule::ActuationKind;
 use protocol::error::Refusal;
 use protocol::rig::{self, RigEvent, RigState, RigStatus};
 use protocol::settings::{GetSetting, SettingKey};
@@ -24,7 +23,7 @@ use crate::client::{Begun, Device, Interrupt, Observer, Pace, Progress, while_mo
 use crate::commission::warning;
 use crate::connector::Purpose;
 use crate::error::ClientError;
-use crate::experiment;
+use crate::experiment::{self, Motion};
 use crate::link::LinkError;
 use crate::serve::board::{Board, Lease, Machine, Order};
 use crate::serve::orders::Work;
@@ -341,7 +340,7 @@ impl Keeper<'_> {
                 Ok(json!(homed).into())
             }
             Work::Run(run, record) => self.run(device, action, *run, record, busy),
-            Work::Actuate(kind, record) => self.actuate(device, action, *kind, record, busy),
+            Work::Actuate(motion, record) => self.actuate(device, action, *motion, record, busy),
             Work::Move(to) => self.move_to(device, action, *to, &mut busy),
             Work::Jog(jog) => {
                 let result = self.jog(device, action, *jog, &mut busy);
@@ -420,15 +419,16 @@ impl Keeper<'_> {
         &self,
         capsule: &mut Device,
         action: u64,
-        kind: ActuationKind,
+        motion: Motion,
         record: &RecordArgs,
         mut busy: Busy<'_>,
     ) -> Result<Outcome, Failure> {
+        let kind = motion.kind;
         if let Some((status, _)) = already::reached(kind, capsule)? {
             return Ok(json!({ "already": true, "thread_um": status.thread_um }).into());
         }
         let recording = self.recording(experiment::stem(kind), record);
-        let trial = experiment::actuate(capsule, kind, &recording, &mut busy)?;
+        let trial = experiment::actuate(capsule, motion, &recording, &mut busy)?;
         let help = format!("the data is in {}", trial.sidecar.display());
         let failure = ended(experiment::doing(kind), &trial.trial, help);
         self.board

@@ -9,6 +9,8 @@ use serde_json::{Map, Value, json};
 
 use crate::cli::args::{CapsuleSubcommand, Cli, FoldArgs, RecordArgs, Subcommand};
 use crate::cli::failure::{self, Failure};
+use crate::cli::partial;
+use crate::experiment::Motion;
 use crate::plan;
 
 /// What is to be done by a machine.
@@ -21,11 +23,18 @@ pub(crate) enum Work {
     Hold,
     Resume,
     Acknowledge,
-    Actuate(ActuationKind, RecordArgs),
+    Actuate(Motion, RecordArgs),
 }
 
 /// A field of a request is an option of the command, or its argument.
 const RECORD: [&str; 2] = ["telemetry_ms", "note"];
+const FOLD: [&str; 5] = [
+    "thread_mm",
+    "indentation_mm",
+    "slack_mm",
+    "telemetry_ms",
+    "note",
+];
 const RUN: [&str; 14] = [
     "cycles",
     "stroke_mm",
@@ -58,7 +67,7 @@ impl Work {
             (DeviceKind::Rig, "hold") => (&["hold"], &[], None),
             (DeviceKind::Rig, "resume") => (&["resume"], &[], None),
             (_, "ack") => (&["ack"], &[], None),
-            (DeviceKind::Capsule, "fold") => (&["fold"], &RECORD, None),
+            (DeviceKind::Capsule, "fold") => (&["fold"], &FOLD, None),
             (DeviceKind::Capsule, "unfold") => (&["unfold"], &RECORD, None),
             (DeviceKind::Capsule, "reference") => (&["capsule", "reference"], &RECORD, None),
             (DeviceKind::Capsule, "calibrate") => (&["capsule", "calibrate"], &RECORD, None),
@@ -87,19 +96,19 @@ impl Work {
             Subcommand::Hold => Self::Hold,
             Subcommand::Resume => Self::Resume,
             Subcommand::Ack(_) => Self::Acknowledge,
-            Subcommand::Fold(args) => Self::Actuate(ActuationKind::Fold, args.fold.record),
+            Subcommand::Fold(args) => Self::Actuate(partial::motion(&args)?, args.fold.record),
             Subcommand::Unfold(FoldArgs { record, .. }) => {
-                Self::Actuate(ActuationKind::Unfold, record)
+                Self::Actuate(ActuationKind::Unfold.into(), record)
             }
             Subcommand::Capsule { subcommand } => match subcommand {
                 CapsuleSubcommand::Reference(record) => {
-                    Self::Actuate(ActuationKind::Reference, record)
+                    Self::Actuate(ActuationKind::Reference.into(), record)
                 }
                 CapsuleSubcommand::Calibrate(record) => {
-                    Self::Actuate(ActuationKind::Calibrate, record)
+                    Self::Actuate(ActuationKind::Calibrate.into(), record)
                 }
                 CapsuleSubcommand::Check(record) => {
-                    Self::Actuate(ActuationKind::CheckFolded, record)
+                    Self::Actuate(ActuationKind::CheckFolded.into(), record)
                 }
                 _ => return Err(not_here()),
             },
@@ -117,13 +126,12 @@ impl Work {
             Self::Hold => "hold",
             Self::Resume => "resume",
             Self::Acknowledge => "ack",
-            Self::Actuate(kind, _) => match kind {
+            Self::Actuate(motion, _) => match motion.kind {
                 ActuationKind::Reference => "reference",
                 ActuationKind::Calibrate => "calibrate",
                 ActuationKind::CheckFolded => "check",
-                ActuationKind::Fold => "fold",
+                ActuationKind::Fold | ActuationKind::FoldTo => "fold",
                 ActuationKind::Unfold => "unfold",
-                ActuationKind::FoldTo => "fold-to",
             },
         }
     }
@@ -134,6 +142,9 @@ impl Work {
             Self::Run(run, _) => json!(run),
             Self::Move(to) => json!(to),
             Self::Jog(jog) => json!(jog),
+            Self::Actuate(motion, _) if motion.kind == ActuationKind::FoldTo => {
+                json!({ "thread_um": motion.target_um })
+            }
             _ => json!({}),
         }
     }

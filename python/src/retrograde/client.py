@@ -582,11 +582,21 @@ class Capsule(_Machine):
         """The capsule now."""
         return cast(CapsuleState, self._state())
 
-    def start(self, command: str, telemetry_ms: Optional[Number] = None, note: Optional[str] = None) -> Action[ActuationRecord]:
-        """Begins `reference`, `calibrate`, `check`, `fold` or `unfold`, recorded."""
+    def start(
+        self,
+        command: str,
+        telemetry_ms: Optional[Number] = None,
+        note: Optional[str] = None,
+        thread_mm: Optional[Number] = None,
+    ) -> Action[ActuationRecord]:
+        """Begins `reference`, `calibrate`, `check`, `fold` or `unfold`, recorded. `thread_mm` is of `fold` alone."""
         if command not in ("reference", "calibrate", "check", "fold", "unfold"):
             raise WrongRequest(f"the capsule has no command {command!r}", "it has reference, calibrate, check, fold, unfold")
-        return self._start(command, _body({"telemetry_ms": telemetry_ms}, note=note))
+        return self._start(command, _body({"telemetry_ms": telemetry_ms, "thread_mm": thread_mm}, note=note))
+
+    def settings(self) -> List[Setting]:
+        """Its settings with units and ranges."""
+        return cast(List[Setting], self._lab._get("/api/v1/capsule/settings")["settings"])
 
     def reference(self, note: Optional[str] = None) -> ActuationRecord:
         """Finds the thread's zero; unfolded then. Without a calibration it is one."""
@@ -600,9 +610,9 @@ class Capsule(_Machine):
         """Winds gently to the end force and stays folded."""
         return self.start("check", note=note).wait()
 
-    def fold(self, note: Optional[str] = None) -> ActuationRecord:
-        """Folds."""
-        return self.start("fold", note=note).wait()
+    def fold(self, note: Optional[str] = None, thread_mm: Optional[Number] = None) -> ActuationRecord:
+        """Folds; with `thread_mm`, only until so much thread is wound up from the unfolded end. That pays out, too."""
+        return self.start("fold", note=note, thread_mm=thread_mm).wait()
 
     def unfold(self, note: Optional[str] = None) -> ActuationRecord:
         """Unfolds."""
