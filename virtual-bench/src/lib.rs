@@ -10,6 +10,8 @@
 
 pub mod bench;
 pub mod boards;
+#[cfg(unix)]
+mod browser;
 pub mod budget;
 pub mod bus;
 pub mod connector;

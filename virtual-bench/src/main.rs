@@ -60,6 +60,9 @@ enum Subcommand {
         /// Emergency stops.
         #[arg(default_value_t = virtual_bench::sidedoor::STOPS)]
         stops: u32,
+        /// Instead, stop by mouse and key on the page in this Chromium, without a window.
+        #[arg(long, value_name = "PROGRAM")]
+        browser: Option<PathBuf>,
     },
     /// Serves the machines on local TCP ports in real time, until interrupted.
     Serve {
@@ -98,9 +101,11 @@ fn main() -> ExitCode {
         })
         .map_err(miette::Report::from),
         #[cfg(unix)]
-        Subcommand::Page { stops } => virtual_bench::webpage::run(stops, &mut |line| {
-            drop(writeln!(std::io::stdout(), "{line}"))
-        })
+        Subcommand::Page { stops, browser } => {
+            virtual_bench::webpage::run(stops, browser.as_deref(), &mut |line| {
+                drop(writeln!(std::io::stdout(), "{line}"))
+            })
+        }
         .map_err(miette::Report::from),
         Subcommand::Serve {
             rig,

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
+use crate::browser::Browser;
 use crate::sidedoor::{DoorError, Process, Rig, judge, record};
 
 /// Readers of the stream during a run: those that read, those that read slowly, those that do not.
@@ -125,16 +126,72 @@ impl Server {
     }
 }
 
-/// Emergency stops over HTTP while a run is at work, then a run with readers; prints what was measured.
+/// By what a stop is given.
+enum Hand {
+    /// A program.
+    Http,
+    /// The page in a browser, and where its button is: by mouse and by key in turn.
+    Page(Box<Browser>, (f64, f64)),
+}
+
+impl Hand {
+    fn new(browser: Option<&Path>, rig: &Rig, server: &Server) -> Result<Self, DoorError> {
+        let Some(program) = browser else {
+            return Ok(Self::Http);
+        };
+        let url = format!("http://{}/#token={}", server.at, server.token);
+        let folder = rig.folder.path().join("browser");
+        let mut browser = Browser::open(program, &folder, &url)?;
+        // It shows the rig, so it hears the server.
+        browser.wait(
+            "document.readyState === 'complete' && /Ready|Unhomed/.test(document.body.innerText)",
+        )?;
+        let button = browser.middle_of("estop")?;
+        Ok(Self::Page(Box::new(browser), button))
+    }
+
+    /// Stops, and says when that began.
+    fn stop(&mut self, number: u32, server: &Server) -> Result<Instant, DoorError> {
+        match self {
+            Self::Http => {
+                let begin = Instant::now();
+                let answer = server.request("POST /api/v1/estop", "")?;
+                match answer["ok"] == true {
+                    true => Ok(begin),
+                    false => Err(wrong(format!("not stopped: {answer}"))),
+                }
+            }
+            Self::Page(browser, button) if number.is_multiple_of(2) => browser.click(*button),
+            Self::Page(browser, _) => browser.press('e'),
+        }
+    }
+
+    fn name(&self) -> &'static str {
+        match self {
+            Self::Http => "E-stop over HTTP, from before its connection to the last edge of STEP",
+            Self::Page(..) => {
+                "E-stop on the page, by mouse and by key, from before it is pressed to the last edge of STEP"
+            }
+        }
+    }
+}
+
+/// Emergency stops while a run is at work, over HTTP or by the page in a `browser`; then, without one, a run with readers.
+/// Prints what was measured.
 ///
 /// # Errors
 /// [`DoorError`]; a stop that came too late is one, and so is a server that grows.
-pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
+pub fn run(
+    stops: u32,
+    browser: Option<&Path>,
+    say: &mut dyn FnMut(String),
+) -> Result<(), DoorError> {
     let rig = Rig::start()?;
     rig.warm_up()?;
     // A busy computer may leave the server without time for a second; what is measured is not to end for that.
     rig.retrograde(&["settings", "set", "link_timeout_ms", LINK_TIMEOUT_MS], 0)?;
     let mut server = Server::start(&rig)?;
+    let mut hand = Hand::new(browser, &rig, &server)?;
     let mut took = vec![];
     // The first one is not counted: the emulator translates what a stop executes.
     for number in 0..=stops {
@@ -146,11 +203,7 @@ pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
         // Somewhere in the first half second.
         let at = edges + 200 + (number as usize * 37) % 1_500;
         rig.wait("motion", |seen| seen.edges > at)?;
-        let begin = Instant::now();
-        let answer = server.request("POST /api/v1/estop", "")?;
-        if answer["ok"] != true {
-            return Err(wrong(format!("not stopped: {answer}")));
-        }
+        let begin = hand.stop(number, &server)?;
         server.end(&running, "faulted")?;
         let last = rig.seen().last.unwrap_or(begin);
         if number > 0 {
@@ -158,11 +211,10 @@ pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
         }
         server.begin("ack", &json!({}))?;
     }
-    let late = judge(
-        "E-stop over HTTP, from before its connection to the last edge of STEP",
-        took,
-        say,
-    );
+    let late = judge(hand.name(), took, say);
+    if browser.is_some() {
+        return late;
+    }
     say(readers(&rig, &mut server)?);
     late
 }
