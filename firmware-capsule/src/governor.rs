@@ -41,6 +41,8 @@ pub struct Aim {
 pub struct Governor {
     integral_ua: i32,
     ordered_ma: Option<u16>,
+    /// The last effort was all that the battery has.
+    saturated: bool,
     /// For so many milliseconds the motor has been shorted without a pause.
     braked_ms: u8,
 }
@@ -82,7 +84,8 @@ impl Governor {
         let held_ua = i32::from(aim.held_ma.min(aim.limit_ma)) * 1_000;
         // While the proportional part alone is at the limit, the integral part would only wind up.
         let proportional_ua = error.saturating_mul(settings.proportional_ua);
-        if proportional_ua < limit_ua {
+        // So it would while the battery gives no more.
+        if proportional_ua < limit_ua && !(self.saturated && error > 0) {
             let quarters = if cps < aim.cps / 8 {
                 STANDING_QUARTERS
             } else {
@@ -95,7 +98,9 @@ impl Governor {
             .saturating_add(self.integral_ua)
             .clamp(0, limit_ua);
         self.ordered_ma = Some((current_ua / 1_000) as u16);
-        Effort::Millivolts(drive_mv(current_ua as u32, least_cps, battery_mv, settings))
+        let drive_mv = drive_mv(current_ua as u32, least_cps, battery_mv, settings);
+        self.saturated = drive_mv >= battery_mv;
+        Effort::Millivolts(drive_mv)
     }
 }
 

@@ -125,3 +125,25 @@ fn what_needs_more_than_is_held_is_moved_more_slowly() {
     }
     assert_eq!(governor.ordered_ma(), Some(220), "all is held");
 }
+
+/// What the battery cannot give does not wind up: as soon as a motor that was below its aim is above it, it is given less
+/// than what held it.
+#[test]
+fn a_motor_that_the_battery_cannot_speed_up_is_slowed_down_at_once() {
+    let mut governor = Governor::default();
+    let out_of_reach = Aim {
+        cps: 17_100,
+        ..FAST
+    };
+    for _ in 0..1_000 {
+        let effort = governor.step(out_of_reach, (15_500, 15_500), 3_300, &Settings::REFERENCE);
+        assert_eq!(effort, Effort::Millivolts(3_300));
+    }
+    let lower = Aim {
+        cps: 15_000,
+        ..FAST
+    };
+    governor.step(lower, (15_500, 15_500), 3_300, &Settings::REFERENCE);
+    let ordered_ma = governor.ordered_ma().expect("it is driven");
+    assert!(ordered_ma < 40, "{ordered_ma} mA");
+}
