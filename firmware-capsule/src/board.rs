@@ -1,6 +1,7 @@
 //! The capsule's hardware: everything that touches registers, shares state or waits. What decides is beside this folder.
 
 pub(crate) mod channels;
+pub(crate) mod drive_train;
 pub(crate) mod pins;
 mod start;
 pub(crate) mod tasks;

@@ -10,9 +10,9 @@ use core::ops::RangeInclusive;
 
 /// Full scale of the 12-bit ADC.
 const FULL: u32 = 4_095;
-/// Supply at which the factory read the reference.
+/// Supply to which the factory's reading of the reference is converted.
 const FACTORY_MV: u32 = 3_300;
-/// What the factory may have read: 1.18 to 1.24 V (DS10314 table 74), and 1 % for its own error.
+/// What the factory may have read then: 1.18 to 1.24 V (DS10314 table 74), and 1 % for its own error.
 const FACTORY: RangeInclusive<u16> = 1_450..=1_555;
 /// 1.21 V, the middle: 2.5 % off at most.
 const TYPICAL: u16 = 1_502;
@@ -29,8 +29,10 @@ const SETTLED_US: u64 = 10_000;
 pub struct Reference(u16);
 
 impl Reference {
-    /// From the word that the factory has left in the chip; `None` if it cannot be one.
-    pub fn from_factory(word: u16) -> Option<Self> {
+    /// From the word that the factory has left in the chip, and the supply at which it was read; `None` if it cannot be one.
+    pub fn from_factory(word: u16, supply_mv: u32) -> Option<Self> {
+        let word = (u32::from(word) * supply_mv + FACTORY_MV / 2) / FACTORY_MV;
+        let word = u16::try_from(word).ok()?;
         FACTORY.contains(&word).then_some(Self(word))
     }
 

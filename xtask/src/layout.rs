@@ -225,7 +225,10 @@ mod tests {
     /// The addresses above are those of the linker script.
     #[test]
     fn addresses_agree_with_memory_x() {
-        let script = std::fs::read_to_string(crate::process::root().join("memory.x")).unwrap();
+        let script = std::fs::read_to_string(
+            crate::process::root().join("device/memory/stm32f411re/memory.x"),
+        )
+        .unwrap();
         let value = |name: &str| {
             let line = script.lines().find(|line| line.starts_with(name)).unwrap();
             let digits = line.split("0x").nth(1).unwrap().trim_end_matches(';');

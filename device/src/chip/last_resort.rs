@@ -1,13 +1,9 @@
 //! Panic and processor faults: outputs off, last words kept over the reset, reset.
 
-use super::retained::Ram;
-use crate::{
-    last_words::Draft,
-    retained::{keep_clock_failed, keep_last_words},
-};
+use super::{part::RAM, retained::Ram};
+use crate::{last_words::Draft, retained::keep_last_words};
 use core::{arch::asm, ptr::read_volatile};
 use cortex_m_rt::ExceptionFrame;
-use embassy_stm32::pac;
 
 /// Defines the handlers of an image: for a panic, for a failed check of defmt and for a processor fault. Each calls
 /// `$outputs_off`, the image's safe state, before anything else.
@@ -71,14 +67,6 @@ pub fn die_of_a_fault(frame: &ExceptionFrame) -> ! {
     die(&words)
 }
 
-/// The clock stopped. The outputs are off; the chip runs on its own oscillator by now.
-pub fn die_of_the_clock() -> ! {
-    keep_clock_failed(&mut Ram);
-    // The NMI would come again until its flag is cleared.
-    pac::RCC.cir().modify(|w| w.set_cssc(true));
-    cortex_m::peripheral::SCB::sys_reset()
-}
-
 /// Return addresses, innermost first, as many as the last words hold.
 ///
 /// rustc keeps frame pointers on this target: r7 points to a pair of words, the caller's r7 and the return address.
@@ -101,7 +89,6 @@ impl Iterator for Callers {
     type Item = u32;
 
     fn next(&mut self) -> Option<u32> {
-        const RAM: core::ops::Range<u32> = 0x2000_0000..0x2001_FFF8;
         self.left = self.left.checked_sub(1)?;
         if !RAM.contains(&self.frame) || !self.frame.is_multiple_of(4) {
             return None;

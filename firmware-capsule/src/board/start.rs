@@ -5,17 +5,10 @@ use defmt_rtt as _;
 use device::chip::{retained, start};
 use device::identity::{identity, reset_cause};
 use embassy_executor::{InterruptExecutor, Spawner};
-use embassy_stm32::interrupt;
 use protocol::system::DeviceKind;
 
-static MOTOR_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
-
-#[interrupt]
-#[allow(unsafe_code)]
-unsafe fn SPI5() {
-    // SAFETY: called from the interrupt that the executor was started with.
-    unsafe { MOTOR_EXECUTOR.on_interrupt() }
-}
+/// Entered by the board's interrupt for it.
+pub(super) static MOTOR_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
@@ -26,7 +19,7 @@ async fn main(spawner: Spawner) {
     defmt::info!("capsule, start {=u32}, {}", left.boot_id, cause);
     let (transmitter, receiver) = board.serial;
 
-    let motor_spawner = MOTOR_EXECUTOR.start(interrupt::SPI5);
+    let motor_spawner = MOTOR_EXECUTOR.start(pins::MOTOR_INTERRUPT);
     motor_spawner.spawn(tasks::motor(board.drive_train).unwrap());
     spawner.spawn(tasks::control(board.sectors, left, cause).unwrap());
     spawner.spawn(tasks::transmit(transmitter).unwrap());

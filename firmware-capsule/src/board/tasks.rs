@@ -2,7 +2,7 @@
 
 use super::{
     channels::{ORDER, ORDER_CHANGED, Order, READINGS, SNAPSHOT},
-    pins::{DriveTrain, SENSORS_START},
+    drive_train::{DriveTrain, SENSORS_START},
 };
 use device::chip::watchdog::{self, CHECK_IN, check_in};
 use device::{

@@ -3,7 +3,7 @@
 #![allow(unsafe_code)]
 
 use super::pins;
-use device::chip::last_resort::die_of_the_clock;
+use device::chip::clock::die_of_the_clock;
 
 /// The 8 MHz clock stopped, and the chip runs on its own oscillator. TIM1 is broken by hardware; the driver is switched
 /// off here.

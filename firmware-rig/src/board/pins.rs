@@ -20,7 +20,7 @@
 
 #![allow(unsafe_code)]
 
-use device::chip::{flash::Sectors, start};
+use device::chip::{clock, flash::Sectors, serial, start};
 use embassy_stm32::{
     Config,
     gpio::{Level, Output, Speed},
@@ -76,7 +76,7 @@ pub fn make_outputs_safe() {
 
 /// Clocks, pins and interrupts. The driver stays off and no output is armed.
 pub fn init() -> Board {
-    let p = start::init_with_either_clock(clocks(Clock::External), clocks(Clock::Internal));
+    let p = clock::init_with_either_clock(clocks(Clock::External), clocks(Clock::Internal));
     accelerate_flash();
     stop_pulses_while_halted();
     enable_peripherals();
@@ -84,7 +84,7 @@ pub fn init() -> Board {
     configure_pins();
     configure_priorities();
     Board {
-        serial: start::open_serial(p.USART2, p.PA3, p.PA2, p.DMA1_CH6, p.DMA1_CH5),
+        serial: serial::open(p.USART2, p.PA3, p.PA2, p.DMA1_CH6, p.DMA1_CH5),
         led: Output::new(p.PA5, Level::Low, Speed::Low),
         watchdog: start::watchdog(p.IWDG),
         sectors: Sectors::new(p.FLASH),

@@ -6,10 +6,7 @@
 //! Below 2.7 V neither is allowed by words (x32). A start there leaves cells that read differently each time, so it is
 //! refused; what has begun goes on.
 
-use super::{
-    start::{self, TIME_DRIVER},
-    supply,
-};
+use super::{super::start, TIME_DRIVER, supply};
 use crate::{
     half_periods::{self, Timers},
     store::{SECTOR, SECTORS},

@@ -1,5 +1,6 @@
 //! The chip's supply, and what its option bytes do about it.
 
+pub use crate::option_bytes::brown_out;
 use embassy_stm32::pac;
 
 /// PLS of the one level that promises 2.7 V: it falls at 2.77 to 2.89 V (DS10314 table 19). Level 4 begins at 2.59 V.

@@ -1,0 +1,67 @@
+//! An external clock: one that may not come, and one that stops.
+
+use super::super::{
+    retained::Ram,
+    start::{WATCHDOG_US, feed, init_clearing_stale_flags},
+};
+use crate::retained::keep_clock_failed;
+use embassy_stm32::{Config, pac};
+
+/// The external clock has this long to come, ms: the ST-LINK has to start first.
+const CLOCK_MS: u32 = 300;
+/// The oscillator that a reset begins with, kHz.
+const RESET_KHZ: u32 = 16_000;
+
+/// Starts the watchdog and then the HAL with `external` clocks, or with `internal` ones where the external clock does
+/// not come. A clock that stops later breaks TIM1, which ends all pulses, and raises the NMI (RM0383 section 6.2.7).
+///
+/// The HAL itself waits for the external clock for ever, and before the watchdog.
+pub fn init_with_either_clock(external: Config, internal: Config) -> embassy_stm32::Peripherals {
+    start_watchdog();
+    let comes = external_clock_comes();
+    let peripherals = init_clearing_stale_flags(if comes { external } else { internal });
+    pac::RCC.cr().modify(|w| w.set_csson(comes));
+    peripherals
+}
+
+/// Starts the watchdog with what [`super::super::start::watchdog`] will ask for. The prescaler and the reload value are
+/// taken while its clock runs, so it is started first (RM0383 section 18.3).
+fn start_watchdog() {
+    use pac::iwdg::vals::{Key, Pr};
+    let key = |key| pac::IWDG.kr().write(|w| w.set_key(key));
+    key(Key::START);
+    key(Key::ENABLE);
+    pac::IWDG.pr().write(|w| w.set_pr(Pr::DIVIDE_BY8));
+    // 32 kHz / 8: four to the millisecond.
+    pac::IWDG
+        .rlr()
+        .write(|w| w.set_rl((WATCHDOG_US / 250 - 1) as u16));
+    // Five cycles of its clock; the longest wait is a millisecond.
+    let taken = |_| {
+        let status = pac::IWDG.sr().read();
+        !status.pvu() && !status.rvu()
+    };
+    let _ = (0..RESET_KHZ / 10).any(taken);
+    feed();
+}
+
+/// Switches the external clock on and waits for it, bounded. Off again if it does not come.
+fn external_clock_comes() -> bool {
+    pac::RCC.cr().modify(|w| w.set_hsebyp(true));
+    pac::RCC.cr().modify(|w| w.set_hseon(true));
+    let comes = (0..CLOCK_MS).any(|_| {
+        cortex_m::asm::delay(RESET_KHZ);
+        feed();
+        pac::RCC.cr().read().hserdy()
+    });
+    pac::RCC.cr().modify(|w| w.set_hseon(comes));
+    comes
+}
+
+/// The clock stopped. The outputs are off; the chip runs on its own oscillator by now.
+pub fn die_of_the_clock() -> ! {
+    keep_clock_failed(&mut Ram);
+    // The NMI would come again until its flag is cleared.
+    pac::RCC.cir().modify(|w| w.set_cssc(true));
+    cortex_m::peripheral::SCB::sys_reset()
+}

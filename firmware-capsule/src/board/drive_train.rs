@@ -1,0 +1,138 @@
+//! Motor, encoder, current and battery on any board: how the bridge is driven and what belongs to a reading.
+
+use super::pins::{self, PWM_TICKS};
+use embassy_time::Duration;
+use firmware_capsule::{
+    detect::Sample,
+    fold::Drive,
+    mechanics::Counts,
+    sense::{Offset, Reference, microvolts, millivolts},
+};
+
+/// The battery's divider is 1/2.
+const BATTERY_RATIO: u32 = 2;
+/// Readings per sample while driving, evenly over one PWM period: their mean is the period's, wherever in it the sample begins. The
+/// samples are a whole number of periods apart, so a phase that is preferred would be preferred throughout a motion.
+const ADC_PAIRS: u32 = 4;
+/// Two conversions have to end within it.
+const PAIR_TICKS: u16 = PWM_TICKS / ADC_PAIRS as u16;
+/// From the supply of encoder and amplifier to their first valid levels (assumed of both; ask their data sheets).
+pub(crate) const SENSORS_START: Duration = Duration::from_millis(1);
+/// Looks at the counter until it is there: a period at 8 cycles each, twice.
+const PHASE_PATIENCE: u32 = 200;
+
+/// Motor, encoder, current and battery.
+pub(crate) struct DriveTrain {
+    current: u8,
+    battery: u8,
+    reference: Reference,
+    offset: Offset,
+    battery_mv: u16,
+}
+
+impl DriveTrain {
+    /// With the ADC's channels of `current` and `battery`, and what the factory read of the chip's reference at `factory_mv` of
+    /// supply. A chip without the factory's word still tells its supply to 2.5 %.
+    pub(crate) fn new(current: u8, battery: u8, word: u16, factory_mv: u32) -> Self {
+        let reference = Reference::from_factory(word, factory_mv).unwrap_or_else(|| {
+            defmt::warn!("no reading of the reference by the factory: {=u16}", word);
+            Reference::typical()
+        });
+        Self {
+            current,
+            battery,
+            reference,
+            offset: Offset::default(),
+            battery_mv: 0,
+        }
+    }
+
+    /// Sets the bridge. The duty comes from the last battery reading.
+    pub(crate) fn set(&mut self, drive: Drive) {
+        let (in1, in2) = match drive {
+            Drive::Off => return pins::outputs_off(),
+            Drive::Brake => (PWM_TICKS, PWM_TICKS),
+            Drive::Millivolts(millivolts) if millivolts >= 0 => (self.pulse(millivolts), 0),
+            Drive::Millivolts(millivolts) => (0, self.pulse(millivolts)),
+        };
+        pins::set_pulses(in1, in2);
+        if !pins::bridge_is_awake() {
+            pins::wake_bridge();
+        }
+    }
+
+    /// The encoder is powered and counted.
+    pub(crate) fn counts(&self) -> bool {
+        pins::encoder_is_counted()
+    }
+
+    /// Powers encoder and amplifier, and counts after [`SENSORS_START`]. The counter keeps its value without them: the lines
+    /// of an encoder that goes off or comes on are not counted, and the worm holds the motor meanwhile.
+    pub(crate) fn power_sensors(&mut self) {
+        pins::power_sensors(true);
+    }
+
+    /// Counts from here: the powered encoder shows its lines.
+    pub(crate) fn count(&mut self) {
+        pins::count_encoder(true);
+    }
+
+    /// Switches encoder and amplifier off.
+    pub(crate) fn cut_sensors(&mut self) {
+        pins::count_encoder(false);
+        pins::power_sensors(false);
+    }
+
+    /// Length of the pulse that is this share of the battery. No battery reading: no drive.
+    fn pulse(&self, millivolts: i16) -> u16 {
+        let full = u32::from(PWM_TICKS);
+        let ticks = u32::from(millivolts.unsigned_abs()) * full;
+        let ticks = ticks.checked_div(u32::from(self.battery_mv));
+        ticks.map_or(0, |ticks| ticks.min(full) as u16)
+    }
+
+    /// Reads everything. nFAULT means nothing while the bridge sleeps.
+    ///
+    /// Without a supply that can be, the battery reads 0 mV: no drive, and refused as empty.
+    pub(crate) fn sample(&mut self, now_us: u64) -> Sample {
+        pins::switch_adc_on();
+        let awake = pins::bridge_is_awake();
+        let pairs = if awake { ADC_PAIRS } else { 1 };
+        let reading = pins::convert(pins::REFERENCE_CHANNEL);
+        let supply_mv = self.reference.supply_mv(reading).unwrap_or(0);
+        let (mut current, mut battery) = (0, 0);
+        let began = pins::pwm_count();
+        for pair in 0..pairs as u16 {
+            if awake {
+                await_phase(began, pair * PAIR_TICKS);
+            }
+            current += u32::from(pins::convert(self.current));
+            battery += u32::from(pins::convert(self.battery));
+        }
+        if !awake {
+            pins::switch_adc_off();
+        }
+        let battery_mv = millivolts(battery, pairs, supply_mv) * BATTERY_RATIO;
+        let reading_ua = microvolts(current, pairs, supply_mv); // 1 uV per uA
+        let current_ua = self.offset.take_off(now_us, awake, reading_ua);
+        self.battery_mv = u16::try_from(battery_mv).unwrap_or(u16::MAX);
+        Sample {
+            counts: Counts(pins::encoder_count()),
+            current_ma: u16::try_from((current_ua + 500) / 1_000).unwrap_or(u16::MAX),
+            current_ua,
+            offset_ma: self.offset.offset_ma(),
+            battery_mv: self.battery_mv,
+            driver_fault: awake && pins::fault_is_reported(),
+        }
+    }
+}
+
+/// Waits until the PWM's counter is so many ticks further than `began`, less than a period.
+fn await_phase(began: u16, ticks: u16) {
+    for _ in 0..PHASE_PATIENCE {
+        let passed = (pins::pwm_count() + PWM_TICKS - began) % PWM_TICKS;
+        if passed >= ticks {
+            return;
+        }
+    }
+}

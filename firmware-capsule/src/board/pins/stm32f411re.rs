@@ -1,0 +1,280 @@
+//! The NUCLEO-F411RE, on which the capsule is studied.
+//!
+//! | signal | pin | peripheral |
+//! |---|---|---|
+//! | IN1, IN2 | PB4, PB5 | TIM3_CH1, TIM3_CH2 |
+//! | nSLEEP | PB10 | |
+//! | nFAULT | PA8 | |
+//! | A, B | PA0, PA1 | TIM2 in encoder mode |
+//! | current | PA4 | ADC1_IN4 |
+//! | battery | PB0 | ADC1_IN8 |
+//! | sensors | PB1 | |
+//! | serial | PA2, PA3 | USART2, DMA1 streams 6 and 5 |
+//!
+//! Time driver: TIM4. Motor task: interrupt SPI5, whose peripheral is not used. Clock: the 16 MHz HSI for everything;
+//! nothing here needs more, and the idle current is what the battery pays for.
+
+#![allow(unsafe_code)]
+
+use super::{Board, PWM_TICKS};
+use crate::board::{drive_train::DriveTrain, start::MOTOR_EXECUTOR};
+use device::chip::{flash::Sectors, serial, start, supply};
+use embassy_stm32::{
+    Config,
+    adc::AdcChannel,
+    interrupt::{self, InterruptExt, Priority},
+    pac,
+    pac::gpio::vals::{Moder, Pupdr},
+    peripherals,
+    timer::{Ch1, Ch2, TimerPin},
+};
+
+pub(crate) use interrupt::SPI5 as MOTOR_INTERRUPT;
+
+/// The chip's reference (RM0383 section 11.10).
+pub(crate) const REFERENCE_CHANNEL: u8 = 17;
+/// Where the factory has left its reading of the reference (DS10314 table 75), and the supply that it had then.
+const FACTORY_WORD: *const u16 = 0x1FFF_7A2A as *const u16;
+const FACTORY_MV: u32 = 3_300;
+/// How often to look for the end of a conversion. It takes 27 cycles of 8 MHz, that of the reference 124; a look takes 8 of 16 MHz.
+/// Nothing waits longer than it must.
+const ADC_PATIENCE: u32 = 200;
+
+const ENCODER: [usize; 2] = [0, 1];
+const IN1: usize = 4;
+const IN2: usize = 5;
+const N_SLEEP: usize = 10;
+const SENSORS: usize = 1;
+const N_FAULT: usize = 8;
+
+#[embassy_stm32::interrupt]
+unsafe fn SPI5() {
+    // SAFETY: called from the interrupt that the executor was started with.
+    unsafe { MOTOR_EXECUTOR.on_interrupt() }
+}
+
+/// Clocks, pins and interrupts. The bridge stays asleep.
+pub(crate) fn init() -> Board {
+    // Default clocks: HSI, no PLL. 16 MHz / 115200 baud is 138.9: 0.08 % off, and the HSI 1 % at most at 25 C.
+    let mut config = Config::default();
+    // Clocks for a debugger that stay on in sleep cost the battery. A debugger that needs them sets the bits itself.
+    config.enable_debug_during_sleep = false;
+    let p = start::init_clearing_stale_flags(config);
+    // Flash: no wait states at 16 MHz, so prefetch and caches would save nothing, and prefetch disturbs the ADC (ES0287,
+    // docs/silicon.md). They stay off.
+    //
+    // Nothing is frozen while a debugger halts the core (DBGMCU). TIM3 has no MOE: frozen, its outputs would stay at the
+    // level of that instant, and the motor could stand under full voltage. Running, they keep the last duty, and the
+    // watchdog, which must not be frozen for that reason, ends it within 1.5 s.
+
+    supply::watch();
+    pac::RCC.ahb1enr().modify(|w| {
+        w.set_gpioaen(true);
+        w.set_gpioben(true);
+    });
+    pac::RCC.apb1enr().modify(|w| {
+        w.set_tim2en(true);
+        w.set_tim3en(true);
+    });
+    pac::RCC.apb2enr().modify(|w| w.set_adc1en(true));
+    outputs_off();
+    pac::GPIOB.moder().modify(|w| {
+        w.set_moder(N_SLEEP, Moder::OUTPUT);
+        w.set_moder(SENSORS, Moder::OUTPUT);
+    });
+    pac::GPIOA
+        .pupdr()
+        .modify(|w| w.set_pupdr(N_FAULT, Pupdr::PULL_UP));
+
+    // The pin traits of the HAL prove the pairings and know the alternate functions.
+    let encoder_functions = [
+        TimerPin::<peripherals::TIM2, Ch1>::af_num(&*p.PA0),
+        TimerPin::<peripherals::TIM2, Ch2>::af_num(&*p.PA1),
+    ];
+    let bridge_functions = [
+        TimerPin::<peripherals::TIM3, Ch1>::af_num(&*p.PB4),
+        TimerPin::<peripherals::TIM3, Ch2>::af_num(&*p.PB5),
+    ];
+    for (pin, function) in ENCODER.into_iter().zip(encoder_functions) {
+        alternate_function(pac::GPIOA, pin, function);
+        pac::GPIOA
+            .moder()
+            .modify(|w| w.set_moder(pin, Moder::ALTERNATE));
+    }
+    for (pin, function) in [IN1, IN2].into_iter().zip(bridge_functions) {
+        alternate_function(pac::GPIOB, pin, function);
+    }
+    // Sets the pins to analogue as well.
+    let current = AdcChannel::<peripherals::ADC1>::degrade_adc(p.PA4).get_hw_channel();
+    let battery = AdcChannel::<peripherals::ADC1>::degrade_adc(p.PB0).get_hw_channel();
+    configure_encoder();
+    configure_pwm();
+    configure_adc(current, battery);
+
+    // The motor's control runs above the serial port (7), the time base above both (2).
+    MOTOR_INTERRUPT.set_priority(Priority::P6);
+    // SAFETY: a half-word of the chip's system memory, which can always be read.
+    let word = unsafe { FACTORY_WORD.read_volatile() };
+    Board {
+        serial: serial::open(p.USART2, p.PA3, p.PA2, p.DMA1_CH6, p.DMA1_CH5),
+        sectors: Sectors::new(p.FLASH),
+        drive_train: DriveTrain::new(current, battery, word, FACTORY_MV),
+        watchdog: start::watchdog(p.IWDG),
+    }
+}
+
+fn alternate_function(port: pac::gpio::Gpio, pin: usize, function: u8) {
+    port.afr(pin / 8).modify(|w| w.set_afr(pin % 8, function));
+}
+
+/// Counts all four edges of A and B, over the full 32 bits (RM0383 section 13.3.12). The inputs are filtered over
+/// 8 clocks, 0.5 us; the motor's fastest edges are 57 us apart.
+fn configure_encoder() {
+    use pac::timer::vals::{CcmrInputCcs, FilterValue, Sms};
+    for pin in ENCODER {
+        pac::GPIOA
+            .pupdr()
+            .modify(|w| w.set_pupdr(pin, Pupdr::PULL_UP));
+    }
+    pac::TIM2.ccmr_input(0).modify(|w| {
+        for channel in [0, 1] {
+            w.set_ccs(channel, CcmrInputCcs::TI4);
+            w.set_icf(channel, FilterValue::FCK_INT_N8);
+        }
+    });
+    pac::TIM2.smcr().modify(|w| w.set_sms(Sms::ENCODER_MODE_3));
+    // It counts only while the encoder is powered.
+    pac::TIM2.arr().write_value(u32::MAX);
+}
+
+fn configure_pwm() {
+    use pac::timer::vals::Ocm;
+    pac::TIM3.psc().write_value(0);
+    pac::TIM3.arr().write(|w| w.set_arr(PWM_TICKS - 1));
+    pac::TIM3.ccmr_output(0).modify(|w| {
+        for channel in [0, 1] {
+            w.set_ocm(channel, Ocm::PWM_MODE1);
+            w.set_ocpe(channel, true); // a new duty begins with a period
+        }
+    });
+    pac::TIM3.ccer().modify(|w| {
+        w.set_cce(0, true);
+        w.set_cce(1, true);
+    });
+}
+
+/// 8 MHz, 15 cycles of sampling and 12 of conversion. Switched on only for a reading at rest. The reference stays on,
+/// because it needs 10 us to start, and is sampled for 14 us: at least 10 us are asked for (DS10314 table 74).
+fn configure_adc(current: u8, battery: u8) {
+    use pac::{adc::vals::SampleTime, adccommon::vals::Adcpre};
+    pac::ADC1_COMMON.ccr().modify(|w| {
+        w.set_adcpre(Adcpre::DIV2);
+        w.set_tsvrefe(true);
+    });
+    pac::ADC1
+        .smpr1()
+        .modify(|w| w.set_smp(usize::from(REFERENCE_CHANNEL - 10), SampleTime::CYCLES112));
+    pac::ADC1.smpr2().modify(|w| {
+        for channel in [current, battery] {
+            w.set_smp(usize::from(channel), SampleTime::CYCLES15);
+        }
+    });
+}
+
+/// Bridge asleep, motor open. Registers only: callable from anywhere, also from a panic or a processor fault.
+pub(crate) fn outputs_off() {
+    pac::GPIOB.bsrr().write(|w| {
+        w.set_br(N_SLEEP, true);
+        w.set_br(IN1, true);
+        w.set_br(IN2, true);
+    });
+    pac::GPIOB.moder().modify(|w| {
+        w.set_moder(IN1, Moder::OUTPUT);
+        w.set_moder(IN2, Moder::OUTPUT);
+    });
+    pac::TIM3.cr1().modify(|w| w.set_cen(false));
+}
+
+/// Pulses of so many ticks, from the next period on.
+pub(crate) fn set_pulses(in1: u16, in2: u16) {
+    pac::TIM3.ccr(0).write(|w| w.set_ccr(in1));
+    pac::TIM3.ccr(1).write(|w| w.set_ccr(in2));
+}
+
+/// The bridge is awake, and its pulses run.
+pub(crate) fn bridge_is_awake() -> bool {
+    pac::TIM3.cr1().read().cen()
+}
+
+/// Wakes the bridge, with the pulses that were set.
+pub(crate) fn wake_bridge() {
+    pac::TIM3.egr().write(|w| w.set_ug(true));
+    pac::TIM3.cr1().modify(|w| w.set_cen(true));
+    pac::GPIOB.moder().modify(|w| {
+        w.set_moder(IN1, Moder::ALTERNATE);
+        w.set_moder(IN2, Moder::ALTERNATE);
+    });
+    pac::GPIOB.bsrr().write(|w| w.set_bs(N_SLEEP, true));
+}
+
+/// Ticks since the present pulse began.
+pub(crate) fn pwm_count() -> u16 {
+    pac::TIM3.cnt().read().cnt()
+}
+
+/// The bridge reports a fault. Means nothing while it sleeps.
+pub(crate) fn fault_is_reported() -> bool {
+    pac::GPIOA.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW
+}
+
+/// Switches encoder and amplifier.
+pub(crate) fn power_sensors(on: bool) {
+    pac::GPIOB.bsrr().write(|w| {
+        if on {
+            w.set_bs(SENSORS, true);
+        } else {
+            w.set_br(SENSORS, true);
+        }
+    });
+}
+
+/// Counts, or keeps the count.
+pub(crate) fn count_encoder(on: bool) {
+    pac::TIM2.cr1().modify(|w| w.set_cen(on));
+}
+
+/// The encoder is counted.
+pub(crate) fn encoder_is_counted() -> bool {
+    pac::TIM2.cr1().read().cen()
+}
+
+/// The count.
+pub(crate) fn encoder_count() -> i32 {
+    pac::TIM2.cnt().read() as i32
+}
+
+/// Switches the ADC on, and waits until it converts.
+pub(crate) fn switch_adc_on() {
+    pac::ADC1.cr2().modify(|w| w.set_adon(true));
+    // 3 us to power up (DS9716 section 6.3.20).
+    cortex_m::asm::delay(48);
+}
+
+/// Switches the ADC off.
+pub(crate) fn switch_adc_off() {
+    pac::ADC1.cr2().modify(|w| w.set_adon(false));
+}
+
+/// Reads a channel.
+pub(crate) fn convert(channel: u8) -> u16 {
+    pac::ADC1.sqr3().write(|w| w.set_sq(0, channel));
+    pac::ADC1.sr().modify(|w| w.set_eoc(false));
+    pac::ADC1.cr2().modify(|w| w.set_swstart(true));
+    for _ in 0..ADC_PATIENCE {
+        if pac::ADC1.sr().read().eoc() {
+            return pac::ADC1.dr().read().data();
+        }
+    }
+    // Blind, with a motor running: outputs off, reset.
+    panic!("the ADC does not finish a conversion")
+}
