@@ -18,6 +18,7 @@ compile_error!("no board is chosen: `--features stm32f411re`, or `--features stm
 #[cfg(target_os = "none")]
 pub mod chip;
 pub mod common;
+pub mod double_words;
 pub mod due;
 pub mod half_periods;
 pub mod identity;

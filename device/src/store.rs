@@ -14,7 +14,7 @@ use sequential_storage::{
     queue::{QueueConfig, QueueStorage},
 };
 
-/// Offsets of the sectors in flash, as in `memory.x`: sectors 1 to 3.
+/// Offsets of the log's sectors in flash, as in each `memory.x`.
 pub const SECTORS: Range<u32> = 0x4000..0x1_0000;
 /// Bytes of each.
 pub const SECTOR: u32 = 16 * 1024;
@@ -25,9 +25,13 @@ const LOOK: usize = 128;
 const _: () = assert!((SECTOR as usize).is_multiple_of(LOOK));
 /// The longest record, its number included, in whole words.
 const RECORD: usize = 28;
-/// At least so many records fit into a sector: each has 8 bytes of head, the sector two marks of a word.
-const IN_A_SECTOR: u32 = (SECTOR - 8) / (RECORD as u32 + 8);
-const _: () = assert!(Ages::OLDEST + Ages::NUMBERS as u32 <= IN_A_SECTOR);
+/// The same in whole units of writing, of which the largest is a double word.
+const LONGEST_READ: usize = RECORD.next_multiple_of(8);
+/// At least so many records fit into a sector of a flash that is written by so many bytes: each record has 8 bytes of head, the
+/// sector two marks.
+const fn in_a_sector(write_size: usize) -> u32 {
+    (SECTOR - 2 * write_size as u32) / (RECORD.next_multiple_of(write_size) as u32 + 8)
+}
 
 /// How many records ago each number was written last.
 ///
@@ -152,8 +156,16 @@ pub struct Store<F: NorFlash> {
 }
 
 impl<F: NorFlash> Store<F> {
+    /// What the log reads of a record at once.
+    const READ: usize = RECORD.next_multiple_of(F::WRITE_SIZE);
+    const FITS: () = assert!(
+        Self::READ <= LONGEST_READ
+            && Ages::OLDEST + Ages::NUMBERS as u32 <= in_a_sector(F::WRITE_SIZE)
+    );
+
     /// The log in [`SECTORS`] of `flash`.
     pub fn new(flash: F) -> Self {
+        const { Self::FITS };
         Self {
             log: QueueStorage::new(
                 Checked(flash),
@@ -169,10 +181,11 @@ impl<F: NorFlash> Store<F> {
     /// # Errors
     /// The sectors cannot be read as records; what was read before stands.
     pub fn load(&mut self, mut record: impl FnMut(u8, &[u8])) -> Result<(), StorageFailed> {
-        let mut buffer = [0; RECORD];
+        let mut buffer = [0; LONGEST_READ];
+        let buffer = &mut buffer[..Self::READ];
         block_on(async {
             let mut records = self.log.iter().await?;
-            while let Some(entry) = records.next(&mut buffer).await? {
+            while let Some(entry) = records.next(buffer).await? {
                 if let [number, content @ ..] = &*entry {
                     self.ages.wrote(*number);
                     record(*number, content);

@@ -1,0 +1,285 @@
+//! A flash in memory as the STM32L412's: double words with a check code, pages, and a supply that can fail in between.
+
+// Each test file uses a part of it.
+#![allow(dead_code)]
+
+#[path = "mod.rs"]
+mod words;
+
+use device::{
+    double_words::{DOUBLE_WORD, DoubleWords, PAGE, Sectors},
+    store::SECTORS,
+};
+use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+use std::{
+    ops::Range,
+    sync::{Arc, Mutex, MutexGuard},
+};
+pub use words::{Cut, Error, Operation, Random};
+
+/// What a double word is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+enum State {
+    Blank,
+    Programmed,
+    /// Its check code does not fit.
+    Unreadable,
+    /// It reads as blank, and cannot be programmed but with zeros.
+    Stuck,
+}
+
+impl State {
+    const ALL: [Self; 4] = [Self::Blank, Self::Programmed, Self::Unreadable, Self::Stuck];
+}
+
+#[derive(Debug)]
+struct Array {
+    bytes: Vec<u8>,
+    states: Vec<State>,
+    operations: Vec<Operation>,
+    /// The supply fails in this operation from now on.
+    cut: Option<(usize, Cut)>,
+    powered: bool,
+    /// Operations that were asked for since the start, and those of them that fail.
+    asked: usize,
+    failing: Range<usize>,
+    noise: Random,
+}
+
+/// Its double words; clones are the same ones.
+#[derive(Clone, Debug)]
+struct Cells(Arc<Mutex<Array>>);
+
+/// The flash as the store sees it; clones are the same one.
+#[derive(Clone, Debug)]
+pub struct Flash(Sectors<Cells>);
+
+const SIZE: usize = SECTORS.end as usize;
+
+impl Flash {
+    pub fn blank() -> Self {
+        Self::holding(vec![0xFF; SIZE])
+    }
+
+    /// After a start, with this content: bytes alone, or with the states that [`Flash::bytes`] puts behind them.
+    pub fn holding(mut bytes: Vec<u8>) -> Self {
+        let states = bytes.split_off(SIZE);
+        assert!([0, SIZE / DOUBLE_WORD].contains(&states.len()));
+        let states = bytes
+            .chunks(DOUBLE_WORD)
+            .enumerate()
+            .map(|(index, double_word)| {
+                let blank = double_word == [0xFF; DOUBLE_WORD];
+                match states
+                    .get(index)
+                    .map(|state| State::ALL[usize::from(*state)])
+                {
+                    Some(State::Blank) | None if blank => State::Blank,
+                    Some(State::Blank) | None => State::Programmed,
+                    Some(state) => state,
+                }
+            })
+            .collect();
+        Self(Sectors(Cells(Arc::new(Mutex::new(Array {
+            bytes,
+            states,
+            operations: Vec::new(),
+            cut: None,
+            powered: true,
+            asked: 0,
+            failing: 0..0,
+            noise: Random(1),
+        })))))
+    }
+
+    fn array(&self) -> MutexGuard<'_, Array> {
+        self.0.0.0.lock().unwrap()
+    }
+
+    /// The content, and the state of each double word behind it.
+    pub fn bytes(&self) -> Vec<u8> {
+        let array = self.array();
+        let states = array.states.iter().map(|state| *state as u8);
+        array.bytes.iter().copied().chain(states).collect()
+    }
+
+    /// Programmed double words and erased pages since the start.
+    pub fn operations(&self) -> Vec<Operation> {
+        self.array().operations.clone()
+    }
+
+    /// The supply fails in the operation after so many more.
+    pub fn cut(&self, after: usize, cut: Cut, seed: u64) {
+        let mut array = self.array();
+        array.cut = Some((array.operations.len() + after, cut));
+        array.noise = Random(seed);
+    }
+
+    pub fn wear(&self) {
+        self.fail(0..usize::MAX);
+    }
+
+    /// Of the operations from now on, these fail.
+    pub fn fail(&self, failing: Range<usize>) {
+        let mut array = self.array();
+        (array.asked, array.failing) = (0, failing);
+    }
+
+    /// The first blank double word behind `from` cannot be programmed, which reading does not tell.
+    pub fn stick(&self, from: u32) {
+        let mut array = self.array();
+        let from = from as usize / DOUBLE_WORD;
+        let blank = |state: &State| *state == State::Blank;
+        let index = from + array.states[from..].iter().position(blank).unwrap();
+        array.states[index] = State::Stuck;
+    }
+
+    /// How many double words are unreadable.
+    pub fn unreadable(&self) -> usize {
+        let unreadable = |state: &&State| **state == State::Unreadable;
+        self.array().states.iter().filter(unreadable).count()
+    }
+}
+
+impl Array {
+    /// How the next operation ends.
+    fn begin(&mut self, operation: Operation) -> Result<Cut, Error> {
+        if !self.powered {
+            return Err(Error::Off);
+        }
+        self.asked += 1;
+        if self.failing.contains(&(self.asked - 1)) {
+            return Err(Error::Worn);
+        }
+        self.operations.push(operation);
+        match self.cut {
+            Some((number, cut)) if number + 1 == self.operations.len() => {
+                self.powered = false;
+                Ok(cut)
+            }
+            _ => Ok(Cut::After),
+        }
+    }
+
+    fn end(&self) -> Result<(), Error> {
+        if self.powered {
+            Ok(())
+        } else {
+            Err(Error::Off)
+        }
+    }
+
+    fn put(&mut self, index: usize, bytes: [u8; DOUBLE_WORD], state: State) {
+        self.bytes[index * DOUBLE_WORD..][..DOUBLE_WORD].copy_from_slice(&bytes);
+        self.states[index] = state;
+    }
+
+    fn get(&self, index: usize) -> [u8; DOUBLE_WORD] {
+        let bytes = &self.bytes[index * DOUBLE_WORD..][..DOUBLE_WORD];
+        bytes.try_into().unwrap()
+    }
+
+    /// What a double word is in the middle of an operation: anything between `bytes` and blank, with a check code that fits or does
+    /// not.
+    fn leave_torn(&mut self, index: usize, bytes: [u8; DOUBLE_WORD]) {
+        let noise = self.noise.next().to_le_bytes();
+        let mut torn = bytes;
+        for (byte, noise) in torn.iter_mut().zip(noise) {
+            *byte |= noise;
+        }
+        match self.noise.below(4) {
+            0 => self.put(index, [0xFF; DOUBLE_WORD], State::Blank),
+            1 => self.put(index, torn, State::Programmed),
+            _ => self.put(index, torn, State::Unreadable),
+        }
+    }
+}
+
+impl DoubleWords for Cells {
+    type Error = Error;
+
+    fn read(&mut self, offset: u32) -> Option<[u8; DOUBLE_WORD]> {
+        assert!(SECTORS.contains(&offset) && offset.is_multiple_of(DOUBLE_WORD as u32));
+        let array = self.0.lock().unwrap();
+        let index = offset as usize / DOUBLE_WORD;
+        (array.states[index] != State::Unreadable).then(|| array.get(index))
+    }
+
+    fn program(&mut self, offset: u32, bytes: [u8; DOUBLE_WORD]) -> Result<(), Error> {
+        assert!(SECTORS.contains(&offset) && offset.is_multiple_of(DOUBLE_WORD as u32));
+        let mut array = self.0.lock().unwrap();
+        let cut = array.begin(Operation::Write { offset, words: 2 })?;
+        let index = offset as usize / DOUBLE_WORD;
+        let zeros = bytes == [0; DOUBLE_WORD];
+        if array.states[index] == State::Stuck && !zeros {
+            return Err(Error::Worn);
+        }
+        let blank = array.states[index] == State::Blank;
+        assert!(
+            blank || zeros,
+            "a double word is programmed twice at {offset:#x}"
+        );
+        match cut {
+            Cut::Before => {}
+            Cut::After => array.put(index, bytes, State::Programmed),
+            _ => array.leave_torn(index, bytes),
+        }
+        array.end()
+    }
+
+    fn erase(&mut self, page: u32) -> Result<(), Error> {
+        assert!(SECTORS.contains(&page) && page.is_multiple_of(PAGE));
+        let mut array = self.0.lock().unwrap();
+        let cut = array.begin(Operation::Erase { sector: page })?;
+        let count = PAGE as usize / DOUBLE_WORD;
+        let first = page as usize / DOUBLE_WORD;
+        let blank = match cut {
+            Cut::Before => return array.end(),
+            Cut::After => 0..count,
+            Cut::BlankAtBothEnds => 0..0,
+            Cut::Within { done, .. } => 0..done.min(4) * count / 4,
+        };
+        for within in 0..count {
+            let index = first + within;
+            let ends = cut == Cut::BlankAtBothEnds && [0, count - 1].contains(&within);
+            if blank.contains(&within) || ends {
+                array.put(index, [0xFF; DOUBLE_WORD], State::Blank);
+            } else {
+                let bytes = array.get(index);
+                array.leave_torn(index, bytes);
+            }
+        }
+        array.end()
+    }
+}
+
+impl ErrorType for Flash {
+    type Error = Error;
+}
+
+impl ReadNorFlash for Flash {
+    const READ_SIZE: usize = Sectors::<Cells>::READ_SIZE;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
+        self.array().end()?;
+        self.0.read(offset, bytes).await
+    }
+
+    fn capacity(&self) -> usize {
+        self.0.capacity()
+    }
+}
+
+impl NorFlash for Flash {
+    const WRITE_SIZE: usize = Sectors::<Cells>::WRITE_SIZE;
+    const ERASE_SIZE: usize = Sectors::<Cells>::ERASE_SIZE;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
+        self.0.erase(from, to).await
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
+        self.0.write(offset, bytes).await
+    }
+}

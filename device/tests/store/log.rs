@@ -1,0 +1,433 @@
+//! The settings' log in flash: what it keeps, and what a failing supply leaves of it. The supply is cut before, within
+//! and after every write and erasure of a change.
+
+use super::chip::{Cut, Flash, Operation, Random};
+use device::{
+    settings::{SettingsStore, Values},
+    store::{self, NAME_RECORD, SECTOR, SECTORS, StorageFailed},
+};
+use embedded_storage_async::nor_flash::NorFlash as _;
+use proptest::prelude::*;
+use protocol::settings::{MAX_NAME, SettingKey};
+use std::sync::LazyLock;
+
+pub type Store = SettingsStore<Flash>;
+/// What lies below them.
+type Log = store::Store<Flash>;
+
+/// What a device finds at its start.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Content {
+    values: Values,
+    name: String,
+}
+
+impl Content {
+    fn of(store: &Store) -> Self {
+        Self {
+            values: *store.values(),
+            name: store.name().to_owned(),
+        }
+    }
+
+    fn default() -> Self {
+        Self {
+            values: Values::DEFAULT,
+            name: String::new(),
+        }
+    }
+}
+
+/// A start on what is in flash.
+pub fn start(flash: &Flash) -> Store {
+    let (store, usable) = Store::load(flash.clone(), |_| true);
+    assert!(usable);
+    store
+}
+
+fn name(text: &str) -> heapless::String<MAX_NAME> {
+    text.try_into().unwrap()
+}
+
+/// As long as a name can be.
+fn long_name(number: u32) -> heapless::String<MAX_NAME> {
+    name(&format!("{number:0width$}", width = MAX_NAME))
+}
+
+/// What was set once, long ago.
+pub const KEPT: [(SettingKey, u32); 3] = [
+    (SettingKey::FlagUm, 900),
+    (SettingKey::StrokeUm, 100_000),
+    (SettingKey::ButtonTotalMs, 86_400_000),
+];
+
+/// A flash with a short history.
+pub fn young() -> Vec<u8> {
+    let flash = Flash::blank();
+    let mut store = start(&flash);
+    for (key, value) in KEPT {
+        store.set(key, value).unwrap();
+    }
+    store.set_name(name("left bench")).unwrap();
+    flash.bytes()
+}
+
+/// A flash whose next name drops a sector, for the second time since [`KEPT`] was set; and the number of that name.
+static OLD: LazyLock<(Vec<u8>, u32)> = LazyLock::new(|| {
+    let flash = Flash::holding(young());
+    let mut store = start(&flash);
+    let mut erasures = 0;
+    for number in 0..10_000 {
+        let (before, operations) = (flash.bytes(), flash.operations().len());
+        store.set_name(long_name(number)).unwrap();
+        let erased = |operation: &Operation| matches!(operation, Operation::Erase { .. });
+        if flash.operations()[operations..].iter().any(erased) {
+            erasures += 1;
+        }
+        if erasures == 2 {
+            return (before, number);
+        }
+    }
+    panic!("no sector was erased");
+});
+
+/// Makes a change with a cut at each of its operations. Whatever the cut leaves has to satisfy `is_left`, and has to
+/// be changed as ever from there.
+fn cut_everywhere(
+    image: &[u8],
+    change: impl Fn(&mut Store) -> Result<(), StorageFailed>,
+    is_left: impl Fn(&Content) -> bool,
+) -> Vec<Content> {
+    let whole = Flash::holding(image.to_vec());
+    let mut store = start(&whole);
+    let before = Content::of(&store);
+    assert_eq!(whole.operations(), [], "a start changes nothing");
+    change(&mut store).unwrap();
+    let after = Content::of(&store);
+    assert_eq!(Content::of(&start(&whole)), after);
+    let operations = whole.operations();
+    let mut left = Vec::new();
+    for (number, operation) in operations.iter().enumerate() {
+        for cut in Cut::ALL {
+            let context = format!("{cut:?} in {number}: {operation:?}");
+            let flash = Flash::holding(image.to_vec());
+            let mut store = start(&flash);
+            flash.cut(number, cut, number as u64);
+            // In force is what was, or what is in flash already.
+            if change(&mut store).is_err() {
+                assert!(is_left(&Content::of(&store)), "{context}");
+            } else {
+                assert_eq!(number + 1, operations.len(), "{context}");
+                assert_eq!(Content::of(&store), after, "{context}");
+            }
+            let flash = Flash::holding(flash.bytes());
+            let mut store = start(&flash);
+            let found = Content::of(&store);
+            assert!(is_left(&found), "{context}: {found:?}");
+            if number == 0 && cut == Cut::Before {
+                assert_eq!(found, before, "{context}");
+            }
+            if number + 1 == operations.len() && cut == Cut::After {
+                assert_eq!(found, after, "{context}");
+            }
+            // It can still be written, and keeps the rest.
+            store.set(SettingKey::PullOffUm, 999).expect(&context);
+            let again = start(&Flash::holding(flash.bytes()));
+            let expected = Content {
+                values: found.values.with(SettingKey::PullOffUm, 999).unwrap(),
+                ..found.clone()
+            };
+            assert_eq!(Content::of(&again), expected, "{context}");
+            change(&mut store).expect(&context);
+            let again = Content::of(&start(&Flash::holding(flash.bytes())));
+            assert_eq!(again, Content::of(&store), "{context}");
+            left.push(found);
+        }
+    }
+    left
+}
+
+/// A change of one thing leaves it old or new, and nothing else changed.
+fn old_or_new(image: &[u8], change: impl Fn(&mut Store) -> Result<(), StorageFailed>) {
+    let flash = Flash::holding(image.to_vec());
+    let mut store = start(&flash);
+    let old = Content::of(&store);
+    change(&mut store).unwrap();
+    let new = Content::of(&store);
+    assert_ne!(old, new);
+    let left = cut_everywhere(image, change, |found| *found == old || *found == new);
+    // Both happen.
+    assert!(left.contains(&old) && left.contains(&new));
+}
+
+#[test]
+fn a_cut_leaves_the_old_value_or_the_new_one() {
+    let blank = Flash::blank().bytes();
+    for image in [blank, young()] {
+        old_or_new(&image, |store| store.set(SettingKey::FlagUm, 1_234));
+        // A value whose last bytes look like blank ones.
+        old_or_new(&image, |store| {
+            store.set(SettingKey::ButtonTotalMs, 0x00FF_FFFF)
+        });
+        old_or_new(&image, |store| store.set_name(name("right bench")));
+        old_or_new(&image, |store| store.set_name(long_name(7)));
+    }
+}
+
+/// The name that is dropped with its sector, the settings of long ago, the new name: all of them.
+#[test]
+fn a_cut_while_a_sector_is_dropped_loses_nothing() {
+    let (image, number) = OLD.clone();
+    let store = start(&Flash::holding(image.clone()));
+    assert_eq!(store.name(), long_name(number - 1).as_str());
+    for (key, value) in KEPT {
+        assert_eq!(store.values().get(key), value);
+    }
+    old_or_new(&image, |store| store.set_name(long_name(number)));
+    old_or_new(&image, |store| store.set(SettingKey::FlagUm, 1_234));
+}
+
+/// Each value is old or the default; done once more the reset is complete.
+#[test]
+fn a_cut_within_a_reset_leaves_each_value_old_or_default() {
+    for image in [young(), OLD.0.clone()] {
+        let old = Content::of(&start(&Flash::holding(image.clone())));
+        let is_left = |found: &Content| {
+            let old_or_default = |key: &SettingKey| {
+                let value = found.values.get(*key);
+                value == old.values.get(*key) || value == key.range().default
+            };
+            SettingKey::ALL.iter().all(old_or_default)
+                && (found.name == old.name || found.name.is_empty())
+        };
+        let left = cut_everywhere(&image, Store::reset, is_left);
+        assert!(left.contains(&old) && left.contains(&Content::default()));
+        assert!(
+            left.iter()
+                .any(|left| *left != old && *left != Content::default())
+        );
+    }
+}
+
+/// What a cut within a reset leaves may break the rules of the settings. Then the defaults are in force, until
+/// something is set.
+#[test]
+fn values_that_do_not_go_together_are_not_in_force() {
+    let flash = Flash::holding(young());
+    let (store, usable) = Store::load(flash.clone(), |values| {
+        assert_eq!(values.get(SettingKey::FlagUm), 900);
+        false
+    });
+    assert!(!usable);
+    assert_eq!(*store.values(), Values::DEFAULT);
+    assert_eq!(store.name(), "left bench", "a name keeps all rules");
+}
+
+/// The values in force are the defaults already, but those in flash are not.
+#[test]
+fn a_reset_ends_a_conflict() {
+    let flash = Flash::holding(young());
+    let (mut store, usable) = Store::load(flash.clone(), |_| false);
+    assert!(!usable);
+    store.reset().unwrap();
+    assert_eq!(Content::of(&store), Content::default());
+    let written = flash.operations().len();
+    let mut store = start(&Flash::holding(flash.bytes()));
+    assert_eq!(Content::of(&store), Content::default());
+    // Done once more, there is only the name to write.
+    store.reset().unwrap();
+    let flash = Flash::holding(flash.bytes());
+    start(&flash).reset().unwrap();
+    assert!(flash.operations().len() < 4 && written > 20);
+}
+
+/// Anything may be in the sectors of a new chip, or after a cut that nobody foresaw.
+#[test]
+fn a_flash_of_noise_can_be_reset() {
+    let mut unreadable = 0;
+    for seed in 0..40 {
+        let mut random = Random(seed);
+        let mut bytes = Flash::blank().bytes();
+        for byte in &mut bytes[SECTORS.start as usize..SECTORS.end as usize] {
+            *byte = if seed % 2 == 0 { 0 } else { 0x5A } | random.next() as u8;
+        }
+        // The marks by which the log knows a sector in use, at its start and at its end.
+        for (sector, marks) in (1..).zip([seed % 3, seed % 4, seed % 5]) {
+            let sector = sector * SECTOR as usize;
+            let width = Flash::WRITE_SIZE;
+            bytes[sector..][..width].fill(if marks > 0 { 0 } else { 0xFF });
+            let end = sector + SECTOR as usize - width;
+            bytes[end..][..width].fill(if marks > 1 { 0 } else { 0xFF });
+        }
+        let flash = Flash::holding(bytes);
+        let (mut store, usable) = Store::load(flash.clone(), |_| true);
+        unreadable += u32::from(!usable);
+        store.reset().unwrap();
+        assert_eq!(Content::of(&store), Content::default(), "{seed}");
+        store.set(SettingKey::FlagUm, 900).unwrap();
+        let store = start(&Flash::holding(flash.bytes()));
+        assert_eq!(store.values().get(SettingKey::FlagUm), 900, "{seed}");
+        assert_eq!(store.name(), "");
+    }
+    assert!(
+        unreadable > 0,
+        "noise never looked like a record that is too long"
+    );
+}
+
+/// All three sectors are in use to their ends: no log begins or ends anywhere.
+#[test]
+fn a_flash_that_is_no_log_is_not_in_force() {
+    let flash = Flash::holding(vec![0; SECTORS.end as usize]);
+    let (mut store, usable) = Store::load(flash.clone(), |_| true);
+    assert!(!usable);
+    assert_eq!(Content::of(&store), Content::default());
+    assert_eq!(store.set(SettingKey::FlagUm, 900), Err(StorageFailed));
+    assert_eq!(Content::of(&store), Content::default());
+    store.reset().unwrap();
+    store.set(SettingKey::FlagUm, 900).unwrap();
+    let store = start(&Flash::holding(flash.bytes()));
+    assert_eq!(store.values().get(SettingKey::FlagUm), 900);
+}
+
+#[test]
+fn a_worn_flash_changes_nothing() {
+    let flash = Flash::holding(young());
+    let mut store = start(&flash);
+    let before = Content::of(&store);
+    flash.wear();
+    assert_eq!(store.set(SettingKey::FlagUm, 1_234), Err(StorageFailed));
+    assert_eq!(store.set_name(name("right bench")), Err(StorageFailed));
+    assert_eq!(store.reset(), Err(StorageFailed));
+    assert_eq!(Content::of(&store), before);
+    assert_eq!(Content::of(&start(&Flash::holding(flash.bytes()))), before);
+}
+
+/// Longer than any record of this firmware.
+#[test]
+fn a_record_that_is_too_long_is_not_written() {
+    let flash = Flash::blank();
+    let mut log = Log::new(flash.clone());
+    assert_eq!(log.save(NAME_RECORD, &[7; 28]), Err(StorageFailed));
+    assert_eq!(flash.operations(), []);
+    log.save(NAME_RECORD, &[7; 27]).unwrap();
+    let mut records = Vec::new();
+    let note = |number, record: &[u8]| records.push((number, record.to_vec()));
+    Log::new(flash).load(note).unwrap();
+    assert_eq!(records, [(NAME_RECORD, vec![7; 27])]);
+}
+
+#[test]
+fn a_value_out_of_range_is_not_written() {
+    let flash = Flash::blank();
+    let mut store = start(&flash);
+    let range = SettingKey::FlagUm.range();
+    assert_eq!(
+        store.set(SettingKey::FlagUm, range.max + 1),
+        Err(StorageFailed)
+    );
+    assert_eq!(flash.operations(), []);
+    assert_eq!(*store.values(), Values::DEFAULT);
+}
+
+/// Thousands of names later, and started anew now and then, what was set once is still there.
+#[test]
+fn what_was_set_once_is_kept() {
+    let mut flash = Flash::holding(young());
+    let mut store = start(&flash);
+    for number in 0..3_000 {
+        store.set_name(long_name(number)).unwrap();
+        if number % 397 == 0 {
+            flash = Flash::holding(flash.bytes());
+            store = start(&flash);
+            assert_eq!(store.name(), long_name(number).as_str());
+            for (key, value) in KEPT {
+                assert_eq!(store.values().get(key), value, "{number}");
+            }
+        }
+    }
+}
+
+/// Something that a device is told to keep, or its supply failing.
+#[derive(Clone, Debug)]
+enum Step {
+    Set(SettingKey, u32),
+    Name(u32),
+    Reset,
+}
+
+fn any_step() -> impl Strategy<Value = Step> {
+    let keys = prop::sample::select(vec![
+        SettingKey::FlagUm,
+        SettingKey::StrokeUm,
+        SettingKey::ButtonTotalMs,
+    ]);
+    prop_oneof![
+        4 => (keys, any::<prop::sample::Index>()).prop_map(|(key, value)| {
+            let range = key.range();
+            let width = (range.max - range.min) as usize + 1;
+            Step::Set(key, range.min + value.index(width) as u32)
+        }),
+        8 => any::<u32>().prop_map(Step::Name),
+        1 => Just(Step::Reset),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 64,
+        failure_persistence: None,
+        rng_seed: prop::test_runner::RngSeed::Fixed(1),
+        ..ProptestConfig::default()
+    })]
+
+    /// Any changes with any cuts, also in the first change after a cut: each leaves the old or the new. The log starts
+    /// where sectors are dropped.
+    #[test]
+    fn no_cut_ever_loses_more_than_its_change(
+        steps in prop::collection::vec(
+            (any_step(), prop::option::of((0..8_usize, 0..Cut::ALL.len(), any::<u64>()))),
+            1..40,
+        ),
+    ) {
+        let mut flash = Flash::holding(OLD.0.clone());
+        let mut store = start(&flash);
+        for (step, cut) in steps {
+            let before = Content::of(&store);
+            if let Some((after, cut, seed)) = cut {
+                flash.cut(after, Cut::ALL[cut], seed);
+            }
+            let mut expected = before.clone();
+            let done = match step {
+                Step::Set(key, value) => {
+                    expected.values = before.values.with(key, value).unwrap();
+                    store.set(key, value)
+                }
+                Step::Name(number) => {
+                    expected.name = long_name(number).as_str().to_owned();
+                    store.set_name(long_name(number))
+                }
+                Step::Reset => {
+                    expected = Content::default();
+                    store.reset()
+                }
+            };
+            if done.is_ok() {
+                prop_assert_eq!(Content::of(&store), expected.clone());
+            }
+            if cut.is_some() || done.is_err() {
+                flash = Flash::holding(flash.bytes());
+                store = start(&flash);
+                let found = Content::of(&store);
+                for key in SettingKey::ALL {
+                    let value = found.values.get(key);
+                    prop_assert!(value == before.values.get(key) || value == expected.values.get(key));
+                }
+                prop_assert!(found.name == before.name || found.name == expected.name);
+                if done.is_ok() {
+                    prop_assert_eq!(found, expected);
+                }
+            }
+        }
+    }
+}
