@@ -11,6 +11,11 @@ use stm32f411re as part;
 #[cfg(feature = "stm32f411re")]
 pub use stm32f411re::clock;
 
+#[cfg(feature = "stm32l412tb")]
+mod stm32l412tb;
+#[cfg(feature = "stm32l412tb")]
+use stm32l412tb as part;
+
 pub use part::{flash, serial, supply};
 
 pub mod channels;

@@ -7,15 +7,18 @@
 
 #[cfg(all(feature = "stm32f411re", feature = "stm32l412tb"))]
 compile_error!(
-    "two boards are chosen: for another board than the default add `--no-default-features`"
+    "two chips are chosen: for another board than the default add `--no-default-features`"
 );
 #[cfg(all(
     target_os = "none",
     not(any(feature = "stm32f411re", feature = "stm32l412tb"))
 ))]
-compile_error!("no board is chosen: `--features stm32f411re`, or `--features stm32l412tb`");
+compile_error!("no chip is chosen: add `--features stm32f411re` or `--features stm32l412tb`");
 
-#[cfg(target_os = "none")]
+#[cfg(all(
+    target_os = "none",
+    any(feature = "stm32f411re", feature = "stm32l412tb")
+))]
 pub mod chip;
 pub mod common;
 pub mod double_words;

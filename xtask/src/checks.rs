@@ -24,7 +24,7 @@ const LONG_TESTS: Step = Step::new(
 );
 const IMAGES: Step = Step::new(
     "images",
-    "builds both ARM images and checks their addresses and sizes",
+    "builds the ARM images, that of a second board too, and checks their addresses and sizes",
     images::build,
 );
 const BENCH_TESTS: Step = Step::new(
@@ -49,7 +49,7 @@ const LINT_HOST: Step = Step::new(
 );
 const LINT_IMAGES: Step = Step::new(
     "lint images",
-    "clippy on both images as compiled for the chip, no warning allowed",
+    "clippy on all images as compiled for their chips, no warning allowed",
     images::lint,
 );
 const DOCS: Step = Step::new(

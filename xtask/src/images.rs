@@ -1,23 +1,34 @@
-//! Builds both ARM images and checks them.
+//! Builds the ARM images and checks them.
 
 use std::path::PathBuf;
 use std::process::Command;
 
-use crate::layout::{Budget, Layout};
+use crate::layout::{Budget, Layout, Memory, STM32F411RE, STM32L412TB};
 use crate::process::{Failure, Result, root, run};
-use crate::toolchain::{self, TARGET};
+use crate::toolchain::{self, TARGET, Toolchain};
 
-/// An image and the memory it may take.
+/// An image, where it goes, and the memory it may take.
 struct Image {
     name: &'static str,
+    /// The chip as `probe-rs` calls it.
+    chip: &'static str,
+    memory: &'static Memory,
     budget: Budget,
 }
 
-/// Budgets are far below the chip's 512 KiB of flash and 128 KiB of RAM, to leave room for features. The
+/// The capsule's, on any board.
+const CAPSULE: Budget = Budget {
+    flash_bytes: 64 * 1024,
+    ram_bytes: 24 * 1024,
+};
+
+/// Budgets are far below the 512 KiB of flash and 128 KiB of RAM of the STM32F411, to leave room for features. The
 /// rest of the RAM is stack.
-const IMAGES: [Image; 2] = [
+const IMAGES: [Image; 3] = [
     Image {
         name: "firmware-rig",
+        chip: "STM32F411RETx",
+        memory: &STM32F411RE,
         budget: Budget {
             flash_bytes: 80 * 1024,
             ram_bytes: 48 * 1024,
@@ -25,37 +36,55 @@ const IMAGES: [Image; 2] = [
     },
     Image {
         name: "firmware-capsule",
-        budget: Budget {
-            flash_bytes: 64 * 1024,
-            ram_bytes: 24 * 1024,
-        },
+        chip: "STM32F411RETx",
+        memory: &STM32F411RE,
+        budget: CAPSULE,
+    },
+    Image {
+        name: "firmware-capsule-stm32l412tb",
+        chip: "STM32L412TBYx",
+        memory: &STM32L412TB,
+        budget: CAPSULE,
     },
 ];
 
-/// Builds both images, then [`check`]s them.
+/// What is built at once: a package's features hold for all that it is built with, so each chip has its own call of cargo.
+const BUILDS: [&[&str]; 2] = [
+    &["--package", "firmware-rig", "--package", "firmware-capsule"],
+    &[
+        "--package",
+        "firmware-capsule",
+        "--no-default-features",
+        "--features",
+        "stm32l412tb",
+    ],
+];
+
+/// Builds all images, then [`check`]s them.
 ///
 /// # Errors
 /// No compiler, a compile error, or an image that may not be flashed.
 pub(crate) fn build() -> Result<()> {
     let toolchain = toolchain::find()?;
     println!("Images: {toolchain}.");
-    let mut cargo = toolchain.cargo("build");
-    for_both(&mut cargo);
-    run(&mut cargo, "fix what the compiler reports above")?;
+    for build in BUILDS {
+        let mut cargo = command(&toolchain, "build", build);
+        run(&mut cargo, "fix what the compiler reports above")?;
+    }
     check()
 }
 
-/// Builds both images and flashes one of them: the same file that the bench tests.
+/// Builds all images and flashes one of them: the same file that the bench tests.
 ///
 /// # Errors
 /// As [`build`]; no such machine, no `probe-rs`, or no board.
 pub(crate) fn flash(machine: &str) -> Result<()> {
-    let path = find(machine)?;
+    let image = of(machine)?;
     build()?;
     run(
         Command::new("probe-rs")
-            .args(["run", "--chip", "STM32F411RETx"])
-            .arg(path),
+            .args(["run", "--chip", image.chip])
+            .arg(path_of(image)),
         "install probe-rs (https://probe.rs), connect the board by USB; `probe-rs list` shows it",
     )
 }
@@ -65,44 +94,52 @@ pub(crate) fn flash(machine: &str) -> Result<()> {
 /// # Errors
 /// No such machine.
 pub(crate) fn find(machine: &str) -> Result<PathBuf> {
-    let name = format!("firmware-{machine}");
-    match IMAGES.iter().find(|image| image.name == name) {
-        Some(image) => Ok(path_of(image)),
-        None => Err(Failure::new(
-            format!("there is no machine `{machine}`"),
-            "it is `rig` or `capsule`",
-        )),
-    }
+    of(machine).map(path_of)
 }
 
-/// Lints both images as they are compiled for the chip.
+fn of(machine: &str) -> Result<&'static Image> {
+    let name = format!("firmware-{machine}");
+    IMAGES
+        .iter()
+        .find(|image| image.name == name)
+        .ok_or_else(|| {
+            Failure::new(
+                format!("there is no machine `{machine}`"),
+                "it is `rig`, `capsule` or `capsule-stm32l412tb`",
+            )
+        })
+}
+
+/// Lints all images as they are compiled for their chips.
 ///
 /// # Errors
 /// No compiler, or a warning.
 pub(crate) fn lint() -> Result<()> {
     let toolchain = toolchain::find()?;
-    let mut cargo = toolchain.cargo("clippy");
-    for_both(&mut cargo);
-    cargo.args(["--", "-D", "warnings"]);
-    run(&mut cargo, "fix what the linter reports above")
-}
-
-/// Selects both packages and the workspace's own target folder, where the bench and `probe-rs` look,
-/// whatever the caller's environment says.
-fn for_both(cargo: &mut Command) {
-    for image in &IMAGES {
-        cargo.args(["--package", image.name]);
+    for build in BUILDS {
+        let mut cargo = command(&toolchain, "clippy", build);
+        cargo.args(["--", "-D", "warnings"]);
+        run(&mut cargo, "fix what the linter reports above")?;
     }
-    cargo.arg("--target-dir").arg(root().join("target"));
+    Ok(())
 }
 
-/// Reads both images, prints their sizes and checks layout and budgets.
+/// Selects what is built, and the workspace's own target folder, where the bench and `probe-rs` look,
+/// whatever the caller's environment says.
+fn command(toolchain: &Toolchain, subcommand: &str, build: &[&str]) -> Command {
+    let mut cargo = toolchain.cargo(subcommand);
+    cargo.args(build);
+    cargo.arg("--target-dir").arg(root().join("target"));
+    cargo
+}
+
+/// Reads all images, prints their sizes and checks layout and budgets.
 ///
 /// # Errors
 /// An image is missing, misplaced or over budget; every objection is listed.
 pub(crate) fn check() -> Result<()> {
     println!(
-        "image                  flash  of budget       RAM  of budget   (bytes; RAM without stack)"
+        "image                             flash  of budget       RAM  of budget   (bytes; RAM without stack)"
     );
     let mut objections = Vec::new();
     for image in &IMAGES {
@@ -111,7 +148,7 @@ pub(crate) fn check() -> Result<()> {
             let what = format!("{} cannot be read: {error}", path.display());
             Failure::new(what, "build it with `cargo xtask images`")
         })?;
-        let layout = match Layout::read(&file) {
+        let layout = match Layout::read(&file, image.memory) {
             Ok(layout) => layout,
             Err(reason) => {
                 objections.push(format!("{}: {reason}", image.name));
@@ -123,7 +160,7 @@ pub(crate) fn check() -> Result<()> {
             ram_bytes,
         } = image.budget;
         println!(
-            "{:<18} {:>9} {:>10} {:>9} {:>10}",
+            "{:<29} {:>9} {:>10} {:>9} {:>10}",
             image.name, layout.flash_bytes, flash_bytes, layout.ram_bytes, ram_bytes
         );
         let found = layout.objections(image.budget);
@@ -134,7 +171,7 @@ pub(crate) fn check() -> Result<()> {
     }
     Err(Failure::new(
         objections.join("\n       "),
-        "addresses come from memory.x and the package's build.rs; for size see `cargo bloat`, or argue \
+        "addresses come from device/memory and device/link_arguments.rs; for size see `cargo bloat`, or argue \
          for a new budget in xtask/src/images.rs",
     ))
 }

@@ -10,12 +10,31 @@ use object::endian::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _, SectionHeader as _};
 use object::{Object as _, ObjectSection as _};
 
-/// Flash of the STM32F411RE. `memory.x` defines the settings' sectors and the start of the code.
-const FLASH: Range<u32> = 0x0800_0000..0x0808_0000;
-const SETTINGS: Range<u32> = 0x0800_4000..0x0801_0000;
-const CODE: Range<u32> = 0x0801_0000..0x0808_0000;
-/// RAM for data and stack. The last KiB of the chip's 128 KiB keeps the last panic.
-const RAM: Range<u32> = 0x2000_0000..0x2001_FC00;
+/// Memory of a chip. Its `memory.x` (in a folder of its name below `device/memory`) defines the settings' sectors and the start of the code.
+#[derive(Debug)]
+pub(crate) struct Memory {
+    flash: Range<u32>,
+    settings: Range<u32>,
+    code: Range<u32>,
+    /// RAM for data and stack, without the KiB that keeps the last panic.
+    ram: Range<u32>,
+}
+
+/// 512 KiB of flash, 128 KiB of RAM.
+pub(crate) static STM32F411RE: Memory = Memory {
+    flash: 0x0800_0000..0x0808_0000,
+    settings: 0x0800_4000..0x0801_0000,
+    code: 0x0801_0000..0x0808_0000,
+    ram: 0x2000_0000..0x2001_FC00,
+};
+
+/// 128 KiB of flash, 40 KiB of RAM.
+pub(crate) static STM32L412TB: Memory = Memory {
+    flash: 0x0800_0000..0x0802_0000,
+    settings: 0x0800_4000..0x0801_0000,
+    code: 0x0801_0000..0x0802_0000,
+    ram: 0x2000_0400..0x2000_A000,
+};
 
 /// The most memory an image may take.
 #[derive(Clone, Copy, Debug)]
@@ -29,6 +48,7 @@ pub(crate) struct Budget {
 /// What an image occupies.
 #[derive(Debug)]
 pub(crate) struct Layout {
+    memory: &'static Memory,
     pub(crate) flash_bytes: u32,
     pub(crate) ram_bytes: u32,
     /// Load addresses of everything that is programmed.
@@ -40,14 +60,15 @@ pub(crate) struct Layout {
 }
 
 impl Layout {
-    /// Reads an image.
+    /// Reads an image for a chip.
     ///
     /// # Errors
     /// Not a 32-bit little-endian ELF file, or a damaged one.
-    pub(crate) fn read(file: &[u8]) -> object::Result<Self> {
+    pub(crate) fn read(file: &[u8], memory: &'static Memory) -> object::Result<Self> {
         let elf = ElfFile32::<LittleEndian>::parse(file)?;
         let endian = elf.endian();
         let mut layout = Self {
+            memory,
             flash_bytes: 0,
             ram_bytes: 0,
             programmed: Vec::new(),
@@ -69,7 +90,7 @@ impl Layout {
             if header.sh_type(endian) != SHT_NOBITS {
                 layout.flash_bytes = layout.flash_bytes.saturating_add(length);
             }
-            if start >= RAM.start {
+            if start >= memory.ram.start {
                 layout.ram_bytes = layout.ram_bytes.saturating_add(length);
             }
             match section.name()? {
@@ -94,13 +115,20 @@ impl Layout {
     /// Reasons why this image must not be flashed; empty if there are none.
     pub(crate) fn objections(&self, budget: Budget) -> Vec<String> {
         let mut found = Vec::new();
+        let Memory {
+            flash,
+            settings,
+            code,
+            ram,
+            ..
+        } = self.memory;
         match self.vectors {
             None => found.push("no vector table: the chip would not boot".to_owned()),
             Some((place, stack, reset)) => {
-                if place != FLASH.start {
+                if place != flash.start {
                     found.push(format!("vector table at {place:#010x}, not at 0x08000000"));
                 }
-                if !(RAM.start < stack && stack <= RAM.end) {
+                if !(ram.start < stack && stack <= ram.end) {
                     found.push(format!("the stack starts at {stack:#010x}, outside of RAM"));
                 }
                 // Bit 0 of a vector says "Thumb".
@@ -116,19 +144,19 @@ impl Layout {
             found.push("no code".to_owned());
         }
         for Range { start, end } in &self.text {
-            if !(CODE.contains(start) && *end <= CODE.end) {
+            if !(code.contains(start) && *end <= code.end) {
                 found.push(format!(
                     "code at {start:#010x}..{end:#010x}, outside of its sectors"
                 ));
             }
         }
         for Range { start, end } in &self.programmed {
-            if !(FLASH.contains(start) && *end <= FLASH.end) {
+            if !(flash.contains(start) && *end <= flash.end) {
                 found.push(format!(
                     "programs {start:#010x}..{end:#010x}, outside of flash"
                 ));
             }
-            if *start < SETTINGS.end && SETTINGS.start < *end {
+            if *start < settings.end && settings.start < *end {
                 found.push(format!(
                     "programs {start:#010x}..{end:#010x}, where the settings are"
                 ));
@@ -161,6 +189,7 @@ mod tests {
 
     fn sound() -> Layout {
         Layout {
+            memory: &STM32F411RE,
             flash_bytes: BUDGET.flash_bytes,
             ram_bytes: BUDGET.ram_bytes,
             programmed: vec![0x0800_0000..0x0800_0198, 0x0801_0000..0x0801_F000],
@@ -217,25 +246,59 @@ mod tests {
 
     #[test]
     fn what_is_not_an_image_is_refused() {
-        assert!(Layout::read(b"MZ, or so").is_err());
+        assert!(Layout::read(b"MZ, or so", &STM32F411RE).is_err());
         let this_program = std::fs::read(std::env::current_exe().unwrap()).unwrap();
-        assert!(Layout::read(&this_program).is_err());
+        assert!(Layout::read(&this_program, &STM32F411RE).is_err());
     }
 
-    /// The addresses above are those of the linker script.
+    /// The same image on a chip with less memory.
+    #[test]
+    fn what_fits_one_chip_is_refused_for_a_smaller_one() {
+        let mut layout = sound();
+        layout.memory = &STM32L412TB;
+        let found = layout.objections(BUDGET).join("; ");
+        assert!(found.contains("stack starts at 0x2001fc00"), "{found}");
+        layout.vectors = Some((0x0800_0000, 0x2000_A000, 0x0801_0001));
+        assert_eq!(layout.objections(BUDGET), Vec::<String>::new());
+        layout.programmed[1].end = 0x0802_0001;
+        let found = layout.objections(BUDGET).join("; ");
+        assert!(found.contains("outside of flash"), "{found}");
+    }
+
+    /// The addresses above are those of the linker scripts.
     #[test]
     fn addresses_agree_with_memory_x() {
-        let script = std::fs::read_to_string(
-            crate::process::root().join("device/memory/stm32f411re/memory.x"),
-        )
-        .unwrap();
-        let value = |name: &str| {
-            let line = script.lines().find(|line| line.starts_with(name)).unwrap();
-            let digits = line.split("0x").nth(1).unwrap().trim_end_matches(';');
-            u32::from_str_radix(digits, 16).unwrap()
-        };
-        assert_eq!(value("_stext"), CODE.start);
-        assert_eq!(value("_settings_start")..value("_settings_end"), SETTINGS);
-        assert_eq!(value("_last_words_start"), RAM.end);
+        for (chip, memory) in [("stm32f411re", &STM32F411RE), ("stm32l412tb", &STM32L412TB)] {
+            let folder = crate::process::root().join("device/memory");
+            let path = folder.join(chip).join("memory.x");
+            let script = std::fs::read_to_string(path).unwrap();
+            let line = |name: &str| {
+                let named = |line: &&str| line.trim_start().starts_with(name);
+                script.lines().find(named).unwrap()
+            };
+            let hex = |text: &str| {
+                let digits = text.split("0x").nth(1).unwrap();
+                let end = digits.find(|digit: char| !digit.is_ascii_hexdigit());
+                u32::from_str_radix(&digits[..end.unwrap_or(digits.len())], 16).unwrap()
+            };
+            let region = |name: &str| {
+                let (from, length) = line(name).split_once(',').unwrap();
+                let kib = length.trim_end_matches('K').rsplit(' ').next().unwrap();
+                let start = hex(from);
+                start..start + kib.parse::<u32>().unwrap() * 1024
+            };
+            let value = |name: &str| hex(line(name));
+            assert_eq!(region("FLASH"), memory.flash);
+            assert_eq!(region("RAM"), memory.ram);
+            assert_eq!(value("_stext"), memory.code.start);
+            assert_eq!(
+                value("_settings_start")..value("_settings_end"),
+                memory.settings
+            );
+            // The KiB that survives a reset is next to that RAM, at one end.
+            let kept = value("_last_words_start")..value("_last_words_end");
+            assert_eq!(kept.end - kept.start, 1024);
+            assert!(kept.start == memory.ram.end || kept.end == memory.ram.start);
+        }
     }
 }

@@ -7,7 +7,7 @@
 //! | `checks.rs` | the steps of `test`, `lint` and `ci` |
 //! | `mutants.rs` | runs cargo-mutants and counts what the tests notice |
 //! | `bench.rs` | starts the virtual bench |
-//! | `images.rs` | builds both ARM images |
+//! | `images.rs` | builds the ARM images |
 //! | `layout.rs` | reads an image and checks its addresses and sizes |
 //! | `places.rs` | finds the places in the source for the addresses in last words |
 //! | `toolchain.rs` | finds a compiler for the STM32 |
@@ -40,9 +40,9 @@ use process::Failure;
 const HELP: &str = "\
 cargo xtask <command>
 
-  demo [OPTIONS]    build both images and run the paper's experiment on the virtual bench;
+  demo [OPTIONS]    build the images and run the paper's experiment on the virtual bench;
                     leaves data and a report (options go to the bench: `cargo xtask demo --help`)
-  test              build both images, run the host tests, long ones too, and the tests of the images
+  test              build the images, run the host tests, long ones too, and the tests of the images
   lint              format, clippy for host and chip, documentation; no warning allowed
   ci                everything that has to pass before a change is merged (with cargo-deny, if installed,
                     but without its advisories, which need the net: `cargo deny check advisories`)
@@ -50,8 +50,8 @@ cargo xtask <command>
                     change the code with cargo-mutants and count what the tests notice, in PACKAGE or
                     in all that decide what moves (options go to cargo-mutants)
 
-  images [--check]  build both images, check their layout and sizes (--check: only check them)
-  flash MACHINE     build both images, flash `rig` or `capsule` with probe-rs, show its log
+  images [--check]  build the images, check their layout and sizes (--check: only check them)
+  flash MACHINE     build the images, flash `rig` or `capsule` with probe-rs, show its log
   where MACHINE WORD...
                     find the places in the source for the addresses in a machine's last words
                     (just paste them)

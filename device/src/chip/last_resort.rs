@@ -36,7 +36,8 @@ macro_rules! last_resort {
     };
 }
 
-fn die(words: &Draft) -> ! {
+/// Keeps the last words and starts again.
+pub(super) fn die(words: &Draft) -> ! {
     keep_last_words(&mut Ram, words.bytes());
     defmt::error!("{=[u8]:a}", words.bytes());
     cortex_m::peripheral::SCB::sys_reset()

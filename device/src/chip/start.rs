@@ -49,7 +49,7 @@ pub fn chip() -> Chip {
     }
 }
 
-/// The chip's unique number (RM0383 section 24.1).
+/// The chip's unique number, 96 bits.
 pub fn uid() -> [u8; 12] {
     embassy_stm32::uid::uid()
 }

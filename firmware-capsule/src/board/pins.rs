@@ -29,6 +29,11 @@ mod stm32f411re;
 #[cfg(feature = "stm32f411re")]
 pub(crate) use stm32f411re::*;
 
+#[cfg(feature = "stm32l412tb")]
+mod stm32l412tb;
+#[cfg(feature = "stm32l412tb")]
+pub(crate) use stm32l412tb::*;
+
 use super::drive_train::DriveTrain;
 use device::chip::flash::Sectors;
 use embassy_stm32::{
