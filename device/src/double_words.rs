@@ -48,10 +48,8 @@ impl<D: DoubleWords> Sectors<D> {
         }
         // The log's marks. To the log half of a byte is one, and an erasure that was cut off may leave as much at the start of a sector that
         // is not blank. Here a mark is whole, or there is none; it is written over whatever is there, since it is zeros.
-        match read {
-            Some(mark @ [0, 0, 0, 0, 0, 0, 0, 0]) => mark,
-            _ => [0xFF; DOUBLE_WORD],
-        }
+        let marked = read == Some([0; DOUBLE_WORD]);
+        [if marked { 0 } else { 0xFF }; DOUBLE_WORD]
     }
 }
 

@@ -1,6 +1,7 @@
 //! The STM32L412: its memory, its time base, why it was reset. No such chip has run this.
 //!
-//! Register names and pins are those of `stm32-metapac`; what registers do is said in RM0394, what they cost in DS12469.
+//! Registers, pins and memory are those of `stm32-metapac`. RM0394 and DS12469, where they are named, are known and were not at hand, but
+//! for the data sheet's first page: whoever makes a board checks them there.
 
 pub mod flash;
 pub mod serial;
