@@ -97,6 +97,6 @@ fn a_sector_is_erased_page_by_page() {
     assert_eq!(flash.operations(), pages);
     let bytes = flash.bytes();
     let blank = |byte: &u8| *byte == 0xFF;
-    assert_eq!(bytes.iter().position(|byte| blank(byte)), Some(0x8000));
+    assert_eq!(bytes.iter().position(blank), Some(0x8000));
     assert!(bytes[0x8000..0xC000].iter().all(blank) && bytes[0xC000] == 0);
 }
