@@ -161,7 +161,12 @@ pub struct Clock {
 impl Clock {
     /// What an exchange shows in which the device said `device_us`.
     fn of(asked_us: u64, device_us: u64, answered_us: u64) -> Self {
-        let ahead = |link_us: u64| link_us.cast_signed() - device_us.cast_signed();
+        // A device that says it has run for 300,000 years must not end its host.
+        let ahead = |link_us: u64| {
+            link_us
+                .cast_signed()
+                .saturating_sub(device_us.cast_signed())
+        };
         Self {
             ahead_us: (ahead(asked_us), ahead(answered_us)),
         }
@@ -283,6 +288,9 @@ pub struct Device {
 
 /// Samples that are kept until somebody takes them; beyond that the oldest are dropped.
 const TELEMETRY_INBOX: usize = 4_096;
+
+/// Readings of a recording, beyond which it is that of no capsule: they keep the last 2,000.
+const MOST_POINTS: usize = 10_000;
 
 /// Whether a stop makes the host forget it: once the operator has stopped, it must not be repeated.
 fn is_abandonable(impact: Impact) -> bool {
@@ -717,8 +725,8 @@ impl Device {
         observer.begun(&Begun::Run(*accepted));
         let total_us = accepted.total_ticks.div_ceil(100);
         // Braking and accelerating again take no longer than the ramps of a stroke.
-        let detour_us = accepted.forward.ramp_ticks.max(accepted.back.ramp_ticks) * 2 / 100;
-        let (mut elapsed_us, mut paused_us, mut held_since_us) = (0, 0, None);
+        let detour_us = accepted.forward.ramp_ticks.max(accepted.back.ramp_ticks) / 50;
+        let (mut elapsed_us, mut paused_us, mut held_since_us) = (0, 0_u64, None);
         self.wait("the run", total_us, observer, |device, event, observer| {
             if let Some(event) = event {
                 return Ok(match event.what {
@@ -730,9 +738,10 @@ impl Device {
                         ActionState::Running
                     }
                     What::Rig(RigEvent::Resumed) => {
-                        paused_us += held_since_us
+                        let held_us = held_since_us
                             .take()
                             .map_or(0, |since_us| event.time_us.saturating_sub(since_us));
+                        paused_us = paused_us.saturating_add(held_us);
                         ActionState::Extended(detour_us)
                     }
                     _ => ActionState::Running,
@@ -797,6 +806,12 @@ impl Device {
                 return Ok(recorded);
             }
             recorded.points.extend(part.points);
+            if recorded.points.len() > MOST_POINTS {
+                return Err(ClientError::WrongResponse {
+                    place: self.place(),
+                    request: "GetTrace",
+                });
+            }
         }
     }
 
@@ -1122,7 +1137,8 @@ impl Device {
     // Events.
 
     fn note_event(&mut self, event: Event) {
-        if event.index >= self.next_event {
+        // The largest index is that of no event: whoever asks for it gets none.
+        if event.index >= self.next_event && event.index != u32::MAX {
             self.early.insert(event.index, event);
         }
         while let Some(event) = self.early.remove(&self.next_event) {

@@ -360,7 +360,9 @@ impl Observer for Partner<'_> {
                 self.dwell_us = 0;
                 self.cued(event.time_us);
             }
-            (What::Rig(RigEvent::StrokeDone { stroke, .. }), None) if stroke + 1 == away => {
+            (What::Rig(RigEvent::StrokeDone { stroke, .. }), None)
+                if stroke.checked_add(1) == Some(away) =>
+            {
                 self.cued(event.time_us + self.dwell_us);
             }
             // Where the carriage turns, no sample may show it beyond.

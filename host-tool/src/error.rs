@@ -239,7 +239,12 @@ pub enum ClientError {
 
     /// Homing ended without a position.
     #[error("homing did not find the position: {}", homing_failure(*fault))]
-    #[diagnostic(code(retrograde::not_homed))]
+    #[diagnostic(
+        code(retrograde::not_homed),
+        help(
+            "look at the rig, then `retrograde home` again; `retrograde status` shows a latched fault, and docs/rig.md what to do about it"
+        )
+    )]
     NotHomed {
         /// The latched fault; none if homing was stopped.
         fault: Option<RigFault>,

@@ -139,7 +139,7 @@ impl Observer for Live<'_> {
                     "{} s of {} s, stroke {} of {strokes}, {} mm, {} s left",
                     tenths(elapsed_us),
                     tenths(total_us),
-                    (stroke + 1).min(strokes),
+                    stroke.saturating_add(1).min(strokes),
                     decimal::fixed(position_um.into(), 3),
                     tenths(total_us.saturating_sub(elapsed_us)),
                 );

@@ -279,7 +279,7 @@ pub fn run_text(status: &RigStatus) -> String {
     format!(
         "run {}, stroke {} of {}, {}.{} s",
         status.run,
-        (status.stroke + 1).min(status.strokes),
+        status.stroke.saturating_add(1).min(status.strokes),
         status.strokes,
         tenths / 10,
         tenths % 10
@@ -343,7 +343,7 @@ fn rig_text(event: RigEvent) -> String {
             residual_steps,
         } => format!(
             "stroke {} done, residual {residual_steps} steps",
-            stroke + 1
+            stroke.saturating_add(1)
         ),
         RigEvent::RunEnded { run, outcome } => format!("run {run} ended: {outcome:?}"),
         RigEvent::Stopped { position_steps } => format!("stopped at {position_steps} steps"),
