@@ -25,6 +25,7 @@
 //! A version only ever adds fields to the two lines. Stops work between all versions.
 
 pub mod lock;
+pub mod memory;
 pub mod server;
 pub(crate) mod stream;
 pub mod window;

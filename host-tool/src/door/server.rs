@@ -31,7 +31,7 @@ const BREATH: Duration = Duration::from_millis(10);
 const GUESTS: usize = 32;
 
 /// Frames that wait for a guest that does not read; beyond that it misses some.
-const WAITING_FRAMES: usize = 512;
+pub(crate) const WAITING_FRAMES: usize = 512;
 
 /// How long a guest may take to say what it is.
 const KNOCKING: Duration = Duration::from_secs(2);
@@ -114,7 +114,8 @@ struct Stop {
 
 struct Guest {
     frames: SyncSender<Vec<u8>>,
-    stream: Stream,
+    /// Ends its connection.
+    shut: Box<dyn Fn() + Send>,
 }
 
 /// The line's way out. Whoever writes a frame holds it.
@@ -162,7 +163,7 @@ impl Core {
         // Threads of guests may live on for a moment, the line must not: somebody is about to open it.
         self.out().line = Box::new(Closed);
         for guest in self.state().guests.values() {
-            guest.stream.shut();
+            (guest.shut)();
         }
         self.woken.notify_all();
     }
@@ -250,9 +251,8 @@ impl Core {
         }
     }
 
-    pub(crate) fn question(&self) -> Option<Question> {
+    pub(crate) fn question(&self, now: Instant) -> Option<Question> {
         let mut state = self.state();
-        let now = Instant::now();
         let early = |last: Instant| now.duration_since(last) < BREATH;
         if state.questions.is_empty() || state.last_question.is_some_and(early) {
             return None;
@@ -298,7 +298,7 @@ impl Core {
         state.lost.get_or_insert(why);
         // Without the line there is nothing to see here.
         for guest in state.guests.values() {
-            guest.stream.shut();
+            (guest.shut)();
         }
         self.woken.notify_all();
     }
@@ -390,14 +390,14 @@ impl Core {
     }
 
     /// Lets a guest in; `None` if there are too many, or the line is gone.
-    fn admit(&self, stream: Stream, frames: SyncSender<Vec<u8>>) -> Option<u64> {
+    fn admit(&self, shut: Box<dyn Fn() + Send>, frames: SyncSender<Vec<u8>>) -> Option<u64> {
         let mut state = self.state();
         if state.guests.len() == GUESTS || state.lost.is_some() || self.is_closing() {
             return None;
         }
         let number = state.next_guest;
         state.next_guest += 1;
-        state.guests.insert(number, Guest { frames, stream });
+        state.guests.insert(number, Guest { frames, shut });
         Some(number)
     }
 
@@ -444,25 +444,13 @@ pub(crate) fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
 fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Result<()> {
     stream.set_read_timeout(Some(KNOCKING))?;
     stream.set_write_timeout(Some(KNOCKING))?;
-    let knock: Knock = serde_json::from_slice(&read_line(&mut stream, LONGEST_LINE)?)?;
-    if knock.token != plate.token {
-        return Err(io::ErrorKind::PermissionDenied.into());
-    }
-    if knock.wants_line {
-        core.want_line();
-    }
-    let welcome = Welcome {
-        retrograde_door: VERSION,
-        owner: plate.owner.clone(),
-        yields: core.yields.load(Ordering::Relaxed),
-    };
-    let mut line = serde_json::to_vec(&welcome)?;
-    line.push(b'\n');
+    let line = knocked(&read_line(&mut stream, LONGEST_LINE)?, plate, core)?;
     stream.write_all(&line)?;
     stream.set_read_timeout(None)?;
 
     let (frames, waiting) = sync_channel::<Vec<u8>>(WAITING_FRAMES);
-    let Some(number) = core.admit(stream.try_clone()?, frames.clone()) else {
+    let shut = stream.try_clone()?;
+    let Some(mut visit) = Visit::new(core, Box::new(move || shut.shut()), frames) else {
         return Ok(());
     };
     let mut to_guest = stream.try_clone()?;
@@ -476,23 +464,32 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
             }
         }
     });
-    let mut visit = Visit {
-        core: Arc::clone(core),
-        number,
-        frames,
-        session: Arc::new(Mutex::new(Asking {
-            session: Session::new(number as u32),
-            pending: false,
-            unanswered: None,
-        })),
-    };
     let result = match writing {
         Ok(_) => visit.receive(&mut stream),
         Err(why) => Err(why),
     };
-    core.left(number);
+    drop(visit);
     stream.shut();
     result
+}
+
+/// What a guest that knocks with this line is told.
+pub(crate) fn knocked(line: &[u8], plate: &Plate, core: &Core) -> io::Result<Vec<u8>> {
+    let knock: Knock = serde_json::from_slice(line)?;
+    if knock.token != plate.token {
+        return Err(io::ErrorKind::PermissionDenied.into());
+    }
+    if knock.wants_line {
+        core.want_line();
+    }
+    let welcome = Welcome {
+        retrograde_door: VERSION,
+        owner: plate.owner.clone(),
+        yields: core.yields.load(Ordering::Relaxed),
+    };
+    let mut line = serde_json::to_vec(&welcome)?;
+    line.push(b'\n');
+    Ok(line)
 }
 
 /// A guest's session with the door.
@@ -504,16 +501,43 @@ struct Asking {
     unanswered: Option<u16>,
 }
 
-struct Visit {
+/// A guest that was let in; it leaves with this value.
+pub(crate) struct Visit {
     core: Arc<Core>,
     number: u64,
     frames: SyncSender<Vec<u8>>,
     session: Arc<Mutex<Asking>>,
+    deframer: Deframer,
+}
+
+impl Drop for Visit {
+    fn drop(&mut self) {
+        self.core.left(self.number);
+    }
 }
 
 impl Visit {
+    /// `None` if there are too many guests, or the line is gone.
+    pub(crate) fn new(
+        core: &Arc<Core>,
+        shut: Box<dyn Fn() + Send>,
+        frames: SyncSender<Vec<u8>>,
+    ) -> Option<Self> {
+        let number = core.admit(shut, frames.clone())?;
+        Some(Self {
+            core: Arc::clone(core),
+            number,
+            frames,
+            session: Arc::new(Mutex::new(Asking {
+                session: Session::new(number as u32),
+                pending: false,
+                unanswered: None,
+            })),
+            deframer: Deframer::new(),
+        })
+    }
+
     fn receive(&mut self, stream: &mut Stream) -> io::Result<()> {
-        let mut deframer = Deframer::new();
         let mut bytes = [0; 512];
         loop {
             let count = match stream.read(&mut bytes) {
@@ -522,15 +546,24 @@ impl Visit {
                 Err(why) if why.kind() == io::ErrorKind::Interrupted => continue,
                 Err(why) => return Err(why),
             };
-            for byte in &bytes[..count] {
-                if let Some(frame) = deframer.push(*byte) {
-                    self.frame(&frame)?;
-                }
-            }
+            self.take(&bytes[..count], Instant::now())?;
         }
     }
 
-    fn frame(&self, frame: &Frame<'_>) -> io::Result<()> {
+    /// Takes the guest's bytes.
+    pub(crate) fn take(&mut self, bytes: &[u8], now: Instant) -> io::Result<()> {
+        let mut deframer = std::mem::take(&mut self.deframer);
+        let frames = bytes
+            .iter()
+            .try_for_each(|byte| match deframer.push(*byte) {
+                Some(frame) => self.frame(&frame, now),
+                None => Ok(()),
+            });
+        self.deframer = deframer;
+        frames
+    }
+
+    fn frame(&self, frame: &Frame<'_>, now: Instant) -> io::Result<()> {
         let mut asking = self.session.lock().unwrap_or_else(PoisonError::into_inner);
         let left = asking.unanswered == Some(frame.header.seq);
         if (asking.pending || left) && frame.header.kind == Kind::Request {
@@ -569,7 +602,7 @@ impl Visit {
             Decision::Execute { request, ticket } if admits(&request) => {
                 asking.pending = true;
                 drop(asking);
-                self.ask(request, ticket);
+                self.ask(request, ticket, now);
             }
             Decision::Execute { ticket, .. } => {
                 let no = Reply::Wire(WireError::Malformed);
@@ -590,11 +623,11 @@ impl Visit {
         Ok(())
     }
 
-    fn ask(&self, request: Request, ticket: Ticket) {
+    fn ask(&self, request: Request, ticket: Ticket, now: Instant) {
         let (session, frames) = (Arc::clone(&self.session), self.frames.clone());
         self.core.ask(Question {
             request,
-            asked: Instant::now(),
+            asked: now,
             answer: Box::new(move |answer| {
                 let mut asking = session.lock().unwrap_or_else(PoisonError::into_inner);
                 asking.pending = false;
@@ -745,14 +778,14 @@ mod tests {
         };
         let long_ago = Instant::now() - STALE - Duration::from_millis(1);
         core.ask(question(long_ago));
-        assert!(core.question().is_none());
+        assert!(core.question(Instant::now()).is_none());
         assert_eq!(answered.try_recv(), Ok(None));
         thread::sleep(BREATH);
         core.ask(question(Instant::now()));
-        assert!(core.question().is_some());
+        assert!(core.question(Instant::now()).is_some());
         // The next one has to wait, however often the owner looks.
         core.ask(question(Instant::now()));
-        assert!(core.question().is_none());
+        assert!(core.question(Instant::now()).is_none());
     }
 
     #[test]
@@ -775,7 +808,7 @@ mod tests {
         ask(6, status());
         ask(7, rig::Resume.into_request());
         let reply = Reply::Wire(WireError::Malformed);
-        let first = core.question().expect("one");
+        let first = core.question(Instant::now()).expect("one");
         assert_eq!(first.request, status());
         first.answer(Some(reply.clone()));
         let mut guests: Vec<_> = answered.try_iter().collect();
@@ -784,11 +817,11 @@ mod tests {
         assert_eq!(guests, [0, 1, 2, 3, 4, 6].map(told));
         for guest in [5, 7] {
             thread::sleep(BREATH);
-            core.question().expect("another").answer(None);
+            core.question(Instant::now()).expect("another").answer(None);
             assert_eq!(answered.try_iter().collect::<Vec<_>>(), [(guest, None)]);
         }
         thread::sleep(BREATH);
-        assert!(core.question().is_none());
+        assert!(core.question(Instant::now()).is_none());
     }
 
     /// The door of a system without Unix sockets.

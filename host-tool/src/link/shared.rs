@@ -133,35 +133,46 @@ impl Link for Shared {
     }
 
     fn question(&mut self) -> Option<Question> {
-        self.core.question()
+        self.core.question(Instant::now())
+    }
+}
+
+/// Hands what the machine says to the owner and, frame by frame, to its guests.
+#[derive(Default)]
+pub(crate) struct Pump {
+    deframer: Deframer,
+    block: Vec<u8>,
+}
+
+impl Pump {
+    pub(crate) fn take(&mut self, core: &Core, bytes: &[u8]) {
+        core.arrived(bytes);
+        for byte in bytes {
+            if self.block.len() < MAX_FRAME {
+                self.block.push(*byte);
+            }
+            if let Some(frame) = self.deframer.push(*byte) {
+                // With the delimiter of the block before, which a guest may have missed.
+                let wire = [&[0], &self.block[..]].concat();
+                core.passed(&frame, &wire);
+            }
+            if *byte == 0 {
+                self.block.clear();
+            }
+        }
     }
 }
 
 /// Reads the line until it or the link ends.
 fn pump(core: &Core, mut reader: Box<dyn Read + Send>, end: &str) {
-    let mut deframer = Deframer::new();
-    let mut block = Vec::with_capacity(MAX_FRAME);
+    let mut pump = Pump::default();
     let mut bytes = [0; 512];
     while !core.is_closing() {
-        let count = match reader.read(&mut bytes) {
+        match reader.read(&mut bytes) {
             Ok(0) => return core.lost(end.to_owned()),
-            Ok(count) => count,
-            Err(io) if nothing_yet(io.kind()) => continue,
+            Ok(count) => pump.take(core, &bytes[..count]),
+            Err(io) if nothing_yet(io.kind()) => {}
             Err(io) => return core.lost(io.to_string()),
-        };
-        core.arrived(&bytes[..count]);
-        for byte in &bytes[..count] {
-            if block.len() < MAX_FRAME {
-                block.push(*byte);
-            }
-            if let Some(frame) = deframer.push(*byte) {
-                // With the delimiter of the block before, which a guest may have missed.
-                let wire = [&[0], &block[..]].concat();
-                core.passed(&frame, &wire);
-            }
-            if *byte == 0 {
-                block.clear();
-            }
         }
     }
 }
