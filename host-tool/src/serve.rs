@@ -16,6 +16,7 @@
 //! * `board`: what all of them share, and how it is shown.
 //! * `stream`: what is told to all readers.
 //! * `campaign`: the next step of a campaign that goes on elsewhere.
+//! * [`memory`]: all that without sockets, for tests.
 
 pub mod access;
 mod actions;
@@ -24,6 +25,7 @@ mod campaign;
 mod errands;
 pub mod http;
 mod keeper;
+pub mod memory;
 mod orders;
 pub mod stream;
 

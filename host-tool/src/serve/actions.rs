@@ -214,6 +214,13 @@ impl Actions {
         })
     }
 
+    /// None of this machine goes on.
+    pub(crate) fn are_over(&self, machine: DeviceKind) -> bool {
+        let list = self.list();
+        let mut ours = list.iter().filter(|action| action.machine == machine);
+        ours.all(|action| action.standing.is_over())
+    }
+
     pub(crate) fn changes(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
     }

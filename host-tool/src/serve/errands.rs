@@ -145,7 +145,7 @@ pub(crate) fn run<'scope>(
 
 /// Stops a machine through the door of its owner, which is the keeper's more often than not, or over a line of its own; and if that
 /// fails, waits for the keeper, which sends it, too.
-fn stop(
+pub(crate) fn stop(
     finder: &Finder<'_>,
     board: &Board,
     machine: &Machine,
@@ -184,7 +184,11 @@ fn stop(
     told
 }
 
-fn ask(finder: &Finder<'_>, board: &Board, question: Question) -> Result<Value, Failure> {
+pub(crate) fn ask(
+    finder: &Finder<'_>,
+    board: &Board,
+    question: Question,
+) -> Result<Value, Failure> {
     let Some(machine) = board.machine(question.about()) else {
         let name = kind_name(question.about());
         return Err(Failure::Input {
