@@ -11,7 +11,7 @@ const PERIOD_S: f64 = 50e-6;
 pub const PERIOD_US: u64 = 50;
 
 /// The mechanics on their board.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub struct Board {
     /// The mechanics.
     pub plant: Plant,

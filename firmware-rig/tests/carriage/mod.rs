@@ -129,7 +129,7 @@ pub struct Pulse {
 /// Execution, ring, screw and switches, with everything that can go wrong with them.
 pub struct Carriage {
     /// Where the switches are mounted.
-    mounted: Settings,
+    pub mounted: Settings,
     motion: Motion,
     pub mail: Mail,
     pub ring: Slots,

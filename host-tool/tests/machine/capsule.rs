@@ -3,7 +3,8 @@
 #[path = "../../../firmware-capsule/tests/plant/board.rs"]
 mod board;
 
-use board::{Board as Mechanics, PERIOD_US};
+pub use board::Board as Mechanics;
+use board::PERIOD_US;
 use capsule_plant::{Defect, Parameters};
 use device::retained::Retained;
 use device::service::Answers;
@@ -33,6 +34,8 @@ pub struct Capsule {
     flash: Flash,
     port: Port,
     next_reading_us: u64,
+    /// Readings with the bridge awake.
+    awake: u64,
 }
 
 struct Board {
@@ -70,9 +73,9 @@ impl control::Capsule for At<Board> {
 }
 
 impl Capsule {
-    /// A capsule that has just been switched on, unfolded.
-    pub fn new(port: &Port, flash: &Flash, left: Retained) -> Self {
-        let mechanics = Mechanics::new(Parameters::nominal(), 0);
+    /// A capsule that has just been switched on, unfolded unless it was left otherwise.
+    pub fn new(port: &Port, flash: &Flash, left: Retained, mechanics: Option<Mechanics>) -> Self {
+        let mechanics = mechanics.unwrap_or_else(|| Mechanics::new(Parameters::nominal(), 0));
         Self::start(port, flash, left, ResetCause::PowerOn, mechanics)
     }
 
@@ -98,6 +101,7 @@ impl Capsule {
             flash: flash.clone(),
             port: port.clone(),
             next_reading_us: 0,
+            awake: 0,
         }
     }
 
@@ -132,6 +136,7 @@ impl Device for Capsule {
             let awake = at.board.drive != Drive::Off;
             let sample = at.board.mechanics.sample(now_us, awake);
             self.control.read(now_us, sample);
+            self.awake += u64::from(awake);
             let asleep = self.control.capsule().board.drive == Drive::Off;
             self.next_reading_us = now_us + if asleep { ASLEEP_US } else { AWAKE_US };
             self.read_if_woken();
@@ -153,6 +158,14 @@ impl Device for Capsule {
 
     fn is_driven(&mut self) -> bool {
         self.control.capsule().board.drive != Drive::Off
+    }
+
+    fn work(&mut self) -> u64 {
+        self.awake
+    }
+
+    fn mechanics(&mut self) -> Option<Mechanics> {
+        Some(self.control.capsule().board.mechanics.clone())
     }
 
     fn world(&mut self, event: World) {

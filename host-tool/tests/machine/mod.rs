@@ -15,7 +15,7 @@ pub mod tool;
 
 use std::collections::VecDeque;
 use std::ops::Range;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 
 use chip::Flash;
 use device::identity::identity;
@@ -69,6 +69,17 @@ pub struct Script {
     pub settings: Vec<(SettingKey, u32)>,
     /// Writes to the flash that fail, by their number from 0.
     pub failing_writes: Range<usize>,
+    /// A rig with 80 steps in its stroke, so that many motions cost little.
+    pub few_steps: bool,
+    /// What a capsule has left when it was switched off.
+    pub left: Option<Arc<Left>>,
+}
+
+/// What stays of a capsule without power.
+#[derive(Debug)]
+pub struct Left {
+    flash: Vec<u8>,
+    mechanics: capsule::Mechanics,
 }
 
 impl Script {
@@ -88,6 +99,8 @@ impl Script {
             world: vec![],
             settings: vec![],
             failing_writes: 0..0,
+            few_steps: false,
+            left: None,
         }
     }
 }
@@ -172,6 +185,18 @@ impl Log {
     }
 }
 
+/// The flash of a rig with few steps, written once.
+fn few_steps() -> &'static [u8] {
+    static FLASH: OnceLock<Vec<u8>> = OnceLock::new();
+    FLASH.get_or_init(|| {
+        let flash = Flash::blank();
+        for (key, value) in rig::FEW_STEPS {
+            stored(&flash).set(key, value).expect("a good flash");
+        }
+        flash.bytes()
+    })
+}
+
 /// What a machine would find in its flash at its next start.
 fn stored(flash: &Flash) -> SettingsStore<Flash> {
     let (store, usable) = SettingsStore::load(flash.clone(), |_| true);
@@ -191,6 +216,12 @@ trait Device: Send {
     fn world(&mut self, event: World);
     /// Pulses go out, or the bridge is awake.
     fn is_driven(&mut self) -> bool;
+    /// Pulses so far, or readings with the bridge awake.
+    fn work(&mut self) -> u64;
+    /// Its mechanics, if it is a capsule.
+    fn mechanics(&mut self) -> Option<capsule::Mechanics> {
+        None
+    }
 }
 
 /// A machine and the line to it.
@@ -225,15 +256,23 @@ pub fn link(script: Script) -> (Box<Memory<Machine>>, Arc<Mutex<Log>>) {
 impl Machine {
     /// A machine to which a host connects now, and its log from now on.
     pub fn new(script: Script) -> (Self, Arc<Mutex<Log>>) {
-        let (port, flash) = (Port::new(), Flash::blank());
+        let port = Port::new();
+        let flash = match &script.left {
+            None if script.few_steps => Flash::holding(few_steps().to_vec()),
+            None => Flash::blank(),
+            Some(left) => Flash::holding(left.flash.clone()),
+        };
         for (key, value) in &script.settings {
             stored(&flash).set(*key, *value).expect("a good flash");
         }
         let left = port.start();
         let service = service(&script, left.boot_id, ResetCause::PowerOn);
         let device: Box<dyn Device> = match script.kind {
-            DeviceKind::Rig => Box::new(rig::Rig::new(&port, &flash, left)),
-            DeviceKind::Capsule => Box::new(capsule::Capsule::new(&port, &flash, left)),
+            DeviceKind::Rig => Box::new(rig::Rig::new(&port, &flash, left, script.few_steps)),
+            DeviceKind::Capsule => {
+                let mechanics = script.left.as_ref().map(|left| left.mechanics.clone());
+                Box::new(capsule::Capsule::new(&port, &flash, left, mechanics))
+            }
         };
         let log = Arc::new(Mutex::new(Log::new(&flash)));
         let mut machine = Self {
@@ -282,6 +321,31 @@ impl Machine {
             .collect();
         flash.fail(self.script.failing_writes.clone());
         *self.log() = Log::new(flash);
+    }
+
+    /// Pulses of a rig so far, or readings of a capsule with its bridge awake.
+    pub fn work(&mut self) -> u64 {
+        self.device.work()
+    }
+
+    /// Requests and stops that it has carried out since the host connected.
+    pub fn executed(&self) -> usize {
+        let log = self.log();
+        log.executed.len() + log.urgent.len()
+    }
+
+    /// What happens to it now.
+    pub fn suffer(&mut self, event: World) {
+        self.happen(event);
+        self.send();
+    }
+
+    /// What stays of a capsule when it is switched off now.
+    pub fn switch_off(mut self) -> Left {
+        Left {
+            mechanics: self.device.mechanics().expect("a capsule"),
+            flash: self.log().flash.bytes(),
+        }
     }
 
     /// When it was last seen driven, on the link's clock.

@@ -3,6 +3,7 @@
 #[path = "../../../firmware-rig/tests/carriage/mod.rs"]
 mod carriage;
 
+pub use carriage::SMALL as FEW_STEPS;
 use carriage::ring::Ahead;
 use carriage::{CONTROL_ROUND, Carriage, IMAGE_HASH};
 use device::retained::Retained;
@@ -13,9 +14,9 @@ use firmware_rig::execution::Order;
 use firmware_rig::machine::{Event, Now};
 use firmware_rig::settings::Settings;
 use motion::units::StepPosition;
-use protocol::rig::{Glitches, RigHealth, RigTelemetry};
+use protocol::rig::{GetRigStatus, Glitches, RigHealth, RigTelemetry};
 use protocol::system::{ResetCause, Urgent};
-use protocol::table::{Reply, Telemetry};
+use protocol::table::{Endpoint, Reply, Response, Telemetry};
 
 use super::chip::Flash;
 use super::port::{At, Port};
@@ -25,6 +26,8 @@ use super::{Device, World};
 const TICKS_PER_US: u64 = 100;
 /// Where the carriage is when the rig is switched on, steps from the reference: 5 mm.
 const START: i32 = 4_000;
+/// The same with few steps: 2.5 mm.
+const FEW_STEPS_START: i32 = 10;
 
 /// A rig.
 pub struct Rig {
@@ -99,13 +102,23 @@ impl control::Rig for At<Board> {
 
 impl Rig {
     /// A rig that has just been switched on.
-    pub fn new(port: &Port, flash: &Flash, left: Retained) -> Self {
-        Self::start(port, flash, left, ResetCause::PowerOn, START)
+    pub fn new(port: &Port, flash: &Flash, left: Retained, few_steps: bool) -> Self {
+        let (mounted, place) = match few_steps {
+            true => (carriage::small(), FEW_STEPS_START),
+            false => (Settings::REFERENCE, START),
+        };
+        Self::start(port, flash, left, ResetCause::PowerOn, (mounted, place))
     }
 
-    fn start(port: &Port, flash: &Flash, left: Retained, cause: ResetCause, place: i32) -> Self {
+    fn start(
+        port: &Port,
+        flash: &Flash,
+        left: Retained,
+        cause: ResetCause,
+        (mounted, place): (Settings, i32),
+    ) -> Self {
         let mut board = Board {
-            carriage: Carriage::new(Settings::REFERENCE, place),
+            carriage: Carriage::new(mounted, place),
             button_is_down: false,
         };
         board.carriage.ring.ahead = Ahead::Slots;
@@ -137,6 +150,22 @@ impl Rig {
         }
     }
 
+    /// No step of a rig that knows its position leaves the stroke.
+    fn assert_within_stroke(&mut self) {
+        let counted = self.carriage().ring.counted;
+        let stroke = self.control.snapshot().axis.stroke_window();
+        if stroke.contains(StepPosition(counted)) {
+            return;
+        }
+        let status = self.control.request(GetRigStatus.into_request());
+        if let Reply::Accepted(Response::GetRigStatus(status)) = status {
+            assert!(
+                !status.homed,
+                "a step to {counted} of {stroke:?}: {status:?}"
+            );
+        }
+    }
+
     /// What happens on the carriage now. Its notices come back.
     fn step(&mut self) -> Vec<Event<'static>> {
         let timer_stands = self.timer_stands;
@@ -145,14 +174,20 @@ impl Rig {
             carriage.now = carriage.next_round;
             return carriage.motion_round();
         }
-        carriage.step()
+        let before = carriage.pulses;
+        let notices = carriage.step();
+        if carriage.pulses > before {
+            self.assert_within_stroke();
+        }
+        notices
     }
 }
 
 impl Device for Rig {
     fn reset(&mut self, left: Retained, cause: ResetCause) {
-        let place = self.carriage().place;
-        *self = Self::start(&self.port, &self.flash, left, cause, place);
+        let carriage = self.carriage();
+        let stays = (carriage.mounted, carriage.place);
+        *self = Self::start(&self.port, &self.flash, left, cause, stays);
     }
 
     fn due_us(&mut self) -> u64 {
@@ -217,6 +252,10 @@ impl Device for Rig {
     fn is_driven(&mut self) -> bool {
         let ring = &self.carriage().ring;
         ring.armed && ring.running
+    }
+
+    fn work(&mut self) -> u64 {
+        self.carriage().pulses
     }
 
     fn world(&mut self, event: World) {
