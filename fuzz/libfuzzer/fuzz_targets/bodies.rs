@@ -1,0 +1,3 @@
+//! See `fuzz::bodies`.
+#![no_main]
+libfuzzer_sys::fuzz_target!(|data: &[u8]| fuzz::bodies::target(data));

@@ -1,0 +1,414 @@
+//! Target: what a device says, right and wrong, into the client of the host's tool and into the keeper of its server.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use host_tool::client::{Device, Observer, Progress};
+use host_tool::connector::{Candidate, Connector, Purpose};
+use host_tool::error::ClientError;
+use host_tool::link::address::Address;
+use host_tool::link::memory::Peer;
+use host_tool::link::{Link, LinkError, OpenError, Reason};
+use host_tool::serve::memory::{self, INSTANCE, Server};
+use jiff::Timestamp;
+use protocol::frame::Kind;
+use protocol::rig::{LinkLossPolicy, Run, RunTiming};
+use protocol::settings::{GetSetting, SettingKey};
+use protocol::system::{DeviceKind, Event, Urgent};
+use protocol::table::{Reply, Telemetry};
+use serde::{Deserialize, Serialize};
+
+use crate::exemplary::{Asked, Exemplary};
+use crate::model::{self, Good};
+use crate::script::steps;
+
+/// The longest script.
+const MOST_STEPS: usize = 64;
+
+/// What the host wants.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Plan {
+    /// Of a capsule.
+    pub capsule: bool,
+    /// The device begins to answer as it should, so many times.
+    pub good: u8,
+    /// By way of the client, or of the server.
+    pub wants: Wants,
+}
+
+/// By way of what.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Wants {
+    /// The client.
+    Client(Vec<Act>),
+    /// The server: the command with this number.
+    Server(u8),
+}
+
+/// An act of the client.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub enum Act {
+    /// Asks for the status.
+    Status,
+    /// Homes, to the end.
+    Home,
+    /// Runs, to the end.
+    Run,
+    /// Fetches events.
+    Events,
+    /// Waits for so many ms.
+    Idle(u8),
+    /// Only listens.
+    Observe(u8),
+    /// Waits until the rig stands.
+    Rest,
+    /// References or folds, to the end.
+    Actuate(bool),
+    /// Fetches the recording.
+    Trace,
+    /// Stops.
+    Urgent(Urgent),
+    /// Asks for the last words.
+    Words,
+    /// Asks for a setting.
+    Setting(SettingKey),
+}
+
+/// What the device says next.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Step {
+    /// What it should.
+    Good,
+    /// This answer to the last request.
+    Reply(Reply),
+    /// A sample, so many after the last one.
+    Telemetry(u16, Telemetry),
+    /// An event, as its own index says.
+    Event(Event),
+    /// An event in its turn.
+    Next(protocol::system::What),
+    /// A frame.
+    Frame(u8, u8, u16, Vec<u8>),
+    /// Bytes.
+    Noise(Vec<u8>),
+    /// Nothing, for so many us.
+    Silence(u32),
+}
+
+/// The device, and the line to it.
+struct State {
+    now_us: u64,
+    good: u8,
+    steps: Vec<Step>,
+    /// It answers as it should when it is its turn.
+    machine: Exemplary,
+    last: Option<Good>,
+    telemetry: u16,
+    event: u32,
+    waiting: Vec<u8>,
+    /// Looks at the line after the end of the script.
+    late: u32,
+}
+
+#[derive(Clone)]
+struct Line(Arc<Mutex<State>>);
+
+impl Line {
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    fn say(&mut self, step: Step) {
+        let (session, seq) = self
+            .last
+            .as_ref()
+            .map_or((0, 0), |last| (last.session, last.seq));
+        let session = session.max(1);
+        let bytes = match step {
+            Step::Good => self.machine.give(0),
+            Step::Reply(reply) => {
+                let body = postcard::to_stdvec(&reply).expect("short");
+                model::frame(Kind::Reply as u8, session, seq, &body)
+            }
+            Step::Telemetry(missed, sample) => {
+                self.telemetry = self.telemetry.wrapping_add(missed).wrapping_add(1);
+                let body = postcard::to_stdvec(&sample).expect("short");
+                model::frame(Kind::Telemetry as u8, session, self.telemetry, &body)
+            }
+            Step::Event(event) => {
+                self.event = event.index;
+                let body = postcard::to_stdvec(&event).expect("short");
+                model::frame(Kind::Event as u8, session, event.index as u16, &body)
+            }
+            Step::Next(what) => {
+                self.event = self.event.wrapping_add(1);
+                let event = Event {
+                    index: self.event,
+                    time_us: self.now_us,
+                    what,
+                };
+                let body = postcard::to_stdvec(&event).expect("short");
+                model::frame(Kind::Event as u8, session, self.event as u16, &body)
+            }
+            Step::Frame(kind, session, seq, body) => model::frame(kind, session, seq, &body),
+            Step::Noise(bytes) => bytes,
+            Step::Silence(us) => {
+                self.now_us += u64::from(us);
+                return;
+            }
+        };
+        self.waiting.extend(bytes);
+    }
+}
+
+impl Link for Line {
+    fn place(&self) -> String {
+        "bench".to_owned()
+    }
+
+    fn now_us(&self) -> u64 {
+        self.state().now_us
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        let mut state = self.state();
+        let (sent, bad) = model::read(bytes);
+        assert_eq!(bad, 0, "a host sends frames");
+        for frame in &sent {
+            assert!([1, 3].contains(&frame.kind), "a host's kinds");
+        }
+        state.machine.take(bytes, 0);
+        state.last = sent.into_iter().next_back().or(state.last.take());
+        Ok(())
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        let mut state = self.state();
+        if state.waiting.is_empty() {
+            if state.good > 0 {
+                let said = state.machine.give(0);
+                if !said.is_empty() {
+                    state.good -= 1;
+                    state.waiting = said;
+                }
+            } else if let Some(step) = state.steps.pop() {
+                state.say(step);
+            } else {
+                state.late += 1;
+                assert!(state.late < 1_000, "no end without a line");
+                return Err(LinkError::Lost {
+                    place: self.place(),
+                    why: "the script is over".to_owned(),
+                });
+            }
+        }
+        let count = buffer.len().min(state.waiting.len());
+        for (slot, byte) in buffer.iter_mut().zip(state.waiting.drain(..count)) {
+            *slot = byte;
+        }
+        if count == 0 {
+            state.now_us = state.now_us.max(deadline_us);
+        }
+        Ok(count)
+    }
+}
+
+/// Sees to it that events come once and in their order.
+#[derive(Default)]
+struct Seen {
+    newest: Option<u32>,
+}
+
+impl Observer for Seen {
+    fn event(&mut self, event: &Event) {
+        let is_new = self.newest.is_none_or(|newest| newest < event.index);
+        assert!(is_new, "event {} after {:?}", event.index, self.newest);
+        self.newest = Some(event.index);
+    }
+
+    fn progress(&mut self, progress: &Progress) {
+        if let Progress::Run {
+            elapsed_us,
+            total_us,
+            ..
+        } = progress
+        {
+            assert!(elapsed_us <= total_us);
+        }
+    }
+}
+
+/// Runs the script.
+///
+/// # Panics
+/// The host does what it must not do.
+pub fn target(data: &[u8]) {
+    let Ok((plan, data)) = postcard::take_from_bytes::<Plan>(data) else {
+        return;
+    };
+    let kind = match plan.capsule {
+        false => DeviceKind::Rig,
+        true => DeviceKind::Capsule,
+    };
+    let mut steps: Vec<_> = steps::<Step>(data).take(MOST_STEPS).collect();
+    // Taken from the end.
+    steps.reverse();
+    let line = Line(Arc::new(Mutex::new(State {
+        now_us: 0,
+        good: plan.good,
+        steps,
+        machine: Exemplary::new(kind, true, &Asked::default()),
+        last: None,
+        telemetry: 0,
+        event: 0,
+        waiting: vec![],
+        late: 0,
+    })));
+    match plan.wants {
+        Wants::Client(acts) => {
+            if let Err(error) = client(line, kind, &acts) {
+                let help = miette::Diagnostic::help(&error).map(|help| help.to_string());
+                assert!(
+                    help.is_some_and(|help| !help.is_empty()),
+                    "{error}: no help"
+                );
+            }
+        }
+        Wants::Server(number) => server(line, kind, number),
+    }
+}
+
+fn client(line: Line, kind: DeviceKind, acts: &[Act]) -> Result<(), ClientError> {
+    let mut device = Device::connect(Box::new(line), kind, 1)?;
+    let mut seen = Seen::default();
+    for act in acts.iter().take(MOST_STEPS) {
+        match act {
+            Act::Status => drop(device.rig_status()?),
+            Act::Home => {
+                let accepted = device.home()?;
+                device.wait_homing(&accepted, &mut seen)?;
+            }
+            Act::Run => {
+                let accepted = device.run(RUN)?;
+                device.wait_run(&accepted, &mut seen)?;
+            }
+            Act::Events => {
+                for event in device.take_events()? {
+                    seen.event(&event);
+                }
+                device.take_telemetry();
+            }
+            Act::Idle(ms) => device.idle(u64::from(*ms) * 1_000, &mut seen)?,
+            Act::Observe(ms) => device.observe(u64::from(*ms) * 1_000, &mut seen)?,
+            Act::Rest => drop(device.wait_rest()?),
+            Act::Actuate(folds) => {
+                let accepted = match folds {
+                    true => device.fold()?,
+                    false => device.reference()?,
+                };
+                device.wait_actuation(&accepted, &mut seen)?;
+            }
+            Act::Trace => drop(device.trace()?),
+            Act::Urgent(urgent) => device.urgent(*urgent)?,
+            Act::Words => drop(device.last_words()?),
+            Act::Setting(key) => drop(device.call(GetSetting { key: *key })?),
+        }
+    }
+    Ok(())
+}
+
+const RUN: Run = Run {
+    cycles: 1,
+    stroke_um: 10_000,
+    timing: RunTiming::Speeds {
+        forward_um_s: 10_000,
+        return_um_s: 10_000,
+        accel_um_s2: 100_000,
+    },
+    far_dwell_us: 0,
+    home_dwell_us: 0,
+    start_delay_us: 0,
+    link_loss: LinkLossPolicy::Stop,
+};
+
+/// One link, once.
+struct Once(Mutex<Option<Line>>);
+
+impl Connector for Once {
+    fn open(
+        &self,
+        _: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        let mut link = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        match link.take() {
+            Some(line) => Ok(Box::new(line)),
+            None => Err(OpenError {
+                place: "bench".to_owned(),
+                reason: Reason::Absent,
+                why: "it is gone".to_owned(),
+                remedy: "none".to_owned(),
+            }),
+        }
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+/// Commands that leave no record, so that they cost little.
+const COMMANDS: [&str; 5] = ["rig/home", "rig/move", "rig/hold", "rig/ack", "capsule/ack"];
+
+/// A command of the server, and what it shows afterwards, whatever the device has said.
+fn server(line: Line, kind: DeviceKind, number: u8) {
+    const TOKEN: &str = "0123456789abcdef";
+    let places = [(kind, Address::Serial("bench".to_owned()))];
+    let folder = std::env::temp_dir();
+    memory::with(
+        &Once(Mutex::new(Some(line))),
+        &places,
+        TOKEN,
+        &folder,
+        |server| {
+            let command = COMMANDS[usize::from(number) % COMMANDS.len()];
+            let body = match command {
+                "rig/move" => "{\"position_mm\":1}",
+                _ => "{}",
+            };
+            let uri = format!("/api/v1/{command}");
+            let key = format!("{INSTANCE}-1");
+            let bearer = format!("Bearer {TOKEN}");
+            let headers: [(&str, &[u8]); 4] = [
+                ("host", b"localhost"),
+                ("authorization", bearer.as_bytes()),
+                ("idempotency-key", key.as_bytes()),
+                ("content-type", b"application/json"),
+            ];
+            let ask = |server: &mut Server<'_>, method, uri| {
+                let answer = server.ask(memory::Asked {
+                    here: true,
+                    method,
+                    uri,
+                    headers: &headers,
+                    body: body.as_bytes(),
+                });
+                answer.expect("a request").status
+            };
+            ask(server, "POST", &uri);
+            assert_eq!(ask(server, "GET", "/api/v1/state"), 200);
+            assert_eq!(ask(server, "GET", "/api/v1/actions"), 200);
+        },
+    );
+}

@@ -1,0 +1,394 @@
+//! Target: requests over HTTP into the real router, orders and keepers of `retrograde serve`, with two machines that note what
+//! reaches them. Whatever the bytes: without the token nothing reaches them that moves or changes anything.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+use std::sync::OnceLock;
+
+use host_tool::connector::{Candidate, Connector, Purpose};
+use host_tool::link::address::Address;
+use host_tool::link::memory::Memory;
+use host_tool::link::{Link, OpenError};
+use host_tool::serve::http::ROUTES;
+use host_tool::serve::memory::{self, Answer, INSTANCE, Server};
+use jiff::Timestamp;
+use protocol::system::DeviceKind;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::exemplary::{Asked, Exemplary};
+use crate::script::steps;
+
+const TOKEN: &str = "0123456789abcdef0123456789abcdef";
+const BEARER: &[u8] = b"Bearer 0123456789abcdef0123456789abcdef";
+
+/// The longest script.
+const MOST_STEPS: usize = 8;
+
+/// Which machines there are, and what they say.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct Machines {
+    /// There is a capsule, too.
+    pub both: bool,
+    /// They begin what they are asked to.
+    pub willing: bool,
+}
+
+/// A request.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Step {
+    /// It comes from this computer.
+    pub here: bool,
+    /// What is asked for.
+    pub line: Line,
+    /// Headers beside `Host`.
+    pub headers: Vec<Header>,
+    /// Its body.
+    pub body: Body,
+}
+
+/// Method and path.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Line {
+    /// One of those that there are; this is behind it.
+    Route(u8, String),
+    /// A command of a machine, by the names of both.
+    Command(String, String),
+    /// Any.
+    Any(String, String),
+}
+
+/// A header.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Header {
+    /// The right token.
+    Token,
+    /// Some token.
+    Authorization(Vec<u8>),
+    /// A key of this server, with this end.
+    Key(u8),
+    /// Some key.
+    AnyKey(Vec<u8>),
+    /// The type of the body is JSON.
+    Json,
+    /// A page of another place has caused it.
+    Foreign,
+    /// It is for a name that is not this computer's.
+    Rebound,
+    /// The page that caused it.
+    Origin(Vec<u8>),
+    /// One of those that matter, with any value.
+    Known(u8, Vec<u8>),
+}
+
+const KNOWN: [&str; 8] = [
+    "content-type",
+    "content-length",
+    "transfer-encoding",
+    "sec-fetch-site",
+    "x-forwarded-for",
+    "forwarded",
+    "expect",
+    "host",
+];
+
+/// A body.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Body {
+    /// None.
+    Empty,
+    /// Fields with texts, and numbers of so many thousandths.
+    Fields(Vec<(Field, Content)>),
+    /// Any text that should be JSON.
+    Text(String),
+    /// Any bytes, so many times.
+    Bytes(Vec<u8>, u8),
+    /// The renewal of the latest jog.
+    Renewal(u64),
+}
+
+/// The name of a field.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Field {
+    /// One that some command has.
+    Known(u8),
+    /// Any.
+    Any(String),
+}
+
+const FIELDS: [&str; 17] = [
+    "cycles",
+    "stroke_mm",
+    "duration_s",
+    "speed_mm_s",
+    "return_speed_mm_s",
+    "waves_per_minute",
+    "preset",
+    "accel_mm_s2",
+    "far_dwell_s",
+    "home_dwell_s",
+    "start_delay_s",
+    "on_link_loss",
+    "telemetry_ms",
+    "note",
+    "position_mm",
+    "direction",
+    "machine",
+];
+
+/// The value of a field.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Content {
+    /// A number.
+    Thousandths(i32),
+    /// A floating number.
+    Float(f64),
+    /// A text.
+    Text(String),
+    /// One of the texts that mean something.
+    Known(u8),
+    /// Neither number nor text.
+    Other(u8),
+}
+
+const TEXTS: [&str; 8] = [
+    "away", "home", "finish", "stop", "paper", "rig", "capsule", "-0",
+];
+
+/// Links to the machines.
+struct Here {
+    asked: Asked,
+    willing: bool,
+}
+
+impl Connector for Here {
+    fn open(
+        &self,
+        kind: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        let machine = Exemplary::new(kind, self.willing, &self.asked);
+        Ok(Box::new(Memory::new("bench", machine)))
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+/// Runs the script.
+///
+/// # Panics
+/// The server does what it must not do.
+pub fn target(data: &[u8]) {
+    let Ok((machines, data)) = postcard::take_from_bytes::<Machines>(data) else {
+        return;
+    };
+    static OUT: OnceLock<TempDir> = OnceLock::new();
+    let out = OUT
+        .get_or_init(|| tempfile::tempdir().expect("a folder"))
+        .path();
+    let place = |name: &str| Address::Serial(name.to_owned());
+    let mut places = vec![(DeviceKind::Rig, place("rig"))];
+    if machines.both {
+        places.push((DeviceKind::Capsule, place("capsule")));
+    }
+    let here = Here {
+        asked: Asked::default(),
+        willing: machines.willing,
+    };
+    memory::with(&here, &places, TOKEN, out, |server| {
+        let mut keys = BTreeSet::new();
+        for step in steps::<Step>(data).take(MOST_STEPS) {
+            ask(server, &here.asked, &step, &mut keys);
+        }
+        still_serves(server, &here.asked);
+    });
+    tidy(out);
+}
+
+/// Records are of no use here, and many of them make the next one slow.
+fn tidy(out: &Path) {
+    for entry in fs::read_dir(out).expect("a folder").flatten() {
+        let _ = fs::remove_file(entry.path());
+    }
+}
+
+fn ask(server: &mut Server<'_>, asked: &Asked, step: &Step, keys: &mut BTreeSet<Vec<u8>>) {
+    let (method, uri) = line(&step.line);
+    let mut headers: Vec<(&str, Vec<u8>)> = step.headers.iter().map(header).collect();
+    if !headers.iter().any(|(name, _)| *name == "host") {
+        headers.push(("host", b"127.0.0.1:7080".to_vec()));
+    }
+    let headers: Vec<_> = headers
+        .iter()
+        .map(|(name, value)| (*name, &**value))
+        .collect();
+    let body = body(&step.body);
+    let before = asked.notes().clone();
+    let answer = server.ask(memory::Asked {
+        here: step.here,
+        method: &method,
+        uri: &uri,
+        headers: &headers,
+        body: &body,
+    });
+    let after = asked.notes().clone();
+    let Some(answer) = answer else {
+        assert_eq!(
+            after.changes.len() + after.stops.len(),
+            before.changes.len() + before.stops.len()
+        );
+        return;
+    };
+    judge(&answer, &method, &uri);
+    let has = |name: &str, value: &[u8]| headers.contains(&(name, value));
+    let is_foreign = has("origin", FOREIGN) || has("host", REBOUND);
+    let has_token = has("authorization", BEARER);
+    if !has_token || is_foreign {
+        assert_eq!(
+            after.changes[before.changes.len()..],
+            [],
+            "reached a machine without the token: {step:?}"
+        );
+    }
+    if is_foreign || (!has_token && !step.here) {
+        let stops = &after.stops[before.stops.len()..];
+        assert_eq!(stops, [], "stopped by somebody who must not: {step:?}");
+    }
+    // Nothing is done twice for one key.
+    if after.changes.len() > before.changes.len() {
+        let key = headers.iter().find(|(name, _)| *name == "idempotency-key");
+        let key = key.expect("no command without a key").1.to_vec();
+        assert!(keys.insert(key), "a second time: {step:?}");
+    }
+}
+
+/// Every answer says what it is, and is not a failure of the server itself.
+fn judge(answer: &Answer, method: &str, uri: &str) {
+    let Answer {
+        status,
+        headers,
+        body,
+    } = answer;
+    assert!(
+        *status != 500,
+        "{method} {uri}: {}",
+        String::from_utf8_lossy(body)
+    );
+    for name in ["cache-control", "x-frame-options", "x-content-type-options"] {
+        assert!(headers.contains_key(name), "no {name}: {headers:?}");
+    }
+    let is_json = headers
+        .get("content-type")
+        .is_some_and(|kind| kind == "application/json");
+    // Those are files.
+    let is_file = uri.starts_with("/openapi.json") || uri.starts_with("/api/v1/records/");
+    if is_json && method != "HEAD" && !(is_file && *status == 200) && !body.is_empty() {
+        let value: Value = serde_json::from_slice(body).expect("JSON");
+        let is_good = value["ok"].as_bool().expect("ok");
+        assert_eq!(is_good, (200..300).contains(status), "{status}: {value}");
+        if !is_good {
+            let said = value["error"]["message"].as_str().unwrap_or_default();
+            assert!(!said.is_empty(), "a refusal without a reason: {value}");
+        }
+    }
+}
+
+/// Whatever has come: a stop from this computer reaches the machine, without a token.
+fn still_serves(server: &mut Server<'_>, asked: &Asked) {
+    let before = asked.notes().stops.len();
+    let answer = server.ask(memory::Asked {
+        here: true,
+        method: "POST",
+        uri: "/api/v1/estop",
+        headers: &[("host", b"localhost")],
+        body: b"",
+    });
+    let answer = answer.expect("a request");
+    assert_eq!(
+        answer.status,
+        200,
+        "{}",
+        String::from_utf8_lossy(&answer.body)
+    );
+    assert!(
+        asked.notes().stops.len() > before,
+        "the stop reached nobody"
+    );
+}
+
+const FOREIGN: &[u8] = b"https://elsewhere.example";
+const REBOUND: &[u8] = b"elsewhere.example";
+
+fn header(header: &Header) -> (&'static str, Vec<u8>) {
+    match header {
+        Header::Token => ("authorization", BEARER.to_vec()),
+        Header::Authorization(value) => ("authorization", value.clone()),
+        Header::Key(number) => ("idempotency-key", format!("{INSTANCE}-{number}").into()),
+        Header::AnyKey(value) => ("idempotency-key", value.clone()),
+        Header::Json => ("content-type", b"application/json".to_vec()),
+        Header::Foreign => ("origin", FOREIGN.to_vec()),
+        Header::Rebound => ("host", REBOUND.to_vec()),
+        Header::Origin(value) => ("origin", value.clone()),
+        Header::Known(index, value) => (KNOWN[usize::from(*index) % KNOWN.len()], value.clone()),
+    }
+}
+
+fn line(line: &Line) -> (String, String) {
+    match line {
+        Line::Route(index, behind) => {
+            let (method, path) = ROUTES[usize::from(*index) % ROUTES.len()];
+            let path = path.replace("{id}", &format!("{INSTANCE}-1"));
+            let path = path.replace("{name}", "run-19700101T000000Z.json");
+            (method.to_uppercase(), path + behind)
+        }
+        Line::Command(machine, name) => ("POST".to_owned(), format!("/api/v1/{machine}/{name}")),
+        Line::Any(method, uri) => (method.clone(), uri.clone()),
+    }
+}
+
+fn body(body: &Body) -> Vec<u8> {
+    match body {
+        Body::Empty => vec![],
+        Body::Fields(fields) => {
+            let fields = fields.iter().map(|(field, content)| {
+                let name = match field {
+                    Field::Known(index) => FIELDS[usize::from(*index) % FIELDS.len()],
+                    Field::Any(name) => name,
+                };
+                (name.to_owned(), value(content))
+            });
+            Value::Object(fields.collect()).to_string().into()
+        }
+        Body::Text(text) => text.clone().into(),
+        // Beyond the limit, at times.
+        Body::Bytes(bytes, times) => bytes.repeat(usize::from(*times)),
+        Body::Renewal(n) => format!("{{\"action\":\"{INSTANCE}-1\",\"n\":{n}}}").into(),
+    }
+}
+
+fn value(content: &Content) -> Value {
+    match content {
+        Content::Thousandths(number) => Value::from(f64::from(*number) / 1e3),
+        Content::Float(number) => Value::from(*number),
+        Content::Text(text) => Value::from(text.clone()),
+        Content::Known(index) => Value::from(TEXTS[usize::from(*index) % TEXTS.len()]),
+        Content::Other(0) => Value::Null,
+        Content::Other(1) => Value::Bool(true),
+        Content::Other(2) => Value::Array(vec![]),
+        Content::Other(number) => Value::from(*number),
+    }
+}

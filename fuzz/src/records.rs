@@ -1,0 +1,209 @@
+//! Target: changed records into `verify`, the check of the report and the manifest. No change of a listed file may go unnoticed.
+
+use std::fs;
+use std::path::Path;
+use std::sync::OnceLock;
+
+use host_tool::campaign::manifest::{self, Manifest};
+use host_tool::campaign::verify::verify;
+use host_tool::client::{Device, Unobserved};
+use host_tool::experiment;
+use host_tool::report::check;
+use host_tool::trial::{Action, CapsuleSample, Recording, RigSample, Trial};
+use jiff::Timestamp;
+use protocol::rig::{LinkLossPolicy, Run, RunTiming};
+use protocol::system::DeviceKind;
+use serde::{Deserialize, Serialize};
+use tempfile::TempDir;
+
+use crate::machine::{Script, link};
+use crate::script::steps;
+
+/// The longest script.
+const MOST_STEPS: usize = 8;
+
+/// A change.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Step {
+    /// These bytes instead of so many, in the file with this number, so many thousandths of the way through it.
+    Replace(u8, u16, u8, Vec<u8>),
+    /// The number that comes next there is one of those at which sums overflow.
+    Number(u8, u16, u8),
+    /// The file ends there.
+    Cut(u8, u16),
+    /// The rows from there on are there twice.
+    Twice(u8, u16),
+    /// Another manifest.
+    Manifest(Vec<u8>),
+}
+
+const NUMBERS: [&str; 10] = [
+    "0",
+    "-1",
+    "65535",
+    "2147483647",
+    "-2147483648",
+    "4294967295",
+    "9223372036854775807",
+    "18446744073709551615",
+    "1e308",
+    "0.1",
+];
+
+/// A record as it was written: sidecar, telemetry, manifest.
+struct Written {
+    names: [String; 3],
+    files: [Vec<u8>; 3],
+}
+
+/// Runs the script.
+///
+/// # Panics
+/// A change goes unnoticed, or cannot be survived.
+pub fn target(data: &[u8]) {
+    static WRITTEN: OnceLock<Written> = OnceLock::new();
+    static FOLDER: OnceLock<TempDir> = OnceLock::new();
+    let written = WRITTEN.get_or_init(Written::new);
+    let folder = FOLDER
+        .get_or_init(|| tempfile::tempdir().expect("a folder"))
+        .path();
+    manifest_of(data);
+    let mut files = written.files.clone();
+    for step in steps::<Step>(data).take(MOST_STEPS) {
+        change(&mut files, &step);
+    }
+    for (name, bytes) in written.names.iter().zip(&files) {
+        fs::write(folder.join(name), bytes).expect("a folder");
+    }
+    let changed = files[..2] != written.files[..2];
+    let listed = files[2] == written.files[2];
+    let verified = verify(folder).expect("a folder");
+    assert!(
+        !(changed && listed) || !verified.findings.is_empty(),
+        "a change that nobody notices"
+    );
+    if files == written.files {
+        assert_eq!(verified.findings, [], "nothing was changed");
+    }
+    look(&folder.join(&written.names[0]));
+}
+
+/// What the report looks at.
+fn look(sidecar: &Path) {
+    let Ok(trial) = Trial::read(sidecar) else {
+        return;
+    };
+    match &trial.action {
+        Action::Run { .. } => {
+            let (samples, _) = check::read::<RigSample>(sidecar, &trial);
+            drop(check::run(&trial, &samples));
+        }
+        Action::Actuation { .. } => {
+            let (samples, _) = check::read::<CapsuleSample>(sidecar, &trial);
+            drop(check::actuation(&trial, &samples));
+        }
+    }
+}
+
+/// What is read as a manifest is written as it was.
+fn manifest_of(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else {
+        return;
+    };
+    if let Ok(manifest) = Manifest::parse(text) {
+        assert_eq!(manifest.text(), text);
+    }
+}
+
+fn change(files: &mut [Vec<u8>; 3], step: &Step) {
+    let place = |files: &[Vec<u8>; 3], file: u8, thousandths: u16| {
+        let file = usize::from(file) % files.len();
+        let length = files[file].len();
+        (file, length * usize::from(thousandths.min(1_000)) / 1_000)
+    };
+    match step {
+        Step::Replace(file, at, count, bytes) => {
+            let (file, at) = place(files, *file, *at);
+            let end = (at + usize::from(*count)).min(files[file].len());
+            files[file].splice(at..end, bytes.iter().copied());
+        }
+        Step::Number(file, at, number) => {
+            let (file, at) = place(files, *file, *at);
+            let of_number = |byte: &u8| byte.is_ascii_digit() || *byte == b'-';
+            let bytes = &mut files[file];
+            let Some(from) = bytes[at..].iter().position(of_number).map(|skip| at + skip) else {
+                return;
+            };
+            let count = bytes[from..]
+                .iter()
+                .take_while(|byte| of_number(byte))
+                .count();
+            let number = NUMBERS[usize::from(*number) % NUMBERS.len()];
+            bytes.splice(from..from + count, number.bytes());
+        }
+        Step::Cut(file, at) => {
+            let (file, at) = place(files, *file, *at);
+            files[file].truncate(at);
+        }
+        Step::Twice(file, at) => {
+            let (file, at) = place(files, *file, *at);
+            let bytes = &mut files[file];
+            let line = bytes[at..].iter().position(|byte| *byte == b'\n');
+            let rows = line.map_or(vec![], |line| bytes[at + line + 1..].to_vec());
+            bytes.extend(rows);
+        }
+        Step::Manifest(bytes) => files[2].clone_from(bytes),
+    }
+}
+
+impl Written {
+    /// The record of a short run of a rig with few steps.
+    fn new() -> Self {
+        let mut script = Script::new(DeviceKind::Rig);
+        (script.few_steps, script.ready) = (true, true);
+        let (link, _log) = link(script);
+        let mut rig = Device::connect(link, DeviceKind::Rig, 1).expect("a rig");
+        let folder = tempfile::tempdir().expect("a folder");
+        let recording = Recording {
+            folder: folder.path().to_owned(),
+            stem: "run".to_owned(),
+            now: Timestamp::UNIX_EPOCH,
+            note: None,
+            telemetry_ms: 200,
+        };
+        let run = Run {
+            cycles: 1,
+            stroke_um: 20_000,
+            timing: RunTiming::Speeds {
+                forward_um_s: 20_000,
+                return_um_s: 20_000,
+                accel_um_s2: 1_000_000,
+            },
+            far_dwell_us: 5_000,
+            home_dwell_us: 5_000,
+            start_delay_us: 0,
+            link_loss: LinkLossPolicy::Stop,
+        };
+        let trial = experiment::run(&mut rig, run, &recording, &mut Unobserved);
+        let trial = trial.expect("recorded");
+        let manifest = manifest::of_folder(folder.path()).expect("a folder");
+        let name = |path: &Path| {
+            path.file_name()
+                .expect("a file")
+                .to_string_lossy()
+                .into_owned()
+        };
+        Self {
+            names: [
+                name(&trial.sidecar),
+                name(&trial.csv),
+                manifest::NAME.to_owned(),
+            ],
+            files: [
+                fs::read(&trial.sidecar).expect("written"),
+                fs::read(&trial.csv).expect("written"),
+                manifest.text().into(),
+            ],
+        }
+    }
+}

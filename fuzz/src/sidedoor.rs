@@ -1,0 +1,335 @@
+//! Target: what guests say at the door of a line, and what machine and owner say meanwhile. Guests bring stops to the line and
+//! harmless questions to the owner, and nothing else.
+
+use std::sync::OnceLock;
+
+use host_tool::door::memory::{Door, Guest};
+use host_tool::door::{VERSION, admits};
+use protocol::frame::Kind;
+use protocol::rig::{GetRigStatus, Home};
+use protocol::system::{DeviceKind, Done, Hello, Identity, ResetCause, Urgent};
+use protocol::table::{Endpoint, Reply, Request, Response, SCHEMA_KEY};
+use serde::{Deserialize, Serialize};
+
+use crate::exemplars;
+use crate::model::{self, Good, Once};
+use crate::script::steps;
+
+const TOKEN: &str = "secret";
+/// The longest script.
+const MOST_STEPS: usize = 32;
+/// So many guests come.
+const GUESTS: usize = 3;
+/// The owner asks not more often, us.
+const BREATH_US: u64 = 10_000;
+
+/// What happens.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Step {
+    /// Somebody knocks with these bytes.
+    Knock(Vec<u8>),
+    /// Somebody knocks as a guest does, and wants the line, or not.
+    Come(bool),
+    /// A guest leaves.
+    Leave(u8),
+    /// A guest says bytes.
+    Noise(u8, Vec<u8>),
+    /// A guest greets.
+    Hello(u8, u32),
+    /// A guest's request, so far ahead of its last one.
+    Request(u8, u16, Request),
+    /// A guest's frame, of any kind.
+    Frame(u8, u8, u8, u16, Vec<u8>),
+    /// A guest's stop.
+    Urgent(u8, u16, Urgent),
+    /// A guest's last frame again.
+    Again(u8),
+    /// Time passes, ms.
+    Wait(u16),
+    /// The owner takes a question and answers, or not.
+    Answer(bool),
+    /// The owner sends a request of its own.
+    Order,
+    /// The owner notices stops, and goes on.
+    Notice,
+    /// The machine says bytes.
+    Machine(Vec<u8>),
+    /// The machine confirms the stop with this number on the line.
+    Confirm(u16, Urgent),
+    /// The machine sends an exemplar.
+    Tell(u8),
+}
+
+/// A guest, and what it may expect.
+struct Seat {
+    guest: Guest,
+    said: Vec<u8>,
+    once: Once,
+    seq: u16,
+    last: Vec<u8>,
+}
+
+struct Hall {
+    door: Door,
+    seats: Vec<Seat>,
+    now_us: u64,
+    /// A stop is on the line that the owner has not noticed.
+    unnoticed: bool,
+    /// Questions that guests have asked in good frames, and those that the owner got.
+    asked: usize,
+    taken: usize,
+}
+
+/// Runs the script.
+///
+/// # Panics
+/// The door does what it must not do.
+pub fn target(data: &[u8]) {
+    let mut hall = Hall::new();
+    for step in steps::<Step>(data).take(MOST_STEPS) {
+        hall.take(step);
+    }
+    hall.still_stops();
+}
+
+fn knock(wants_line: bool) -> Vec<u8> {
+    let text = format!(
+        "{{\"retrograde_window\":{VERSION},\"token\":\"{TOKEN}\",\"wants_line\":{wants_line}}}\n"
+    );
+    text.into()
+}
+
+impl Hall {
+    fn new() -> Self {
+        let door = Door::new(TOKEN, true);
+        door.introduce(identity());
+        Self {
+            door,
+            seats: vec![],
+            now_us: 0,
+            unnoticed: false,
+            asked: 0,
+            taken: 0,
+        }
+    }
+
+    fn seat(&mut self, index: u8) -> Option<usize> {
+        let count = self.seats.len();
+        (count > 0).then(|| usize::from(index) % count)
+    }
+
+    fn take(&mut self, step: Step) {
+        match step {
+            Step::Knock(bytes) => self.come(&bytes),
+            Step::Come(wants_line) => self.come(&knock(wants_line)),
+            Step::Leave(at) => {
+                if let Some(at) = self.seat(at) {
+                    drop(self.seats.remove(at));
+                }
+            }
+            Step::Noise(at, bytes) => self.say(at, &bytes),
+            Step::Hello(at, nonce) => {
+                let hello = Hello {
+                    protocol: protocol::VERSION,
+                    schema_key: SCHEMA_KEY,
+                    nonce,
+                };
+                self.request(at, 1, &Request::Hello(hello));
+            }
+            Step::Request(at, ahead, request) => self.request(at, ahead, &request),
+            Step::Frame(at, kind, session, seq, body) => {
+                self.say(at, &model::frame(kind, session, seq, &body));
+            }
+            Step::Urgent(at, seq, urgent) => {
+                let body = postcard::to_stdvec(&urgent).expect("short");
+                self.say(at, &model::frame(Kind::Urgent as u8, 0, seq, &body));
+            }
+            Step::Again(at) => {
+                if let Some(index) = self.seat(at) {
+                    let last = self.seats[index].last.clone();
+                    self.say(at, &last);
+                }
+            }
+            Step::Wait(ms) => self.now_us += u64::from(ms) * 1_000,
+            Step::Answer(answers) => self.answer(answers),
+            Step::Order => self.order(),
+            Step::Notice => {
+                let stopped = self.door.stopped();
+                assert!(!self.unnoticed || stopped.is_some());
+                self.unnoticed = false;
+                self.door.forget_stop();
+                assert_eq!(self.door.stopped(), None);
+            }
+            Step::Machine(bytes) => self.door.hear(&bytes),
+            Step::Confirm(seq, urgent) => {
+                let body = postcard::to_stdvec(&Reply::Urgent(urgent)).expect("short");
+                self.door
+                    .hear(&model::frame(Kind::Reply as u8, 0, seq, &body));
+            }
+            Step::Tell(index) => {
+                let frames = frames();
+                self.door.hear(&frames[usize::from(index) % frames.len()]);
+            }
+        }
+        for seat in &self.seats {
+            // Frames of a device, whole.
+            let (frames, bad) = model::read(&seat.guest.told());
+            assert_eq!(bad, 0);
+            assert!(frames.iter().all(|frame| [2, 4, 5].contains(&frame.kind)));
+        }
+        assert!(self.door.written().is_empty(), "nobody has sent it");
+    }
+
+    fn come(&mut self, bytes: &[u8]) {
+        if self.seats.len() == GUESTS {
+            return;
+        }
+        let guest = self.door.knock(bytes);
+        let knows = String::from_utf8_lossy(bytes).contains(TOKEN)
+            || bytes.windows(2).any(|pair| pair == b"\\u");
+        let Some((guest, welcome, rest)) = guest else {
+            return;
+        };
+        assert!(knows, "let in without the token");
+        assert_eq!(welcome.last(), Some(&b'\n'));
+        let rest = rest.to_vec();
+        self.seats.push(Seat {
+            guest,
+            said: vec![],
+            once: Once::default(),
+            seq: 0,
+            last: vec![],
+        });
+        self.say((self.seats.len() - 1) as u8, &rest);
+    }
+
+    fn request(&mut self, at: u8, ahead: u16, request: &Request) {
+        let Some(index) = self.seat(at) else {
+            return;
+        };
+        let seat = &mut self.seats[index];
+        seat.seq = seat.seq.wrapping_add(ahead);
+        let body = postcard::to_stdvec(request).expect("short");
+        let frame = model::frame(Kind::Request as u8, seat.once.session(), seat.seq, &body);
+        self.say(at, &frame);
+    }
+
+    /// A guest says this. Of all that, stops reach the line, at once.
+    fn say(&mut self, at: u8, bytes: &[u8]) {
+        let Some(index) = self.seat(at) else {
+            return;
+        };
+        let seat = &mut self.seats[index];
+        seat.said.extend(bytes);
+        let end = seat
+            .said
+            .iter()
+            .rposition(|byte| *byte == 0)
+            .map_or(0, |end| end + 1);
+        let whole: Vec<u8> = seat.said.drain(..end).collect();
+        seat.guest
+            .say(bytes, self.now_us)
+            .expect("the line is there");
+        seat.last = bytes.to_vec();
+        let (told, bad) = model::read(&seat.guest.told());
+        assert_eq!(bad, 0);
+        for frame in &told {
+            if let Ok((Reply::Accepted(Response::Hello(_)), _)) =
+                postcard::take_from_bytes(&frame.body)
+            {
+                seat.once.greeted(frame.session);
+            }
+        }
+        let (said, _) = model::read(&whole);
+        let stops: Vec<Urgent> = said.iter().filter_map(stop).collect();
+        self.asked += said.iter().filter(|frame| asks(frame)).count();
+        self.unnoticed |= !stops.is_empty();
+        let (written, bad) = model::read(&self.door.written());
+        assert_eq!(bad, 0);
+        let written: Vec<_> = written
+            .iter()
+            .map(|frame| {
+                assert_eq!(frame.session, 0);
+                stop(frame).expect("a guest brings nothing but stops to the line")
+            })
+            .collect();
+        assert_eq!(written, stops, "each stop, at once, in its order");
+    }
+
+    fn answer(&mut self, answers: bool) {
+        self.now_us += BREATH_US;
+        let Some(question) = self.door.question(self.now_us) else {
+            return;
+        };
+        self.taken += 1;
+        assert!(
+            admits(&question.request),
+            "{:?} for the owner",
+            question.request
+        );
+        assert!(self.taken <= self.asked, "a question that nobody has asked");
+        let reply = Reply::Accepted(Response::KeepAlive(Done));
+        question.answer(answers.then_some(reply));
+    }
+
+    /// The owner's request goes out unless somebody has stopped meanwhile.
+    fn order(&mut self) {
+        let body = postcard::to_stdvec(&Home.into_request()).expect("short");
+        let frame = model::frame(Kind::Request as u8, 1, 1, &body);
+        self.door.send(&frame).expect("the line is there");
+        let written = self.door.written();
+        match self.unnoticed {
+            true => assert!(written.is_empty(), "it would start what was stopped"),
+            false => assert_eq!(written, frame),
+        }
+    }
+
+    /// Whatever has come: a new guest's stop is on the line at once, and its question with the owner.
+    fn still_stops(&mut self) {
+        self.seats.clear();
+        self.come(&knock(false));
+        let body = postcard::to_stdvec(&Urgent::EStop).expect("short");
+        self.say(0, &model::frame(Kind::Urgent as u8, 9, 9, &body));
+        self.take(Step::Notice);
+        self.take(Step::Hello(0, 1));
+        self.take(Step::Request(0, 1, GetRigStatus.into_request()));
+        let before = self.taken;
+        for _ in 0..=self.asked {
+            self.answer(false);
+        }
+        assert!(self.taken > before, "the question reached nobody");
+    }
+}
+
+/// Of the machine on the line.
+fn identity() -> &'static Identity {
+    static IDENTITY: OnceLock<Identity> = OnceLock::new();
+    IDENTITY.get_or_init(|| {
+        let uid = [7; 12];
+        device::identity::identity(DeviceKind::Rig, uid, 1, ResetCause::PowerOn)
+    })
+}
+
+/// Every exemplar as a frame.
+fn frames() -> &'static [Vec<u8>] {
+    static FRAMES: OnceLock<Vec<Vec<u8>>> = OnceLock::new();
+    FRAMES.get_or_init(|| {
+        let all = exemplars::frames::all().into_iter();
+        all.map(|(_, frame)| frame.to_vec()).collect()
+    })
+}
+
+fn stop(frame: &Good) -> Option<Urgent> {
+    match postcard::take_from_bytes(&frame.body) {
+        Ok((urgent, [])) if frame.kind == Kind::Urgent as u8 => Some(urgent),
+        _ => None,
+    }
+}
+
+/// The owner may be asked this.
+fn asks(frame: &Good) -> bool {
+    match postcard::take_from_bytes::<Request>(&frame.body) {
+        Ok((request, [])) => frame.kind == Kind::Request as u8 && admits(&request),
+        _ => false,
+    }
+}

@@ -1,0 +1,203 @@
+//! Target: any bytes into the device's receiver, from the first byte to the answer, beside a second reading of the line.
+
+use std::sync::OnceLock;
+
+use device::identity::identity;
+use device::service::{Inbound, Incoming, Received, Service};
+use protocol::error::Refusal;
+use protocol::frame::{Deframer, Kind};
+use protocol::system::{DeviceKind, Done, Hello, Identity, KeepAlive, ResetCause, Urgent};
+use protocol::table::{Reply, Request, Response, SCHEMA_KEY};
+use serde::{Deserialize, Serialize};
+
+use crate::model::{self, Good, Once};
+use crate::script::steps;
+
+/// The longest script.
+const MOST_STEPS: usize = 32;
+
+/// What comes over the line.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Step {
+    /// Bytes.
+    Noise(Vec<u8>),
+    /// A greeting of this host.
+    Hello(u32),
+    /// A request of the session, so far ahead of the last one.
+    Request(u16, Request),
+    /// Any frame with a good checksum.
+    Frame(u8, u8, u16, Vec<u8>),
+    /// A stop.
+    Urgent(u16, Urgent),
+    /// The last frame again, with these bits of one byte inverted: none of them, and it is a repetition.
+    Again(u8, u8),
+}
+
+/// A device and what it has to do.
+struct Line {
+    service: Service,
+    once: Once,
+    seq: u16,
+    last: Vec<u8>,
+    /// Bytes since the last delimiter, and blocks that were no frames.
+    block: Vec<u8>,
+    bad: u32,
+}
+
+/// Runs the script.
+///
+/// # Panics
+/// The device does what it must not do.
+pub fn target(data: &[u8]) {
+    let mut line = Line::new();
+    line.hear(data);
+    line.hear(&[0]);
+    for step in steps::<Step>(data).take(MOST_STEPS) {
+        let bytes = match step {
+            Step::Noise(bytes) => bytes,
+            Step::Hello(nonce) => line.greeting(nonce),
+            Step::Request(ahead, request) => line.request(ahead, &request),
+            Step::Frame(kind, session, seq, body) => model::frame(kind, session, seq, &body),
+            Step::Urgent(seq, urgent) => {
+                let body = postcard::to_stdvec(&urgent).expect("short");
+                model::frame(Kind::Urgent as u8, line.once.session(), seq, &body)
+            }
+            Step::Again(at, mask) => {
+                let mut bytes = line.last.clone();
+                if let Some(byte) = bytes.get_mut(usize::from(at)) {
+                    *byte ^= mask;
+                }
+                line.hear(&bytes);
+                continue;
+            }
+        };
+        line.hear(&bytes);
+        line.last = bytes;
+    }
+    line.still_serves();
+}
+
+impl Line {
+    fn new() -> Self {
+        static IDENTITY: OnceLock<Identity> = OnceLock::new();
+        let identity =
+            IDENTITY.get_or_init(|| identity(DeviceKind::Rig, [7; 12], 1, ResetCause::PowerOn));
+        Self {
+            service: Service::new(*identity),
+            once: Once::default(),
+            seq: 0,
+            last: vec![],
+            block: vec![],
+            bad: 0,
+        }
+    }
+
+    fn greeting(&mut self, nonce: u32) -> Vec<u8> {
+        let hello = Request::Hello(Hello {
+            protocol: protocol::VERSION,
+            schema_key: SCHEMA_KEY,
+            nonce,
+        });
+        self.request(1, &hello)
+    }
+
+    fn request(&mut self, ahead: u16, request: &Request) -> Vec<u8> {
+        self.seq = self.seq.wrapping_add(ahead);
+        let body = postcard::to_stdvec(request).expect("short");
+        let session = self.once.session();
+        model::frame(Kind::Request as u8, session, self.seq, &body)
+    }
+
+    fn hear(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            self.block.push(*byte);
+            let received = self.service.receive(*byte);
+            if *byte != 0 {
+                assert_eq!(received, None, "a frame before its end");
+                continue;
+            }
+            let (good, bad) = model::read(&self.block);
+            self.block.clear();
+            self.bad += bad;
+            match (received, good.into_iter().next()) {
+                (None, None) => {}
+                (Some(received), Some(good)) => self.judge(received, &good),
+                (found, expected) => panic!("{found:?} for {expected:?}"),
+            }
+        }
+        assert_eq!(
+            self.service.bad_frames(),
+            self.bad,
+            "blocks that are no frames"
+        );
+    }
+
+    /// Every request and every stop gets one answer; what only devices send gets none.
+    fn judge(&mut self, received: Received, good: &Good) {
+        let is_for_us = good.kind == Kind::Request as u8 || good.kind == Kind::Urgent as u8;
+        let frame = match received.incoming {
+            Incoming::Ignore => {
+                assert!(!is_for_us, "no answer to {good:?}");
+                assert!(!received.is_sign_of_life);
+                return;
+            }
+            Incoming::Send(frame) => frame,
+            Incoming::Ask(inbound, to) => {
+                let reply = self.carry_out(&inbound, good);
+                self.service.answer(to, &reply).expect("every reply fits")
+            }
+        };
+        assert!(is_for_us, "an answer to {good:?}");
+        let mut deframer = Deframer::new();
+        let mut bytes = frame.iter();
+        let (header, reply) = bytes
+            .find_map(|byte| {
+                let frame = deframer.push(*byte)?;
+                Some((frame.header, frame.decode::<Reply>()))
+            })
+            .expect("a whole frame");
+        assert_eq!((header.kind, header.seq), (Kind::Reply, good.seq));
+        match reply.expect("a reply") {
+            Reply::Accepted(Response::Hello(identity)) => {
+                assert_eq!(identity.session, header.session);
+                self.once.greeted(header.session);
+            }
+            Reply::Refused(Refusal::Incompatible) => {
+                assert_eq!(header.session, good.session);
+                self.once.refused(good.seq);
+            }
+            _ => assert_eq!(header.session, good.session),
+        }
+    }
+
+    fn carry_out(&mut self, inbound: &Inbound, good: &Good) -> Reply {
+        match inbound {
+            Inbound::Urgent(urgent) => {
+                let body = postcard::take_from_bytes::<Urgent>(&good.body);
+                assert_eq!(body, Ok((*urgent, &[][..])), "another stop");
+                Reply::Urgent(*urgent)
+            }
+            Inbound::Request(request) => {
+                let body = postcard::take_from_bytes::<Request>(&good.body);
+                assert_eq!(body, Ok((request.clone(), &[][..])), "another request");
+                self.once.executed(good.session, good.seq);
+                Reply::Accepted(Response::KeepAlive(Done))
+            }
+        }
+    }
+
+    /// Whatever has come: a new host gets a session, and its request is carried out, once.
+    fn still_serves(&mut self) {
+        self.hear(&[0]);
+        // Two of them: one may be the present host's.
+        for nonce in [u32::MAX, u32::MAX - 1] {
+            let hello = self.greeting(nonce);
+            self.hear(&hello);
+        }
+        let request = self.request(1, &Request::KeepAlive(KeepAlive));
+        self.once.newest_is(None);
+        self.hear(&request);
+        self.once.newest_is(Some(self.seq));
+        self.hear(&request);
+    }
+}

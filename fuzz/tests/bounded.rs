@@ -1,0 +1,107 @@
+//! A bounded part of the fuzzing in every `cargo test`: the checked-in corpus, seeded changes of it, and seeded bytes.
+
+use std::fs;
+use std::path::Path;
+
+use fuzz::{MAX_LEN, TARGETS, Target};
+use proptest::prelude::*;
+use proptest::sample::Index;
+use proptest::test_runner::{Config, TestCaseError, TestRunner};
+
+fn corpus(target: &Target) -> Vec<Vec<u8>> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("corpus")
+        .join(target.name);
+    let files = fs::read_dir(&folder).expect("a folder");
+    let mut paths: Vec<_> = files.map(|file| file.expect("a file").path()).collect();
+    paths.sort();
+    let files: Vec<_> = paths
+        .iter()
+        .map(|path| fs::read(path).expect("a file"))
+        .collect();
+    assert!(!files.is_empty(), "{}", folder.display());
+    files
+}
+
+/// A change: what, where, with which byte.
+type Change = (u8, Index, u8);
+
+fn changed(mut bytes: Vec<u8>, changes: &[Change], other: &[u8], most: usize) -> Vec<u8> {
+    for (what, at, byte) in changes {
+        let at = at.index(bytes.len() + 1);
+        match what {
+            0 if at < bytes.len() => bytes[at] = *byte,
+            1 if at < bytes.len() => bytes[at] ^= 1 << (byte % 8),
+            2 => bytes.insert(at, *byte),
+            3 if at < bytes.len() => drop(bytes.remove(at)),
+            // Goes on as another script, or with itself from there.
+            4 => bytes.splice(at.., other.iter().copied()).for_each(drop),
+            5 => bytes.extend_from_within(at..),
+            _ => {}
+        }
+    }
+    bytes.truncate(most);
+    bytes
+}
+
+/// The corpus, and so many cases of the seed in `.cargo/config.toml`.
+fn bounded(name: &str, cases: u32) {
+    let target = TARGETS.iter().find(|target| target.name == name);
+    let target = target.expect("a target");
+    let corpus = corpus(target);
+    for bytes in &corpus {
+        assert!(bytes.len() <= MAX_LEN, "longer than it is fuzzed");
+        (target.run)(bytes);
+    }
+    let config = Config {
+        cases,
+        failure_persistence: None,
+        max_shrink_iters: 2_000,
+        ..Config::default()
+    };
+    let changes = prop::collection::vec((0_u8..6, any::<Index>(), any::<u8>()), 0..8);
+    // Small bytes begin steps and are lengths.
+    let noise = prop::collection::vec(prop_oneof![0_u8..40, any::<u8>()], 0..MAX_LEN);
+    let script = (any::<Index>(), any::<Index>(), changes).prop_map(|(one, other, changes)| {
+        let bytes = one.get::<Vec<u8>>(&corpus).clone();
+        changed(bytes, &changes, other.get::<Vec<u8>>(&corpus), MAX_LEN)
+    });
+    let script = prop_oneof![3 => script, 1 => noise];
+    let run = |bytes: Vec<u8>| -> Result<(), TestCaseError> {
+        (target.run)(&bytes);
+        Ok(())
+    };
+    if let Err(found) = TestRunner::new(config).run(&script, run) {
+        panic!("{name}: {found}");
+    }
+}
+
+#[test]
+fn bytes_at_the_receiver() {
+    bounded("stream", 10_000);
+}
+
+#[test]
+fn bodies_in_good_frames() {
+    bounded("bodies", 2_000);
+}
+
+#[test]
+fn what_a_device_says() {
+    bounded("host", 1_500);
+}
+
+#[test]
+fn guests_at_the_door() {
+    bounded("sidedoor", 8_000);
+}
+
+#[test]
+fn requests_over_http() {
+    bounded("http", 500);
+}
+
+#[test]
+fn changed_records() {
+    bounded("records", 4_000);
+}
