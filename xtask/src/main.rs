@@ -5,6 +5,7 @@
 //! | `main.rs` | reads the command line |
 //! | `steps.rs` | runs named steps, times them, prints the totals |
 //! | `checks.rs` | the steps of `test`, `lint` and `ci` |
+//! | `fuzz.rs` | runs cargo-fuzz and counts what it reaches |
 //! | `mutants.rs` | runs cargo-mutants and counts what the tests notice |
 //! | `bench.rs` | starts the virtual bench |
 //! | `images.rs` | builds the ARM images |
@@ -23,6 +24,7 @@
 mod bench;
 mod checks;
 mod debian;
+mod fuzz;
 mod images;
 mod layout;
 mod mutants;
@@ -49,6 +51,9 @@ cargo xtask <command>
   mutants [PACKAGE [OPTIONS]]
                     change the code with cargo-mutants and count what the tests notice, in PACKAGE or
                     in all that decide what moves (options go to cargo-mutants)
+  fuzz [TARGET] [RUNS]
+                    look with cargo-fuzz for bytes at which firmware, tool or server do what they must not,
+                    in TARGET or in all, RUNS times each; prints what was reached and found
 
   images [--check]  build the images, check their layout and sizes (--check: only check them)
   flash MACHINE     build the images, flash `rig` or `capsule` with probe-rs, show its log
@@ -59,7 +64,7 @@ cargo xtask <command>
   setup             find or install a compiler for the STM32, and nothing else
   help              this text
 
-Nothing has to be installed before, except for what `mutants` needs. If the Rust in use has no ARM target,
+Nothing has to be installed before, except for what `mutants` and `fuzz` need. If the Rust in use has no ARM target,
 it is added with rustup or taken from Debian packages; each command says what it does.
 ";
 
@@ -78,6 +83,7 @@ fn main() -> ExitCode {
         ("lint", []) => return checks::lint(),
         ("ci", []) => return checks::ci(),
         ("mutants", arguments) => mutants::run(arguments),
+        ("fuzz", arguments) => fuzz::run(arguments),
         ("images", []) => images::build(),
         ("images", [flag]) if flag == "--check" => images::check(),
         ("flash", [machine]) => images::flash(machine),
