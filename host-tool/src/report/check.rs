@@ -288,7 +288,8 @@ fn interval_us<T: Sample>(samples: &[T]) -> Option<u64> {
 
 /// Longest time that these samples may be apart when so many were lost between them.
 fn longest_us(interval_us: u64, missed: u16) -> u64 {
-    interval_us * (u64::from(missed) + 1) + LATE_US.max(interval_us * 9 / 10)
+    let missed_us = interval_us.saturating_mul(u64::from(missed) + 1);
+    missed_us.saturating_add(LATE_US.max(interval_us - interval_us.div_ceil(10)))
 }
 
 fn gaps<T: Sample>(trial: &Trial, samples: &[T], defects: &mut Vec<String>) {
@@ -328,16 +329,18 @@ fn covers<T: Sample>(
     };
     let start_us = start_us.unwrap_or(first.time_us());
     let interval_us = interval_us(samples).unwrap_or(0);
-    let begins_us = start_us + longest_us(interval_us, first.missed()) + interval_us;
+    let begins_us = start_us
+        .saturating_add(longest_us(interval_us, first.missed()))
+        .saturating_add(interval_us);
     if first.time_us() > begins_us {
         defects.push(format!(
             "{name} begins {} s after the motion",
             seconds(first.time_us() - start_us)
         ));
     }
-    let end_us = start_us + duration_us;
+    let end_us = start_us.saturating_add(duration_us);
     // Samples that the link lost after the last row are told by no row.
-    if last.time_us() + longest_us(interval_us, 2) < end_us {
+    if last.time_us().saturating_add(longest_us(interval_us, 2)) < end_us {
         defects.push(format!(
             "{name} ends {} s before the motion",
             seconds(end_us - last.time_us())
@@ -456,7 +459,7 @@ fn travelled(
             .unsigned_abs()
             .max(last.position_steps.unsigned_abs()),
     );
-    let most = f64::from(executed.strokes + 2) * hidden + ends as f64;
+    let most = (f64::from(executed.strokes) + 2.0) * hidden + ends as f64;
     let missing = executed.counted_edges.saturating_sub(seen);
     if missing as f64 > most {
         defects.push(format!(
