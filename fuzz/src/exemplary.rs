@@ -43,6 +43,8 @@ pub struct Exemplary {
     kind: DeviceKind,
     /// It begins what it is asked to; else it is not ready for it.
     willing: bool,
+    /// Its recording has no end.
+    endless: bool,
     service: Service,
     asked: Asked,
     said: Vec<u8>,
@@ -58,6 +60,7 @@ impl Exemplary {
         Self {
             kind,
             willing,
+            endless: false,
             service: Service::new(Identity {
                 device: kind,
                 ..*identity
@@ -82,7 +85,14 @@ impl Exemplary {
                 return Reply::Refused(Refusal::NotHomed);
             }
         }
-        Reply::Accepted(response(request))
+        match response(request) {
+            // As the exemplar is, it would be asked for again and again.
+            Response::GetTrace(mut trace) if !self.endless => {
+                trace.points.clear();
+                Reply::Accepted(Response::GetTrace(trace))
+            }
+            response => Reply::Accepted(response),
+        }
     }
 }
 
@@ -131,8 +141,6 @@ fn response(request: &Request) -> Response {
                     status.state = CapsuleState::Unfolded;
                     status.fault = None;
                 }
-                // Else it has no end.
-                Response::GetTrace(trace) => trace.points.clear(),
                 _ => {}
             }
         }
@@ -142,4 +150,25 @@ fn response(request: &Request) -> Response {
         .iter()
         .position(|name| *name == request.name());
     exemplars[index.expect("of the table")].clone()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use host_tool::client::Device;
+    use host_tool::error::ClientError;
+    use host_tool::link::memory::Memory;
+
+    #[test]
+    fn a_recording_without_an_end_is_given_up() {
+        let mut machine = Exemplary::new(DeviceKind::Capsule, true, &Asked::default());
+        machine.endless = true;
+        let link = Box::new(Memory::new("bench", machine));
+        let mut capsule = Device::connect(link, DeviceKind::Capsule, 1).expect("a capsule");
+        let error = capsule.trace().expect_err("no end");
+        assert!(
+            matches!(error, ClientError::WrongResponse { .. }),
+            "{error}"
+        );
+    }
 }

@@ -3,12 +3,12 @@
 
 use std::sync::OnceLock;
 
+use host_tool::door::VERSION;
 use host_tool::door::memory::{Door, Guest};
-use host_tool::door::{VERSION, admits};
 use protocol::frame::Kind;
 use protocol::rig::{GetRigStatus, Home};
 use protocol::system::{DeviceKind, Done, Hello, Identity, ResetCause, Urgent};
-use protocol::table::{Endpoint, Reply, Request, Response, SCHEMA_KEY};
+use protocol::table::{Endpoint, Impact, Reply, Request, Response, SCHEMA_KEY};
 use serde::{Deserialize, Serialize};
 
 use crate::exemplars;
@@ -262,11 +262,8 @@ impl Hall {
             return;
         };
         self.taken += 1;
-        assert!(
-            admits(&question.request),
-            "{:?} for the owner",
-            question.request
-        );
+        let request = &question.request;
+        assert!(is_harmless(request), "{request:?} for the owner");
         assert!(self.taken <= self.asked, "a question that nobody has asked");
         let reply = Reply::Accepted(Response::KeepAlive(Done));
         question.answer(answers.then_some(reply));
@@ -326,10 +323,19 @@ fn stop(frame: &Good) -> Option<Urgent> {
     }
 }
 
+/// It starts no motion, writes nothing, and leaves the owner's telemetry as it is.
+fn is_harmless(request: &Request) -> bool {
+    match request.impact() {
+        Impact::None => !matches!(request, Request::SetTelemetry(_)),
+        Impact::Fault | Impact::Pace => true,
+        Impact::Flash | Impact::Motion => false,
+    }
+}
+
 /// The owner may be asked this.
 fn asks(frame: &Good) -> bool {
     match postcard::take_from_bytes::<Request>(&frame.body) {
-        Ok((request, [])) => frame.kind == Kind::Request as u8 && admits(&request),
+        Ok((request, [])) => frame.kind == Kind::Request as u8 && is_harmless(&request),
         _ => false,
     }
 }
