@@ -11,7 +11,7 @@ pub struct Calibration {
     pub no_load_ma: u16,
     /// Thread from half of the end force to the end force.
     pub rise: Thread,
-    /// Current above the no-load current over the first half millimetre of an unfolding.
+    /// Current above the no-load current in the last 0.3 mm of an unfolding's first, slow part.
     pub tension_ma: u16,
 }
 

@@ -310,6 +310,26 @@ fn a_jam_is_found_where_it_is_and_latched() {
 }
 
 /// So many seeded capsules of each kind, one board after the other.
+/// Motors that start too fast and are braked: over the slow part of 0.5 mm that there was no reading of the current counted
+/// then, and the slip went unnoticed. The late jam pulled hardest.
+#[test]
+fn what_the_image_once_missed_is_named() {
+    let mut workbench = Workbench::new().expect("the image boots");
+    for (kind, seed) in [
+        (Kind::SlipFolded, 15),
+        (Kind::SlipFolded, 19),
+        (Kind::LateJam, 19),
+    ] {
+        let verdict = workbench.try_case(kind, seed);
+        let verdict = verdict.unwrap_or_else(|why| panic!("{why}"));
+        let right = kind.right().contains(&verdict.name.as_str());
+        assert!(
+            right && verdict.peak_n < 20.0,
+            "{kind:?} {seed}: {verdict:?}"
+        );
+    }
+}
+
 fn are_named_rightly(kinds: &[Kind]) {
     let mut workbench = Workbench::new().expect("the image boots");
     for seed in 0..trials(1, population::CASES) {
@@ -323,7 +343,7 @@ fn are_named_rightly(kinds: &[Kind]) {
             );
             let short_mm = verdict.short_mm.unwrap_or(0.0);
             assert!(
-                short_mm < 0.3 && verdict.peak_n < 25.0,
+                short_mm < 0.3 && verdict.peak_n < 20.0,
                 "{kind:?}, seed {seed}: {verdict:?}"
             );
         }
