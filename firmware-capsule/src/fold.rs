@@ -163,6 +163,8 @@ struct Actuation {
     slack: Mean,
     /// Current of a thread that must be taut.
     taut: Mean,
+    /// So often may the slow part that it is measured in be prolonged.
+    prolongations: u8,
     /// A calibration that lacks its tension.
     found: Option<(Thread, Thread)>,
 }
@@ -190,6 +192,8 @@ impl Mean {
 const SLACK_ZONE: (Thread, Thread) = (Thread(800), Thread(2_200));
 /// The last part of the tension zone, where its current counts.
 const STEADY_UM: i32 = 300;
+/// So often is the tension zone made longer by that, if the motor was never steady in it.
+const PROLONGATIONS: u8 = 4;
 /// A taut thread that unfolds takes at least this above the no-load current.
 const LEAST_TENSION_MA: u16 = 4;
 
@@ -565,6 +569,7 @@ impl Capsule {
             slack_from: slack.then_some(origin),
             slack: Mean::default(),
             taut: Mean::default(),
+            prolongations: PROLONGATIONS,
             found: None,
         });
         self.recorder
@@ -717,6 +722,16 @@ impl Capsule {
             if steady && thread.0 - taut_to.0 <= STEADY_UM {
                 actuation.taut.add(current_ma);
             }
+            return Ok(());
+        }
+        let further = Thread(taut_to.0 - STEADY_UM);
+        if actuation.taut.count == 0 && actuation.prolongations > 0 && to < further {
+            // A motor that starts too fast is braked, and its current does not count for a while.
+            actuation.prolongations -= 1;
+            actuation.leg = Leg::PayOut {
+                taut_to: Some(further),
+                to,
+            };
             return Ok(());
         }
         actuation.leg = Leg::PayOut { taut_to: None, to };

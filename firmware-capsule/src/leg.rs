@@ -44,9 +44,8 @@ const LOADED_FROM_MA: u16 = 82;
 const LAST_CPS: i32 = 1_600;
 /// A fold is slow for so much before its calibrated end.
 pub const SLOW_ZONE: Thread = Thread(300);
-/// The first of an unfolding is slow, so that its current tells whether the thread pulls. A motor that starts too fast is
-/// braked at 45 ms, 0.3 mm, and its current counts again 40 ms later.
-pub const TENSION_ZONE: Thread = Thread(700);
+/// The first of an unfolding is slow, so that its current tells whether the thread pulls.
+pub const TENSION_ZONE: Thread = Thread(500);
 /// A leg that pays out is braked so that the motor stops this far before its end. The stopping distance, 0.01 mm at
 /// 2 mm/s, must be predicted to within this.
 pub const STOP_MARGIN: Thread = Thread(40);

@@ -310,14 +310,15 @@ fn a_jam_is_found_where_it_is_and_latched() {
 }
 
 /// So many seeded capsules of each kind, one board after the other.
-/// Motors that start too fast and are braked: over the slow part of 0.5 mm that there was no reading of the current counted
-/// then, and the slip went unnoticed. The late jam pulled hardest.
+/// Motors that start too fast and are braked: in the slow part of the unfolding no reading of the current counted then, and
+/// that the thread did not pull went unnoticed. The late jam pulled hardest.
 #[test]
 fn what_the_image_once_missed_is_named() {
     let mut workbench = Workbench::new().expect("the image boots");
     for (kind, seed) in [
         (Kind::SlipFolded, 15),
         (Kind::SlipFolded, 19),
+        (Kind::SnapFolded, 13),
         (Kind::LateJam, 19),
     ] {
         let verdict = workbench.try_case(kind, seed);
