@@ -310,8 +310,8 @@ fn a_jam_is_found_where_it_is_and_latched() {
 }
 
 /// So many seeded capsules of each kind, one board after the other.
-/// Motors that start too fast and are braked: in the slow part of the unfolding no reading of the current counted then, and
-/// that the thread did not pull went unnoticed. The late jam pulled hardest.
+/// That the folded thread did not pull was hidden by the current that starts a motor, or by the pauses after brakes, in which no
+/// reading counts. The late jam pulled hardest.
 #[test]
 fn what_the_image_once_missed_is_named() {
     let mut workbench = Workbench::new().expect("the image boots");
