@@ -28,10 +28,6 @@ pub struct Notes {
 
 impl Asked {
     /// What there is.
-    ///
-    /// # Panics
-    /// Never.
-    #[must_use]
     pub fn notes(&self) -> MutexGuard<'_, Notes> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
