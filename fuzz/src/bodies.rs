@@ -25,6 +25,8 @@ const UNDER_WAY_US: u64 = 2_000;
 const MOST_WORK: [u64; 2] = [1_500, 30];
 /// The longest script.
 const MOST_STEPS: usize = 20;
+/// So often a host shows that it is there, us.
+const KEEP_ALIVE_US: u64 = 400_000;
 /// Time passes in pieces of this length, us.
 const PIECE_US: u64 = 5_000;
 /// The most time of a script, us.
@@ -39,6 +41,8 @@ pub enum Start {
     Capsule,
     /// A calibrated capsule that was switched off folded.
     Folded,
+    /// A rig that another host has homed.
+    Homed,
 }
 
 /// What reaches the machine.
@@ -56,7 +60,7 @@ pub enum Step {
     Hello(u32),
     /// A stop.
     Urgent(Urgent),
-    /// So many ms pass.
+    /// So many ms pass, in which the host shows that it is there.
     Wait(u16),
     /// The E-stop loop of a rig opens, or closes.
     Loop(bool),
@@ -64,6 +68,8 @@ pub enum Step {
     Button(bool),
     /// The watchdog bites.
     Reset,
+    /// So many ms pass, and nothing comes.
+    Silence(u16),
 }
 
 /// A request within the limits, most of the time.
@@ -111,11 +117,12 @@ impl Bench {
     fn new(start: Start) -> Self {
         static FOLDED: OnceLock<Arc<Left>> = OnceLock::new();
         let kind = match start {
-            Start::Rig => DeviceKind::Rig,
+            Start::Rig | Start::Homed => DeviceKind::Rig,
             Start::Capsule | Start::Folded => DeviceKind::Capsule,
         };
         let mut script = Script::new(kind);
         script.few_steps = kind == DeviceKind::Rig;
+        script.ready = matches!(start, Start::Homed);
         if let Start::Folded = start {
             script.left = Some(Arc::clone(FOLDED.get_or_init(|| Arc::new(folded()))));
         }
@@ -155,7 +162,8 @@ impl Bench {
                 let session = self.once.session();
                 self.send(&model::frame(Kind::Urgent as u8, session, self.seq, &body));
             }
-            Step::Wait(ms) => drop(self.wait(u64::from(ms) * 1_000)),
+            Step::Wait(ms) => self.attend(u64::from(ms) * 1_000),
+            Step::Silence(ms) => drop(self.wait(u64::from(ms) * 1_000)),
             Step::Loop(open) if self.kind == DeviceKind::Rig => {
                 self.machine.suffer(World::EStopLoop { open });
             }
@@ -184,6 +192,18 @@ impl Bench {
         let body = postcard::to_stdvec(request).expect("short");
         let session = self.once.session();
         self.send(&model::frame(Kind::Request as u8, session, self.seq, &body));
+    }
+
+    /// Time passes for a host that is there.
+    fn attend(&mut self, mut us: u64) {
+        let last = self.last.clone();
+        while us > KEEP_ALIVE_US && !self.is_over() {
+            self.wait(KEEP_ALIVE_US);
+            us -= KEEP_ALIVE_US;
+            self.request(1, &Request::KeepAlive(KeepAlive));
+        }
+        self.wait(us);
+        self.last = last;
     }
 
     /// Time passes; what the machine says meanwhile has to be frames of a device.

@@ -83,12 +83,12 @@ fn bytes_at_the_receiver() {
 
 #[test]
 fn bodies_in_good_frames() {
-    bounded("bodies", 2_000);
+    bounded("bodies", 1_000);
 }
 
 #[test]
 fn what_a_device_says() {
-    bounded("host", 1_500);
+    bounded("host", 1_000);
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn guests_at_the_door() {
 
 #[test]
 fn requests_over_http() {
-    bounded("http", 500);
+    bounded("http", 300);
 }
 
 #[test]

@@ -86,79 +86,85 @@ fn of_stream() -> Vec<Example> {
 
 fn of_bodies() -> Vec<Example> {
     use bodies::Sensible::{Jog as Jogging, Move, Run, Set};
-    use bodies::Start::{Capsule, Folded, Rig};
+    use bodies::Start::{Capsule, Folded, Homed, Rig};
     use bodies::Step::{
         Again, Body, Button, Hello, Loop, Request as Ask, Reset, Sensible, Urgent as Stop, Wait,
     };
     let ask = |request: Request| Ask(1, request);
-    let home = || [ask(Home.into_request()), Wait(2_000)];
     let example =
         |name, start, steps: &[bodies::Step]| ("bodies", name, script(&bytes(&start), steps));
-    let homed = |more: &[bodies::Step]| [&home()[..], more].concat();
     vec![
-        example("rig-home", Rig, &homed(&[ask(GetRigStatus.into_request())])),
+        example(
+            "rig-home",
+            Rig,
+            &[
+                ask(Home.into_request()),
+                Wait(3_000),
+                ask(GetRigStatus.into_request()),
+            ],
+        ),
         example(
             "rig-run",
-            Rig,
-            &homed(&[Sensible(Run(2, 80, 40)), Again, Wait(4_000)]),
+            Homed,
+            &[Sensible(Run(2, 80, 40)), Again, Wait(4_000)],
         ),
         example(
             "rig-hold-resume",
-            Rig,
-            &homed(&[
+            Homed,
+            &[
                 Sensible(Run(1, 80, 40)),
                 Wait(200),
                 ask(Hold.into_request()),
                 Wait(300),
                 ask(Resume.into_request()),
                 Wait(2_000),
-            ]),
+            ],
         ),
         example(
             "rig-move-jog",
-            Rig,
-            &homed(&[
+            Homed,
+            &[
                 Sensible(Move(40)),
                 Wait(500),
                 Sensible(Jogging(true)),
                 Wait(100),
                 Sensible(Jogging(false)),
                 Wait(400),
-            ]),
+            ],
         ),
         example(
             "rig-stop",
-            Rig,
-            &homed(&[
+            Homed,
+            &[
                 Sensible(Run(1, 80, 40)),
                 Wait(100),
                 Stop(Urgent::Stop),
                 Wait(200),
                 Stop(Urgent::EStop),
                 ask(Acknowledge.into_request()),
-            ]),
+            ],
         ),
         example(
             "rig-loop",
-            Rig,
-            &homed(&[
+            Homed,
+            &[
                 Sensible(Run(1, 80, 40)),
                 Wait(100),
                 Loop(true),
                 Wait(20),
                 Loop(false),
                 ask(Acknowledge.into_request()),
-            ]),
+            ],
         ),
         example(
             "rig-button",
-            Rig,
-            &homed(&[Button(true), Wait(100), Button(false), Wait(100)]),
+            Homed,
+            &[Button(true), Wait(100), Button(false), Wait(100)],
         ),
         example(
             "rig-settings",
-            Rig,
-            &homed(&[
+            Homed,
+            &[
                 Sensible(Set(3, 9)),
                 ask(Setting {
                     key: SettingKey::StrokeUm,
@@ -167,7 +173,30 @@ fn of_bodies() -> Vec<Example> {
                 .into_request()),
                 ask(FactoryReset.into_request()),
                 ask(Home.into_request()),
-            ]),
+            ],
+        ),
+        example(
+            "rig-far-end",
+            Homed,
+            &[
+                Sensible(Move(80)),
+                Wait(2_000),
+                Sensible(Jogging(true)),
+                Wait(400),
+                Sensible(Move(0)),
+                Wait(2_000),
+            ],
+        ),
+        example(
+            "rig-old-number",
+            Rig,
+            &[
+                Ask(9, KeepAlive.into_request()),
+                Ask(0xFFFF, KeepAlive.into_request()),
+                Ask(0xFFFC, KeepAlive.into_request()),
+                Ask(0x8001, KeepAlive.into_request()),
+                Again,
+            ],
         ),
         example(
             "rig-wrong-machine",
@@ -179,15 +208,15 @@ fn of_bodies() -> Vec<Example> {
         ),
         example(
             "rig-reset",
-            Rig,
-            &homed(&[
+            Homed,
+            &[
                 Sensible(Run(1, 80, 40)),
                 Wait(100),
                 Reset,
                 Hello(2),
                 ask(Home.into_request()),
                 ask(Acknowledge.into_request()),
-            ]),
+            ],
         ),
         example(
             "rig-any-body",
@@ -200,8 +229,8 @@ fn of_bodies() -> Vec<Example> {
         ),
         example(
             "rig-limits",
-            Rig,
-            &homed(&[
+            Homed,
+            &[
                 ask(Jog {
                     sense: protocol::rig::Direction::Away,
                     speed_um_s: u32::MAX,
@@ -213,7 +242,7 @@ fn of_bodies() -> Vec<Example> {
                 }
                 .into_request()),
                 ask(GetEvents { from: u32::MAX }.into_request()),
-            ]),
+            ],
         ),
         example(
             "capsule-reference",
