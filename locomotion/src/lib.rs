@@ -1,8 +1,8 @@
 //! The paper's mathematics: the origami's kinematics, its body in a travelling wave, the roller rig, the pressurised
 //! tube and the folded body.
 //!
-//! No allocation, no clock, no randomness; the steps use only `+ - * /` and square roots, so that a run gives the same
-//! bits every time. Lengths are in millimetres, pressures in pascals; the load of a wave on the body is expressed as
+//! No clock, no randomness that is not seeded; the steps use only `+ - * /` and square roots, so that a run gives the
+//! same bits every time. Only [`beam`] allocates and takes angles. Lengths are in millimetres, pressures in pascals; the load of a wave on the body is expressed as
 //! the indentation of the wall in millimetres.
 //!
 //! # Axes and signs
@@ -18,9 +18,11 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+extern crate alloc;
 #[cfg(test)]
 extern crate std;
 
+pub mod beam;
 pub mod body;
 pub mod comparison;
 pub mod folded;
