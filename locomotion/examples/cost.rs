@@ -4,6 +4,8 @@
 use std::hint::black_box;
 use std::time::Instant;
 
+use locomotion::beam::crescent::{Shape, Wing};
+use locomotion::beam::thread;
 use locomotion::comparison::{frictions, pressures_pa};
 use locomotion::{folded, roller, tube};
 use rayon::prelude::*;
@@ -46,9 +48,21 @@ fn main() {
     };
     let series = microseconds(20, || cases.iter().for_each(run));
     let parallel = microseconds(20, || cases.par_iter().for_each(run));
+    let over_tip = Shape::Roller {
+        radius_mm: 20.0,
+        behind_mm: 0.0,
+    };
+    let beam = microseconds(200, || {
+        let _ = black_box(black_box(Wing::PAPER).squeezed(0.0, 5.05, over_tip, 0.0));
+    });
+    let threaded = microseconds(50, || {
+        let _ = black_box(thread::run(black_box(thread::Params::PAPER), 5.0, 5.05));
+    });
     let threads = rayon::current_num_threads();
     println!("roller run, 5 cycles, 5.05 mm:          {roller:9.1} us");
     println!("folded run, 5 cycles, 5.05 mm:          {folded:9.3} us");
     println!("tube, 25 frictions and 11 pressures:    {series:9.1} us on one core");
     println!("the same on {threads} threads:                  {parallel:9.1} us");
+    println!("beam: a wing under a roller, 5.05 mm:   {beam:9.1} us");
+    println!("beam: a run with 5 mm of thread:        {threaded:9.1} us");
 }

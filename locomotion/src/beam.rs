@@ -2,6 +2,8 @@
 //!
 //! * [`rod`]: the planar rod, inextensible, with any rotation, loaded at its tip or by a wall with friction.
 //! * [`crescent`]: the wing under a wall or a roller: force against indentation, the least alpha, the lever.
+//! * [`thread`]: displacement of the body against the thread drawn in, without a switch between two models.
+//! * [`band`]: the same curve over uncertain inputs, declared and seeded.
 //!
 //! The rod is checked against closed forms. What follows from it is not: every result carries [`Validation`].
 
@@ -9,8 +11,10 @@ use core::fmt;
 
 use crate::range::OutOfRange;
 
+pub mod band;
 pub mod crescent;
 pub mod rod;
+pub mod thread;
 
 /// How far a result was compared with something that is not this model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,8 +1,11 @@
 //! The beam model against closed forms and published solutions; what follows from it, against its own limits.
 
+use locomotion::beam::band::{INPUTS, band, does_as_the_paper_says, draw};
 use locomotion::beam::crescent::{Shape, Wing};
 use locomotion::beam::rod::{Properties, Rod};
+use locomotion::beam::thread::{Params, run};
 use locomotion::beam::{NoAnswer, Validation};
+use locomotion::folded;
 
 const LENGTH_MM: f64 = 10.0;
 const BENDING: f64 = 21.0;
@@ -317,4 +320,169 @@ fn what_the_beam_cannot_do_is_refused() {
         let error = thin.squeezed(0.0, 1.0, Shape::Flat, 0.0).unwrap_err();
         assert!(error.to_string().contains("wing thickness"), "{error}");
     }
+}
+
+/// A body whose wall takes up the thrust of the roller: what the paper says of the unfolded one.
+fn soft() -> Params {
+    Params {
+        friction: 0.19,
+        wall_n_mm2: 0.005,
+        backed: 0.0,
+        ..Params::PAPER
+    }
+}
+
+#[test]
+fn an_unfolded_body_on_a_soft_wall_moves_headward() {
+    let moved = run(soft(), 0.0, 5.05).unwrap();
+    assert!((10.0..100.0).contains(&moved.value), "{}", moved.value);
+    assert_eq!(
+        moved.validation.to_string(),
+        "beam model, not validated against a rig"
+    );
+}
+
+#[test]
+fn only_draws_that_do_as_the_paper_says_are_kept() {
+    let kept = (0..100)
+        .filter(|index| does_as_the_paper_says(draw(Params::PAPER, 1, *index), 5.05).unwrap())
+        .count();
+    assert!((1..50).contains(&kept), "{kept}");
+    let pushed = Params {
+        friction: 0.08,
+        wall_n_mm2: 1.0,
+        backed: 1.0,
+        ..Params::PAPER
+    };
+    assert!(!does_as_the_paper_says(pushed, 5.05).unwrap());
+}
+
+#[test]
+fn the_displacement_fades_with_the_thread_without_a_jump() {
+    let mut before = run(soft(), 0.0, 5.05).unwrap().value;
+    for thread in 1..=44 {
+        let now = run(soft(), f64::from(thread) / 2.0, 5.05).unwrap().value;
+        assert!(
+            now <= before + 2.0 && now > before - 12.0,
+            "{thread}: {now}"
+        );
+        before = now;
+    }
+    assert!(before.abs() < 0.5, "{before}");
+}
+
+#[test]
+fn a_body_that_no_wave_reaches_does_not_move() {
+    let moved = run(Params::PAPER, 22.3, 5.05).unwrap().value;
+    assert!(moved == 0.0, "{moved}");
+    assert!(run(Params::PAPER, 24.0, 5.05).is_err());
+}
+
+#[test]
+fn a_stiff_wall_pushes_the_folded_body_as_it_does_the_block() {
+    let (thread, start) = (20.0, Params::PAPER.core_tail_mm);
+    let stiff = Params {
+        friction: 0.08,
+        wall_n_mm2: 1.0,
+        backed: 1.0,
+        ..Params::PAPER
+    };
+    let moved = run(stiff, thread, 5.05).unwrap().value;
+    let design = stiff.wing.design;
+    let mut block = folded::Params::PAPER.folded_by(&design, thread).unwrap();
+    let drawn = design.indentation_for_thread_mm(thread).unwrap();
+    block.tail_mm = start - design.wing_reach_mm(drawn).unwrap();
+    block.friction = stiff.friction;
+    let rigid = folded::run(block, 5.05).unwrap();
+    assert!(
+        rigid < -50.0 && (moved - rigid).abs() < 4.0,
+        "{moved} {rigid}"
+    );
+}
+
+#[test]
+fn the_width_of_the_wing_cancels() {
+    let narrow = {
+        let mut params = soft();
+        params.wing.width_mm /= 4.0;
+        params.weight_n /= 4.0;
+        params
+    };
+    for thread in [0.0, 7.0] {
+        let difference =
+            run(soft(), thread, 5.05).unwrap().value - run(narrow, thread, 5.05).unwrap().value;
+        assert!(difference.abs() < 1e-4, "{thread}: {difference}");
+    }
+}
+
+#[test]
+fn the_same_seed_draws_the_same_inputs_within_their_ranges() {
+    let mut sum = 0.0;
+    for index in 0..500 {
+        let params = draw(Params::PAPER, 7, index);
+        assert_eq!(params, draw(Params::PAPER, 7, index));
+        assert_ne!(params, draw(Params::PAPER, 8, index));
+        let values = [
+            params.friction,
+            params.wall_n_mm2,
+            params.wing.modulus_mpa,
+            params.wing.thickness_mm,
+            params.backed,
+            params.preload_mm,
+            params.weight_n,
+        ];
+        for (value, input) in values.iter().zip(&INPUTS) {
+            assert!(
+                (input.low..=input.high).contains(value),
+                "{} {value}",
+                input.name
+            );
+        }
+        sum += params.backed;
+    }
+    assert!((sum / 500.0 - 0.5).abs() < 0.05, "{sum}");
+}
+
+#[test]
+fn the_band_is_made_of_the_curves() {
+    let curves: Vec<Vec<f64>> = (0..=100).map(|i| vec![f64::from(i) - 10.0, 5.0]).collect();
+    let rows = band(&[0.0, 1.0], &curves).value;
+    assert_eq!(
+        (rows[0].low_mm, rows[0].median_mm, rows[0].high_mm),
+        (-5.0, 40.0, 85.0)
+    );
+    assert!((rows[0].reversed - 9.0 / 101.0).abs() < 1e-12);
+    assert_eq!((rows[1].low_mm, rows[1].reversed), (5.0, 0.0));
+    assert!(band(&[0.0], &[]).value.is_empty());
+}
+
+#[test]
+fn what_the_thread_model_cannot_do_is_refused() {
+    for (name, bad) in [
+        (
+            "friction",
+            Params {
+                friction: f64::NAN,
+                ..Params::PAPER
+            },
+        ),
+        (
+            "share",
+            Params {
+                backed: 1.5,
+                ..Params::PAPER
+            },
+        ),
+        (
+            "wall",
+            Params {
+                wall_n_mm2: 0.0,
+                ..Params::PAPER
+            },
+        ),
+    ] {
+        let error = run(bad, 1.0, 5.05).unwrap_err().to_string();
+        assert!(error.contains(name), "{error}");
+    }
+    assert!(run(Params::PAPER, 0.0, 9.5).is_err());
 }

@@ -113,17 +113,7 @@ impl Wing {
         let x_mm = height - indentation_mm;
         rod.press(shape.wall(x_mm, tip[1])?, friction)?;
         let nodes_mm = rod.nodes_mm();
-        let lowest = nodes_mm
-            .iter()
-            .fold(f64::INFINITY, |least, node| least.min(node[0]));
-        check(
-            "distance of the bent wing from the core",
-            "mm",
-            lowest,
-            (-1e-6, f64::INFINITY),
-            Ends::Closed,
-            "the wing would reach into its core; choose a smaller indentation",
-        )?;
+        clear_of_core(&nodes_mm)?;
         let [x, y] = rod.force_n();
         Ok(Modelled::new(Squeezed {
             inward_n: -x,
@@ -159,15 +149,27 @@ impl Wing {
             lever: Vec::from([libm::tan(root_rad)]),
             lock_n: CLAMPED_PINNED * bending / (length * length) * sin,
         };
+        let mut rods = [0.0, PROBE].map(|friction| (self.rod(root_rad), friction));
         for step in 1..=steps.max(1) {
             let deep = law.step_mm * f64::from(step);
-            let free = self.squeezed(drawn_mm, deep, Shape::Flat, 0.0)?.value;
-            let drag = self
-                .squeezed(drawn_mm, deep, Shape::Flat, PROBE)?
-                .value
-                .inward_n;
-            law.lever.push(PROBE * drag / (free.inward_n - drag));
-            law.force_n.push(free.inward_n);
+            let wall = Wall::Plane {
+                x_mm: self.design.half_gap_mm() - drawn_mm - deep,
+                slope: 0.0,
+            };
+            let mut inward_n = [0.0; 2];
+            for ((rod, friction), inward_n) in rods.iter_mut().zip(&mut inward_n) {
+                let rod = rod.as_mut().map_err(|error| *error)?;
+                if step == 1 {
+                    rod.press(wall, *friction)?;
+                } else {
+                    rod.press_on(wall, law.step_mm, *friction)?;
+                }
+                clear_of_core(&rod.nodes_mm())?;
+                *inward_n = -rod.force_n()[0];
+            }
+            let [free, drag] = inward_n;
+            law.lever.push(PROBE * drag / (free - drag));
+            law.force_n.push(free);
         }
         Ok(law)
     }
@@ -239,6 +241,21 @@ impl Wing {
         }
         Ok(Modelled::new(high))
     }
+}
+
+/// Refuses a wing of which a node lies beyond the core's surface.
+fn clear_of_core(nodes_mm: &[Vector]) -> Result<(), NoAnswer> {
+    let lowest = nodes_mm
+        .iter()
+        .fold(f64::INFINITY, |least, node| least.min(node[0]));
+    Ok(check(
+        "distance of the bent wing from the core",
+        "mm",
+        lowest,
+        (-1e-6, f64::INFINITY),
+        Ends::Closed,
+        "the wing would reach into its core; choose a smaller indentation",
+    )?)
 }
 
 /// Friction with which the lever is probed: small, and tailward, where there is always an equilibrium.

@@ -19,7 +19,7 @@ pub const MOST_ELEMENTS: u16 = 2000;
 
 /// Equilibrium is reached when the residual is this part of the rod's own forces.
 const TOLERANCE: f64 = 1e-10;
-const MOST_ITERATIONS: usize = 60;
+const MOST_ITERATIONS: usize = 25;
 /// A load that does not converge is divided, down to this part of itself.
 const SMALLEST_STEP: f64 = 1.0 / 4096.0;
 
@@ -238,15 +238,29 @@ impl Rod {
                 high = middle;
             }
         }
-        self.in_steps(high, |rod, part| {
-            rod.touch(wall.moved(high * (1.0 - part)), friction)
+        self.press_on(wall, high, friction)
+    }
+
+    /// Presses on from an equilibrium with the same wall `by_mm` farther out.
+    ///
+    /// # Errors
+    /// No equilibrium on the way.
+    pub(crate) fn press_on(
+        &mut self,
+        wall: Wall,
+        by_mm: f64,
+        friction: f64,
+    ) -> Result<(), NoAnswer> {
+        self.in_steps(by_mm, |rod, part| {
+            rod.touch(wall.moved(by_mm * (1.0 - part)), friction)
         })
     }
 
     /// Equilibrium with a wall that touches the rod where it lies deepest in it. The error is the residual.
     fn touch(&mut self, wall: Wall, friction: f64) -> Result<(), f64> {
         let clear = -1e-9 * self.properties.length_mm;
-        for _ in 0..self.angles_rad.len() {
+        let mut outward = None;
+        for _ in 0..2 * self.angles_rad.len() {
             self.newton(Some((wall, friction)))?;
             let (x, y) = (self.force_n[0], self.force_n[1]);
             let normal = wall.gap(self.point(self.loaded_at)).1;
@@ -258,11 +272,20 @@ impl Rod {
             if gap > clear || deepest as f64 == self.loaded_at {
                 return Ok(());
             }
-            let apart = deepest as f64 - self.loaded_at;
-            if apart.abs() <= 1.0 {
-                return self.lie_on(wall, friction, deepest.min(self.loaded_at as usize));
+            // One node at a time: a contact that jumps lets the rod snap through the wall behind it.
+            let further = deepest as f64 > self.loaded_at;
+            let node = libm::floor(self.loaded_at);
+            let whole = node == self.loaded_at;
+            if outward == Some(!further) {
+                let inner = if further || !whole { node } else { node - 1.0 };
+                return self.lie_on(wall, friction, inner as usize);
             }
-            self.loaded_at = deepest as f64;
+            outward = Some(further);
+            self.loaded_at = match (further, whole) {
+                (true, _) => node + 1.0,
+                (false, true) => node - 1.0,
+                (false, false) => node,
+            };
         }
         Err(1.0)
     }
@@ -270,19 +293,27 @@ impl Rod {
     /// The wall touches the segment behind this node: finds the point at which both of its ends are equally far away.
     fn lie_on(&mut self, wall: Wall, friction: f64, node: usize) -> Result<(), f64> {
         let nodes = [node as f64, (node + 1) as f64];
+        // A contact that is nearer to the deeper end lifts it out, so the difference of the gaps has one zero:
+        // regula falsi, with the halved weight that keeps either end from sticking (the Illinois rule).
+        let mut ends: [Option<f64>; 2] = [None, None];
         let [mut low, mut high] = nodes;
-        for _ in 0..30 {
-            self.loaded_at = (low + high) / 2.0;
+        for _ in 0..40 {
+            self.loaded_at = match ends {
+                [Some(first), Some(last)] => low + (high - low) * first / (first - last),
+                _ => (low + high) / 2.0,
+            };
             self.newton(Some((wall, friction)))?;
-            let ends = nodes.map(|at| wall.gap(self.point(at)).0);
-            // A contact that is nearer to the deeper end lifts it out.
-            if ends[0] < ends[1] {
+            let [inner, outer] = nodes.map(|at| wall.gap(self.point(at)).0);
+            let difference = inner - outer;
+            if difference.abs() < 1e-6 * self.properties.length_mm || high - low < 1e-9 {
+                break;
+            }
+            if difference < 0.0 {
                 high = self.loaded_at;
+                ends = [ends[0].map(|first| first / 2.0), Some(difference)];
             } else {
                 low = self.loaded_at;
-            }
-            if (ends[0] - ends[1]).abs() < 1e-9 * self.properties.length_mm {
-                break;
+                ends = [Some(difference), ends[1].map(|last| last / 2.0)];
             }
         }
         Ok(())
@@ -294,18 +325,18 @@ impl Rod {
         at: f64,
         mut load: impl FnMut(&mut Self, f64) -> Result<(), f64>,
     ) -> Result<(), NoAnswer> {
-        let (mut done, mut step) = (0.0, 1.0);
+        let (mut done, mut step): (f64, f64) = (0.0, 1.0);
         while done < 1.0 {
             let before = self.clone();
             let part = if done + step > 1.0 { 1.0 } else { done + step };
             match load(self, part) {
                 Ok(()) => {
                     done = part;
-                    step *= 2.0;
+                    step *= 1.5;
                 }
                 Err(residual) => {
                     *self = before;
-                    step /= 2.0;
+                    step /= 4.0;
                     if step < SMALLEST_STEP {
                         return Err(NoAnswer::NoEquilibrium {
                             at: at * part,
@@ -465,7 +496,7 @@ impl Rod {
                     break;
                 }
                 width /= 2.0;
-                if width < 1e-4 {
+                if width < 0.01 {
                     return Err(residual);
                 }
             }
