@@ -45,7 +45,7 @@ const LAST_CPS: i32 = 1_600;
 /// A fold is slow for so much before its calibrated end.
 pub const SLOW_ZONE: Thread = Thread(300);
 /// The first of an unfolding is slow, so that its current tells whether the thread pulls. What it takes to start the motor
-/// is gone by then: after 0.5 mm it still hid a slip.
+/// is almost gone by then.
 pub const TENSION_ZONE: Thread = Thread(700);
 /// A leg that pays out is braked so that the motor stops this far before its end. The stopping distance, 0.01 mm at
 /// 2 mm/s, must be predicted to within this.

@@ -122,7 +122,6 @@ fn the_error_falls_with_the_square_of_the_elements() {
         (rod.tip_mm()[1] / LENGTH_MM / across - 1.0).abs()
     };
     let errors = [4, 8, 16, 32, 64, 128].map(error);
-    println!("{errors:?}");
     for pair in errors.windows(2) {
         let order = (pair[0] / pair[1]).log2();
         assert!((1.9..2.1).contains(&order), "{errors:?}");

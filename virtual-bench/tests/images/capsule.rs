@@ -316,7 +316,6 @@ fn a_jam_is_found_where_it_is_and_latched() {
 fn what_the_image_once_missed_is_named() {
     let mut workbench = Workbench::new().expect("the image boots");
     for (kind, seed) in [
-        (Kind::SlipFolded, 15),
         (Kind::SlipFolded, 19),
         (Kind::SnapFolded, 13),
         (Kind::LateJam, 19),
