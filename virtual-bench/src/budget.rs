@@ -95,7 +95,7 @@ impl Resting {
     }
 }
 
-/// Follows a fold under way for [`READINGS`] ms: the processor wakes up for each reading, and changes the duty.
+/// Follows a fold under way for 0.2 s: the processor wakes up for each reading, and changes the duty.
 ///
 /// # Errors
 /// The emulator failed.
