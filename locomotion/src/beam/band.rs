@@ -26,7 +26,7 @@ pub struct Uncertain {
     pub source: &'static str,
 }
 
-/// The inputs that vary, all [assumed] except for the friction.
+/// The inputs that vary, all assumed except for the friction.
 pub const INPUTS: [Uncertain; 7] = [
     Uncertain {
         name: "friction",

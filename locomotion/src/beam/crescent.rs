@@ -1,7 +1,7 @@
 //! One crescent's wing as a beam: force against indentation, its lever, and the least alpha.
 //!
 //! The wing is the short side, clamped to the core at its angle from the transverse axis. The thread turns the
-//! creases, so a wing that `thread` has drawn in by `a_t` starts straight at `acos((h - a_t)/l2)` [assumed]. The long
+//! creases, so a wing that `thread` has drawn in by `a_t` starts straight at `acos((h - a_t)/l2)` (assumed). The long
 //! side ties the tip of the wing to the next root; how it stiffens the tip is left out.
 //!
 //! # The lever
@@ -35,7 +35,7 @@ pub struct Wing {
 }
 
 impl Wing {
-    /// The paper's geometry in TPU; modulus and width are [assumed], the thickness is that of the paper's simulation.
+    /// The paper's geometry in TPU; modulus and width are assumed, the thickness is that of the paper's simulation.
     pub const PAPER: Self = Self {
         design: Design::paper_ratios(),
         modulus_mpa: 50.0,
