@@ -283,6 +283,7 @@ fn a_duty_follows_its_reading_as_soon_as_the_library_is_tried_with() {
         .idle(400_000, &mut Unobserved)
         .expect("the link stays");
     let order = budget::order(&capsule.bench).expect("the bench runs");
-    assert!(order.mean_us > 300.0, "{order:?}");
-    assert!(order.latest_us <= 600.0, "{order:?}");
+    assert!((300.0..600.0).contains(&order.mean_us), "{order:?}");
+    // The processor may have been awake for something else just before a reading.
+    assert!(order.latest_us < 800.0, "{order:?}");
 }
