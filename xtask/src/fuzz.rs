@@ -149,8 +149,9 @@ fn fuzz(target: &str, runs: u64) -> Result<Tried> {
 /// Neither one of the thousands of inputs that reach something new, nor what libFuzzer says of itself.
 fn is_for_people(line: &str) -> bool {
     let of_inputs = line.starts_with('#') && !line.contains("pulse");
-    let of_itself = ["INFO:", "stat::", "\"", "#####", "NOTE:"];
-    !of_inputs && !of_itself.iter().any(|begin| line.starts_with(begin))
+    let of_itself = ["NEW_FUNC", "INFO:", "stat::", "\"", "#####", "NOTE:"];
+    let text = line.trim_start();
+    !of_inputs && !of_itself.iter().any(|begin| text.starts_with(begin))
 }
 
 /// What libFuzzer tells of a target.
