@@ -4,12 +4,13 @@
 use std::path::Path;
 
 fn main() {
+    println!("cargo:rerun-if-changed=../memory.x");
     println!("cargo:rerun-if-changed=../device/memory");
     println!("cargo:rerun-if-changed=../device/link_arguments.rs");
     // Link arguments live here and not in `rustflags`, which vanish when RUSTFLAGS is set: the link would then
     // succeed without a vector table. `--icf` keeps equal functions once.
     if std::env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
-        // The `memory.x` that `link.x` includes. There must be none where the linker starts: it would win.
+        // The `chip.x` that `memory.x` includes, which `link.x` includes from where the linker starts.
         let chip = match std::env::var_os("CARGO_FEATURE_STM32L412TB") {
             Some(_) => "stm32l412tb",
             None => "stm32f411re",
@@ -17,7 +18,7 @@ fn main() {
         let memory = Path::new("../device/memory")
             .join(chip)
             .canonicalize()
-            .expect("a folder with the chip's memory.x");
+            .expect("a folder with the chip's chip.x");
         println!("cargo:rustc-link-search={}", memory.display());
         for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x", "--icf=all"] {
             println!("cargo:rustc-link-arg-bins={argument}");

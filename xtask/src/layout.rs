@@ -10,7 +10,7 @@ use object::endian::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _, SectionHeader as _};
 use object::{Object as _, ObjectSection as _};
 
-/// Memory of a chip. Its `memory.x` (in a folder of its name below `device/memory`) defines the settings' sectors and the start of the code.
+/// Memory of a chip. Its `chip.x` (in a folder of its name below `device/memory`) defines the settings' sectors and the start of the code.
 #[derive(Debug)]
 pub(crate) struct Memory {
     flash: Range<u32>,
@@ -267,10 +267,10 @@ mod tests {
 
     /// The addresses above are those of the linker scripts.
     #[test]
-    fn addresses_agree_with_memory_x() {
+    fn addresses_agree_with_chip_x() {
         for (chip, memory) in [("stm32f411re", &STM32F411RE), ("stm32l412tb", &STM32L412TB)] {
             let folder = crate::process::root().join("device/memory");
-            let path = folder.join(chip).join("memory.x");
+            let path = folder.join(chip).join("chip.x");
             let script = std::fs::read_to_string(path).unwrap();
             let line = |name: &str| {
                 let named = |line: &&str| line.trim_start().starts_with(name);
