@@ -5,5 +5,6 @@ pub(crate) mod drive_train;
 pub(crate) mod pins;
 mod start;
 pub(crate) mod tasks;
+mod timers;
 
 device::last_resort!(pins::outputs_off);

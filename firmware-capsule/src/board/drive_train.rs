@@ -1,6 +1,9 @@
 //! Motor, encoder, current and battery on any board: how the bridge is driven and what belongs to a reading.
 
-use super::pins::{self, PWM_TICKS};
+use super::{
+    pins::{self, Adc},
+    timers::{self, PWM_TICKS},
+};
 use embassy_time::Duration;
 use firmware_capsule::{
     detect::Sample,
@@ -31,11 +34,19 @@ pub(crate) struct DriveTrain {
 }
 
 impl DriveTrain {
-    /// With the ADC's channels of `current` and `battery`, and what the factory read of the chip's reference at `factory_mv` of
-    /// supply. A chip without the factory's word still tells its supply to 2.5 %.
-    pub(crate) fn new(current: u8, battery: u8, word: u16, factory_mv: u32) -> Self {
-        let reference = Reference::from_factory(word, factory_mv).unwrap_or_else(|| {
-            defmt::warn!("no reading of the reference by the factory: {=u16}", word);
+    /// A chip without the factory's word still tells its supply to 2.5 %.
+    pub(crate) fn new(adc: Adc) -> Self {
+        let Adc {
+            current,
+            battery,
+            factory_word,
+            factory_mv,
+        } = adc;
+        let reference = Reference::from_factory(factory_word, factory_mv).unwrap_or_else(|| {
+            defmt::warn!(
+                "no reading of the reference by the factory: {=u16}",
+                factory_word
+            );
             Reference::typical()
         });
         Self {
@@ -55,15 +66,15 @@ impl DriveTrain {
             Drive::Millivolts(millivolts) if millivolts >= 0 => (self.pulse(millivolts), 0),
             Drive::Millivolts(millivolts) => (0, self.pulse(millivolts)),
         };
-        pins::set_pulses(in1, in2);
-        if !pins::bridge_is_awake() {
+        pins::PULSES.set(in1, in2);
+        if !pins::PULSES.run() {
             pins::wake_bridge();
         }
     }
 
     /// The encoder is powered and counted.
     pub(crate) fn counts(&self) -> bool {
-        pins::encoder_is_counted()
+        timers::encoder_is_counted()
     }
 
     /// Powers encoder and amplifier, and counts after [`SENSORS_START`]. The counter keeps its value without them: the lines
@@ -74,12 +85,12 @@ impl DriveTrain {
 
     /// Counts from here: the powered encoder shows its lines.
     pub(crate) fn count(&mut self) {
-        pins::count_encoder(true);
+        timers::count_encoder(true);
     }
 
     /// Switches encoder and amplifier off.
     pub(crate) fn cut_sensors(&mut self) {
-        pins::count_encoder(false);
+        timers::count_encoder(false);
         pins::power_sensors(false);
     }
 
@@ -96,12 +107,12 @@ impl DriveTrain {
     /// Without a supply that can be, the battery reads 0 mV: no drive, and refused as empty.
     pub(crate) fn sample(&mut self, now_us: u64) -> Sample {
         pins::switch_adc_on();
-        let awake = pins::bridge_is_awake();
+        let awake = pins::PULSES.run();
         let pairs = if awake { ADC_PAIRS } else { 1 };
         let reading = pins::convert(pins::REFERENCE_CHANNEL);
         let supply_mv = self.reference.supply_mv(reading).unwrap_or(0);
         let (mut current, mut battery) = (0, 0);
-        let began = pins::pwm_count();
+        let began = pins::PULSES.count();
         for pair in 0..pairs as u16 {
             if awake {
                 await_phase(began, pair * PAIR_TICKS);
@@ -117,7 +128,7 @@ impl DriveTrain {
         let current_ua = self.offset.take_off(now_us, awake, reading_ua);
         self.battery_mv = u16::try_from(battery_mv).unwrap_or(u16::MAX);
         Sample {
-            counts: Counts(pins::encoder_count()),
+            counts: Counts(timers::encoder_count()),
             current_ma: u16::try_from((current_ua + 500) / 1_000).unwrap_or(u16::MAX),
             current_ua,
             offset_ma: self.offset.offset_ma(),
@@ -130,7 +141,7 @@ impl DriveTrain {
 /// Waits until the PWM's counter is so many ticks further than `began`, less than a period.
 fn await_phase(began: u16, ticks: u16) {
     for _ in 0..PHASE_PATIENCE {
-        let passed = (pins::pwm_count() + PWM_TICKS - began) % PWM_TICKS;
+        let passed = (pins::PULSES.count() + PWM_TICKS - began) % PWM_TICKS;
         if passed >= ticks {
             return;
         }

@@ -34,8 +34,8 @@ mod stm32l412tb;
 #[cfg(feature = "stm32l412tb")]
 pub(crate) use stm32l412tb::*;
 
-use super::drive_train::DriveTrain;
 use device::chip::flash::Sectors;
+use embassy_executor::InterruptExecutor;
 use embassy_stm32::{
     mode::Async,
     peripherals,
@@ -49,11 +49,23 @@ pub(crate) struct Board {
     pub(crate) serial: (UartTx<'static, Async>, RingBufferedUartRx<'static>),
     /// The sectors of calibration and totals.
     pub(crate) sectors: Sectors,
-    /// Motor, encoder, battery.
-    pub(crate) drive_train: DriveTrain,
+    /// What the drive train reads.
+    pub(crate) adc: Adc,
     /// Not yet started.
     pub(crate) watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
 }
 
-/// One period of the bridge's pulses: 20 kHz of the 16 MHz that a board's timer has.
-pub(crate) const PWM_TICKS: u16 = 800;
+/// The ADC's inputs, and what the factory knew of its reference.
+pub(crate) struct Adc {
+    /// Channel of the motor's current.
+    pub(crate) current: u8,
+    /// Channel of the battery.
+    pub(crate) battery: u8,
+    /// The factory's reading of the reference, if it left one.
+    pub(crate) factory_word: u16,
+    /// The supply that it had then.
+    pub(crate) factory_mv: u32,
+}
+
+/// Runs the motor's task in the board's [`MOTOR_INTERRUPT`].
+pub(crate) static MOTOR_EXECUTOR: InterruptExecutor = InterruptExecutor::new();

@@ -1,14 +1,15 @@
 //! Wires the capsule's image: who is started, with what. Who runs at which priority is the table in this package's README.
 
-use super::{pins, tasks};
+use super::{
+    drive_train::DriveTrain,
+    pins::{self, MOTOR_EXECUTOR},
+    tasks,
+};
 use defmt_rtt as _;
 use device::chip::{retained, start};
 use device::identity::{identity, reset_cause};
-use embassy_executor::{InterruptExecutor, Spawner};
+use embassy_executor::Spawner;
 use protocol::system::DeviceKind;
-
-/// Entered by the board's interrupt for it.
-pub(super) static MOTOR_EXECUTOR: InterruptExecutor = InterruptExecutor::new();
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
@@ -20,7 +21,7 @@ async fn main(spawner: Spawner) {
     let (transmitter, receiver) = board.serial;
 
     let motor_spawner = MOTOR_EXECUTOR.start(pins::MOTOR_INTERRUPT);
-    motor_spawner.spawn(tasks::motor(board.drive_train).unwrap());
+    motor_spawner.spawn(tasks::motor(DriveTrain::new(board.adc)).unwrap());
     spawner.spawn(tasks::control(board.sectors, left, cause).unwrap());
     spawner.spawn(tasks::transmit(transmitter).unwrap());
     spawner.spawn(tasks::receive(receiver, identity).unwrap());

@@ -19,8 +19,8 @@
 
 #![allow(unsafe_code)]
 
-use super::{Board, PWM_TICKS};
-use crate::board::{drive_train::DriveTrain, start::MOTOR_EXECUTOR};
+use super::{Adc, Board, MOTOR_EXECUTOR};
+use crate::board::timers::{self, Pulses};
 use device::chip::{
     flash::{self, Sectors},
     serial, start, supply,
@@ -48,6 +48,11 @@ const FACTORY_MV: u32 = 3_000;
 const ADC_PATIENCE: u32 = 200;
 /// How often to look whether the ADC is calibrated, on or off: some 120 of its cycles at most.
 const ADC_SWITCH_PATIENCE: u32 = 1_000;
+
+/// Of the bridge's pulses.
+// SAFETY: TIM1 has the registers of a general-purpose timer, and more.
+pub(crate) const PULSES: Pulses =
+    Pulses(unsafe { pac::timer::TimGp16::from_ptr(pac::TIM1.as_ptr()) });
 
 const ENCODER: [usize; 2] = [0, 1];
 const IN1: usize = 8;
@@ -126,26 +131,6 @@ pub(crate) fn init() -> Board {
     // Sets the pins to analogue as well.
     let current = AdcChannel::<peripherals::ADC1>::degrade_adc(p.PA4).get_hw_channel();
     let battery = AdcChannel::<peripherals::ADC1>::degrade_adc(p.PB0).get_hw_channel();
-    configure_encoder();
-    configure_pwm();
-    configure_adc(current, battery);
-
-    // The motor's control runs above the serial port (7), the time base above both (2).
-    MOTOR_INTERRUPT.set_priority(Priority::P6);
-    // SAFETY: a half-word of the chip's system memory, which can always be read.
-    let word = unsafe { FACTORY_WORD.read_volatile() };
-    Board {
-        serial: serial::open(p.LPUART1, p.PA3, p.PA2, p.DMA2_CH6, p.DMA2_CH7),
-        sectors: Sectors::new(p.FLASH),
-        drive_train: DriveTrain::new(current, battery, word, FACTORY_MV),
-        watchdog: start::watchdog(p.IWDG),
-    }
-}
-
-/// Counts all four edges of A and B, over the full 32 bits. The inputs are filtered over 8 clocks, 0.5 us; the motor's fastest edges
-/// are 57 us apart. TIM2 needs the 16 MHz, which run as long as nothing stops; LPTIM1 would count in stop mode, to 16 bits.
-fn configure_encoder() {
-    use pac::timer::vals::{CcmrInputCcs, FilterValue, Sms};
     for pin in ENCODER {
         pac::GPIOA
             .pupdr()
@@ -154,31 +139,26 @@ fn configure_encoder() {
             .moder()
             .modify(|w| w.set_moder(pin, Moder::ALTERNATE));
     }
-    pac::TIM2.ccmr_input(0).modify(|w| {
-        for channel in [0, 1] {
-            w.set_ccs(channel, CcmrInputCcs::TI4);
-            w.set_icf(channel, FilterValue::FCK_INT_N8);
-        }
-    });
-    pac::TIM2.smcr().modify(|w| w.set_sms(Sms::ENCODER_MODE_3));
-    // It counts only while the encoder is powered.
-    pac::TIM2.arr().write_value(u32::MAX);
-}
+    // TIM2 needs the 16 MHz, which run as long as nothing stops; LPTIM1 would count in stop mode, to 16 bits.
+    timers::configure_encoder();
+    PULSES.configure();
+    configure_adc(current, battery);
 
-fn configure_pwm() {
-    use pac::timer::vals::Ocm;
-    pac::TIM1.psc().write_value(0);
-    pac::TIM1.arr().write(|w| w.set_arr(PWM_TICKS - 1));
-    pac::TIM1.ccmr_output(0).modify(|w| {
-        for channel in [0, 1] {
-            w.set_ocm(channel, Ocm::PWM_MODE1);
-            w.set_ocpe(channel, true); // a new duty begins with a period
-        }
-    });
-    pac::TIM1.ccer().modify(|w| {
-        w.set_cce(0, true);
-        w.set_cce(1, true);
-    });
+    // The motor's control runs above the serial port (7), the time base above both (2).
+    MOTOR_INTERRUPT.set_priority(Priority::P6);
+    // SAFETY: a half-word of the chip's system memory, which can always be read.
+    let factory_word = unsafe { FACTORY_WORD.read_volatile() };
+    Board {
+        serial: serial::open(p.LPUART1, p.PA3, p.PA2, p.DMA2_CH6, p.DMA2_CH7),
+        sectors: Sectors::new(p.FLASH),
+        adc: Adc {
+            current,
+            battery,
+            factory_word,
+            factory_mv: FACTORY_MV,
+        },
+        watchdog: start::watchdog(p.IWDG),
+    }
 }
 
 /// 8 MHz, 12.5 cycles of sampling and 12.5 of conversion. Its regulator and the reference stay on, because they need 20 us and 12 us to
@@ -220,35 +200,18 @@ pub(crate) fn outputs_off() {
         w.set_moder(IN2, Moder::OUTPUT);
     });
     pac::TIM1.bdtr().modify(|w| w.set_moe(false));
-    pac::TIM1.cr1().modify(|w| w.set_cen(false));
-}
-
-/// Pulses of so many ticks, from the next period on.
-pub(crate) fn set_pulses(in1: u16, in2: u16) {
-    pac::TIM1.ccr(0).write(|w| w.set_ccr(in1));
-    pac::TIM1.ccr(1).write(|w| w.set_ccr(in2));
-}
-
-/// The bridge is awake, and its pulses run.
-pub(crate) fn bridge_is_awake() -> bool {
-    pac::TIM1.cr1().read().cen()
+    PULSES.stop();
 }
 
 /// Wakes the bridge, with the pulses that were set.
 pub(crate) fn wake_bridge() {
-    pac::TIM1.egr().write(|w| w.set_ug(true));
-    pac::TIM1.cr1().modify(|w| w.set_cen(true));
+    PULSES.start();
     pac::TIM1.bdtr().modify(|w| w.set_moe(true));
     pac::GPIOA.moder().modify(|w| {
         w.set_moder(IN1, Moder::ALTERNATE);
         w.set_moder(IN2, Moder::ALTERNATE);
     });
     pac::GPIOB.bsrr().write(|w| w.set_bs(N_SLEEP, true));
-}
-
-/// Ticks since the present pulse began.
-pub(crate) fn pwm_count() -> u16 {
-    pac::TIM1.cnt().read().cnt()
 }
 
 /// The bridge reports a fault. Means nothing while it sleeps.
@@ -265,21 +228,6 @@ pub(crate) fn power_sensors(on: bool) {
             w.set_br(SENSORS, true);
         }
     });
-}
-
-/// Counts, or keeps the count.
-pub(crate) fn count_encoder(on: bool) {
-    pac::TIM2.cr1().modify(|w| w.set_cen(on));
-}
-
-/// The encoder is counted.
-pub(crate) fn encoder_is_counted() -> bool {
-    pac::TIM2.cr1().read().cen()
-}
-
-/// The count.
-pub(crate) fn encoder_count() -> i32 {
-    pac::TIM2.cnt().read() as i32
 }
 
 /// Switches the ADC on, and waits until it converts. It may be on.

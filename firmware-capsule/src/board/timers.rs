@@ -1,0 +1,85 @@
+//! The encoder's counter and the timer of the bridge's pulses, whose registers are alike in all chips.
+
+use embassy_stm32::{pac, pac::timer::TimGp16};
+
+/// Counts all four edges of A and B, over the full 32 bits (RM0383 section 13.3.12). The inputs are filtered over
+/// 8 clocks, 0.5 us; the motor's fastest edges are 57 us apart.
+pub(crate) fn configure_encoder() {
+    use pac::timer::vals::{CcmrInputCcs, FilterValue, Sms};
+    pac::TIM2.ccmr_input(0).modify(|w| {
+        for channel in [0, 1] {
+            w.set_ccs(channel, CcmrInputCcs::TI4);
+            w.set_icf(channel, FilterValue::FCK_INT_N8);
+        }
+    });
+    pac::TIM2.smcr().modify(|w| w.set_sms(Sms::ENCODER_MODE_3));
+    // It counts only while the encoder is powered.
+    pac::TIM2.arr().write_value(u32::MAX);
+}
+
+/// Counts, or keeps the count.
+pub(crate) fn count_encoder(on: bool) {
+    pac::TIM2.cr1().modify(|w| w.set_cen(on));
+}
+
+/// The encoder is counted.
+pub(crate) fn encoder_is_counted() -> bool {
+    pac::TIM2.cr1().read().cen()
+}
+
+/// The count.
+pub(crate) fn encoder_count() -> i32 {
+    pac::TIM2.cnt().read() as i32
+}
+
+/// One period of the bridge's pulses: 20 kHz of the 16 MHz that a board's timer has.
+pub(crate) const PWM_TICKS: u16 = 800;
+
+/// The timer of the bridge's pulses, on its first two channels.
+pub(crate) struct Pulses(pub(crate) TimGp16);
+
+impl Pulses {
+    /// Sets it up. It does not run yet.
+    pub(crate) fn configure(&self) {
+        use pac::timer::vals::Ocm;
+        self.0.psc().write_value(0);
+        self.0.arr().write(|w| w.set_arr(PWM_TICKS - 1));
+        self.0.ccmr_output(0).modify(|w| {
+            for channel in [0, 1] {
+                w.set_ocm(channel, Ocm::PWM_MODE1);
+                w.set_ocpe(channel, true); // a new duty begins with a period
+            }
+        });
+        self.0.ccer().modify(|w| {
+            w.set_cce(0, true);
+            w.set_cce(1, true);
+        });
+    }
+
+    /// Pulses of so many ticks, from the next period on.
+    pub(crate) fn set(&self, in1: u16, in2: u16) {
+        self.0.ccr(0).write(|w| w.set_ccr(in1));
+        self.0.ccr(1).write(|w| w.set_ccr(in2));
+    }
+
+    /// Begins a period, with the pulses that were set.
+    pub(crate) fn start(&self) {
+        self.0.egr().write(|w| w.set_ug(true));
+        self.0.cr1().modify(|w| w.set_cen(true));
+    }
+
+    /// Ends them where they are.
+    pub(crate) fn stop(&self) {
+        self.0.cr1().modify(|w| w.set_cen(false));
+    }
+
+    /// They run, and the bridge is awake.
+    pub(crate) fn run(&self) -> bool {
+        self.0.cr1().read().cen()
+    }
+
+    /// Ticks since the present pulse began.
+    pub(crate) fn count(&self) -> u16 {
+        self.0.cnt().read().cnt()
+    }
+}
