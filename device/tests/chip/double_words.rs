@@ -15,7 +15,7 @@ use std::{
     ops::Range,
     sync::{Arc, Mutex, MutexGuard},
 };
-pub use words::{Cut, Error, Operation, Random};
+pub use words::{Cut, Error, Operation, Random, Supply};
 
 /// What a double word is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,14 +37,7 @@ impl State {
 struct Array {
     bytes: Vec<u8>,
     states: Vec<State>,
-    operations: Vec<Operation>,
-    /// The supply fails in this operation from now on.
-    cut: Option<(usize, Cut)>,
-    powered: bool,
-    /// Operations that were asked for since the start, and those of them that fail.
-    asked: usize,
-    failing: Range<usize>,
-    noise: Random,
+    supply: Supply,
 }
 
 /// Its double words; clones are the same ones.
@@ -84,12 +77,7 @@ impl Flash {
         Self(Sectors(Cells(Arc::new(Mutex::new(Array {
             bytes,
             states,
-            operations: Vec::new(),
-            cut: None,
-            powered: true,
-            asked: 0,
-            failing: 0..0,
-            noise: Random(1),
+            supply: Supply::new(),
         })))))
     }
 
@@ -106,14 +94,12 @@ impl Flash {
 
     /// Programmed double words and erased pages since the start.
     pub fn operations(&self) -> Vec<Operation> {
-        self.array().operations.clone()
+        self.array().supply.operations.clone()
     }
 
     /// The supply fails in the operation after so many more.
     pub fn cut(&self, after: usize, cut: Cut, seed: u64) {
-        let mut array = self.array();
-        array.cut = Some((array.operations.len() + after, cut));
-        array.noise = Random(seed);
+        self.array().supply.cut(after, cut, seed);
     }
 
     pub fn wear(&self) {
@@ -122,8 +108,7 @@ impl Flash {
 
     /// Of the operations from now on, these fail.
     pub fn fail(&self, failing: Range<usize>) {
-        let mut array = self.array();
-        (array.asked, array.failing) = (0, failing);
+        self.array().supply.fail(failing);
     }
 
     /// The first blank double word behind `from` cannot be programmed, which reading does not tell.
@@ -143,33 +128,6 @@ impl Flash {
 }
 
 impl Array {
-    /// How the next operation ends.
-    fn begin(&mut self, operation: Operation) -> Result<Cut, Error> {
-        if !self.powered {
-            return Err(Error::Off);
-        }
-        self.asked += 1;
-        if self.failing.contains(&(self.asked - 1)) {
-            return Err(Error::Worn);
-        }
-        self.operations.push(operation);
-        match self.cut {
-            Some((number, cut)) if number + 1 == self.operations.len() => {
-                self.powered = false;
-                Ok(cut)
-            }
-            _ => Ok(Cut::After),
-        }
-    }
-
-    fn end(&self) -> Result<(), Error> {
-        if self.powered {
-            Ok(())
-        } else {
-            Err(Error::Off)
-        }
-    }
-
     fn put(&mut self, index: usize, bytes: [u8; DOUBLE_WORD], state: State) {
         self.bytes[index * DOUBLE_WORD..][..DOUBLE_WORD].copy_from_slice(&bytes);
         self.states[index] = state;
@@ -183,12 +141,12 @@ impl Array {
     /// What a double word is in the middle of an operation: anything between `bytes` and blank, with a check code that fits or does
     /// not.
     fn leave_torn(&mut self, index: usize, bytes: [u8; DOUBLE_WORD]) {
-        let noise = self.noise.next().to_le_bytes();
+        let noise = self.supply.noise.next().to_le_bytes();
         let mut torn = bytes;
         for (byte, noise) in torn.iter_mut().zip(noise) {
             *byte |= noise;
         }
-        match self.noise.below(4) {
+        match self.supply.noise.below(4) {
             0 => self.put(index, [0xFF; DOUBLE_WORD], State::Blank),
             1 => self.put(index, torn, State::Programmed),
             _ => self.put(index, torn, State::Unreadable),
@@ -209,7 +167,7 @@ impl DoubleWords for Cells {
     fn program(&mut self, offset: u32, bytes: [u8; DOUBLE_WORD]) -> Result<(), Error> {
         assert!(SECTORS.contains(&offset) && offset.is_multiple_of(DOUBLE_WORD as u32));
         let mut array = self.0.lock().unwrap();
-        let cut = array.begin(Operation::Write { offset, words: 2 })?;
+        let cut = array.supply.begin(Operation::Write { offset, words: 2 })?;
         let index = offset as usize / DOUBLE_WORD;
         let zeros = bytes == [0; DOUBLE_WORD];
         if array.states[index] == State::Stuck && !zeros {
@@ -225,17 +183,17 @@ impl DoubleWords for Cells {
             Cut::After => array.put(index, bytes, State::Programmed),
             _ => array.leave_torn(index, bytes),
         }
-        array.end()
+        array.supply.end()
     }
 
     fn erase(&mut self, page: u32) -> Result<(), Error> {
         assert!(SECTORS.contains(&page) && page.is_multiple_of(PAGE));
         let mut array = self.0.lock().unwrap();
-        let cut = array.begin(Operation::Erase { sector: page })?;
+        let cut = array.supply.begin(Operation::Erase { sector: page })?;
         let count = PAGE as usize / DOUBLE_WORD;
         let first = page as usize / DOUBLE_WORD;
         let blank = match cut {
-            Cut::Before => return array.end(),
+            Cut::Before => return array.supply.end(),
             Cut::After => 0..count,
             Cut::BlankAtBothEnds => 0..0,
             Cut::Within { done, .. } => 0..done.min(4) * count / 4,
@@ -250,7 +208,7 @@ impl DoubleWords for Cells {
                 array.leave_torn(index, bytes);
             }
         }
-        array.end()
+        array.supply.end()
     }
 }
 
@@ -262,7 +220,7 @@ impl ReadNorFlash for Flash {
     const READ_SIZE: usize = Sectors::<Cells>::READ_SIZE;
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
-        self.array().end()?;
+        self.array().supply.end()?;
         self.0.read(offset, bytes).await
     }
 

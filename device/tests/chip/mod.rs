@@ -74,17 +74,74 @@ pub enum Operation {
     Erase { sector: u32 },
 }
 
+/// What writes and erasures need, and how they end when it fails.
+#[derive(Debug)]
+pub struct Supply {
+    /// What was done since the start.
+    pub operations: Vec<Operation>,
+    /// It fails in this operation from now on.
+    cut: Option<(usize, Cut)>,
+    powered: bool,
+    /// Operations that were asked for since the start, and those of them that fail.
+    asked: usize,
+    failing: Range<usize>,
+    pub noise: Random,
+}
+
+impl Supply {
+    pub fn new() -> Self {
+        Self {
+            operations: Vec::new(),
+            cut: None,
+            powered: true,
+            asked: 0,
+            failing: 0..0,
+            noise: Random(1),
+        }
+    }
+
+    /// Fails in the operation after so many more.
+    pub fn cut(&mut self, after: usize, cut: Cut, seed: u64) {
+        self.cut = Some((self.operations.len() + after, cut));
+        self.noise = Random(seed);
+    }
+
+    /// Of the operations from now on, these fail.
+    pub fn fail(&mut self, failing: Range<usize>) {
+        (self.asked, self.failing) = (0, failing);
+    }
+
+    /// How the next operation ends.
+    pub fn begin(&mut self, operation: Operation) -> Result<Cut, Error> {
+        self.end()?;
+        self.asked += 1;
+        if self.failing.contains(&(self.asked - 1)) {
+            return Err(Error::Worn);
+        }
+        self.operations.push(operation);
+        match self.cut {
+            Some((number, cut)) if number + 1 == self.operations.len() => {
+                self.powered = false;
+                Ok(cut)
+            }
+            _ => Ok(Cut::After),
+        }
+    }
+
+    /// Whether the operation came to its end.
+    pub fn end(&self) -> Result<(), Error> {
+        if self.powered {
+            Ok(())
+        } else {
+            Err(Error::Off)
+        }
+    }
+}
+
 #[derive(Debug)]
 struct Array {
     bytes: Vec<u8>,
-    operations: Vec<Operation>,
-    /// The supply fails in this operation from now on.
-    cut: Option<(usize, Cut)>,
-    powered: bool,
-    /// Writes and erasures that were asked for since the start, and those of them that fail.
-    asked: usize,
-    failing: Range<usize>,
-    noise: Random,
+    supply: Supply,
 }
 
 /// The flash; clones are the same one.
@@ -114,12 +171,7 @@ impl Flash {
         assert_eq!(bytes.len(), SECTORS.end as usize);
         Self(Arc::new(Mutex::new(Array {
             bytes,
-            operations: Vec::new(),
-            cut: None,
-            powered: true,
-            asked: 0,
-            failing: 0..0,
-            noise: Random(1),
+            supply: Supply::new(),
         })))
     }
 
@@ -133,14 +185,12 @@ impl Flash {
 
     /// Writes and erasures since the start.
     pub fn operations(&self) -> Vec<Operation> {
-        self.array().operations.clone()
+        self.array().supply.operations.clone()
     }
 
     /// The supply fails in the operation after so many more.
     pub fn cut(&self, after: usize, cut: Cut, seed: u64) {
-        let mut array = self.array();
-        array.cut = Some((array.operations.len() + after, cut));
-        array.noise = Random(seed);
+        self.array().supply.cut(after, cut, seed);
     }
 
     pub fn wear(&self) {
@@ -149,42 +199,14 @@ impl Flash {
 
     /// Of the writes and erasures from now on, these fail.
     pub fn fail(&self, failing: Range<usize>) {
-        let mut array = self.array();
-        (array.asked, array.failing) = (0, failing);
+        self.array().supply.fail(failing);
     }
 }
 
 impl Array {
-    /// How the next operation ends.
-    fn begin(&mut self, operation: Operation) -> Result<Cut, Error> {
-        if !self.powered {
-            return Err(Error::Off);
-        }
-        self.asked += 1;
-        if self.failing.contains(&(self.asked - 1)) {
-            return Err(Error::Worn);
-        }
-        self.operations.push(operation);
-        match self.cut {
-            Some((number, cut)) if number + 1 == self.operations.len() => {
-                self.powered = false;
-                Ok(cut)
-            }
-            _ => Ok(Cut::After),
-        }
-    }
-
-    fn end(&self) -> Result<(), Error> {
-        if self.powered {
-            Ok(())
-        } else {
-            Err(Error::Off)
-        }
-    }
-
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
         let words = bytes.len() / 4;
-        let (done, torn) = match self.begin(Operation::Write { offset, words })? {
+        let (done, torn) = match self.supply.begin(Operation::Write { offset, words })? {
             Cut::Before => (0, false),
             Cut::Within { done, torn } => (done.min(words), torn),
             Cut::BlankAtBothEnds => (1, false),
@@ -199,17 +221,17 @@ impl Array {
         if torn && done < words {
             // Some of its bits are 0 already.
             for index in 4 * done..4 * done + 4 {
-                target[index] = bytes[index] | self.noise.next() as u8;
+                target[index] = bytes[index] | self.supply.noise.next() as u8;
             }
         }
-        self.end()
+        self.supply.end()
     }
 
     fn erase(&mut self, sector: u32) -> Result<(), Error> {
-        let cut = self.begin(Operation::Erase { sector })?;
+        let cut = self.supply.begin(Operation::Erase { sector })?;
         let quarter = SECTOR as usize / 4;
         let bytes = &mut self.bytes[sector as usize..][..SECTOR as usize];
-        let noise = &mut self.noise;
+        let noise = &mut self.supply.noise;
         match cut {
             Cut::Before => {}
             Cut::After => bytes.fill(0xFF),
@@ -229,7 +251,7 @@ impl Array {
                 }
             }
         }
-        self.end()
+        self.supply.end()
     }
 }
 
@@ -242,7 +264,7 @@ impl ReadNorFlash for Flash {
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
         let array = self.array();
-        array.end()?;
+        array.supply.end()?;
         bytes.copy_from_slice(&array.bytes[offset as usize..][..bytes.len()]);
         Ok(())
     }
