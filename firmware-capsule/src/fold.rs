@@ -744,7 +744,7 @@ impl Capsule {
             });
         let judged = actuation.taut.count != 0;
         let least_ma = match (actuation.found, &self.calibration) {
-            (None, Some(calibration)) => (calibration.tension_ma * 11 / 16).max(LEAST_TENSION_MA),
+            (None, Some(calibration)) => (calibration.tension_ma * 3 / 4).max(LEAST_TENSION_MA),
             _ => LEAST_TENSION_MA,
         };
         if judged && tension_ma < least_ma {

@@ -109,6 +109,13 @@ fn a_jam_never_pulls_with_more_than_20_n() {
     }
 }
 
+/// Of the first 500 the slip that leaves the most tension: 0.65 of what was calibrated. The least of a healthy one is 1.0.
+#[test]
+fn a_slip_that_leaves_most_of_the_tension_is_felt() {
+    let verdict = cases::try_case(Kind::SlipFolded, 180);
+    assert_eq!(verdict.name, "SlipOrBreak", "{verdict:?}");
+}
+
 /// Near the end force the aim becomes slower. That is no hard end: a calibration that took it for one ended short, and the
 /// second fold went too far.
 #[test]
