@@ -92,11 +92,26 @@ impl CapsuleRun {
             .expect("it ends")
     }
 
+    /// Winds to the end force of a folded capsule.
+    pub(crate) fn check_folded(&mut self) {
+        let accepted = self.device.call(CheckFolded).expect("it is accepted");
+        let record = self
+            .device
+            .wait_actuation(&accepted, &mut Unobserved)
+            .expect("it ends");
+        assert_eq!(record.outcome, ActuationOutcome::Complete, "{}", self.log());
+    }
+
+    /// So long with nothing to do but to keep the link.
+    pub(crate) fn idle(&mut self, us: u64) {
+        self.device
+            .idle(us, &mut Unobserved)
+            .expect("the link stays");
+    }
+
     /// Long enough for what is kept to be written.
     pub(crate) fn rest(&mut self) {
-        self.device
-            .idle(1_500_000, &mut Unobserved)
-            .expect("the link stays");
+        self.idle(1_500_000);
     }
 
     /// Off for a second; a new session.
@@ -121,15 +136,11 @@ impl CapsuleRun {
 
     /// At rest the motor is off and the bridge asleep, whatever the state: the worm holds.
     fn check_at_rest(&mut self) {
-        self.device
-            .idle(200_000, &mut Unobserved)
-            .expect("the link stays");
+        self.idle(200_000);
         let before =
             self.look(|capsule| (capsule.is_awake(), capsule.is_moving(), capsule.wound_mm()));
         let powered_ns = self.sensors_ns();
-        self.device
-            .idle(1_000_000, &mut Unobserved)
-            .expect("the link stays");
+        self.idle(1_000_000);
         // Encoder and amplifier are switched on for a reading now and then.
         let powered_ms = (self.sensors_ns() - powered_ns) / 1_000_000;
         assert!((1..20).contains(&powered_ms), "{powered_ms} ms of a second");
@@ -235,10 +246,7 @@ fn says_what_the_plant_did(options: Parameters) -> Vec<f64> {
     // The pauses are those of a person: no reading of the idle bridge may leak into the next actuation.
     for pause_us in [0, 30_000, 77_000, 101_000] {
         for folds in [true, false] {
-            capsule
-                .device
-                .idle(pause_us, &mut Unobserved)
-                .expect("the link stays");
+            capsule.idle(pause_us);
             let energy = capsule.look(|capsule| capsule.energy_j());
             let record = if folds {
                 capsule.fold()
@@ -411,25 +419,12 @@ fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
         capsule.device.call(GetCapsuleTotals).expect("an answer"),
         before
     );
-    capsule
-        .device
-        .idle(300_000, &mut Unobserved)
-        .expect("the link stays");
+    capsule.idle(300_000);
     let folded_mm = capsule.look(|capsule| {
         capsule.plant_mut().forget_extremes();
         capsule.wound_mm()
     });
-    let accepted = capsule.device.call(CheckFolded).expect("it is accepted");
-    let record = capsule
-        .device
-        .wait_actuation(&accepted, &mut Unobserved)
-        .expect("it ends");
-    assert_eq!(
-        record.outcome,
-        ActuationOutcome::Complete,
-        "{}",
-        capsule.log()
-    );
+    capsule.check_folded();
     assert_eq!(capsule.state(), (CapsuleState::Folded, None, true));
     let (least_mm, force_n) =
         capsule.look(|capsule| (capsule.extremes_mm().0, capsule.peak_force_n()));
@@ -444,10 +439,7 @@ fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
     assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
     capsule.rest();
     capsule.device.unfold().expect("it is accepted");
-    capsule
-        .device
-        .idle(500_000, &mut Unobserved)
-        .expect("the link stays");
+    capsule.idle(500_000);
     capsule.power_cycle(3);
     assert_eq!(capsule.state(), (CapsuleState::Unreferenced, None, false));
     capsule.check_clean();
@@ -460,10 +452,7 @@ fn a_cut_of_the_power_never_pays_out_past_zero() {
         let mut capsule = referenced();
         assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
         capsule.device.unfold().expect("it is accepted");
-        capsule
-            .device
-            .idle(after_us, &mut Unobserved)
-            .expect("the link stays");
+        capsule.idle(after_us);
         capsule
             .bench
             .power_cycle(1_000_000)
@@ -502,10 +491,7 @@ fn a_fold_is_recorded_on_the_capsule() {
 fn a_low_battery_is_refused_before_it_moves() {
     let mut capsule = referenced();
     capsule.look(|capsule| capsule.suffer(Defect::Battery(2_800.0)));
-    capsule
-        .device
-        .idle(200_000, &mut Unobserved)
-        .expect("the link stays");
+    capsule.idle(200_000);
     let before = capsule.look(|capsule| capsule.wound_mm());
     let answer = capsule.device.fold();
     assert!(
@@ -525,10 +511,7 @@ fn the_battery_is_read_right_down_to_an_empty_cell() {
         4_200, 3_700, 3_400, 3_300, 3_200, 3_000, 2_850, 2_700, 2_500,
     ] {
         capsule.look(move |capsule| capsule.suffer(Defect::Battery(f64::from(battery_mv))));
-        capsule
-            .device
-            .idle(250_000, &mut Unobserved)
-            .expect("the link stays");
+        capsule.idle(250_000);
         let read_mv = capsule
             .device
             .capsule_status()
@@ -548,10 +531,7 @@ fn a_cell_that_sags_under_load_ends_the_fold_and_is_refused_from_then_on() {
         capsule.suffer(Defect::Weak(8.0));
         capsule.suffer(Defect::Battery(3_150.0));
     });
-    capsule
-        .device
-        .idle(200_000, &mut Unobserved)
-        .expect("the link stays");
+    capsule.idle(200_000);
     let record = capsule.fold();
     let ActuationOutcome::Faulted(CapsuleFault::LowBattery { battery_mv }) = record.outcome else {
         panic!("{record:?}\n{}", capsule.log())
@@ -568,10 +548,7 @@ fn a_current_at_rest_keeps_the_motor_off() {
         sense_offset_mv: 1_650.0,
         ..Parameters::nominal()
     });
-    capsule
-        .device
-        .idle(250_000, &mut Unobserved)
-        .expect("the link stays");
+    capsule.idle(250_000);
     let before = capsule.look(|capsule| capsule.wound_mm());
     let fault = match capsule.device.reference() {
         Err(ClientError::Refused {
@@ -602,10 +579,7 @@ fn a_stop_in_mid_fold_holds_and_an_estop_latches() {
     for urgent in [Urgent::Stop, Urgent::EStop] {
         let mut capsule = referenced();
         capsule.device.fold().expect("folding is accepted");
-        capsule
-            .device
-            .idle(700_000, &mut Unobserved)
-            .expect("the link stays");
+        capsule.idle(700_000);
         capsule.device.urgent(urgent).expect("an answer");
         capsule.check_at_rest();
         let wound = capsule.look(|capsule| capsule.wound_mm());
@@ -703,10 +677,7 @@ fn a_latched_estop_survives_a_reset() {
 fn sabotaged(client: u8, deed: Misbehaviour, cause: ResetCause) -> (u64, String) {
     let mut capsule = referenced();
     capsule.device.fold().expect("folding is accepted");
-    capsule
-        .device
-        .idle(300_000, &mut Unobserved)
-        .expect("the link stays");
+    capsule.idle(300_000);
     assert!(capsule.look(|capsule| capsule.is_moving()));
     let sabotage =
         Sabotage::new(&capsule::image(), client, deed).expect("an image with its symbols");

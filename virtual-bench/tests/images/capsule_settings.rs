@@ -4,8 +4,7 @@ use crate::capsule::{CapsuleRun, referenced};
 use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     capsule::{
-        ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleState, CheckFolded, FoldTo,
-        GetCapsuleTotals,
+        ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleState, FoldTo, GetCapsuleTotals,
     },
     error::{Field, Refusal},
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
@@ -101,10 +100,7 @@ fn settings_count_at_once_and_after_the_next_start() {
         .expect("it ends");
     capsule.rest();
     let accepted = capsule.device.fold().expect("it is accepted");
-    capsule
-        .device
-        .idle(300_000, &mut Unobserved)
-        .expect("the link stays");
+    capsule.idle(300_000);
     let moving = set(&mut capsule, end, 130);
     assert_eq!(moving, Err(Refusal::CapsuleBusy(CapsuleState::Folding)));
     let slower = capsule
@@ -258,17 +254,7 @@ fn ends_that_wander_take_the_reference_away_but_not_the_fold() {
     capsule.power_cycle(2);
     assert_eq!(capsule.state(), (CapsuleState::WasFolded, None, false));
     capsule.rest();
-    let accepted = capsule.device.call(CheckFolded).expect("it is accepted");
-    let record = capsule
-        .device
-        .wait_actuation(&accepted, &mut Unobserved)
-        .expect("it ends");
-    assert_eq!(
-        record.outcome,
-        ActuationOutcome::Complete,
-        "{}",
-        capsule.log()
-    );
+    capsule.check_folded();
     assert_eq!(capsule.state(), (CapsuleState::Folded, None, true));
     capsule.check_clean();
 }
@@ -278,10 +264,7 @@ fn ends_that_wander_take_the_reference_away_but_not_the_fold() {
 fn a_duty_follows_its_reading_as_soon_as_the_library_is_tried_with() {
     let mut capsule = referenced();
     capsule.device.fold().expect("it is accepted");
-    capsule
-        .device
-        .idle(400_000, &mut Unobserved)
-        .expect("the link stays");
+    capsule.idle(400_000);
     let order = budget::order(&capsule.bench).expect("the bench runs");
     assert!((300.0..600.0).contains(&order.mean_us), "{order:?}");
     // The processor may have been awake for something else just before a reading.
