@@ -6,6 +6,7 @@ pub mod args;
 mod campaign;
 mod commission;
 pub mod configured;
+pub mod design;
 pub mod doctor;
 pub mod failure;
 pub(crate) mod finding;
@@ -14,6 +15,7 @@ mod fresh;
 pub(crate) mod interrupt;
 mod keyboard;
 pub mod machines;
+pub mod model;
 pub(crate) mod motion;
 mod offline;
 pub(crate) mod partial;
@@ -198,7 +200,7 @@ fn carry_out(
             settings::settings(*of, subcommand, finder, screen)
         }
         Subcommand::Plan(args) => offline::plan(args, screen),
-        Subcommand::Design(args) => science::design(args, screen),
+        Subcommand::Design(args) => design::design(args, screen),
         Subcommand::Simulate(args) => science::simulate(args, screen),
         Subcommand::List(args) => offline::list(args, screen),
         Subcommand::Report(args) => offline::report(args, screen),

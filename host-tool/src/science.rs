@@ -3,6 +3,8 @@
 //! * [`values`]: lists and ranges of numbers, exact.
 //! * [`design`]: every number of one origami, beside the paper's requirements.
 //! * [`series`]: the paper's series and free sweeps, in parallel, in order.
+//! * [`bands`]: what the bodies that agree with the paper's words do.
+//! * [`model_file`]: a model as people give it, and what it calls itself.
 //! * [`snapshots`]: wall and body at several moments.
 //! * [`charts`]: the series as figures, beside what the paper's text says.
 //! * [`drawing`]: to scale, in millimetres.
@@ -10,9 +12,11 @@
 //!
 //! The models are those of `locomotion`; `docs/science.md` says how far they can be trusted.
 
+pub mod bands;
 pub mod charts;
 pub mod design;
 pub mod drawing;
+pub mod model_file;
 pub mod series;
 pub mod snapshots;
 pub mod table;

@@ -44,7 +44,7 @@ fn main() {
         .chain(pressures_pa().map(|pressure_pa| at(0.15, pressure_pa)))
         .collect();
     let run = |(params, pressure_pa): &(tube::Params, f64)| {
-        let _ = black_box(tube::run(black_box(*params), *pressure_pa));
+        let _ = black_box(tube::averaged(black_box(*params), *pressure_pa));
     };
     let series = microseconds(20, || cases.iter().for_each(run));
     let parallel = microseconds(20, || cases.par_iter().for_each(run));

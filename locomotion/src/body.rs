@@ -7,25 +7,70 @@
 //!    `sum mu w_i [ (S + delta_i)^+ + r (-(S + delta_i))^+ ]`, `w_i = preload + mean a_i`,
 //!    where + is headward, the wings' easy direction. `S` is a weighted quantile of `-delta_i`.
 //!
-//! The friction coefficient mu multiplies every weight alike and therefore cannot change `S`. That independence belongs
-//! to this class of models; it is no evidence for the paper's finding.
+//! The friction coefficient mu multiplies every weight alike and therefore changes `S` only through r. With a fixed r
+//! it cancels: that independence is put in with the fixed r and is no evidence for the paper's finding. With
+//! [`FrictionRatio::Facets`] it does not cancel.
 
 use crate::kinematics::{Design, MAX_CRESCENTS};
 use crate::range::{Ends, OutOfRange, check};
 
 const LINKS: usize = MAX_CRESCENTS as usize;
 
-/// Properties of the body. Defaults and sources: `PARAMETERS` of [`crate::roller`] and [`crate::tube`].
+/// r: friction against the wings over friction with them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FrictionRatio {
+    /// The same at every friction coefficient, `>= 1`: a fit.
+    Fixed(f64),
+    /// Coulomb friction on facets that stand at beta: `(1 + mu tan beta)/(1 - mu tan beta)`.
+    Facets,
+}
+
+impl FrictionRatio {
+    /// Its value for a design at a friction coefficient.
+    ///
+    /// # Errors
+    /// A fixed ratio below 1; a friction at which the facets lock, `mu tan beta >= 1`.
+    pub fn at(self, design: &Design<f64>, friction: f64) -> Result<f64, OutOfRange> {
+        match self {
+            Self::Fixed(ratio) => {
+                check(
+                    "friction ratio r",
+                    "",
+                    ratio,
+                    (1.0, 1e6),
+                    Ends::Closed,
+                    "it is hard over easy",
+                )?;
+                Ok(ratio)
+            }
+            Self::Facets => {
+                check(
+                    "friction coefficient",
+                    "",
+                    friction,
+                    (0.0, 1.0 / design.tan_beta()),
+                    Ends::Open,
+                    "from 1/tan(beta) on the facets lock, and the friction ratio has no value",
+                )?;
+                let slope = friction * design.tan_beta();
+                Ok((1.0 + slope) / (1.0 - slope))
+            }
+        }
+    }
+}
+
+/// Properties of the body. Named sets of them: [`crate::model`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
     /// Its geometry.
     pub design: Design<f64>,
     /// chi: share of the wall's indentation that reaches a crescent, `0..=1`.
     pub coupling: f64,
-    /// mu: friction coefficient in the easy direction, `> 0`. Common to all crescents, so it cancels.
+    /// mu: friction coefficient in the easy direction, `> 0`. Common to all crescents, so it acts through
+    /// [`FrictionRatio::Facets`] only.
     pub friction: f64,
-    /// r: friction in the hard direction over that in the easy one, `>= 1`.
-    pub friction_ratio: f64,
+    /// r: friction in the hard direction over that in the easy one.
+    pub friction_ratio: FrictionRatio,
     /// delta0, mm: indentation that holds a crescent even where the wave does not touch it, `>= 0`.
     pub preload_mm: f64,
     /// Where the rearmost wing's tip lies at the start, mm from the intestine's left mark.
@@ -36,7 +81,10 @@ pub struct Params {
 #[derive(Clone, Debug)]
 pub struct Chain {
     params: Params,
+    ratio: f64,
     start_mm: f64,
+    /// Length of the core at rest.
+    relaxed_mm: f64,
     core_tail_mm: f64,
     indentation_mm: [f64; LINKS],
     link_mm: [f64; LINKS],
@@ -66,14 +114,7 @@ impl Chain {
             Ends::OpenBelow,
             "without friction nothing holds the body",
         )?;
-        check(
-            "friction ratio r",
-            "",
-            params.friction_ratio,
-            (1.0, 1e6),
-            Ends::Closed,
-            "it is hard over easy",
-        )?;
+        let ratio = params.friction_ratio.at(&params.design, params.friction)?;
         check(
             "preload",
             "mm",
@@ -93,13 +134,16 @@ impl Chain {
         let start_mm = params.tail_mm + params.design.wing_reach_mm(0.0)?;
         let mut chain = Self {
             params,
+            ratio,
             start_mm,
+            relaxed_mm: 0.0,
             core_tail_mm: start_mm,
             indentation_mm: [0.0; LINKS],
             link_mm: [params.design.spacing_mm(); LINKS],
             middle_mm: [0.0; LINKS],
         };
         chain.middle_mm = chain.middles(&chain.link_mm);
+        chain.relaxed_mm = chain.core_mm();
         Ok(chain)
     }
 
@@ -148,7 +192,7 @@ impl Chain {
                 self.params.friction * hold,
             );
         }
-        self.core_tail_mm += least_work_shift(&mut shift[..m], self.params.friction_ratio);
+        self.core_tail_mm += least_work_shift(&mut shift[..m], self.ratio);
         self.indentation_mm = indentation_mm;
         self.link_mm = link_mm;
         self.middle_mm = middle_mm;
@@ -160,6 +204,11 @@ impl Chain {
         self.core_tail_mm - self.start_mm
     }
 
+    /// How far the head has moved since the start, mm. Less than the tail while the body is squeezed.
+    pub fn head_displacement_mm(&self) -> f64 {
+        self.head_mm() - self.start_mm - self.relaxed_mm
+    }
+
     /// Place of the core's tail end, mm.
     pub fn core_tail_mm(&self) -> f64 {
         self.core_tail_mm
@@ -167,7 +216,11 @@ impl Chain {
 
     /// Place of the core's head end, mm.
     pub fn head_mm(&self) -> f64 {
-        self.core_tail_mm + self.link_mm[..self.m()].iter().sum::<f64>()
+        self.core_tail_mm + self.core_mm()
+    }
+
+    fn core_mm(&self) -> f64 {
+        self.link_mm[..self.m()].iter().sum::<f64>()
     }
 
     /// Indentation of each crescent, tail first, mm.

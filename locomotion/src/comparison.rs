@@ -1,13 +1,15 @@
-//! Each sentence of the paper's sections II and III that states a number or a trend, beside the models' result.
+//! Each sentence of the paper's sections II and III that states a number or a trend, beside a model's result.
 //!
 //! The rows are data for reports; [`Table`] prints them as the Markdown table of `docs/science.md`.
 
 use core::fmt;
 
-use crate::body::Chain;
-use crate::kinematics::{Design, indentation_from_calipers_mm};
+use crate::body::{Chain, FrictionRatio};
+use crate::kinematics::{Design, indentation_from_calipers_mm, repaired_eq6_residual};
+use crate::model::Model;
+use crate::prior::{self, Band, Words};
 use crate::range::OutOfRange;
-use crate::{folded, roller, tube};
+use crate::{folded, roller, trend, tube};
 
 /// What it proves if a model agrees with a sentence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,24 +74,29 @@ impl fmt::Display for Row {
         write!(f, "| {section} | {sentence} | {quantity} | {paper} | ")?;
         match self.model {
             // Adding zero turns -0 into 0.
-            Some(value) => write!(f, "{}", Rounded(value + 0.0))?,
+            Some(value) => write!(f, "{}", Rounded(value + 0.0, self.evidence))?,
             None => write!(f, "-")?,
         }
         write!(f, " | {unit} | {evidence} | {remark} |")
     }
 }
 
-/// Prints a whole number as such and any other with three decimals.
-struct Rounded(f64);
+/// Prints a whole number as such. An input is printed with three decimals, a result with about three digits: none of
+/// them is known better.
+struct Rounded(f64, Evidence);
 
 impl fmt::Display for Rounded {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let nearest = libm::round(self.0);
-        if libm::fabs(self.0 - nearest) < 1e-9 {
-            write!(f, "{nearest:.0}")
-        } else {
-            write!(f, "{:.3}", self.0)
-        }
+        let &Self(value, evidence) = self;
+        let nearest = libm::round(value);
+        let decimals = match libm::fabs(value) {
+            _ if libm::fabs(value - nearest) < 1e-9 => 0,
+            size if evidence == Evidence::Input || size < 1.0 => 3,
+            size if size < 10.0 => 2,
+            size if size < 100.0 => 1,
+            _ => 0,
+        };
+        write!(f, "{value:.decimals$}")
     }
 }
 
@@ -109,7 +116,7 @@ impl fmt::Display for Table<'_> {
 }
 
 /// Number of rows.
-pub const ROWS: usize = 69;
+pub const ROWS: usize = 88;
 
 /// The friction coefficients of section II.B: 0.08, 0.085 ... 0.20.
 pub fn frictions() -> impl ExactSizeIterator<Item = f64> + Clone {
@@ -146,138 +153,199 @@ macro_rules! table {
 
 /// Results of the model runs that the rows draw on.
 struct Runs {
-    /// Displacement at each pressure, friction 0.15.
-    pressure_mm: [f64; 11],
+    /// Displacement at each pressure, mean over the placements.
+    pressure: [tube::Averaged; 11],
     /// Least and greatest displacement over the frictions at 7000 Pa.
     friction_mm: (f64, f64),
+    /// The same with a friction ratio that follows from the friction: the body `tube`.
+    facets_mm: (f64, f64),
     /// Greatest difference at any pressure between the lowest and the highest friction.
     tube_friction_mm: f64,
     /// Displacement at each indentation.
     roller_mm: [f64; 5],
     /// Greatest difference at any indentation between the lowest and the highest friction.
     lubrication_mm: f64,
+    /// Isolated passes at each indentation.
+    passes: [roller::IsolatedPass; 5],
 }
 
 impl Runs {
-    fn new() -> Result<Self, OutOfRange> {
-        let mut pressure_mm = [0.0; 11];
-        let (mut slippery, mut rough) = (tube::Params::PAPER, tube::Params::PAPER);
-        slippery.body.friction = 0.08;
-        rough.body.friction = 0.20;
+    fn new(rig: roller::Params, pipe: tube::Params) -> Result<Self, OutOfRange> {
+        let with_friction = |mut params: tube::Params, friction: f64| {
+            params.body.friction = friction;
+            params
+        };
+        let mut pressure = [tube::averaged(pipe, 3000.0)?; 11];
         let mut tube_friction_mm = 0.0f64;
-        for (mm, pressure) in pressure_mm.iter_mut().zip(pressures_pa()) {
-            *mm = tube::run(tube::Params::PAPER, pressure)?;
-            let difference = tube::run(rough, pressure)? - tube::run(slippery, pressure)?;
+        let slipping = pipe.body.friction_ratio == FrictionRatio::Facets;
+        for (averaged, pressure_pa) in pressure.iter_mut().zip(pressures_pa()) {
+            *averaged = tube::averaged(pipe, pressure_pa)?;
+            // With a fixed ratio a friction cancels to the last bit; one place shows it.
+            let places = if slipping { pipe.placements } else { 1 };
+            let few = tube::Params {
+                placements: places,
+                ..pipe
+            };
+            let difference = tube::averaged(with_friction(few, 0.20), pressure_pa)?.tail_mm
+                - tube::averaged(with_friction(few, 0.08), pressure_pa)?.tail_mm;
             tube_friction_mm = tube_friction_mm.max(libm::fabs(difference));
         }
-        let mut friction_mm = (f64::INFINITY, f64::NEG_INFINITY);
-        for friction in frictions() {
-            let mut params = tube::Params::PAPER;
-            params.body.friction = friction;
-            let mm = tube::run(params, 7000.0)?;
-            friction_mm = (friction_mm.0.min(mm), friction_mm.1.max(mm));
-        }
-        let (mut wet, mut dry) = (roller::Params::PAPER, roller::Params::PAPER);
+        let over_frictions = |params: tube::Params| -> Result<(f64, f64), OutOfRange> {
+            let mut range = (f64::INFINITY, f64::NEG_INFINITY);
+            for friction in frictions() {
+                let mm = tube::averaged(with_friction(params, friction), 7000.0)?.tail_mm;
+                range = (range.0.min(mm), range.1.max(mm));
+            }
+            Ok(range)
+        };
+        let (mut wet, mut dry) = (rig, rig);
         wet.body.friction = 0.08;
         dry.body.friction = 0.20;
         let mut roller_mm = [0.0; 5];
         let mut lubrication_mm = 0.0f64;
         for (mm, indentation) in roller_mm.iter_mut().zip(INDENTATIONS_MM) {
-            *mm = roller::run(wet, indentation)?;
-            let difference = roller::run(dry, indentation)? - *mm;
+            *mm = roller::run(rig, indentation)?;
+            let difference = roller::run(dry, indentation)? - roller::run(wet, indentation)?;
             lubrication_mm = lubrication_mm.max(libm::fabs(difference));
         }
+        let mut passes = [roller::isolated_pass(rig, INDENTATIONS_MM[0])?; 5];
+        for (pass, indentation) in passes.iter_mut().zip(INDENTATIONS_MM) {
+            *pass = roller::isolated_pass(rig, indentation)?;
+        }
         Ok(Self {
-            pressure_mm,
-            friction_mm,
+            pressure,
+            friction_mm: over_frictions(pipe)?,
+            facets_mm: over_frictions(Model::TUBE.tube()?)?,
             tube_friction_mm,
             roller_mm,
             lubrication_mm,
+            passes,
         })
     }
 
-    /// How many steps of a series rise.
-    fn rising(series: &[f64]) -> f64 {
-        series.windows(2).filter(|w| w[1] > w[0]).count() as f64
+    /// Displacement of the tail at each pressure.
+    fn pressure_mm(&self) -> [f64; 11] {
+        self.pressure.map(|averaged| averaged.tail_mm)
     }
 
-    /// How many bends of a series turn upward.
-    fn convex(series: &[f64]) -> f64 {
-        series
-            .windows(3)
-            .filter(|w| w[2] - w[1] > w[1] - w[0])
-            .count() as f64
-    }
-
-    /// R^2 of the straight line through the roller series.
-    fn linearity(&self) -> f64 {
-        let n = INDENTATIONS_MM.len() as f64;
-        let mean_x = INDENTATIONS_MM.iter().sum::<f64>() / n;
-        let mean_y = self.roller_mm.iter().sum::<f64>() / n;
-        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-        for (x, y) in INDENTATIONS_MM.iter().zip(self.roller_mm) {
-            let (dx, dy) = (x - mean_x, y - mean_y);
-            xx += dx * dx;
-            xy += dx * dy;
-            yy += dy * dy;
-        }
-        xy * xy / (xx * yy)
+    /// R^2 of the straight line through the roller series, with the origin as a sixth point or without.
+    fn linearity(&self, origin: bool) -> f64 {
+        let points = INDENTATIONS_MM.into_iter().zip(self.roller_mm);
+        trend::linearity([(0.0, 0.0)].into_iter().take(origin.into()).chain(points))
     }
 
     /// Mean slope of the pressure series between two of its members, mm/kPa.
     fn slope_per_kpa(&self, from: usize, to: usize) -> f64 {
-        (self.pressure_mm[to] - self.pressure_mm[from]) / ((to - from) as f64 * 0.4)
+        let mm = self.pressure_mm();
+        (mm[to] - mm[from]) / ((to - from) as f64 * 0.4)
+    }
+
+    /// Greatest share of an antegrade pass that a return pass moves the body, over the indentations.
+    fn worst_return(&self) -> f64 {
+        self.passes
+            .iter()
+            .map(|pass| libm::fabs(pass.returning_mm / pass.antegrade_mm))
+            .fold(0.0, f64::max)
     }
 }
 
-/// Every quantitative sentence of sections II and III, in the paper's order.
+/// Displacement in 40 s at the deepest indentation over the draws that agree with the words on the rig.
+fn band_on_rig(model: &Model) -> Result<Band, OutOfRange> {
+    let mut values = [0.0; prior::DRAWS as usize];
+    let mut count = 0;
+    for (slot, draw) in values.iter_mut().zip(prior::agreeing(Words::Rig)) {
+        let mut params = draw.apply(model).rig()?;
+        params.step_mm = BAND_STEP_MM;
+        *slot = roller::run(params, INDENTATIONS_MM[4])?;
+        count += 1;
+    }
+    Band::of(&mut values[..count]).ok_or(OutOfRange {
+        quantity: "number of draws",
+        value: 0.0,
+        min: 1.0,
+        max: prior::DRAWS.into(),
+        unit: "",
+        ends: crate::range::Ends::Closed,
+        because: "a band needs draws that agree with the words",
+    })
+}
+
+/// Step of the roller in the band, mm: its error of at most 0.3 mm does not show there.
+const BAND_STEP_MM: f64 = 0.25;
+
+/// Every sentence of sections II and III with a number or a trend, and two of section I, in the paper's order, beside
+/// what a model gives.
 ///
 /// # Errors
-/// None for the parameters in this crate.
-pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
-    let runs = Runs::new()?;
+/// A model with a value outside its range.
+pub fn rows(model: &Model) -> Result<[Row; ROWS], OutOfRange> {
+    let rig = model.rig()?;
+    let pipe = model.tube()?;
+    let block = model.folded(None)?;
+    let runs = Runs::new(rig, pipe)?;
+    let band = band_on_rig(model)?;
     let design = Design::paper_printed();
-    let rig = roller::Params::PAPER;
-    let pipe = tube::Params::PAPER;
-    let block = folded::Params::PAPER;
     let deepest_mm = INDENTATIONS_MM[4];
-    let fine = roller::Params {
-        step_mm: 0.1,
-        ..rig
-    };
-    let pass = roller::isolated_pass(fine, deepest_mm)?;
-    let shallow = roller::isolated_pass(fine, INDENTATIONS_MM[0])?;
+    let deepest = runs.passes[4];
     let mut pushed = folded::FoldedBody::new(block, deepest_mm)?;
     pushed.carriage_to(block.stroke_mm)?;
     let antegrade_mm = pushed.displacement_mm();
     pushed.carriage_to(0.0)?;
     let returning_mm = pushed.displacement_mm() - antegrade_mm;
+    let undrawn_mm = folded::run(model.folded(Some(0.0))?, deepest_mm)?;
     let ring_pa = ring_buckling_pa(&pipe);
     let d0_mm = design.shortening_per_crescent_mm(3.0)?;
     let with = |alpha_deg: f64, beta_deg: f64, core_ratio: f64| {
         Design::new(24.40, core_ratio * 24.40, alpha_deg, beta_deg, 9)
     };
+    let body = rig.body.design;
     let other = |tan_beta: f64, crescents: u8| {
-        let paper = rig.body.design;
-        let mut params = rig;
-        params.body.design = Design::with_slopes(
-            paper.width_mm(),
-            paper.core_mm(),
-            paper.tan_alpha(),
+        Design::with_slopes(
+            body.width_mm(),
+            body.core_mm(),
+            body.tan_alpha(),
             tan_beta,
             crescents,
-        )?;
+        )
+    };
+    let run = |design: Design<f64>| {
+        let mut params = rig;
+        params.body.design = design;
         roller::run(params, deepest_mm)
     };
-    let steep_mm = other(1.0, 9)?;
-    let tan_beta = rig.body.design.tan_beta();
-    let (few_mm, many_mm) = (other(tan_beta, 5)?, other(tan_beta, 13)?);
-    let mut body = Chain::new(rig.body)?;
-    let at_rest_mm = body.head_mm() - body.core_tail_mm();
-    body.step(|_| deepest_mm)?;
-    body.step(|_| 0.0)?;
-    let released_mm = body.head_mm() - body.core_tail_mm() - at_rest_mm;
+    // At 45 deg, as many crescents as come nearest to the length of the core.
+    let steep = other(1.0, 1)?;
+    let as_long = libm::round(body.core_length_mm(0.0)? / steep.spacing_mm());
+    let steep = other(1.0, as_long.clamp(1.0, 32.0) as u8)?;
+    let (few, many) = (other(body.tan_beta(), 5)?, other(body.tan_beta(), 13)?);
+    let per_crescent = |mm: f64, design: Design<f64>| mm / f64::from(design.crescents());
+    let wave_mm = 2.0 * libm::sqrt(deepest_mm * (2.0 * rig.radius_mm - deepest_mm));
+    let mut chain = Chain::new(rig.body)?;
+    let at_rest_mm = chain.head_mm() - chain.core_tail_mm();
+    chain.step(|_| deepest_mm)?;
+    let (squeezed_tail_mm, squeezed_head_mm) =
+        (chain.displacement_mm(), chain.head_displacement_mm());
+    chain.step(|_| 0.0)?;
+    let released_mm = chain.head_mm() - chain.core_tail_mm() - at_rest_mm;
+    let released_head_mm = chain.head_displacement_mm() - squeezed_head_mm;
+    let often = tube::Params {
+        period_s: 4.0,
+        ..pipe
+    };
+    let steps = INDENTATIONS_MM.windows(2).map(|pair| pair[1] - pair[0]);
+    let (least, most) = (
+        steps.clone().fold(f64::INFINITY, f64::min),
+        steps.fold(0.0, f64::max),
+    );
     Ok(table! {
+        "I" {
+            "15 to 18 peristaltic waves per minute":
+                "waves per minute in the tube", "15 to 18", "1/min", Input = 60.0 / pipe.period_s,
+                "a period of 10 s [assumed], of 3.3 to 4 s in the sentence: section II.B does not say which it uses";
+            "15 to 18 peristaltic waves per minute":
+                "displacement in 20 s at 7000 Pa, a wave every 4 s", "-", "mm", Outcome = tube::averaged(often, 7000.0)?.tail_mm,
+                "the fit holds for a period of 10 s only";
+        }
         "II" {
             "squeezed across, it contracts along its axis":
                 "length at a = 5.05 mm over length at rest", "less than 1", "",
@@ -287,13 +355,30 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
                 "length after release less length at rest", "0", "mm", Built = released_mm,
                 "an inextensible chain has no other shape";
             "the angles act like an anisotropic friction":
-                "friction ratio r on the rig", "more than 1", "", Fitted = rig.body.friction_ratio,
-                "fitted to the retrograde waves of section III; in the tube 1.222 [assumed]";
+                "friction ratio r", "more than 1", "", Fitted = rig.body.friction_ratio.at(&body, rig.body.friction)?,
+                "fitted to the retrograde waves of section III, not derived from the angles";
+            "the angles act like an anisotropic friction":
+                "(1 + mu tan beta)/(1 - mu tan beta), mu = 0.15", "more than 1", "",
+                Outcome = FrictionRatio::Facets.at(&body, 0.15)?,
+                "what the angles alone give: too little to hold against a returning roller";
         }
         "II.A" {
+            "squeezed, the rear end shrinks forward":
+                "tail forward by an even squeeze of 5.05 mm", "more than 0", "mm", Outcome = squeezed_tail_mm,
+                "follows from r above 1; of its length by the coupling";
+            "released, it expands and moves forward":
+                "head forward by the release", "more than 0", "mm", Outcome = released_head_mm,
+                "the tail holds; follows from r above 1";
             "alpha should be around 13 deg":
                 "d d0/d alpha at a = 3 mm", "0 at the optimum", "mm/rad", Outcome = design.slope_by_alpha_mm(3.0)?,
                 "negative for every indentation: no optimum, the material sets the lower bound";
+            "Eq. (6) gives the best alpha":
+                "its left less its right side at 12.53 deg, a = 3 mm", "0", "", Outcome = repaired_eq6_residual(&design, 3.0),
+                "missed: right side repaired to ((h-a)/h)^2; as printed it takes mm from 1/mm";
+            "Eq. (6) gives the best alpha":
+                "least root of the repaired form, any indentation", "12.53", "deg",
+                Outcome = libm::atan(libm::sqrt((1.0 + libm::sqrt(5.0)) / 2.0)).to_degrees(),
+                "missed: tan^2 alpha = the golden ratio";
             "alpha too large: less forward deformation":
                 "d0 at alpha = 20 deg less d0, a = 3 mm", "less", "mm",
                 Outcome = with(20.0, 33.69, 0.2)?.shortening_per_crescent_mm(3.0)? - d0_mm;
@@ -307,35 +392,39 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
             "beta too large: the spacing increases":
                 "phi at beta = 45 deg less phi", "more", "mm",
                 Outcome = with(12.53, 45.0, 0.2)?.spacing_mm() - design.spacing_mm();
+            "beta too large: fewer crescents under one wave":
+                "wave's length over phi, beta = 45 less 33.69 deg, a = 5.05 mm", "less", "",
+                Outcome = wave_mm / steep.spacing_mm() - wave_mm / body.spacing_mm(),
+                "the rollers' arc touches 26.6 mm of the wall";
             "beta too large: less total displacement":
-                "displacement in 40 s with beta = 45 deg less with 33.69, a = 5.05 mm", "less", "mm",
-                Outcome = steep_mm - runs.roller_mm[4],
-                "missed: with nine crescents either way, the longer strokes outweigh that fewer lie under a wave";
+                "displacement in 40 s, beta = 45 deg and as long a core, less with 33.69, a = 5.05 mm", "less", "mm",
+                Outcome = run(steep)? - runs.roller_mm[4],
+                "5 crescents in 38.0 mm for 9 in 39.0 mm; with 9 on 68 mm it would go farther";
             "W is roughly the intestine's diameter":
-                "W / D", "about 1", "", Input = design.width_mm() / block.intestine_mm;
+                "W / D", "about 1", "", Input = body.width_mm() / block.intestine_mm;
             "W too small: not stuck; too large: slower": "width", "-", "", Outside, "the models start from W = D";
-            "c should be 1/5 of M": "c", "1/5", "mm", Input = design.core_mm(), "M is W";
+            "c should be 1/5 of M": "c", "1/5", "mm", Input = body.core_mm(), "M is W";
             "c too long: much less forward deformation":
                 "d0 at c/W = 0.4 less d0, a = 3 mm", "less", "mm",
                 Outcome = with(12.53, 33.69, 0.4)?.shortening_per_crescent_mm(3.0)? - d0_mm,
                 "a fifth less; the gap h is a quarter smaller";
             "c too short: easily bent": "core", "-", "", Outside, "rigid core";
             "the number m should be about 9":
-                "m", "9", "", Input = design.crescents().into(), "n in the words, m in Eq. (7)";
+                "m", "9", "", Input = body.crescents().into(), "n in the words, m in Eq. (7)";
             "m too small: hard to move":
                 "displacement in 40 s with m = 5 less with 9, a = 5.05 mm", "less", "mm",
-                Outcome = few_mm - runs.roller_mm[4],
+                Outcome = run(few)? - runs.roller_mm[4],
                 "fewer crescents, less of it";
             "m too large: less efficient":
-                "displacement in 40 s with m = 13 less with 9, a = 5.05 mm", "less", "mm",
-                Outcome = many_mm - runs.roller_mm[4],
-                "missed: a common friction cancels, and a longer body goes farther";
+                "displacement per crescent with m = 13 less with 9, a = 5.05 mm", "less", "mm",
+                Outcome = per_crescent(run(many)?, many) - per_crescent(runs.roller_mm[4], body),
+                "efficient read as per crescent; in all a longer body goes farther";
             "alpha = 12.53 deg works best":
-                "alpha of tan = 2/9", "12.53", "deg", Outcome = libm::atan(2.0 / 9.0).to_degrees(),
-                "the printed angle is this ratio's";
+                "alpha of tan = 2/9", "12.53", "deg", Input = libm::atan(2.0 / 9.0).to_degrees(),
+                "circular: the ratio was read from the printed angle";
             "beta = 33.69 deg works best":
-                "beta of tan = 2/3", "33.69", "deg", Outcome = libm::atan(2.0 / 3.0).to_degrees(),
-                "the printed angle is this ratio's";
+                "beta of tan = 2/3", "33.69", "deg", Input = libm::atan(2.0 / 3.0).to_degrees(),
+                "circular: the ratio was read from the printed angle";
             "the tail moves forward by d = m d0":
                 "d at a = 5.05 mm", "-", "mm", Outcome = design.shortening_mm(deepest_mm)?,
                 "this is the core's shortening";
@@ -344,7 +433,7 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
                 Outcome = design.length_mm(0.0)? - design.length_mm(deepest_mm)?,
                 "less than d: the last wing lies back";
             "the larger d, the stronger the mobility":
-                "rising steps of 4, a_1 to a_5", "all", "", Outcome = Runs::rising(&runs.roller_mm),
+                "rising steps of 4, a_1 to a_5", "all", "", Outcome = trend::rising(&runs.roller_mm) as f64,
                 "on the rig; d rises with a";
         }
         "II.B" {
@@ -358,6 +447,8 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
             "density 1 g/mm^3, origami 1.4 g/mm^3":
                 "density", "1; 1.4", "g/mm^3", Outside, "1000 times too large as printed; the models have no mass";
             "viscosity 5.35 MPa s": "viscosity", "5.35", "MPa s", Outside, "the wall follows its pressure at once";
+            "changed to a cross shape":
+    "pairs of crescents", "-", "", Outside, "the models have one: a second doubles every contact alike, and that cancels";
             "crescents 2.00 mm wide and 0.80 mm thick": "section", "2.00 x 0.80", "mm", Outside, "rigid sides";
             "shear modulus 0.6 MPa, bulk modulus 2.0 GPa": "moduli", "0.6; 2000", "MPa", Outside, "rigid sides";
             "10 segments of 8.4 mm, at 1 s intervals":
@@ -368,31 +459,47 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
             "4000 Pa internal pressure":
                 "4000 Pa + buckling pressure of the ring", "-", "Pa", Outcome = 4000.0 + ring_pa,
                 "near the 6000 Pa where the displacement becomes faster; not used in the model";
+            "placed on the left side in the intestine":
+                "spread over the placements at 7000 Pa", "-", "mm",
+                Outcome = runs.pressure[10].range_mm.1 - runs.pressure[10].range_mm.0,
+                "where against the segments is not in the text: every tube row is a mean over one segment";
             "displacement within 20 s": "length of a run", "20", "s", Input = pipe.duration_s;
             "friction series at 7000 Pa": "peristaltic pressure", "7000", "Pa", Input = 7000.0;
             "friction coefficients 0.08 to 0.20, by 0.005":
                 "number of runs", "25", "", Input = frictions().len() as f64;
             "pressures 3000 to 7000 Pa, by 400": "number of runs", "11", "", Input = pressures_pa().len() as f64;
-            "pressure series at friction 0.15": "friction", "0.15", "", Input = pipe.body.friction, "it cancels";
+            "pressure series at friction 0.15": "friction", "0.15", "", Input = pipe.body.friction, "a fixed r makes it cancel";
             "from 3000 Pa the intestine indents slightly":
                 "wall at 3000 Pa", "slightly", "mm", Fitted = pipe.wall_mm(3000.0);
             "above 7000 Pa it is severely shrunk": "wall at 7000 Pa", "severely", "mm", Fitted = pipe.wall_mm(7000.0),
-                "of 9.6 mm to the core; p_c = 7100 Pa";
+                "of 9.6 mm to the core";
         }
         "II.C" {
             "about 14 mm in 20 s at each friction":
                 "least over 0.08 to 0.20, 7000 Pa", "about 14", "mm", Fitted = runs.friction_mm.0,
-                "the displacement is fitted";
+                "calibrated to; one sentence, not 25 values";
             "no obvious correlation with friction":
                 "greatest minus least, 7000 Pa", "none", "mm", Built = runs.friction_mm.1 - runs.friction_mm.0,
-                "a common friction cancels";
-            "from about 1 mm": "displacement at 3000 Pa", "about 1", "mm", Fitted = runs.pressure_mm[0];
-            "to about 15 mm": "displacement at 7000 Pa", "about 15", "mm", Fitted = runs.pressure_mm[10],
-                "depends on the start phase and the time step";
-            "significant positive curvature": "upward bends of 9", "all", "", Fitted = Runs::convex(&runs.pressure_mm),
-                "ripple of nine tips on a convex trend";
+                "r is fixed, so a common friction cancels";
+            "no obvious correlation with friction":
+                "least over 0.08 to 0.20, r of the facets, body `tube`", "about 14", "mm", Outcome = runs.facets_mm.0,
+                "where r follows from the friction, friction matters";
+            "no obvious correlation with friction":
+                "greatest over 0.08 to 0.20, r of the facets, body `tube`", "about 14", "mm", Outcome = runs.facets_mm.1,
+                "missed: half as much again as the least";
+            "from about 1 mm": "displacement of the tail at 3000 Pa", "about 1", "mm", Fitted = runs.pressure[0].tail_mm,
+                "calibrated to";
+            "from about 1 mm": "displacement of the head at 3000 Pa", "about 1", "mm", Fitted = runs.pressure[0].head_mm,
+                "the figures mark the head; the text does not say which end it means";
+            "to about 15 mm": "displacement of the tail at 7000 Pa", "about 15", "mm", Fitted = runs.pressure[10].tail_mm,
+                "calibrated to";
+            "about 14 mm, and about 15 mm, for 7000 Pa at friction 0.15":
+                "displacement of the tail in both", "14; 15", "mm", Fitted = runs.pressure[10].tail_mm,
+                "the paper has two values for one case: no value lies nearer than 0.5 mm to both";
+            "significant positive curvature": "upward bends of 9", "all", "",
+                Fitted = trend::convex(&runs.pressure_mm()) as f64, "p_c is fitted";
             "the greater the pressure, the faster":
-                "rising steps of 10", "all", "", Outcome = Runs::rising(&runs.pressure_mm);
+                "rising steps of 10", "all", "", Outcome = trend::rising(&runs.pressure_mm()) as f64;
         }
         "II.D" {
             "printing accuracy 0.15 mm, shore hardness 95 A":
@@ -401,7 +508,7 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
         "III" {
             "wave displacement restricted to 130 mm": "stroke", "130", "mm", Input = rig.stroke_mm;
             "structure 24.40 mm wide, as the intestine":
-                "W on the rig", "24.40", "mm", Input = rig.body.design.width_mm();
+                "W on the rig", "24.40", "mm", Input = body.width_mm();
             "tail at the left end, rollers at the right":
                 "tail at the start", "0", "mm", Input = rig.body.tail_mm, "the tip of the rearmost wing";
             "silicone Ecoflex 00-30": "shore hardness", "00-30", "", Outside, "the wall is the rollers' arc";
@@ -409,44 +516,59 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
                 "the wave is their arc; the silicone's own bending is left out";
             "width D = 24.40 mm, mean of 5 places": "D", "24.40", "mm", Input = block.intestine_mm;
             "a_n = (D - i_n)/2, i_n from 5 places":
-                "a for i = 14.30 mm", "5.05", "mm", Outcome = indentation_from_calipers_mm(24.40, 14.30)?,
-                "i_5 follows from a_5; a_1 to a_4 are not in the text";
+                "a for i = 14.30 mm", "5.05", "mm", Input = indentation_from_calipers_mm(24.40, 14.30)?,
+                "circular: i_5 was worked out from a_5; a_1 to a_4 are not in the text";
             "peristaltic indentation a_1 to a_5":
                 "number of indentations", "5", "", Input = INDENTATIONS_MM.len() as f64,
                 "1, 2, 3, 4 mm [assumed] and 5.05 mm";
+            "one zigzag distance from each indentation to the next":
+                "greatest step less least step, a_1 to a_5", "0", "mm", Input = most - least,
+                "missed by the assumed 1, 2, 3, 4 mm; equal steps fix a_5 only, not the distance";
             "back and forth 5 times in 40 s":
                 "mean speed of the carriage", "-", "mm/s", Outcome = f64::from(rig.cycles) * 2.0 * rig.stroke_mm / 40.0,
                 "three times the intestine's wave; the models have no speed";
             "retrograde waves hardly cause displacement":
-                "isolated return pass at 5.05 mm", "hardly", "mm", Fitted = pass.returning_mm,
-                "roller step 0.1 mm; an antegrade pass gives the next row";
+                "isolated return pass at 5.05 mm", "hardly", "mm", Fitted = deepest.returning_mm,
+                "an antegrade pass gives the row after the next";
             "retrograde waves hardly cause displacement":
-                "isolated return pass at 1 mm", "hardly", "mm", Outcome = shallow.returning_mm,
-                "a third of the antegrade pass, 2.710 mm: at small indentations the sentence is missed";
+                "greatest share of an antegrade pass, a_1 to a_5", "hardly", "", Fitted = runs.worst_return(),
+                "at 2 mm of indentation";
             "the antegrade wave moves the structure":
-                "isolated antegrade pass at 5.05 mm", "-", "mm", Outcome = pass.antegrade_mm, "no number in the text";
+                "isolated antegrade pass at 5.05 mm", "-", "mm", Outcome = deepest.antegrade_mm, "no number in the text";
             "10 experiments under each condition":
                 "spread", "10", "", Outside, "the models have no scatter; a campaign repeats real trials";
         }
         "III.A" {
             "increases approximately linearly with the indentation":
-                "R^2 of a line, 5 indentations", "about 1", "", Fitted = runs.linearity(), "chi is fitted to this";
+                "R^2 of a line, 5 indentations", "about 1", "", Fitted = runs.linearity(false), "calibrated to";
+            "increases approximately linearly with the indentation":
+                "R^2 of a line, 5 indentations and the origin", "about 1", "", Fitted = runs.linearity(true),
+                "concave towards 0: the text does not say whether the line passes through it";
             "increases with the indentation": "displacement in 40 s at 5.05 mm", "-", "mm", Outcome = runs.roller_mm[4],
-                "a prediction: the text gives no millimetres";
+                "the text gives no millimetres: see the next two rows";
+            "increases with the indentation":
+                "the same, 5 % of the bodies that agree with the words on the rig", "-", "mm", Outcome = band.low,
+                "prior band: nothing in the text says where in it the body lies";
+            "increases with the indentation":
+                "the same, 95 % of these bodies", "-", "mm", Outcome = band.high,
+                "prior band";
             "lubricated and unlubricated differ little":
                 "greatest difference, friction 0.08 and 0.20", "not very different", "mm", Built = runs.lubrication_mm,
-                "a common friction cancels";
+                "r is fixed, so a common friction cancels";
             "low and high friction differ little in the simulation":
                 "greatest difference, friction 0.08 and 0.20, all pressures", "no very", "mm",
                 Built = runs.tube_friction_mm,
-                "a common friction cancels";
+                "r is fixed, so a common friction cancels";
             "faster from about 6000 Pa":
                 "mean slope 3000 to 5800 Pa", "-", "mm/kPa", Fitted = runs.slope_per_kpa(0, 7), "p_c is fitted";
             "faster from about 6000 Pa":
                 "mean slope 5800 to 7000 Pa", "more", "mm/kPa", Fitted = runs.slope_per_kpa(7, 10), "p_c is fitted";
             "folded, it moves in the opposite direction at 5.05 mm":
-                "displacement in 40 s", "opposite", "mm", Outcome = antegrade_mm,
-                "21 mm of thread, laid down at mid-stroke (assumed); below 14.3 mm of width it would not be touched";
+                "displacement in 40 s", "opposite", "mm", Built = antegrade_mm,
+                "a switch: whoever declares it folded gets a block that is pushed; laid down at mid-stroke (assumed)";
+            "folded, it moves in the opposite direction at 5.05 mm":
+                "the same with 0 mm of thread, declared folded", "-", "mm", Built = undrawn_mm,
+                "the same body declared unfolded goes headward: the thread decides nothing but the width";
             "folded, recorded within 40 s": "cycles", "40 s", "", Input = f64::from(block.cycles), "5 cycles of 8 s";
             "the wave from left to right hardly moves it":
                 "displacement by the return stroke", "hardly", "mm", Built = returning_mm,
@@ -460,22 +582,4 @@ pub fn rows() -> Result<[Row; ROWS], OutOfRange> {
 fn ring_buckling_pa(params: &tube::Params) -> f64 {
     let ratio = params.thickness_mm / (params.radius_mm + params.thickness_mm / 2.0);
     params.modulus_pa * ratio * ratio * ratio / (4.0 * (1.0 - params.poisson * params.poisson))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_level_step_does_not_rise_and_a_straight_series_does_not_bend() {
-        for (series, rising, convex) in [
-            (&[1.0, 2.0, 3.0, 4.0][..], 3.0, 0.0),
-            (&[1.0, 1.0, 2.0, 2.0], 1.0, 1.0),
-            (&[4.0, 5.0, 7.0, 6.0], 2.0, 1.0),
-            (&[8.0, 4.0, 2.0, 1.0], 0.0, 2.0),
-        ] {
-            assert_eq!(Runs::rising(series), rising, "{series:?}");
-            assert_eq!(Runs::convex(series), convex, "{series:?}");
-        }
-    }
 }

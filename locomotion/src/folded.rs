@@ -6,7 +6,6 @@
 //! the end of the stroke; otherwise it rides over the block. The returning roller leaves the block behind.
 
 use crate::kinematics::Design;
-use crate::parameter::{Label, Parameter, row};
 use crate::range::{Ends, OutOfRange, check};
 
 /// The rig, the intestine and the folded body in it.
@@ -31,7 +30,7 @@ pub struct Params {
 }
 
 impl Params {
-    /// The paper's fold experiment; `PARAMETERS` says where each value comes from. Width and length are those of
+    /// The paper's fold experiment; the settings of [`crate::model`] say where each value comes from. Width and length are those of
     /// [`Params::folded_by`] with 21 mm of thread, to three decimals.
     pub const PAPER: Self = Self {
         intestine_mm: 24.40,
@@ -58,70 +57,6 @@ impl Params {
         })
     }
 }
-
-/// Each parameter of [`Params::PAPER`], its label and its source.
-pub const PARAMETERS: [Parameter; 8] = {
-    use Label::{Assumed, Derived, Paper};
-    let p = Params::PAPER;
-    [
-        row(
-            "intestine_mm",
-            p.intestine_mm,
-            "mm",
-            Paper,
-            "III: caliper mean, D = 24.40 mm",
-        ),
-        row(
-            "width_mm",
-            p.width_mm,
-            "mm",
-            Derived,
-            "Eq. (7) for 21 mm of thread, the fold's nominal travel [assumed]",
-        ),
-        row(
-            "length_mm",
-            p.length_mm,
-            "mm",
-            Derived,
-            "L(a) for the same thread",
-        ),
-        row(
-            "friction",
-            p.friction,
-            "",
-            Assumed,
-            "II.B gives 0.08 to 0.20 for a capsule in the intestine",
-        ),
-        row(
-            "tail_mm",
-            p.tail_mm,
-            "mm",
-            Assumed,
-            "Fig. 8's start is not in the text: middle of the stroke",
-        ),
-        row(
-            "stroke_mm",
-            p.stroke_mm,
-            "mm",
-            Paper,
-            "III: wave displacement restricted to 130 mm",
-        ),
-        row(
-            "radius_mm",
-            p.radius_mm,
-            "mm",
-            Paper,
-            "III: rollers of 40 mm diameter",
-        ),
-        row(
-            "cycles",
-            p.cycles as f64,
-            "",
-            Paper,
-            "III: back and forth, 40 s",
-        ),
-    ]
-};
 
 /// How the wave meets the folded body.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -218,6 +218,35 @@ impl<T: Real> Design<T> {
         })
     }
 
+    /// A design from the share c/W of the core in the width, `0 < ratio < 1`, and the tangents of its angles.
+    ///
+    /// # Errors
+    /// As [`Design::new`].
+    pub fn with_ratio(
+        width_mm: T,
+        core_ratio: T,
+        tan_alpha: T,
+        tan_beta: T,
+        crescents: u8,
+    ) -> Result<Self, OutOfRange> {
+        check(
+            "core ratio c/W",
+            "",
+            core_ratio.into(),
+            (0.0, 1.0),
+            Ends::Open,
+            "the crescents stand between core and wall",
+        )?;
+        Self::with_slopes(
+            width_mm,
+            // Divided, not multiplied: a fifth of 24 mm is then 4.8 mm to the last bit.
+            width_mm / (T::from(1) / core_ratio),
+            tan_alpha,
+            tan_beta,
+            crescents,
+        )
+    }
+
     /// Overall width W, mm.
     pub const fn width_mm(&self) -> T {
         self.width_mm

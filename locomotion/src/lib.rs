@@ -1,8 +1,8 @@
 //! The paper's mathematics: the origami's kinematics, its body in a travelling wave, the roller rig, the pressurised
 //! tube and the folded body.
 //!
-//! No clock, no randomness that is not seeded; the steps use only `+ - * /` and square roots, so that a run gives the
-//! same bits every time. Only [`beam`] allocates and takes angles. Lengths are in millimetres, pressures in pascals; the load of a wave on the body is expressed as
+//! No clock, no randomness but the seeded stream of [`prior`]; the steps use only `+ - * /` and square roots, so that a
+//! run gives the same bits every time. Only [`beam`] allocates and takes angles. Lengths are in millimetres, pressures in pascals; the load of a wave on the body is expressed as
 //! the indentation of the wall in millimetres.
 //!
 //! # Axes and signs
@@ -12,7 +12,7 @@
 //! is counted as on the rig, 0 = home = right end, positive to the left, so the roller is at `x = stroke - carriage`.
 //!
 //! # Where a number comes from
-//! Every parameter has a row in a `PARAMETERS` table with its [`parameter::Label`] and its source. `docs/science.md`
+//! Every parameter has a row in [`model::SETTINGS`] with its [`parameter::Label`] and its source. `docs/science.md`
 //! says what that means for the results.
 #![doc = include_str!("../README.md")]
 #![no_std]
@@ -27,7 +27,10 @@ pub mod body;
 pub mod comparison;
 pub mod folded;
 pub mod kinematics;
+pub mod model;
 pub mod parameter;
+pub mod prior;
 pub mod range;
 pub mod roller;
+mod trend;
 pub mod tube;

@@ -13,6 +13,8 @@ pub enum Label {
     Calibrated,
     /// Chosen; there is no source.
     Assumed,
+    /// Set by a person for one calculation.
+    Given,
 }
 
 impl fmt::Display for Label {
@@ -22,17 +24,20 @@ impl fmt::Display for Label {
             Self::Derived => "derived",
             Self::Calibrated => "cal",
             Self::Assumed => "assumed",
+            Self::Given => "given",
         })
     }
 }
 
-/// One row of a model's `PARAMETERS` table.
+/// One parameter of a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameter {
-    /// Name of the field, with the path from the model's parameter struct.
+    /// Section and name, as in a model file; of the beam, the field with its path.
     pub name: &'static str,
-    /// Default value in `unit`.
+    /// Value in `unit`.
     pub value: f64,
+    /// The word by which it was set, if it was: the value follows from others then.
+    pub word: Option<&'static str>,
     /// Unit; empty for a pure number.
     pub unit: &'static str,
     /// How far the number can be trusted.
@@ -41,7 +46,7 @@ pub struct Parameter {
     pub source: &'static str,
 }
 
-/// A row of a table.
+/// A row of a table of defaults.
 pub(crate) const fn row(
     name: &'static str,
     value: f64,
@@ -52,6 +57,7 @@ pub(crate) const fn row(
     Parameter {
         name,
         value,
+        word: None,
         unit,
         label,
         source,

@@ -4,9 +4,8 @@
 //! another multiple of `step_mm`, however finely or coarsely the positions are given. A stop in mid-stroke leaves the
 //! roller's wave on the body, and a reversal continues from there.
 
-use crate::body::{self, Chain};
+use crate::body::{self, Chain, FrictionRatio};
 use crate::kinematics::Design;
-use crate::parameter::{Label, Parameter, row};
 use crate::range::{Ends, OutOfRange, check};
 
 /// The rig, the intestine and the body on it.
@@ -25,129 +24,22 @@ pub struct Params {
 }
 
 impl Params {
-    /// The paper's experiment; `PARAMETERS` says where each value comes from.
+    /// The paper's experiment with the body `one` of [`crate::model`]; its settings say where each value comes from.
     pub const PAPER: Self = Self {
         body: body::Params {
             design: Design::paper_ratios(),
             coupling: 0.15,
             friction: 0.15,
-            friction_ratio: 20.0,
-            preload_mm: 0.005,
+            friction_ratio: FrictionRatio::Fixed(40.0),
+            preload_mm: 0.0007,
             tail_mm: 0.0,
         },
         stroke_mm: 130.0,
         radius_mm: 20.0,
-        step_mm: 0.5,
+        step_mm: 0.05,
         cycles: 5,
     };
 }
-
-/// Each parameter of [`Params::PAPER`], its label and its source.
-pub const PARAMETERS: [Parameter; 14] = {
-    use Label::{Assumed, Calibrated, Derived, Paper};
-    let p = Params::PAPER;
-    let d = p.body.design;
-    [
-        row(
-            "body.design.width_mm",
-            d.width_mm(),
-            "mm",
-            Paper,
-            "III: the structure is as wide as the intestine",
-        ),
-        row(
-            "body.design.core_mm",
-            d.core_mm(),
-            "mm",
-            Derived,
-            "II.A: c is 1/5 of the width",
-        ),
-        row(
-            "body.design.tan_alpha",
-            d.tan_alpha(),
-            "",
-            Derived,
-            "2/9: II.A prints 12.53 deg, its arctangent",
-        ),
-        row(
-            "body.design.tan_beta",
-            d.tan_beta(),
-            "",
-            Derived,
-            "2/3: II.A prints 33.69 deg, its arctangent",
-        ),
-        row(
-            "body.design.crescents",
-            d.crescents() as f64,
-            "",
-            Paper,
-            "II.A: m = 9",
-        ),
-        row(
-            "body.coupling",
-            p.body.coupling,
-            "",
-            Calibrated,
-            "III.A: displacement rises approximately linearly",
-        ),
-        row(
-            "body.friction",
-            p.body.friction,
-            "",
-            Assumed,
-            "the rig's friction is not given; it cancels",
-        ),
-        row(
-            "body.friction_ratio",
-            p.body.friction_ratio,
-            "",
-            Calibrated,
-            "III: retrograde waves hardly move it",
-        ),
-        row(
-            "body.preload_mm",
-            p.body.preload_mm,
-            "mm",
-            Calibrated,
-            "III: structure and intestine are equally wide",
-        ),
-        row(
-            "body.tail_mm",
-            p.body.tail_mm,
-            "mm",
-            Paper,
-            "III: tail at the marked left end",
-        ),
-        row(
-            "stroke_mm",
-            p.stroke_mm,
-            "mm",
-            Paper,
-            "III: wave displacement restricted to 130 mm",
-        ),
-        row(
-            "radius_mm",
-            p.radius_mm,
-            "mm",
-            Paper,
-            "III: rollers of 40 mm diameter",
-        ),
-        row(
-            "step_mm",
-            p.step_mm,
-            "mm",
-            Assumed,
-            "resolution of the model",
-        ),
-        row(
-            "cycles",
-            p.cycles as f64,
-            "",
-            Paper,
-            "III: back and forth 5 times",
-        ),
-    ]
-};
 
 /// How far beyond either end of the stroke a carriage position may lie, mm: enough for the wave to clear the body.
 const OVERTRAVEL_MM: f64 = 100.0;
@@ -269,6 +161,11 @@ impl UnfoldedBody {
     /// How far the tail has moved since the start, mm; + is headward (retrograde).
     pub fn displacement_mm(&self) -> f64 {
         self.chain.displacement_mm()
+    }
+
+    /// How far the head has moved since the start, mm. Less than the tail while the rollers squeeze the body.
+    pub fn head_displacement_mm(&self) -> f64 {
+        self.chain.head_displacement_mm()
     }
 
     /// The body's chain of contacts, for drawing.

@@ -4,10 +4,12 @@
 //! A segment's wall follows its pressure at once; between the middles of two segments the wall is straight. Viscosity
 //! and inertia are left out, and the internal pressure enters only through the calibrated critical pressure.
 
-use crate::body::{self, Chain};
+use crate::body::{self, Chain, FrictionRatio};
 use crate::kinematics::Design;
-use crate::parameter::{Label, Parameter, row};
 use crate::range::{Ends, OutOfRange, check};
+
+/// Most parts of a time step: a wall that collapses at once would ask for more than helps.
+const MOST_PARTS: f64 = 1e4;
 
 /// Most segments that a tube may have.
 pub const MAX_SEGMENTS: usize = 32;
@@ -41,19 +43,24 @@ pub struct Params {
     pub period_s: f64,
     /// Duration of a run, s.
     pub duration_s: f64,
-    /// Time step of the model, s.
+    /// Time between two rows of a course, s.
     pub step_s: f64,
+    /// A wall moves by about this at most between two evaluations of the body, mm: a time step in which it moves
+    /// farther is divided.
+    pub wall_step_mm: f64,
+    /// Starting places of the tail, evenly over one segment, that [`averaged`] takes the mean of.
+    pub placements: u32,
 }
 
 impl Params {
-    /// The paper's simulation; `PARAMETERS` says where each value comes from.
+    /// The paper's simulation with the body `one` of [`crate::model`]; its settings say where each value comes from.
     pub const PAPER: Self = Self {
         body: body::Params {
             design: Design::paper_tube(),
-            coupling: 1.0,
+            coupling: 0.15,
             friction: 0.15,
-            friction_ratio: 1.222,
-            preload_mm: 0.17,
+            friction_ratio: FrictionRatio::Fixed(40.0),
+            preload_mm: 0.0007,
             tail_mm: 0.0,
         },
         segments: 10,
@@ -62,13 +69,15 @@ impl Params {
         thickness_mm: 2.4,
         modulus_pa: 1e6,
         poisson: 0.49,
-        critical_pa: 7100.0,
-        buckling_mm: 0.09,
+        critical_pa: 7125.0,
+        buckling_mm: 0.06,
         pulse_s: 3.0,
         delay_s: 1.0,
         period_s: 10.0,
         duration_s: 20.0,
         step_s: 0.05,
+        wall_step_mm: 0.02,
+        placements: 16,
     };
 
     /// C_H: inward movement of a linear elastic wall per pressure, mm/Pa: `(1-nu^2) R^2 / (E t)`.
@@ -107,152 +116,6 @@ impl Params {
     }
 }
 
-/// Each parameter of [`Params::PAPER`], its label and its source.
-pub const PARAMETERS: [Parameter; 23] = {
-    use Label::{Assumed, Calibrated, Derived, Paper};
-    let p = Params::PAPER;
-    let d = p.body.design;
-    [
-        row(
-            "body.design.width_mm",
-            d.width_mm(),
-            "mm",
-            Paper,
-            "II.B: as wide as the tube's inner diameter",
-        ),
-        row(
-            "body.design.core_mm",
-            d.core_mm(),
-            "mm",
-            Derived,
-            "II.A: c is 1/5 of the width",
-        ),
-        row(
-            "body.design.tan_alpha",
-            d.tan_alpha(),
-            "",
-            Derived,
-            "2/9: II.A prints 12.53 deg, its arctangent",
-        ),
-        row(
-            "body.design.tan_beta",
-            d.tan_beta(),
-            "",
-            Derived,
-            "2/3: II.A prints 33.69 deg, its arctangent",
-        ),
-        row(
-            "body.design.crescents",
-            d.crescents() as f64,
-            "",
-            Paper,
-            "II.A: m = 9",
-        ),
-        row(
-            "body.coupling",
-            p.body.coupling,
-            "",
-            Assumed,
-            "the tube's wall lies on the wing along its whole rim",
-        ),
-        row(
-            "body.friction",
-            p.body.friction,
-            "",
-            Paper,
-            "II.B: 0.15 in the pressure series; it cancels",
-        ),
-        row(
-            "body.friction_ratio",
-            p.body.friction_ratio,
-            "",
-            Assumed,
-            "fixed, not fitted; 1 + tan(alpha) to three decimals",
-        ),
-        row(
-            "body.preload_mm",
-            p.body.preload_mm,
-            "mm",
-            Calibrated,
-            "II.C: about 1 mm at 3000 Pa, about 15 mm at 7000 Pa",
-        ),
-        row(
-            "body.tail_mm",
-            p.body.tail_mm,
-            "mm",
-            Paper,
-            "II.B: on the left side in the intestine",
-        ),
-        row(
-            "segments",
-            p.segments as f64,
-            "",
-            Paper,
-            "II.B: 10 segments",
-        ),
-        row(
-            "segment_mm",
-            p.segment_mm,
-            "mm",
-            Paper,
-            "II.B: of 8.4 mm, 84 mm in all",
-        ),
-        row(
-            "radius_mm",
-            p.radius_mm,
-            "mm",
-            Paper,
-            "II.B: diameter 24.00 mm, read as the inner one",
-        ),
-        row("thickness_mm", p.thickness_mm, "mm", Paper, "II.B"),
-        row("modulus_pa", p.modulus_pa, "Pa", Paper, "II.B: 1 MPa"),
-        row(
-            "poisson",
-            p.poisson,
-            "",
-            Assumed,
-            "nearly incompressible tissue",
-        ),
-        row(
-            "critical_pa",
-            p.critical_pa,
-            "Pa",
-            Calibrated,
-            "II.B: above 7000 Pa the wall is severely shrunk",
-        ),
-        row(
-            "buckling_mm",
-            p.buckling_mm,
-            "mm",
-            Calibrated,
-            "II.C: about 1 mm at 3000 Pa, about 15 mm at 7000 Pa",
-        ),
-        row(
-            "pulse_s",
-            p.pulse_s,
-            "s",
-            Paper,
-            "II.B: up in 1.5 s and down in 1.5 s",
-        ),
-        row(
-            "delay_s",
-            p.delay_s,
-            "s",
-            Paper,
-            "II.B: at 1 s intervals from the right end",
-        ),
-        row(
-            "period_s",
-            p.period_s,
-            "s",
-            Assumed,
-            "one wave follows the other: 10 segments at 1 s",
-        ),
-        row("duration_s", p.duration_s, "s", Paper, "II.B: within 20 s"),
-        row("step_s", p.step_s, "s", Assumed, "resolution of the model"),
-    ]
-};
-
 /// The tube with the unfolded body in it.
 #[derive(Clone, Debug)]
 pub struct Tube {
@@ -286,6 +149,14 @@ impl Tube {
             Ends::Closed,
             "the wave travels from segment to segment",
         )?;
+        check(
+            "number of placements",
+            "",
+            params.placements.into(),
+            (1.0, 1e3),
+            Ends::Closed,
+            "the mean is taken over them",
+        )?;
         for (quantity, unit, value, most) in [
             ("segment length", "mm", params.segment_mm, 1e3),
             ("tube radius", "mm", params.radius_mm, 1e3),
@@ -296,6 +167,7 @@ impl Tube {
             ("pulse period", "s", params.period_s, 1e3),
             ("duration", "s", params.duration_s, 1e4),
             ("time step", "s", params.step_s, params.pulse_s),
+            ("wall step", "mm", params.wall_step_mm, 1e3),
         ] {
             check(
                 quantity,
@@ -329,19 +201,43 @@ impl Tube {
         })
     }
 
-    /// Advances by one time step.
+    /// Advances by one time step, in as many parts as [`Params::wall_step_mm`] asks for.
     ///
     /// # Errors
     /// None after a successful [`Tube::new`].
     pub fn step(&mut self) -> Result<(), OutOfRange> {
+        let from_s = self.time_s();
         self.steps += 1;
-        let time_s = self.time_s();
+        let to_s = self.time_s();
+        let before = self.wall_mm;
+        self.press(to_s);
+        let moved_mm = before
+            .iter()
+            .zip(&self.wall_mm)
+            .map(|(before, after)| libm::fabs(after - before))
+            .fold(0.0, f64::max);
+        let parts = libm::ceil(moved_mm / self.params.wall_step_mm).clamp(1.0, MOST_PARTS);
+        for part in 1..parts as u32 {
+            self.press(from_s + (to_s - from_s) * f64::from(part) / parts);
+            self.squeeze()?;
+        }
+        self.press(to_s);
+        self.squeeze()
+    }
+
+    /// Gives each segment its wall at a time.
+    fn press(&mut self, time_s: f64) {
         let count = self.params.segments as usize;
         for (from_right, wall) in (0..).zip(self.wall_mm[..count].iter_mut().rev()) {
             *wall = self
                 .params
                 .wall_mm(self.pressure_pa * self.params.pulse(from_right, time_s));
         }
+    }
+
+    /// Lets the body answer the walls.
+    fn squeeze(&mut self) -> Result<(), OutOfRange> {
+        let count = self.params.segments as usize;
         let (walls, segment_mm) = (&self.wall_mm[..count], self.params.segment_mm);
         self.chain
             .step(|x| between_middles(walls, x / segment_mm - 0.5))
@@ -367,6 +263,11 @@ impl Tube {
         self.chain.displacement_mm()
     }
 
+    /// How far the head has moved since the start, mm.
+    pub fn head_displacement_mm(&self) -> f64 {
+        self.chain.head_displacement_mm()
+    }
+
     /// The body, for drawing.
     pub fn body(&self) -> &Chain {
         &self.chain
@@ -388,15 +289,66 @@ fn between_middles(walls: &[f64], place: f64) -> f64 {
     (1.0 - part) * walls[left] + part * walls[left + 1]
 }
 
-/// The paper's simulation: displacement of the tail in mm after the whole duration, + headward.
+/// Number of time steps of a run.
+pub fn steps(params: &Params) -> u32 {
+    libm::round(params.duration_s / params.step_s) as u32
+}
+
+/// One run from one starting place: displacement of the tail in mm after the whole duration, + headward.
 ///
 /// # Errors
 /// As [`Tube::new`].
 pub fn run(params: Params, pressure_pa: f64) -> Result<f64, OutOfRange> {
     let mut tube = Tube::new(params, pressure_pa)?;
-    let steps = libm::round(params.duration_s / params.step_s) as u32;
-    for _ in 0..steps {
+    for _ in 0..steps(&params) {
         tube.step()?;
     }
     Ok(tube.displacement_mm())
+}
+
+/// The starting places over which [`averaged`] takes the mean: the middles of equal parts of one segment, from
+/// `params.body.tail_mm` on. Where against the segments the body lay is not in the paper.
+pub fn placed(params: Params) -> impl ExactSizeIterator<Item = Params> + Clone {
+    (0..params.placements).map(move |place| {
+        let part = (f64::from(place) + 0.5) / f64::from(params.placements);
+        let mut placed = params;
+        placed.body.tail_mm += part * params.segment_mm;
+        placed
+    })
+}
+
+/// Displacement after the whole duration, from several starting places.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Averaged {
+    /// Mean displacement of the tail, mm, + headward.
+    pub tail_mm: f64,
+    /// Mean displacement of the head, mm. What a body that is still squeezed at the end has lost, the head lacks.
+    pub head_mm: f64,
+    /// Least and greatest displacement of the tail.
+    pub range_mm: (f64, f64),
+}
+
+/// The paper's simulation: mean over the starting places of [`placed`].
+///
+/// # Errors
+/// As [`Tube::new`].
+pub fn averaged(params: Params, pressure_pa: f64) -> Result<Averaged, OutOfRange> {
+    Tube::new(params, pressure_pa)?; // what is refused is refused even without a placement
+    let mut mean = Averaged {
+        tail_mm: 0.0,
+        head_mm: 0.0,
+        range_mm: (f64::INFINITY, f64::NEG_INFINITY),
+    };
+    let share = 1.0 / f64::from(params.placements);
+    for params in placed(params) {
+        let mut tube = Tube::new(params, pressure_pa)?;
+        for _ in 0..steps(&params) {
+            tube.step()?;
+        }
+        let tail_mm = tube.displacement_mm();
+        mean.tail_mm += share * tail_mm;
+        mean.head_mm += share * tube.head_displacement_mm();
+        mean.range_mm = (mean.range_mm.0.min(tail_mm), mean.range_mm.1.max(tail_mm));
+    }
+    Ok(mean)
 }

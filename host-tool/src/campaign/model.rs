@@ -5,6 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use locomotion::kinematics::Design;
+use locomotion::model::Model;
 use locomotion::range::OutOfRange;
 use locomotion::{folded, roller};
 
@@ -12,6 +13,7 @@ use crate::campaign::chance::Chance;
 use crate::campaign::ledger::Source;
 use crate::campaign::order::{Form, Planned};
 use crate::campaign::plan::{Lubrication, Millimetres, Plan};
+use crate::science::model_file;
 use crate::science::series::LUBRICATION;
 use crate::trial::{Action, RecordError, RigSample, Status, Trial};
 
@@ -104,7 +106,8 @@ pub fn displacement(
             )
         }
     };
-    let mut text = format!("{name}, friction {friction}");
+    let body = model_file::short_origin(&Model::ONE);
+    let mut text = format!("{name} ({body}), friction {friction}");
     let scatter = plan.virtual_bench;
     let source = if scatter.scatter_mm.um > 0 {
         // The same in a campaign that was interrupted.

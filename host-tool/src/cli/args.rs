@@ -12,7 +12,8 @@ use protocol::system::DeviceKind;
 
 use crate::campaign::plan::Millimetres;
 use crate::cli::configured::Names;
-use crate::cli::science::{DesignArgs, SimulateArgs};
+use crate::cli::design::DesignArgs;
+use crate::cli::science::SimulateArgs;
 use crate::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
 use crate::link::address::Address;
 use crate::link::serial::DEFAULT_BAUD;

@@ -1,4 +1,4 @@
-//! `design` and `simulate`: the paper's science, without a machine.
+//! `simulate`: the paper's series and free sweeps, without a machine.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,74 +7,21 @@ use clap::{Args, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use locomotion::comparison::{self, INDENTATIONS_MM};
 use locomotion::folded::Contact;
-use locomotion::kinematics::Design;
-use locomotion::parameter::{Label, Parameter};
-use locomotion::range::{Ends, OutOfRange};
-use locomotion::{folded, roller, tube};
+use locomotion::model::Model;
+use locomotion::parameter::Label;
+use locomotion::prior::Words;
+use locomotion::range::OutOfRange;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use crate::cli::failure::Failure;
+use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
-use crate::science::design::{self, Report};
+use crate::science::bands::{self, Bands};
+use crate::science::model_file::{self, short_origin};
 use crate::science::series::{self, TubeCase, TubeRow, TubeRun, Workers};
 use crate::science::values::Values;
-use crate::science::{charts, drawing, snapshots, table};
-
-/// Arguments of `design`. All angles are measured from the transverse axis.
-#[derive(Debug, Args)]
-pub struct DesignArgs {
-    /// Overall width W in mm.
-    #[arg(
-        long,
-        value_name = "MM",
-        default_value_t = 24.40,
-        allow_negative_numbers = true
-    )]
-    pub width_mm: f64,
-    /// Width of the core over the overall width, c/W.
-    #[arg(
-        long,
-        value_name = "RATIO",
-        default_value_t = 0.2,
-        allow_negative_numbers = true
-    )]
-    pub core_ratio: f64,
-    /// Angle of the short side in degrees.
-    #[arg(
-        long,
-        value_name = "DEG",
-        default_value_t = 12.53,
-        allow_negative_numbers = true
-    )]
-    pub alpha_deg: f64,
-    /// Angle of the long side in degrees.
-    #[arg(
-        long,
-        value_name = "DEG",
-        default_value_t = 33.69,
-        allow_negative_numbers = true
-    )]
-    pub beta_deg: f64,
-    /// Use tan alpha = 2/9 and tan beta = 2/3; rounded to two decimals these are the paper's angles.
-    #[arg(long, conflicts_with_all = ["alpha_deg", "beta_deg"])]
-    pub exact_slopes: bool,
-    /// Number m of crescents, 1 to 32.
-    #[arg(long, value_name = "M", default_value_t = 9, value_parser = clap::value_parser!(u8).range(1..=32))]
-    pub crescents: u8,
-    /// Indentation a of the drawings in mm, 0 to (W-c)/2; by default 5.05, or (W-c)/4 if the design is too narrow.
-    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
-    pub indentation_mm: Option<f64>,
-    /// Smallest alpha that the material allows, in degrees; 12.53 worked in the paper.
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
-    pub least_alpha_deg: Option<f64>,
-    /// Draw the structure, unsqueezed and squeezed, to this SVG file.
-    #[arg(long, value_name = "FILE")]
-    pub svg: Option<PathBuf>,
-    /// Draw the shortening over alpha and over beta to this SVG file.
-    #[arg(long, value_name = "FILE")]
-    pub map: Option<PathBuf>,
-}
+use crate::science::{charts, snapshots, table};
 
 /// Arguments of `simulate`.
 #[derive(Debug, Args)]
@@ -93,6 +40,9 @@ pub struct SimulateArgs {
     /// Number of threads, by default one per core. The result does not depend on it.
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
+    /// The model and its parameters.
+    #[command(flatten)]
+    pub model: ModelArgs,
 }
 
 /// What to simulate.
@@ -116,7 +66,7 @@ pub enum Simulation {
             allow_negative_numbers = true
         )]
         indentation_mm: f64,
-        /// Thread drawn in, in mm; 21 by default.
+        /// Thread drawn in, in mm; that of the model by default: 21.
         #[arg(long, value_name = "MM", allow_negative_numbers = true)]
         thread_mm: Option<f64>,
     },
@@ -154,135 +104,9 @@ pub enum Simulation {
 /// Most runs of a sweep.
 const MOST_RUNS: usize = 100_000;
 
-pub(crate) fn design(args: &DesignArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let ratio = args.core_ratio;
-    if !(ratio > 0.0 && ratio < 1.0) {
-        return Err(OutOfRange {
-            quantity: "c/W",
-            value: ratio,
-            min: 0.0,
-            max: 1.0,
-            unit: "",
-            ends: Ends::Open,
-            because: "the crescents stand between core and wall",
-        }
-        .into());
-    }
-    let core_mm = ratio * args.width_mm;
-    let design = if args.exact_slopes {
-        Design::with_slopes(args.width_mm, core_mm, 2.0 / 9.0, 2.0 / 3.0, args.crescents)
-    } else {
-        Design::new(
-            args.width_mm,
-            core_mm,
-            args.alpha_deg,
-            args.beta_deg,
-            args.crescents,
-        )
-    }?;
-    let report = design::report(&design, args.indentation_mm, args.least_alpha_deg)?;
-    screen.say(&design_text(&report));
-    if let Some(path) = &args.svg {
-        let svg = drawing::structure(&design, report.indentation_mm)?;
-        write(path, svg.as_bytes())?;
-        screen.say(&format!("drawing:  {}", path.display()));
-    }
-    if let Some(path) = &args.map {
-        let svg = charts::maps(&design::maps(&design, args.indentation_mm)?)?;
-        write(path, svg.as_bytes())?;
-        screen.say(&format!("map:      {}", path.display()));
-    }
-    Ok(json!({ "design": report, "svg": args.svg, "map": args.map }))
-}
-
-fn design_text(report: &Report) -> String {
-    let Report {
-        width_mm,
-        core_mm,
-        core_ratio,
-        half_gap_mm,
-        alpha_deg,
-        beta_deg,
-        crescents,
-        long_side_mm,
-        short_side_mm,
-        spacing_mm,
-        core_length_mm,
-        length_mm,
-        largest_shortening_mm,
-        ..
-    } = report;
-    let capsule = match report.thread_to_capsule_mm {
-        Some(mm) => format!("{mm:.2} mm to the width of a 13 mm capsule"),
-        None => "a 13 mm capsule is out of its range".to_owned(),
-    };
-    let mut text = format!(
-        "\
-width:    W {width_mm:.3} mm, core c {core_mm:.3} mm (c/W {core_ratio:.3}), h = (W-c)/2 {half_gap_mm:.3} mm
-angles:   alpha {alpha_deg:.3} deg, beta {beta_deg:.3} deg to the transverse axis
-window:   alpha above {:.0} and below {:.3} deg; beta above {:.3} and below {:.0} deg
-sides:    l1 {long_side_mm:.3} mm (Eq. 1), l2 {short_side_mm:.3} mm (Eq. 2)
-spacing:  phi {spacing_mm:.3} mm (Eq. 3), {crescents} crescents
-length:   core m phi {core_length_mm:.3} mm, overall {length_mm:.3} mm
-thread:   {largest_shortening_mm:.2} mm at most, {capsule}
-
-       a      psi       d0        d        L      W-2a  dd0/da  dd0/dalpha  dd0/dbeta
-      mm       mm       mm       mm       mm        mm       1      mm/rad     mm/rad
-",
-        report.alpha_window_deg.0,
-        report.alpha_window_deg.1,
-        report.beta_window_deg.0,
-        report.beta_window_deg.1,
-    );
-    for row in &report.squeezed {
-        text += &format!(
-            "{:8.3} {:8.4} {:8.4} {:8.4} {:8.4} {:9.3} {:7.4} {:11.4} {:10.4}\n",
-            row.indentation_mm,
-            row.spacing_mm,
-            row.shortening_per_crescent_mm,
-            row.shortening_mm,
-            row.length_mm,
-            row.width_mm,
-            row.slope_by_indentation,
-            // Adding zero turns -0 into 0.
-            row.slope_by_alpha_mm + 0.0,
-            row.slope_by_beta_mm,
-        );
-    }
-    text += "\nthe paper's requirements (section II.A, each \"about\"):\n";
-    for rule in &report.rules {
-        let verdict = match rule.objection {
-            None => "as the paper".to_owned(),
-            Some(objection) => format!("{:+.1} %: {objection}", rule.deviation * 100.0),
-        };
-        text += &format!(
-            "  {:<6} {:>8.3} for {:<5} {:<4} {verdict}\n",
-            rule.quantity, rule.value, rule.target, rule.unit
-        );
-    }
-    text += &match &report.best_alpha {
-        Some(best) => format!(
-            "best alpha: {:.3} deg, d = {:.3} mm at a = {:.2} mm: {}\n",
-            best.alpha_deg, best.shortening_mm, report.indentation_mm, best.reason
-        ),
-        None => format!(
-            "best alpha: none known for this beta: no alpha below {} deg is known to hold (`--least-alpha-deg`)\n",
-            design::LEAST_ALPHA_DEG
-        ),
-    };
-    text += &format!(
-        "Eq. (6) at a = {:.2} mm: left less right side {:.3} as printed (its units do not agree), {:.3} repaired; \
-         d d0/d alpha is {:.3} mm/rad. Repaired it has no root below alpha = 51.827 deg.",
-        report.indentation_mm,
-        report.equation_6.printed_residual,
-        report.equation_6.repaired_residual,
-        report.equation_6.true_derivative_mm,
-    );
-    text
-}
-
 /// What all series of one `simulate` command share.
 struct Session<'a, 'b> {
+    model: Model,
     out: &'a Path,
     workers: Workers,
     screen: &'a mut Screen<'b>,
@@ -291,14 +115,26 @@ struct Session<'a, 'b> {
 }
 
 pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let model = args.model.model()?;
     if matches!(args.what, Simulation::Compare) {
-        return compare(screen);
+        return compare(&model, screen);
+    }
+    let varied = matches!(
+        args.what,
+        Simulation::Friction | Simulation::Roller | Simulation::Sweep { .. }
+    );
+    if varied && args.model.names("body.friction") {
+        return Err(Failure::Input {
+            why: "--friction would do nothing: this series has frictions of its own".to_owned(),
+            help: "leave it out, or `retrograde simulate sweep --frictions LIST`".to_owned(),
+        });
     }
     let workers = Workers::new(args.threads).map_err(|error| Failure::Input {
         why: format!("no threads: {error}"),
         help: "use fewer: `--threads 1`".to_owned(),
     })?;
     let mut session = Session {
+        model,
         out: &args.out,
         workers,
         screen,
@@ -338,18 +174,24 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
         }
         Simulation::Compare => {}
     }
-    session.csv("parameters.csv", &table::parameters())?;
+    session.csv("parameters.csv", &table::parameters(&model))?;
+    session.file("model.toml", model_file::write(&model).as_bytes())?;
     let files = session
         .files
         .iter()
         .map(|path| path.display().to_string())
         .collect::<Vec<_>>();
     session.screen.say(&format!("files: {}", files.join(", ")));
-    Ok(json!({ "series": session.series, "files": files }))
+    session.screen.say(&model_file::origin(&model));
+    Ok(json!({
+        "origin": model_file::origin(&model),
+        "series": session.series,
+        "files": files,
+    }))
 }
 
-fn compare(screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let rows = comparison::rows()?;
+fn compare(model: &Model, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let rows = comparison::rows(model)?;
     if !screen.json {
         let text = comparison::Table(&rows).to_string();
         screen
@@ -375,74 +217,118 @@ fn compare(screen: &mut Screen<'_>) -> Result<Value, Failure> {
             })
         })
         .collect();
-    Ok(json!({ "comparison": rows }))
+    Ok(json!({ "origin": model_file::origin(model), "comparison": rows }))
 }
 
 impl Session<'_, '_> {
     fn friction(&mut self) -> Result<(), Failure> {
-        let runs = self.map(&series::friction_cases(), series::tube_run)?;
-        let rows = series::tube_rows(&runs, series::paper_on_friction_mm);
-        self.title("friction series, tube, 7000 Pa", &tube::PARAMETERS);
+        let params = self.model.tube()?;
+        let runs = self.map(&series::friction_cases(), |case| {
+            series::tube_run(params, case)
+        })?;
+        let bands = self.tube_bands(&[series::FRICTION_SERIES_PA])?;
+        let rows = series::tube_rows(&runs, &bands, |_| None);
+        self.title("friction series, tube, 7000 Pa", "tube");
         self.tube_table(&rows);
+        self.screen
+            .say("  the paper's text: about 14 mm at each friction, one sentence for 25 values");
         self.keep("friction", &rows);
         self.csv("friction.csv", &rows)?;
         self.csv("friction-time.csv", &series::tube_moments(&runs))?;
-        self.file("friction.svg", charts::friction(&runs, &rows)?.as_bytes())
+        let svg = charts::friction(model_file::name(&self.model), &runs, &rows)?;
+        self.file("friction.svg", svg.as_bytes())
     }
 
     fn pressure(&mut self) -> Result<(), Failure> {
-        let cases = series::pressure_cases(series::PRESSURE_SERIES_FRICTION);
-        let runs = self.map(&cases, series::tube_run)?;
-        let rows = series::tube_rows(&runs, series::paper_on_pressure_mm);
-        self.title("pressure series, tube, friction 0.15", &tube::PARAMETERS);
+        let params = self.model.tube()?;
+        let cases = series::pressure_cases(params.body.friction);
+        let runs = self.map(&cases, |case| series::tube_run(params, case))?;
+        let bands = self.tube_bands(
+            &cases
+                .iter()
+                .map(|case| case.pressure_pa)
+                .collect::<Vec<_>>(),
+        )?;
+        let rows = series::tube_rows(&runs, &bands, series::paper_on_pressure_mm);
+        self.title(
+            &format!("pressure series, tube, friction {}", params.body.friction),
+            "tube",
+        );
         self.tube_table(&rows);
         self.keep("pressure", &rows);
         self.csv("pressure.csv", &rows)?;
         self.csv("pressure-time.csv", &series::tube_moments(&runs))?;
-        self.file("pressure.svg", charts::pressure(&runs, &rows)?.as_bytes())
+        let svg = charts::pressure(model_file::name(&self.model), &runs, &rows)?;
+        self.file("pressure.svg", svg.as_bytes())
     }
 
     fn roller(&mut self) -> Result<(), Failure> {
-        let rows = self.map(&series::lubrication_cases(), series::lubricated_run)?;
+        let (rig, pipe) = (self.model.rig()?, self.model.tube()?);
+        let bands = self.rig_bands(&INDENTATIONS_MM)?;
+        let rows = self.map(&series::lubrication_cases(), |case| {
+            series::lubricated_run(rig, &bands, case)
+        })?;
         // Fig. 7 shows the simulation at both ends of the friction range beside the experiment.
         let ends: Vec<TubeCase> = series::LUBRICATION
             .iter()
             .flat_map(|(_, friction)| series::pressure_cases(*friction))
             .collect();
-        let ends = self.map(&ends, series::tube_run)?;
-        let tube = series::tube_rows(&ends, series::paper_on_pressure_mm);
-        self.title("roller series, five cycles of 130 mm", &roller::PARAMETERS);
+        let tube_bands = self.tube_bands(&comparison::pressures_pa().collect::<Vec<_>>())?;
+        let ends = self.map(&ends, |case| series::tube_run(pipe, case))?;
+        let tube = series::tube_rows(&ends, &tube_bands, series::paper_on_pressure_mm);
+        self.title(
+            &format!(
+                "roller series, {} cycles of {} mm",
+                rig.cycles, rig.stroke_mm
+            ),
+            "rig",
+        );
         self.screen
-            .say("  lubrication  friction   a/mm  displacement/mm");
+            .say("  lubrication  friction   a/mm  displacement/mm  prior band/mm");
         for row in &rows {
             self.screen.say(&format!(
-                "  {:<11} {:>9} {:>6} {:>16.6}",
-                row.lubrication, row.friction, row.indentation_mm, row.displacement_mm
+                "  {:<11} {:>9} {:>6} {:>16.1}  {:>13}",
+                row.lubrication,
+                row.friction,
+                row.indentation_mm,
+                row.displacement_mm,
+                bands::text(row.prior_5_mm, row.prior_95_mm)
             ));
         }
+        self.say_what_a_band_is(Words::Rig);
         self.keep("roller", &rows);
         self.csv("roller.csv", &rows)?;
-        self.file("roller.svg", charts::comparison(&rows, &tube)?.as_bytes())
+        let svg = charts::comparison(model_file::name(&self.model), &rows, &tube)?;
+        self.file("roller.svg", svg.as_bytes())
     }
 
     fn isolated(&mut self) -> Result<(), Failure> {
-        let rows = self.map(&INDENTATIONS_MM, series::isolated_run)?;
-        self.title("isolated passes, rig, fresh body", &roller::PARAMETERS);
+        let rig = self.model.rig()?;
+        let rows = self.map(&INDENTATIONS_MM, |a| series::isolated_run(rig, *a))?;
+        self.title("isolated passes, rig, fresh body", "rig");
         self.screen.say("  a/mm  antegrade/mm  returning/mm");
         for row in &rows {
             self.screen.say(&format!(
-                "  {:>4} {:>13.3} {:>13.3}",
+                "  {:>4} {:>13.2} {:>13.2}",
                 row.indentation_mm, row.antegrade_mm, row.returning_mm
             ));
         }
         self.keep("isolated", &rows);
         self.csv("isolated.csv", &rows)?;
-        self.file("isolated.svg", charts::isolated(&rows)?.as_bytes())
+        let svg = charts::isolated(model_file::name(&self.model), &rows)?;
+        self.file("isolated.svg", svg.as_bytes())
     }
 
     fn fold(&mut self, indentation_mm: f64, thread_mm: Option<f64>) -> Result<(), Failure> {
-        let test = series::fold_test(indentation_mm, thread_mm)?;
-        self.title("fold test, rig, five cycles of 130 mm", &folded::PARAMETERS);
+        let test = series::fold_test(&self.model, indentation_mm, thread_mm)?;
+        let band = self.rig_bands(&[indentation_mm])?;
+        self.title(
+            &format!(
+                "fold test, rig, {} cycles of {} mm",
+                test.params.cycles, test.params.stroke_mm
+            ),
+            "folded",
+        );
         let contact = match test.contact {
             Contact::Untouched => "the wave does not touch it".to_owned(),
             Contact::Overridden { slope } => {
@@ -456,10 +342,13 @@ impl Session<'_, '_> {
             .course
             .last()
             .map_or((0.0, 0.0), |row| (row.folded_mm, row.unfolded_mm));
+        let band = band.of_case(indentation_mm);
         self.screen.say(&format!(
             "  folded to {:.3} mm, a = {indentation_mm} mm: {contact}\n  \
-             displacement: folded {folded:.3} mm, unfolded {unfolded:.3} mm",
-            test.params.width_mm
+             displacement: folded {folded:.1} mm (the fold is declared, not worked out), unfolded {unfolded:.1} mm \
+             (prior band {} mm)",
+            test.params.width_mm,
+            bands::text(band.map(|band| band.low), band.map(|band| band.high)),
         ));
         self.series.insert(
             "fold".to_owned(),
@@ -469,64 +358,93 @@ impl Session<'_, '_> {
                 "contact": contact,
                 "folded_mm": folded,
                 "unfolded_mm": unfolded,
+                "unfolded_prior_5_mm": band.map(|band| band.low),
+                "unfolded_prior_95_mm": band.map(|band| band.high),
             }),
         );
         self.csv("fold.csv", &test.course)?;
-        self.file("fold.svg", charts::fold(&test)?.as_bytes())
+        let svg = charts::fold(model_file::name(&self.model), &test)?;
+        self.file("fold.svg", svg.as_bytes())
     }
 
     fn snapshots(&mut self) -> Result<(), Failure> {
-        let strips = [snapshots::tube()?, snapshots::roller()?];
+        let strips = [
+            snapshots::tube(&self.model)?,
+            snapshots::roller(&self.model)?,
+        ];
         let rows: Vec<_> = strips.iter().flat_map(snapshots::Strip::rows).collect();
         self.csv("snapshots.csv", &rows)?;
+        let origin = model_file::origin(&self.model);
         for strip in &strips {
             let name = format!("snapshots-{}.svg", strip.model);
-            self.file(&name, strip.svg().as_bytes())?;
+            self.file(&name, strip.svg(&origin).as_bytes())?;
         }
         Ok(())
     }
 
     fn sweep_tube(&mut self, frictions: &[f64], pressures_pa: &[f64]) -> Result<(), Failure> {
         few_enough(frictions, pressures_pa)?;
+        let params = self.model.tube()?;
         let cases = series::tube_cases(frictions, pressures_pa);
         // Only the end of each run is kept: the full courses of all runs would fill the memory.
         let end = |case: &TubeCase| {
-            let run = series::tube_run(case)?;
+            let run = series::tube_run(params, case)?;
             let course = run.course.last().copied().into_iter().collect();
             Ok(TubeRun { course, ..run })
         };
         let runs = self.map(&cases, end)?;
-        let rows: Vec<TubeRow> = series::tube_rows(&runs, |_| None);
+        let bands = self.tube_bands(pressures_pa)?;
+        let rows: Vec<TubeRow> = series::tube_rows(&runs, &bands, |_| None);
         let points: Vec<_> = rows
             .iter()
             .map(|row| (row.friction, row.pressure_pa, row.displacement_mm))
             .collect();
-        self.title(
-            &format!("sweep of {} runs, tube", rows.len()),
-            &tube::PARAMETERS,
-        );
+        self.title(&format!("sweep of {} runs, tube", rows.len()), "tube");
         self.keep("sweep", &rows);
         self.csv("sweep-tube.csv", &rows)?;
-        let (x, y) = ("peristaltic pressure / Pa", "displacement in 20 s / mm");
-        self.file("sweep-tube.svg", charts::sweep(x, y, &points)?.as_bytes())
+        let (x, y) = ("peristaltic pressure / Pa", "displacement / mm");
+        let svg = charts::sweep(model_file::name(&self.model), x, y, &points, &bands)?;
+        self.file("sweep-tube.svg", svg.as_bytes())
     }
 
     fn sweep_roller(&mut self, frictions: &[f64], indentations: &[f64]) -> Result<(), Failure> {
         few_enough(frictions, indentations)?;
+        let rig = self.model.rig()?;
         let cases = series::roller_cases(frictions, indentations);
-        let rows = self.map(&cases, series::roller_run)?;
+        // An indentation that the rig does not cover is refused by its run, before any band.
+        let rows = self.map(&cases, |case| series::roller_run(rig, case))?;
+        let bands = self.rig_bands(indentations)?;
+        let rows: Vec<_> = rows.into_iter().map(|row| row.with_band(&bands)).collect();
         let points: Vec<_> = rows
             .iter()
             .map(|row| (row.friction, row.indentation_mm, row.displacement_mm))
             .collect();
-        self.title(
-            &format!("sweep of {} runs, rig", rows.len()),
-            &roller::PARAMETERS,
-        );
+        self.title(&format!("sweep of {} runs, rig", rows.len()), "rig");
         self.keep("sweep", &rows);
         self.csv("sweep-roller.csv", &rows)?;
-        let (x, y) = ("peristaltic indentation / mm", "displacement in 40 s / mm");
-        self.file("sweep-roller.svg", charts::sweep(x, y, &points)?.as_bytes())
+        let (x, y) = ("peristaltic indentation / mm", "displacement / mm");
+        let svg = charts::sweep(model_file::name(&self.model), x, y, &points, &bands)?;
+        self.file("sweep-roller.svg", svg.as_bytes())
+    }
+
+    /// Prior bands on the rig, for each indentation.
+    fn rig_bands(&self, indentations_mm: &[f64]) -> Result<Bands, Failure> {
+        let Some(cases) = bands::few(indentations_mm) else {
+            return Ok(Bands::none());
+        };
+        let bodies = bands::bodies(&self.model, Words::Rig);
+        let values = self.map(&bodies, |body| bands::on_rig(body, &cases))?;
+        Ok(Bands::of(&cases, &values))
+    }
+
+    /// Prior bands in the tube, for each pressure.
+    fn tube_bands(&self, pressures_pa: &[f64]) -> Result<Bands, Failure> {
+        let Some(cases) = bands::few(pressures_pa) else {
+            return Ok(Bands::none());
+        };
+        let bodies = bands::bodies(&self.model, Words::Tube);
+        let values = self.map(&bodies, |body| bands::in_tube(body, &cases))?;
+        Ok(Bands::of(&cases, &values))
     }
 
     /// Calculates all cases in parallel, with a progress bar on a terminal.
@@ -550,20 +468,26 @@ impl Session<'_, '_> {
         Ok(results?)
     }
 
-    /// Prints a heading that names the calibrated and assumed parameters of the model.
-    fn title(&mut self, title: &str, parameters: &[Parameter]) {
+    /// Prints a heading that names the model and its calibrated, assumed and changed parameters, as far as they act in
+    /// this world.
+    fn title(&mut self, title: &str, world: &str) {
         let names = |label| {
-            let all: Vec<_> = parameters
-                .iter()
+            let all: Vec<_> = self
+                .model
+                .parameters()
                 .filter(|parameter| parameter.label == label)
-                .map(|parameter| parameter.name.rsplit('.').next().unwrap_or_default())
+                .map(|parameter| parameter.name)
+                .filter(|name| {
+                    ["design", "body", world].contains(&name.split('.').next().unwrap_or_default())
+                })
                 .collect();
             all.join(", ")
         };
-        let mut text = format!("{title}: model values");
+        let mut text = format!("{title}: {}", short_origin(&self.model));
         for (word, label) in [
             ("calibrated", Label::Calibrated),
             ("assumed", Label::Assumed),
+            ("changed", Label::Given),
         ] {
             let names = names(label);
             if !names.is_empty() {
@@ -575,16 +499,26 @@ impl Session<'_, '_> {
 
     fn tube_table(&mut self, rows: &[TubeRow]) {
         self.screen
-            .say("  friction  pressure/Pa  displacement/mm  the paper's text/mm");
+            .say("  friction  pressure/Pa  tail/mm  head/mm  prior band/mm  the paper's text/mm");
         for row in rows {
             let paper = row
                 .paper_about_mm
                 .map_or("-".to_owned(), |mm| format!("about {mm}"));
             self.screen.say(&format!(
-                "  {:>8} {:>12} {:>16.3}  {paper:>19}",
-                row.friction, row.pressure_pa, row.displacement_mm
+                "  {:>8} {:>12} {:>8.1} {:>8.1}  {:>13}  {paper:>19}",
+                row.friction,
+                row.pressure_pa,
+                row.displacement_mm,
+                row.head_displacement_mm,
+                bands::text(row.prior_5_mm, row.prior_95_mm),
             ));
         }
+        self.say_what_a_band_is(Words::Tube);
+    }
+
+    fn say_what_a_band_is(&mut self, words: Words) {
+        self.screen
+            .say(&format!("  prior band: {}", bands::meaning(words)));
     }
 
     fn keep(&mut self, name: &str, rows: &[impl Serialize]) {
@@ -592,7 +526,8 @@ impl Session<'_, '_> {
     }
 
     fn csv(&mut self, name: &str, rows: &[impl Serialize]) -> Result<(), Failure> {
-        let bytes = table::csv(rows).map_err(|error| Failure::File {
+        let origin = short_origin(&self.model);
+        let bytes = table::csv_of(rows, &origin).map_err(|error| Failure::File {
             path: self.out.join(name),
             io: error.into(),
         })?;
@@ -622,7 +557,7 @@ fn few_enough(one: &[f64], other: &[f64]) -> Result<(), Failure> {
     })
 }
 
-fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     fs::write(path, bytes).map_err(|io| Failure::File {
         path: path.to_owned(),
         io,

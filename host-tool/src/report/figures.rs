@@ -73,14 +73,51 @@ pub struct Heading {
     pub title: String,
     /// Where its values come from.
     pub source: Source,
+    /// Of a model's figure: which model.
+    pub model: Option<ModelName>,
+}
+
+/// Which model a figure shows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ModelName {
+    /// For the line below the title: at most about 55 letters.
+    pub short: String,
+    /// For the description of the file, as long as it has to be.
+    pub full: String,
 }
 
 impl Heading {
+    /// Of a figure of a model's values.
+    pub fn of_model(title: impl Into<String>, model: ModelName) -> Self {
+        Self {
+            title: title.into(),
+            source: Source::Model,
+            model: Some(model),
+        }
+    }
+
+    /// The origin of the values for people, in the figure.
+    fn line(&self) -> &str {
+        match &self.model {
+            Some(model) => &model.short,
+            None => self.source.text(),
+        }
+    }
+
+    /// The origin of the values, in full.
+    fn description(&self) -> &str {
+        match &self.model {
+            Some(model) => &model.full,
+            None => self.source.text(),
+        }
+    }
+
     /// Of a figure with this title.
     pub fn new(title: impl Into<String>, source: Source) -> Self {
         Self {
             title: title.into(),
             source,
+            model: None,
         }
     }
 }
@@ -419,7 +456,7 @@ impl Figure {
             size,
         };
         draw(page, self).map_err(|error| FigureError(error.to_string()))?;
-        let source = format!("Origin: {}", self.heading.source.text());
+        let source = format!("Origin: {}", self.heading.description());
         Ok(drawn.into_pdf(size, &self.heading.title, &source))
     }
 }
@@ -429,9 +466,15 @@ fn described(svg: &str, heading: &Heading) -> Option<String> {
     let body = svg.find("<svg")?;
     let (opening, rest) = svg[body..].split_once('>')?;
     let title = escaped(&heading.title);
-    let source = escaped(heading.source.text());
+    let source = escaped(heading.description());
+    // A model's figure is a file of its own: on a dark page its dark letters need their paper with them. A report's page
+    // brings its own.
+    let paper = match heading.model {
+        Some(_) => "\n<rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>",
+        None => "",
+    };
     Some(format!(
-        "{opening} role=\"img\">\n<title>{title}</title>\n<desc>Origin: {source}</desc>{rest}"
+        "{opening} role=\"img\">\n<title>{title}</title>\n<desc>Origin: {source}</desc>{paper}{rest}"
     ))
 }
 
@@ -458,7 +501,7 @@ where
         (24, 34),
         line(LETTERS + 4, &INK),
     ))?;
-    let source = heading.source.text();
+    let source = heading.line().to_owned();
     let colour = heading.source.colour();
     head.draw(&Text::new(source, (24, 88), line(LETTERS - 4, &colour)))?;
     let areas = body.split_evenly((charts.len(), 1));

@@ -3,12 +3,17 @@
 
 use plotters::style::RGBColor;
 
-use crate::report::figures::{Chart, Curve, FigureError, Heading, Mark, Source, figure};
+use crate::report::figures::{Chart, Curve, FigureError, Heading, Mark, ModelName, figure};
+use crate::science::bands::Bands;
 use crate::science::design::{Curves, Maps};
-use crate::science::series::{FoldTest, IsolatedRow, RollerRow, TubeRow, TubeRun};
+use crate::science::drawing::KINEMATICS;
+use crate::science::series::{
+    FRICTION_SERIES_PA, FoldTest, IsolatedRow, PAPER_ON_FRICTION_MM, RollerRow, TubeRow, TubeRun,
+};
 
 const MODEL: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
 const SECOND: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
+const BAND: RGBColor = RGBColor(0x4a, 0x4a, 0x4a);
 const PAPER: RGBColor = RGBColor(0xc2, 0x1f, 0x26);
 
 /// Most entries in the legend of a family; of a larger family it names only the first and the last.
@@ -23,9 +28,19 @@ fn curve(label: &str, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> 
     }
 }
 
-/// Heading of a figure of model values.
-fn model(title: &str) -> Heading {
-    Heading::new(title, Source::Model)
+/// A curve in two parts: what the bodies that agree with the paper's words span, if it is known.
+fn band(points: Vec<(f64, f64)>) -> Option<Curve> {
+    let label = "prior band: 90 % of bodies that fit the words";
+    (!points.is_empty()).then(|| curve(label, BAND, Mark::Area, points))
+}
+
+/// The outline of the bands of rows: (place, 5 %, 95 %).
+fn outline(
+    rows: impl DoubleEndedIterator<Item = (f64, Option<f64>, Option<f64>)> + Clone,
+) -> Vec<(f64, f64)> {
+    let low = rows.clone().filter_map(|(x, low, _)| Some((x, low?)));
+    let high = rows.rev().filter_map(|(x, _, high)| Some((x, high?)));
+    low.chain(high).collect()
 }
 
 /// A chart whose y axis includes 0.
@@ -40,7 +55,7 @@ fn chart(x_label: &'static str, y_label: &str, curves: Vec<Curve>) -> Chart {
 
 /// A figure of two curves of the model.
 fn two_curves(
-    title: &str,
+    heading: &Heading,
     x_label: &'static str,
     y_label: &str,
     [first, second]: [(&str, Vec<(f64, f64)>); 2],
@@ -49,7 +64,7 @@ fn two_curves(
         curve(first.0, MODEL, Mark::Line(4), first.1),
         curve(second.0, SECOND, Mark::Line(4), second.1),
     ];
-    figure(&model(title), vec![chart(x_label, y_label, curves)])
+    figure(heading, vec![chart(x_label, y_label, curves)])
 }
 
 /// Colour of a curve in a family, from light to dark.
@@ -78,74 +93,138 @@ fn family(members: Vec<(String, Vec<(f64, f64)>)>, width: u32) -> Vec<Curve> {
         .collect()
 }
 
-/// Like Fig. 4(a): displacement over time at each friction, and at the end over friction.
+/// The courses of runs, with a label for each.
+fn courses(runs: &[TubeRun], label: impl Fn(&TubeRun) -> String) -> Vec<(String, Vec<(f64, f64)>)> {
+    let course = |run: &TubeRun| {
+        let points = run.course.iter().map(|at| (at.time_s, at.tail_mm));
+        (label(run), points.collect())
+    };
+    runs.iter().map(course).collect()
+}
+
+/// Tail and head at the end of runs.
+fn ends(rows: &[TubeRow], x: impl Fn(&TubeRow) -> f64) -> [Curve; 2] {
+    let of = |value: fn(&TubeRow) -> f64| rows.iter().map(|row| (x(row), value(row))).collect();
+    [
+        curve(
+            "tail (model)",
+            MODEL,
+            Mark::Line(5),
+            of(|row| row.displacement_mm),
+        ),
+        curve(
+            "head (model)",
+            SECOND,
+            Mark::Line(3),
+            of(|row| row.head_displacement_mm),
+        ),
+    ]
+}
+
+/// Like Fig. 4(a): displacement over time at each friction, and at the end over friction. The paper's sentence is a
+/// line: it has no values for single frictions.
 ///
 /// # Errors
 /// If the drawing library fails.
-pub fn friction(runs: &[TubeRun], rows: &[TubeRow]) -> Result<String, FigureError> {
-    let courses = runs
-        .iter()
-        .map(|run| {
-            (
-                format!("friction {}", run.case.friction),
-                run.course.clone(),
-            )
-        })
+pub fn friction(
+    model: ModelName,
+    runs: &[TubeRun],
+    rows: &[TubeRow],
+) -> Result<String, FigureError> {
+    let courses = courses(runs, |run| format!("friction {}", run.case.friction));
+    let at = |row: &TubeRow| row.friction;
+    let sentence = [rows.first(), rows.last()].into_iter().flatten();
+    let sentence = sentence
+        .map(|row| (at(row), PAPER_ON_FRICTION_MM))
         .collect();
-    let title = "Displacement in the tube over friction (Fig. 4a)";
-    tube_figure(title, courses, "friction coefficient", rows, |row| {
-        row.friction
-    })
+    let outline = outline(
+        rows.iter()
+            .map(|row| (at(row), row.prior_5_mm, row.prior_95_mm)),
+    );
+    let ends = band(outline)
+        .into_iter()
+        .chain(ends(rows, at))
+        .chain([curve(
+            "paper's sentence (about 14 mm)",
+            PAPER,
+            Mark::Line(3),
+            sentence,
+        )])
+        .collect();
+    let title =
+        format!("Displacement in the tube over friction, {FRICTION_SERIES_PA} Pa (Fig. 4a)");
+    figure(
+        &Heading::of_model(title, model),
+        vec![
+            chart(
+                "time / s",
+                "displacement of the tail / mm",
+                family(courses, 3),
+            ),
+            chart("friction coefficient", "displacement at the end / mm", ends),
+        ],
+    )
 }
 
 /// Like Fig. 4(b): displacement over time at each pressure, and at the end over pressure.
 ///
 /// # Errors
 /// If the drawing library fails.
-pub fn pressure(runs: &[TubeRun], rows: &[TubeRow]) -> Result<String, FigureError> {
-    let courses = runs
-        .iter()
-        .map(|run| (format!("{} Pa", run.case.pressure_pa), run.course.clone()))
-        .collect();
-    let title = "Displacement in the tube over pressure (Fig. 4b)";
-    tube_figure(title, courses, "peristaltic pressure / Pa", rows, |row| {
-        row.pressure_pa
-    })
-}
-
-fn tube_figure(
-    title: &str,
-    courses: Vec<(String, Vec<(f64, f64)>)>,
-    x_label: &'static str,
+pub fn pressure(
+    model: ModelName,
+    runs: &[TubeRun],
     rows: &[TubeRow],
-    x: impl Fn(&TubeRow) -> f64,
 ) -> Result<String, FigureError> {
-    let ours = rows
-        .iter()
-        .map(|row| (x(row), row.displacement_mm))
+    let courses = courses(runs, |run| format!("{} Pa", run.case.pressure_pa));
+    let at = |row: &TubeRow| row.pressure_pa;
+    let outline = outline(
+        rows.iter()
+            .map(|row| (at(row), row.prior_5_mm, row.prior_95_mm)),
+    );
+    let ends = band(outline)
+        .into_iter()
+        .chain(ends(rows, at))
+        .chain([curve(
+            "paper's text (about)",
+            PAPER,
+            Mark::Dots(9),
+            about(rows),
+        )])
         .collect();
-    let paper = rows
-        .iter()
-        .filter_map(|row| Some((x(row), row.paper_about_mm?)))
-        .collect();
-    let ends = vec![
-        curve("model (calibrated)", MODEL, Mark::Line(4), ours),
-        curve("paper's text (about)", PAPER, Mark::Dots(9), paper),
-    ];
     figure(
-        &model(title),
+        &Heading::of_model("Displacement in the tube over pressure (Fig. 4b)", model),
         vec![
-            chart("time / s", "displacement / mm", family(courses, 3)),
-            chart(x_label, "displacement in 20 s / mm", ends),
+            chart(
+                "time / s",
+                "displacement of the tail / mm",
+                family(courses, 3),
+            ),
+            chart(
+                "peristaltic pressure / Pa",
+                "displacement at the end / mm",
+                ends,
+            ),
         ],
     )
+}
+
+/// Where the paper's text has a number.
+fn about(rows: &[TubeRow]) -> Vec<(f64, f64)> {
+    let about = |row: &TubeRow| Some((row.pressure_pa, row.paper_about_mm?));
+    let mut points: Vec<_> = rows.iter().filter_map(about).collect();
+    points.dedup();
+    points
 }
 
 /// Like Fig. 7: the rig's displacement over indentation, the tube's over pressure, each for two frictions.
 ///
 /// # Errors
 /// If the drawing library fails.
-pub fn comparison(rig: &[RollerRow], tube: &[TubeRow]) -> Result<String, FigureError> {
+pub fn comparison(
+    model: ModelName,
+    rig: &[RollerRow],
+    tube: &[TubeRow],
+) -> Result<String, FigureError> {
     let rig_curve = |name: &str, label: &str, colour, width| {
         let points = rig
             .iter()
@@ -160,35 +239,44 @@ pub fn comparison(rig: &[RollerRow], tube: &[TubeRow]) -> Result<String, FigureE
             .filter(|row| row.friction == friction)
             .map(|row| (row.pressure_pa, row.displacement_mm))
             .collect();
-        let label = format!("friction {friction:.2} (model, calibrated)");
+        let label = format!("friction {friction:.2} (model)");
         curve(&label, colour, Mark::Line(width), points)
     };
-    let paper = tube
-        .iter()
-        .filter_map(|row| Some((row.pressure_pa, row.paper_about_mm?)))
+    // Wide below narrow, so that both can be seen: with a fixed friction ratio the model gives them the same values.
+    let on_rig = band(outline(
+        rig.iter()
+            .filter(|row| row.lubrication == "with")
+            .map(|row| (row.indentation_mm, row.prior_5_mm, row.prior_95_mm)),
+    ))
+    .into_iter()
+    .chain([
+        rig_curve("without", "not lubricated (model)", SECOND, 10),
+        rig_curve("with", "lubricated (model)", MODEL, 3),
+    ])
+    .collect();
+    let in_tube =
+        band(outline(tube.iter().filter(|row| row.friction == 0.08).map(
+            |row| (row.pressure_pa, row.prior_5_mm, row.prior_95_mm),
+        )))
+        .into_iter()
+        .chain([
+            tube_curve(0.20, SECOND, 10),
+            tube_curve(0.08, MODEL, 3),
+            curve("paper's text (about)", PAPER, Mark::Dots(9), about(tube)),
+        ])
         .collect();
-    // Wide below narrow, so that both can be seen: the model gives them the same values.
-    let on_rig = vec![
-        rig_curve("without", "not lubricated (model, prediction)", SECOND, 10),
-        rig_curve("with", "lubricated (model, prediction)", MODEL, 3),
-    ];
-    let in_tube = vec![
-        tube_curve(0.20, SECOND, 10),
-        tube_curve(0.08, MODEL, 3),
-        curve("paper's text (about)", PAPER, Mark::Dots(9), paper),
-    ];
     let title = "Displacement over indentation and pressure (Fig. 7)";
     figure(
-        &model(title),
+        &Heading::of_model(title, model),
         vec![
             chart(
                 "peristaltic indentation / mm",
-                "displacement in 40 s / mm",
+                "displacement at the end / mm",
                 on_rig,
             ),
             chart(
                 "peristaltic pressure / Pa",
-                "displacement in 20 s / mm",
+                "displacement at the end / mm",
                 in_tube,
             ),
         ],
@@ -199,7 +287,7 @@ pub fn comparison(rig: &[RollerRow], tube: &[TubeRow]) -> Result<String, FigureE
 ///
 /// # Errors
 /// If the drawing library fails.
-pub fn fold(test: &FoldTest) -> Result<String, FigureError> {
+pub fn fold(model: ModelName, test: &FoldTest) -> Result<String, FigureError> {
     let points = |value: fn(&crate::science::series::FoldRow) -> f64| {
         test.course
             .iter()
@@ -207,12 +295,12 @@ pub fn fold(test: &FoldTest) -> Result<String, FigureError> {
             .collect()
     };
     two_curves(
-        "Folded and unfolded (Fig. 8)",
+        &Heading::of_model("Declared folded, and unfolded (Fig. 8)", model),
         "travel of the carriage / mm",
         "displacement / mm",
         [
             ("unfolded (model)", points(|row| row.unfolded_mm)),
-            ("folded (model)", points(|row| row.folded_mm)),
+            ("declared folded (model)", points(|row| row.folded_mm)),
         ],
     )
 }
@@ -221,14 +309,14 @@ pub fn fold(test: &FoldTest) -> Result<String, FigureError> {
 ///
 /// # Errors
 /// If the drawing library fails.
-pub fn isolated(rows: &[IsolatedRow]) -> Result<String, FigureError> {
+pub fn isolated(model: ModelName, rows: &[IsolatedRow]) -> Result<String, FigureError> {
     let points = |value: fn(&IsolatedRow) -> f64| {
         rows.iter()
             .map(|row| (row.indentation_mm, value(row)))
             .collect()
     };
     two_curves(
-        "One pass in each direction",
+        &Heading::of_model("One pass in each direction", model),
         "peristaltic indentation / mm",
         "displacement by one pass / mm",
         [
@@ -243,9 +331,11 @@ pub fn isolated(rows: &[IsolatedRow]) -> Result<String, FigureError> {
 /// # Errors
 /// If the drawing library fails.
 pub fn sweep(
+    model: ModelName,
     x_label: &'static str,
     y_label: &str,
     rows: &[(f64, f64, f64)],
+    bands: &Bands,
 ) -> Result<String, FigureError> {
     let members = rows
         .chunk_by(|left, right| left.0 == right.0)
@@ -254,8 +344,12 @@ pub fn sweep(
             (format!("friction {} (model)", part[0].0), points)
         })
         .collect();
-    let chart = chart(x_label, y_label, family(members, 4));
-    figure(&model("Sweep"), vec![chart])
+    let curves = band(bands.outline())
+        .into_iter()
+        .chain(family(members, 4))
+        .collect();
+    let heading = Heading::of_model("Sweep", model);
+    figure(&heading, vec![chart(x_label, y_label, curves)])
 }
 
 /// Shortening over each angle, with a dot for the design.
@@ -270,8 +364,12 @@ pub fn maps(maps: &Maps) -> Result<String, FigureError> {
         chart(x_label, &y_label, curves)
     };
     let (over_alpha, over_beta) = (&maps.over_alpha, &maps.over_beta);
+    let model = ModelName {
+        short: "model: kinematics, Eq. (7), no measurement".to_owned(),
+        full: KINEMATICS.to_owned(),
+    };
     figure(
-        &model("Shortening over the angles"),
+        &Heading::of_model("Shortening over the angles", model),
         vec![
             over(
                 "alpha / deg",

@@ -20,6 +20,10 @@ text{font-family:sans-serif;font-size:2.4px;fill:#333}\
 .dimension{fill:none;stroke:#333;stroke-width:.15}.arrow{fill:#333}\
 .start{stroke:#1f5aa8;stroke-width:.5}.end{stroke:#c21f26;stroke-width:.5}";
 
+/// What drawings and maps of a design show: no body and no fit.
+pub const KINEMATICS: &str =
+    "model: kinematics, Eqs. (1) to (7) of the paper, rigid sides; calculated, not a measurement";
+
 /// A point, mm: x to the right, y downward.
 pub type Point = (f64, f64);
 
@@ -41,9 +45,9 @@ impl Drawing {
         }
     }
 
-    /// The whole file.
+    /// The whole file, with its title and the origin of its values.
     #[must_use]
-    pub fn finish(self, title: &str) -> String {
+    pub fn finish(self, title: &str, origin: &str) -> String {
         let Self {
             width_mm: w,
             height_mm: h,
@@ -51,9 +55,10 @@ impl Drawing {
         } = self;
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{w}mm\" height=\"{h}mm\" viewBox=\"0 0 {w} {h}\">\n\
-             <title>{}</title>\n<desc>Origin: model: calculated, not a measurement</desc>\n<style>{STYLE}</style>\n\
+             <title>{}</title>\n<desc>Origin: {}</desc>\n<style>{STYLE}</style>\n\
              <rect width=\"{w}\" height=\"{h}\" fill=\"#fff\"/>\n{body}</svg>\n",
-            Escaped(title)
+            Escaped(title),
+            Escaped(origin)
         )
     }
 
@@ -400,9 +405,9 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
     drawing.text(
         "start",
         (4.0, middle + half + 24.0),
-        "lengths in mm, drawn to scale; tail at the left, head at the right",
+        "lengths in mm, drawn to scale; tail at the left, head at the right; model: kinematics, Eqs. (1) to (7)",
     );
-    Ok(drawing.finish("The origami, not squeezed and squeezed"))
+    Ok(drawing.finish("The origami, not squeezed and squeezed", KINEMATICS))
 }
 
 fn walls(drawing: &mut Drawing, length: f64, reach: f64) {

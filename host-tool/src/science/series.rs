@@ -2,19 +2,18 @@
 //! order, bit for bit.
 
 use locomotion::comparison::{INDENTATIONS_MM, frictions, pressures_pa};
+use locomotion::model::Model;
 use locomotion::range::OutOfRange;
 use locomotion::{folded, roller, tube};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::science::bands::Bands;
+
 /// The pressure of the paper's friction series, Pa (section II.B).
 pub const FRICTION_SERIES_PA: f64 = 7000.0;
-/// The friction of the paper's pressure series (section II.B).
-pub const PRESSURE_SERIES_FRICTION: f64 = 0.15;
 /// Friction of a lubricated and of a dry intestine: the ends of the paper's range \[assumed\].
 pub const LUBRICATION: [(&str, f64); 2] = [("with", 0.08), ("without", 0.20)];
-/// Step of the roller for isolated passes, mm. Finer than in the series, because a returning pass gives only ripple.
-pub const ISOLATED_STEP_MM: f64 = 0.1;
 
 /// A pool of threads.
 pub struct Workers {
@@ -72,15 +71,28 @@ pub struct TubeCase {
 pub struct TubeRun {
     /// Its parameters.
     pub case: TubeCase,
-    /// Time, s, and displacement of the tail, mm, from the start to the end.
-    pub course: Vec<(f64, f64)>,
+    /// From the start to the end, mean over the placements.
+    pub course: Vec<Moment>,
+    /// Least and greatest displacement of the tail at the end over the placements, mm.
+    pub range_mm: (f64, f64),
+}
+
+/// A moment of a run in the tube.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Moment {
+    /// Time since the start, s.
+    pub time_s: f64,
+    /// Displacement of the tail, mm, + headward.
+    pub tail_mm: f64,
+    /// Displacement of the head, mm, + headward.
+    pub head_mm: f64,
 }
 
 impl TubeRun {
-    /// Displacement of the tail at the end, mm, + headward.
+    /// The end.
     #[must_use]
-    pub fn displacement_mm(&self) -> f64 {
-        self.course.last().map_or(0.0, |(_, mm)| *mm)
+    pub fn end(&self) -> Moment {
+        self.course.last().copied().unwrap_or_default()
     }
 }
 
@@ -116,23 +128,31 @@ pub fn tube_cases(frictions: &[f64], pressures_pa: &[f64]) -> Vec<TubeCase> {
     frictions.iter().flat_map(with).collect()
 }
 
-/// Simulates one run in the tube.
+/// Simulates runs in the tube from all placements, and takes their mean.
 ///
 /// # Errors
 /// A friction or a pressure that the model does not cover.
-pub fn tube_run(case: &TubeCase) -> Result<TubeRun, OutOfRange> {
-    let mut params = tube::Params::PAPER;
+pub fn tube_run(mut params: tube::Params, case: &TubeCase) -> Result<TubeRun, OutOfRange> {
     params.body.friction = case.friction;
-    let mut tube = tube::Tube::new(params, case.pressure_pa)?;
-    let steps = (params.duration_s / params.step_s).round() as u32;
-    let mut course = vec![(0.0, 0.0)];
-    for _ in 0..steps {
-        tube.step()?;
-        course.push((tube.time_s(), tube.displacement_mm()));
+    let steps = tube::steps(&params) as usize;
+    let mut course = vec![Moment::default(); steps + 1];
+    let mut range_mm = (f64::INFINITY, f64::NEG_INFINITY);
+    let share = 1.0 / f64::from(params.placements);
+    for placed in tube::placed(params) {
+        let mut tube = tube::Tube::new(placed, case.pressure_pa)?;
+        for moment in &mut course[1..] {
+            tube.step()?;
+            moment.time_s = tube.time_s();
+            moment.tail_mm += share * tube.displacement_mm();
+            moment.head_mm += share * tube.head_displacement_mm();
+        }
+        let end_mm = tube.displacement_mm();
+        range_mm = (range_mm.0.min(end_mm), range_mm.1.max(end_mm));
     }
     Ok(TubeRun {
         case: *case,
         course,
+        range_mm,
     })
 }
 
@@ -143,32 +163,48 @@ pub struct TubeRow {
     pub friction: f64,
     /// Peristaltic pressure at its peak, Pa.
     pub pressure_pa: f64,
-    /// Displacement of the tail after 20 s, mm, + headward.
+    /// Displacement of the tail at the end, mm, + headward: mean over the placements.
     pub displacement_mm: f64,
+    /// Displacement of the head at the end, mm.
+    pub head_displacement_mm: f64,
+    /// Least displacement of the tail over the placements, mm.
+    pub least_mm: f64,
+    /// Greatest displacement of the tail over the placements, mm.
+    pub greatest_mm: f64,
+    /// Prior band: 5 % of the bodies that agree with the words go less far, mm.
+    pub prior_5_mm: Option<f64>,
+    /// Prior band: 95 % of them go less far, mm.
+    pub prior_95_mm: Option<f64>,
     /// The paper's text on it ("about"), mm.
     pub paper_about_mm: Option<f64>,
 }
 
-/// The ends of runs, each beside the paper's text on it.
+/// The ends of runs, each beside its prior band and the paper's text on it.
 #[must_use]
 pub fn tube_rows(
     runs: &[TubeRun],
+    bands: &Bands,
     paper_about_mm: impl Fn(&TubeCase) -> Option<f64>,
 ) -> Vec<TubeRow> {
-    let row = |run: &TubeRun| TubeRow {
-        friction: run.case.friction,
-        pressure_pa: run.case.pressure_pa,
-        displacement_mm: run.displacement_mm(),
-        paper_about_mm: paper_about_mm(&run.case),
+    let row = |run: &TubeRun| {
+        let band = bands.of_case(run.case.pressure_pa);
+        TubeRow {
+            friction: run.case.friction,
+            pressure_pa: run.case.pressure_pa,
+            displacement_mm: run.end().tail_mm,
+            head_displacement_mm: run.end().head_mm,
+            least_mm: run.range_mm.0,
+            greatest_mm: run.range_mm.1,
+            prior_5_mm: band.map(|band| band.low),
+            prior_95_mm: band.map(|band| band.high),
+            paper_about_mm: paper_about_mm(&run.case),
+        }
     };
     runs.iter().map(row).collect()
 }
 
-/// The paper's words on the friction series (II.C): about 14 mm at each friction.
-#[must_use]
-pub fn paper_on_friction_mm(_: &TubeCase) -> Option<f64> {
-    Some(14.0)
-}
+/// The paper's words on the friction series (II.C): about 14 mm at each friction. One sentence, not 25 values.
+pub const PAPER_ON_FRICTION_MM: f64 = 14.0;
 
 /// The paper's words on the pressure series (II.C): from about 1 mm to about 15 mm.
 #[must_use]
@@ -191,6 +227,8 @@ pub struct TubeMoment {
     pub time_s: f64,
     /// Displacement of the tail so far, mm, + headward.
     pub displacement_mm: f64,
+    /// Displacement of the head so far, mm, + headward.
+    pub head_displacement_mm: f64,
 }
 
 /// All moments of the runs.
@@ -201,11 +239,12 @@ pub fn tube_moments(runs: &[TubeRun]) -> Vec<TubeMoment> {
             friction,
             pressure_pa,
         } = run.case;
-        let moment = move |&(time_s, displacement_mm): &(f64, f64)| TubeMoment {
+        let moment = move |moment: &Moment| TubeMoment {
             friction,
             pressure_pa,
-            time_s,
-            displacement_mm,
+            time_s: moment.time_s,
+            displacement_mm: moment.tail_mm,
+            head_displacement_mm: moment.head_mm,
         };
         run.course.iter().map(moment).collect::<Vec<_>>()
     };
@@ -230,8 +269,27 @@ pub struct RollerRow {
     pub friction: f64,
     /// Indentation of the rollers, the paper's a_n, mm.
     pub indentation_mm: f64,
-    /// Displacement of the tail after five cycles, mm, + headward.
+    /// Displacement of the tail after all cycles, mm, + headward.
     pub displacement_mm: f64,
+    /// Displacement of the head after all cycles, mm: the same where the rollers have left the body.
+    pub head_displacement_mm: f64,
+    /// Prior band: 5 % of the bodies that agree with the words go less far, mm.
+    pub prior_5_mm: Option<f64>,
+    /// Prior band: 95 % of them go less far, mm.
+    pub prior_95_mm: Option<f64>,
+}
+
+impl RollerRow {
+    /// The row with the prior band of its indentation.
+    #[must_use]
+    pub fn with_band(self, bands: &Bands) -> Self {
+        let band = bands.of_case(self.indentation_mm);
+        Self {
+            prior_5_mm: band.map(|band| band.low),
+            prior_95_mm: band.map(|band| band.high),
+            ..self
+        }
+    }
 }
 
 /// The paper's roller series: a_1 to a_5 with and without lubrication.
@@ -254,30 +312,40 @@ pub fn roller_cases(frictions: &[f64], indentations_mm: &[f64]) -> Vec<RollerCas
     frictions.iter().flat_map(with).collect()
 }
 
-/// Simulates one run on the rig: five cycles of 130 mm.
+/// Simulates one run on the rig.
 ///
 /// # Errors
 /// A friction or an indentation that the model does not cover.
-pub fn roller_run(case: &RollerCase) -> Result<RollerRow, OutOfRange> {
-    let mut params = roller::Params::PAPER;
+pub fn roller_run(mut params: roller::Params, case: &RollerCase) -> Result<RollerRow, OutOfRange> {
     params.body.friction = case.friction;
+    let mut body = roller::UnfoldedBody::new(params, case.indentation_mm)?;
+    for _ in 0..params.cycles {
+        body.cycle()?;
+    }
     Ok(RollerRow {
         lubrication: "",
         friction: case.friction,
         indentation_mm: case.indentation_mm,
-        displacement_mm: roller::run(params, case.indentation_mm)?,
+        displacement_mm: body.displacement_mm(),
+        head_displacement_mm: body.head_displacement_mm(),
+        prior_5_mm: None,
+        prior_95_mm: None,
     })
 }
 
-/// As [`roller_run`], for the two series of [`lubrication_cases`], whose name goes into the row.
+/// As [`roller_run`], for the two series of [`lubrication_cases`], whose name goes into the row with its prior band.
 ///
 /// # Errors
 /// As [`roller_run`].
-pub fn lubricated_run(case: &RollerCase) -> Result<RollerRow, OutOfRange> {
+pub fn lubricated_run(
+    params: roller::Params,
+    bands: &Bands,
+    case: &RollerCase,
+) -> Result<RollerRow, OutOfRange> {
     let named = LUBRICATION.iter().find(|(_, mu)| *mu == case.friction);
     Ok(RollerRow {
         lubrication: named.map_or("", |(name, _)| name),
-        ..roller_run(case)?
+        ..roller_run(params, case)?.with_band(bands)
     })
 }
 
@@ -298,14 +366,13 @@ pub struct IsolatedRow {
 ///
 /// # Errors
 /// An indentation that the model does not cover.
-pub fn isolated_run(indentation_mm: &f64) -> Result<IsolatedRow, OutOfRange> {
-    let params = roller::Params {
-        step_mm: ISOLATED_STEP_MM,
-        ..roller::Params::PAPER
-    };
-    let pass = roller::isolated_pass(params, *indentation_mm)?;
+pub fn isolated_run(
+    params: roller::Params,
+    indentation_mm: f64,
+) -> Result<IsolatedRow, OutOfRange> {
+    let pass = roller::isolated_pass(params, indentation_mm)?;
     Ok(IsolatedRow {
-        indentation_mm: *indentation_mm,
+        indentation_mm,
         step_mm: params.step_mm,
         antegrade_mm: pass.antegrade_mm,
         returning_mm: pass.returning_mm,
@@ -338,27 +405,27 @@ pub struct FoldTest {
     pub course: Vec<FoldRow>,
 }
 
-/// Travel of the carriage between two rows of a fold test, mm.
+/// Travel of the carriage between two rows of a fold test, mm, at most.
 const FOLD_ROW_MM: f64 = 5.0;
 
-/// The fold test of section III.A, by default with 21 mm of thread drawn in.
+/// The fold test of section III.A, by default with the model's thread drawn in.
 ///
 /// # Errors
 /// A thread or an indentation that the models do not cover.
-pub fn fold_test(indentation_mm: f64, thread_mm: Option<f64>) -> Result<FoldTest, OutOfRange> {
-    let unfolded = roller::Params::PAPER;
-    let params = match thread_mm {
-        None => folded::Params::PAPER,
-        Some(mm) => folded::Params::PAPER.folded_by(&unfolded.body.design, mm)?,
-    };
+pub fn fold_test(
+    model: &Model,
+    indentation_mm: f64,
+    thread_mm: Option<f64>,
+) -> Result<FoldTest, OutOfRange> {
+    let (unfolded, params) = (model.rig()?, model.folded(thread_mm)?);
     let mut folded = folded::FoldedBody::new(params, indentation_mm)?;
     let mut other = roller::UnfoldedBody::new(unfolded, indentation_mm)?;
-    let rows = (params.stroke_mm / FOLD_ROW_MM).round() as u32;
+    let rows = (params.stroke_mm / FOLD_ROW_MM).ceil() as u32;
     let mut course = vec![];
     for stroke in 0..params.cycles * 2 {
         // The first row of a stroke is the last of the one before.
         for row in u32::from(stroke > 0)..=rows {
-            let gone_mm = f64::from(row) * FOLD_ROW_MM;
+            let gone_mm = params.stroke_mm * f64::from(row) / f64::from(rows);
             let carriage_mm = if stroke % 2 == 0 {
                 gone_mm
             } else {

@@ -1,6 +1,7 @@
 //! Wall and body at several moments, as in the paper's Fig. 6: one column for each pressure or indentation, one row for
 //! each moment. The blue line marks the head at the start of the run, the red one at its end.
 
+use locomotion::model::Model;
 use locomotion::range::OutOfRange;
 use locomotion::{roller, tube};
 use serde::Serialize;
@@ -71,9 +72,11 @@ pub struct SnapshotRow {
 /// The tube at three pressures.
 ///
 /// # Errors
-/// None for the parameters of the paper.
-pub fn tube() -> Result<Strip, OutOfRange> {
-    let params = tube::Params::PAPER;
+/// A model with a value outside its range.
+pub fn tube(model: &Model) -> Result<Strip, OutOfRange> {
+    // One body has one place: the middle of those of which the series take the mean.
+    let mut params = model.tube()?;
+    params.body.tail_mm += params.segment_mm / 2.0;
     let design = params.body.design;
     let length_mm = f64::from(params.segments) * params.segment_mm;
     let mut columns = vec![];
@@ -106,9 +109,9 @@ pub fn tube() -> Result<Strip, OutOfRange> {
 /// The rig at three indentations.
 ///
 /// # Errors
-/// None for the parameters of the paper.
-pub fn roller() -> Result<Strip, OutOfRange> {
-    let params = roller::Params::PAPER;
+/// A model with a value outside its range.
+pub fn roller(model: &Model) -> Result<Strip, OutOfRange> {
+    let params = model.rig()?;
     let design = params.body.design;
     let mut columns = vec![];
     for indentation_mm in INDENTATIONS_MM {
@@ -181,9 +184,9 @@ impl Strip {
         rows
     }
 
-    /// The strip, to scale.
+    /// The strip, to scale; `origin` says of which model.
     #[must_use]
-    pub fn svg(&self) -> String {
+    pub fn svg(&self, origin: &str) -> String {
         const GAP: f64 = 8.0;
         const LEFT: f64 = 30.0;
         let half = self.half_width_mm;
@@ -192,7 +195,7 @@ impl Strip {
         let rows = self.columns[0].len();
         let mut drawing = Drawing::new(
             LEFT + width * self.columns.len() as f64,
-            20.0 + height * rows as f64,
+            23.0 + height * rows as f64,
         );
         let head = |snapshot: &Snapshot| snapshot.body.core_ends_mm().1;
         for (index, column) in self.columns.iter().enumerate() {
@@ -235,11 +238,12 @@ impl Strip {
             "start",
             (LEFT, 12.0 + height * rows as f64 + 4.0),
             &format!(
-                "to scale, tail at the left; blue: head at the start, red: head at the end; model values: a \
-                 crescent feels {} of the wall's indentation over its foot; parameters.csv says what is calibrated or assumed",
+                "to scale, tail at the left; blue: head at the start, red: head at the end; a crescent feels {} of the \
+                 wall's indentation over its foot; parameters.csv says what is calibrated or assumed",
                 self.coupling
             ),
         );
-        drawing.finish("Wall and body at several moments")
+        drawing.text("start", (LEFT, 12.0 + height * rows as f64 + 7.5), origin);
+        drawing.finish("Wall and body at several moments", origin)
     }
 }

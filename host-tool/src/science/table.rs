@@ -1,7 +1,6 @@
 //! Rows as CSV: a header with units in the names, numbers with enough digits to restore the same bits.
 
-use locomotion::parameter::Parameter;
-use locomotion::{folded, roller, tube};
+use locomotion::model::Model;
 use serde::Serialize;
 
 /// The rows as the bytes of a CSV file.
@@ -18,38 +17,53 @@ pub fn csv<T: Serialize>(rows: &[T]) -> Result<Vec<u8>, csv::Error> {
         .map_err(|error| error.into_error().into())
 }
 
-/// One parameter of one model, and the origin of its value.
+/// As [`csv`], with the origin of the values in a last column of each row.
+///
+/// # Errors
+/// As [`csv`].
+pub fn csv_of<T: Serialize>(rows: &[T], origin: &str) -> Result<Vec<u8>, csv::Error> {
+    let bare = csv(rows)?;
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .from_reader(bare.as_slice());
+    let mut writer = csv::Writer::from_writer(vec![]);
+    for (line, record) in reader.records().enumerate() {
+        let mut record = record?;
+        record.push_field(if line == 0 { "origin" } else { origin });
+        writer.write_record(&record)?;
+    }
+    writer
+        .into_inner()
+        .map_err(|error| error.into_error().into())
+}
+
+/// One parameter of the model, and where its value comes from.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ParameterRow {
-    /// `roller`, `tube` or `folded`.
-    pub model: &'static str,
-    /// Name, with the path in the model's parameters.
+    /// Section and name, as in a model file.
     pub name: &'static str,
     /// Value in `unit`.
     pub value: f64,
+    /// The word by which it was set, if it was: the value follows from others then.
+    pub word: Option<&'static str>,
     /// Unit; empty for a pure number.
     pub unit: &'static str,
-    /// `paper`, `derived`, `cal` or `assumed`.
-    pub origin: String,
+    /// `paper`, `derived`, `cal`, `assumed` or `given`.
+    pub label: String,
     /// Section or sentence of the paper, or the reason for the choice.
     pub source: &'static str,
 }
 
-/// All parameters of all models.
+/// All parameters of a model.
 #[must_use]
-pub fn parameters() -> Vec<ParameterRow> {
-    let rows = |model, parameters: &'static [Parameter]| {
-        parameters.iter().map(move |parameter| ParameterRow {
-            model,
-            name: parameter.name,
-            value: parameter.value,
-            unit: parameter.unit,
-            origin: parameter.label.to_string(),
-            source: parameter.source,
-        })
+pub fn parameters(model: &Model) -> Vec<ParameterRow> {
+    let row = |parameter: locomotion::parameter::Parameter| ParameterRow {
+        name: parameter.name,
+        value: parameter.value,
+        word: parameter.word,
+        unit: parameter.unit,
+        label: parameter.label.to_string(),
+        source: parameter.source,
     };
-    rows("roller", &roller::PARAMETERS)
-        .chain(rows("tube", &tube::PARAMETERS))
-        .chain(rows("folded", &folded::PARAMETERS))
-        .collect()
+    model.parameters().map(row).collect()
 }

@@ -1,0 +1,216 @@
+//! `design`: one origami in numbers and drawings, without a machine.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use locomotion::kinematics::Design;
+use locomotion::range::{Ends, OutOfRange};
+use serde_json::{Value, json};
+
+use crate::cli::failure::Failure;
+use crate::cli::model::ModelArgs;
+use crate::cli::science::write;
+use crate::cli::screen::Screen;
+use crate::science::design::{self, Report};
+use crate::science::{charts, drawing};
+
+/// Arguments of `design`. All angles are measured from the transverse axis.
+#[derive(Debug, Args)]
+pub struct DesignArgs {
+    /// Overall width W in mm; 24.4 by default.
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    pub width_mm: Option<f64>,
+    /// Width of the core over the overall width, c/W; 0.2 by default.
+    #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
+    pub core_ratio: Option<f64>,
+    /// Angle of the short side in degrees; 12.53 by default.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    pub alpha_deg: Option<f64>,
+    /// Angle of the long side in degrees; 33.69 by default.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    pub beta_deg: Option<f64>,
+    /// Use tan alpha = 2/9 and tan beta = 2/3; rounded to two decimals these are the paper's angles.
+    #[arg(long, conflicts_with_all = ["alpha_deg", "beta_deg"])]
+    pub exact_slopes: bool,
+    /// Number m of crescents, 1 to 32; 9 by default.
+    #[arg(long, value_name = "M", value_parser = clap::value_parser!(u8).range(1..=32))]
+    pub crescents: Option<u8>,
+    /// A file of parameters as `simulate` writes it, model.toml: its design, where no option says otherwise.
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Indentation a of the drawings in mm, 0 to (W-c)/2; by default 5.05, or (W-c)/4 if the design is too narrow.
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    pub indentation_mm: Option<f64>,
+    /// Smallest alpha that the material allows, in degrees; 12.53 worked in the paper.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    pub least_alpha_deg: Option<f64>,
+    /// Draw the structure, unsqueezed and squeezed, to this SVG file.
+    #[arg(long, value_name = "FILE")]
+    pub svg: Option<PathBuf>,
+    /// Draw the shortening over alpha and over beta to this SVG file.
+    #[arg(long, value_name = "FILE")]
+    pub map: Option<PathBuf>,
+}
+
+/// The design that the options describe, over that of the file, over the paper's as printed.
+fn asked(args: &DesignArgs) -> Result<Design<f64>, Failure> {
+    let file = ModelArgs::of_file(args.model.clone());
+    if args.model.is_some() {
+        file.model()?; // what cannot be used is refused, also where only the design is taken from it
+    }
+    let number = |given: Option<f64>, key: &str, default: f64| -> Result<f64, Failure> {
+        match given {
+            Some(number) => Ok(number),
+            None => Ok(file.number(key)?.unwrap_or(default)),
+        }
+    };
+    let width_mm = number(args.width_mm, "design.width_mm", 24.40)?;
+    let ratio = number(args.core_ratio, "design.core_ratio", 0.2)?;
+    // Whole and from 1 to 32 in a file, too: `model` has checked it.
+    let crescents = match args.crescents {
+        Some(crescents) => crescents,
+        None => file.number("design.crescents")?.unwrap_or(9.0) as u8,
+    };
+    if !(ratio > 0.0 && ratio < 1.0) {
+        return Err(OutOfRange {
+            quantity: "c/W",
+            value: ratio,
+            min: 0.0,
+            max: 1.0,
+            unit: "",
+            ends: Ends::Open,
+            because: "the crescents stand between core and wall",
+        }
+        .into());
+    }
+    let core_mm = ratio * width_mm;
+    if args.exact_slopes {
+        return Ok(Design::with_slopes(
+            width_mm,
+            core_mm,
+            2.0 / 9.0,
+            2.0 / 3.0,
+            crescents,
+        )?);
+    }
+    let angle = |given: Option<f64>, deg: &str, tan: &str, default: f64| -> Result<f64, Failure> {
+        let default = match file.number(tan)? {
+            Some(tan) => tan.atan().to_degrees(),
+            None => default,
+        };
+        number(given, deg, default)
+    };
+    let alpha_deg = angle(
+        args.alpha_deg,
+        "design.alpha_deg",
+        "design.tan_alpha",
+        12.53,
+    )?;
+    let beta_deg = angle(args.beta_deg, "design.beta_deg", "design.tan_beta", 33.69)?;
+    Ok(Design::new(
+        width_mm, core_mm, alpha_deg, beta_deg, crescents,
+    )?)
+}
+
+pub(crate) fn design(args: &DesignArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let design = asked(args)?;
+    let report = design::report(&design, args.indentation_mm, args.least_alpha_deg)?;
+    screen.say(&design_text(&report));
+    if let Some(path) = &args.svg {
+        let svg = drawing::structure(&design, report.indentation_mm)?;
+        write(path, svg.as_bytes())?;
+        screen.say(&format!("drawing:  {}", path.display()));
+    }
+    if let Some(path) = &args.map {
+        let svg = charts::maps(&design::maps(&design, args.indentation_mm)?)?;
+        write(path, svg.as_bytes())?;
+        screen.say(&format!("map:      {}", path.display()));
+    }
+    Ok(json!({ "design": report, "svg": args.svg, "map": args.map }))
+}
+
+fn design_text(report: &Report) -> String {
+    let Report {
+        width_mm,
+        core_mm,
+        core_ratio,
+        half_gap_mm,
+        alpha_deg,
+        beta_deg,
+        crescents,
+        long_side_mm,
+        short_side_mm,
+        spacing_mm,
+        core_length_mm,
+        length_mm,
+        largest_shortening_mm,
+        ..
+    } = report;
+    let capsule = match report.thread_to_capsule_mm {
+        Some(mm) => format!("{mm:.2} mm to the width of a 13 mm capsule"),
+        None => "a 13 mm capsule is out of its range".to_owned(),
+    };
+    let mut text = format!(
+        "\
+width:    W {width_mm:.3} mm, core c {core_mm:.3} mm (c/W {core_ratio:.3}), h = (W-c)/2 {half_gap_mm:.3} mm
+angles:   alpha {alpha_deg:.3} deg, beta {beta_deg:.3} deg to the transverse axis
+window:   alpha above {:.0} and below {:.3} deg; beta above {:.3} and below {:.0} deg
+sides:    l1 {long_side_mm:.3} mm (Eq. 1), l2 {short_side_mm:.3} mm (Eq. 2)
+spacing:  phi {spacing_mm:.3} mm (Eq. 3), {crescents} crescents
+length:   core m phi {core_length_mm:.3} mm, overall {length_mm:.3} mm
+thread:   {largest_shortening_mm:.2} mm at most, {capsule}
+
+       a      psi       d0        d        L      W-2a  dd0/da  dd0/dalpha  dd0/dbeta
+      mm       mm       mm       mm       mm        mm       1      mm/rad     mm/rad
+",
+        report.alpha_window_deg.0,
+        report.alpha_window_deg.1,
+        report.beta_window_deg.0,
+        report.beta_window_deg.1,
+    );
+    for row in &report.squeezed {
+        text += &format!(
+            "{:8.3} {:8.4} {:8.4} {:8.4} {:8.4} {:9.3} {:7.4} {:11.4} {:10.4}\n",
+            row.indentation_mm,
+            row.spacing_mm,
+            row.shortening_per_crescent_mm,
+            row.shortening_mm,
+            row.length_mm,
+            row.width_mm,
+            row.slope_by_indentation,
+            // Adding zero turns -0 into 0.
+            row.slope_by_alpha_mm + 0.0,
+            row.slope_by_beta_mm,
+        );
+    }
+    text += "\nthe paper's requirements (section II.A, each \"about\"):\n";
+    for rule in &report.rules {
+        let verdict = match rule.objection {
+            None => "as the paper".to_owned(),
+            Some(objection) => format!("{:+.1} %: {objection}", rule.deviation * 100.0),
+        };
+        text += &format!(
+            "  {:<6} {:>8.3} for {:<5} {:<4} {verdict}\n",
+            rule.quantity, rule.value, rule.target, rule.unit
+        );
+    }
+    text += &match &report.best_alpha {
+        Some(best) => format!(
+            "best alpha: {:.3} deg, d = {:.3} mm at a = {:.2} mm: {}\n",
+            best.alpha_deg, best.shortening_mm, report.indentation_mm, best.reason
+        ),
+        None => format!(
+            "best alpha: none known for this beta: no alpha below {} deg is known to hold (`--least-alpha-deg`)\n",
+            design::LEAST_ALPHA_DEG
+        ),
+    };
+    text += &format!(
+        "Eq. (6) at a = {:.2} mm: left less right side {:.3} as printed (its units do not agree), {:.3} repaired; \
+         d d0/d alpha is {:.3} mm/rad. Repaired it has no root below alpha = 51.827 deg.",
+        report.indentation_mm,
+        report.equation_6.printed_residual,
+        report.equation_6.repaired_residual,
+        report.equation_6.true_derivative_mm,
+    );
+    text
+}

@@ -1,0 +1,199 @@
+//! The options of a model, made from the table of its parameters: `--body`, `--model`, and one for each parameter.
+
+use std::fs;
+use std::path::PathBuf;
+use std::sync::LazyLock;
+
+use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
+use locomotion::model::{Model, Setting};
+
+use crate::cli::failure::Failure;
+use crate::science::model_file::{self, Choice, Given, ModelError};
+
+/// A model as options give it.
+#[derive(Clone, Debug, Default)]
+pub struct ModelArgs {
+    body: Option<String>,
+    file: Option<PathBuf>,
+    choices: Vec<Choice>,
+}
+
+/// A parameter with the name of its option and of the option's value.
+struct Parameter {
+    setting: &'static Setting,
+    option: String,
+    value: String,
+}
+
+/// All of them, made once: the command line keeps references to their names.
+static PARAMETERS: LazyLock<Vec<Parameter>> = LazyLock::new(|| {
+    let parameter = |setting: &'static Setting| Parameter {
+        setting,
+        option: option(setting),
+        value: if setting.unit.is_empty() {
+            "VALUE".to_owned()
+        } else {
+            setting.unit.to_uppercase()
+        },
+    };
+    Setting::all().map(parameter).collect()
+});
+
+/// The option of a parameter: what is of the body or of its design goes without its section.
+fn option(setting: &Setting) -> String {
+    let (section, name) = setting.key.split_once('.').unwrap_or(("", setting.key));
+    let name = name.replace('_', "-");
+    match section {
+        "design" | "body" => name,
+        _ => format!("{section}-{name}"),
+    }
+}
+
+const HEADING: &str = "Model (`--help` lists all its parameters)";
+
+fn argument(id: &'static str, help: String) -> Arg {
+    Arg::new(id)
+        .global(true)
+        .help_heading(HEADING)
+        .help(help)
+        .allow_hyphen_values(true)
+}
+
+impl Args for ModelArgs {
+    fn augment_args(command: Command) -> Command {
+        let body = argument(
+            "model-body",
+            format!(
+                "The body to begin with: {}; `one` by default",
+                model_file::names()
+            ),
+        );
+        let file = argument(
+            "model-file",
+            "A file of parameters, as `simulate` writes it: model.toml".to_owned(),
+        );
+        let command = command.arg(body.long("body").value_name("NAME")).arg(
+            file.long("model")
+                .value_name("FILE")
+                .value_parser(clap::value_parser!(PathBuf)),
+        );
+        PARAMETERS.iter().fold(command, |command, parameter| {
+            let setting = parameter.setting;
+            command.arg(
+                argument(setting.key, format!("{}: {}", setting.key, setting.meaning))
+                    .long(parameter.option.as_str())
+                    .value_name(parameter.value.as_str())
+                    .hide_short_help(true),
+            )
+        })
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for ModelArgs {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let text = |id: &str| matches.get_one::<String>(id);
+        Ok(Self {
+            body: text("model-body").cloned(),
+            file: matches.get_one("model-file").cloned(),
+            choices: Setting::all()
+                .filter_map(|setting| Some((setting, Given::from(text(setting.key)?.as_str()))))
+                .collect(),
+        })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+impl ModelArgs {
+    /// Of a file alone, if there is one.
+    pub fn of_file(file: Option<PathBuf>) -> Self {
+        Self {
+            file,
+            ..Self::default()
+        }
+    }
+
+    /// The model: the body, with the file's values, with those of the options.
+    ///
+    /// # Errors
+    /// A file that cannot be read or used; a value that cannot be; a model out of range.
+    pub fn model(&self) -> Result<Model, Failure> {
+        let file = self.read()?;
+        let body = match (&self.body, &file.body) {
+            (Some(asked), Some(written)) if asked != written => {
+                return Err(Failure::Input {
+                    why: format!("--body says {asked}, the file of --model says {written}"),
+                    help: "leave one of them out: the file's values belong to its body".to_owned(),
+                });
+            }
+            (Some(body), _) | (None, Some(body)) => body,
+            (None, None) => Model::ONE.name,
+        };
+        let model = self.built(body, &file.choices)?;
+        model.check()?;
+        Ok(model)
+    }
+
+    /// The value that was given for a parameter, by an option or else in the file.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn number(&self, key: &str) -> Result<Option<f64>, Failure> {
+        let file = self.read()?;
+        let mut all = self.choices.iter().chain(&file.choices);
+        Ok(all.find_map(|(setting, given)| match given {
+            Given::Number(number) if setting.key == key => Some(*number),
+            _ => None,
+        }))
+    }
+
+    /// Whether an option gives this parameter.
+    pub fn names(&self, key: &str) -> bool {
+        self.choices.iter().any(|(setting, _)| setting.key == key)
+    }
+
+    fn read(&self) -> Result<model_file::ModelFile, Failure> {
+        let Some(path) = &self.file else {
+            return Ok(model_file::ModelFile::default());
+        };
+        let text = fs::read_to_string(path).map_err(|io| Failure::File {
+            path: path.clone(),
+            io,
+        })?;
+        model_file::read(&text).map_err(|error| self.failure(&error))
+    }
+
+    fn built(&self, body: &str, file: &[Choice]) -> Result<Model, Failure> {
+        // The file first, and alone: what contradicts itself there is the file's.
+        model_file::build(body, file).map_err(|error| self.failure(&error))?;
+        model_file::build(body, &self.choices).map_err(|error| self.failure(&error))?;
+        // An option outweighs what the file says of the same thing, in whichever way.
+        let outweighed = |setting: &Setting| {
+            self.names(setting.key) || setting.other_key().is_some_and(|key| self.names(key))
+        };
+        let kept = file.iter().filter(|(setting, _)| !outweighed(setting));
+        let all: Vec<_> = kept.chain(&self.choices).cloned().collect();
+        model_file::build(body, &all).map_err(|error| self.failure(&error))
+    }
+
+    fn failure(&self, error: &ModelError) -> Failure {
+        let help = match &self.file {
+            Some(path) => format!(
+                "in {} or in the options; `retrograde simulate pressure --help` lists the parameters",
+                path.display()
+            ),
+            None => "`retrograde simulate pressure --help` lists the parameters".to_owned(),
+        };
+        Failure::Input {
+            why: format!("the model: {error}"),
+            help,
+        }
+    }
+}

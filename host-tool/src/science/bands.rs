@@ -1,0 +1,128 @@
+//! Prior bands: what the bodies that agree with the paper's words do in one case.
+
+use locomotion::model::Model;
+use locomotion::prior::{self, Band, Words, agreeing};
+use locomotion::range::OutOfRange;
+use locomotion::{roller, tube};
+
+/// Most cases of which bands are worked out: each costs some hundred runs.
+pub const MOST: usize = 100;
+/// Step of the roller, mm, and of the walls, mm: errors of some tenths of a millimetre do not show in a band.
+const ROLLER_STEP_MM: f64 = 0.25;
+const WALL_STEP_MM: f64 = 0.08;
+
+/// The bands of some cases.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Bands(Vec<(f64, Band)>);
+
+impl Bands {
+    /// Of cases and of each body's displacement in each of them.
+    #[must_use]
+    pub fn of(cases: &[f64], values: &[Vec<f64>]) -> Self {
+        let band = |(place, case): (usize, &f64)| {
+            let mut values: Vec<_> = values.iter().map(|body| body[place]).collect();
+            Some((*case, Band::of(&mut values)?))
+        };
+        Self(cases.iter().enumerate().filter_map(band).collect())
+    }
+
+    /// No bands.
+    #[must_use]
+    pub fn none() -> Self {
+        Self::default()
+    }
+
+    /// The band of a case.
+    #[must_use]
+    pub fn of_case(&self, case: f64) -> Option<Band> {
+        let found = self.0.iter().find(|(other, _)| *other == case);
+        found.map(|(_, band)| *band)
+    }
+
+    /// The outline of all bands from left to right and back, for a figure.
+    #[must_use]
+    pub fn outline(&self) -> Vec<(f64, f64)> {
+        let mut sorted = self.0.clone();
+        sorted.sort_by(|left, right| left.0.total_cmp(&right.0));
+        let low = sorted.iter().map(|(case, band)| (*case, band.low));
+        let high = sorted.iter().rev().map(|(case, band)| (*case, band.high));
+        low.chain(high).collect()
+    }
+}
+
+/// The different cases, if they are few enough for bands.
+#[must_use]
+pub fn few(cases: &[f64]) -> Option<Vec<f64>> {
+    let mut different = cases.to_vec();
+    different.sort_by(f64::total_cmp);
+    different.dedup();
+    (different.len() <= MOST).then_some(different)
+}
+
+/// A body that agrees with the words, and its number among them.
+pub type Body = (usize, Model);
+
+/// The bodies that agree with the words, otherwise as the model.
+#[must_use]
+pub fn bodies(model: &Model, words: Words) -> Vec<Body> {
+    agreeing(words)
+        .map(|draw| draw.apply(model))
+        .enumerate()
+        .collect()
+}
+
+/// Displacement of a body on the rig at each indentation, mm.
+///
+/// # Errors
+/// An indentation that the model does not cover.
+pub fn on_rig((_, model): &Body, indentations_mm: &[f64]) -> Result<Vec<f64>, OutOfRange> {
+    let mut params = model.rig()?;
+    params.step_mm = params.step_mm.max(ROLLER_STEP_MM);
+    indentations_mm
+        .iter()
+        .map(|a| roller::run(params, *a))
+        .collect()
+}
+
+/// Displacement of a body in the tube at each pressure, mm. Each body lies at another place: where the paper's lay is not
+/// known either.
+///
+/// # Errors
+/// A pressure that the model does not cover.
+pub fn in_tube((number, model): &Body, pressures_pa: &[f64]) -> Result<Vec<f64>, OutOfRange> {
+    let params = model.tube()?;
+    let place = number % (params.placements.max(1) as usize);
+    let mut params = tube::placed(params).nth(place).unwrap_or(params);
+    params.wall_step_mm = params.wall_step_mm.max(WALL_STEP_MM);
+    pressures_pa
+        .iter()
+        .map(|pressure_pa| tube::run(params, *pressure_pa))
+        .collect()
+}
+
+/// A band for people: without digits that it does not have.
+#[must_use]
+pub fn text(low: Option<f64>, high: Option<f64>) -> String {
+    let number = |mm: f64| match mm.abs() {
+        small if small < 10.0 => format!("{:.1}", mm + 0.0),
+        _ => format!("{mm:.0}"),
+    };
+    match (low, high) {
+        (Some(low), Some(high)) => format!("{} to {}", number(low), number(high)),
+        _ => "-".to_owned(),
+    }
+}
+
+/// What a prior band is, in a sentence.
+#[must_use]
+pub fn meaning(words: Words) -> String {
+    let (world, kept) = match words {
+        Words::Rig => ("rig", prior::kept(words).len()),
+        Words::Tube => ("tube", prior::kept(words).len()),
+    };
+    format!(
+        "5 to 95 % of the {kept} bodies, of {} drawn, that agree with the paper's words on the {world}; the words do not say \
+         which of them it was",
+        prior::DRAWS
+    )
+}

@@ -1,0 +1,242 @@
+//! What the paper's words leave open: bodies drawn from declared priors, kept if they agree with its sentences.
+//!
+//! The paper's text gives no millimetres of the rig's displacement. The band of all bodies that agree with its words says
+//! how little a single number means. This is rejection sampling: [`draws`] come from [`PRIORS`] by one seeded stream,
+//! and [`agrees`] is the test. Its outcome is kept as lists of numbers of draws, because it takes seconds; a test repeats
+//! it. Rig and tube are asked apart: that one body serves both is an assumption of ours, not a sentence of the paper.
+
+mod kept;
+
+use rand_core::{Rng, SeedableRng};
+use rand_xorshift::XorShiftRng;
+
+use crate::comparison::{INDENTATIONS_MM, pressures_pa};
+use crate::model::{Model, Setting, Value};
+use crate::range::OutOfRange;
+use crate::{roller, trend, tube};
+
+/// Seed of the stream.
+pub const SEED: u64 = 2022;
+/// Number of draws.
+pub const DRAWS: u16 = 4000;
+
+/// What is assumed of one parameter before any sentence is read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prior {
+    /// The parameter, as in a model file.
+    pub key: &'static str,
+    /// Least value.
+    pub low: f64,
+    /// Greatest value.
+    pub high: f64,
+    /// Even in the logarithm; otherwise even in the value.
+    pub logarithmic: bool,
+    /// Reason for the range.
+    pub because: &'static str,
+}
+
+/// The parameters that the paper's text leaves open, and their ranges [assumed].
+pub const PRIORS: [Prior; 5] = [
+    Prior {
+        key: "body.coupling",
+        low: 0.03,
+        high: 1.0,
+        logarithmic: true,
+        because: "1: the whole indentation reaches a crescent",
+    },
+    Prior {
+        key: "body.friction_ratio",
+        low: 1.2,
+        high: 200.0,
+        logarithmic: true,
+        because: "from rigid facets at mu = 0.15, 1.22, to hooks that hardly slip back",
+    },
+    Prior {
+        key: "body.preload_mm",
+        low: 1e-4,
+        high: 0.2,
+        logarithmic: true,
+        because: "W = D to the accuracy of the print, 0.15 mm",
+    },
+    Prior {
+        key: "tube.critical_pa",
+        low: 7000.0,
+        high: 7500.0,
+        logarithmic: false,
+        because: "above 7000 Pa the wall is severely shrunk",
+    },
+    Prior {
+        key: "tube.buckling_mm",
+        low: 0.01,
+        high: 0.5,
+        logarithmic: true,
+        because: "slight at 3000 Pa, severe at 7000 Pa",
+    },
+];
+
+/// The sentences that a body has to agree with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Words {
+    /// On the rig, sections III and III.A.
+    Rig,
+    /// On the tube, sections II.B and II.C.
+    Tube,
+}
+
+/// "Hardly": a return pass moves the body by at most this share of an antegrade pass, at each indentation.
+pub const HARDLY: f64 = 0.2;
+/// "Approximately linearly": R^2 of a line through the five indentations.
+pub const LINEAR: f64 = 0.95;
+/// "About 1 mm" at 3000 Pa.
+pub const ABOUT_1_MM: (f64, f64) = (0.5, 1.5);
+/// "About 14 mm" and "about 15 mm" at 7000 Pa: the paper has both for one case.
+pub const ABOUT_15_MM: (f64, f64) = (13.0, 16.0);
+/// "Faster" from about 6000 Pa: slope above 5800 Pa over the slope below.
+pub const FASTER: f64 = 1.5;
+
+/// Steps of the models when a draw is tested: coarse, for speed. The errors, at most 0.3 mm, are small beside the bands.
+const ROLLER_STEP_MM: f64 = 0.25;
+const WALL_STEP_MM: f64 = 0.08;
+const PLACEMENTS: u32 = 4;
+
+/// One set of values for [`PRIORS`], in their order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Draw {
+    /// Its number in the stream.
+    pub index: u16,
+    /// The values.
+    pub values: [f64; PRIORS.len()],
+}
+
+impl Draw {
+    /// The model with these values in place of its own.
+    pub fn apply(&self, model: &Model) -> Model {
+        let mut drawn = *model;
+        for (prior, value) in PRIORS.iter().zip(self.values) {
+            if let Some(setting) = Setting::named(prior.key) {
+                // All of them take numbers; the test `every_prior_is_a_parameter` holds that.
+                let _ = drawn.set(setting, Value::Number(value));
+            }
+        }
+        drawn
+    }
+}
+
+/// All draws.
+pub fn draws() -> impl Iterator<Item = Draw> {
+    let mut random = XorShiftRng::seed_from_u64(SEED);
+    (0..DRAWS).map(move |index| Draw {
+        index,
+        values: PRIORS.map(|prior| {
+            // 53 bits, evenly from 0 to 1.
+            let part = (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
+            if prior.logarithmic {
+                prior.low * libm::exp(part * libm::log(prior.high / prior.low))
+            } else {
+                prior.low + part * (prior.high - prior.low)
+            }
+        }),
+    })
+}
+
+/// The draws that agree with the words.
+pub fn agreeing(words: Words) -> impl Iterator<Item = Draw> {
+    let mut kept = kept(words).iter().copied().peekable();
+    draws().filter(move |draw| kept.next_if_eq(&draw.index).is_some())
+}
+
+/// Their numbers.
+pub fn kept(words: Words) -> &'static [u16] {
+    match words {
+        Words::Rig => &kept::RIG,
+        Words::Tube => &kept::TUBE,
+    }
+}
+
+/// Whether a model agrees with the words.
+///
+/// # Errors
+/// A model with a value outside its range.
+pub fn agrees(words: Words, model: &Model) -> Result<bool, OutOfRange> {
+    match words {
+        Words::Rig => agrees_on_rig(model),
+        Words::Tube => agrees_on_tube(model),
+    }
+}
+
+fn agrees_on_rig(model: &Model) -> Result<bool, OutOfRange> {
+    let mut params = model.rig()?;
+    params.step_mm = ROLLER_STEP_MM;
+    // The deepest first: it refuses most.
+    for a in INDENTATIONS_MM.into_iter().rev() {
+        let pass = roller::isolated_pass(params, a)?;
+        if pass.antegrade_mm <= 0.0 || libm::fabs(pass.returning_mm) > HARDLY * pass.antegrade_mm {
+            return Ok(false);
+        }
+    }
+    let mut series = [0.0; INDENTATIONS_MM.len()];
+    for (mm, a) in series.iter_mut().zip(INDENTATIONS_MM) {
+        *mm = roller::run(params, a)?;
+    }
+    let points = INDENTATIONS_MM.into_iter().zip(series);
+    Ok(series[0] > 0.0
+        && trend::rising(&series) == series.len() - 1
+        && trend::linearity(points) >= LINEAR)
+}
+
+fn agrees_on_tube(model: &Model) -> Result<bool, OutOfRange> {
+    let mut params = model.tube()?;
+    params.wall_step_mm = WALL_STEP_MM;
+    params.placements = PLACEMENTS;
+    let about = |pressure_pa: f64, (low, high): (f64, f64)| -> Result<Option<f64>, OutOfRange> {
+        let mm = tube::averaged(params, pressure_pa)?.tail_mm;
+        Ok((low..=high).contains(&mm).then_some(mm))
+    };
+    let Some(first) = about(3000.0, ABOUT_1_MM)? else {
+        return Ok(false);
+    };
+    let Some(last) = about(7000.0, ABOUT_15_MM)? else {
+        return Ok(false);
+    };
+    let mut series = [first; 11];
+    for (mm, pressure_pa) in series.iter_mut().zip(pressures_pa()).skip(1) {
+        *mm = tube::averaged(params, pressure_pa)?.tail_mm;
+    }
+    series[10] = last;
+    let below = (series[7] - series[0]) / 2800.0;
+    let above = (series[10] - series[7]) / 1200.0;
+    // Positive curvature as a trend: nine tips leave a ripple on the single bends.
+    let curved = series[10] - series[5] > series[5] - series[0];
+    Ok(trend::rising(&series) == 10 && curved && above >= FASTER * below)
+}
+
+/// What a quantity spans over the draws that agree: from 5 to 95 % of them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Band {
+    /// 5 % of the draws lie below.
+    pub low: f64,
+    /// Half of them do.
+    pub median: f64,
+    /// 95 % of them do.
+    pub high: f64,
+    /// Least and greatest value.
+    pub range: (f64, f64),
+    /// How many draws there are.
+    pub sets: usize,
+}
+
+impl Band {
+    /// Of these values, which it sorts; none without any.
+    pub fn of(values: &mut [f64]) -> Option<Self> {
+        values.sort_unstable_by(f64::total_cmp);
+        let last = values.len().checked_sub(1)?;
+        let at = |part: f64| values[libm::round(part * last as f64) as usize];
+        Some(Self {
+            low: at(0.05),
+            median: at(0.5),
+            high: at(0.95),
+            range: (values[0], values[last]),
+            sets: values.len(),
+        })
+    }
+}
