@@ -14,7 +14,8 @@
 use crate::kinematics::{Design, MAX_CRESCENTS};
 use crate::range::{Ends, OutOfRange, check};
 
-const LINKS: usize = MAX_CRESCENTS as usize;
+/// Room for the links of any design.
+pub(crate) const LINKS: usize = MAX_CRESCENTS as usize;
 
 /// r: friction against the wings over friction with them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -142,7 +143,7 @@ impl Chain {
             link_mm: [params.design.spacing_mm(); LINKS],
             middle_mm: [0.0; LINKS],
         };
-        chain.middle_mm = chain.middles(&chain.link_mm);
+        chain.middle_mm = middles(chain.links_mm());
         chain.relaxed_mm = chain.core_mm();
         Ok(chain)
     }
@@ -150,17 +151,6 @@ impl Chain {
     /// Number of crescents.
     fn m(&self) -> usize {
         self.params.design.crescents().into()
-    }
-
-    /// Middle of each link, from the core's tail end.
-    fn middles(&self, link_mm: &[f64; LINKS]) -> [f64; LINKS] {
-        let mut middles = [0.0; LINKS];
-        let mut sum = 0.0;
-        for (middle, link) in middles.iter_mut().zip(link_mm).take(self.m()) {
-            *middle = sum + link / 2.0;
-            sum += link;
-        }
-        middles
     }
 
     /// Applies the next shape of the wall: its inward indentation in mm as a function of the place x in mm.
@@ -183,7 +173,7 @@ impl Chain {
         if !changed {
             return Ok(()); // every delta is 0, so `S` is 0
         }
-        let middle_mm = self.middles(&link_mm);
+        let middle_mm = middles(&link_mm[..m]);
         let mut shift = [(0.0, 0.0); LINKS];
         for i in 0..m {
             let hold = self.params.preload_mm + (self.indentation_mm[i] + indentation_mm[i]) / 2.0;
@@ -232,6 +222,17 @@ impl Chain {
     pub fn links_mm(&self) -> &[f64] {
         &self.link_mm[..self.m()]
     }
+}
+
+/// Middle of each link, from the core's tail end.
+pub(crate) fn middles(links_mm: &[f64]) -> [f64; LINKS] {
+    let mut middles = [0.0; LINKS];
+    let mut sum = 0.0;
+    for (middle, link) in middles.iter_mut().zip(links_mm) {
+        *middle = sum + link / 2.0;
+        sum += link;
+    }
+    middles
 }
 
 /// The `S` that minimises `sum w [ (S+delta)^+ + r (-(S+delta))^+ ]` over pairs `(delta, w)`.

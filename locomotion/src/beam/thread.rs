@@ -21,12 +21,10 @@ use alloc::vec::Vec;
 
 use crate::beam::crescent::{Law, Wing};
 use crate::beam::{Modelled, NoAnswer};
-use crate::kinematics::MAX_CRESCENTS;
+use crate::body::{LINKS, middles};
 use crate::parameter::{Label, Parameter, row};
 use crate::range::{Ends, check};
 use crate::roller::wall_mm;
-
-const LINKS: usize = MAX_CRESCENTS as usize;
 
 /// The body, its wall and the rig's run.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -328,16 +326,6 @@ impl ThreadedBody {
         self.params.wing.design.crescents().into()
     }
 
-    fn middles(&self, link_mm: &[f64; LINKS]) -> [f64; LINKS] {
-        let mut middles = [0.0; LINKS];
-        let mut sum = 0.0;
-        for (middle, link) in middles.iter_mut().zip(link_mm).take(self.m()) {
-            *middle = sum + link / 2.0;
-            sum += link;
-        }
-        middles
-    }
-
     /// What the wall does to a crescent at x: its touch and the slope that it feels, positive if it pushes tailward.
     fn touch_at(&self, x_mm: f64) -> (Touch, f64) {
         let Params {
@@ -397,7 +385,7 @@ impl ThreadedBody {
         let design = self.params.wing.design;
         let rest_mm = design.squeezed_spacing_mm(self.drawn_mm)?;
         for _ in 0..MOST_DRIFTS {
-            let old_mm = self.middles(&self.link_mm);
+            let old_mm = middles(&self.link_mm[..m]);
             let mut link_mm = self.link_mm;
             let mut holds = [(0.0, 0.0); LINKS];
             for i in 0..m {
@@ -409,7 +397,7 @@ impl ThreadedBody {
                 };
                 holds[i] = self.holds(touch, slope);
             }
-            let new_mm = self.middles(&link_mm);
+            let new_mm = middles(&link_mm[..m]);
             let mut points = [(0.0, 0.0, 0.0); LINKS];
             for i in 0..m {
                 points[i] = (new_mm[i] - old_mm[i], holds[i].0, holds[i].1);
