@@ -2,7 +2,8 @@
 //! drawings to scale, refusals.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use assert_cmd::Command;
 use host_tool::cli::run_on;
@@ -37,6 +38,26 @@ fn simulate(folder: &Path, args: &[&str]) {
     let (code, _, err) = retrograde(&[&["simulate", "--out", out], args].concat());
     assert_eq!((code, err.as_str()), (0, ""), "{args:?}");
 }
+
+/// A folder with every series of the default model, calculated once for all tests that only read it.
+fn everything() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("science");
+        if folder.exists() {
+            fs::remove_dir_all(&folder).expect("the folder of the last run");
+        }
+        simulate(&folder, &["all"]);
+        folder
+    })
+}
+
+/// Options for a short calculation, where a test is about files and not about their numbers.
+const SHORT: [&str; 3] = [
+    "--rig-cycles=1",
+    "--tube-duration-s=4",
+    "--tube-placements=2",
+];
 
 /// One column of a CSV file, as printed.
 fn column(file: &Path, name: &str) -> Vec<String> {
@@ -80,9 +101,7 @@ fn shapes(svg: &str, class: &str) -> Vec<Vec<(f64, f64)>> {
 /// The published model values, to the digits that they deserve.
 #[test]
 fn the_series_give_the_published_values() {
-    let folder = tempfile::tempdir().expect("folder");
-    simulate(folder.path(), &["all"]);
-    let file = |name: &str| folder.path().join(name);
+    let file = |name: &str| everything().join(name);
 
     let rounded = |name: &str, column: &str| -> Vec<String> {
         numbers(&file(name), column)
@@ -189,10 +208,7 @@ fn the_older_bodies_give_their_older_values() {
 /// A number without its band would look like knowledge: each run on the rig and in the tube has one, and it is wide.
 #[test]
 fn each_displacement_stands_beside_its_prior_band() {
-    let folder = tempfile::tempdir().expect("folder");
-    simulate(folder.path(), &["roller"]);
-    simulate(folder.path(), &["pressure"]);
-    let file = |name: &str| folder.path().join(name);
+    let file = |name: &str| everything().join(name);
     let (low, high) = (
         numbers(&file("roller.csv"), "prior_5_mm"),
         numbers(&file("roller.csv"), "prior_95_mm"),
@@ -210,6 +226,7 @@ fn each_displacement_stands_beside_its_prior_band() {
     for (low, high) in low.iter().zip(&high) {
         assert!(low < high, "{low} {high}");
     }
+    let folder = tempfile::tempdir().expect("folder");
     let out = folder.path().to_str().expect("UTF-8");
     let (_, text, _) = retrograde(&["simulate", "roller", "--out", out]);
     for says in ["prior band/mm", "434 bodies, of 4000 drawn", "46.3"] {
@@ -222,7 +239,10 @@ fn each_displacement_stands_beside_its_prior_band() {
 #[test]
 fn every_file_names_its_model() {
     let folder = tempfile::tempdir().expect("folder");
-    simulate(folder.path(), &["all", "--coupling", "0.2"]);
+    simulate(
+        folder.path(),
+        &[&["all", "--coupling", "0.2"], &SHORT[..]].concat(),
+    );
     for entry in fs::read_dir(folder.path()).expect("listed") {
         let path = entry.expect("entry").path();
         let text = fs::read_to_string(&path).expect("read");
@@ -233,7 +253,7 @@ fn every_file_names_its_model() {
                 assert!(
                     origin
                         .iter()
-                        .all(|origin| origin == "model one, 1 value changed"),
+                        .all(|origin| origin == "model one, 4 values changed"),
                     "{file}"
                 );
             }
@@ -249,6 +269,9 @@ fn every_file_names_its_model() {
             other => panic!("{other:?}: {file}"),
         }
     }
+    simulate(folder.path(), &["fold", "--coupling", "0.2"]);
+    let origin = column(&folder.path().join("fold.csv"), "origin");
+    assert_eq!(origin[0], "model one, 1 value changed");
     let value = json(&[
         "simulate",
         "fold",
@@ -449,9 +472,7 @@ fn a_design_can_come_from_a_model_file() {
 /// Every number of a CSV file brings back the bits of the model.
 #[test]
 fn the_numbers_round_trip() -> Result<(), OutOfRange> {
-    let folder = tempfile::tempdir().expect("folder");
-    simulate(folder.path(), &["pressure"]);
-    let ends = numbers(&folder.path().join("pressure.csv"), "displacement_mm");
+    let ends = numbers(&everything().join("pressure.csv"), "displacement_mm");
     for (pressure, end) in pressures_pa().zip(ends) {
         assert_eq!(
             end.to_bits(),
@@ -467,7 +488,8 @@ fn the_numbers_round_trip() -> Result<(), OutOfRange> {
 fn every_file_is_the_same_on_every_run_and_on_any_number_of_threads() {
     let files = |threads: &str, args: &[&str]| {
         let folder = tempfile::tempdir().expect("folder");
-        simulate(folder.path(), &[&["--threads", threads], args].concat());
+        let line = [&["--threads", threads], args, &SHORT].concat();
+        simulate(folder.path(), &line);
         let mut files: Vec<_> = fs::read_dir(folder.path())
             .expect("listed")
             .map(|entry| {
@@ -871,7 +893,6 @@ fn the_structure_is_drawn_to_scale() {
 #[test]
 fn the_charts_have_their_axes_units_and_origins() {
     let folder = tempfile::tempdir().expect("folder");
-    simulate(folder.path(), &["all"]);
     let map = folder.path().join("map.svg");
     json(&["design", "--map", map.to_str().expect("UTF-8")]);
     for (file, labels) in [
@@ -928,7 +949,12 @@ fn the_charts_have_their_axes_units_and_origins() {
             &["a = 5.05 mm", "1300 mm of travel", "0.15 of the wall"],
         ),
     ] {
-        let svg = fs::read_to_string(folder.path().join(file)).expect(file);
+        let of = if file == "map.svg" {
+            folder.path()
+        } else {
+            everything()
+        };
+        let svg = fs::read_to_string(of.join(file)).expect(file);
         assert!(
             svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"),
             "{file}"
@@ -946,9 +972,7 @@ fn the_charts_have_their_axes_units_and_origins() {
 /// The last pictures end where the series end, and a body keeps its number of crescents and the length of its sides.
 #[test]
 fn the_snapshots_show_the_runs() {
-    let folder = tempfile::tempdir().expect("folder");
-    simulate(folder.path(), &["snapshots"]);
-    let file = folder.path().join("snapshots.csv");
+    let file = everything().join("snapshots.csv");
     let (cases, moments) = (column(&file, "case"), column(&file, "moment"));
     let (crescents, roots) = (numbers(&file, "crescent"), numbers(&file, "tail_root_mm"));
     assert_eq!(cases.len(), 2 * 3 * 6 * 9);

@@ -192,7 +192,9 @@ impl Runs {
         }
         let over_frictions = |params: tube::Params| -> Result<(f64, f64), OutOfRange> {
             let mut range = (f64::INFINITY, f64::NEG_INFINITY);
-            for friction in frictions() {
+            let slipping = params.body.friction_ratio == FrictionRatio::Facets;
+            // Of a fixed ratio the ends show that a friction cancels.
+            for friction in frictions().step_by(if slipping { 1 } else { 24 }) {
                 let mm = tube::averaged(with_friction(params, friction), 7000.0)?.tail_mm;
                 range = (range.0.min(mm), range.1.max(mm));
             }
