@@ -3,9 +3,11 @@
 
 pub(crate) mod already;
 pub mod args;
+mod calculation;
 mod campaign;
 mod commission;
 pub mod configured;
+mod crescent;
 pub mod design;
 pub mod doctor;
 pub mod failure;

@@ -7,6 +7,7 @@
 //! * [`model_file`]: a model as people give it, and what it calls itself.
 //! * [`snapshots`]: wall and body at several moments.
 //! * [`charts`]: the series as figures, beside what the paper's text says.
+//! * [`crescent`]: the crescent as a beam: forces, the least alpha, displacement over thread.
 //! * [`drawing`]: to scale, in millimetres.
 //! * [`table`]: the same numbers as CSV.
 //!
@@ -14,6 +15,7 @@
 
 pub mod bands;
 pub mod charts;
+pub mod crescent;
 pub mod design;
 pub mod drawing;
 pub mod model_file;

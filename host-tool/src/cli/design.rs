@@ -7,9 +7,9 @@ use locomotion::kinematics::Design;
 use locomotion::range::{Ends, OutOfRange};
 use serde_json::{Value, json};
 
+use crate::cli::calculation::write;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
-use crate::cli::science::write;
 use crate::cli::screen::Screen;
 use crate::science::design::{self, Report};
 use crate::science::{charts, drawing};

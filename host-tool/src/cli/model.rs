@@ -159,6 +159,17 @@ impl ModelArgs {
         self.choices.iter().any(|(setting, _)| setting.key == key)
     }
 
+    /// The first of these options that was given.
+    pub fn first(&self) -> Option<String> {
+        let body = self.body.as_ref().map(|_| "--body".to_owned());
+        let file = || self.file.as_ref().map(|_| "--model".to_owned());
+        let choice = || {
+            let (setting, _) = self.choices.first()?;
+            Some(format!("--{}", option(setting)))
+        };
+        body.or_else(file).or_else(choice)
+    }
+
     fn read(&self) -> Result<model_file::ModelFile, Failure> {
         let Some(path) = &self.file else {
             return Ok(model_file::ModelFile::default());

@@ -1,25 +1,24 @@
 //! `simulate`: the paper's series and free sweeps, without a machine.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
 use locomotion::comparison::{self, INDENTATIONS_MM};
 use locomotion::folded::Contact;
 use locomotion::model::Model;
 use locomotion::parameter::Label;
 use locomotion::prior::Words;
-use locomotion::range::OutOfRange;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
+use crate::cli::calculation::Calculation;
+use crate::cli::crescent;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
 use crate::science::bands::{self, Bands};
 use crate::science::model_file::{self, short_origin};
-use crate::science::series::{self, TubeCase, TubeRow, TubeRun, Workers};
+use crate::science::series::{self, TubeCase, TubeRow, TubeRun};
 use crate::science::values::Values;
 use crate::science::{charts, snapshots, table};
 
@@ -70,9 +69,23 @@ pub enum Simulation {
         #[arg(long, value_name = "MM", allow_negative_numbers = true)]
         thread_mm: Option<f64>,
     },
+    /// The crescent as a beam: force, least alpha, displacement over the thread drawn in, with a band.
+    Crescent {
+        /// Seed of the draws.
+        #[arg(
+            long,
+            value_name = "N",
+            default_value_t = 1,
+            allow_negative_numbers = true
+        )]
+        seed: u64,
+        /// Draws of the uncertain inputs, 20 to 20000; about one in thirty does as the paper says and is kept.
+        #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(20..=20_000))]
+        draws: u32,
+    },
     /// Wall and body at several moments (Fig. 6).
     Snapshots,
-    /// All of these.
+    /// All of these but the crescent.
     All,
     /// Every friction with every pressure (the tube) or every indentation (the rig).
     Sweep {
@@ -107,14 +120,15 @@ const MOST_RUNS: usize = 100_000;
 /// What all series of one `simulate` command share.
 struct Session<'a, 'b> {
     model: Model,
-    out: &'a Path,
-    workers: Workers,
-    screen: &'a mut Screen<'b>,
-    files: Vec<PathBuf>,
+    work: Calculation<'a, 'b>,
     series: Map<String, Value>,
 }
 
 pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    if let Simulation::Crescent { seed, draws } = args.what {
+        let mut work = Calculation::new(&args.out, args.threads, screen)?;
+        return crescent::crescent(&mut work, &args.model, seed, draws);
+    }
     let model = args.model.model()?;
     if matches!(args.what, Simulation::Compare) {
         return compare(&model, screen);
@@ -129,16 +143,9 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
             help: "leave it out, or `retrograde simulate sweep --frictions LIST`".to_owned(),
         });
     }
-    let workers = Workers::new(args.threads).map_err(|error| Failure::Input {
-        why: format!("no threads: {error}"),
-        help: "use fewer: `--threads 1`".to_owned(),
-    })?;
     let mut session = Session {
         model,
-        out: &args.out,
-        workers,
-        screen,
-        files: vec![],
+        work: Calculation::new(&args.out, args.threads, screen)?,
         series: Map::new(),
     };
     match &args.what {
@@ -172,17 +179,14 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
             let indentations = indentations_mm.as_ref().map_or(&[][..], |list| &list.0);
             session.sweep_roller(&frictions.0, indentations)?;
         }
-        Simulation::Compare => {}
+        Simulation::Crescent { .. } | Simulation::Compare => {} // returned above
     }
     session.csv("parameters.csv", &table::parameters(&model))?;
-    session.file("model.toml", model_file::write(&model).as_bytes())?;
-    let files = session
-        .files
-        .iter()
-        .map(|path| path.display().to_string())
-        .collect::<Vec<_>>();
-    session.screen.say(&format!("files: {}", files.join(", ")));
-    session.screen.say(&model_file::origin(&model));
+    session
+        .work
+        .file("model.toml", model_file::write(&model).as_bytes())?;
+    let files = session.work.say_files();
+    session.work.screen.say(&model_file::origin(&model));
     Ok(json!({
         "origin": model_file::origin(&model),
         "series": session.series,
@@ -223,26 +227,29 @@ fn compare(model: &Model, screen: &mut Screen<'_>) -> Result<Value, Failure> {
 impl Session<'_, '_> {
     fn friction(&mut self) -> Result<(), Failure> {
         let params = self.model.tube()?;
-        let runs = self.map(&series::friction_cases(), |case| {
+        let runs = self.work.map(&series::friction_cases(), |case| {
             series::tube_run(params, case)
         })?;
         let bands = self.tube_bands(&[series::FRICTION_SERIES_PA])?;
         let rows = series::tube_rows(&runs, &bands, |_| None);
         self.title("friction series, tube, 7000 Pa", "tube");
         self.tube_table(&rows);
-        self.screen
+        self.work
+            .screen
             .say("  the paper's text: about 14 mm at each friction, one sentence for 25 values");
         self.keep("friction", &rows);
         self.csv("friction.csv", &rows)?;
         self.csv("friction-time.csv", &series::tube_moments(&runs))?;
         let svg = charts::friction(model_file::name(&self.model), &runs, &rows)?;
-        self.file("friction.svg", svg.as_bytes())
+        self.work.file("friction.svg", svg.as_bytes())
     }
 
     fn pressure(&mut self) -> Result<(), Failure> {
         let params = self.model.tube()?;
         let cases = series::pressure_cases(params.body.friction);
-        let runs = self.map(&cases, |case| series::tube_run(params, case))?;
+        let runs = self
+            .work
+            .map(&cases, |case| series::tube_run(params, case))?;
         let bands = self.tube_bands(
             &cases
                 .iter()
@@ -259,13 +266,13 @@ impl Session<'_, '_> {
         self.csv("pressure.csv", &rows)?;
         self.csv("pressure-time.csv", &series::tube_moments(&runs))?;
         let svg = charts::pressure(model_file::name(&self.model), &runs, &rows)?;
-        self.file("pressure.svg", svg.as_bytes())
+        self.work.file("pressure.svg", svg.as_bytes())
     }
 
     fn roller(&mut self) -> Result<(), Failure> {
         let (rig, pipe) = (self.model.rig()?, self.model.tube()?);
         let bands = self.rig_bands(&INDENTATIONS_MM)?;
-        let rows = self.map(&series::lubrication_cases(), |case| {
+        let rows = self.work.map(&series::lubrication_cases(), |case| {
             series::lubricated_run(rig, &bands, case)
         })?;
         // Fig. 7 shows the simulation at both ends of the friction range beside the experiment.
@@ -274,7 +281,7 @@ impl Session<'_, '_> {
             .flat_map(|(_, friction)| series::pressure_cases(*friction))
             .collect();
         let tube_bands = self.tube_bands(&comparison::pressures_pa().collect::<Vec<_>>())?;
-        let ends = self.map(&ends, |case| series::tube_run(pipe, case))?;
+        let ends = self.work.map(&ends, |case| series::tube_run(pipe, case))?;
         let tube = series::tube_rows(&ends, &tube_bands, series::paper_on_pressure_mm);
         self.title(
             &format!(
@@ -283,10 +290,11 @@ impl Session<'_, '_> {
             ),
             "rig",
         );
-        self.screen
+        self.work
+            .screen
             .say("  lubrication  friction   a/mm  displacement/mm  prior band/mm");
         for row in &rows {
-            self.screen.say(&format!(
+            self.work.screen.say(&format!(
                 "  {:<11} {:>9} {:>6} {:>16.1}  {:>13}",
                 row.lubrication,
                 row.friction,
@@ -299,16 +307,18 @@ impl Session<'_, '_> {
         self.keep("roller", &rows);
         self.csv("roller.csv", &rows)?;
         let svg = charts::comparison(model_file::name(&self.model), &rows, &tube)?;
-        self.file("roller.svg", svg.as_bytes())
+        self.work.file("roller.svg", svg.as_bytes())
     }
 
     fn isolated(&mut self) -> Result<(), Failure> {
         let rig = self.model.rig()?;
-        let rows = self.map(&INDENTATIONS_MM, |a| series::isolated_run(rig, *a))?;
+        let rows = self
+            .work
+            .map(&INDENTATIONS_MM, |a| series::isolated_run(rig, *a))?;
         self.title("isolated passes, rig, fresh body", "rig");
-        self.screen.say("  a/mm  antegrade/mm  returning/mm");
+        self.work.screen.say("  a/mm  antegrade/mm  returning/mm");
         for row in &rows {
-            self.screen.say(&format!(
+            self.work.screen.say(&format!(
                 "  {:>4} {:>13.2} {:>13.2}",
                 row.indentation_mm, row.antegrade_mm, row.returning_mm
             ));
@@ -316,7 +326,7 @@ impl Session<'_, '_> {
         self.keep("isolated", &rows);
         self.csv("isolated.csv", &rows)?;
         let svg = charts::isolated(model_file::name(&self.model), &rows)?;
-        self.file("isolated.svg", svg.as_bytes())
+        self.work.file("isolated.svg", svg.as_bytes())
     }
 
     fn fold(&mut self, indentation_mm: f64, thread_mm: Option<f64>) -> Result<(), Failure> {
@@ -343,7 +353,7 @@ impl Session<'_, '_> {
             .last()
             .map_or((0.0, 0.0), |row| (row.folded_mm, row.unfolded_mm));
         let band = band.of_case(indentation_mm);
-        self.screen.say(&format!(
+        self.work.screen.say(&format!(
             "  folded to {:.3} mm, a = {indentation_mm} mm: {contact}\n  \
              displacement: folded {folded:.1} mm (the fold is declared, not worked out), unfolded {unfolded:.1} mm \
              (prior band {} mm)",
@@ -364,7 +374,7 @@ impl Session<'_, '_> {
         );
         self.csv("fold.csv", &test.course)?;
         let svg = charts::fold(model_file::name(&self.model), &test)?;
-        self.file("fold.svg", svg.as_bytes())
+        self.work.file("fold.svg", svg.as_bytes())
     }
 
     fn snapshots(&mut self) -> Result<(), Failure> {
@@ -377,7 +387,7 @@ impl Session<'_, '_> {
         let origin = model_file::origin(&self.model);
         for strip in &strips {
             let name = format!("snapshots-{}.svg", strip.model);
-            self.file(&name, strip.svg(&origin).as_bytes())?;
+            self.work.file(&name, strip.svg(&origin).as_bytes())?;
         }
         Ok(())
     }
@@ -392,7 +402,7 @@ impl Session<'_, '_> {
             let course = run.course.last().copied().into_iter().collect();
             Ok(TubeRun { course, ..run })
         };
-        let runs = self.map(&cases, end)?;
+        let runs = self.work.map(&cases, end)?;
         let bands = self.tube_bands(pressures_pa)?;
         let rows: Vec<TubeRow> = series::tube_rows(&runs, &bands, |_| None);
         let points: Vec<_> = rows
@@ -404,7 +414,7 @@ impl Session<'_, '_> {
         self.csv("sweep-tube.csv", &rows)?;
         let (x, y) = ("peristaltic pressure / Pa", "displacement / mm");
         let svg = charts::sweep(model_file::name(&self.model), x, y, &points, &bands)?;
-        self.file("sweep-tube.svg", svg.as_bytes())
+        self.work.file("sweep-tube.svg", svg.as_bytes())
     }
 
     fn sweep_roller(&mut self, frictions: &[f64], indentations: &[f64]) -> Result<(), Failure> {
@@ -412,7 +422,9 @@ impl Session<'_, '_> {
         let rig = self.model.rig()?;
         let cases = series::roller_cases(frictions, indentations);
         // An indentation that the rig does not cover is refused by its run, before any band.
-        let rows = self.map(&cases, |case| series::roller_run(rig, case))?;
+        let rows = self
+            .work
+            .map(&cases, |case| series::roller_run(rig, case))?;
         let bands = self.rig_bands(indentations)?;
         let rows: Vec<_> = rows.into_iter().map(|row| row.with_band(&bands)).collect();
         let points: Vec<_> = rows
@@ -424,7 +436,7 @@ impl Session<'_, '_> {
         self.csv("sweep-roller.csv", &rows)?;
         let (x, y) = ("peristaltic indentation / mm", "displacement / mm");
         let svg = charts::sweep(model_file::name(&self.model), x, y, &points, &bands)?;
-        self.file("sweep-roller.svg", svg.as_bytes())
+        self.work.file("sweep-roller.svg", svg.as_bytes())
     }
 
     /// Prior bands on the rig, for each indentation.
@@ -433,7 +445,7 @@ impl Session<'_, '_> {
             return Ok(Bands::none());
         };
         let bodies = bands::bodies(&self.model, Words::Rig);
-        let values = self.map(&bodies, |body| bands::on_rig(body, &cases))?;
+        let values = self.work.map(&bodies, |body| bands::on_rig(body, &cases))?;
         Ok(Bands::of(&cases, &values))
     }
 
@@ -443,29 +455,10 @@ impl Session<'_, '_> {
             return Ok(Bands::none());
         };
         let bodies = bands::bodies(&self.model, Words::Tube);
-        let values = self.map(&bodies, |body| bands::in_tube(body, &cases))?;
+        let values = self
+            .work
+            .map(&bodies, |body| bands::in_tube(body, &cases))?;
         Ok(Bands::of(&cases, &values))
-    }
-
-    /// Calculates all cases in parallel, with a progress bar on a terminal.
-    fn map<T: Sync, R: Send>(
-        &self,
-        cases: &[T],
-        work: impl Fn(&T) -> Result<R, OutOfRange> + Sync,
-    ) -> Result<Vec<R>, Failure> {
-        let bar = if self.screen.terminal {
-            ProgressBar::new(cases.len() as u64)
-        } else {
-            ProgressBar::hidden()
-        };
-        if let Ok(style) =
-            ProgressStyle::with_template("  {bar:30} {pos} of {len} runs, {eta} left")
-        {
-            bar.set_style(style);
-        }
-        let results = self.workers.map(cases, &|| bar.inc(1), work);
-        bar.finish_and_clear();
-        Ok(results?)
     }
 
     /// Prints a heading that names the model and its calibrated, assumed and changed parameters, as far as they act in
@@ -494,17 +487,18 @@ impl Session<'_, '_> {
                 text += &format!("; {word}: {names}");
             }
         }
-        self.screen.say(&text);
+        self.work.screen.say(&text);
     }
 
     fn tube_table(&mut self, rows: &[TubeRow]) {
-        self.screen
+        self.work
+            .screen
             .say("  friction  pressure/Pa  tail/mm  head/mm  prior band/mm  the paper's text/mm");
         for row in rows {
             let paper = row
                 .paper_about_mm
                 .map_or("-".to_owned(), |mm| format!("about {mm}"));
-            self.screen.say(&format!(
+            self.work.screen.say(&format!(
                 "  {:>8} {:>12} {:>8.1} {:>8.1}  {:>13}  {paper:>19}",
                 row.friction,
                 row.pressure_pa,
@@ -517,7 +511,8 @@ impl Session<'_, '_> {
     }
 
     fn say_what_a_band_is(&mut self, words: Words) {
-        self.screen
+        self.work
+            .screen
             .say(&format!("  prior band: {}", bands::meaning(words)));
     }
 
@@ -526,23 +521,7 @@ impl Session<'_, '_> {
     }
 
     fn csv(&mut self, name: &str, rows: &[impl Serialize]) -> Result<(), Failure> {
-        let origin = short_origin(&self.model);
-        let bytes = table::csv_of(rows, &origin).map_err(|error| Failure::File {
-            path: self.out.join(name),
-            io: error.into(),
-        })?;
-        self.file(name, &bytes)
-    }
-
-    fn file(&mut self, name: &str, bytes: &[u8]) -> Result<(), Failure> {
-        let path = self.out.join(name);
-        fs::create_dir_all(self.out).map_err(|io| Failure::File {
-            path: self.out.to_owned(),
-            io,
-        })?;
-        write(&path, bytes)?;
-        self.files.push(path);
-        Ok(())
+        self.work.csv(name, rows, &short_origin(&self.model))
     }
 }
 
@@ -554,12 +533,5 @@ fn few_enough(one: &[f64], other: &[f64]) -> Result<(), Failure> {
     Err(Failure::Input {
         why: format!("{runs} runs are too many"),
         help: format!("at most {MOST_RUNS}: take larger steps"),
-    })
-}
-
-pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    fs::write(path, bytes).map_err(|io| Failure::File {
-        path: path.to_owned(),
-        io,
     })
 }

@@ -1,10 +1,12 @@
 //! The series as figures: the models' values, with the paper's where its text gives a number. The label of each curve
 //! names the origin of its values.
 
+use locomotion::beam::Validation;
 use plotters::style::RGBColor;
 
 use crate::report::figures::{Chart, Curve, FigureError, Heading, Mark, ModelName, figure};
 use crate::science::bands::Bands;
+use crate::science::crescent::{ForceRow, ThreadRow};
 use crate::science::design::{Curves, Maps};
 use crate::science::drawing::KINEMATICS;
 use crate::science::series::{
@@ -322,6 +324,88 @@ pub fn isolated(model: ModelName, rows: &[IsolatedRow]) -> Result<String, Figure
         [
             ("antegrade (model)", points(|row| row.antegrade_mm)),
             ("returning (model)", points(|row| row.returning_mm)),
+        ],
+    )
+}
+
+/// The crescent as a beam: force over indentation, displacement over thread with its band, share that reverses.
+/// `drawn` says of how many draws.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn crescent(
+    drawn: &str,
+    forces: &[ForceRow],
+    threads: &[ThreadRow],
+) -> Result<String, FigureError> {
+    let force = |label: &str, colour, value: fn(&ForceRow) -> f64| {
+        let points = forces
+            .iter()
+            .map(|row| (row.indentation_mm, value(row)))
+            .collect();
+        curve(label, colour, Mark::Line(4), points)
+    };
+    let over_thread = |value: fn(&ThreadRow) -> f64| -> Vec<(f64, f64)> {
+        threads
+            .iter()
+            .map(|row| (row.thread_mm, value(row)))
+            .collect()
+    };
+    let low = over_thread(|row| row.low_mm);
+    let high = over_thread(|row| row.high_mm).into_iter().rev();
+    let outline = low.into_iter().chain(high).collect();
+    let validation = Validation::NotAgainstARig;
+    let model = ModelName {
+        short: validation.to_string(),
+        full: format!(
+            "{validation}; calculated, not a measurement; {drawn}; kept is what moves headward unfolded and hardly by \
+             returning strokes"
+        ),
+    };
+    figure(
+        &Heading::of_model("The crescent as a beam", model),
+        vec![
+            chart(
+                "indentation of the wing / mm",
+                "force on one wing / N",
+                vec![
+                    force("body moves tailward, friction 0.15 (model)", PAPER, |row| {
+                        row.hard_n
+                    }),
+                    force("no friction (model)", BAND, |row| row.force_n),
+                    force("body moves headward, friction 0.15 (model)", MODEL, |row| {
+                        row.easy_n
+                    }),
+                ],
+            ),
+            chart(
+                "thread drawn in / mm",
+                "displacement in 40 s / mm",
+                vec![
+                    curve(
+                        "5 to 95 % of the kept draws (model)",
+                        BAND,
+                        Mark::Area,
+                        outline,
+                    ),
+                    curve(
+                        "median (model)",
+                        MODEL,
+                        Mark::Line(5),
+                        over_thread(|row| row.median_mm),
+                    ),
+                ],
+            ),
+            chart(
+                "thread drawn in / mm",
+                "share that goes tailward",
+                vec![curve(
+                    "share of the kept draws (model)",
+                    MODEL,
+                    Mark::Line(5),
+                    over_thread(|row| row.reversed),
+                )],
+            ),
         ],
     )
 }

@@ -1,6 +1,7 @@
 //! Rows as CSV: a header with units in the names, numbers with enough digits to restore the same bits.
 
 use locomotion::model::Model;
+use locomotion::parameter::Parameter;
 use serde::Serialize;
 
 /// The rows as the bytes of a CSV file.
@@ -57,13 +58,18 @@ pub struct ParameterRow {
 /// All parameters of a model.
 #[must_use]
 pub fn parameters(model: &Model) -> Vec<ParameterRow> {
-    let row = |parameter: locomotion::parameter::Parameter| ParameterRow {
+    model.parameters().map(row).collect()
+}
+
+/// The row of a parameter.
+#[must_use]
+pub fn row(parameter: Parameter) -> ParameterRow {
+    ParameterRow {
         name: parameter.name,
         value: parameter.value,
         word: parameter.word,
         unit: parameter.unit,
         label: parameter.label.to_string(),
         source: parameter.source,
-    };
-    model.parameters().map(row).collect()
+    }
 }
