@@ -11,9 +11,7 @@
 //! * [`conduct`]: carries the trials out.
 //! * [`model`]: displacements of the virtual bench.
 //! * [`remaining`]: how much time is left.
-//! * [`chance`]: chance from a seed.
 
-pub mod chance;
 pub mod conduct;
 pub mod folder;
 pub mod ledger;

@@ -20,6 +20,7 @@ pub mod machines;
 pub mod model;
 pub(crate) mod motion;
 mod offline;
+pub mod optimise;
 pub(crate) mod partial;
 mod records;
 mod run;

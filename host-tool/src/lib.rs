@@ -9,6 +9,7 @@
 //! * [`connector`]: where links come from.
 //! * [`decimal`]: decimal numbers as people write them, exact.
 //! * [`campaign`]: a plan of trials carried out over days: order, ledger, readings, folder, manifest.
+//! * [`chance`]: chance from a seed.
 //! * [`trial`]: the record of an action: telemetry CSV and JSON sidecar.
 //! * [`experiment`]: recorded actions, and the paper's experiment.
 //! * [`fetched`]: what a machine itself still knows of its last action.
@@ -32,6 +33,7 @@
 
 pub mod campaign;
 pub mod catalogue;
+pub mod chance;
 pub mod cli;
 pub mod client;
 pub mod commission;

@@ -2,6 +2,7 @@
 //!
 //! * [`values`]: lists and ranges of numbers, exact.
 //! * [`design`]: every number of one origami, beside the paper's requirements.
+//! * [`optimise`]: designs within limits that go farthest for their length.
 //! * [`series`]: the paper's series and free sweeps, in parallel, in order.
 //! * [`bands`]: what the bodies that agree with the paper's words do.
 //! * [`model_file`]: a model as people give it, and what it calls itself.
@@ -19,6 +20,7 @@ pub mod crescent;
 pub mod design;
 pub mod drawing;
 pub mod model_file;
+pub mod optimise;
 pub mod series;
 pub mod snapshots;
 pub mod table;

@@ -6,7 +6,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use host_tool::campaign::chance::Chance;
 use host_tool::campaign::folder::{ATTEMPTS, Campaign, Folder, READINGS, TRIALS, order_text};
 use host_tool::campaign::ledger::{Event, Outcome, Row, Source, Standing, State};
 use host_tool::campaign::manifest::{self, Manifest};
@@ -16,6 +15,7 @@ use host_tool::campaign::readings::{
     Kind, Quantity, ReadingRow, Readings, Summary, questions, refusal,
 };
 use host_tool::campaign::verify::verify;
+use host_tool::chance::Chance;
 use host_tool::client::{Device, Unobserved};
 use host_tool::experiment;
 use host_tool::identity::Origin;

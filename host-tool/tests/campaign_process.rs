@@ -13,11 +13,11 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bench::{Bench, ready};
-use host_tool::campaign::chance::Chance;
 use host_tool::campaign::folder::Campaign;
 use host_tool::campaign::ledger::Event;
 use host_tool::campaign::ledger::Standing;
 use host_tool::campaign::verify::verify;
+use host_tool::chance::Chance;
 use machine::VIRTUAL_UID;
 use machine::plan::{ONE_CONDITION, PAPER, changed};
 use protocol::system::DeviceKind;

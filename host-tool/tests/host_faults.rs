@@ -15,10 +15,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bench::{Bench, read, with_little_space};
-use host_tool::campaign::chance::Chance;
 use host_tool::campaign::folder::Campaign;
 use host_tool::campaign::ledger::{Event, Outcome, Standing};
 use host_tool::campaign::verify::verify;
+use host_tool::chance::Chance;
 use host_tool::cli::run_at;
 use host_tool::connector::{Candidate, Connector, Purpose};
 use host_tool::link::address::Address;

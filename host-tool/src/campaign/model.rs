@@ -9,10 +9,10 @@ use locomotion::model::Model;
 use locomotion::range::OutOfRange;
 use locomotion::{folded, roller};
 
-use crate::campaign::chance::Chance;
 use crate::campaign::ledger::Source;
 use crate::campaign::order::{Form, Planned};
 use crate::campaign::plan::{Lubrication, Millimetres, Plan};
+use crate::chance::Chance;
 use crate::science::model_file;
 use crate::science::series::LUBRICATION;
 use crate::trial::{Action, RecordError, RigSample, Status, Trial};

@@ -4,8 +4,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::campaign::chance::Chance;
 use crate::campaign::plan::{Lubrication, Plan, Purpose};
+use crate::chance::Chance;
 use crate::experiment::Shape;
 
 /// What is equal in trials that are averaged.

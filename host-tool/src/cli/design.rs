@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use crate::cli::calculation::write;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
+use crate::cli::optimise::{OptimiseArgs, optimise};
 use crate::cli::screen::Screen;
 use crate::science::design::{self, Report};
 use crate::science::{charts, drawing};
@@ -50,6 +51,9 @@ pub struct DesignArgs {
     /// Draw the shortening over alpha and over beta to this SVG file.
     #[arg(long, value_name = "FILE")]
     pub map: Option<PathBuf>,
+    /// The search.
+    #[command(flatten)]
+    pub search: OptimiseArgs,
 }
 
 /// The design that the options describe, over that of the file, over the paper's as printed.
@@ -114,6 +118,11 @@ fn asked(args: &DesignArgs) -> Result<Design<f64>, Failure> {
 
 pub(crate) fn design(args: &DesignArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let design = asked(args)?;
+    if args.search.optimise {
+        let model = ModelArgs::of_file(args.model.clone()).model()?;
+        let (a, least) = (args.indentation_mm, args.least_alpha_deg);
+        return optimise(&args.search, &model, design, a, least, screen);
+    }
     let report = design::report(&design, args.indentation_mm, args.least_alpha_deg)?;
     screen.say(&design_text(&report));
     if let Some(path) = &args.svg {

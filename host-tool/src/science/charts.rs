@@ -9,6 +9,8 @@ use crate::science::bands::Bands;
 use crate::science::crescent::{ForceRow, ThreadRow};
 use crate::science::design::{Curves, Maps};
 use crate::science::drawing::KINEMATICS;
+use crate::science::optimise::Row;
+use crate::science::optimise::bodies::Per;
 use crate::science::series::{
     FRICTION_SERIES_PA, FoldTest, IsolatedRow, PAPER_ON_FRICTION_MM, RollerRow, TubeRow, TubeRun,
 };
@@ -434,6 +436,76 @@ pub fn sweep(
         .collect();
     let heading = Heading::of_model("Sweep", model);
     figure(&heading, vec![chart(x_label, y_label, curves)])
+}
+
+/// Designs of a search: displacement over length with its band, and with how many bodies each one beats the compared one.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn designs(model: ModelName, per: Per, rows: &[Row]) -> Result<String, FigureError> {
+    let Some((own, front)) = rows.split_last() else {
+        return figure(&Heading::of_model("Designs", model), vec![]);
+    };
+    let bands = rows.iter().flat_map(|row| {
+        [
+            (row.length_mm, row.prior_5_mm),
+            (row.length_mm, row.prior_95_mm),
+        ]
+    });
+    let own_place = vec![(own.length_mm, own.displacement_mm)];
+    let own_name = match own.design {
+        "paper" => "the paper's design",
+        _ => "your design",
+    };
+    let means = front
+        .iter()
+        .map(|row| (row.length_mm, row.displacement_mm))
+        .collect();
+    let beats = front
+        .iter()
+        .filter_map(|row| Some((row.length_mm, 100.0 * row.beats?)));
+    figure(
+        &Heading::of_model(
+            format!("Designs: how far for their length, {}", per.text()),
+            model,
+        ),
+        vec![
+            chart(
+                "overall length / mm",
+                "displacement / mm",
+                vec![
+                    curve(
+                        "5 to 95 % of the bodies (model)",
+                        BAND,
+                        Mark::Segments(2),
+                        bands.collect(),
+                    ),
+                    curve(
+                        "no other is shorter and farther (model)",
+                        MODEL,
+                        Mark::Dots(8),
+                        means,
+                    ),
+                    curve(
+                        &format!("{own_name} (model)"),
+                        PAPER,
+                        Mark::Dots(10),
+                        own_place,
+                    ),
+                ],
+            ),
+            chart(
+                "overall length / mm",
+                "farther / % of bodies",
+                vec![curve(
+                    &format!("farther than {own_name} (model)"),
+                    MODEL,
+                    Mark::Dots(8),
+                    beats.collect(),
+                )],
+            ),
+        ],
+    )
 }
 
 /// Shortening over each angle, with a dot for the design.

@@ -44,6 +44,11 @@ impl Chance {
         }
     }
 
+    /// From 0 to below 1, each part equally likely.
+    pub fn part(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
     /// From the normal distribution with mean 0 and standard deviation 1 (Box and Muller).
     pub fn normal(&mut self) -> f64 {
         // Above 0, so that it has a logarithm.

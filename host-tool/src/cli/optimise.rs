@@ -1,0 +1,377 @@
+//! `design --optimise`: the designs that go farthest for their length within limits, beside the one that is compared.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use locomotion::beam::Validation;
+use locomotion::kinematics::Design;
+use locomotion::model::Model;
+use serde_json::{Value, json};
+
+use crate::chance::Chance;
+use crate::cli::calculation::Calculation;
+use crate::cli::failure::Failure;
+use crate::cli::screen::Screen;
+use crate::report::figures::ModelName;
+use crate::science::design::{CAPSULE_MM, LEAST_ALPHA_DEG, PAPER_INDENTATION_MM};
+use crate::science::optimise::bodies::{Bodies, Care, Per};
+use crate::science::optimise::limits::Limits;
+use crate::science::optimise::search::{self, FREE, Proposal};
+use crate::science::optimise::{self, Row};
+use crate::science::{charts, model_file};
+
+/// What the displacement is counted for.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Goal {
+    /// A wave and its way back.
+    Wave,
+    /// The same for each crescent.
+    Crescent,
+}
+
+/// Arguments of `design --optimise`.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Search for designs (with --optimise)")]
+pub struct OptimiseArgs {
+    /// Search the designs that go farthest for their length within the limits below, and compare this design with them.
+    #[arg(long, conflicts_with_all = ["svg", "map"])]
+    pub optimise: bool,
+    /// What the displacement is counted for.
+    #[arg(long, value_enum, default_value = "wave", requires = "optimise")]
+    pub per: Goal,
+    /// Overall length at rest in mm, at most.
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 42.0,
+        requires = "optimise",
+        allow_negative_numbers = true
+    )]
+    pub most_length_mm: f64,
+    /// Width in mm to which the thread has to fold it; that of a capsule by default.
+    #[arg(long, value_name = "MM", default_value_t = CAPSULE_MM, requires = "optimise", allow_negative_numbers = true)]
+    pub folded_width_mm: f64,
+    /// Thread in mm for that, at most.
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 23.0,
+        requires = "optimise",
+        allow_negative_numbers = true
+    )]
+    pub most_thread_mm: f64,
+    /// Distance between crescents in mm when it is folded or under the wave, at least: room for both sides, 0.8 mm each.
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 1.6,
+        requires = "optimise",
+        allow_negative_numbers = true
+    )]
+    pub least_spacing_mm: f64,
+    /// Force of the wave on one wing in N, at most; by the beam model, which is not validated against a rig.
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 0.55,
+        requires = "optimise",
+        allow_negative_numbers = true
+    )]
+    pub most_force_n: f64,
+    /// Core over width c/W, at least: no model here knows when a core bends, and the paper found 0.2.
+    #[arg(
+        long,
+        value_name = "RATIO",
+        default_value_t = 0.2,
+        requires = "optimise",
+        allow_negative_numbers = true
+    )]
+    pub least_core_ratio: f64,
+    /// Seed of the search.
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        requires = "optimise",
+        allow_negative_numbers = true
+    )]
+    pub seed: u64,
+    /// Designs to try, 100 to 100000.
+    #[arg(long, value_name = "N", default_value_t = 3000, requires = "optimise",
+        value_parser = clap::value_parser!(u32).range(100..=100_000))]
+    pub tries: u32,
+    /// Folder of optimise.csv and optimise.svg; files of these names are replaced.
+    #[arg(
+        long,
+        value_name = "DIR",
+        default_value = "retrograde-science",
+        requires = "optimise"
+    )]
+    pub out: PathBuf,
+    /// Number of threads, by default one per core. The result does not depend on it.
+    #[arg(long, value_name = "N", requires = "optimise", value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub threads: Option<u16>,
+}
+
+/// Designs of the front in the table, at most; and the farthest that is no longer than the compared one.
+const LISTED: usize = 20;
+/// Rounds after the first third of the tries; each looks nearer to the best than the one before.
+const ROUNDS: u32 = 8;
+/// How far a proposal lies from its parents in the first round and in the last, of the way between the bounds.
+const REACH: (f64, f64) = (0.25, 0.01);
+
+/// Searches, and writes what it found.
+pub(crate) fn optimise(
+    args: &OptimiseArgs,
+    model: &Model,
+    design: Design<f64>,
+    indentation_mm: Option<f64>,
+    least_alpha_deg: Option<f64>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let limits = Limits {
+        length_mm: args.most_length_mm,
+        folded_width_mm: args.folded_width_mm,
+        thread_mm: args.most_thread_mm,
+        spacing_mm: args.least_spacing_mm,
+        force_n: args.most_force_n,
+        indentation_mm: indentation_mm.unwrap_or(PAPER_INDENTATION_MM),
+        least_alpha_deg: least_alpha_deg.unwrap_or(LEAST_ALPHA_DEG),
+        least_core_ratio: args.least_core_ratio,
+        radius_mm: model.rig()?.radius_mm,
+    };
+    limits.check(design.width_mm())?;
+    let per = match args.per {
+        Goal::Wave => Per::Wave,
+        Goal::Crescent => Per::Crescent,
+    };
+    let bodies = Bodies::of_prior(model)?;
+    let mut work = Calculation::new(&args.out, args.threads, screen)?;
+    // The compared design first: what the model does not cover there is refused before the search.
+    let name = if design == Design::paper_printed() {
+        "paper"
+    } else {
+        "yours"
+    };
+    let needs = limits.needs(&design)?;
+    let given = Proposal::given(design, &limits)?;
+    let own = Row::of(name, &given, &limits, needs, &bodies, per)?;
+    let search = Search {
+        limits,
+        width_mm: design.width_mm(),
+        known: given.unit,
+        known_mm: needs.length_mm,
+        bodies: &bodies,
+        per,
+    };
+    let found = search.run(args.seed, args.tries, &work)?;
+    let candidates = work.map(&found, |proposal| {
+        let needs = limits.needs(&proposal.design)?;
+        Row::of("front", proposal, &limits, needs, &bodies, per)
+    })?;
+    let rows = optimise::ranked(candidates, own);
+    let origin = format!(
+        "{}, {} bodies that agree with the words on the rig; force: {}",
+        model_file::short_origin(model),
+        bodies.count(),
+        Validation::NotAgainstARig
+    );
+    let verdict = verdict(&rows, per);
+    say(&mut work, &rows, &verdict, &origin, &limits);
+    work.csv("optimise.csv", &rows, &origin)?;
+    let figure = ModelName {
+        short: format!(
+            "model: {} bodies that fit the words, no measurement",
+            bodies.count()
+        ),
+        full: format!(
+            "{}; {origin}; seed {}, {} tries; {verdict}",
+            model_file::origin(model),
+            args.seed,
+            args.tries
+        ),
+    };
+    work.file(
+        "optimise.svg",
+        charts::designs(figure, per, &rows)?.as_bytes(),
+    )?;
+    let files = work.say_files();
+    Ok(json!({ "origin": origin, "designs": rows, "verdict": verdict, "files": files }))
+}
+
+/// One search.
+struct Search<'a> {
+    limits: Limits,
+    width_mm: f64,
+    /// Place of the compared design: one proposal in ten begins there.
+    known: [f64; FREE],
+    /// Its length, mm.
+    known_mm: f64,
+    bodies: &'a Bodies,
+    per: Per,
+}
+
+/// A proposal that keeps the limits, by its length and its displacement, or the limits that it breaks.
+type Tried = Result<(Proposal, (f64, f64)), Vec<&'static str>>;
+
+impl Search<'_> {
+    /// Proposals on the front, from short to long.
+    fn run(
+        &self,
+        seed: u64,
+        tries: u32,
+        work: &Calculation<'_, '_>,
+    ) -> Result<Vec<Proposal>, Failure> {
+        let mut chance = Chance::new(seed);
+        let mut best: Vec<(Proposal, (f64, f64))> = vec![];
+        let mut broken = BTreeMap::new();
+        let first = tries / 3;
+        let mut left = tries - first;
+        let mut units = search::hypercube(first as usize, &mut chance);
+        for round in 0..=ROUNDS {
+            for tried in work.map(&units, |unit| self.tried(*unit))? {
+                match tried {
+                    Ok(kept) => best.push(kept),
+                    Err(limits) => {
+                        for limit in limits {
+                            *broken.entry(limit).or_insert(0_u32) += 1;
+                        }
+                    }
+                }
+            }
+            let places: Vec<_> = best.iter().map(|(_, place)| *place).collect();
+            best = search::front(&places)
+                .into_iter()
+                .map(|index| best[index].clone())
+                .collect();
+            if best.is_empty() {
+                return Err(nothing(first, &broken));
+            }
+            if round == ROUNDS {
+                break;
+            }
+            let count = left / (ROUNDS - round);
+            left -= count;
+            let part = f64::from(round) / f64::from(ROUNDS - 1);
+            let reach = REACH.0 * (REACH.1 / REACH.0).powf(part);
+            units = (0..count)
+                .map(|_| {
+                    let mut parent = |known: usize| match chance.below(10) {
+                        number if number < known => self.known,
+                        _ => best[chance.below(best.len())].0.unit,
+                    };
+                    let (one, other): ([f64; FREE], [f64; FREE]) = (parent(1), parent(0));
+                    search::child(one, other, reach, &mut chance)
+                })
+                .collect();
+        }
+        let all: Vec<usize> = (0..best.len()).collect();
+        let mut kept = search::thinned(&all, LISTED);
+        // What goes farthest without being longer than the compared design is the answer to "what instead of it".
+        let short = best.partition_point(|(_, (length_mm, _))| *length_mm <= self.known_mm);
+        if let Some(index) = short.checked_sub(1)
+            && !kept.contains(&index)
+        {
+            kept.push(index);
+        }
+        Ok(kept
+            .into_iter()
+            .map(|index| best[index].0.clone())
+            .collect())
+    }
+
+    fn tried(&self, unit: [f64; FREE]) -> Result<Tried, locomotion::range::OutOfRange> {
+        let proposal = Proposal::new(unit, self.width_mm, &self.limits)?;
+        let design = &proposal.design;
+        let needs = self.limits.needs(design)?;
+        let broken = self.limits.broken(design, &needs);
+        if !broken.is_empty() {
+            return Ok(Err(broken));
+        }
+        let a = self.limits.indentation_mm;
+        let each_mm = self
+            .bodies
+            .displacements_mm(design, a, self.per, Care::Searched)?;
+        let place = (needs.length_mm, optimise::mean(&each_mm));
+        Ok(Ok((proposal, place)))
+    }
+}
+
+/// No design keeps the limits: which of them stand in the way.
+fn nothing(tried: u32, broken: &BTreeMap<&'static str, u32>) -> Failure {
+    let mut most: Vec<_> = broken.iter().collect();
+    most.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
+    let limits: Vec<_> = most
+        .iter()
+        .map(|(limit, count)| format!("--{limit} by {count}"))
+        .collect();
+    Failure::Input {
+        why: format!(
+            "none of {tried} designs keeps the limits; broken: {}",
+            limits.join(", ")
+        ),
+        help: "loosen the first of them, or try more designs: `--tries N`".to_owned(),
+    }
+}
+
+/// How the compared design stands to the front, in a sentence.
+fn verdict(rows: &[Row], per: Per) -> String {
+    let Some((own, front)) = rows.split_last() else {
+        return String::new();
+    };
+    let name = match own.design {
+        "paper" => "the paper's design",
+        _ => "your design",
+    };
+    let breaks = if own.breaks.is_empty() {
+        String::new()
+    } else {
+        format!("{name} does not keep: {}; ", own.breaks)
+    };
+    match optimise::instead_of(front, own) {
+        Some(row) if own.dominated_by > 0 => format!(
+            "{breaks}no longer than {name} and no less far: {} of {} designs; the farthest of them goes {:.2} instead of \
+             {:.2} mm {}, farther with {:.0} % of the bodies",
+            own.dominated_by,
+            front.len(),
+            row.displacement_mm,
+            own.displacement_mm,
+            per.text(),
+            100.0 * row.share_beating(own),
+        ),
+        _ => format!(
+            "{breaks}none of the {} designs is as short as {name} and goes as far",
+            front.len()
+        ),
+    }
+}
+
+fn say(work: &mut Calculation<'_, '_>, rows: &[Row], verdict: &str, origin: &str, limits: &Limits) {
+    work.screen.say(&format!(
+        "designs at a = {} mm, folded to {} mm: {origin}\n  \
+         design  alpha/deg  beta/deg   c/W   m  length/mm  thread/mm  folded psi/mm  force/N  displacement/mm  prior band/mm  farther in  at bound",
+        limits.indentation_mm, limits.folded_width_mm
+    ));
+    for row in rows {
+        let beats = row
+            .beats
+            .map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
+        work.screen.say(&format!(
+            "  {:<6} {:>10.2} {:>9.2} {:>5.3} {:>3} {:>10.2} {:>10.2} {:>14.2} {:>8.2} {:>16.2}  {:>13} {beats:>11}  {}",
+            row.design,
+            row.alpha_deg,
+            row.beta_deg,
+            row.core_ratio,
+            row.crescents,
+            row.length_mm,
+            row.thread_mm,
+            row.spacing_mm,
+            row.force_n,
+            row.displacement_mm,
+            format!("{:.2} to {:.2}", row.prior_5_mm, row.prior_95_mm),
+            row.at_bound,
+        ));
+    }
+    work.screen.say(&format!("  {verdict}"));
+}

@@ -1,0 +1,190 @@
+//! What a design has to keep: length, thread to fold it, room for the folded sides, force, the least alpha and the least
+//! core.
+
+use locomotion::beam::NoAnswer;
+use locomotion::beam::crescent::{Shape, Wing};
+use locomotion::kinematics::Design;
+use locomotion::range::{Ends, OutOfRange};
+
+/// Angles are printed to two decimals: an alpha this little below the least one keeps it, degrees.
+const PRINTED_DEG: f64 = 0.005;
+
+/// The limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Overall length at rest, mm, at most.
+    pub length_mm: f64,
+    /// Width to which the thread has to fold it, mm.
+    pub folded_width_mm: f64,
+    /// Thread for that, mm, at most.
+    pub thread_mm: f64,
+    /// Distance psi between crescents when it is folded or under the wave, mm, at least: both sides lie in it.
+    pub spacing_mm: f64,
+    /// Force of the wave on one wing, N, at most.
+    pub force_n: f64,
+    /// Indentation of the wave, mm, at which all of this is asked.
+    pub indentation_mm: f64,
+    /// Alpha, degrees, at least.
+    pub least_alpha_deg: f64,
+    /// c/W, at least: no model here knows when a core bends.
+    pub least_core_ratio: f64,
+    /// Radius of the roller that makes the wave, mm.
+    pub radius_mm: f64,
+}
+
+/// What a design takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Needs {
+    /// Overall length at rest, mm.
+    pub length_mm: f64,
+    /// Thread that folds it to the wanted width, mm; no number if its core is wider.
+    pub thread_mm: f64,
+    /// Distance psi between crescents when it is folded or under the wave, whichever squeezes it more, mm; no number if
+    /// its core is wider.
+    pub spacing_mm: f64,
+    /// Force of the wave on one wing without friction, N; no number if the beam has no answer.
+    pub force_n: f64,
+}
+
+impl Limits {
+    /// Refuses limits that no design could be asked for, in a structure of this width.
+    ///
+    /// # Errors
+    /// The first limit outside its range.
+    pub fn check(&self, width_mm: f64) -> Result<(), OutOfRange> {
+        let over = |quantity, unit, value: f64, (min, max), because| {
+            if value > min && value <= max {
+                return Ok(());
+            }
+            Err(OutOfRange {
+                quantity,
+                value,
+                min,
+                max,
+                unit,
+                ends: Ends::OpenBelow,
+                because,
+            })
+        };
+        over(
+            "longest structure",
+            "mm",
+            self.length_mm,
+            (0.0, 200.0),
+            "a body has a length, and the rig's intestine is 130 mm long",
+        )?;
+        over(
+            "folded width",
+            "mm",
+            self.folded_width_mm,
+            (0.0, width_mm),
+            "folded it is narrower than unfolded",
+        )?;
+        over(
+            "longest thread",
+            "mm",
+            self.thread_mm,
+            (0.0, 200.0),
+            "folding draws thread in",
+        )?;
+        over(
+            "least distance between crescents",
+            "mm",
+            self.spacing_mm,
+            (0.0, 100.0),
+            "the sides of a crescent have a thickness",
+        )?;
+        over(
+            "greatest force",
+            "N",
+            self.force_n,
+            (0.0, 1000.0),
+            "a wave presses on the wings",
+        )?;
+        over(
+            "indentation a",
+            "mm",
+            self.indentation_mm,
+            (0.0, width_mm / 2.0),
+            "without a wave nothing moves, and the wall cannot pass the axis",
+        )?;
+        over(
+            "least alpha",
+            "deg",
+            self.least_alpha_deg,
+            (0.0, super::search::MOST_ALPHA_DEG),
+            "the search goes up to there",
+        )?;
+        over(
+            "least core ratio c/W",
+            "",
+            self.least_core_ratio,
+            (0.0, super::search::MOST_CORE_RATIO),
+            "the search goes up to there",
+        )
+    }
+
+    /// What a design takes at these limits' indentation and folded width.
+    ///
+    /// # Errors
+    /// Folded width and indentation that [`Limits::check`] refuses.
+    pub fn needs(&self, design: &Design<f64>) -> Result<Needs, OutOfRange> {
+        let drawn_mm = (design.width_mm() - self.folded_width_mm) / 2.0;
+        let squeezed_mm = drawn_mm.max(self.indentation_mm);
+        let (thread_mm, spacing_mm) = if squeezed_mm <= design.half_gap_mm() {
+            let spacing_mm = design.squeezed_spacing_mm(squeezed_mm)?;
+            (design.shortening_mm(drawn_mm)?, spacing_mm)
+        } else {
+            (f64::NAN, f64::NAN)
+        };
+        Ok(Needs {
+            length_mm: design.length_mm(0.0)?,
+            thread_mm,
+            spacing_mm,
+            force_n: self.force_n(design).unwrap_or(f64::NAN),
+        })
+    }
+
+    fn force_n(&self, design: &Design<f64>) -> Result<f64, NoAnswer> {
+        let wing = Wing {
+            design: *design,
+            ..Wing::PAPER
+        };
+        let shape = Shape::Roller {
+            radius_mm: self.radius_mm,
+            behind_mm: 0.0,
+        };
+        let squeezed = wing.squeezed(0.0, self.indentation_mm, shape, 0.0)?;
+        Ok(squeezed.value.inward_n)
+    }
+
+    /// The limits that a design does not keep, by the names of their options.
+    #[must_use]
+    pub fn broken(&self, design: &Design<f64>, needs: &Needs) -> Vec<&'static str> {
+        let alpha_deg = design.tan_alpha().atan().to_degrees();
+        let ratio = design.core_mm() / design.width_mm();
+        // No number keeps no limit.
+        let kept = |value: f64, most: f64| value <= most;
+        [
+            ("most-length-mm", kept(needs.length_mm, self.length_mm)),
+            ("folded-width-mm", !needs.thread_mm.is_nan()),
+            (
+                "most-thread-mm",
+                needs.thread_mm.is_nan() || kept(needs.thread_mm, self.thread_mm),
+            ),
+            (
+                "least-spacing-mm",
+                needs.spacing_mm.is_nan() || kept(self.spacing_mm, needs.spacing_mm),
+            ),
+            ("most-force-n", kept(needs.force_n, self.force_n)),
+            (
+                "least-alpha-deg",
+                alpha_deg >= self.least_alpha_deg - PRINTED_DEG,
+            ),
+            ("least-core-ratio", ratio >= self.least_core_ratio - 1e-9),
+        ]
+        .into_iter()
+        .filter_map(|(name, kept)| (!kept).then_some(name))
+        .collect()
+    }
+}
