@@ -103,13 +103,17 @@ impl Browser {
     /// Waits until an expression in the page is true.
     pub(crate) fn wait(&mut self, expression: &str) -> Result<(), DoorError> {
         let begin = Instant::now();
-        while self.value(expression)? != true {
+        loop {
+            // A page that has just begun to load has nothing yet in which to evaluate.
+            let found = self.value(expression);
+            if matches!(found, Ok(Value::Bool(true))) {
+                return Ok(());
+            }
             if begin.elapsed() > SOON {
-                return Err(wrong(format!("never: {expression}")));
+                return Err(wrong(format!("never: {expression}: {found:?}")));
             }
             std::thread::sleep(Duration::from_millis(50));
         }
-        Ok(())
     }
 
     /// Where the middle of an element is.

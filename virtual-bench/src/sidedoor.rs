@@ -255,21 +255,26 @@ pub(crate) fn judge(
     mut took: Vec<Duration>,
     say: &mut dyn FnMut(String),
 ) -> Result<(), DoorError> {
+    let late: Vec<String> = (1..)
+        .zip(&took)
+        .filter(|(_, took)| **took > LIMIT)
+        .map(|(number, took)| format!("{number} ({:.1} ms)", took.as_secs_f64() * 1e3))
+        .collect();
     took.sort();
     let (median, most) = (took.get(took.len() / 2), took.last());
-    let late = took.iter().filter(|took| **took > LIMIT).count();
     if let (Some(median), Some(most)) = (median, most) {
         say(format!(
             "{what}: {} of {} within {} ms; median {:.1} ms, latest {:.1} ms",
-            took.len() - late,
+            took.len() - late.len(),
             took.len(),
             LIMIT.as_millis(),
             median.as_secs_f64() * 1e3,
             most.as_secs_f64() * 1e3,
         ));
     }
-    if late > 0 {
-        return Err(DoorError::Wrong(format!("{late} stops came late")));
+    if !late.is_empty() {
+        let which = late.join(", ");
+        return Err(DoorError::Wrong(format!("stops came late: {which}")));
     }
     Ok(())
 }
