@@ -12,6 +12,7 @@ pub mod design;
 pub mod doctor;
 pub mod failure;
 pub(crate) mod finding;
+pub mod fit;
 mod flash;
 mod fresh;
 pub(crate) mod interrupt;
@@ -205,6 +206,7 @@ fn carry_out(
         Subcommand::Plan(args) => offline::plan(args, screen),
         Subcommand::Design(args) => design::design(args, screen),
         Subcommand::Simulate(args) => science::simulate(args, screen),
+        Subcommand::Fit(args) => fit::fit(args, screen),
         Subcommand::List(args) => offline::list(args, screen),
         Subcommand::Report(args) => offline::report(args, screen),
         Subcommand::Flash(args) => flash::flash(args, finder, screen),

@@ -6,6 +6,8 @@
 //! * [`series`]: the paper's series and free sweeps, in parallel, in order.
 //! * [`bands`]: what the bodies that agree with the paper's words do.
 //! * [`model_file`]: a model as people give it, and what it calls itself.
+//! * [`trials`]: displacements for a calibration, from folders and files.
+//! * [`posterior`]: fitted bodies in a model file.
 //! * [`snapshots`]: wall and body at several moments.
 //! * [`charts`]: the series as figures, beside what the paper's text says.
 //! * [`crescent`]: the crescent as a beam: forces, the least alpha, displacement over thread.
@@ -21,7 +23,9 @@ pub mod design;
 pub mod drawing;
 pub mod model_file;
 pub mod optimise;
+pub mod posterior;
 pub mod series;
 pub mod snapshots;
 pub mod table;
+pub mod trials;
 pub mod values;

@@ -13,6 +13,7 @@ use protocol::system::DeviceKind;
 use crate::campaign::plan::Millimetres;
 use crate::cli::configured::Names;
 use crate::cli::design::DesignArgs;
+use crate::cli::fit::FitArgs;
 use crate::cli::science::SimulateArgs;
 use crate::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
 use crate::link::address::Address;
@@ -141,6 +142,8 @@ pub enum Subcommand {
     Design(Box<DesignArgs>),
     /// Simulate the paper's series and free sweeps: CSV and SVG.
     Simulate(Box<SimulateArgs>),
+    /// Calibrate the model's body from recorded trials: a posterior with its uncertainty, for `simulate --model`.
+    Fit(Box<FitArgs>),
     /// Write an HTML report of recorded trials, or of a campaign with its figures and tables.
     Report(ReportArgs),
     /// Flash a board through probe-rs.

@@ -9,6 +9,7 @@ use locomotion::model::{Model, Setting};
 
 use crate::cli::failure::Failure;
 use crate::science::model_file::{self, Choice, Given, ModelError};
+use crate::science::posterior::Posterior;
 
 /// A model as options give it.
 #[derive(Clone, Debug, Default)]
@@ -138,7 +139,21 @@ impl ModelArgs {
         };
         let model = self.built(body, &file.choices)?;
         model.check()?;
+        if let Some(posterior) = &file.posterior {
+            let fitted = |key: &str| posterior.of_body().iter().any(|of| of == key);
+            if let Some((setting, _)) = self.choices.iter().find(|(set, _)| fitted(set.key)) {
+                return Err(self.failure(&ModelError::Fitted(setting.key)));
+            }
+        }
         Ok(model)
+    }
+
+    /// The posterior of the file, if it has one.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn posterior(&self) -> Result<Option<Posterior>, Failure> {
+        Ok(self.read()?.posterior)
     }
 
     /// The value that was given for a parameter, by an option or else in the file.

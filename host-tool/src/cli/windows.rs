@@ -80,6 +80,7 @@ pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
         | Subcommand::Plan(_)
         | Subcommand::Design(_)
         | Subcommand::Simulate(_)
+        | Subcommand::Fit(_)
         | Subcommand::List(_)
         | Subcommand::Report(_)
         | Subcommand::Verify(_)

@@ -1,6 +1,8 @@
 //! The series as figures: the models' values, with the paper's where its text gives a number. The label of each curve
 //! names the origin of its values.
 
+use calibration::observation::{Condition, Lubrication};
+use calibration::predictive::{Band, Span};
 use locomotion::beam::Validation;
 use plotters::style::RGBColor;
 
@@ -410,6 +412,71 @@ pub fn crescent(
             ),
         ],
     )
+}
+
+/// What a posterior says over the indentation, a chart for each kind of displacement, with what was measured.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn posterior(
+    model: ModelName,
+    bands: &[Band],
+    conditions: &[Condition],
+) -> Result<String, FigureError> {
+    let of_kind = |bands: &[Band]| {
+        let kind = bands[0].case.kind;
+        let outline = |span: fn(&Band) -> Span| {
+            let low = bands
+                .iter()
+                .map(move |band| (band.case.indentation_mm, span(band).low));
+            let high =
+                (bands.iter().rev()).map(move |band| (band.case.indentation_mm, span(band).high));
+            low.chain(high).collect()
+        };
+        let medians = bands
+            .iter()
+            .map(|band| (band.case.indentation_mm, band.model_mm.median));
+        let dots = |lubrication: Lubrication| {
+            let of = conditions
+                .iter()
+                .filter(move |one| one.case.kind == kind && one.lubrication == lubrication);
+            of.map(|one| (one.case.indentation_mm, one.mean_mm))
+                .collect::<Vec<_>>()
+        };
+        let mut curves = vec![
+            curve(
+                "posterior, 5 to 95 %, with discrepancy",
+                BAND,
+                Mark::Area,
+                outline(|band| band.with_discrepancy_mm),
+            ),
+            curve(
+                "posterior, 5 to 95 %, model alone",
+                MODEL,
+                Mark::Area,
+                outline(|band| band.model_mm),
+            ),
+            curve("posterior, median", MODEL, Mark::Line(4), medians.collect()),
+        ];
+        for (lubrication, colour) in [(Lubrication::Dry, PAPER), (Lubrication::Lubricated, SECOND)]
+        {
+            let dots = dots(lubrication);
+            if !dots.is_empty() {
+                let label = format!("trials, {lubrication}: means");
+                curves.push(curve(&label, colour, Mark::Dots(9), dots));
+            }
+        }
+        chart(
+            "peristaltic indentation / mm",
+            &format!("{kind} / mm"),
+            curves,
+        )
+    };
+    let charts = bands
+        .chunk_by(|one, other| one.case.kind == other.case.kind)
+        .map(of_kind)
+        .collect();
+    figure(&Heading::of_model("Posterior and trials", model), charts)
 }
 
 /// A sweep: displacement over pressure or indentation, a curve for each friction.

@@ -6,6 +6,7 @@ use locomotion::model::{Model, Setting, Unsuitable, Value};
 use toml::{Table, Value as Item};
 
 use crate::report::figures::ModelName;
+use crate::science::posterior::{self, Posterior};
 
 /// Why values make no model.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -27,6 +28,12 @@ pub enum ModelError {
         /// Why.
         why: Unsuitable,
     },
+    /// The posterior in it cannot be used.
+    #[error("its section [posterior]: {0}; `retrograde fit` writes it anew")]
+    Posterior(String),
+    /// A parameter of the posterior was set to something else.
+    #[error("{0} is fitted: the file's posterior says what it is")]
+    Fitted(&'static str),
     /// One thing was said in two ways.
     #[error("{0} and {1} set the same: give one of them")]
     Twice(&'static str, &'static str),
@@ -89,6 +96,8 @@ pub struct ModelFile {
     pub body: Option<String>,
     /// Its values.
     pub choices: Vec<Choice>,
+    /// Bodies that were fitted to trials.
+    pub posterior: Option<Posterior>,
 }
 
 /// The key of the body that a file begins with. Not `body`: that is a section.
@@ -106,6 +115,9 @@ pub fn read(text: &str) -> Result<ModelFile, ModelError> {
     for (name, item) in table {
         match item {
             Item::String(body) if name == FROM_BODY => file.body = Some(body),
+            section @ Item::Table(_) if name == posterior::SECTION => {
+                file.posterior = Some(Posterior::read(section).map_err(ModelError::Posterior)?);
+            }
             Item::Table(section) => {
                 for (key, item) in section {
                     file.choices.push(choice(&format!("{name}.{key}"), item)?);
@@ -162,10 +174,16 @@ pub fn build(body: &str, choices: &[Choice]) -> Result<Model, ModelError> {
 /// A model as a file that [`read`] reads back to the bit.
 #[must_use]
 pub fn write(model: &Model) -> String {
+    write_with(model, None)
+}
+
+/// As [`write`], with the posterior that the model is a sample of.
+#[must_use]
+pub fn write_with(model: &Model, posterior: Option<&Posterior>) -> String {
     let mut text = format!(
         "# Origin: {}\n# `retrograde simulate --model` reads this file. What is left out is that of the body.\n\
          {FROM_BODY} = \"{}\"\n",
-        origin(model),
+        origin_with(model, posterior),
         model.name
     );
     let mut last = "";
@@ -190,7 +208,87 @@ pub fn write(model: &Model) -> String {
             row.label, row.source
         );
     }
+    if let Some(posterior) = posterior {
+        text += &posterior.text();
+    }
     text
+}
+
+/// As [`origin`] of a model that may be a sample of a posterior.
+#[must_use]
+pub fn origin_with(model: &Model, posterior: Option<&Posterior>) -> String {
+    let Some(posterior) = posterior else {
+        return origin(model);
+    };
+    let changed: Vec<_> = model
+        .changes()
+        .filter(|row| !posterior.of_body().iter().any(|key| key == row.name))
+        .map(|row| {
+            format!(
+                "{} = {}",
+                row.name,
+                row.word.map_or(row.value.to_string(), str::to_owned)
+            )
+        })
+        .collect();
+    let changed = if changed.is_empty() {
+        String::new()
+    } else {
+        format!("; not the default: {}", changed.join(", "))
+    };
+    format!(
+        "model: body {} with {} fitted to trials, sample {} of {} of their posterior, the nearest to its medians; origin of the \
+         trials: {}{changed}; calculated, not a measurement",
+        model.name,
+        posterior.of_body().join(", "),
+        posterior.point,
+        posterior.samples.len(),
+        posterior.origin.meaning()
+    )
+}
+
+/// What a figure calls a posterior.
+#[must_use]
+pub fn fitted_name(posterior: &Posterior) -> ModelName {
+    let doubt = if posterior.reliable {
+        ""
+    } else {
+        " NOT RELIABLE"
+    };
+    ModelName {
+        short: format!(
+            "model fitted to trials of origin {}{doubt}",
+            posterior.origin
+        ),
+        full: format!(
+            "model: {}; calculated, not a measurement",
+            posterior.meaning()
+        ),
+    }
+}
+
+/// As [`name`] of a model that may be a sample of a posterior.
+#[must_use]
+pub fn name_with(model: &Model, posterior: Option<&Posterior>) -> ModelName {
+    match posterior {
+        None => name(model),
+        Some(posterior) => ModelName {
+            full: origin_with(model, Some(posterior)),
+            ..fitted_name(posterior)
+        },
+    }
+}
+
+/// As [`short_origin`] of a model that may be a sample of a posterior.
+#[must_use]
+pub fn short_origin_with(model: &Model, posterior: Option<&Posterior>) -> String {
+    match posterior {
+        None => short_origin(model),
+        Some(posterior) => format!(
+            "model {}, sample {} of a posterior of origin {}",
+            model.name, posterior.point, posterior.origin
+        ),
+    }
 }
 
 /// Where a model's values come from, in full.

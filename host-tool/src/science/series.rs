@@ -33,6 +33,11 @@ impl Workers {
         Ok(Self { pool })
     }
 
+    /// Does work whose parallel parts use these threads.
+    pub fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
+        self.pool.install(work)
+    }
+
     /// Applies `work` to all `items`; the results are in the order of the items. Calls `done` after each.
     ///
     /// # Errors

@@ -1,0 +1,241 @@
+//! A calibration from observations to a posterior that says how far it can be relied on.
+//!
+//! The model is tabulated three times: coarsely over the whole prior, then over the box in which the posterior of the
+//! table before lies, each time finer. What a table is wrong by, found by running the model itself, counts as a
+//! further error, so that a coarse table does not cut off what it cannot see.
+
+use locomotion::model::Model;
+use locomotion::range::OutOfRange;
+use rayon::prelude::*;
+
+use crate::chance::{stream, unit};
+use crate::observation::{Condition, Observation, Unusable, conditions};
+use crate::prediction::Predictor;
+use crate::prior::{OF_BODY, Parts, Point, UNKNOWNS, discrepancy_mm, parts};
+use crate::sampler::{Draws, Effort, Mixing, sample_from};
+use crate::table::{Region, Table, distinct};
+use crate::target::{Target, deviation_mm};
+
+/// Step of the rollers with which the model is converged, mm: what every table is compared with.
+pub const CONVERGED_STEP_MM: f64 = 0.05;
+/// Greatest error of the last table with which a fit can be relied on: root of the mean square over the posterior, in
+/// standard deviations of a condition's mean. Half of one widens its variance by a quarter.
+pub const GREATEST_TABLE_ERROR: f64 = 0.5;
+/// A finer table is made for a larger error than this.
+pub const WANTED_TABLE_ERROR: f64 = 0.25;
+/// Steps that a table may be made with, mm, the coarsest first: a run costs in proportion to their number.
+pub const STEPS_MM: [f64; 3] = [0.25, 0.1, CONVERGED_STEP_MM];
+/// Greatest error of the step of the last tables, measured as that of the table is.
+pub const GREATEST_STEP_ERROR: f64 = 0.1;
+/// Step of the first table, mm.
+const FIRST_STEP_MM: f64 = 0.5;
+
+/// Nodes of the tables, from coarse to fine. The last is made only if the one before is not good enough.
+const LEVELS: [[usize; OF_BODY]; 4] = [[16, 14, 8], [12, 10, 8], [16, 14, 12], [32, 28, 24]];
+/// The first level at which the table may be the last.
+const GOOD_ENOUGH: usize = 2;
+/// Bodies on which a table is tried.
+const TRIED: usize = 48;
+/// How much wider than the draws the next box is, to each side.
+const MARGIN: f64 = 0.15;
+
+/// How a calibration is to be made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Seed of everything.
+    pub seed: u64,
+    /// How much is sampled.
+    pub effort: Effort,
+}
+
+impl Settings {
+    /// For an answer, with this seed.
+    #[must_use]
+    pub const fn full(seed: u64) -> Self {
+        Self {
+            seed,
+            effort: Effort::FULL,
+        }
+    }
+}
+
+/// Why there is no posterior.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Unfit {
+    /// The observations cannot be used.
+    #[error(transparent)]
+    Unusable(#[from] Unusable),
+    /// The model does not cover an observation.
+    #[error(transparent)]
+    Range(#[from] OutOfRange),
+    /// No body explains them, not even with the discrepancy.
+    #[error(
+        "no body of the prior comes near these displacements: are signs, units and uncertainties right? \
+         + is headward, all in millimetres"
+    )]
+    Nowhere,
+}
+
+/// A posterior.
+#[derive(Clone, Debug)]
+pub struct Fit {
+    /// What was fitted.
+    pub conditions: Vec<Condition>,
+    /// The draws.
+    pub draws: Draws,
+    /// How well each unknown is sampled.
+    pub mixing: [Mixing; UNKNOWNS],
+    /// Step of the rollers in the last table, mm.
+    pub step_mm: f64,
+    /// Error of the last table over the posterior: the worst condition's root of the mean square, in standard deviations of the
+    /// condition's mean. See [`GREATEST_TABLE_ERROR`].
+    pub table_error: f64,
+    /// Nodes of the last table that were worked out.
+    pub nodes: usize,
+}
+
+/// What is read at some bodies, less what the converged model says there, mm: body by body and case by case.
+fn errors_mm(
+    read: impl Fn(&Parts) -> Result<Vec<f64>, OutOfRange> + Sync,
+    converged: &Predictor,
+    bodies: &[Parts],
+) -> Result<Vec<Vec<f64>>, OutOfRange> {
+    let one = |body: &Parts| {
+        let exact = converged.displacements_mm(body)?;
+        Ok(read(body)?
+            .iter()
+            .zip(exact)
+            .map(|(read, exact)| read - exact)
+            .collect())
+    };
+    bodies.par_iter().map(one).collect()
+}
+
+/// Of errors over points of the posterior: the worst condition's root of the mean square, in standard deviations of the
+/// condition's mean.
+fn worst(
+    errors_mm: &[Vec<f64>],
+    points: &[Point],
+    conditions: &[Condition],
+    places: &[usize],
+) -> f64 {
+    let one = |(condition, place): (&Condition, &usize)| {
+        let square = |(of, point): (&Vec<f64>, &Point)| {
+            let tau_mm = discrepancy_mm(point);
+            (of[*place] / deviation_mm(condition, tau_mm)).powi(2)
+        };
+        errors_mm.iter().zip(points).map(square).sum::<f64>() / points.len() as f64
+    };
+    conditions
+        .iter()
+        .zip(places)
+        .map(one)
+        .fold(0.0, f64::max)
+        .sqrt()
+}
+
+/// Calibrates the body of a model; its design, rig and rollers are taken as known.
+///
+/// # Errors
+/// Observations that cannot be used, or that the model does not cover or come near.
+pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> Result<Fit, Unfit> {
+    let conditions = conditions(observations)?;
+    let (cases, places) = distinct(conditions.iter().map(|condition| condition.case));
+    let converged = Predictor::new(base, &cases, CONVERGED_STEP_MM)?;
+    let mut region = Region::WHOLE;
+    let mut step_mm = FIRST_STEP_MM;
+    let mut random = stream(settings.seed, 0);
+    let mut tried: Vec<Parts> = (0..TRIED)
+        .map(|_| core::array::from_fn(|_| unit(&mut random)))
+        .collect();
+    let mut level = 0;
+    loop {
+        let table = Table::new(converged.with_step(step_mm), region, LEVELS[level]);
+        let last = level >= GOOD_ENOUGH;
+        let read = |body: &Parts| Ok(table.displacements_mm(body).unwrap_or_default());
+        let errors = errors_mm(read, &converged, &tried)?;
+        let of = |case: usize| {
+            errors
+                .iter()
+                .map(move |body| body[case].powi(2))
+                .sum::<f64>()
+        };
+        let table_errors_mm: Vec<f64> = (0..cases.len())
+            .map(|case| (of(case) / TRIED as f64).sqrt())
+            .collect();
+        let target = Target {
+            conditions: &conditions,
+            places: &places,
+            table: &table,
+            table_errors_mm: &table_errors_mm,
+        };
+        let effort = if last {
+            settings.effort
+        } else {
+            settings.effort.quick()
+        };
+        let seed = settings.seed.wrapping_add(level as u64 + 1);
+        let draws = sample_from(&target, &effort, seed).ok_or(Unfit::Nowhere)?;
+        let points = draws.thinned(TRIED);
+        tried = points.iter().map(parts).collect();
+        let worst = |errors_mm: &[Vec<f64>]| worst(errors_mm, &points, &conditions, &places);
+        if last {
+            let table_error = worst(&errors_mm(read, &converged, &tried)?);
+            if table_error <= WANTED_TABLE_ERROR || level + 1 == LEVELS.len() {
+                return Ok(Fit {
+                    mixing: draws.mixing(),
+                    conditions,
+                    draws,
+                    step_mm,
+                    table_error,
+                    nodes: table.worked_out().0,
+                });
+            }
+        } else {
+            step_mm = CONVERGED_STEP_MM;
+            for coarser in STEPS_MM {
+                let with = converged.with_step(coarser);
+                let errors = errors_mm(|body| with.displacements_mm(body), &converged, &tried)?;
+                if worst(&errors) <= GREATEST_STEP_ERROR {
+                    step_mm = coarser;
+                    break;
+                }
+            }
+        }
+        let all: Vec<Parts> = draws.ensembles.iter().flatten().map(parts).collect();
+        region = Region::around(&all, MARGIN).ok_or(Unfit::Nowhere)?;
+        level += 1;
+    }
+}
+
+impl Fit {
+    /// Whether all unknowns are sampled well enough.
+    #[must_use]
+    pub fn has_mixed(&self) -> bool {
+        self.mixing.iter().all(Mixing::is_enough)
+    }
+
+    /// Whether the tables were accurate enough.
+    #[must_use]
+    pub fn is_accurate(&self) -> bool {
+        self.table_error <= GREATEST_TABLE_ERROR
+    }
+
+    /// A quantile of an unknown, `0..=1`.
+    #[must_use]
+    pub fn quantile(&self, unknown: usize, part: f64) -> f64 {
+        quantile(&self.draws.sorted(unknown), part)
+    }
+}
+
+/// A quantile of sorted values, between two of them by a straight line.
+#[must_use]
+pub fn quantile(sorted: &[f64], part: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else {
+        return f64::NAN;
+    };
+    let place = part * last as f64;
+    let below = (place as usize).min(last);
+    let above = (below + 1).min(last);
+    sorted[below] + (place - below as f64) * (sorted[above] - sorted[below])
+}

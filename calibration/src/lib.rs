@@ -1,0 +1,29 @@
+//! Bayesian calibration of the locomotion model's body from displacements that were measured on the rig. No files, no
+//! clock; all chance comes from a seed.
+//!
+//! * [`observation`]: what was measured, and its repeats.
+//! * [`prior`]: what is unknown, and what is assumed of it.
+//! * [`prediction`]: what the model says.
+//! * [`table`]: the same, worked out beforehand.
+//! * [`target`]: prior times likelihood.
+//! * [`sampler`]: draws from it.
+//! * [`diagnostics`]: whether the draws can be relied on.
+//! * [`fit`]: all that together.
+//! * [`predictive`]: what the posterior says of trials, beside what they gave.
+//! * [`synthetic`]: trials of a known body.
+//! * [`chance`]: streams of a seed.
+//!
+//! `docs/science.md` says what is assumed and what the tests have shown.
+#![forbid(unsafe_code)]
+
+pub mod chance;
+pub mod diagnostics;
+pub mod fit;
+pub mod observation;
+pub mod prediction;
+pub mod predictive;
+pub mod prior;
+pub mod sampler;
+pub mod synthetic;
+pub mod table;
+pub mod target;

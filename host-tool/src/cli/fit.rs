@@ -1,0 +1,477 @@
+//! `fit`: calibrates the body of the model from recorded trials, with its uncertainty.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use calibration::fit::{Fit, Settings, fit as calibrate};
+use calibration::observation::{Case, Kind, Observation};
+use calibration::predictive::{Band, Check, SUSPICIOUS, bands, checks};
+use calibration::prior::parts;
+use calibration::prior::{Point, UNKNOWNS, Values, unknowns, with_body};
+use clap::Args;
+use locomotion::model::{Model, Setting, Value as Given};
+use serde_json::{Value, json};
+
+use crate::cli::failure::Failure;
+use crate::cli::model::ModelArgs;
+use crate::cli::science::write;
+use crate::cli::screen::Screen;
+use crate::identity::Origin;
+use crate::science::posterior::{FORMAT, Posterior, SourceRecord};
+use crate::science::series::Workers;
+use crate::science::trials::{self, Trials, TrialsError};
+use crate::science::{charts, model_file};
+
+/// Arguments of `fit`.
+#[derive(Debug, Args)]
+pub struct FitArgs {
+    /// Folders of campaigns, and CSV files of displacements; all of the same body.
+    #[arg(required = true, value_name = "DIR|CSV")]
+    pub sources: Vec<PathBuf>,
+    /// Standard deviation of a displacement where its source does not say it, in mm: reading and repetition.
+    #[arg(long, value_name = "MM", value_parser = positive)]
+    pub uncertainty_mm: Option<f64>,
+    /// Seed of everything: the same seed makes the same bytes.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    pub seed: u64,
+    /// Folder of model.toml and posterior.svg. Files of the same names are replaced.
+    #[arg(long, value_name = "DIR", default_value = "retrograde-fit")]
+    pub out: PathBuf,
+    /// Number of threads, by default one per core. The result does not depend on it.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub threads: Option<u16>,
+    /// The model whose body is fitted, and its other parameters.
+    #[command(flatten)]
+    pub model: ModelArgs,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
+        _ => Err("write a number above 0, for example 0.5".to_owned()),
+    }
+}
+
+/// Bodies that a model file keeps.
+const KEPT: usize = 200;
+/// Places of a band in the figure.
+const PLACES: usize = 12;
+/// Step of the rollers for the bands of the figure, mm: their errors do not show there.
+const FIGURE_STEP_MM: f64 = 0.25;
+
+impl From<TrialsError> for Failure {
+    fn from(error: TrialsError) -> Self {
+        let why = error.to_string();
+        match error {
+            TrialsError::Campaign(error) => error.into(),
+            TrialsError::Changed(findings) => Self::Changed {
+                folder: findings.first().map_or_else(PathBuf::new, |one| (&one.path).into()),
+                findings,
+            },
+            TrialsError::Csv { .. } => Self::Input {
+                why,
+                help: "docs/host-tool.md lists the columns; rows are counted from the one after the header"
+                    .to_owned(),
+            },
+            TrialsError::NoUncertainty(_) => Self::Input {
+                why,
+                help: "`--uncertainty-mm MM`: the standard deviation of one displacement, of reading and repetition together"
+                    .to_owned(),
+            },
+        }
+    }
+}
+
+/// What all sources say together.
+struct Read {
+    trials: Vec<Trials>,
+    origin: Origin,
+    base: Model,
+}
+
+fn read(args: &FitArgs) -> Result<Read, Failure> {
+    let mut all: Vec<Trials> = vec![];
+    for path in &args.sources {
+        let read = trials::read(path, args.uncertainty_mm).map_err(|error| match error {
+            TrialsError::Changed(findings) => Failure::Changed {
+                folder: path.clone(),
+                findings,
+            },
+            other => other.into(),
+        })?;
+        all.push(read);
+    }
+    let origin = all.first().map_or(Origin::Unknown, |one| one.origin);
+    if let Some(other) = all.iter().find(|one| one.origin != origin) {
+        return Err(Failure::Input {
+            why: format!(
+                "{} is of origin {}, {} of origin {origin}",
+                other.path.display(),
+                other.origin,
+                all[0].path.display(),
+            ),
+            help: "measured and simulated values are never fitted together; a CSV file says its origin in the column origin"
+                .to_owned(),
+        });
+    }
+    let mut base = args.model.model()?;
+    let strokes: Vec<(f64, &Path)> = (all.iter())
+        .filter_map(|one| Some((one.stroke_mm?, one.path.as_path())))
+        .collect();
+    if let Some((stroke_mm, path)) = strokes.first() {
+        if let Some((other, of)) = strokes.iter().find(|(mm, _)| mm != stroke_mm) {
+            return Err(Failure::Input {
+                why: format!(
+                    "{} has a stroke of {stroke_mm} mm, {} of {other} mm",
+                    path.display(),
+                    of.display()
+                ),
+                help: "fit campaigns of different strokes apart".to_owned(),
+            });
+        }
+        if let Some(asked) = args.model.number("rig.stroke_mm")?
+            && asked != *stroke_mm
+        {
+            return Err(Failure::Input {
+                why: format!(
+                    "the model has a stroke of {asked} mm, {} {stroke_mm} mm",
+                    path.display()
+                ),
+                help: "leave rig.stroke_mm out: the campaign says it".to_owned(),
+            });
+        }
+        if let Some(setting) = Setting::named("rig.stroke_mm") {
+            let _ = base.set(setting, Given::Number(*stroke_mm));
+        }
+        base.check()?;
+    }
+    Ok(Read {
+        trials: all,
+        origin,
+        base,
+    })
+}
+
+pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let Read {
+        trials,
+        origin,
+        base,
+    } = read(args)?;
+    let observations: Vec<Observation> = (trials.iter())
+        .flat_map(|one| one.measured.iter().map(|measured| measured.observation))
+        .collect();
+    for one in &trials {
+        screen.say(&format!(
+            "{}: {} displacements, {} left out; {}",
+            one.path.display(),
+            one.measured.len(),
+            one.left_out.len(),
+            one.origin.meaning()
+        ));
+        for left in &one.left_out {
+            screen.say(&format!("  left out: {}: {}", left.place, left.why));
+        }
+    }
+    let workers = Workers::new(args.threads).map_err(|error| Failure::Input {
+        why: format!("no threads: {error}"),
+        help: "use fewer: `--threads 1`".to_owned(),
+    })?;
+    let (found, checked) = workers.install(|| -> Result<_, Failure> {
+        let found =
+            calibrate(&base, &observations, &Settings::full(args.seed)).map_err(|error| {
+                Failure::Input {
+                    why: error.to_string(),
+                    help: "`retrograde simulate isolated` shows what the model covers".to_owned(),
+                }
+            })?;
+        let bodies = found.draws.thinned(KEPT);
+        let checked = checks(&base, &found.conditions, &bodies, args.seed)?;
+        Ok((found, checked))
+    })?;
+    let bodies = found.draws.thinned(KEPT);
+    let point = nearest(&found, &bodies);
+    let posterior = posterior(args, &trials, origin, &found, &bodies, point);
+    say_table(&found, screen);
+    say_checks(&checked, screen);
+    let (figure, shown) =
+        workers.install(|| figure(&base, &found, &bodies, args.seed, &posterior))?;
+    fs::create_dir_all(&args.out).map_err(|io| Failure::File {
+        path: args.out.clone(),
+        io,
+    })?;
+    // To all its digits, as it is among the samples.
+    let fitted = with_sample(&base, &bodies[point]);
+    let model = args.out.join("model.toml");
+    write(
+        &model,
+        model_file::write_with(&fitted, Some(&posterior)).as_bytes(),
+    )?;
+    let svg = args.out.join("posterior.svg");
+    write(&svg, figure.as_bytes())?;
+    screen.say(&format!(
+        "seed {}, {} draws; {}\nfiles: {}, {}\norigin of the displacements: {}",
+        args.seed,
+        found.draws.count(),
+        tables(&found),
+        model.display(),
+        svg.display(),
+        origin.meaning()
+    ));
+    warn(&found, screen);
+    Ok(json!({
+        "origin": origin.name(),
+        "reliable": posterior.reliable,
+        "seed": args.seed,
+        "draws": found.draws.count(),
+        "step_mm": found.step_mm,
+        "table_error": found.table_error,
+        "unknowns": rows(&found),
+        "conditions": checked.iter().map(condition).collect::<Vec<_>>(),
+        "bands": shown.iter().map(band).collect::<Vec<_>>(),
+        "sources": posterior.source,
+        "files": [model, svg],
+    }))
+}
+
+fn with_sample(base: &Model, point: &Point) -> Model {
+    with_body(base, &parts(point))
+}
+
+/// The body nearest to the medians, in coordinates whose prior is standard normal, each by its spread.
+fn nearest(found: &Fit, bodies: &[Point]) -> usize {
+    let scale: Vec<(f64, f64)> = (0..UNKNOWNS)
+        .map(|unknown| {
+            let mut all: Vec<f64> = bodies.iter().map(|point| point[unknown]).collect();
+            all.sort_by(f64::total_cmp);
+            let span = |part| calibration::fit::quantile(&all, part);
+            (span(0.5), (span(0.95) - span(0.05)).max(f64::MIN_POSITIVE))
+        })
+        .collect();
+    let far = |point: &Point| -> f64 {
+        let parts = point.iter().zip(&scale);
+        parts
+            .map(|(z, (middle, span))| ((z - middle) / span).powi(2))
+            .sum()
+    };
+    debug_assert!(found.draws.count() >= bodies.len());
+    (0..bodies.len())
+        .min_by(|one, other| far(&bodies[*one]).total_cmp(&far(&bodies[*other])))
+        .unwrap_or(0)
+}
+
+fn posterior(
+    args: &FitArgs,
+    trials: &[Trials],
+    origin: Origin,
+    found: &Fit,
+    bodies: &[Point],
+    point: usize,
+) -> Posterior {
+    let settings = Settings::full(args.seed);
+    let worst = |of: fn(&calibration::sampler::Mixing) -> f64, pick: fn(f64, f64) -> f64| {
+        found.mixing.iter().map(of).reduce(pick).unwrap_or(f64::NAN)
+    };
+    let source = |one: &Trials| {
+        let used = one.measured.iter().map(|measured| measured.place.clone());
+        let path = one.path.display().to_string();
+        SourceRecord::new(&path, one.origin, &one.files, used.collect(), &one.left_out)
+    };
+    Posterior {
+        format: FORMAT,
+        origin,
+        made_by: concat!("retrograde fit ", env!("CARGO_PKG_VERSION")).to_owned(),
+        seed: args.seed,
+        sampler: format!(
+            "{}; {} draws; {}",
+            settings.effort.text(),
+            found.draws.count(),
+            tables(found)
+        ),
+        r_hat: worst(|one| one.r_hat, f64::max),
+        ess: worst(|one| one.ess, f64::min),
+        reliable: found.has_mixed() && found.is_accurate(),
+        point: point + 1,
+        parameters: unknowns()
+            .iter()
+            .map(|unknown| unknown.key.to_owned())
+            .collect(),
+        samples: bodies
+            .iter()
+            .map(|body| Values::at(body).0.to_vec())
+            .collect(),
+        source: trials.iter().map(source).collect(),
+    }
+}
+
+fn tables(found: &Fit) -> String {
+    format!(
+        "model tabulated with a step of {} mm, off by {:.2} standard deviations of a mean at most",
+        found.step_mm, found.table_error
+    )
+}
+
+/// A number in as many digits as a table has room for.
+fn short(value: f64) -> String {
+    match value.abs() {
+        none if none == 0.0 => "0".to_owned(),
+        small if small < 0.01 => format!("{value:.5}"),
+        small if small < 1.0 => format!("{value:.3}"),
+        small if small < 10.0 => format!("{value:.2}"),
+        _ => format!("{value:.1}"),
+    }
+}
+
+fn say_table(found: &Fit, screen: &mut Screen<'_>) {
+    screen.say("  parameter              prior 5-95 %     posterior 5 / 50 / 95 %    R-hat   ESS");
+    for (place, unknown) in unknowns().iter().enumerate() {
+        let prior = |part| short(unknown.shape.quantile(part));
+        let at = |part| short(found.quantile(place, part));
+        screen.say(&format!(
+            "  {:<21} {:>7} {:>8}  {:>8} {:>8} {:>8}  {:>6.3} {:>5.0}",
+            unknown.key,
+            prior(0.05),
+            prior(0.95),
+            at(0.05),
+            at(0.5),
+            at(0.95),
+            found.mixing[place].r_hat,
+            found.mixing[place].ess,
+        ));
+    }
+}
+
+fn say_checks(checked: &[Check], screen: &mut Screen<'_>) {
+    screen
+        .say("  condition                   a/mm   n  mean/mm  posterior 5-95 %     p  p scatter");
+    for check in checked {
+        let condition = &check.condition;
+        let name = format!("{}, {}", condition.case.kind, condition.lubrication);
+        let scatter = check
+            .p_scatter
+            .map_or("-".to_owned(), |p| format!("{p:.3}"));
+        screen.say(&format!(
+            "  {name:<27} {:>4} {:>3} {:>8.2} {:>8.2} {:>8.2} {:>6.3}  {scatter:>8}",
+            condition.case.indentation_mm,
+            condition.repeats,
+            condition.mean_mm,
+            check.replicated_mm.low,
+            check.replicated_mm.high,
+            check.p_mean,
+        ));
+    }
+    let off: Vec<_> = checked
+        .iter()
+        .filter(|check| check.p_mean < SUSPICIOUS)
+        .collect();
+    if !off.is_empty() {
+        screen.say(&format!(
+            "  {} of {} conditions are hardly explained (p below {SUSPICIOUS}): the model is wrong there, or the readings are",
+            off.len(),
+            checked.len()
+        ));
+    }
+    let scattered = (checked.iter())
+        .filter(|check| check.p_scatter.is_some_and(|p| p < SUSPICIOUS))
+        .count();
+    if scattered > 0 {
+        screen.say(&format!(
+            "  the repeats of {scattered} conditions scatter more than the stated uncertainty allows: state a larger one"
+        ));
+    }
+}
+
+/// What is loud: a posterior that must not be relied on.
+fn warn(found: &Fit, screen: &mut Screen<'_>) {
+    if !found.has_mixed() {
+        screen.say(
+            "WARNING: NOT RELIABLE. The chains have not mixed: R-hat above 1.01 or fewer than 400 effective draws.\n\
+             Try another --seed; give displacements that tell more, such as isolated passes both ways.",
+        );
+    }
+    if !found.is_accurate() {
+        screen.say(&format!(
+            "WARNING: NOT RELIABLE. The model could not be tabulated finely enough: off by {:.2} standard deviations.\n\
+             Is the stated uncertainty smaller than what the model's ripple of some hundredths of a millimetre allows?",
+            found.table_error
+        ));
+    }
+}
+
+fn rows(found: &Fit) -> Vec<Value> {
+    let row = |(place, unknown): (usize, &calibration::prior::Unknown)| {
+        json!({
+            "parameter": unknown.key,
+            "unit": unknown.unit,
+            "prior_5": unknown.shape.quantile(0.05),
+            "prior_95": unknown.shape.quantile(0.95),
+            "prior_because": unknown.because,
+            "posterior_5": found.quantile(place, 0.05),
+            "posterior_50": found.quantile(place, 0.5),
+            "posterior_95": found.quantile(place, 0.95),
+            "r_hat": found.mixing[place].r_hat,
+            "ess": found.mixing[place].ess,
+        })
+    };
+    unknowns().iter().enumerate().map(row).collect()
+}
+
+fn condition(check: &Check) -> Value {
+    let condition = &check.condition;
+    json!({
+        "kind": condition.case.kind.to_string(),
+        "lubrication": condition.lubrication.to_string(),
+        "indentation_mm": condition.case.indentation_mm,
+        "repeats": condition.repeats,
+        "mean_mm": condition.mean_mm,
+        "uncertainty_mm": condition.uncertainty_mm,
+        "posterior_5_mm": check.replicated_mm.low,
+        "posterior_95_mm": check.replicated_mm.high,
+        "p": check.p_mean,
+        "p_scatter": check.p_scatter,
+    })
+}
+
+fn band(band: &Band) -> Value {
+    json!({
+        "kind": band.case.kind.to_string(),
+        "indentation_mm": band.case.indentation_mm,
+        "model_5_mm": band.model_mm.low,
+        "model_50_mm": band.model_mm.median,
+        "model_95_mm": band.model_mm.high,
+        "with_discrepancy_5_mm": band.with_discrepancy_mm.low,
+        "with_discrepancy_95_mm": band.with_discrepancy_mm.high,
+    })
+}
+
+/// The figure, and the bands that it shows.
+fn figure(
+    base: &Model,
+    found: &Fit,
+    bodies: &[Point],
+    seed: u64,
+    posterior: &Posterior,
+) -> Result<(String, Vec<Band>), Failure> {
+    let mut kinds: Vec<Kind> = found.conditions.iter().map(|one| one.case.kind).collect();
+    kinds.dedup();
+    let deepest = found
+        .conditions
+        .iter()
+        .map(|one| one.case.indentation_mm)
+        .fold(0.0, f64::max);
+    let greatest_mm = (deepest * 1.1).min(base.design()?.half_gap_mm());
+    let case = |kind: Kind, place: usize| Case {
+        kind,
+        indentation_mm: greatest_mm * place as f64 / PLACES as f64,
+    };
+    let cases: Vec<Case> = (kinds.iter())
+        .flat_map(|kind| (1..=PLACES).map(|place| case(*kind, place)))
+        .collect();
+    let shown = bands(base, bodies, &cases, FIGURE_STEP_MM, seed)?;
+    let svg = charts::posterior(
+        model_file::fitted_name(posterior),
+        &shown,
+        &found.conditions,
+    )?;
+    Ok((svg, shown))
+}
