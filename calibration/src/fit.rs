@@ -152,7 +152,11 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
     loop {
         let table = Table::new(converged.with_step(step_mm), region, LEVELS[level]);
         let last = level >= GOOD_ENOUGH;
-        let read = |body: &Parts| Ok(table.displacements_mm(body).unwrap_or_default());
+        let read = |body: &Parts| {
+            // What a table cannot tell shows as an error without end, and the fit as unreliable.
+            let nothing = || vec![f64::INFINITY; cases.len()];
+            Ok(table.displacements_mm(body).unwrap_or_else(nothing))
+        };
         let errors = errors_mm(read, &converged, &tried)?;
         let of = |case: usize| {
             errors

@@ -54,7 +54,10 @@ impl Shape {
     pub fn quantile(self, part: f64) -> f64 {
         match self {
             Self::Even(low, high) => low + part * (high - low),
-            Self::EvenInLogarithm(low, high) => low * libm::exp(part * libm::log(high / low)),
+            // Rounding must not lead beyond the ends: the model refuses what lies there.
+            Self::EvenInLogarithm(low, high) => {
+                (low * libm::exp(part * libm::log(high / low))).clamp(low, high)
+            }
             Self::LogNormal { median, spread } => median * libm::exp(spread * normal(part)),
         }
     }
@@ -68,7 +71,7 @@ impl Shape {
         }
     }
 
-    /// The coordinate of a value; infinite at the ends of an even prior, NaN beyond them.
+    /// The coordinate of a value; infinite at the ends of an even prior and beyond them.
     #[must_use]
     pub fn coordinate(self, value: f64) -> f64 {
         match self {

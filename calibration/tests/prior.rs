@@ -43,7 +43,17 @@ fn a_value_has_its_coordinate_back() {
         assert!(shape.value(-1.0) < shape.value(1.0));
         assert!((shape.quantile(0.5) / shape.value(0.0) - 1.0).abs() < 1e-12);
     }
-    assert!(Shape::Even(7.0, 9.0).coordinate(9.5).is_nan());
+    assert_eq!(Shape::Even(7.0, 9.0).coordinate(9.5), f64::INFINITY);
+}
+
+/// The ends of the priors are bodies, too, to the last bit: tables have nodes there.
+#[test]
+fn the_ends_of_the_priors_are_covered() {
+    for part in [0.0, 1.0] {
+        with_body(&Model::ONE, &[part; OF_BODY])
+            .check()
+            .expect("covered");
+    }
 }
 
 /// A twentieth of the draws lies below the 5 % quantile, within four standard errors.

@@ -23,7 +23,9 @@ fn ranks_are_uniform_and_intervals_cover() {
     for chi_square in chi_squares {
         assert!(chi_square < GREATEST, "{chi_squares:?}");
     }
+    // Of 100 intervals so few or so many cover by chance once in 1,000 times.
+    let usual = if full { 0.85..=0.95 } else { 0.8..=0.98 };
     for share in coverage {
-        assert!((0.85..=0.95).contains(&share), "{coverage:?}");
+        assert!(usual.contains(&share), "{coverage:?}");
     }
 }

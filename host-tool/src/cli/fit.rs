@@ -12,9 +12,9 @@ use clap::Args;
 use locomotion::model::{Model, Setting, Value as Given};
 use serde_json::{Value, json};
 
+use crate::cli::calculation::write;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
-use crate::cli::science::write;
 use crate::cli::screen::Screen;
 use crate::identity::Origin;
 use crate::science::posterior::{FORMAT, Posterior, SourceRecord};

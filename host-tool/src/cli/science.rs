@@ -16,8 +16,10 @@ use crate::cli::crescent;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
+use crate::report::figures::ModelName;
 use crate::science::bands::{self, Bands};
-use crate::science::model_file::{self, short_origin};
+use crate::science::model_file;
+use crate::science::posterior::Posterior;
 use crate::science::series::{self, TubeCase, TubeRow, TubeRun};
 use crate::science::values::Values;
 use crate::science::{charts, snapshots, table};
@@ -120,6 +122,8 @@ const MOST_RUNS: usize = 100_000;
 /// What all series of one `simulate` command share.
 struct Session<'a, 'b> {
     model: Model,
+    /// What the model is a sample of, if it was fitted to trials.
+    posterior: Option<Posterior>,
     work: Calculation<'a, 'b>,
     series: Map<String, Value>,
 }
@@ -145,6 +149,7 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
     }
     let mut session = Session {
         model,
+        posterior: args.model.posterior()?,
         work: Calculation::new(&args.out, args.threads, screen)?,
         series: Map::new(),
     };
@@ -182,13 +187,13 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
         Simulation::Crescent { .. } | Simulation::Compare => {} // returned above
     }
     session.csv("parameters.csv", &table::parameters(&model))?;
-    session
-        .work
-        .file("model.toml", model_file::write(&model).as_bytes())?;
+    let text = model_file::write_with(&model, session.posterior.as_ref());
+    session.work.file("model.toml", text.as_bytes())?;
     let files = session.work.say_files();
-    session.work.screen.say(&model_file::origin(&model));
+    let origin = model_file::origin_with(&model, session.posterior.as_ref());
+    session.work.screen.say(&origin);
     Ok(json!({
-        "origin": model_file::origin(&model),
+        "origin": origin,
         "series": session.series,
         "files": files,
     }))
@@ -240,7 +245,7 @@ impl Session<'_, '_> {
         self.keep("friction", &rows);
         self.csv("friction.csv", &rows)?;
         self.csv("friction-time.csv", &series::tube_moments(&runs))?;
-        let svg = charts::friction(model_file::name(&self.model), &runs, &rows)?;
+        let svg = charts::friction(self.name(), &runs, &rows)?;
         self.work.file("friction.svg", svg.as_bytes())
     }
 
@@ -265,7 +270,7 @@ impl Session<'_, '_> {
         self.keep("pressure", &rows);
         self.csv("pressure.csv", &rows)?;
         self.csv("pressure-time.csv", &series::tube_moments(&runs))?;
-        let svg = charts::pressure(model_file::name(&self.model), &runs, &rows)?;
+        let svg = charts::pressure(self.name(), &runs, &rows)?;
         self.work.file("pressure.svg", svg.as_bytes())
     }
 
@@ -290,9 +295,11 @@ impl Session<'_, '_> {
             ),
             "rig",
         );
-        self.work
-            .screen
-            .say("  lubrication  friction   a/mm  displacement/mm  prior band/mm");
+        let header = format!(
+            "  lubrication  friction   a/mm  displacement/mm  {} band/mm",
+            self.band_name()
+        );
+        self.work.screen.say(&header);
         for row in &rows {
             self.work.screen.say(&format!(
                 "  {:<11} {:>9} {:>6} {:>16.1}  {:>13}",
@@ -300,13 +307,13 @@ impl Session<'_, '_> {
                 row.friction,
                 row.indentation_mm,
                 row.displacement_mm,
-                bands::text(row.prior_5_mm, row.prior_95_mm)
+                bands::text(row.band_mm().0, row.band_mm().1)
             ));
         }
         self.say_what_a_band_is(Words::Rig);
         self.keep("roller", &rows);
         self.csv("roller.csv", &rows)?;
-        let svg = charts::comparison(model_file::name(&self.model), &rows, &tube)?;
+        let svg = charts::comparison(self.name(), &rows, &tube)?;
         self.work.file("roller.svg", svg.as_bytes())
     }
 
@@ -325,7 +332,7 @@ impl Session<'_, '_> {
         }
         self.keep("isolated", &rows);
         self.csv("isolated.csv", &rows)?;
-        let svg = charts::isolated(model_file::name(&self.model), &rows)?;
+        let svg = charts::isolated(self.name(), &rows)?;
         self.work.file("isolated.svg", svg.as_bytes())
     }
 
@@ -353,10 +360,11 @@ impl Session<'_, '_> {
             .last()
             .map_or((0.0, 0.0), |row| (row.folded_mm, row.unfolded_mm));
         let band = band.of_case(indentation_mm);
+        let of = self.band_name();
         self.work.screen.say(&format!(
             "  folded to {:.3} mm, a = {indentation_mm} mm: {contact}\n  \
              displacement: folded {folded:.1} mm (the fold is declared, not worked out), unfolded {unfolded:.1} mm \
-             (prior band {} mm)",
+             ({of} band {} mm)",
             test.params.width_mm,
             bands::text(band.map(|band| band.low), band.map(|band| band.high)),
         ));
@@ -368,12 +376,12 @@ impl Session<'_, '_> {
                 "contact": contact,
                 "folded_mm": folded,
                 "unfolded_mm": unfolded,
-                "unfolded_prior_5_mm": band.map(|band| band.low),
-                "unfolded_prior_95_mm": band.map(|band| band.high),
+                format!("unfolded_{of}_5_mm"): band.map(|band| band.low),
+                format!("unfolded_{of}_95_mm"): band.map(|band| band.high),
             }),
         );
         self.csv("fold.csv", &test.course)?;
-        let svg = charts::fold(model_file::name(&self.model), &test)?;
+        let svg = charts::fold(self.name(), &test)?;
         self.work.file("fold.svg", svg.as_bytes())
     }
 
@@ -384,7 +392,7 @@ impl Session<'_, '_> {
         ];
         let rows: Vec<_> = strips.iter().flat_map(snapshots::Strip::rows).collect();
         self.csv("snapshots.csv", &rows)?;
-        let origin = model_file::origin(&self.model);
+        let origin = model_file::origin_with(&self.model, self.posterior.as_ref());
         for strip in &strips {
             let name = format!("snapshots-{}.svg", strip.model);
             self.work.file(&name, strip.svg(&origin).as_bytes())?;
@@ -413,7 +421,7 @@ impl Session<'_, '_> {
         self.keep("sweep", &rows);
         self.csv("sweep-tube.csv", &rows)?;
         let (x, y) = ("peristaltic pressure / Pa", "displacement / mm");
-        let svg = charts::sweep(model_file::name(&self.model), x, y, &points, &bands)?;
+        let svg = charts::sweep(self.name(), x, y, &points, &bands)?;
         self.work.file("sweep-tube.svg", svg.as_bytes())
     }
 
@@ -435,21 +443,41 @@ impl Session<'_, '_> {
         self.keep("sweep", &rows);
         self.csv("sweep-roller.csv", &rows)?;
         let (x, y) = ("peristaltic indentation / mm", "displacement / mm");
-        let svg = charts::sweep(model_file::name(&self.model), x, y, &points, &bands)?;
+        let svg = charts::sweep(self.name(), x, y, &points, &bands)?;
         self.work.file("sweep-roller.svg", svg.as_bytes())
     }
 
-    /// Prior bands on the rig, for each indentation.
+    fn name(&self) -> ModelName {
+        model_file::name_with(&self.model, self.posterior.as_ref())
+    }
+
+    fn short_origin(&self) -> String {
+        model_file::short_origin_with(&self.model, self.posterior.as_ref())
+    }
+
+    /// What the bands on the rig are of.
+    fn band_name(&self) -> &'static str {
+        if self.posterior.is_some() {
+            "posterior"
+        } else {
+            "prior"
+        }
+    }
+
+    /// Bands on the rig, for each indentation: of the posterior if there is one, otherwise of the prior.
     fn rig_bands(&self, indentations_mm: &[f64]) -> Result<Bands, Failure> {
         let Some(cases) = bands::few(indentations_mm) else {
             return Ok(Bands::none());
         };
-        let bodies = bands::bodies(&self.model, Words::Rig);
+        let bodies = match &self.posterior {
+            Some(posterior) => bands::fitted(&self.model, posterior),
+            None => bands::bodies(&self.model, Words::Rig),
+        };
         let values = self.work.map(&bodies, |body| bands::on_rig(body, &cases))?;
-        Ok(Bands::of(&cases, &values))
+        Ok(Bands::of(&cases, &values).fitted(self.posterior.is_some()))
     }
 
-    /// Prior bands in the tube, for each pressure.
+    /// Prior bands in the tube, for each pressure. Trials on the rig do not speak about the tube's wall.
     fn tube_bands(&self, pressures_pa: &[f64]) -> Result<Bands, Failure> {
         let Some(cases) = bands::few(pressures_pa) else {
             return Ok(Bands::none());
@@ -476,7 +504,7 @@ impl Session<'_, '_> {
                 .collect();
             all.join(", ")
         };
-        let mut text = format!("{title}: {}", short_origin(&self.model));
+        let mut text = format!("{title}: {}", self.short_origin());
         for (word, label) in [
             ("calibrated", Label::Calibrated),
             ("assumed", Label::Assumed),
@@ -511,9 +539,11 @@ impl Session<'_, '_> {
     }
 
     fn say_what_a_band_is(&mut self, words: Words) {
-        self.work
-            .screen
-            .say(&format!("  prior band: {}", bands::meaning(words)));
+        let text = match (&self.posterior, words) {
+            (Some(posterior), Words::Rig) => format!("posterior band: {}", posterior.meaning()),
+            _ => format!("prior band: {}", bands::meaning(words)),
+        };
+        self.work.screen.say(&format!("  {text}"));
     }
 
     fn keep(&mut self, name: &str, rows: &[impl Serialize]) {
@@ -521,7 +551,7 @@ impl Session<'_, '_> {
     }
 
     fn csv(&mut self, name: &str, rows: &[impl Serialize]) -> Result<(), Failure> {
-        self.work.csv(name, rows, &short_origin(&self.model))
+        self.work.csv(name, rows, &self.short_origin())
     }
 }
 

@@ -5,6 +5,8 @@ use locomotion::prior::{self, Band, Words, agreeing};
 use locomotion::range::OutOfRange;
 use locomotion::{roller, tube};
 
+use crate::science::posterior::Posterior;
+
 /// Most cases of which bands are worked out: each costs some hundred runs.
 pub const MOST: usize = 100;
 /// Step of the roller, mm, and of the walls, mm: errors of some tenths of a millimetre do not show in a band.
@@ -13,7 +15,11 @@ const WALL_STEP_MM: f64 = 0.08;
 
 /// The bands of some cases.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Bands(Vec<(f64, Band)>);
+pub struct Bands {
+    of_cases: Vec<(f64, Band)>,
+    /// They are of a posterior, not of the prior.
+    pub fitted: bool,
+}
 
 impl Bands {
     /// Of cases and of each body's displacement in each of them.
@@ -23,7 +29,16 @@ impl Bands {
             let mut values: Vec<_> = values.iter().map(|body| body[place]).collect();
             Some((*case, Band::of(&mut values)?))
         };
-        Self(cases.iter().enumerate().filter_map(band).collect())
+        Self {
+            of_cases: cases.iter().enumerate().filter_map(band).collect(),
+            fitted: false,
+        }
+    }
+
+    /// The same, of the bodies of a posterior.
+    #[must_use]
+    pub fn fitted(self, fitted: bool) -> Self {
+        Self { fitted, ..self }
     }
 
     /// No bands.
@@ -35,14 +50,14 @@ impl Bands {
     /// The band of a case.
     #[must_use]
     pub fn of_case(&self, case: f64) -> Option<Band> {
-        let found = self.0.iter().find(|(other, _)| *other == case);
+        let found = self.of_cases.iter().find(|(other, _)| *other == case);
         found.map(|(_, band)| *band)
     }
 
     /// The outline of all bands from left to right and back, for a figure.
     #[must_use]
     pub fn outline(&self) -> Vec<(f64, f64)> {
-        let mut sorted = self.0.clone();
+        let mut sorted = self.of_cases.clone();
         sorted.sort_by(|left, right| left.0.total_cmp(&right.0));
         let low = sorted.iter().map(|(case, band)| (*case, band.low));
         let high = sorted.iter().rev().map(|(case, band)| (*case, band.high));
@@ -69,6 +84,12 @@ pub fn bodies(model: &Model, words: Words) -> Vec<Body> {
         .map(|draw| draw.apply(model))
         .enumerate()
         .collect()
+}
+
+/// The bodies of a posterior, otherwise as the model.
+#[must_use]
+pub fn fitted(model: &Model, posterior: &Posterior) -> Vec<Body> {
+    posterior.bodies(model).into_iter().enumerate().collect()
 }
 
 /// Displacement of a body on the rig at each indentation, mm.

@@ -36,7 +36,16 @@ fn curve(label: &str, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> 
 
 /// A curve in two parts: what the bodies that agree with the paper's words span, if it is known.
 fn band(points: Vec<(f64, f64)>) -> Option<Curve> {
-    let label = "prior band: 90 % of bodies that fit the words";
+    band_of(points, false)
+}
+
+/// As [`band`], of a posterior instead of the prior.
+fn band_of(points: Vec<(f64, f64)>, fitted: bool) -> Option<Curve> {
+    let label = if fitted {
+        "posterior band: 90 % of fitted bodies"
+    } else {
+        "prior band: 90 % of bodies that fit the words"
+    };
     (!points.is_empty()).then(|| curve(label, BAND, Mark::Area, points))
 }
 
@@ -249,17 +258,19 @@ pub fn comparison(
         curve(&label, colour, Mark::Line(width), points)
     };
     // Wide below narrow, so that both can be seen: with a fixed friction ratio the model gives them the same values.
-    let on_rig = band(outline(
-        rig.iter()
-            .filter(|row| row.lubrication == "with")
-            .map(|row| (row.indentation_mm, row.prior_5_mm, row.prior_95_mm)),
-    ))
-    .into_iter()
-    .chain([
-        rig_curve("without", "not lubricated (model)", SECOND, 10),
-        rig_curve("with", "lubricated (model)", MODEL, 3),
-    ])
-    .collect();
+    let fitted = rig.iter().any(|row| row.posterior_5_mm.is_some());
+    let lubricated = rig.iter().filter(|row| row.lubrication == "with");
+    let ends = lubricated.map(|row| {
+        let (low, high) = row.band_mm();
+        (row.indentation_mm, low, high)
+    });
+    let on_rig = band_of(outline(ends), fitted)
+        .into_iter()
+        .chain([
+            rig_curve("without", "not lubricated (model)", SECOND, 10),
+            rig_curve("with", "lubricated (model)", MODEL, 3),
+        ])
+        .collect();
     let in_tube =
         band(outline(tube.iter().filter(|row| row.friction == 0.08).map(
             |row| (row.pressure_pa, row.prior_5_mm, row.prior_95_mm),
@@ -497,7 +508,7 @@ pub fn sweep(
             (format!("friction {} (model)", part[0].0), points)
         })
         .collect();
-    let curves = band(bands.outline())
+    let curves = band_of(bands.outline(), bands.fitted)
         .into_iter()
         .chain(family(members, 4))
         .collect();

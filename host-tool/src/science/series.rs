@@ -282,18 +282,40 @@ pub struct RollerRow {
     pub prior_5_mm: Option<f64>,
     /// Prior band: 95 % of them go less far, mm.
     pub prior_95_mm: Option<f64>,
+    /// Posterior band in its place, with a model that was fitted to trials: 5 % of its bodies go less far, mm.
+    pub posterior_5_mm: Option<f64>,
+    /// 95 % of them go less far, mm.
+    pub posterior_95_mm: Option<f64>,
 }
 
 impl RollerRow {
-    /// The row with the prior band of its indentation.
+    /// The row with the band of its indentation.
     #[must_use]
     pub fn with_band(self, bands: &Bands) -> Self {
         let band = bands.of_case(self.indentation_mm);
-        Self {
-            prior_5_mm: band.map(|band| band.low),
-            prior_95_mm: band.map(|band| band.high),
-            ..self
+        let (low, high) = (band.map(|band| band.low), band.map(|band| band.high));
+        if bands.fitted {
+            Self {
+                posterior_5_mm: low,
+                posterior_95_mm: high,
+                ..self
+            }
+        } else {
+            Self {
+                prior_5_mm: low,
+                prior_95_mm: high,
+                ..self
+            }
         }
+    }
+
+    /// Ends of its band, whichever it is.
+    #[must_use]
+    pub fn band_mm(&self) -> (Option<f64>, Option<f64>) {
+        (
+            self.prior_5_mm.or(self.posterior_5_mm),
+            self.prior_95_mm.or(self.posterior_95_mm),
+        )
     }
 }
 
@@ -335,6 +357,8 @@ pub fn roller_run(mut params: roller::Params, case: &RollerCase) -> Result<Rolle
         head_displacement_mm: body.head_displacement_mm(),
         prior_5_mm: None,
         prior_95_mm: None,
+        posterior_5_mm: None,
+        posterior_95_mm: None,
     })
 }
 
