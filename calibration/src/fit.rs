@@ -148,6 +148,7 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
     let mut tried: Vec<Parts> = (0..TRIED)
         .map(|_| core::array::from_fn(|_| unit(&mut random)))
         .collect();
+    let mut before: Option<Draws> = None;
     let mut level = 0;
     loop {
         let table = Table::new(converged.with_step(step_mm), region, LEVELS[level]);
@@ -179,7 +180,7 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
             settings.effort.quick()
         };
         let seed = settings.seed.wrapping_add(level as u64 + 1);
-        let draws = sample_from(&target, &effort, seed).ok_or(Unfit::Nowhere)?;
+        let draws = sample_from(&target, &effort, seed, before.as_ref()).ok_or(Unfit::Nowhere)?;
         let points = draws.thinned(TRIED);
         tried = points.iter().map(parts).collect();
         let worst = |errors_mm: &[Vec<f64>]| worst(errors_mm, &points, &conditions, &places);
@@ -208,6 +209,7 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
         }
         let all: Vec<Parts> = draws.ensembles.iter().flatten().map(parts).collect();
         region = Region::around(&all, MARGIN).ok_or(Unfit::Nowhere)?;
+        before = Some(draws);
         level += 1;
     }
 }

@@ -198,23 +198,40 @@ fn weights(logs: &[f64], power: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Walkers of one ensemble among points of the prior, and the power of the likelihood by which they were chosen: the
-/// largest at which as many points as walkers still count.
+/// Points that an ensemble begins from: draws of the prior, or of what the same ensemble found before.
+fn starts(effort: &Effort, seed: u64, ensemble: usize, before: Option<&Draws>) -> Vec<Point> {
+    let mut random = stream(seed, number(ensemble, START, 0));
+    match before.and_then(|draws| draws.ensembles.get(ensemble)) {
+        Some(found) if !found.is_empty() => (0..effort.starts)
+            .map(|part| found[part * found.len() / effort.starts])
+            .collect(),
+        _ => (0..effort.starts).map(|_| draw(&mut random)).collect(),
+    }
+}
+
+/// Walkers of one ensemble among points, and the power of the likelihood by which they were chosen: the largest at
+/// which as many points as walkers still count.
 fn begin(
     target: &Target<'_>,
     effort: &Effort,
     seed: u64,
     ensemble: usize,
+    before: Option<&Draws>,
 ) -> Option<(Vec<Point>, f64)> {
-    let mut random = stream(seed, number(ensemble, START, 0));
-    let points: Vec<Point> = (0..effort.starts).map(|_| draw(&mut random)).collect();
-    let logs: Vec<f64> = points
-        .iter()
+    let points = starts(effort, seed, ensemble, before);
+    let mut random = stream(seed, number(ensemble, START, 1));
+    let logs: Vec<f64> = (points.iter())
         .map(|point| target.log_likelihood(point))
         .collect();
     if logs.iter().all(|log| !log.is_finite()) {
         return None;
     }
+    let count = points.len() as f64;
+    let spreads: Point = core::array::from_fn(|axis| {
+        let mean = points.iter().map(|point| point[axis]).sum::<f64>() / count;
+        let square = |point: &Point| (point[axis] - mean).powi(2);
+        (points.iter().map(square).sum::<f64>() / count).sqrt()
+    });
     let enough = effort.walkers as f64;
     let (mut low, mut high) = (0.0, 1.0);
     if worth(&weights(&logs, high)) < enough {
@@ -242,8 +259,8 @@ fn begin(
         }
         // Walkers must not stand in one place: moves along differences would not leave it.
         let mut point = points[place];
-        for z in &mut point {
-            *z += 0.01 * chance::normal(&mut random);
+        for (z, spread) in point.iter_mut().zip(spreads) {
+            *z += 0.01 * spread * chance::normal(&mut random);
         }
         chosen.push(point);
     }
@@ -251,8 +268,14 @@ fn begin(
 }
 
 /// Brings an ensemble to the posterior.
-fn warm_up(target: &Target<'_>, effort: &Effort, seed: u64, ensemble: usize) -> Option<Vec<Point>> {
-    let (mut walkers, power) = begin(target, effort, seed, ensemble)?;
+fn warm_up(
+    target: &Target<'_>,
+    effort: &Effort,
+    seed: u64,
+    ensemble: usize,
+    before: Option<&Draws>,
+) -> Option<Vec<Point>> {
+    let (mut walkers, power) = begin(target, effort, seed, ensemble, before)?;
     for stage in 1..=effort.stages {
         let part = stage as f64 / effort.stages as f64;
         let power = libm::pow(power, 1.0 - part);
@@ -265,11 +288,16 @@ fn warm_up(target: &Target<'_>, effort: &Effort, seed: u64, ensemble: usize) -> 
     Some(last(&chain, effort.walkers))
 }
 
-/// Samples until the chains have mixed or the effort is spent; none if no point of the prior has a likelihood. The
+/// Samples, from the prior or from where each ensemble was before, until the chains have mixed or the effort is spent; none if no point of the prior has a likelihood. The
 /// result does not depend on the number of threads.
 #[must_use]
-pub fn sample_from(target: &Target<'_>, effort: &Effort, seed: u64) -> Option<Draws> {
-    let warm = |ensemble| warm_up(target, effort, seed, ensemble);
+pub fn sample_from(
+    target: &Target<'_>,
+    effort: &Effort,
+    seed: u64,
+    before: Option<&Draws>,
+) -> Option<Draws> {
+    let warm = |ensemble| warm_up(target, effort, seed, ensemble, before);
     let mut stand: Vec<Vec<Point>> = (0..effort.ensembles)
         .into_par_iter()
         .map(warm)

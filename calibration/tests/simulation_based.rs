@@ -13,7 +13,7 @@ const GREATEST: f64 = 41.3;
 #[test]
 fn ranks_are_uniform_and_intervals_cover() {
     let full = std::env::var("RETROGRADE_CAMPAIGN").is_ok_and(|what| what == "full");
-    let count = if full { 500 } else { 100 };
+    let count = if full { 500 } else { 60 };
     let judged = judged(SEED, count);
     let chi_squares = chi_squares(&judged);
     let coverage = coverage(&judged[..judged.len().min(200)]);
@@ -23,8 +23,8 @@ fn ranks_are_uniform_and_intervals_cover() {
     for chi_square in chi_squares {
         assert!(chi_square < GREATEST, "{chi_squares:?}");
     }
-    // Of 100 intervals so few or so many cover by chance once in 1,000 times.
-    let usual = if full { 0.85..=0.95 } else { 0.8..=0.98 };
+    // Of 60 intervals so few or so many cover by chance once in 1,000 times.
+    let usual = if full { 0.85..=0.95 } else { 0.77..=1.0 };
     for share in coverage {
         assert!(usual.contains(&share), "{coverage:?}");
     }

@@ -199,7 +199,7 @@ fn sources_that_cannot_be_fitted_are_refused() {
         (vec![&*one, &*other], "origin board"),
         (vec![&*empty], "nothing to fit"),
         (vec![&*deep], "indentation a = 11 mm is not usable"),
-        (vec![folder.path().to_str().expect("UTF-8")], "there is no"),
+        (vec![folder.path().to_str().expect("UTF-8")], "campaign new"),
         (vec!["nowhere.csv"], "nowhere.csv"),
     ] {
         let (code, _, err) = retrograde(&[&["fit"], &args[..]].concat());

@@ -14,16 +14,9 @@ use calibration::target::Target;
 use locomotion::model::Model;
 use rayon::prelude::*;
 
-/// Draws among which a truth is ranked: so many that few of them depend on each other.
-pub const RANKED: usize = 63;
-
-/// Of one data set: the rank of each unknown's truth among thinned draws, `0..=RANKED`, and whether it lies between the 5
-/// and 95 % quantiles of all draws.
+/// Of one data set: the rank of each unknown's truth, as the share of the draws that lie below it.
 #[derive(Clone, Debug)]
-pub struct Judged {
-    pub rank: [usize; UNKNOWNS],
-    pub covered: [bool; UNKNOWNS],
-}
+pub struct Judged(pub [f64; UNKNOWNS]);
 
 /// Isolated passes both ways at three depths, three times each.
 fn plan() -> Vec<Planned> {
@@ -39,10 +32,7 @@ pub fn judged(seed: u64, count: u64) -> Vec<Judged> {
     let predictor = Predictor::new(&Model::ONE, &cases, 0.5).expect("covered");
     let table = Table::new(predictor, Region::WHOLE, [20, 20, 12]);
     let effort = Effort {
-        ensembles: 2,
-        walkers: 12,
-        steps: 800,
-        doublings: 0,
+        doublings: 2,
         ..Effort::FULL
     };
     let judge = |number: u64| {
@@ -69,24 +59,16 @@ pub fn judged(seed: u64, count: u64) -> Vec<Judged> {
             table: &table,
             table_errors_mm: &vec![0.0; cases.len()],
         };
-        let draws = sample_from(&target, &effort, seed ^ (number + 1) << 20).expect("a likelihood");
-        let thin = draws.thinned(RANKED);
+        let draws =
+            sample_from(&target, &effort, seed ^ ((number + 1) << 20), None).expect("a likelihood");
         let all: Vec<_> = draws.ensembles.iter().flatten().collect();
         let below = |unknown: usize| {
-            let below = all
-                .iter()
+            let below = (all.iter())
                 .filter(|point| point[unknown] < truth[unknown])
                 .count();
             below as f64 / all.len() as f64
         };
-        Judged {
-            rank: std::array::from_fn(|unknown| {
-                thin.iter()
-                    .filter(|point| point[unknown] < truth[unknown])
-                    .count()
-            }),
-            covered: std::array::from_fn(|unknown| (0.05..0.95).contains(&below(unknown))),
-        }
+        Judged(std::array::from_fn(below))
     };
     (0..count).into_par_iter().map(judge).collect()
 }
@@ -97,7 +79,7 @@ pub fn chi_squares(judged: &[Judged]) -> [f64; UNKNOWNS] {
     std::array::from_fn(|unknown| {
         let mut bins = [0.0; BINS];
         for one in judged {
-            bins[one.rank[unknown] * BINS / (RANKED + 1)] += 1.0;
+            bins[((one.0[unknown] * BINS as f64) as usize).min(BINS - 1)] += 1.0;
         }
         let expected = judged.len() as f64 / BINS as f64;
         bins.iter()
@@ -109,7 +91,10 @@ pub fn chi_squares(judged: &[Judged]) -> [f64; UNKNOWNS] {
 /// Share of the data sets whose 90 % interval holds the truth, for each unknown.
 pub fn coverage(judged: &[Judged]) -> [f64; UNKNOWNS] {
     std::array::from_fn(|unknown| {
-        let covered = judged.iter().filter(|one| one.covered[unknown]).count();
+        let covered = judged
+            .iter()
+            .filter(|one| (0.05..0.95).contains(&one.0[unknown]))
+            .count();
         covered as f64 / judged.len() as f64
     })
 }

@@ -323,12 +323,12 @@ fn short(value: f64) -> String {
 }
 
 fn say_table(found: &Fit, screen: &mut Screen<'_>) {
-    screen.say("  parameter              prior 5-95 %     posterior 5 / 50 / 95 %    R-hat   ESS");
+    screen.say("  parameter             prior 5-95 %       posterior 5 / 50 / 95 %   R-hat   ESS");
     for (place, unknown) in unknowns().iter().enumerate() {
         let prior = |part| short(unknown.shape.quantile(part));
         let at = |part| short(found.quantile(place, part));
         screen.say(&format!(
-            "  {:<21} {:>7} {:>8}  {:>8} {:>8} {:>8}  {:>6.3} {:>5.0}",
+            "  {:<19} {:>8} {:>7}  {:>8} {:>8} {:>8} {:>7.3} {:>5.0}",
             unknown.key,
             prior(0.05),
             prior(0.95),
