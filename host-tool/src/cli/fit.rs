@@ -342,8 +342,7 @@ fn say_table(found: &Fit, screen: &mut Screen<'_>) {
 }
 
 fn say_checks(checked: &[Check], screen: &mut Screen<'_>) {
-    screen
-        .say("  condition                   a/mm   n  mean/mm  posterior 5-95 %     p  p scatter");
+    screen.say("  condition                   a/mm   n mean/mm posterior 5-95 %    p  p scatter");
     for check in checked {
         let condition = &check.condition;
         let name = format!("{}, {}", condition.case.kind, condition.lubrication);
@@ -351,7 +350,7 @@ fn say_checks(checked: &[Check], screen: &mut Screen<'_>) {
             .p_scatter
             .map_or("-".to_owned(), |p| format!("{p:.3}"));
         screen.say(&format!(
-            "  {name:<27} {:>4} {:>3} {:>8.2} {:>8.2} {:>8.2} {:>6.3}  {scatter:>8}",
+            "  {name:<27} {:>4} {:>3} {:>7.2} {:>7.2} {:>7.2} {:>6.3}  {scatter:>8}",
             condition.case.indentation_mm,
             condition.repeats,
             condition.mean_mm,
