@@ -63,9 +63,9 @@ impl Region {
         };
         for body in bodies {
             let at = this.coordinates(body);
-            for axis in 0..OF_BODY {
-                this.low[axis] = this.low[axis].min(at[axis]);
-                this.high[axis] = this.high[axis].max(at[axis]);
+            for (axis, coordinate) in at.into_iter().enumerate() {
+                this.low[axis] = this.low[axis].min(coordinate);
+                this.high[axis] = this.high[axis].max(coordinate);
             }
         }
         for axis in 0..OF_BODY {

@@ -6,7 +6,7 @@ use calibration::diagnostics::{bulk_ess, r_hat};
 /// Chains that any program can make: a linear congruential generator drives an autoregression.
 fn chains(seed: u64, count: usize, length: usize, memory: f64, shift: f64) -> Vec<Vec<f64>> {
     let mut state = seed;
-    let mut chain = |number: usize| {
+    let chain = |number: usize| {
         let mut x = 0.0;
         let mut one = || {
             state = state
@@ -17,7 +17,7 @@ fn chains(seed: u64, count: usize, length: usize, memory: f64, shift: f64) -> Ve
         };
         (0..length).map(|_| one()).collect()
     };
-    (0..count).map(|number| chain(number)).collect()
+    (0..count).map(chain).collect()
 }
 
 /// Values of arviz-stats 0.8.0, `rhat(method="rank")` and `ess(method="bulk")`, for the same chains.

@@ -210,7 +210,7 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
     let svg = args.out.join("posterior.svg");
     write(&svg, figure.as_bytes())?;
     screen.say(&format!(
-        "seed {}, {} draws; {}\nfiles: {}, {}\norigin of the displacements: {}",
+        "seed {}, {} draws\n{}\nfiles: {}, {}\norigin of the displacements: {}",
         args.seed,
         found.draws.count(),
         tables(&found),
@@ -306,7 +306,7 @@ fn posterior(
 
 fn tables(found: &Fit) -> String {
     format!(
-        "model tabulated with a step of {} mm, off by {:.2} standard deviations of a mean at most",
+        "model tabulated with a step of {} mm, off by {:.2} standard deviations at most",
         found.step_mm, found.table_error
     )
 }
@@ -314,7 +314,7 @@ fn tables(found: &Fit) -> String {
 /// A number in as many digits as a table has room for.
 fn short(value: f64) -> String {
     match value.abs() {
-        none if none == 0.0 => "0".to_owned(),
+        0.0 => "0".to_owned(),
         small if small < 0.01 => format!("{value:.5}"),
         small if small < 1.0 => format!("{value:.3}"),
         small if small < 10.0 => format!("{value:.2}"),
