@@ -177,7 +177,7 @@ pub fn write(model: &Model) -> String {
     write_with(model, None)
 }
 
-/// As [`write`], with the posterior that the model is a sample of.
+/// As [`write()`], with the posterior that the model is a sample of.
 #[must_use]
 pub fn write_with(model: &Model, posterior: Option<&Posterior>) -> String {
     let mut text = format!(

@@ -18,10 +18,10 @@ pub fn csv<T: Serialize>(rows: &[T]) -> Result<Vec<u8>, csv::Error> {
         .map_err(|error| error.into_error().into())
 }
 
-/// As [`csv`], with the origin of the values in a last column of each row.
+/// As [`csv()`], with the origin of the values in a last column of each row.
 ///
 /// # Errors
-/// As [`csv`].
+/// As [`csv()`].
 pub fn csv_of<T: Serialize>(rows: &[T], origin: &str) -> Result<Vec<u8>, csv::Error> {
     let bare = csv(rows)?;
     let mut reader = csv::ReaderBuilder::new()
