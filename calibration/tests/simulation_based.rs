@@ -17,7 +17,7 @@ fn ranks_are_uniform_and_intervals_cover() {
     let judged = judged(SEED, count);
     let chi_squares = chi_squares(&judged);
     let coverage = coverage(&judged[..judged.len().min(200)]);
-    println!(
+    eprintln!(
         "{count} data sets: chi-squares {chi_squares:.1?}; coverage of the first 200 {coverage:?}"
     );
     for chi_square in chi_squares {
