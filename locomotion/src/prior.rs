@@ -35,7 +35,7 @@ pub struct Prior {
     pub because: &'static str,
 }
 
-/// The parameters that the paper's text leaves open, and their ranges [assumed].
+/// The parameters that the paper's text leaves open, and their ranges, all assumed.
 pub const PRIORS: [Prior; 5] = [
     Prior {
         key: "body.coupling",
