@@ -172,6 +172,10 @@ fn effective(chains: &[Vec<f64>]) -> f64 {
         pairs.push(pair);
         next += 2;
     }
+    // Where the chain ends before its correlation does, the last pair is treated as the first that does not count.
+    if next + 2 >= length && pairs.len() > 1 {
+        beyond = pairs.pop().map_or(0.0, |pair| pair.0.max(0.0));
+    }
     // The sums may not rise again: what does is chance.
     let mut time = -1.0 + beyond;
     let mut least = f64::INFINITY;
