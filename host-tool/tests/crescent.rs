@@ -1,23 +1,16 @@
 //! `simulate crescent` as a researcher runs it: its files hold the manual's numbers, name the beam model, and do not
 //! depend on threads; what would do nothing is refused.
 
+mod tool;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use host_tool::cli::run_on;
-use host_tool::connector::Ports;
 use serde_json::Value;
+use tool::retrograde;
 
 const MODEL: &str = "beam model, not validated against a rig";
-
-fn retrograde(args: &[&str]) -> (u8, String, String) {
-    let line = ["retrograde"].iter().chain(args).map(Into::into);
-    let (mut out, mut err) = (vec![], vec![]);
-    let code = run_on(line, &Ports, &mut out, &mut err, false);
-    let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
-    (code, text(out), text(err))
-}
 
 fn crescent(folder: &Path, args: &[&str]) -> String {
     let out = folder.to_str().expect("UTF-8");

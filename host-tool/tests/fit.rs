@@ -1,5 +1,7 @@
 //! `fit` as a researcher runs it: a file of passes becomes a model with its uncertainty, which `simulate` shows.
 
+mod tool;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -8,20 +10,8 @@ use calibration::chance::stream;
 use calibration::observation::Kind;
 use calibration::prior::Values;
 use calibration::synthetic::{Planned, observations};
-use host_tool::cli::run_on;
-use host_tool::connector::Ports;
 use locomotion::model::Model;
-
-fn retrograde(args: &[&str]) -> (u8, String, String) {
-    let line = ["retrograde"].iter().chain(args).map(Into::into);
-    let (mut out, mut err) = (vec![], vec![]);
-    let code = run_on(line, &Ports, &mut out, &mut err, false);
-    (
-        code,
-        String::from_utf8(out).expect("UTF-8"),
-        String::from_utf8(err).expect("UTF-8"),
-    )
-}
+use tool::retrograde;
 
 /// Isolated passes of the default body, with errors from a seed.
 fn passes(path: &Path) {

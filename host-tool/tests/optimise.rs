@@ -1,23 +1,16 @@
 //! `design --optimise` as a researcher runs it: every listed design keeps the limits, none beats another one listed, the
 //! compared design is there, and the seed decides.
 
+mod tool;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use host_tool::cli::run_on;
-use host_tool::connector::Ports;
 use locomotion::beam::crescent::{Shape, Wing};
 use locomotion::kinematics::Design;
 use serde_json::Value;
-
-fn retrograde(args: &[&str]) -> (u8, String, String) {
-    let line = ["retrograde"].iter().chain(args).map(Into::into);
-    let (mut out, mut err) = (vec![], vec![]);
-    let code = run_on(line, &Ports, &mut out, &mut err, false);
-    let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
-    (code, text(out), text(err))
-}
+use tool::retrograde;
 
 fn optimise(folder: &Path, args: &[&str]) -> String {
     let out = folder.to_str().expect("UTF-8");

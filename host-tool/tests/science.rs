@@ -1,30 +1,20 @@
 //! `design` and `simulate` as a researcher runs them: published values, the same bytes on any number of threads,
 //! drawings to scale, refusals.
 
+mod tool;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use assert_cmd::Command;
-use host_tool::cli::run_on;
-use host_tool::connector::Ports;
 use host_tool::science::series::{self, TubeCase};
 use locomotion::comparison::{self, INDENTATIONS_MM, frictions, pressures_pa};
 use locomotion::model::{Model, SETTINGS, Setting};
 use locomotion::range::OutOfRange;
 use locomotion::{roller, tube};
 use serde_json::Value;
-
-fn retrograde(args: &[&str]) -> (u8, String, String) {
-    let line = ["retrograde"].iter().chain(args).map(Into::into);
-    let (mut out, mut err) = (vec![], vec![]);
-    let code = run_on(line, &Ports, &mut out, &mut err, false);
-    (
-        code,
-        String::from_utf8(out).expect("UTF-8"),
-        String::from_utf8(err).expect("UTF-8"),
-    )
-}
+use tool::retrograde;
 
 fn json(args: &[&str]) -> Value {
     let (code, out, err) = retrograde(&[&["--json"], args].concat());
