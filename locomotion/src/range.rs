@@ -59,7 +59,10 @@ pub enum Ends {
 }
 
 /// Refuses `value`, NaN included, unless it lies between `min` and `max`.
-pub(crate) fn check(
+///
+/// # Errors
+/// The value, its range and the reason for it.
+pub fn check(
     quantity: &'static str,
     unit: &'static str,
     value: f64,

@@ -4,7 +4,7 @@
 use locomotion::beam::NoAnswer;
 use locomotion::beam::crescent::{Shape, Wing};
 use locomotion::kinematics::Design;
-use locomotion::range::{Ends, OutOfRange};
+use locomotion::range::{Ends, OutOfRange, check};
 
 /// Angles are printed to two decimals: an alpha this little below the least one keeps it, degrees.
 const PRINTED_DEG: f64 = 0.005;
@@ -52,19 +52,8 @@ impl Limits {
     /// # Errors
     /// The first limit outside its range.
     pub fn check(&self, width_mm: f64) -> Result<(), OutOfRange> {
-        let over = |quantity, unit, value: f64, (min, max), because| {
-            if value > min && value <= max {
-                return Ok(());
-            }
-            Err(OutOfRange {
-                quantity,
-                value,
-                min,
-                max,
-                unit,
-                ends: Ends::OpenBelow,
-                because,
-            })
+        let over = |quantity, unit, value, range, because| {
+            check(quantity, unit, value, range, Ends::OpenBelow, because)
         };
         over(
             "longest structure",
