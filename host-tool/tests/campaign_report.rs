@@ -646,5 +646,5 @@ fn a_calibration_takes_what_counts_and_lists_what_does_not() {
     let text = fs::read_to_string(&trials_csv).expect("a file");
     fs::write(&trials_csv, text.replacen("measured", "Measured", 1)).expect("written");
     let error = trials::read(&path, Some(0.5)).expect_err("changed");
-    assert!(matches!(error, TrialsError::Changed(_)), "{error}");
+    assert!(matches!(error, TrialsError::Changed { .. }), "{error}");
 }

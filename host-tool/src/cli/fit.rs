@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use calibration::fit::{Fit, Settings, fit as calibrate};
 use calibration::observation::{Case, Kind, Observation};
 use calibration::predictive::{Band, Check, SUSPICIOUS, bands, checks};
-use calibration::prior::parts;
-use calibration::prior::{Point, UNKNOWNS, Values, unknowns, with_body};
+use calibration::prior::{Point, UNKNOWNS, Values, parts, unknowns, with_body};
 use clap::Args;
 use locomotion::model::{Model, Setting, Value as Given};
 use serde_json::{Value, json};
@@ -64,10 +63,7 @@ impl From<TrialsError> for Failure {
         let why = error.to_string();
         match error {
             TrialsError::Campaign(error) => error.into(),
-            TrialsError::Changed(findings) => Self::Changed {
-                folder: findings.first().map_or_else(PathBuf::new, |one| (&one.path).into()),
-                findings,
-            },
+            TrialsError::Changed { folder, findings } => Self::Changed { folder, findings },
             TrialsError::Csv { .. } => Self::Input {
                 why,
                 help: "docs/host-tool.md lists the columns; rows are counted from the one after the header"
@@ -92,14 +88,7 @@ struct Read {
 fn read(args: &FitArgs) -> Result<Read, Failure> {
     let mut all: Vec<Trials> = vec![];
     for path in &args.sources {
-        let read = trials::read(path, args.uncertainty_mm).map_err(|error| match error {
-            TrialsError::Changed(findings) => Failure::Changed {
-                folder: path.clone(),
-                findings,
-            },
-            other => other.into(),
-        })?;
-        all.push(read);
+        all.push(trials::read(path, args.uncertainty_mm)?);
     }
     let origin = all.first().map_or(Origin::Unknown, |one| one.origin);
     if let Some(other) = all.iter().find(|one| one.origin != origin) {
@@ -177,7 +166,7 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
         why: format!("no threads: {error}"),
         help: "use fewer: `--threads 1`".to_owned(),
     })?;
-    let (found, checked) = workers.install(|| -> Result<_, Failure> {
+    let (found, bodies, checked) = workers.install(|| -> Result<_, Failure> {
         let found =
             calibrate(&base, &observations, &Settings::full(args.seed)).map_err(|error| {
                 Failure::Input {
@@ -187,10 +176,9 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
             })?;
         let bodies = found.draws.thinned(KEPT);
         let checked = checks(&base, &found.conditions, &bodies, args.seed)?;
-        Ok((found, checked))
+        Ok((found, bodies, checked))
     })?;
-    let bodies = found.draws.thinned(KEPT);
-    let point = nearest(&found, &bodies);
+    let point = nearest(&bodies);
     let posterior = posterior(args, &trials, origin, &found, &bodies, point);
     say_table(&found, screen);
     say_checks(&checked, screen);
@@ -239,7 +227,7 @@ fn with_sample(base: &Model, point: &Point) -> Model {
 }
 
 /// The body nearest to the medians, in coordinates whose prior is standard normal, each by its spread.
-fn nearest(found: &Fit, bodies: &[Point]) -> usize {
+fn nearest(bodies: &[Point]) -> usize {
     let scale: Vec<(f64, f64)> = (0..UNKNOWNS)
         .map(|unknown| {
             let mut all: Vec<f64> = bodies.iter().map(|point| point[unknown]).collect();
@@ -254,7 +242,6 @@ fn nearest(found: &Fit, bodies: &[Point]) -> usize {
             .map(|(z, (middle, span))| ((z - middle) / span).powi(2))
             .sum()
     };
-    debug_assert!(found.draws.count() >= bodies.len());
     (0..bodies.len())
         .min_by(|one, other| far(&bodies[*one]).total_cmp(&far(&bodies[*other])))
         .unwrap_or(0)

@@ -67,8 +67,13 @@ pub enum TrialsError {
     #[error(transparent)]
     Campaign(#[from] CampaignError),
     /// The folder was changed.
-    #[error("the folder of the campaign was changed")]
-    Changed(Vec<Finding>),
+    #[error("{folder} was changed", folder = folder.display())]
+    Changed {
+        /// The folder.
+        folder: PathBuf,
+        /// What was found in it.
+        findings: Vec<Finding>,
+    },
     /// The CSV file cannot be used.
     #[error("{path}: {why}", path = path.display())]
     Csv {
@@ -100,7 +105,10 @@ pub fn read(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsEr
 fn campaign(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsError> {
     let verified = verify(path)?;
     if !verified.findings.is_empty() {
-        return Err(TrialsError::Changed(verified.findings));
+        return Err(TrialsError::Changed {
+            folder: path.to_owned(),
+            findings: verified.findings,
+        });
     }
     let campaign = Campaign::read(path)?;
     let uncertainty_mm =
