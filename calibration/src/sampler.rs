@@ -4,7 +4,8 @@
 //! stretch and differential evolution (ter Braak), as `hammer-and-sample` makes them: they need no tuning, because the
 //! other walkers show scale and direction. Each ensemble begins by itself: points drawn from the prior, weighted by the
 //! likelihood to a small power, then the power is raised to 1 in stages. So a narrow posterior is found from
-//! everywhere, and ensembles that end in different places show in R-hat.
+//! everywhere, and ensembles that end in different places show in R-hat. With a finer table of the same model an ensemble
+//! begins from its own draws with the coarser one.
 
 use hammer_and_sample::{DifferentialEvolution, MinChainLen, Mixture, Serial, Stretch, sample};
 use rayon::prelude::*;
@@ -198,98 +199,105 @@ fn weights(logs: &[f64], power: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Points that an ensemble begins from: draws of the prior, or of what the same ensemble found before.
-fn starts(effort: &Effort, seed: u64, ensemble: usize, before: Option<&Draws>) -> Vec<Point> {
-    let mut random = stream(seed, number(ensemble, START, 0));
-    match before.and_then(|draws| draws.ensembles.get(ensemble)) {
-        Some(found) if !found.is_empty() => (0..effort.starts)
-            .map(|part| found[part * found.len() / effort.starts])
-            .collect(),
-        _ => (0..effort.starts).map(|_| draw(&mut random)).collect(),
-    }
+/// How ensembles come to a posterior.
+struct WarmUp<'a> {
+    target: &'a Target<'a>,
+    effort: &'a Effort,
+    seed: u64,
+    /// What they found with another table of the same model.
+    before: Option<&'a Draws>,
 }
 
-/// Walkers of one ensemble among points, and the power of the likelihood by which they were chosen: the largest at
-/// which as many points as walkers still count.
-fn begin(
-    target: &Target<'_>,
-    effort: &Effort,
-    seed: u64,
-    ensemble: usize,
-    before: Option<&Draws>,
-) -> Option<(Vec<Point>, f64)> {
-    let points = starts(effort, seed, ensemble, before);
-    let mut random = stream(seed, number(ensemble, START, 1));
-    let logs: Vec<f64> = (points.iter())
-        .map(|point| target.log_likelihood(point))
-        .collect();
-    if logs.iter().all(|log| !log.is_finite()) {
-        return None;
+impl WarmUp<'_> {
+    /// Points that an ensemble begins from: draws of the prior, or of what the same ensemble found before.
+    fn starts(&self, ensemble: usize) -> Vec<Point> {
+        let mut random = stream(self.seed, number(ensemble, START, 0));
+        let effort = self.effort;
+        match self.before.and_then(|draws| draws.ensembles.get(ensemble)) {
+            Some(found) if !found.is_empty() => (0..effort.starts)
+                .map(|part| found[part * found.len() / effort.starts])
+                .collect(),
+            _ => (0..effort.starts).map(|_| draw(&mut random)).collect(),
+        }
     }
-    let count = points.len() as f64;
-    let spreads: Point = core::array::from_fn(|axis| {
-        let mean = points.iter().map(|point| point[axis]).sum::<f64>() / count;
-        let square = |point: &Point| (point[axis] - mean).powi(2);
-        (points.iter().map(square).sum::<f64>() / count).sqrt()
-    });
-    let enough = effort.walkers as f64;
-    let (mut low, mut high) = (0.0, 1.0);
-    if worth(&weights(&logs, high)) < enough {
-        for _ in 0..60 {
-            let middle = f64::midpoint(low, high);
-            if worth(&weights(&logs, middle)) < enough {
-                high = middle;
-            } else {
-                low = middle;
+
+    /// Walkers of one ensemble among points, and the power of the likelihood by which they were chosen: the largest at
+    /// which as many points as walkers still count.
+    fn begin(&self, ensemble: usize) -> Option<(Vec<Point>, f64)> {
+        let points = self.starts(ensemble);
+        let mut random = stream(self.seed, number(ensemble, START, 1));
+        let walkers = self.effort.walkers;
+        let logs: Vec<f64> = (points.iter())
+            .map(|point| self.target.log_likelihood(point))
+            .collect();
+        if logs.iter().all(|log| !log.is_finite()) {
+            return None;
+        }
+        let count = points.len() as f64;
+        let spreads: Point = core::array::from_fn(|axis| {
+            let mean = points.iter().map(|point| point[axis]).sum::<f64>() / count;
+            let square = |point: &Point| (point[axis] - mean).powi(2);
+            (points.iter().map(square).sum::<f64>() / count).sqrt()
+        });
+        let enough = walkers as f64;
+        let (mut low, mut high) = (0.0, 1.0);
+        if worth(&weights(&logs, high)) < enough {
+            for _ in 0..60 {
+                let middle = f64::midpoint(low, high);
+                if worth(&weights(&logs, middle)) < enough {
+                    high = middle;
+                } else {
+                    low = middle;
+                }
             }
+        } else {
+            low = 1.0;
         }
-    } else {
-        low = 1.0;
+        let weights = weights(&logs, low);
+        let sum: f64 = weights.iter().sum();
+        let mut chosen = Vec::with_capacity(walkers);
+        let offset = chance::unit(&mut random);
+        let (mut place, mut reached) = (0, weights[0]);
+        for walker in 0..walkers {
+            let wanted = sum * (walker as f64 + offset) / walkers as f64;
+            while reached < wanted && place + 1 < points.len() {
+                place += 1;
+                reached += weights[place];
+            }
+            // Walkers must not stand in one place: moves along differences would not leave it.
+            let mut point = points[place];
+            for (z, spread) in point.iter_mut().zip(spreads) {
+                *z += 0.01 * spread * chance::normal(&mut random);
+            }
+            chosen.push(point);
+        }
+        Some((chosen, low))
     }
-    let weights = weights(&logs, low);
-    let sum: f64 = weights.iter().sum();
-    let mut chosen = Vec::with_capacity(effort.walkers);
-    let offset = chance::unit(&mut random);
-    let (mut place, mut reached) = (0, weights[0]);
-    for walker in 0..effort.walkers {
-        let wanted = sum * (walker as f64 + offset) / effort.walkers as f64;
-        while reached < wanted && place + 1 < points.len() {
-            place += 1;
-            reached += weights[place];
+
+    /// Brings an ensemble to the posterior.
+    fn walkers(&self, ensemble: usize) -> Option<Vec<Point>> {
+        let Self {
+            target,
+            effort,
+            seed,
+            ..
+        } = *self;
+        let (mut walkers, power) = self.begin(ensemble)?;
+        for stage in 1..=effort.stages {
+            let part = stage as f64 / effort.stages as f64;
+            let power = libm::pow(power, 1.0 - part);
+            let at = (ensemble, stage);
+            let (chain, _) = advance(target, power, seed, at, &walkers, effort.stage_steps);
+            walkers = last(&chain, effort.walkers);
         }
-        // Walkers must not stand in one place: moves along differences would not leave it.
-        let mut point = points[place];
-        for (z, spread) in point.iter_mut().zip(spreads) {
-            *z += 0.01 * spread * chance::normal(&mut random);
-        }
-        chosen.push(point);
+        let at = (ensemble, effort.stages + 1);
+        let (chain, _) = advance(target, 1.0, seed, at, &walkers, effort.warm_up);
+        Some(last(&chain, effort.walkers))
     }
-    Some((chosen, low))
 }
 
-/// Brings an ensemble to the posterior.
-fn warm_up(
-    target: &Target<'_>,
-    effort: &Effort,
-    seed: u64,
-    ensemble: usize,
-    before: Option<&Draws>,
-) -> Option<Vec<Point>> {
-    let (mut walkers, power) = begin(target, effort, seed, ensemble, before)?;
-    for stage in 1..=effort.stages {
-        let part = stage as f64 / effort.stages as f64;
-        let power = libm::pow(power, 1.0 - part);
-        let at = (ensemble, stage);
-        let (chain, _) = advance(target, power, seed, at, &walkers, effort.stage_steps);
-        walkers = last(&chain, effort.walkers);
-    }
-    let at = (ensemble, effort.stages + 1);
-    let (chain, _) = advance(target, 1.0, seed, at, &walkers, effort.warm_up);
-    Some(last(&chain, effort.walkers))
-}
-
-/// Samples, from the prior or from where each ensemble was before, until the chains have mixed or the effort is spent; none if no point of the prior has a likelihood. The
-/// result does not depend on the number of threads.
+/// Samples, from the prior or from where each ensemble was before, until the chains have mixed or the effort is spent; none
+/// if no point of the prior has a likelihood. The result does not depend on the number of threads.
 #[must_use]
 pub fn sample_from(
     target: &Target<'_>,
@@ -297,10 +305,15 @@ pub fn sample_from(
     seed: u64,
     before: Option<&Draws>,
 ) -> Option<Draws> {
-    let warm = |ensemble| warm_up(target, effort, seed, ensemble, before);
+    let warm_up = WarmUp {
+        target,
+        effort,
+        seed,
+        before,
+    };
     let mut stand: Vec<Vec<Point>> = (0..effort.ensembles)
         .into_par_iter()
-        .map(warm)
+        .map(|ensemble| warm_up.walkers(ensemble))
         .collect::<Option<_>>()?;
     let mut draws = Draws {
         walkers: effort.walkers,

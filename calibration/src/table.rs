@@ -113,10 +113,13 @@ pub struct Table {
 }
 
 impl Table {
-    /// Of a predictor's cases over a region, with so many nodes for each parameter, at least two.
+    /// Of a predictor's cases over a region, with so many nodes for each parameter.
+    ///
+    /// # Panics
+    /// With fewer than two nodes for a parameter: a table runs from one to the other.
     #[must_use]
     pub fn new(predictor: Predictor, region: Region, nodes: [usize; OF_BODY]) -> Self {
-        let nodes = nodes.map(|count| count.max(2));
+        assert!(nodes.iter().all(|count| *count >= 2), "{nodes:?}");
         let mut found_mm = vec![];
         found_mm.resize_with(nodes.iter().product(), OnceLock::new);
         Self {
