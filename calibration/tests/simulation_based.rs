@@ -3,6 +3,7 @@
 
 mod population;
 
+use calibration::sampler::Effort;
 use population::{chi_squares, coverage, judged};
 
 /// Seed of the data sets.
@@ -13,8 +14,16 @@ const GREATEST: f64 = 41.3;
 #[test]
 fn ranks_are_uniform_and_intervals_cover() {
     let full = std::env::var("RETROGRADE_CAMPAIGN").is_ok_and(|what| what == "full");
-    let count = if full { 500 } else { 60 };
-    let judged = judged(SEED, count);
+    let short = Effort {
+        doublings: 2,
+        ..Effort::FULL
+    };
+    let (count, effort) = if full {
+        (500, Effort::FULL)
+    } else {
+        (60, short)
+    };
+    let judged = judged(SEED, count, effort);
     let chi_squares = chi_squares(&judged);
     let coverage = coverage(&judged[..judged.len().min(200)]);
     eprintln!(
