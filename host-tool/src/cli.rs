@@ -6,6 +6,7 @@ pub mod args;
 mod calculation;
 mod campaign;
 mod commission;
+mod compare;
 pub mod configured;
 mod crescent;
 pub mod design;

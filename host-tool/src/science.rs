@@ -6,6 +6,7 @@
 //! * [`series`]: the paper's series and free sweeps, in parallel, in order.
 //! * [`bands`]: what the bodies that agree with the paper's words do.
 //! * [`model_file`]: a model as people give it, and what it calls itself.
+//! * [`odds`]: how probable it is that the paper's sentences are met.
 //! * [`trials`]: displacements for a calibration, from folders and files.
 //! * [`posterior`]: fitted bodies in a model file.
 //! * [`snapshots`]: wall and body at several moments.
@@ -22,6 +23,7 @@ pub mod crescent;
 pub mod design;
 pub mod drawing;
 pub mod model_file;
+pub mod odds;
 pub mod optimise;
 pub mod posterior;
 pub mod series;

@@ -1,6 +1,7 @@
 //! `design` and `simulate` as a researcher runs them: published values, the same bytes on any number of threads,
 //! drawings to scale, refusals.
 
+mod made_up;
 mod tool;
 
 use std::fs;
@@ -999,15 +1000,117 @@ fn the_snapshots_show_the_runs() {
 
 #[test]
 fn compare_prints_the_table_of_the_manual() {
-    let (code, out, err) = retrograde(&["simulate", "compare"]);
+    let folder = tempfile::tempdir().expect("folder");
+    let out = folder.path().to_str().expect("UTF-8");
+    let (code, said, err) = retrograde(&["simulate", "compare", "--out", out]);
     assert_eq!((code, err.as_str()), (0, ""));
     let manual = include_str!("../../docs/science.md").replace("\r\n", "\n");
-    assert!(manual.contains(&format!("begin -->\n{out}<!-- comparison: end")));
-    let value = json(&["simulate", "compare"]);
+    let (_, rest) = manual
+        .split_once("comparison: begin -->\n")
+        .expect("a table");
+    let (table, _) = rest.split_once("<!-- comparison: end").expect("a table");
+    let rest = said.strip_prefix(table).expect("the table of the manual");
+    let lines: Vec<_> = rest.lines().collect();
+    assert_eq!(lines.len(), 2, "{rest}");
+    for says in [
+        "first 200 of 4000",
+        "seed 2022",
+        "434 on the rig, 165 in the tube",
+        "Wilson",
+    ] {
+        assert!(lines[0].contains(says), "{says}: {rest}");
+    }
+    assert!(lines[1].ends_with("comparison.csv"), "{rest}");
+}
+
+/// What `simulate compare` prints as JSON and leaves as CSV, with few bodies.
+fn compared(folder: &Path, args: &[&str]) -> (Value, Vec<u8>) {
+    let out = folder.to_str().expect("UTF-8");
+    let line = ["simulate", "compare", "--bodies", "20", "--out", out];
+    let value = json(&[&line[..], args].concat());
+    let csv = fs::read(folder.join("comparison.csv")).expect("a table");
+    (value, csv)
+}
+
+/// Text, JSON and CSV say the same shares; the threads change no byte; a posterior is named, and decides its column.
+#[test]
+fn compare_says_how_probable_each_sentence_is() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (plain, bytes) = compared(&folder.path().join("plain"), &["--threads", "1"]);
+    let rows = plain["comparison"].as_array().expect("rows");
+    assert_eq!(rows.len(), comparison::ROWS);
     assert_eq!(
-        value["comparison"].as_array().map(Vec::len),
-        Some(comparison::ROWS)
+        (&plain["bodies"]["prior"], &plain["seed"]),
+        (&20.into(), &2022.into())
     );
+    assert_eq!(plain["posterior"], Value::Null);
+    let (_, again) = compared(&folder.path().join("again"), &["--threads", "3"]);
+    assert!(bytes == again, "the threads change the table");
+    let mut reader = csv::Reader::from_reader(bytes.as_slice());
+    let header = reader.headers().expect("a header").clone();
+    for (record, row) in reader.records().zip(rows) {
+        let record = record.expect("a row");
+        for (name, cell) in header.iter().zip(&record) {
+            let expected = match (name, &row[name]) {
+                ("origin", _) => {
+                    assert!(
+                        cell.contains("20 of 4000") && cell.contains("seed 2022"),
+                        "{cell}"
+                    );
+                    continue;
+                }
+                (_, Value::Null) => String::new(),
+                (_, Value::String(text)) => text.clone(),
+                (_, Value::Number(number)) => {
+                    let (number, cell) = (number.as_f64(), cell.parse::<f64>().ok());
+                    assert_eq!(cell, number, "{name}");
+                    continue;
+                }
+                (_, other) => other.to_string(),
+            };
+            assert_eq!(cell, expected, "{name}: {row}");
+        }
+    }
+    let of = |value: &Value, quantity: &str| -> Value {
+        let rows = value["comparison"].as_array().expect("rows");
+        let found = rows.iter().find(|row| row["quantity"] == quantity);
+        found.unwrap_or_else(|| panic!("{quantity}")).clone()
+    };
+    let sure = of(&plain, "phi at beta = 45 deg less phi");
+    assert_eq!(
+        (&sure["prior_share"], &sure["body_decides"]),
+        (&1.0.into(), &false.into())
+    );
+    assert_eq!(sure["prior_low"], Value::Null);
+
+    let hardly = "greatest share of an antegrade pass, a_1 to a_5";
+    let share = |samples: &[[f64; 4]]| {
+        let file = made_up::posterior(&folder.path().join("made-up.toml"), "", samples);
+        let (value, csv) = compared(&folder.path().join("fitted"), &["--model", &file]);
+        let said = value["posterior"].as_str().expect("named");
+        for says in [
+            "4 bodies of the posterior of 2 displacements",
+            "origin: virtual",
+            "worth 4",
+        ] {
+            assert!(said.contains(says), "{says}: {said}");
+        }
+        assert!(String::from_utf8_lossy(&csv).contains(said));
+        assert_eq!(
+            of(&value, "upward bends of 9")["posterior_share"],
+            Value::Null
+        );
+        assert_eq!(
+            of(&value, hardly)["prior_share"],
+            of(&plain, hardly)["prior_share"]
+        );
+        of(&value, hardly)["posterior_share"]
+            .as_f64()
+            .expect("a share")
+    };
+    let (hooked, slippery) = ([0.15, 40.0, 0.0007, 0.1], [0.15, 1.3, 0.0007, 0.1]);
+    assert_eq!(share(&[hooked, slippery, slippery, slippery]), 0.25);
+    assert_eq!(share(&[hooked, hooked, hooked, slippery]), 0.75);
 }
 
 #[test]

@@ -99,6 +99,23 @@ const ROLLER_STEP_MM: f64 = 0.25;
 const WALL_STEP_MM: f64 = 0.08;
 const PLACEMENTS: u32 = 4;
 
+/// The rig, with the step for many bodies.
+pub(crate) const fn rough_rig(params: roller::Params) -> roller::Params {
+    roller::Params {
+        step_mm: ROLLER_STEP_MM,
+        ..params
+    }
+}
+
+/// The tube, with the steps for many bodies.
+pub(crate) const fn rough_tube(params: tube::Params) -> tube::Params {
+    tube::Params {
+        wall_step_mm: WALL_STEP_MM,
+        placements: PLACEMENTS,
+        ..params
+    }
+}
+
 /// One set of values for [`PRIORS`], in their order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Draw {
@@ -165,8 +182,7 @@ pub fn agrees(words: Words, model: &Model) -> Result<bool, OutOfRange> {
 }
 
 fn agrees_on_rig(model: &Model) -> Result<bool, OutOfRange> {
-    let mut params = model.rig()?;
-    params.step_mm = ROLLER_STEP_MM;
+    let params = rough_rig(model.rig()?);
     // The deepest first: it refuses most.
     for a in INDENTATIONS_MM.into_iter().rev() {
         let pass = roller::isolated_pass(params, a)?;
@@ -185,9 +201,7 @@ fn agrees_on_rig(model: &Model) -> Result<bool, OutOfRange> {
 }
 
 fn agrees_on_tube(model: &Model) -> Result<bool, OutOfRange> {
-    let mut params = model.tube()?;
-    params.wall_step_mm = WALL_STEP_MM;
-    params.placements = PLACEMENTS;
+    let params = rough_tube(model.tube()?);
     let about = |pressure_pa: f64, (low, high): (f64, f64)| -> Result<Option<f64>, OutOfRange> {
         let mm = tube::averaged(params, pressure_pa)?.tail_mm;
         Ok((low..=high).contains(&mm).then_some(mm))

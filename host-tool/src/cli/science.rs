@@ -12,6 +12,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use crate::cli::calculation::Calculation;
+use crate::cli::compare;
 use crate::cli::crescent;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
@@ -112,8 +113,12 @@ pub enum Simulation {
         #[arg(long, value_name = "LIST", allow_hyphen_values = true)]
         indentations_mm: Option<Values>,
     },
-    /// Print the paper's sentences beside the models' values (Markdown).
-    Compare,
+    /// Print the paper's sentences beside the models' values, and how probable it is that each is met (Markdown).
+    Compare {
+        /// Bodies of the prior that are asked, 20 to 4000.
+        #[arg(long, value_name = "N", default_value_t = comparison::BODIES, value_parser = clap::value_parser!(u16).range(20..=4000))]
+        bodies: u16,
+    },
 }
 
 /// Most runs of a sweep.
@@ -134,8 +139,10 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
         return crescent::crescent(&mut work, &args.model, seed, draws);
     }
     let model = args.model.model()?;
-    if matches!(args.what, Simulation::Compare) {
-        return compare(&model, screen);
+    if let Simulation::Compare { bodies } = args.what {
+        let posterior = args.model.posterior()?;
+        let mut work = Calculation::new(&args.out, args.threads, screen)?;
+        return compare::compare(&mut work, &model, posterior.as_ref(), bodies);
     }
     let varied = matches!(
         args.what,
@@ -184,7 +191,7 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
             let indentations = indentations_mm.as_ref().map_or(&[][..], |list| &list.0);
             session.sweep_roller(&frictions.0, indentations)?;
         }
-        Simulation::Crescent { .. } | Simulation::Compare => {} // returned above
+        Simulation::Crescent { .. } | Simulation::Compare { .. } => {} // returned above
     }
     session.csv("parameters.csv", &table::parameters(&model))?;
     let text = model_file::write_with(&model, session.posterior.as_ref());
@@ -197,36 +204,6 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
         "series": session.series,
         "files": files,
     }))
-}
-
-fn compare(model: &Model, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let rows = comparison::rows(model)?;
-    if !screen.json {
-        let text = comparison::Table(&rows).to_string();
-        screen
-            .out
-            .write_all(text.as_bytes())
-            .map_err(|io| Failure::File {
-                path: "standard output".into(),
-                io,
-            })?;
-    }
-    let rows: Vec<_> = rows
-        .iter()
-        .map(|row| {
-            json!({
-                "section": row.section,
-                "sentence": row.sentence,
-                "quantity": row.quantity,
-                "paper": row.paper,
-                "model": row.model,
-                "unit": row.unit,
-                "worth": row.evidence.to_string(),
-                "remark": row.remark,
-            })
-        })
-        .collect();
-    Ok(json!({ "origin": model_file::origin(model), "comparison": rows }))
 }
 
 impl Session<'_, '_> {

@@ -182,9 +182,15 @@ impl Posterior {
         &self.parameters[..OF_BODY]
     }
 
-    /// What it is, in a sentence.
+    /// What a band of it is, in a sentence.
     #[must_use]
     pub fn meaning(&self) -> String {
+        format!("5 to 95 % of {}", self.what())
+    }
+
+    /// What its bodies are, for a sentence.
+    #[must_use]
+    pub fn what(&self) -> String {
         let trials: usize = self.source.iter().map(|source| source.used.len()).sum();
         let doubt = if self.reliable {
             ""
@@ -192,7 +198,7 @@ impl Posterior {
             "; NOT RELIABLE: its chains had not mixed, or its tables were too coarse"
         };
         format!(
-            "5 to 95 % of {} bodies of the posterior of {trials} displacements; their origin: {}{doubt}",
+            "{} bodies of the posterior of {trials} displacements; their origin: {}{doubt}",
             self.samples.len(),
             self.origin.meaning()
         )
