@@ -1,6 +1,7 @@
 //! `design --optimise` as a researcher runs it: every listed design keeps the limits, none beats another one listed, the
 //! compared design is there, and the seed decides.
 
+mod made_up;
 mod tool;
 
 use std::fs;
@@ -32,8 +33,10 @@ struct Row {
     spacing_mm: f64,
     force_n: f64,
     displacement_mm: f64,
-    prior_5_mm: f64,
-    prior_95_mm: f64,
+    prior_5_mm: Option<f64>,
+    prior_95_mm: Option<f64>,
+    posterior_5_mm: Option<f64>,
+    posterior_95_mm: Option<f64>,
     beats: Option<f64>,
     dominated_by: usize,
     breaks: String,
@@ -218,7 +221,10 @@ fn no_listed_design_is_dominated_by_another() {
         assert!(!front.iter().any(|other| dominates(other, row)), "{row:?}");
         assert!(row.displacement_mm > 0.05, "it goes somewhere: {row:?}");
         assert_eq!(row.dominated_by, usize::from(dominates(own, row)));
-        assert!(row.prior_5_mm < row.displacement_mm && row.displacement_mm < row.prior_95_mm);
+        assert!(
+            row.prior_5_mm < Some(row.displacement_mm)
+                && Some(row.displacement_mm) < row.prior_95_mm
+        );
     }
     let over_it = front.iter().filter(|other| dominates(other, own)).count();
     assert_eq!(own.dominated_by, over_it);
@@ -302,6 +308,90 @@ fn the_seed_decides_and_the_threads_do_not() {
     };
     let (one, two) = (farthest(&first), farthest(&second));
     assert!((one - two).abs() < 0.1 * one, "{one} {two}");
+}
+
+/// Bodies of a posterior take the place of the prior's, and everything that is written says so.
+#[test]
+fn a_posterior_judges_the_designs() {
+    let folder = tempfile::tempdir().expect("folder");
+    let coarse = "[design]\nalpha_deg = 12.53\nbeta_deg = 33.69\n[rig]\nstep_mm = 0.5\n";
+    let run = |name: &str, samples: &[[f64; 4]], args: &[&str]| {
+        let out = folder.path().join(name);
+        let file = made_up::posterior(&folder.path().join("made-up.toml"), coarse, samples);
+        let text = optimise(&out, &[&["--model", &*file], args].concat());
+        let read = |file: &str| fs::read(out.join(file)).expect("written");
+        (text, read("optimise.csv"), read("optimise.svg"), rows(&out))
+    };
+    let hooked = [[0.1, 100.0, 0.0005, 0.1], [0.12, 60.0, 0.0007, 0.1]];
+    let loose = [
+        [0.1, 100.0, 0.0005, 0.1],
+        [0.8, 100.0, 0.0005, 0.1],
+        [0.9, 60.0, 0.0007, 0.1],
+    ];
+    let (text, csv, svg, all) = run("1", &hooked, &["--threads", "1"]);
+    let (_, csv_7, svg_7, _) = run("7", &hooked, &["--threads", "7"]);
+    assert!(
+        (&csv, &svg) == (&csv_7, &svg_7),
+        "the threads change a byte"
+    );
+
+    let says = "2 bodies of the posterior of 2 displacements; their origin: virtual";
+    assert!(
+        text.contains(says) && text.contains("posterior band/mm"),
+        "{text}"
+    );
+    assert!(!text.contains("434"), "{text}");
+    let svg = String::from_utf8(svg).expect("UTF-8");
+    for part in [
+        says,
+        "model fitted to trials of origin virtual",
+        "of the posterior's bodies",
+    ] {
+        let escaped = part.replace('\'', "&apos;");
+        assert!(svg.contains(part) || svg.contains(&escaped), "{part}");
+    }
+    for row in &all {
+        assert!(row.origin.contains(says), "{}", row.origin);
+        assert_eq!((row.prior_5_mm, row.prior_95_mm), (None, None));
+        let (low, high) = (
+            row.posterior_5_mm.expect("a band"),
+            row.posterior_95_mm.expect("a band"),
+        );
+        assert!(low <= row.displacement_mm && row.displacement_mm <= high);
+        // How sure the ranking is, is a share of two bodies.
+        let share = row.beats.unwrap_or(0.0);
+        assert!([0.0, 0.5, 1.0].contains(&share), "{share}");
+    }
+
+    let (_, _, _, others) = run("loose", &loose, &[]);
+    let (own, other) = (split(&all).1, split(&others).1);
+    assert!(
+        (own.displacement_mm - other.displacement_mm).abs() > 0.5,
+        "{own:?} {other:?}"
+    );
+    assert_ne!(
+        csv,
+        fs::read(folder.path().join("loose/optimise.csv")).expect("written")
+    );
+
+    let out = folder.path().join("json");
+    let file = folder.path().join("made-up.toml");
+    let line = [
+        "--json",
+        "design",
+        "--optimise",
+        "--tries=100",
+        "--model",
+        file.to_str().expect("UTF-8"),
+        "--out",
+        out.to_str().expect("UTF-8"),
+    ];
+    let (code, text, err) = retrograde(&line);
+    assert_eq!(code, 0, "{err}");
+    let value: Value = serde_json::from_str(&text).expect("one object");
+    let origin = value["origin"].as_str().expect("named");
+    assert!(origin.contains("3 bodies of the posterior"), "{origin}");
+    assert!(value["designs"][0]["posterior_5_mm"].is_number(), "{value}");
 }
 
 /// Per crescent other designs win, and the number is that of one crescent.

@@ -36,7 +36,7 @@ pub struct DesignArgs {
     /// Number m of crescents, 1 to 32; 9 by default.
     #[arg(long, value_name = "M", value_parser = clap::value_parser!(u8).range(1..=32))]
     pub crescents: Option<u8>,
-    /// A file of parameters as `simulate` writes it, model.toml: its design, where no option says otherwise.
+    /// A file of parameters as `simulate` writes it, model.toml: its design, where no option says otherwise. With --optimise also its bodies: those of its posterior if `fit` wrote it.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Indentation a of the drawings in mm, 0 to (W-c)/2; by default 5.05, or (W-c)/4 if the design is too narrow.
@@ -119,9 +119,18 @@ fn asked(args: &DesignArgs) -> Result<Design<f64>, Failure> {
 pub(crate) fn design(args: &DesignArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let design = asked(args)?;
     if args.search.optimise {
-        let model = ModelArgs::of_file(args.model.clone()).model()?;
+        let file = ModelArgs::of_file(args.model.clone());
+        let model = file.model()?;
+        let posterior = file.posterior()?;
         let (a, least) = (args.indentation_mm, args.least_alpha_deg);
-        return optimise(&args.search, &model, design, a, least, screen);
+        return optimise(
+            &args.search,
+            (&model, posterior.as_ref()),
+            design,
+            a,
+            least,
+            screen,
+        );
     }
     let report = design::report(&design, args.indentation_mm, args.least_alpha_deg)?;
     screen.say(&design_text(&report));

@@ -19,6 +19,7 @@ use crate::science::optimise::bodies::{Bodies, Care, Per};
 use crate::science::optimise::limits::Limits;
 use crate::science::optimise::search::{self, FREE, Proposal};
 use crate::science::optimise::{self, Row};
+use crate::science::posterior::Posterior;
 use crate::science::{charts, model_file};
 
 /// What the displacement is counted for.
@@ -124,7 +125,7 @@ const REACH: (f64, f64) = (0.25, 0.01);
 /// Searches, and writes what it found.
 pub(crate) fn optimise(
     args: &OptimiseArgs,
-    model: &Model,
+    (model, posterior): (&Model, Option<&Posterior>),
     design: Design<f64>,
     indentation_mm: Option<f64>,
     least_alpha_deg: Option<f64>,
@@ -146,7 +147,10 @@ pub(crate) fn optimise(
         Goal::Wave => Per::Wave,
         Goal::Crescent => Per::Crescent,
     };
-    let bodies = Bodies::of_prior(model)?;
+    let bodies = match posterior {
+        Some(posterior) => Bodies::of_posterior(model, posterior)?,
+        None => Bodies::of_prior(model)?,
+    };
     let mut work = Calculation::new(&args.out, args.threads, screen)?;
     // The compared design first: what the model does not cover there is refused before the search.
     let name = if design == Design::paper_printed() {
@@ -171,23 +175,33 @@ pub(crate) fn optimise(
         Row::of("front", proposal, &limits, needs, &bodies, per)
     })?;
     let rows = optimise::ranked(candidates, own);
+    let which = match posterior {
+        Some(posterior) => posterior.what(),
+        None => format!(
+            "{} bodies that agree with the words on the rig",
+            bodies.count()
+        ),
+    };
     let origin = format!(
-        "{}, {} bodies that agree with the words on the rig; force: {}",
-        model_file::short_origin(model),
-        bodies.count(),
+        "{}, {which}; force: {}",
+        model_file::short_origin_with(model, posterior),
         Validation::NotAgainstARig
     );
-    let verdict = verdict(&rows, per);
+    let verdict = verdict(&rows, per, bodies.fitted());
     say(&mut work, &rows, &verdict, &origin, &limits);
     work.csv("optimise.csv", &rows, &origin)?;
-    let figure = ModelName {
-        short: format!(
+    let short = match posterior {
+        Some(posterior) => model_file::fitted_name(posterior).short,
+        None => format!(
             "model: {} bodies that fit the words, no measurement",
             bodies.count()
         ),
+    };
+    let figure = ModelName {
+        short,
         full: format!(
             "{}; {origin}; seed {}, {} tries; {verdict}",
-            model_file::origin(model),
+            model_file::origin_with(model, posterior),
             args.seed,
             args.tries
         ),
@@ -316,7 +330,7 @@ fn nothing(tried: u32, broken: &BTreeMap<&'static str, u32>) -> Failure {
 }
 
 /// How the compared design stands to the front, in a sentence.
-fn verdict(rows: &[Row], per: Per) -> String {
+fn verdict(rows: &[Row], per: Per, fitted: bool) -> String {
     let Some((own, front)) = rows.split_last() else {
         return String::new();
     };
@@ -332,13 +346,18 @@ fn verdict(rows: &[Row], per: Per) -> String {
     match optimise::instead_of(front, own) {
         Some(row) if own.dominated_by > 0 => format!(
             "{breaks}no longer than {name} and no less far: {} of {} designs; the farthest of them goes {:.2} instead of \
-             {:.2} mm {}, farther with {:.0} % of the bodies",
+             {:.2} mm {}, farther with {:.0} % of the {}",
             own.dominated_by,
             front.len(),
             row.displacement_mm,
             own.displacement_mm,
             per.text(),
             100.0 * row.share_beating(own),
+            if fitted {
+                "posterior's bodies"
+            } else {
+                "bodies"
+            },
         ),
         _ => format!(
             "{breaks}none of the {} designs is as short as {name} and goes as far",
@@ -348,9 +367,16 @@ fn verdict(rows: &[Row], per: Per) -> String {
 }
 
 fn say(work: &mut Calculation<'_, '_>, rows: &[Row], verdict: &str, origin: &str, limits: &Limits) {
+    let fitted = rows.iter().any(|row| row.posterior_5_mm.is_some());
+    let band = if fitted {
+        "posterior band/mm"
+    } else {
+        "prior band/mm"
+    };
+    let width = band.len();
     work.screen.say(&format!(
         "designs at a = {} mm, folded to {} mm: {origin}\n  \
-         design  alpha/deg  beta/deg   c/W   m  length/mm  thread/mm  folded psi/mm  force/N  displacement/mm  prior band/mm  farther in  at bound",
+         design  alpha/deg  beta/deg   c/W   m  length/mm  thread/mm  folded psi/mm  force/N  displacement/mm  {band}  farther in  at bound",
         limits.indentation_mm, limits.folded_width_mm
     ));
     for row in rows {
@@ -358,7 +384,7 @@ fn say(work: &mut Calculation<'_, '_>, rows: &[Row], verdict: &str, origin: &str
             .beats
             .map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
         work.screen.say(&format!(
-            "  {:<6} {:>10.2} {:>9.2} {:>5.3} {:>3} {:>10.2} {:>10.2} {:>14.2} {:>8.2} {:>16.2}  {:>13} {beats:>11}  {}",
+            "  {:<6} {:>10.2} {:>9.2} {:>5.3} {:>3} {:>10.2} {:>10.2} {:>14.2} {:>8.2} {:>16.2}  {:>width$} {beats:>11}  {}",
             row.design,
             row.alpha_deg,
             row.beta_deg,
@@ -369,7 +395,10 @@ fn say(work: &mut Calculation<'_, '_>, rows: &[Row], verdict: &str, origin: &str
             row.spacing_mm,
             row.force_n,
             row.displacement_mm,
-            format!("{:.2} to {:.2}", row.prior_5_mm, row.prior_95_mm),
+            match row.band_mm() {
+                (Some(low), Some(high)) => format!("{low:.2} to {high:.2}"),
+                _ => "-".to_owned(),
+            },
             row.at_bound,
         ));
     }

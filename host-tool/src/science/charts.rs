@@ -525,11 +525,16 @@ pub fn designs(model: ModelName, per: Per, rows: &[Row]) -> Result<String, Figur
         return figure(&Heading::of_model("Designs", model), vec![]);
     };
     let bands = rows.iter().flat_map(|row| {
-        [
-            (row.length_mm, row.prior_5_mm),
-            (row.length_mm, row.prior_95_mm),
-        ]
+        let (low, high) = row.band_mm();
+        low.zip(high).map_or(vec![], |(low, high)| {
+            vec![(row.length_mm, low), (row.length_mm, high)]
+        })
     });
+    let band_name = if own.posterior_5_mm.is_some() {
+        "5 to 95 % of the posterior's bodies (model)"
+    } else {
+        "5 to 95 % of the bodies (model)"
+    };
     let own_place = vec![(own.length_mm, own.displacement_mm)];
     let own_name = match own.design {
         "paper" => "the paper's design",
@@ -552,12 +557,7 @@ pub fn designs(model: ModelName, per: Per, rows: &[Row]) -> Result<String, Figur
                 "overall length / mm",
                 "displacement / mm",
                 vec![
-                    curve(
-                        "5 to 95 % of the bodies (model)",
-                        BAND,
-                        Mark::Segments(2),
-                        bands.collect(),
-                    ),
+                    curve(band_name, BAND, Mark::Segments(2), bands.collect()),
                     curve(
                         "no other is shorter and farther (model)",
                         MODEL,

@@ -41,10 +41,14 @@ pub struct Row {
     pub force_n: f64,
     /// Mean displacement over bodies and places, mm, + headward.
     pub displacement_mm: f64,
-    /// 5 % of the bodies go less far, mm.
-    pub prior_5_mm: f64,
-    /// 95 % of the bodies go less far, mm.
-    pub prior_95_mm: f64,
+    /// 5 % of the bodies that agree with the words go less far, mm.
+    pub prior_5_mm: Option<f64>,
+    /// 95 % of them go less far, mm.
+    pub prior_95_mm: Option<f64>,
+    /// The same of the bodies of a posterior, in place of the prior's.
+    pub posterior_5_mm: Option<f64>,
+    /// 95 % of them go less far, mm.
+    pub posterior_95_mm: Option<f64>,
     /// Share of the bodies with which it goes farther than the design that it is compared with; none for that one.
     pub beats: Option<f64>,
     /// How many of the listed designs are no longer and go no less far.
@@ -75,6 +79,7 @@ impl Row {
         let each_mm = bodies.displacements_mm(design, limits.indentation_mm, per, Care::Listed)?;
         let mut sorted = each_mm.clone();
         let band = locomotion::prior::Band::of(&mut sorted);
+        let of = |fitted: bool| band.filter(|_| bodies.fitted() == fitted);
         Ok(Self {
             design: name,
             alpha_deg: design.tan_alpha().atan().to_degrees(),
@@ -86,14 +91,25 @@ impl Row {
             spacing_mm: needs.spacing_mm,
             force_n: needs.force_n,
             displacement_mm: mean(&each_mm),
-            prior_5_mm: band.map_or(f64::NAN, |band| band.low),
-            prior_95_mm: band.map_or(f64::NAN, |band| band.high),
+            prior_5_mm: of(false).map(|band| band.low),
+            prior_95_mm: of(false).map(|band| band.high),
+            posterior_5_mm: of(true).map(|band| band.low),
+            posterior_95_mm: of(true).map(|band| band.high),
             beats: None,
             dominated_by: 0,
             breaks: limits.broken(design, &needs).join(", "),
             at_bound: proposal.at_bound.join(", "),
             each_mm,
         })
+    }
+
+    /// What the bodies span, mm: of the prior or of a posterior.
+    #[must_use]
+    pub fn band_mm(&self) -> (Option<f64>, Option<f64>) {
+        (
+            self.prior_5_mm.or(self.posterior_5_mm),
+            self.prior_95_mm.or(self.posterior_95_mm),
+        )
     }
 
     /// Share of the bodies with which this design goes farther than the other one.

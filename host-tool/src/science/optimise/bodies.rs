@@ -7,6 +7,8 @@ use locomotion::prior::{Words, agreeing};
 use locomotion::range::OutOfRange;
 use locomotion::roller;
 
+use crate::science::posterior::Posterior;
+
 /// Places follow each other by this part of a spacing, the golden section: any number of them covers it evenly.
 const PLACES: f64 = 0.618_033_988_749_894_9;
 
@@ -33,25 +35,32 @@ impl Per {
 /// How exactly a design is judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Care {
-    /// While it is searched: with one body in nine and a coarse step. All designs come out 0.7 % too far.
+    /// While it is searched: with about [`SEARCHED`] of the bodies and a coarse step. All designs come out 0.7 % too far.
     Searched,
     /// For the table: with all bodies; the step changes no mean by 0.03 mm.
     Listed,
 }
 
 impl Care {
-    /// Every so many bodies, and the step of the roller, mm.
-    const fn effort(self) -> (usize, f64) {
+    /// Every so many of `count` bodies, and the step of the roller, mm.
+    fn effort(self, count: usize) -> (usize, f64) {
         match self {
-            Self::Searched => (9, 0.25),
+            Self::Searched => ((count / SEARCHED).max(1), 0.25),
             Self::Listed => (1, 0.1),
         }
     }
 }
 
+/// With so many bodies, or all if there are fewer, a design is judged while it is searched.
+const SEARCHED: usize = 48;
+
 /// Bodies, as they are on the rig.
 #[derive(Clone, Debug)]
-pub struct Bodies(Vec<roller::Params>);
+pub struct Bodies {
+    params: Vec<roller::Params>,
+    /// They are of a posterior, not of the prior.
+    fitted: bool,
+}
 
 impl Bodies {
     /// The bodies that agree with the paper's words on the rig, otherwise as the model.
@@ -62,13 +71,34 @@ impl Bodies {
         let bodies: Result<_, _> = agreeing(Words::Rig)
             .map(|draw| draw.apply(model).rig())
             .collect();
-        bodies.map(Self)
+        Ok(Self {
+            params: bodies?,
+            fitted: false,
+        })
+    }
+
+    /// The bodies of a posterior, otherwise as the model.
+    ///
+    /// # Errors
+    /// A model with a value outside its range.
+    pub fn of_posterior(model: &Model, posterior: &Posterior) -> Result<Self, OutOfRange> {
+        let bodies: Result<_, _> = posterior.bodies(model).iter().map(Model::rig).collect();
+        Ok(Self {
+            params: bodies?,
+            fitted: true,
+        })
     }
 
     /// How many.
     #[must_use]
     pub fn count(&self) -> usize {
-        self.0.len()
+        self.params.len()
+    }
+
+    /// Whether they are of a posterior.
+    #[must_use]
+    pub fn fitted(&self) -> bool {
+        self.fitted
     }
 
     /// Displacement of a design by one wave from head to tail and back, mm, + headward, with each body. The wave begins and
@@ -88,8 +118,8 @@ impl Bodies {
             Per::Crescent => 1.0 / f64::from(design.crescents()),
         };
         let length_mm = design.length_mm(0.0)?;
-        let (stride, step_mm) = care.effort();
-        self.0
+        let (stride, step_mm) = care.effort(self.count());
+        self.params
             .iter()
             .enumerate()
             .step_by(stride)
@@ -124,12 +154,12 @@ mod tests {
         let searched = bodies
             .displacements_mm(&design, 5.05, Per::Wave, Care::Searched)
             .expect("the paper's design");
-        bodies.0 = bodies.0.into_iter().step_by(9).collect();
+        bodies.params = bodies.params.into_iter().step_by(9).collect();
         let listed = bodies
             .displacements_mm(&design, 5.05, Per::Wave, Care::Listed)
             .expect("the paper's design");
         let fine: Vec<f64> = bodies
-            .0
+            .params
             .iter()
             .map(|body| {
                 let mut params = *body;
