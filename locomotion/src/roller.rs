@@ -74,6 +74,18 @@ impl UnfoldedBody {
     /// # Errors
     /// The first parameter outside its range; an indentation outside `0..=h`.
     pub fn new(params: Params, indentation_mm: f64) -> Result<Self, OutOfRange> {
+        Self::laid_in(params, indentation_mm, 0.0)
+    }
+
+    /// The body laid in at its place, with the carriage at `carriage_mm`: for a pass that begins at the far end.
+    ///
+    /// # Errors
+    /// As [`UnfoldedBody::new`]; a carriage that is not within the stroke.
+    pub fn laid_in(
+        params: Params,
+        indentation_mm: f64,
+        carriage_mm: f64,
+    ) -> Result<Self, OutOfRange> {
         check(
             "stroke",
             "mm",
@@ -106,13 +118,22 @@ impl UnfoldedBody {
             Ends::Closed,
             "the wall moves inward, and at a = h it reaches the core",
         )?;
+        check(
+            "carriage position",
+            "mm",
+            carriage_mm,
+            (0.0, params.stroke_mm),
+            Ends::Closed,
+            "a body is laid in while the rollers stand within their stroke",
+        )?;
         let mut body = Self {
             params,
             indentation_mm,
             chain: Chain::new(params.body)?,
             at: 0,
         };
-        body.evaluate(0)?;
+        // At most 1000 mm in steps of 0.001 mm.
+        body.evaluate(libm::round(carriage_mm / params.step_mm) as i32)?;
         Ok(body)
     }
 
