@@ -103,13 +103,21 @@ def expected(campaign):
     for trial in campaign.trials:
         number = trial["trial"]
         records = campaign.records(number)
-        run = next((record for record in records if record.kind == "run"), None)
+        run = campaign.run(number)
         folder = campaign.attempt_folder(number)
         inside = "" if folder is None else folder.relative_to(campaign.folder).as_posix() + "/"
         whole = inside and not any(name.startswith(inside) for name in changed)
         trial = dict(trial, counts=bool(trial["standing"] == "done" and run and whole))
         facts = {"indentation_mm": trial["indentation_mm"], "displacement_mm": trial["displacement_mm"]}
-        if run and run.sidecar["action"]["executed"]:
+        facts.update({f"stroke/{at}": mm for at, mm in enumerate(trial["strokes_mm"], 1)})
+        if run and run.kind == "move":
+            accepted = run.sidecar["action"]["accepted"]
+            facts.update(
+                planned_steps=accepted and abs(accepted["to_steps"] - accepted["from_steps"]),
+                samples=len(run.telemetry),
+                lost_samples=sum(row["missed"] for row in run.telemetry),
+            )
+        elif run and run.sidecar["action"]["executed"]:
             action = run.sidecar["action"]
             done = action["executed"]
             facts.update(

@@ -98,6 +98,10 @@ fn look(sidecar: &Path) {
             let (samples, _) = check::read::<RigSample>(sidecar, &trial);
             drop(check::run(&trial, &samples));
         }
+        Action::Move { .. } => {
+            let (samples, _) = check::read::<RigSample>(sidecar, &trial);
+            drop(check::movement(&trial, &samples));
+        }
         Action::Actuation { .. } => {
             let (samples, _) = check::read::<CapsuleSample>(sidecar, &trial);
             drop(check::actuation(&trial, &samples));

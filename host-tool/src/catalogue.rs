@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use crate::campaign::folder::{Campaign, ORDER, PLAN};
 use crate::campaign::ledger::{Outcome, Standing, TrialState};
+use crate::campaign::order::doing;
 use crate::campaign::verify;
 use crate::identity::Origin;
 use crate::report;
@@ -196,7 +197,7 @@ impl Catalogue {
                         attempt.number,
                         planned.lubrication.name(),
                         planned.indentation,
-                        planned.shape.name(),
+                        doing(planned.purpose, planned.shape),
                         displacement.unwrap_or_default(),
                         match state.standing() {
                             Standing::Excluded => ", excluded",

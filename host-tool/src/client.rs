@@ -13,7 +13,10 @@ use protocol::capsule::{
 };
 use protocol::client::{Client, Output, Poll};
 use protocol::error::{Refusal, WireError};
-use protocol::rig::{self, HomeAccepted, RigEvent, RigState, RigStatus, RunAccepted, RunRecord};
+use protocol::rig::{
+    self, HomeAccepted, MoveAccepted, RigEvent, RigState, RigStatus, RunAccepted, RunOutcome,
+    RunRecord,
+};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{
     Acknowledge, DeviceKind, Event, Events, GetEvents, GetLastWords, Identity, KeepAlive,
@@ -75,6 +78,8 @@ pub enum Begun {
     Run(RunAccepted),
     /// Referencing, folding or unfolding.
     Actuation(ActuationAccepted),
+    /// A move to a position.
+    Move(MoveAccepted),
 }
 
 /// How far an action has come.
@@ -89,7 +94,7 @@ pub enum Progress {
         /// Position, um; meaningful only if the rig was homed before.
         position_um: i32,
     },
-    /// A run.
+    /// A run; a move is one stroke.
     Run {
         /// Into the run, us, without the time it was held; at most `total_us`, although a hold and a resume make the
         /// run a little longer.
@@ -766,6 +771,46 @@ impl Device {
             })
         })?;
         self.run_record()
+    }
+
+    /// Waits until a move ends, however it ends, and returns how it did and the rig's status then.
+    ///
+    /// # Errors
+    /// [`ClientError::Overdue`], or as [`Device::call`].
+    pub fn wait_move(
+        &mut self,
+        accepted: &MoveAccepted,
+        observer: &mut dyn Observer,
+    ) -> Result<(RunOutcome, RigStatus), ClientError> {
+        observer.begun(&Begun::Move(*accepted));
+        let begun_us = self.now_us();
+        let total_us = accepted.stroke.duration_ticks.div_ceil(100);
+        let mut link_lost = false;
+        self.wait("the move", total_us, observer, |device, event, observer| {
+            link_lost |= event.is_some_and(|event| event.what == What::LinkLost);
+            // Events only hasten the look: an older one may still be in transit.
+            let status = device.rig_status()?;
+            observer.progress(&Progress::Run {
+                elapsed_us: (device.now_us() - begun_us).min(total_us),
+                total_us,
+                stroke: 0,
+                strokes: 1,
+                position_um: status.position_um,
+                held: false,
+            });
+            Ok(!matches!(
+                status.state,
+                RigState::Moving | RigState::Stopping
+            ))
+        })?;
+        let status = self.rig_status()?;
+        let outcome = match status.fault {
+            Some(fault) => RunOutcome::Faulted(fault),
+            None if status.position_steps == accepted.to_steps => RunOutcome::Complete,
+            None if link_lost => RunOutcome::LinkLost,
+            None => RunOutcome::Stopped,
+        };
+        Ok((outcome, status))
     }
 
     /// Waits for the end of a move or a stop and returns the rig's status. Does not wait for the end of a run.

@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use miette::Diagnostic;
 use protocol::capsule::{ActuationKind, ActuationRecord, Calibrate, CheckFolded, FoldTo};
 use protocol::error::Refusal;
-use protocol::rig::{LinkLossPolicy, Run, RunAccepted, RunRecord, RunTiming};
+use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunAccepted, RunRecord, RunTiming};
 use protocol::system::{DeviceKind, Event, Identity};
 use protocol::table::Telemetry;
 
@@ -15,7 +15,7 @@ use crate::decimal;
 use crate::diagnosis::Sign;
 use crate::error::ClientError;
 use crate::identity::IdentityRecord;
-use crate::trial::{Action, Ending, RecordError, Recorder, Recording, Screw, Status, Trial};
+use crate::trial::{Action, Ending, Moved, RecordError, Recorder, Recording, Screw, Status, Trial};
 
 /// The paper's run: 5 cycles of 130 mm in 40 s.
 pub const PAPER_RUN: Run = Run {
@@ -95,6 +95,21 @@ pub struct RunTrial {
     pub sidecar: PathBuf,
 }
 
+/// A recorded move.
+#[derive(Clone, Debug)]
+pub struct MoveTrial {
+    /// As planned by the rig.
+    pub accepted: MoveAccepted,
+    /// As it ended.
+    pub moved: Moved,
+    /// Contents of the sidecar.
+    pub trial: Trial,
+    /// Path of the telemetry.
+    pub csv: PathBuf,
+    /// Path of the sidecar.
+    pub sidecar: PathBuf,
+}
+
 /// A recorded actuation.
 #[derive(Clone, Debug)]
 pub struct ActuationTrial {
@@ -146,6 +161,59 @@ pub fn run(
     Ok(RunTrial {
         accepted,
         record,
+        trial,
+        csv,
+        sidecar,
+    })
+}
+
+/// Moves the carriage once and records it, however it ends.
+///
+/// # Errors
+/// The rig refused or was lost, or the record could not be written. Both files exist before anything moves.
+pub fn move_to(
+    rig: &mut Device,
+    requested: MoveTo,
+    recording: &Recording,
+    observer: &mut dyn Observer,
+) -> Result<MoveTrial, ExperimentError> {
+    let device = IdentityRecord::new(&identity(rig, DeviceKind::Rig)?, &rig.place());
+    let action = Action::Move {
+        screw: Screw::from(&rig.rig_status()?),
+        requested,
+        accepted: None,
+        moved: None,
+    };
+    let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
+    let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    let outcome = (|| {
+        rig.set_telemetry(recording.telemetry_ms)?;
+        // What a move before this one has left is not of this one.
+        rig.take_telemetry();
+        rig.take_events()?;
+        let accepted = rig.call(requested)?;
+        let (outcome, status) = rig.wait_move(
+            &accepted,
+            &mut Recorded {
+                recorder: &mut recorder,
+                observer,
+            },
+        )?;
+        let position_steps = status.position_steps;
+        Ok((
+            accepted,
+            Moved {
+                outcome,
+                position_steps,
+            },
+        ))
+    })();
+    let (trial, (accepted, moved)) = end(rig, recorder, observer, outcome, |(_, moved)| {
+        Ending::Move(*moved)
+    })?;
+    Ok(MoveTrial {
+        accepted,
+        moved,
         trial,
         csv,
         sidecar,
@@ -308,6 +376,10 @@ fn verdict(ending: &Ending) -> String {
             record.outcome,
             decimal::fixed(record.thread_um.into(), 3),
             decimal::fixed(record.duration_ms.into(), 3)
+        ),
+        Ending::Move(moved) => format!(
+            "the move ended as {:?} at {} steps",
+            moved.outcome, moved.position_steps
         ),
         Ending::Lost(why) => why.clone(),
     }

@@ -61,6 +61,14 @@ pub fn check(run: &Run) -> Result<(), RunError> {
     }
 }
 
+/// The greatest speed of a stroke, um/s, as the reference rig would solve the run; none if it cannot.
+#[must_use]
+pub fn peak_um_s(run: &Run) -> Option<u32> {
+    let axis = &Axis::REFERENCE;
+    let plan = planning::solve(run, axis, &WIDEST_LIMITS).ok()?;
+    Some(planning::accepted(0, *run, &plan, axis).forward.peak_um_s)
+}
+
 /// The numbers of a solved run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Summary {

@@ -203,6 +203,13 @@ pub fn begun_text(begun: &Begun) -> String {
                 run.edges,
             )
         }
+        Begun::Move(accepted) => format!(
+            "Move: {} steps in {} s; peak {} mm/s, {} mm/s2.",
+            accepted.stroke.steps,
+            decimal::write(accepted.stroke.duration_ticks, 8),
+            milli(accepted.stroke.peak_um_s),
+            milli(accepted.stroke.accel_um_s2),
+        ),
         Begun::Actuation(actuation) => format!(
             "Actuation {}: ends by itself within {} s.",
             actuation.actuation,

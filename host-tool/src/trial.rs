@@ -11,7 +11,9 @@ use std::path::{Path, PathBuf};
 use jiff::Timestamp;
 use miette::Diagnostic;
 use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome, ActuationRecord};
-use protocol::rig::{RigStatus, Run, RunAccepted, RunOutcome, RunRecord, Stroke};
+use protocol::rig::{
+    MoveAccepted, MoveTo, RigStatus, Run, RunAccepted, RunOutcome, RunRecord, Stroke,
+};
 use protocol::system::Event;
 use protocol::table::{SCHEMA_KEY, Telemetry};
 use serde::{Deserialize, Serialize};
@@ -129,6 +131,13 @@ impl Screw {
         i64::try_from((numerator + denominator / 2).div_euclid(denominator)).unwrap_or(i64::MAX)
     }
 
+    /// The last whole step within a position, as the rig finds it.
+    #[must_use]
+    pub fn steps(&self, um: u32) -> i32 {
+        let steps = u64::from(um) * u64::from(self.steps_per_rev) / u64::from(self.lead_um.max(1));
+        i32::try_from(steps).unwrap_or(i32::MAX)
+    }
+
     /// A position in millimetres, for plots.
     #[must_use]
     pub fn mm(&self, steps: f64) -> f64 {
@@ -229,6 +238,15 @@ impl From<&RunRecord> for Executed {
     }
 }
 
+/// A move as it ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Moved {
+    /// How it ended.
+    pub outcome: RunOutcome,
+    /// Position by the read-back counter, at rest.
+    pub position_steps: i32,
+}
+
 /// What was done in a trial.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
@@ -245,6 +263,17 @@ pub enum Action {
         achieved: Option<Achieved>,
         /// As executed; none if the host lost the rig.
         executed: Option<Executed>,
+    },
+    /// A move of the rig to a position.
+    Move {
+        /// Screw and stroke.
+        screw: Screw,
+        /// As requested.
+        requested: MoveTo,
+        /// As accepted; none if it was refused.
+        accepted: Option<MoveAccepted>,
+        /// As it ended; none if the host lost the rig.
+        moved: Option<Moved>,
     },
     /// An actuation of the capsule.
     Actuation {
@@ -539,7 +568,14 @@ impl Recorder {
                 self.trial.status = Status::Unknown;
                 self.trial.error = Some(error);
             }
-            (_, Ending::Run(_) | Ending::Actuation(_)) => {
+            (Action::Move { moved: slot, .. }, Ending::Move(moved)) => {
+                self.trial.status = moved.outcome.into();
+                if let RunOutcome::Faulted(fault) = moved.outcome {
+                    self.trial.error = Some(fault.to_string());
+                }
+                *slot = Some(moved);
+            }
+            (_, Ending::Run(_) | Ending::Actuation(_) | Ending::Move(_)) => {
                 self.trial.status = Status::Unknown;
                 self.trial.error = Some("the record of another kind of action".to_owned());
             }
@@ -627,6 +663,8 @@ pub enum Ending {
     Run(RunRecord),
     /// With the capsule's record.
     Actuation(ActuationRecord),
+    /// With where a move ended.
+    Move(Moved),
     /// Without a record, for this reason.
     Lost(String),
 }
@@ -640,6 +678,7 @@ impl Observer for Recorder {
             (Action::Actuation { accepted, .. }, Begun::Actuation(actuation)) => {
                 *accepted = Some(*actuation);
             }
+            (Action::Move { accepted, .. }, Begun::Move(of_move)) => *accepted = Some(*of_move),
             _ => {}
         }
         self.write_sidecar();
@@ -649,7 +688,7 @@ impl Observer for Recorder {
         self.trial.missed_samples += u64::from(missed);
         let origin = self.trial.device.origin;
         match (sample, &self.trial.action) {
-            (Telemetry::Rig(rig), Action::Run { screw, .. }) => {
+            (Telemetry::Rig(rig), Action::Run { screw, .. } | Action::Move { screw, .. }) => {
                 let position_nm = screw.nm(rig.position_steps.into());
                 self.row(RigSample {
                     time_us: rig.time_us,

@@ -91,6 +91,7 @@ fn the_papers_plan_is_a_hundred_runs_and_the_fold_test() {
         let wanted = match condition.purpose {
             Purpose::Series => 1..=10,
             Purpose::FoldTest => 1..=1,
+            pass => panic!("the paper has no {pass:?}"),
         };
         assert!(repeats.iter().copied().eq(wanted), "{condition:?}");
     }
@@ -194,6 +195,87 @@ fn a_plan_that_cannot_be_carried_out_says_why() {
     assert!(error.why.contains("nothing to do"), "{}", error.why);
 }
 
+const PASSES: &str = include_str!("../../examples/passes.toml");
+
+#[test]
+fn the_plan_of_passes_is_as_many_each_way_and_runs_with_their_strokes() {
+    let plan = plan(PASSES);
+    let trials = order(&plan);
+    let count = |purpose| {
+        trials
+            .iter()
+            .filter(|trial| trial.purpose == purpose)
+            .count()
+    };
+    assert_eq!(count(Purpose::Series), 4);
+    assert_eq!(count(Purpose::AntegradePass), 10);
+    assert_eq!(count(Purpose::ReturningPass), 10);
+    // The rollers are clamped once for both ways.
+    assert_eq!(trials.last().expect("some").block, 4);
+    let repeats: BTreeSet<_> = trials
+        .iter()
+        .map(|trial| (trial.condition(), trial.repeat))
+        .collect();
+    assert_eq!(repeats.len(), trials.len());
+    assert_eq!(plan.strokes_of(Purpose::Series, Form::Unfolded), Some(10));
+    assert_eq!(
+        plan.strokes_of(Purpose::AntegradePass, Form::Unfolded),
+        None
+    );
+    assert_eq!(plan.strokes_of(Purpose::FoldTest, Form::Folded), None);
+    assert_eq!(plan.displacement.uncertainty_mm, Some(mm("0.2")));
+    // 130 mm in 4 s with ramps of 100 mm/s2.
+    let speed = plan.passes.expect("there").speed_um_s;
+    assert!((35_000..38_000).contains(&speed), "{speed}");
+    assert!(!plan.needs_capsule());
+}
+
+#[test]
+fn passes_that_would_not_be_isolated_are_refused() {
+    for (good, bad, says) in [
+        ("tail_mm = 40", "tail_mm = 19.9", "use 20 or more"),
+        ("tail_mm = 40", "tail_mm = 69", "leaves at most 68.8"),
+        ("stroke_mm = 130", "stroke_mm = 80", "leaves at most 18.8"),
+        (
+            "body_mm = 41.2",
+            "body_mm = 0",
+            "length of the body at rest",
+        ),
+        ("body_mm = 41.2 ", "", "missing field `body_mm`"),
+        ("repeats = 5", "repeats = 0", "passes.repeats: 0"),
+        ("per_stroke = true", "per_stroke = 1", "expected a boolean"),
+        ("cycles = 5", "cycles = 51", "at most 50 cycles"),
+        (
+            "uncertainty_mm = 0.2",
+            "uncertainty_mm = 0",
+            "no measurement is exact",
+        ),
+        (
+            "uncertainty_mm = 0.2",
+            "uncertainty_mm = -1",
+            "no measurement is exact",
+        ),
+    ] {
+        let mut text = PASSES.replacen(good, bad, 1);
+        if bad == "cycles = 51" {
+            text = text.replace("duration_s = 40", "duration_s = 408");
+        }
+        assert_ne!(text, PASSES, "{good}");
+        let error = Plan::parse(&text, Path::new("plan.toml")).expect_err(bad);
+        assert!(error.why.contains(says), "{bad}: {}", error.why);
+    }
+}
+
+/// Folders that were made before there were passes are read with the order that they have.
+#[test]
+fn the_order_of_the_papers_plan_stays() {
+    let hash = hmac_sha256::Hash::hash(order_text(&order(&plan(PAPER))).as_bytes());
+    assert_eq!(
+        manifest::hex(&hash),
+        "42d2b4d350d8798c2201c22fb1086d69d019dc2df2d3e6981307d72fd87d3d39"
+    );
+}
+
 #[test]
 fn lengths_are_read_as_they_are_written() {
     let cases = [
@@ -263,10 +345,12 @@ fn another_seed_is_another_order() {
 
 // Ledgers.
 
-const EVENTS: [Event; 9] = [
+const EVENTS: [Event; 11] = [
     Event::Began,
     Event::Ended,
     Event::Displacement,
+    Event::Stroke,
+    Event::StrokesLeftOut,
     Event::Undone,
     Event::Repeated,
     Event::Skipped,
@@ -376,6 +460,50 @@ proptest! {
         let removed = rows.remove(one);
         prop_assert_eq!(State::replay(&order, &rows).is_err(), removed.row != 8);
     }
+}
+
+/// Strokes come before the net displacement; undo takes back what was said last.
+#[test]
+fn strokes_are_entered_and_taken_back_one_by_one() {
+    let order = order(&plan(SMALL));
+    let mut state = State::new(&order);
+    let mut step = |event| {
+        let mut row = Row::of(event, 1, Some(1));
+        row.row = state.sequence.next_row();
+        row.origin = Origin::Board;
+        row.outcome = Some(Outcome::Complete);
+        row.displacement_mm = Some(Millimetres::from_um(i64::from(row.row)));
+        row.source = Some(Source::Measured);
+        let possible = state.apply(&row).is_ok();
+        let attempt = state.trial(1).expect("there").attempts.last().cloned();
+        let strokes = attempt.iter().flat_map(|one| one.strokes.clone());
+        let um: Vec<i64> = strokes.map(|mm| mm.um).collect();
+        let whole = attempt.is_some_and(|one| one.all_strokes(2).is_some());
+        (
+            possible,
+            um,
+            whole,
+            state.trial(1).expect("there").standing(),
+        )
+    };
+    use Standing::{Done, UnderWay, Unmeasured};
+    assert_eq!(step(Event::Began).3, UnderWay);
+    assert_eq!(step(Event::Stroke), (false, vec![], false, UnderWay));
+    step(Event::Ended);
+    assert_eq!(step(Event::Undone), (false, vec![], false, Unmeasured));
+    assert_eq!(step(Event::Stroke), (true, vec![3], false, Unmeasured));
+    assert_eq!(step(Event::Stroke), (true, vec![3, 4], true, Unmeasured));
+    assert_eq!(
+        step(Event::StrokesLeftOut),
+        (true, vec![3, 4], false, Unmeasured)
+    );
+    assert_eq!(step(Event::Stroke), (false, vec![3, 4], false, Unmeasured));
+    assert_eq!(step(Event::Undone), (true, vec![3, 4], true, Unmeasured));
+    assert_eq!(step(Event::Undone), (true, vec![3], false, Unmeasured));
+    step(Event::Stroke);
+    assert_eq!(step(Event::Displacement), (true, vec![3, 8], true, Done));
+    assert_eq!(step(Event::Stroke), (false, vec![3, 8], true, Done));
+    assert_eq!(step(Event::Undone), (true, vec![3, 8], true, Unmeasured));
 }
 
 /// A row of each kind in turn, and how the trial stands then.

@@ -53,15 +53,49 @@ fn kills() -> u32 {
     }
 }
 
-/// No trial that was done is lost, none counts twice.
+/// A run whose strokes are asked for, and two passes each way.
+fn plan_of_passes() -> String {
+    let changes = [
+        ("duration_s = 40", "duration_s = 6"),
+        ("telemetry_ms = 10 ", "telemetry_ms = 50 "),
+        ("stroke_mm = 130", "stroke_mm = 90"),
+        ("repeats = 10", "repeats = 1"),
+        (
+            "[displacement]\n",
+            "[passes]\nlubrication = [\"dry\"]\nindentation = [\"a5\"]\nrepeats = 2\ntail_mm = 24\nbody_mm = 41.2\n\
+             [displacement]\nper_stroke = true\n",
+        ),
+    ];
+    changed(&changed(PAPER, &ONE_CONDITION), &changes)
+}
+
 #[test]
 fn a_campaign_survives_being_killed_at_any_instant() {
+    let repeats = kills() + 2;
+    let text = plan(&[("repeats = 10", &format!("repeats = {repeats}"))]);
+    survives(&text, "Run", kills());
+}
+
+#[test]
+fn passes_and_strokes_survive_being_killed_at_any_instant() {
+    let campaign = survives(&plan_of_passes(), "MoveTo", kills().min(20));
+    let strokes = campaign
+        .rows
+        .iter()
+        .filter(|row| row.event == Event::Stroke);
+    assert_eq!(
+        strokes.count(),
+        2,
+        "each once, although the tool was killed"
+    );
+}
+
+/// No trial that was done is lost, none counts twice. Every second kill comes within what begins with this request.
+fn survives(text: &str, motion: &str, kills: u32) -> Campaign {
     let mut script = ready(DeviceKind::Rig);
     script.uid = VIRTUAL_UID;
     let bench = Bench::on_tcp_as(&script, SPEED);
     let place = bench.folder.path();
-    let repeats = kills() + 2;
-    let text = plan(&[("repeats = 10", &format!("repeats = {repeats}"))]);
     std::fs::write(place.join("plan.toml"), text).expect("written");
     let folder = place.join("c");
     let mut chance = Chance::new(50);
@@ -74,10 +108,10 @@ fn a_campaign_survives_being_killed_at_any_instant() {
             false => &["campaign", "run", "plan.toml", "--out", "c", "--yes"],
         };
         let mut child = bench.command(args).spawn().expect("starts");
-        if killed < kills() {
+        if killed < kills {
             // From before the first byte to within some trial; every second one within a run.
-            let (runs, mut over) = (bench.count("Run"), killed % 2 == 0);
-            while !over && bench.count("Run") == runs {
+            let (runs, mut over) = (bench.count(motion), killed % 2 == 0);
+            while !over && bench.count(motion) == runs {
                 over = child.try_wait().expect("a child").is_some();
                 thread::sleep(Duration::from_millis(1));
             }
@@ -99,16 +133,17 @@ fn a_campaign_survives_being_killed_at_any_instant() {
             }
             before = now;
         }
-        if killed == kills() && code.is_some() {
+        if killed == kills && code.is_some() {
             assert_eq!(code, Some(0), "{out}{err}");
             break;
         }
         assert!(code.is_none() || code == Some(0), "{out}{err}");
         assert!(begin.elapsed() < Duration::from_secs(300), "{before:?}");
     }
-    assert_eq!(before.len() as u32, repeats);
     assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
     let campaign = Campaign::read(&folder).expect("a campaign");
+    let repeats = campaign.order.len() as u32;
+    assert_eq!(before.len() as u32, repeats);
     for trial in 1..=repeats {
         let measured = campaign
             .rows
@@ -132,6 +167,7 @@ fn a_campaign_survives_being_killed_at_any_instant() {
         attempts(&campaign) > repeats as usize,
         "no kill has hit an attempt"
     );
+    campaign
 }
 
 /// While a question waits the rig hears the tool, others look through its door, and Ctrl-C leaves.

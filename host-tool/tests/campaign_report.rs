@@ -321,7 +321,7 @@ fn the_numbers_are_those_of_the_trials_that_count() {
         assert_eq!(row.sd_mm.map(|sd| sd.0), sd_um.map(|sd| sd / 1e3));
     }
     for (row, line) in &evaluation.lines {
-        let points = evaluation.points(row.lubrication);
+        let points = evaluation.points(Purpose::Series, row.lubrication);
         assert_eq!(Line::through(&points), Some(*line));
         assert!(points.len() >= 5 && row.n == points.len());
     }

@@ -6,19 +6,27 @@ mod machine;
 use std::fs;
 use std::io::{self, BufRead, Read, Write};
 use std::path::Path;
+use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use calibration::observation::Kind as Observed;
 use host_tool::campaign::folder::Campaign;
 use host_tool::campaign::ledger::{Event, Outcome, Source, Standing};
 use host_tool::campaign::order::Form;
+use host_tool::campaign::plan::Purpose;
 use host_tool::campaign::verify::verify;
 use host_tool::cli::run_at;
 use host_tool::identity::Origin;
-use machine::plan::{PAPER, changed};
+use host_tool::report::check;
+use host_tool::science::trials;
+use host_tool::trial::{Action, RigSample, Trial};
+use locomotion::roller::{Params, isolated_pass};
+use machine::plan::{ONE_CONDITION, PAPER, changed};
 use machine::tool::Memory;
 use machine::{Script, VIRTUAL_UID, World};
+use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 
 /// The paper's plan, but for the number of trials and the length of the run, with these changes.
@@ -267,6 +275,249 @@ fn the_capsule_folds_within_the_runs_that_the_plan_says() {
     );
     let figure = fs::read_to_string(report.join("figure8.svg")).expect("there");
     assert!(figure.contains("folding at cycle 2, n = 1"));
+}
+
+/// A run, and a pass each way, at one indentation; strokes are asked for.
+fn plan_of_passes() -> String {
+    let changes = [
+        ("repeats = 10", "repeats = 1"),
+        ("duration_s = 40", "duration_s = 8"),
+        ("telemetry_ms = 10 ", "telemetry_ms = 20 "),
+        ("count = 5", "count = 2"),
+        (
+            "[displacement]\n",
+            "[passes]\nlubrication = [\"dry\"]\nindentation = [\"a5\"]\nrepeats = 1\ntail_mm = 40\nbody_mm = 41.2\n\
+             [displacement]\nper_stroke = true\nuncertainty_mm = 0.3\n",
+        ),
+    ];
+    changed(PAPER, &[&ONE_CONDITION[..], &changes].concat())
+}
+
+/// The move of each pass goes the way that its name says, over the whole stroke.
+fn passes(campaign: &Campaign) -> Vec<(Purpose, f64)> {
+    let trials = campaign.state.trials.iter();
+    let passes = trials.filter(|trial| trial.planned.purpose.pass().is_some());
+    passes
+        .map(|trial| {
+            let attempt = trial.attempt().expect("done");
+            let sidecar = campaign
+                .run_sidecar(trial.planned.trial, attempt.number)
+                .expect("a record");
+            let record = Trial::read(&sidecar).expect("a record");
+            let rows: Vec<RigSample> = record.samples(&sidecar).expect("telemetry");
+            assert!(rows.len() > 100, "{}", rows.len());
+            assert_eq!(check::movement(&record, &rows), Vec::<String>::new());
+            let Action::Move {
+                accepted: Some(accepted),
+                moved: Some(moved),
+                screw,
+                ..
+            } = record.action
+            else {
+                panic!("{:?}", record.action);
+            };
+            let far = screw.steps(130_000);
+            let ends = match trial.planned.purpose {
+                Purpose::AntegradePass => (0, far),
+                _ => (far, 0),
+            };
+            assert_eq!((accepted.from_steps, accepted.to_steps), ends);
+            assert_eq!(moved.position_steps, ends.1);
+            (
+                trial.planned.purpose,
+                trial.counted().expect("counts").value.mm(),
+            )
+        })
+        .collect()
+}
+
+/// From the plan to what a fit takes, on the models.
+#[test]
+fn passes_and_strokes_reach_the_fit_and_the_report() {
+    let place = place(&plan_of_passes());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(Some(VIRTUAL_UID));
+    let run = |args: &[&str]| memory.run(&[args, &AT].concat());
+    let (code, said, err) = run(&["campaign", "run", &plan, "--out", &out, "--yes"]);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(said.contains("antegrade pass n = 1 of 1"), "{said}");
+    let campaign = whole(&out);
+    let model = isolated_pass(Params::PAPER, 5.05).expect("covered");
+    for (purpose, mm) in passes(&campaign) {
+        let alone = match purpose {
+            Purpose::AntegradePass => model.antegrade_mm,
+            _ => model.returning_mm,
+        };
+        // The ripple of the model, for the body lies elsewhere, and the rounding to the caliper.
+        assert!((mm - alone).abs() < 0.3, "{purpose:?}: {mm}, alone {alone}");
+    }
+    let trials = trials::read(Path::new(&out), None).expect("verifies");
+    let of = |wanted: Observed| {
+        let found = trials
+            .measured
+            .iter()
+            .find(|one| one.observation.kind == wanted);
+        found.unwrap_or_else(|| panic!("{wanted:?}")).observation
+    };
+    assert_eq!((trials.measured.len(), trials.left_out.len()), (5, 0));
+    let (net, first, second) = (
+        of(Observed::Net { cycles: 1 }),
+        of(Observed::Stroke { number: 1 }),
+        of(Observed::Stroke { number: 2 }),
+    );
+    assert_eq!(net.uncertainty_mm, 0.3);
+    assert_eq!(first.uncertainty_mm, 0.3);
+    assert!((second.uncertainty_mm - 0.3 * 2_f64.sqrt()).abs() < 1e-12);
+    let sum = first.displacement_mm + second.displacement_mm;
+    assert!((sum - net.displacement_mm).abs() < 1e-9, "{sum}");
+    assert!(first.displacement_mm > 5.0 && second.displacement_mm < first.displacement_mm);
+    of(Observed::AntegradePass);
+    of(Observed::ReturningPass);
+    let given = trials::read(Path::new(&out), Some(0.5)).expect("verifies");
+    assert_eq!(given.overridden_mm, Some(0.3));
+    assert!(given.measured[0].observation.uncertainty_mm == 0.5);
+
+    let report = Path::new(&out).join("report");
+    let page = fs::read_to_string(report.join("report.html")).expect("a page");
+    assert!(page.contains("Isolated passes") && page.contains("trials/1/stroke/2"));
+    assert!(report.join("passes.svg").is_file() && report.join("passes.pdf").is_file());
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/check_report.py");
+    let mut python = Command::new("python3");
+    python.env("PYTHONDONTWRITEBYTECODE", "1");
+    // Without Python there is no second opinion.
+    if let Ok(output) = python.arg(&script).arg(&out).output() {
+        let said = String::from_utf8_lossy(&output.stdout).into_owned()
+            + &String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{said}");
+    }
+    let (code, listed, err) = memory.run(&["list", &path(&place, ""), "--trials"]);
+    assert_eq!(code, 0, "{err}");
+    assert!(listed.contains("dry, a5, returning pass"), "{listed}");
+
+    // What is excluded is left out, and listed.
+    let pass = campaign
+        .state
+        .trials
+        .iter()
+        .find(|trial| trial.planned.purpose.pass().is_some());
+    let number = pass.expect("there").planned.trial.to_string();
+    let (code, _, err) = memory.run(&["campaign", "edit", &out, "exclude", &number, "torn"]);
+    assert_eq!(code, 0, "{err}");
+    let trials = trials::read(Path::new(&out), None).expect("verifies");
+    assert_eq!(trials.measured.len(), 4);
+    assert_eq!(trials.left_out[0].why, "excluded: torn");
+}
+
+/// Rollers move before the body is laid in, from the right end also after an interruption; strokes that contradict the net
+/// displacement are asked for again.
+#[test]
+fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
+    let place = place(&plan_of_passes());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(None);
+    let (code, shown) = converse(
+        &memory,
+        &["run", &plan, "--out", &out],
+        vec![
+            ("rollers OFF", ""),
+            ("Reading 1 of 2: D", "24.4"),
+            ("Reading 2 of 2: D", "24.4"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "14.3"),
+            ("Reading 2 of 2: i", "14.3"),
+            (
+                "Trial 1, unfolded: the rollers go home before the body is laid in",
+                "",
+            ),
+            ("Trial 1 of 3", ""),
+            ("after stroke 1 of 2 (antegrade)", "9.5"),
+            ("after stroke 2 of 2 (returning)", "200"),
+            ("the plan allows -130 to 130", "9.2"),
+            ("Displacement of the tail", "10.5"),
+            ("the two may differ by 0.9 mm", "undo"),
+            ("after stroke 2 of 2", ""),
+            ("are left out", "undo"),
+            ("after stroke 2 of 2", "9.4"),
+            ("Displacement of the tail", "9.2"),
+            ("isolated passes", ""),
+            ("Reading 1 of 2: i", "14.3"),
+            ("Reading 2 of 2: i", "14.3"),
+            ("before the body is laid in", "12"),
+            ("not for now", ""),
+            ("Trial 2 of 3", ""),
+            ("Displacement of the tail", "4.1"),
+            // The rollers stand where the way back begins: nothing has to move.
+            ("Trial 3 of 3", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    let between = &shown[shown.find("Trial 2 of 3").expect("there")..];
+    assert!(!between.contains("before the body is laid in"), "{between}");
+    // Nobody knows where the rollers stand now: they are homed, and go to the right end, without the body.
+    let (code, shown) = converse(
+        &memory,
+        &["resume", &out],
+        vec![
+            ("before the body is laid in", ""),
+            ("no roller touches it", "undo"),
+            ("Displacement of the tail", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    let (code, shown) = converse(
+        &memory,
+        &["resume", &out],
+        vec![
+            ("Displacement of the tail", "4.3"),
+            ("before the body is laid in", ""),
+            ("Trial 3 of 3", ""),
+            ("Displacement of the tail", "-0.4"),
+        ],
+    );
+    assert_eq!(code, 0, "{shown}");
+    let campaign = whole(&out);
+    assert_eq!(passes(&campaign).len(), 2);
+    let run = campaign
+        .state
+        .trial(1)
+        .and_then(|trial| trial.attempt())
+        .expect("done");
+    let um: Vec<i64> = run.strokes.iter().map(|mm| mm.um).collect();
+    assert_eq!(
+        (um, run.displacement.map(|one| one.value.um)),
+        (vec![9_500, 9_400], Some(9_200))
+    );
+    // A correction keeps to what was entered after the last stroke.
+    let edit = |args: &[&str]| memory.run(&[&["campaign", "edit", &out], args].concat());
+    let (code, _, err) = edit(&["displacement", "1", "12", "misread"]);
+    assert!(
+        code == 2 && err.contains("the two may differ"),
+        "{code} {err}"
+    );
+    let (code, _, err) = edit(&["displacement", "1", "9.6", "misread"]);
+    assert_eq!(code, 0, "{err}");
+}
+
+/// A stroke that the rig does not have ends before a body lies under it.
+#[test]
+fn a_pass_beyond_the_rigs_stroke_is_refused_with_its_number() {
+    let place = place(&plan_of_passes());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let mut rig = Script::new(DeviceKind::Rig);
+    rig.uid = VIRTUAL_UID;
+    rig.settings = vec![(SettingKey::StrokeUm, 100_000)];
+    let memory = Memory::with(vec![rig, Script::new(DeviceKind::Capsule)]);
+    let args = ["campaign", "run", &plan, "--out", &out, "--yes"];
+    let (code, said, err) = memory.run(&[&args, &AT[..]].concat());
+    assert_ne!(code, 0, "{said}{err}");
+    assert!(err.contains("100"), "{err}");
+    assert!(
+        whole(&out)
+            .state
+            .trials
+            .iter()
+            .all(|trial| trial.attempt().is_none())
+    );
 }
 
 #[test]

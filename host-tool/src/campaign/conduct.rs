@@ -3,6 +3,8 @@
 
 mod displacement;
 mod readings;
+mod stage;
+mod strokes;
 mod trial;
 
 use jiff::Timestamp;
@@ -278,11 +280,20 @@ impl<'a> Conduct<'a> {
                     return Ok(Ending::Enough);
                 }
                 match self.set_up(&planned)? {
-                    Then::Go => match self.ask_ready(&planned, number + 1)? {
-                        Then::Go => {
-                            attempts = attempts.map(|left| left - 1);
-                            self.attempt(&planned, number + 1)?
-                        }
+                    Then::Go => match self.stage(&planned)? {
+                        Then::Go => match self.ask_ready(&planned, number + 1)? {
+                            // While the check-list waited, another window may have moved the rollers.
+                            Then::Go if !self.is_staged(&planned)? => {
+                                self.desk
+                                    .say("  the rollers no longer stand where they have to");
+                                Then::Look
+                            }
+                            Then::Go => {
+                                attempts = attempts.map(|left| left - 1);
+                                self.attempt(&planned, number + 1)?
+                            }
+                            then => then,
+                        },
                         then => then,
                     },
                     then => then,

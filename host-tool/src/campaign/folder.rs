@@ -15,7 +15,7 @@ use crate::campaign::CampaignError;
 use crate::campaign::ledger::{Attempt, Event, Outcome, Row, State};
 use crate::campaign::manifest::{self, Manifest, PART};
 use crate::campaign::order::{Planned, order};
-use crate::campaign::plan::Plan;
+use crate::campaign::plan::{Millimetres, Plan};
 use crate::campaign::readings::{ReadingRow, Readings};
 use crate::campaign::verify::{self, Differences};
 use crate::identity::Origin;
@@ -111,10 +111,24 @@ impl Campaign {
             .join(Attempt::folder(trial, attempt))
     }
 
-    /// The sidecar of an attempt's run; none if it was not begun.
+    /// The sidecar of an attempt's run or pass; none if it was not begun.
     #[must_use]
     pub fn run_sidecar(&self, trial: u32, attempt: u32) -> Option<PathBuf> {
         run_sidecar(&self.attempt_folder(trial, attempt))
+    }
+
+    /// Why this cannot be the net displacement of a trial whose displacements after strokes are all there; none if it can.
+    #[must_use]
+    pub fn disagreement(&self, trial: u32, net: Millimetres) -> Option<String> {
+        let state = self.state.trial(trial)?;
+        let count = (self.plan).strokes_of(state.planned.purpose, state.planned.shape)?;
+        let last = *state.attempt()?.all_strokes(count)?.last()?;
+        let within = self.plan.displacement.agreement();
+        ((net.um - last.um).abs() > within.um).then(|| {
+            format!(
+                "{net} mm: after the last stroke it was {last} mm, and the two may differ by {within} mm: enter it again, or `undo` takes the last stroke back"
+            )
+        })
     }
 
     /// Where its data come from; none before there are any.
@@ -124,7 +138,7 @@ impl Campaign {
     }
 }
 
-/// The sidecar of the run in the folder of an attempt.
+/// The sidecar of the run or the pass in the folder of an attempt.
 fn run_sidecar(folder: &Path) -> Option<PathBuf> {
     let mut found: Vec<_> = fs::read_dir(folder)
         .ok()?
@@ -132,7 +146,8 @@ fn run_sidecar(folder: &Path) -> Option<PathBuf> {
         .map(|entry| entry.path())
         .filter(|path| {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
-            name.starts_with("run-") && name.ends_with(".json")
+            let is_motion = name.starts_with("run-") || name.starts_with("pass-");
+            is_motion && name.ends_with(".json")
         })
         .collect();
     found.sort();
@@ -395,7 +410,7 @@ impl Folder {
             let (outcome, text) = match record.map(|record| record.status) {
                 Some(Status::Complete) => (
                     Outcome::Complete,
-                    "the tool ended after the run; its record says that it was completed",
+                    "the tool ended after the motion; its record says that it was completed",
                 ),
                 _ => (Outcome::Lost, "the tool ended within it"),
             };

@@ -23,7 +23,11 @@ pub enum Event {
     Ended,
     /// The displacement of the tail was entered. A later one of the same attempt corrects it.
     Displacement,
-    /// The displacement was taken back.
+    /// The displacement after the next stroke of the run was entered, before the net one: the first of them is after stroke 1.
+    Stroke,
+    /// The displacements after strokes are left out for this attempt.
+    StrokesLeftOut,
+    /// What was entered last was taken back: the displacement, else the one after a stroke, or that they are left out.
     Undone,
     /// The attempt is given up, and the trial is done again.
     Repeated,
@@ -109,9 +113,9 @@ pub struct Row {
     pub attempt: Option<u32>,
     /// With `ended`: how.
     pub outcome: Option<Outcome>,
-    /// With `displacement`: of the tail, + headward.
+    /// With `displacement` and `stroke`: of the tail since the beginning, + headward.
     pub displacement_mm: Option<Millimetres>,
-    /// With `displacement`: where it comes from.
+    /// With `displacement` and `stroke`: where it comes from.
     pub source: Option<Source>,
     /// With `began`: the set of readings in `readings.csv` that tells the indentation.
     pub readings_set: Option<u32>,
@@ -190,6 +194,10 @@ pub struct Attempt {
     pub reason: Option<String>,
     /// What was measured.
     pub displacement: Option<Displacement>,
+    /// Of the tail since the beginning, after each stroke so far.
+    pub strokes: Vec<Millimetres>,
+    /// They are left out.
+    pub strokes_left_out: bool,
     /// How often a displacement was entered, taken back or not.
     pub entries: u32,
     /// The operator gave it up, for this reason.
@@ -207,6 +215,12 @@ impl Attempt {
     #[must_use]
     pub fn stands(&self) -> bool {
         self.outcome == Some(Outcome::Complete) && self.given_up.is_none()
+    }
+
+    /// The displacements after all strokes of a run that has so many; none if they are left out or not whole.
+    #[must_use]
+    pub fn all_strokes(&self, count: usize) -> Option<&[Millimetres]> {
+        (!self.strokes_left_out && self.strokes.len() == count).then_some(&*self.strokes)
     }
 
     /// Name of its folder.
@@ -495,6 +509,8 @@ impl TrialState {
             }
             Event::Ended
             | Event::Displacement
+            | Event::Stroke
+            | Event::StrokesLeftOut
             | Event::Undone
             | Event::Repeated
             | Event::Excluded => {}
@@ -527,7 +543,22 @@ impl TrialState {
                     entered: last.entries,
                 });
             }
+            (Event::Stroke, Standing::Unmeasured) if !last.strokes_left_out => {
+                let (Some(value), Some(_)) = (row.displacement_mm, row.source) else {
+                    return Err("a displacement without a value or a source".to_owned());
+                };
+                last.strokes.push(value);
+            }
+            (Event::StrokesLeftOut, Standing::Unmeasured) if !last.strokes_left_out => {
+                last.strokes_left_out = true;
+            }
             (Event::Undone, Standing::Done) => last.displacement = None,
+            (Event::Undone, Standing::Unmeasured) if last.strokes_left_out => {
+                last.strokes_left_out = false;
+            }
+            (Event::Undone, Standing::Unmeasured) if !last.strokes.is_empty() => {
+                last.strokes.pop();
+            }
             (Event::Repeated, Standing::Unmeasured | Standing::Done | Standing::Excluded) => {
                 last.given_up = Some(row.text.clone().unwrap_or_default());
                 self.excluded = None;
@@ -566,6 +597,8 @@ impl TrialState {
             outcome: None,
             reason: None,
             displacement: None,
+            strokes: vec![],
+            strokes_left_out: false,
             entries: 0,
             given_up: None,
             readings_set: row.readings_set,

@@ -8,6 +8,7 @@ use locomotion::kinematics::Design;
 use locomotion::model::Model;
 use locomotion::range::OutOfRange;
 use locomotion::{folded, roller};
+use protocol::rig::Direction;
 
 use crate::campaign::ledger::Source;
 use crate::campaign::order::{Form, Planned};
@@ -15,7 +16,7 @@ use crate::campaign::plan::{Lubrication, Millimetres, Plan};
 use crate::chance::Chance;
 use crate::science::model_file;
 use crate::science::series::LUBRICATION;
-use crate::trial::{Action, RecordError, RigSample, Status, Trial};
+use crate::trial::{Action, RecordError, RigSample, Screw, Status, Trial};
 
 /// Slack of the thread before it pulls, mm: that of the bench's capsule.
 const SLACK_MM: f64 = 1.0;
@@ -29,6 +30,11 @@ pub enum ModelError {
     /// The models do not cover these numbers.
     #[error("the model does not cover it: {0}")]
     Range(#[from] OutOfRange),
+    /// The telemetry misses a whole stroke.
+    #[error(
+        "the telemetry is too coarse to tell the strokes apart: choose a smaller run.telemetry_ms"
+    )]
+    Strokes,
     /// The record of the fold is missing.
     #[error("there is no record of a completed fold")]
     NoFold,
@@ -58,9 +64,18 @@ pub fn displacement(
 ) -> Result<Modelled, ModelError> {
     let run = Trial::read(sidecar)?;
     let samples: Vec<RigSample> = run.samples(sidecar)?;
-    let Action::Run { screw, .. } = &run.action else {
-        let why = "it is not the record of a run";
-        return Err(RecordError::read(sidecar, why).into());
+    let screw = match &run.action {
+        Action::Run { screw, .. } => screw,
+        Action::Move { screw, moved, .. } => {
+            let rest = moved.map(|moved| screw.mm(moved.position_steps.into()));
+            let mm = pass(plan, planned, indentation_mm, screw, &samples, rest)?;
+            let (friction, name) = (friction(planned.lubrication), "roller model, one pass");
+            return Ok(noted(plan, planned, attempt, 0, mm, name, friction));
+        }
+        Action::Actuation { .. } => {
+            let why = "it is not the record of a run or a pass";
+            return Err(RecordError::read(sidecar, why).into());
+        }
     };
     let friction = friction(planned.lubrication);
     let positions = |samples: &[RigSample]| -> Vec<f64> {
@@ -88,7 +103,7 @@ pub fn displacement(
         Ok(body.displacement_mm())
     };
     let attempt_folder = sidecar.parent().unwrap_or(sidecar);
-    let (mut mm, name) = match planned.shape {
+    let (mm, name) = match planned.shape {
         Form::Unfolded => (unfolded(&samples)?, "roller model"),
         Form::Folded => {
             let fold = last_fold(attempt_folder)?;
@@ -106,6 +121,91 @@ pub fn displacement(
             )
         }
     };
+    Ok(noted(plan, planned, attempt, 0, mm, name, friction))
+}
+
+/// What a run with the unfolded body had moved it by after one of its strokes, from 1; after the last one it is the net displacement.
+///
+/// # Errors
+/// [`ModelError`].
+pub fn after_stroke(
+    plan: &Plan,
+    planned: &Planned,
+    attempt: u32,
+    indentation_mm: f64,
+    sidecar: &Path,
+    stroke: usize,
+) -> Result<Modelled, ModelError> {
+    if Some(stroke) == plan.strokes_of(planned.purpose, planned.shape) {
+        return displacement(plan, planned, attempt, indentation_mm, sidecar);
+    }
+    let run = Trial::read(sidecar)?;
+    let samples: Vec<RigSample> = run.samples(sidecar)?;
+    let Action::Run { screw, .. } = &run.action else {
+        return Err(RecordError::read(sidecar, "it is not the record of a run").into());
+    };
+    let friction = friction(planned.lubrication);
+    let mut params = roller::Params::PAPER;
+    params.body.friction = friction;
+    let mut body = roller::UnfoldedBody::new(params, indentation_mm)?;
+    let mut strokes = samples
+        .iter()
+        .map(|sample| sample.stroke as usize)
+        .collect::<Vec<_>>();
+    strokes.dedup();
+    // Those up to this one and the one after it have to be there, each once.
+    if strokes.iter().take(stroke + 1).copied().ne(0..=stroke) {
+        return Err(ModelError::Strokes);
+    }
+    for sample in samples
+        .iter()
+        .take_while(|sample| (sample.stroke as usize) < stroke)
+    {
+        body.carriage_to(screw.mm(f64::from(sample.position_steps)))?;
+    }
+    let name = "roller model";
+    let (mm, draws) = (body.displacement_mm(), stroke);
+    Ok(noted(plan, planned, attempt, draws, mm, name, friction))
+}
+
+/// One stroke over a fresh body that lies where the plan says.
+fn pass(
+    plan: &Plan,
+    planned: &Planned,
+    indentation_mm: f64,
+    screw: &Screw,
+    samples: &[RigSample],
+    rest_mm: Option<f64>,
+) -> Result<f64, OutOfRange> {
+    let mut params = roller::Params::PAPER;
+    params.body.friction = friction(planned.lubrication);
+    params.stroke_mm = f64::from(plan.run.stroke_um) / 1e3;
+    params.body.tail_mm = plan.passes.map_or(0.0, |passes| passes.tail_mm.mm());
+    let begins_mm = match planned.purpose.pass() {
+        Some(Direction::Home) => params.stroke_mm,
+        Some(Direction::Away) | None => 0.0,
+    };
+    let mut body = roller::UnfoldedBody::laid_in(params, indentation_mm, begins_mm)?;
+    for sample in samples {
+        body.carriage_to(screw.mm(f64::from(sample.position_steps)))?;
+    }
+    // The last sample may lie before the end.
+    if let Some(rest_mm) = rest_mm {
+        body.carriage_to(rest_mm)?;
+    }
+    Ok(body.displacement_mm())
+}
+
+/// A displacement with the scatter that the plan declares, and in words how it was made. `draws` tells the strokes of a run apart.
+fn noted(
+    plan: &Plan,
+    planned: &Planned,
+    attempt: u32,
+    draws: usize,
+    mut mm: f64,
+    name: &str,
+    friction: f64,
+) -> Modelled {
     let body = model_file::short_origin(&Model::ONE);
     let mut text = format!("{name} ({body}), friction {friction}");
     let scatter = plan.virtual_bench;
@@ -114,7 +214,9 @@ pub fn displacement(
         let seed = u64::from(scatter.seed) << 32
             | u64::from(planned.trial) << 8
             | u64::from(attempt & 0xFF);
-        mm += scatter.scatter_mm.mm() * Chance::new(seed).normal();
+        let mut chance = Chance::new(seed);
+        let draw = (0..=draws).map(|_| chance.normal()).last();
+        mm += scatter.scatter_mm.mm() * draw.unwrap_or_default();
         text.push_str(&format!(
             ", scatter of {} mm added, seed {}",
             scatter.scatter_mm, scatter.seed
@@ -125,11 +227,11 @@ pub fn displacement(
     };
     let step_um = plan.metadata.caliper_resolution_mm.um.max(1);
     let um = (mm * 1_000.0 / step_um as f64).round() as i64 * step_um;
-    Ok(Modelled {
+    Modelled {
         value: Millimetres::from_um(um),
         source,
         text,
-    })
+    }
 }
 
 /// The ends of the paper's range of friction, as `simulate roller` has them.

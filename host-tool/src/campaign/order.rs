@@ -2,6 +2,8 @@
 //! and dry comes before lubricated. What is free is shuffled by the plan's seed: the blocks of equal lubrication, and the
 //! trials within a block.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::campaign::plan::{Lubrication, Plan, Purpose};
@@ -42,6 +44,16 @@ impl Form {
             Self::Folded => Shape::Folded.name(),
             Self::Folding => "folding",
         }
+    }
+}
+
+/// What is done to the body in a trial, for people: a pass, or a run with a body of this shape.
+#[must_use]
+pub const fn doing(purpose: Purpose, shape: Form) -> &'static str {
+    match purpose {
+        Purpose::Series | Purpose::FoldTest => shape.name(),
+        Purpose::AntegradePass => "antegrade pass",
+        Purpose::ReturningPass => "returning pass",
     }
 }
 
@@ -97,20 +109,20 @@ pub fn order(plan: &Plan) -> Vec<Planned> {
         chance.shuffle(&mut indentations);
         for indentation in indentations {
             block += 1;
-            let mut forms: Vec<Form> = group
-                .forms
+            let mut kinds: Vec<_> = group
+                .kinds
                 .iter()
-                .flat_map(|form| std::iter::repeat_n(*form, group.repeats as usize))
+                .flat_map(|kind| std::iter::repeat_n(*kind, group.repeats as usize))
                 .collect();
-            chance.shuffle(&mut forms);
-            let mut done = [0; 3];
-            for shape in forms {
-                let repeat = &mut done[shape as usize];
+            chance.shuffle(&mut kinds);
+            let mut done = BTreeMap::new();
+            for (purpose, shape) in kinds {
+                let repeat = done.entry((purpose, shape)).or_insert(0);
                 *repeat += 1;
                 trials.push(Planned {
                     trial: trials.len() as u32 + 1,
                     block,
-                    purpose: group.purpose,
+                    purpose,
                     lubrication: group.lubrication,
                     indentation: indentation.clone(),
                     shape,

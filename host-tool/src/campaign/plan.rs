@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
 
-use protocol::rig::{LinkLossPolicy, Run, RunTiming};
+use locomotion::roller;
+use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -20,6 +21,9 @@ pub const FORMAT: u32 = 1;
 
 /// The most readings of one width, and the most repeats of one condition.
 const MOST: u32 = 1_000;
+
+/// The most cycles of a run after each stroke of which a person is asked for the displacement.
+const MOST_ASKED: u16 = 50;
 
 /// The widest thing that is measured here: 1 m.
 const WIDEST_UM: i64 = 1_000_000;
@@ -125,6 +129,10 @@ pub enum Purpose {
     Series,
     /// Folded against unfolded: figure 8.
     FoldTest,
+    /// One stroke of the rollers over a body that they meet relaxed, from home to the far end: from head to tail.
+    AntegradePass,
+    /// The same from the far end home: from tail to head.
+    ReturningPass,
 }
 
 impl Purpose {
@@ -134,6 +142,18 @@ impl Purpose {
         match self {
             Self::Series => "series",
             Self::FoldTest => "fold_test",
+            Self::AntegradePass => "antegrade_pass",
+            Self::ReturningPass => "returning_pass",
+        }
+    }
+
+    /// Which way the rollers go, if it is a pass.
+    #[must_use]
+    pub const fn pass(self) -> Option<Direction> {
+        match self {
+            Self::Series | Self::FoldTest => None,
+            Self::AntegradePass => Some(Direction::Away),
+            Self::ReturningPass => Some(Direction::Home),
         }
     }
 }
@@ -217,14 +237,68 @@ struct FoldTable {
     fold_at_cycle: Option<u16>,
 }
 
-/// What a displacement may be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Range {
+struct PassesTable {
+    lubrication: Vec<Lubrication>,
+    indentation: Vec<String>,
+    repeats: u32,
+    tail_mm: Millimetres,
+    body_mm: Millimetres,
+}
+
+/// Where the body lies before each isolated pass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Passes {
+    /// From the place of the rollers' axes at the far end to the tip of the tail.
+    pub tail_mm: Millimetres,
+    /// Length of the body at rest.
+    pub body_mm: Millimetres,
+    /// Speed of the rollers between their ramps: the greatest one of a stroke of the run.
+    pub speed_um_s: u32,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DisplacementTable {
+    least_mm: Option<Millimetres>,
+    greatest_mm: Option<Millimetres>,
+    #[serde(default)]
+    per_stroke: bool,
+    uncertainty_mm: Option<Millimetres>,
+}
+
+/// What a displacement may be, and how exact it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Displacements {
     /// The least.
     pub least_mm: Millimetres,
     /// The greatest.
     pub greatest_mm: Millimetres,
+    /// It is also asked for after each stroke of a run with the unfolded body.
+    pub per_stroke: bool,
+    /// Standard deviation of one displacement, of reading and repetition together.
+    pub uncertainty_mm: Option<Millimetres>,
+}
+
+impl Displacements {
+    /// Why a displacement cannot be one of this plan; none if it can.
+    #[must_use]
+    pub fn refusal(&self, value: Millimetres) -> Option<String> {
+        let allowed = self.least_mm..=self.greatest_mm;
+        (!allowed.contains(&value)).then(|| {
+            format!(
+                "{value} mm: the plan allows {} to {} mm",
+                self.least_mm, self.greatest_mm
+            )
+        })
+    }
+
+    /// How far the displacement after the last stroke may be from the net one: three standard deviations, if one is stated.
+    #[must_use]
+    pub fn agreement(&self) -> Millimetres {
+        Millimetres::from_um(3 * self.uncertainty_mm.unwrap_or_default().um)
+    }
 }
 
 /// What the virtual bench adds to its model.
@@ -251,7 +325,9 @@ struct File {
     indentation: Vec<Indentation>,
     series: Option<SeriesTable>,
     fold_test: Option<FoldTable>,
-    displacement: Option<Range>,
+    passes: Option<PassesTable>,
+    #[serde(default)]
+    displacement: DisplacementTable,
     #[serde(default, rename = "virtual")]
     virtual_bench: Virtual,
 }
@@ -259,16 +335,14 @@ struct File {
 /// Trials that are repeated under the same conditions, but for their indentations.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Group {
-    /// What they are for.
-    pub purpose: Purpose,
     /// State of the walls.
     pub lubrication: Lubrication,
     /// Names of indentations, as listed.
     pub indentations: Vec<String>,
-    /// Shapes of the body.
+    /// What they are for, and the shape of the body.
     #[serde(skip)]
-    pub forms: Vec<Form>,
-    /// Trials of each indentation and shape.
+    pub kinds: Vec<(Purpose, Form)>,
+    /// Trials of each indentation and kind.
     pub repeats: u32,
 }
 
@@ -293,8 +367,10 @@ pub struct Plan {
     pub groups: Vec<Group>,
     /// Where the body folds in the runs in which it does.
     pub fold_at: Option<Cue>,
-    /// What a displacement may be.
-    pub displacement: Range,
+    /// Where the body lies before each isolated pass; none without passes.
+    pub passes: Option<Passes>,
+    /// What a displacement may be, and how exact it is.
+    pub displacement: Displacements,
     /// What the virtual bench adds.
     pub virtual_bench: Virtual,
 }
@@ -334,29 +410,53 @@ impl Plan {
         let mut groups = vec![];
         let mut fold_at = None;
         if let Some(series) = file.series {
-            groups = series_groups(&series)?;
+            let forms = [(Purpose::Series, Form::Unfolded)];
+            groups = many_groups(
+                "series",
+                &series.lubrication,
+                &series.indentation,
+                series.repeats,
+                &forms,
+            )?;
         }
         if let Some(fold) = file.fold_test {
             repeats("fold_test.repeats", fold.repeats)?;
-            let mut forms = vec![Form::Unfolded, Form::Folded];
+            let mut kinds = vec![
+                (Purpose::FoldTest, Form::Unfolded),
+                (Purpose::FoldTest, Form::Folded),
+            ];
             if let Some(cycle) = fold.fold_at_cycle {
                 // The models of the virtual bench know the folded body beside the rollers only, not under them.
                 let cue = Cue { cycle, at_um: None };
                 cue.check(&run, telemetry_ms)
                     .map_err(|error| format!("fold_test.fold_at_cycle: {error}"))?;
                 fold_at = Some(cue);
-                forms.push(Form::Folding);
+                kinds.push((Purpose::FoldTest, Form::Folding));
             }
             groups.push(Group {
-                purpose: Purpose::FoldTest,
                 lubrication: fold.lubrication,
                 indentations: vec![fold.indentation],
-                forms,
+                kinds,
                 repeats: fold.repeats,
             });
         }
+        let mut passes = None;
+        if let Some(table) = file.passes {
+            let kinds = [
+                (Purpose::AntegradePass, Form::Unfolded),
+                (Purpose::ReturningPass, Form::Unfolded),
+            ];
+            groups.extend(many_groups(
+                "passes",
+                &table.lubrication,
+                &table.indentation,
+                table.repeats,
+                &kinds,
+            )?);
+            passes = Some(check_passes(&table, &run)?);
+        }
         if groups.is_empty() {
-            return Err("nothing to do: it needs [series] or [fold_test]".to_owned());
+            return Err("nothing to do: it needs [series], [fold_test] or [passes]".to_owned());
         }
         for name in groups.iter().flat_map(|group| &group.indentations) {
             if !known.contains(&**name) {
@@ -368,17 +468,7 @@ impl Plan {
         }
         // Stable: within each, as listed.
         groups.sort_by_key(|group| group.lubrication);
-        let stroke_um = file.run.stroke_mm.um;
-        let displacement = file.displacement.unwrap_or(Range {
-            least_mm: Millimetres::from_um(-stroke_um),
-            greatest_mm: Millimetres::from_um(stroke_um),
-        });
-        if displacement.least_mm >= displacement.greatest_mm {
-            return Err(format!(
-                "displacement: from {} to {} mm is no range",
-                displacement.least_mm, displacement.greatest_mm
-            ));
-        }
+        let displacement = check_displacement(&file.displacement, &run)?;
         let scatter_mm = file.virtual_bench.scatter_mm;
         if !(0..=100_000).contains(&scatter_mm.um) {
             return Err(format!(
@@ -395,6 +485,7 @@ impl Plan {
             indentations,
             groups,
             fold_at,
+            passes,
             displacement,
             virtual_bench: file.virtual_bench,
         })
@@ -413,7 +504,16 @@ impl Plan {
     pub fn needs_capsule(&self) -> bool {
         self.groups
             .iter()
-            .any(|group| group.purpose == Purpose::FoldTest)
+            .flat_map(|group| &group.kinds)
+            .any(|(purpose, _)| *purpose == Purpose::FoldTest)
+    }
+
+    /// After how many strokes of such a trial the displacement is asked for; none if it is not.
+    #[must_use]
+    pub fn strokes_of(&self, purpose: Purpose, form: Form) -> Option<usize> {
+        let asked =
+            self.displacement.per_stroke && purpose.pass().is_none() && form == Form::Unfolded;
+        asked.then_some(2 * usize::from(self.run.cycles))
     }
 
     /// Duration of a run without what a solved plan may round, s.
@@ -566,31 +666,103 @@ fn check_indentations(
     Ok(list)
 }
 
-fn series_groups(series: &SeriesTable) -> Result<Vec<Group>, String> {
-    repeats("series.repeats", series.repeats)?;
-    let twice = |what: &str, name: &str| format!("series.{what} has `{name}` twice");
+/// The groups of a table that has several states of the walls and several indentations.
+fn many_groups(
+    table: &str,
+    lubrications: &[Lubrication],
+    indentations: &[String],
+    times: u32,
+    kinds: &[(Purpose, Form)],
+) -> Result<Vec<Group>, String> {
+    repeats(&format!("{table}.repeats"), times)?;
+    let twice = |what: &str, name: &str| format!("{table}.{what} has `{name}` twice");
     let mut seen = BTreeSet::new();
-    for name in &series.indentation {
+    for name in indentations {
         if !seen.insert(name) {
             return Err(twice("indentation", name));
         }
     }
-    if series.indentation.is_empty() || series.lubrication.is_empty() {
-        return Err("series: lubrication and indentation each need at least one name".to_owned());
+    if indentations.is_empty() || lubrications.is_empty() {
+        return Err(format!(
+            "{table}: lubrication and indentation each need at least one name"
+        ));
     }
     let mut seen = BTreeSet::new();
     let mut groups = vec![];
-    for lubrication in &series.lubrication {
+    for lubrication in lubrications {
         if !seen.insert(*lubrication) {
             return Err(twice("lubrication", lubrication.name()));
         }
         groups.push(Group {
-            purpose: Purpose::Series,
             lubrication: *lubrication,
-            indentations: series.indentation.clone(),
-            forms: vec![Form::Unfolded],
-            repeats: series.repeats,
+            indentations: indentations.to_vec(),
+            kinds: kinds.to_vec(),
+            repeats: times,
         });
     }
     Ok(groups)
+}
+
+/// A pass is isolated only if the rollers touch the body neither before nor after it.
+fn check_passes(table: &PassesTable, run: &Run) -> Result<Passes, String> {
+    let PassesTable {
+        tail_mm, body_mm, ..
+    } = *table;
+    // Rollers reach no farther than their radius, however deep they are.
+    let reach = Millimetres::from_um((roller::Params::PAPER.radius_mm * 1e3) as i64);
+    let stroke = Millimetres::from_um(run.stroke_um.into());
+    if body_mm.um <= 0 {
+        return Err(format!(
+            "passes.body_mm: {body_mm}; write the length of the body at rest"
+        ));
+    }
+    if tail_mm < reach {
+        return Err(format!(
+            "passes.tail_mm: {tail_mm}; at the far end the rollers reach {reach} mm towards the body: use {reach} or more"
+        ));
+    }
+    let most = Millimetres::from_um(stroke.um - reach.um - body_mm.um);
+    if tail_mm > most {
+        return Err(format!(
+            "passes.tail_mm: {tail_mm}; with a body of {body_mm} mm and rollers that reach {reach} mm a stroke of {stroke} mm leaves at most {most}"
+        ));
+    }
+    let speed_um_s = plan::peak_um_s(run)
+        .ok_or("passes: the run's strokes have no speed: correct run.duration_s")?;
+    Ok(Passes {
+        tail_mm,
+        body_mm,
+        speed_um_s,
+    })
+}
+
+fn check_displacement(table: &DisplacementTable, run: &Run) -> Result<Displacements, String> {
+    let stroke_um = i64::from(run.stroke_um);
+    let displacement = Displacements {
+        least_mm: table.least_mm.unwrap_or(Millimetres::from_um(-stroke_um)),
+        greatest_mm: table.greatest_mm.unwrap_or(Millimetres::from_um(stroke_um)),
+        per_stroke: table.per_stroke,
+        uncertainty_mm: table.uncertainty_mm,
+    };
+    if displacement.least_mm >= displacement.greatest_mm {
+        return Err(format!(
+            "displacement: from {} to {} mm is no range",
+            displacement.least_mm, displacement.greatest_mm
+        ));
+    }
+    if let Some(uncertainty) = table.uncertainty_mm
+        && !(1..=100_000).contains(&uncertainty.um)
+    {
+        return Err(format!(
+            "displacement.uncertainty_mm: {uncertainty}; no measurement is exact: use 0.001 to 100"
+        ));
+    }
+    if table.per_stroke && run.cycles > MOST_ASKED {
+        return Err(format!(
+            "displacement.per_stroke: {} values after each of the {} cycles' runs are more than a person enters; use at most {MOST_ASKED} cycles, or leave it out",
+            2 * u32::from(run.cycles),
+            run.cycles
+        ));
+    }
+    Ok(displacement)
 }

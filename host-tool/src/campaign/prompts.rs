@@ -1,8 +1,10 @@
 //! What a campaign asks, and what may be answered. Who is asked is behind a trait: a person at a terminal, or nobody.
 
+use protocol::rig::Direction;
+
 use crate::campaign::ledger::Attempt;
-use crate::campaign::order::{Form, Planned};
-use crate::campaign::plan::{Lubrication, Millimetres, Purpose};
+use crate::campaign::order::{Form, Planned, doing};
+use crate::campaign::plan::{Lubrication, Millimetres, Passes, Purpose};
 use crate::campaign::readings::Quantity;
 use crate::decimal::DecimalError;
 use crate::error::ClientError;
@@ -49,6 +51,17 @@ pub enum Question<'a> {
         /// What has to be so, one thing per line.
         checks: Vec<String>,
     },
+    /// The displacement of the tail after one stroke of the run.
+    Stroke {
+        /// The trial.
+        planned: &'a Planned,
+        /// After which stroke, from 1.
+        number: usize,
+        /// Of how many.
+        count: usize,
+        /// What the model says, on the virtual bench.
+        model: Option<Millimetres>,
+    },
     /// The displacement of the tail.
     Displacement {
         /// The trial.
@@ -86,6 +99,25 @@ impl Question<'_> {
                 lines
             }
             Self::Ready { checks, .. } => checks.clone(),
+            Self::Stroke {
+                number,
+                count,
+                model,
+                ..
+            } => {
+                let way = match number % 2 {
+                    1 => "antegrade",
+                    _ => "returning",
+                };
+                vec![match model {
+                    None => format!(
+                        "Displacement since the beginning after stroke {number} of {count} ({way}), mm, + headward:"
+                    ),
+                    Some(model) => format!(
+                        "Displacement after stroke {number} of {count} by the model: {model} mm (not a measurement)."
+                    ),
+                }]
+            }
             Self::Displacement { model, .. } => vec![match model {
                 None => "Displacement of the tail, mm, + headward:".to_owned(),
                 Some(model) => {
@@ -104,6 +136,12 @@ impl Question<'_> {
             Self::Odd { .. } => "yes takes the readings as they are; again measures anew; q leaves",
             Self::Ready { .. } => {
                 "Enter begins; undo, skip [REASON], exclude REASON, note TEXT, camera FILE, clamp; q leaves"
+            }
+            Self::Stroke { model: None, .. } => {
+                "the number and Enter; Enter alone leaves all strokes of this trial out; undo, repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
+            }
+            Self::Stroke { model: Some(_), .. } => {
+                "Enter takes it; undo, repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
             }
             Self::Displacement { model: None, .. } => {
                 "the number and Enter; undo, repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
@@ -206,6 +244,7 @@ pub fn checks(
     attempt: u32,
     of: usize,
     camera_file: Option<&str>,
+    passes: Option<Passes>,
 ) -> Vec<String> {
     let mut lines = vec![format!(
         "Trial {} of {of}{}: {}, {}, {}, repeat {}.",
@@ -216,7 +255,7 @@ pub fn checks(
         },
         planned.indentation,
         planned.lubrication.name(),
-        planned.shape.name(),
+        doing(planned.purpose, planned.shape),
         planned.repeat,
     )];
     lines.push(match planned.lubrication {
@@ -233,11 +272,48 @@ pub fn checks(
             }
         });
     }
-    lines.push("  [ ] the tail is at its mark, the way of the carriage is free".to_owned());
+    match (planned.purpose.pass(), passes) {
+        (Some(direction), Some(passes)) => {
+            let (stand, go) = match direction {
+                Direction::Away => ("at home", "to the far end"),
+                Direction::Home => ("at the far end", "home"),
+            };
+            lines.push(format!(
+                "  [ ] the rollers stand {stand}; they go {go} once"
+            ));
+            lines.push(format!(
+                "  [ ] the body is laid in at rest, its tail {} mm from the rollers' axes at the far end; no roller touches it",
+                passes.tail_mm
+            ));
+            lines.push("  [ ] no hand is in the way of the carriage".to_owned());
+        }
+        _ => {
+            lines.push("  [ ] the tail is at its mark, the way of the carriage is free".to_owned())
+        }
+    }
     if let Some(file) = camera_file {
         lines.push(format!("  [ ] the camera records, as {file}"));
     }
     lines
+}
+
+/// What has to be so before the rollers go to where a trial begins.
+#[must_use]
+pub fn clearing(planned: &Planned) -> Vec<String> {
+    let to = match planned.purpose.pass() {
+        Some(Direction::Home) => "to the far end",
+        _ => "home",
+    };
+    vec![
+        String::new(),
+        format!(
+            "Trial {}, {}: the rollers go {to} before the body is laid in.",
+            planned.trial,
+            doing(planned.purpose, planned.shape)
+        ),
+        "  [ ] the body is taken out: the rollers would run over it".to_owned(),
+        "  [ ] no hand is in the way of the carriage".to_owned(),
+    ]
 }
 
 /// The name that is proposed for the camera's file.

@@ -18,11 +18,16 @@ const CLAMPING_S: f64 = 300.0;
 /// The time that is left, s, and whether the pace was measured.
 #[must_use]
 pub fn remaining_s(campaign: &Campaign) -> (f64, bool) {
-    let mut trials = 0.0;
+    let (mut trials, mut moving_s) = (0.0, 0.0);
     let mut blocks = vec![];
     for trial in &campaign.state.trials {
         if matches!(trial.standing(), Standing::Open | Standing::UnderWay) {
             trials += 1.0;
+            moving_s += match trial.planned.purpose.pass() {
+                None => campaign.plan.run_s(),
+                // Once to where it begins, once over the body.
+                Some(_) => campaign.plan.run_s() / f64::from(campaign.plan.run.cycles.max(1)),
+            };
             blocks.push(trial.planned.block);
         }
     }
@@ -46,7 +51,7 @@ pub fn remaining_s(campaign: &Campaign) -> (f64, bool) {
     } else {
         CLAMPING_S
     };
-    let left = trials * (campaign.plan.run_s() + handling) + clampings as f64 * clamping;
+    let left = moving_s + trials * handling + clampings as f64 * clamping;
     (left, measured)
 }
 

@@ -364,16 +364,16 @@ fn contradictions(folder: &Path, verified: &mut Verified) {
             let mut statuses = vec![];
             for file in list(&folder.join(&path)) {
                 let file = format!("{path}/{file}");
-                let is_run = file.contains("/run-");
+                let is_motion = ["/run-", "/pass-"].iter().any(|stem| file.contains(stem));
                 if let Some(record) = check_record(folder, &file, verified)
-                    && is_run
+                    && is_motion
                 {
                     statuses.push(record.status);
                 }
             }
             let says = statuses.first().copied().map(Outcome::from);
             let what = match (attempt.outcome, says) {
-                _ if statuses.len() > 1 => "has the records of several runs".to_owned(),
+                _ if statuses.len() > 1 => "has the records of several runs or passes".to_owned(),
                 (Some(Outcome::Complete), None) => {
                     format!("{TRIALS} says that it was completed, and there is no record of it")
                 }
@@ -442,6 +442,7 @@ fn is_trial(path: &str) -> bool {
     let name = path.rsplit('/').next().unwrap_or(path);
     let stems = [
         "run-",
+        "pass-",
         "fold-",
         "unfold-",
         "reference-",
@@ -464,7 +465,7 @@ fn telemetry(trial: &Trial, sidecar: &Path) -> Option<String> {
         ));
     }
     let times = match &trial.action {
-        Action::Run { .. } => trial
+        Action::Run { .. } | Action::Move { .. } => trial
             .samples::<RigSample>(sidecar)
             .map(|rows| rows.iter().map(|row| row.time_us).collect::<Vec<_>>()),
         Action::Actuation { .. } => trial

@@ -12,6 +12,7 @@ use crate::campaign::conduct::{Broken, Conduct, Ending, Machines};
 use crate::campaign::folder::{Campaign, Folder};
 use crate::campaign::ledger::{Event, Row, Source, Standing, TrialState};
 use crate::campaign::manifest;
+use crate::campaign::order::doing;
 use crate::campaign::plan::{Millimetres, Plan};
 use crate::campaign::readings::Summary;
 use crate::campaign::remaining::{remaining_s, text as time_text};
@@ -305,7 +306,7 @@ fn status(campaign: &Campaign) -> Vec<String> {
             condition.purpose.name(),
             condition.lubrication.name(),
             condition.indentation,
-            condition.shape.name(),
+            doing(condition.purpose, condition.shape),
             values.len(),
             tally.planned,
         );
@@ -330,7 +331,7 @@ fn status(campaign: &Campaign) -> Vec<String> {
                 next.planned.trial,
                 next.planned.indentation,
                 next.planned.lubrication.name(),
-                next.planned.shape.name(),
+                doing(next.planned.purpose, next.planned.shape),
                 time_text(seconds)
             ));
         }
@@ -441,14 +442,18 @@ fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<Row, Failu
             displacement_mm,
             reason,
         } => {
-            let range = campaign.plan.displacement;
-            if *displacement_mm < range.least_mm || *displacement_mm > range.greatest_mm {
+            if let Some(why) = campaign.plan.displacement.refusal(*displacement_mm) {
                 return Err(Failure::Input {
-                    why: format!(
-                        "{displacement_mm} mm: the plan allows {} to {} mm",
-                        range.least_mm, range.greatest_mm
-                    ),
+                    why,
                     help: "in millimetres, + headward".to_owned(),
+                });
+            }
+            if let Some(why) = campaign.disagreement(*trial, *displacement_mm) {
+                return Err(Failure::Input {
+                    why,
+                    help: format!(
+                        "`campaign edit ... undo {trial}` takes the displacement back, once more the one after the last stroke; `campaign resume` asks for them again"
+                    ),
                 });
             }
             let mut row = Row::of(Event::Displacement, *trial, attempt(*trial));

@@ -27,7 +27,8 @@ pub struct FitArgs {
     /// Folders of campaigns, and CSV files of displacements; all of the same body.
     #[arg(required = true, value_name = "DIR|CSV")]
     pub sources: Vec<PathBuf>,
-    /// Standard deviation of a displacement where its source does not say it, in mm: reading and repetition.
+    /// Standard deviation of a displacement, in mm, of reading and repetition: instead of what a campaign's plan states, and
+    /// where a row of a file states none.
     #[arg(long, value_name = "MM", value_parser = positive)]
     pub uncertainty_mm: Option<f64>,
     /// Seed of everything: the same seed makes the same bytes.
@@ -71,7 +72,7 @@ impl From<TrialsError> for Failure {
             },
             TrialsError::NoUncertainty(_) => Self::Input {
                 why,
-                help: "`--uncertainty-mm MM`: the standard deviation of one displacement, of reading and repetition together"
+                help: "`uncertainty_mm` in `[displacement]` of the next plan, or `--uncertainty-mm MM`: the standard deviation of one displacement, of reading and repetition together"
                     .to_owned(),
             },
         }
@@ -158,6 +159,11 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
             one.left_out.len(),
             one.origin.meaning()
         ));
+        if let (Some(stated), Some(given)) = (one.overridden_mm, args.uncertainty_mm) {
+            screen.say(&format!(
+                "  uncertainty: {given} mm of `--uncertainty-mm`, not the {stated} mm of its plan"
+            ));
+        }
         for left in &one.left_out {
             screen.say(&format!("  left out: {}: {}", left.place, left.why));
         }

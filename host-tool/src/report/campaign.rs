@@ -14,12 +14,13 @@ use serde::Serialize;
 
 use crate::campaign::CampaignError;
 use crate::campaign::manifest;
+use crate::campaign::order::doing;
 use crate::campaign::plan::Purpose;
 use crate::campaign::readings::Quantity;
 use crate::decimal;
 use crate::identity::Origin;
-use crate::report::campaign_figures::{figure7, figure8, run_over_plan};
-use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, run_of};
+use crate::report::campaign_figures::{carriage, figure7, figure8, passes, run_over_plan};
+use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, motion_of};
 use crate::report::figures::Figure;
 use crate::report::section::{reasons, status};
 use crate::report::{Existing, ReportError, page, put};
@@ -81,6 +82,7 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
     let figures = Figures {
         figure7: Drawings::of(figure7(&evaluation))?,
         figure8: Drawings::of(figure8(&evaluation))?,
+        passes: Drawings::of(passes(&evaluation))?,
     };
     let html = html(&evaluation, &figures)?;
     let mut files = vec![];
@@ -91,7 +93,11 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
         files.push(path);
         Ok::<_, ReportError>(())
     };
-    for (name, drawings) in [("figure7", &figures.figure7), ("figure8", &figures.figure8)] {
+    for (name, drawings) in [
+        ("figure7", &figures.figure7),
+        ("figure8", &figures.figure8),
+        ("passes", &figures.passes),
+    ] {
         let (svg, pdf) = (format!("{name}.svg"), format!("{name}.pdf"));
         match drawings {
             Some(drawings) => {
@@ -169,6 +175,7 @@ impl Drawings {
 struct Figures {
     figure7: Option<Drawings>,
     figure8: Option<Drawings>,
+    passes: Option<Drawings>,
 }
 
 fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportError> {
@@ -190,7 +197,7 @@ fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportErro
             (figure(figures.figure7.as_ref().map(|figure| &*figure.svg), "No trial of the series counts yet: no figure.",
                 "Each dot is a trial, each bar the mean of a condition with one standard deviation up and down. The line is that of least squares through all dots, \
                  the pale area its band of 95 % confidence."))
-            (conditions(evaluation, Purpose::Series))
+            (conditions(evaluation, &[Purpose::Series], None))
             (lines(evaluation))
         }
         section {
@@ -198,8 +205,14 @@ fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportErro
             (figure(figures.figure8.as_ref().map(|figure| &*figure.svg), "No trial of the fold test counts yet: no figure.",
                 "The displacement is read at the beginning, where it is zero, and at the end: the straight lines join the two and say nothing of the way between. \
                  Below, the carriage in the first trial of each shape."))
-            (conditions(evaluation, Purpose::FoldTest))
+            (conditions(evaluation, &[Purpose::FoldTest], Some("shape")))
         }
+        @if plan.passes.is_some() { section {
+            h2 { "Isolated passes" }
+            (figure(figures.passes.as_ref().map(|figure| &*figure.svg), "No isolated pass counts yet: no figure.",
+                "Each dot is one stroke of the rollers over a body that they met at rest, each bar the mean of a condition with one standard deviation up and down.                  Antegrade is from head to tail, returning from tail to head."))
+            (conditions(evaluation, &[Purpose::AntegradePass, Purpose::ReturningPass], Some("pass")))
+        } }
         section { h2 { "Left out" } (left_out(evaluation)) }
         section { h2 { "Conditions" } (setting(evaluation)) }
         section { h2 { "Ledger, glitches, energy" } (totals(evaluation)) }
@@ -276,23 +289,24 @@ fn condition_key(row: &ConditionRow) -> String {
     )
 }
 
-fn conditions(evaluation: &Evaluation, purpose: Purpose) -> Markup {
+/// The conditions for these purposes; `kind` heads the column that tells them apart.
+fn conditions(evaluation: &Evaluation, purposes: &[Purpose], kind: Option<&str>) -> Markup {
     let rows = || {
         let rows = evaluation.conditions.iter();
-        rows.filter(move |row| row.purpose == purpose)
+        rows.filter(|row| purposes.contains(&row.purpose))
     };
     html! {
         @if rows().next().is_none() { p { "The plan has none." } }
         @else { div.wide { table {
             thead { tr {
-                th { "walls" } th { "place" } @if purpose == Purpose::FoldTest { th { "shape" } }
+                th { "walls" } th { "place" } @if let Some(kind) = kind { th { (kind) } }
                 th.n { "a / mm" } th.n { "n" } th.n { "mean / mm" } th.n { "SD / mm" }
             } }
             tbody { @for row in rows() {
                 @let key = condition_key(row);
                 tr {
                     td { (row.lubrication.name()) } td { (row.indentation) }
-                    @if purpose == Purpose::FoldTest { td { (row.shape.name()) } }
+                    @if kind.is_some() { td { (doing(row.purpose, row.shape)) } }
                     (number(&format!("{key}/indentation_mm"), row.indentation_mm))
                     td.n { (cell(&format!("{key}/n"), row.n)) " of " (cell(&format!("{key}/planned"), row.planned)) }
                     (number(&format!("{key}/mean_mm"), row.mean_mm))
@@ -354,7 +368,7 @@ fn condition_text(row: &TrialRow) -> String {
         "{}, {}, {}, repeat {}",
         row.lubrication.name(),
         row.indentation,
-        row.shape.name(),
+        doing(row.purpose, row.shape),
         row.repeat
     )
 }
@@ -430,14 +444,14 @@ fn all_trials(evaluation: &Evaluation) -> Markup {
     html! {
         div.wide { table {
             thead { tr {
-                th.n { "trial" } th { "walls" } th { "place" } th { "shape" } th.n { "a / mm" } th.n { "displacement / mm" } th.n { "steps" }
+                th.n { "trial" } th { "walls" } th { "place" } th { "shape or pass" } th.n { "a / mm" } th.n { "displacement / mm" } th.n { "steps" }
                 th.n { "residual / steps" } th.n { "from plan / mm" } th { "" }
             } }
             tbody { @for row in &evaluation.trials {
                 @let key = format!("trials/{}", row.trial);
                 tr {
-                    td.n { @if row.counted_steps.is_some() { a href={ "#trial-" (row.trial) } { (row.trial) } } @else { (row.trial) } }
-                    td { (row.lubrication.name()) } td { (row.indentation) } td { (row.shape.name()) }
+                    td.n { @if row.samples.is_some() { a href={ "#trial-" (row.trial) } { (row.trial) } } @else { (row.trial) } }
+                    td { (row.lubrication.name()) } td { (row.indentation) } td { (doing(row.purpose, row.shape)) }
                     (number(&format!("{key}/indentation_mm"), row.indentation_mm))
                     (number(&format!("{key}/displacement_mm"), row.displacement_mm))
                     (number(&format!("{key}/counted_steps"), row.counted_steps))
@@ -452,19 +466,31 @@ fn all_trials(evaluation: &Evaluation) -> Markup {
 
 fn trial(evaluation: &Evaluation, row: &TrialRow, parts: &[Part]) -> Result<Markup, ReportError> {
     let name = format!("Trial {}: {}", row.trial, condition_text(row));
-    let svg = match run_of(parts) {
+    let is_pass = row.purpose.pass().is_some();
+    let svg = match motion_of(parts, row.purpose) {
+        Some(pass) if is_pass => carriage(&name, pass)?,
         Some(run) => run_over_plan(&name, run)?,
         None => None,
+    };
+    let caption = match is_pass {
+        true => "The carriage by the read-back counter. Time 0 is the first sample.",
+        false => {
+            "The carriage by the read-back counter over the plan, and the one less the other. Time 0 is the run's start."
+        }
     };
     let key = format!("trials/{}", row.trial);
     Ok(html! {
         section.trial id={ "trial-" (row.trial) } {
             h3 { (name) (page::tag(evaluation.origin)) }
             @if let Some(why) = &row.reason { p.bad { (why) } }
-            (figure(svg.as_deref(), "No telemetry with a plan: no figure.", "The carriage by the read-back counter over the plan, and the one less the other. Time 0 is the run's start."))
+            (figure(svg.as_deref(), "No telemetry with a plan: no figure.", caption))
             div.facts {
             div.wide.short { table { tbody {
                 tr { th { "displacement / mm" } (number(&format!("{key}/displacement_mm"), row.displacement_mm)) }
+                @if !row.strokes_mm.0.is_empty() { tr {
+                    th { "displacement after each stroke / mm" }
+                    td.n { @for (number, mm) in (1..).zip(&row.strokes_mm.0) { (cell(&format!("{key}/stroke/{number}"), mm)) " " } }
+                } }
                 tr { th { "steps planned" } (number(&format!("{key}/planned_steps"), row.planned_steps)) }
                 tr { th { "steps commanded" } (number(&format!("{key}/commanded_steps"), row.commanded_steps)) }
                 tr { th { "steps counted at the pin" } (number(&format!("{key}/counted_steps"), row.counted_steps)) }

@@ -3,7 +3,7 @@
 
 use plotters::style::RGBColor;
 
-use crate::campaign::order::Form;
+use crate::campaign::order::{Form, doing};
 use crate::campaign::plan::{Lubrication, Purpose};
 use crate::report::check;
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
@@ -50,7 +50,7 @@ fn bar(x: f64, mean: f64, sd: f64, half_width: f64) -> [(f64, f64); 8] {
 pub fn figure7(evaluation: &Evaluation) -> Option<Figure> {
     let mut curves = vec![];
     for (lubrication, colour) in [(Lubrication::Dry, DRY), (Lubrication::Lubricated, WET)] {
-        let points = evaluation.points(lubrication);
+        let points = evaluation.points(Purpose::Series, lubrication);
         if points.is_empty() {
             continue;
         }
@@ -103,6 +103,42 @@ pub fn figure7(evaluation: &Evaluation) -> Option<Figure> {
     };
     let title = "Fig. 7: displacement over indentation";
     let heading = Heading::new(title, Source::Records(evaluation.origin));
+    Some(Figure::new(heading, vec![chart]))
+}
+
+/// Displacement by an isolated pass over indentation, both ways; none without a trial that counts.
+#[must_use]
+pub fn passes(evaluation: &Evaluation) -> Option<Figure> {
+    let mut curves = vec![];
+    let ways = [
+        (Purpose::AntegradePass, 9, 0.08),
+        (Purpose::ReturningPass, 5, 0.05),
+    ];
+    for (purpose, size, half_width) in ways {
+        for (lubrication, colour) in [(Lubrication::Dry, DRY), (Lubrication::Lubricated, WET)] {
+            let points = evaluation.points(purpose, lubrication);
+            if points.is_empty() {
+                continue;
+            }
+            let rows = evaluation.conditions.iter().filter(|row| {
+                row.purpose == purpose && row.lubrication == lubrication && row.n > 0
+            });
+            let (way, walls) = (doing(purpose, Form::Unfolded), lubrication.name());
+            let label = format!("{way}, {walls}, n = {}", points.len());
+            curves.push(curve(label, colour, Mark::Dots(size), points));
+            curves.push(curve("", colour, Mark::Segments(4), bars(rows, half_width)));
+        }
+    }
+    if curves.is_empty() {
+        return None;
+    }
+    let chart = Chart {
+        x_label: "indentation a / mm",
+        y_label: "displacement / mm".to_owned(),
+        y_from_zero: true,
+        curves,
+    };
+    let heading = Heading::new("Isolated passes", Source::Records(evaluation.origin));
     Some(Figure::new(heading, vec![chart]))
 }
 
@@ -195,12 +231,34 @@ fn positions(run: &Part) -> Option<Vec<(f64, f64)>> {
 }
 
 fn samples(run: &Part) -> Option<(Vec<RigSample>, u64, Screw)> {
-    let Action::Run { screw, .. } = &run.trial.action else {
+    let (Action::Run { screw, .. } | Action::Move { screw, .. }) = &run.trial.action else {
         return None;
     };
     let (samples, _) = check::read::<RigSample>(&run.sidecar, &run.trial);
-    let start_us = check::run_start_us(&run.trial)?;
+    let start_us = match &run.trial.action {
+        // No event tells when a move begins: its record does just before.
+        Action::Move { .. } => samples.first()?.time_us,
+        _ => check::run_start_us(&run.trial)?,
+    };
     (!samples.is_empty()).then_some((samples, start_us, *screw))
+}
+
+/// The carriage in a pass; none without telemetry.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn carriage(name: &str, pass: &Part) -> Result<Option<String>, FigureError> {
+    let Some(points) = positions(pass) else {
+        return Ok(None);
+    };
+    let origin = pass.trial.device.origin;
+    let chart = Chart {
+        x_label: "time / s",
+        y_label: "position / mm".to_owned(),
+        y_from_zero: false,
+        curves: vec![curve(sampled(origin), MEASURED, Mark::Line(3), points)],
+    };
+    figure(&Heading::new(name, Source::Records(origin)), vec![chart]).map(Some)
 }
 
 /// A run over its plan, and what is between them; none without telemetry or plan.

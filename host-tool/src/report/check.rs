@@ -49,7 +49,7 @@ impl Sample for RigSample {
                 return Some(format!("{name} is `{text}`"));
             }
         }
-        let Action::Run { screw, .. } = &trial.action else {
+        let (Action::Run { screw, .. } | Action::Move { screw, .. }) = &trial.action else {
             return None;
         };
         let exact = decimal::write_signed(screw.nm(self.position_steps.into()), 6);
@@ -134,6 +134,78 @@ pub fn run(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
             "the record's outcome and the sidecar's status differ",
             &mut defects,
         );
+    }
+    defects
+}
+
+/// What is wrong with the record of a move.
+#[must_use]
+pub fn movement(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
+    let mut defects = telemetry(trial, samples);
+    let Action::Move {
+        screw,
+        requested,
+        accepted,
+        moved,
+    } = &trial.action
+    else {
+        return defects;
+    };
+    let (Some(accepted), Some(moved)) = (accepted, moved) else {
+        if trial.status == Status::Complete {
+            defects.push("it is called complete, without what was accepted or done".to_owned());
+        }
+        return defects;
+    };
+    agree(
+        Status::from(moved.outcome) == trial.status,
+        "the outcome of the move and the sidecar's status differ",
+        &mut defects,
+    );
+    agree(
+        screw.steps(requested.position_um) == accepted.to_steps,
+        "the rig accepted another place than was requested",
+        &mut defects,
+    );
+    let (from, to) = (i64::from(accepted.from_steps), i64::from(accepted.to_steps));
+    agree(
+        (to - from).unsigned_abs() == u64::from(accepted.stroke.steps),
+        "the steps that were accepted are not those between the two places",
+        &mut defects,
+    );
+    if trial.status != Status::Complete {
+        return defects;
+    }
+    if moved.position_steps != accepted.to_steps {
+        defects.push(format!(
+            "it is called complete at {} steps, and {to} were to be reached",
+            moved.position_steps
+        ));
+    }
+    let (least, most) = (from.min(to), from.max(to));
+    let outside = |sample: &&RigSample| !(least..=most).contains(&i64::from(sample.position_steps));
+    if let Some(sample) = samples.iter().find(outside) {
+        defects.push(format!(
+            "a sample is at {} steps, outside of {least} to {most}",
+            sample.position_steps
+        ));
+    }
+    // What was not recorded has no length: the samples have to last as long as the move, but for one at either end.
+    if let (Some(first), Some(last)) = (samples.first(), samples.last()) {
+        let lasted_us = last.time_us.saturating_sub(first.time_us);
+        let every_us = samples
+            .windows(2)
+            .map(|pair| pair[1].time_us.saturating_sub(pair[0].time_us))
+            .max()
+            .unwrap_or(0);
+        let least_us = accepted.stroke.duration_ticks / 100;
+        if lasted_us.saturating_add(every_us.saturating_mul(2) + LATE_US) < least_us {
+            defects.push(format!(
+                "the telemetry lasts {lasted_us} us, and the move took {least_us} us"
+            ));
+        }
+    } else {
+        defects.push("the move has no telemetry".to_owned());
     }
     defects
 }

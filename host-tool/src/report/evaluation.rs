@@ -47,6 +47,17 @@ impl<const DECIMALS: usize> Serialize for Rounded<DECIMALS> {
     }
 }
 
+/// Displacements after the strokes of a run, in one cell with blanks between them; empty if they are left out.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct StrokesMm(pub Vec<Millimetres>);
+
+impl Serialize for StrokesMm {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let texts: Vec<String> = self.0.iter().map(ToString::to_string).collect();
+        serializer.serialize_str(&texts.join(" "))
+    }
+}
+
 /// A trial: a row of `report/trials.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrialRow {
@@ -81,6 +92,8 @@ pub struct TrialRow {
     pub displacement_mm: Option<Millimetres>,
     /// Where the displacement comes from.
     pub source: Option<Source>,
+    /// Displacement since the beginning, after each stroke.
+    pub strokes_mm: StrokesMm,
     /// Steps of the plan.
     pub planned_steps: Option<u64>,
     /// Steps that the generator emitted.
@@ -314,6 +327,10 @@ fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
                     let (samples, unreadable) = check::read::<RigSample>(&sidecar, &trial);
                     [unreadable, check::run(&trial, &samples)].concat()
                 }
+                Action::Move { .. } => {
+                    let (samples, unreadable) = check::read::<RigSample>(&sidecar, &trial);
+                    [unreadable, check::movement(&trial, &samples)].concat()
+                }
                 Action::Actuation { .. } => {
                     let (samples, unreadable) = check::read::<CapsuleSample>(&sidecar, &trial);
                     [unreadable, check::actuation(&trial, &samples)].concat()
@@ -336,6 +353,17 @@ pub fn run_of(parts: &[Part]) -> Option<&Part> {
     parts
         .iter()
         .find(|part| matches!(part.trial.action, Action::Run { .. }))
+}
+
+/// The run, or for a pass the move, among the records of a trial.
+#[must_use]
+pub fn motion_of(parts: &[Part], purpose: Purpose) -> Option<&Part> {
+    match purpose.pass() {
+        None => run_of(parts),
+        Some(_) => parts
+            .iter()
+            .find(|part| matches!(part.trial.action, Action::Move { .. })),
+    }
 }
 
 /// Position of each sample, less that of the plan at its time: (s, mm). None for a run that was held, or not planned.
@@ -425,10 +453,13 @@ impl Evaluation {
         if let Some(defect) = parts.iter().flat_map(|part| &part.defects).next() {
             return Some(format!("left out, its record contradicts itself: {defect}"));
         }
-        match run_of(parts) {
-            None => Some("left out, it has no record of a run".to_owned()),
+        match motion_of(parts, state.planned.purpose) {
+            None => Some(format!(
+                "left out, it has no record of a {}",
+                state.planned.purpose.pass().map_or("run", |_| "pass")
+            )),
             Some(run) if run.trial.device.origin != self.origin => Some(format!(
-                "left out, its run is of origin {}, the ledger of origin {}",
+                "left out, its record is of origin {}, the ledger of origin {}",
                 run.trial.device.origin, self.origin
             )),
             Some(_) => None,
@@ -465,10 +496,15 @@ impl Evaluation {
             .iter()
             .filter_map(|part| match &part.trial.action {
                 Action::Actuation { record, .. } => Some(record.as_ref()?.energy_mj),
-                Action::Run { .. } => None,
+                Action::Run { .. } | Action::Move { .. } => None,
             })
             .collect();
-        let telemetry = run.map(|part| part.sidecar.with_file_name(&part.trial.telemetry));
+        let motion = motion_of(parts, planned.purpose);
+        let pass = match motion.map(|part| &part.trial.action) {
+            Some(Action::Move { accepted, .. }) => accepted.as_ref(),
+            _ => None,
+        };
+        let telemetry = motion.map(|part| part.sidecar.with_file_name(&part.trial.telemetry));
         TrialRow {
             trial: planned.trial,
             block: planned.block,
@@ -485,7 +521,16 @@ impl Evaluation {
             indentation_mm: attempt.and_then(|attempt| attempt.indentation_mm),
             displacement_mm: displacement.map(|displacement| displacement.value),
             source: displacement.map(|displacement| displacement.source),
-            planned_steps: achieved.map(|achieved| achieved.edges),
+            strokes_mm: StrokesMm(
+                (self.campaign.plan)
+                    .strokes_of(planned.purpose, planned.shape)
+                    .and_then(|count| attempt?.all_strokes(count))
+                    .map(<[_]>::to_vec)
+                    .unwrap_or_default(),
+            ),
+            planned_steps: achieved
+                .map(|achieved| achieved.edges)
+                .or(pass.map(|pass| pass.stroke.steps.into())),
             commanded_steps: executed.map(|executed| executed.commanded_edges),
             counted_steps: executed.map(|executed| executed.counted_edges),
             worst_residual_steps: executed.map(|executed| executed.worst_residual_steps),
@@ -495,8 +540,8 @@ impl Evaluation {
             }),
             glitches: executed.map(|executed| executed.glitches),
             holds: executed.map(|executed| executed.holds),
-            samples: run.map(|part| part.trial.samples),
-            lost_samples: run.map(|part| part.trial.missed_samples),
+            samples: motion.map(|part| part.trial.samples),
+            lost_samples: motion.map(|part| part.trial.missed_samples),
             energy_mj: (!energies.is_empty()).then(|| energies.iter().sum()),
             telemetry: telemetry.as_deref().map(|file| self.within(file)),
             telemetry_sha256: telemetry.as_deref().and_then(|file| self.hash(file)),
@@ -528,19 +573,19 @@ impl Evaluation {
         }
     }
 
-    /// Trials of the series that count: (a_n, displacement), mm.
+    /// Trials for a purpose that count: (a_n, displacement), mm.
     #[must_use]
-    pub fn points(&self, lubrication: Lubrication) -> Vec<(f64, f64)> {
+    pub fn points(&self, purpose: Purpose, lubrication: Lubrication) -> Vec<(f64, f64)> {
         self.trials
             .iter()
-            .filter(|row| row.counts && row.purpose == Purpose::Series)
+            .filter(|row| row.counts && row.purpose == purpose)
             .filter(|row| row.lubrication == lubrication)
             .filter_map(|row| Some((row.indentation_mm?.mm(), row.displacement_mm?.mm())))
             .collect()
     }
 
     fn line(&self, lubrication: Lubrication) -> Option<(LineRow, Line)> {
-        let line = Line::through(&self.points(lubrication))?;
+        let line = Line::through(&self.points(Purpose::Series, lubrication))?;
         let row = LineRow {
             lubrication,
             n: line.n,

@@ -11,7 +11,7 @@ use crate::campaign::folder::{Campaign, TRIALS};
 use crate::campaign::ledger::Standing;
 use crate::campaign::manifest::{self, hex};
 use crate::campaign::order::Form;
-use crate::campaign::plan;
+use crate::campaign::plan::{self, Purpose};
 use crate::campaign::verify::{Finding, verify};
 use crate::identity::Origin;
 use crate::limited;
@@ -58,6 +58,8 @@ pub struct Trials {
     pub origin: Origin,
     /// Stroke of the rollers, mm, where the source says so.
     pub stroke_mm: Option<f64>,
+    /// The uncertainty that the source states, where another one was given and taken instead, mm.
+    pub overridden_mm: Option<f64>,
 }
 
 /// Why a source cannot be used.
@@ -82,15 +84,15 @@ pub enum TrialsError {
         /// Why, with the number of the row.
         why: String,
     },
-    /// Campaigns do not say how exact their displacements are.
+    /// The campaign's plan does not say how exact its displacements are.
     #[error("{path} does not say how exact its displacements are", path = .0.display())]
     NoUncertainty(PathBuf),
 }
 
 const FOLDED: &str = "folded: the folded block's model has none of the parameters that are fitted";
 
-/// Displacements of the folder or the file at a path. `uncertainty_mm` is the standard deviation of each of them where the
-/// source does not say it.
+/// Displacements of the folder or the file at a path. `uncertainty_mm` is the standard deviation of each of them: in a folder
+/// instead of what its plan states, in a file where the row does not say it.
 ///
 /// # Errors
 /// What is wrong with the source first.
@@ -111,8 +113,10 @@ fn campaign(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsEr
         });
     }
     let campaign = Campaign::read(path)?;
-    let uncertainty_mm =
-        uncertainty_mm.ok_or_else(|| TrialsError::NoUncertainty(path.to_owned()))?;
+    let stated_mm = (campaign.plan.displacement.uncertainty_mm).map(plan::Millimetres::mm);
+    let overridden_mm = stated_mm.filter(|stated| uncertainty_mm.is_some_and(|mm| mm != *stated));
+    let uncertainty_mm = (uncertainty_mm.or(stated_mm))
+        .ok_or_else(|| TrialsError::NoUncertainty(path.to_owned()))?;
     let (mut measured, mut left_out) = (vec![], vec![]);
     for trial in &campaign.state.trials {
         let place = format!("trial {}", trial.planned.trial);
@@ -156,21 +160,56 @@ fn campaign(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsEr
             leave("its indentation is not known".to_owned());
             continue;
         };
-        measured.push(Measured {
-            observation: Observation {
-                kind: Kind::Net {
-                    cycles: campaign.plan.run.cycles,
-                },
-                lubrication: match trial.planned.lubrication {
-                    plan::Lubrication::Dry => Lubrication::Dry,
-                    plan::Lubrication::Lubricated => Lubrication::Lubricated,
-                },
-                indentation_mm: indentation.mm(),
-                displacement_mm: displacement.value.mm(),
-                uncertainty_mm,
+        let observation = |kind, displacement_mm, uncertainty_mm| Observation {
+            kind,
+            lubrication: match trial.planned.lubrication {
+                plan::Lubrication::Dry => Lubrication::Dry,
+                plan::Lubrication::Lubricated => Lubrication::Lubricated,
             },
-            place,
+            indentation_mm: indentation.mm(),
+            displacement_mm,
+            uncertainty_mm,
+        };
+        let kind = match trial.planned.purpose {
+            Purpose::Series | Purpose::FoldTest => Kind::Net {
+                cycles: campaign.plan.run.cycles,
+            },
+            Purpose::AntegradePass => Kind::AntegradePass,
+            Purpose::ReturningPass => Kind::ReturningPass,
+        };
+        let Some(count) = (campaign.plan).strokes_of(trial.planned.purpose, trial.planned.shape)
+        else {
+            measured.push(Measured {
+                observation: observation(kind, displacement.value.mm(), uncertainty_mm),
+                place,
+            });
+            continue;
+        };
+        let after = trial
+            .attempt()
+            .and_then(|attempt| attempt.all_strokes(count));
+        if after.is_none() {
+            leave("its displacements per stroke: they were not entered".to_owned());
+        }
+        measured.push(Measured {
+            observation: observation(kind, displacement.value.mm(), uncertainty_mm),
+            place: place.clone(),
         });
+        let mut before = 0.0;
+        for (number, after) in (1..).zip(after.unwrap_or_default()) {
+            // The body begins at its mark; after that a stroke is the difference of two readings.
+            let readings: f64 = if number == 1 { 1.0 } else { 2.0 };
+            let uncertainty_mm = uncertainty_mm * readings.sqrt();
+            measured.push(Measured {
+                observation: observation(
+                    Kind::Stroke { number },
+                    after.mm() - before,
+                    uncertainty_mm,
+                ),
+                place: format!("{place}, stroke {number}"),
+            });
+            before = after.mm();
+        }
     }
     let listed = path.join(manifest::NAME);
     let files = [TRIALS.into(), manifest::NAME.to_owned()];
@@ -190,6 +229,7 @@ fn campaign(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsEr
         files: files.into_iter().collect::<Result<_, CampaignError>>()?,
         origin: campaign.origin().unwrap_or_default(),
         stroke_mm: Some(f64::from(campaign.plan.run.stroke_um) / 1e3),
+        overridden_mm,
     })
 }
 
@@ -259,6 +299,7 @@ pub fn parse(bytes: &[u8], uncertainty_mm: Option<f64>) -> Result<Trials, String
         files: vec![],
         origin: Origin::Unknown,
         stroke_mm: None,
+        overridden_mm: None,
     };
     let mut origins = vec![];
     for (number, record) in (1..).zip(reader.records()) {

@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 
 use crate::campaign::folder::Campaign;
 use crate::campaign::ledger::Standing;
+use crate::campaign::order::doing;
 use crate::campaign::remaining;
 use crate::catalogue::{self, Kind, Wanted};
 use crate::cli::args::CAMPAIGNS_FOLDER;
@@ -40,7 +41,7 @@ pub(crate) fn json(folder: &Path) -> Value {
             next.planned.trial,
             next.planned.indentation,
             next.planned.lubrication.name(),
-            next.planned.shape.name()
+            doing(next.planned.purpose, next.planned.shape)
         )
     });
     let left = next

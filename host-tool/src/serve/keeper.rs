@@ -676,6 +676,7 @@ impl Observer for Busy<'_> {
             Begun::Homing(accepted) => json!(accepted),
             Begun::Run(accepted) => json!(Achieved::from(accepted)),
             Begun::Actuation(accepted) => json!(accepted),
+            Begun::Move(accepted) => json!(accepted),
         };
         self.keeper.board.accepted(self.action, accepted);
     }

@@ -11,13 +11,17 @@ use crate::campaign::prompts::{Answer, Question};
 use crate::identity::Origin;
 
 impl Conduct<'_> {
-    /// Asks for the displacement of an attempt that was completed.
+    /// Asks for what is missing of an attempt that was completed: the displacements after strokes first, then the net one.
     pub(super) fn measure(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
         let trial = planned.trial;
+        let missing = self.missing_stroke(planned);
         let modelled = match self.machines.origin {
-            Origin::Virtual => Some(self.model(planned, attempt)?),
+            Origin::Virtual => Some(self.model(planned, attempt, missing.map(|(at, _)| at))?),
             Origin::Board | Origin::Unknown => None,
         };
+        if let Some(missing) = missing {
+            return self.measure_stroke(planned, attempt, missing, modelled);
+        }
         let question = Question::Displacement {
             planned,
             attempt,
@@ -34,18 +38,13 @@ impl Conduct<'_> {
                 self.row(row.saying(Some(modelled.text)))?;
                 return self.unfold_after(planned, attempt);
             }
-            (Answer::Length(_), Some(_)) => {
-                self.desk.say(
-                    "  nothing can be measured on the virtual bench: Enter takes the model's value",
-                );
-            }
+            (Answer::Length(_), Some(_)) => self.say_virtual(),
             (Answer::Length(value), None) => {
-                let range = self.folder.campaign().plan.displacement;
-                if value < range.least_mm || value > range.greatest_mm {
-                    self.desk.say(&format!(
-                        "  {value} mm: the plan allows {} to {} mm",
-                        range.least_mm, range.greatest_mm
-                    ));
+                let campaign = self.folder.campaign();
+                let refusal = (campaign.plan.displacement.refusal(value))
+                    .or_else(|| campaign.disagreement(trial, value));
+                if let Some(why) = refusal {
+                    self.desk.say(&format!("  {why}"));
                     return Ok(Then::Look);
                 }
                 row.displacement_mm = Some(value);
@@ -53,8 +52,40 @@ impl Conduct<'_> {
                 self.row(row)?;
                 return self.unfold_after(planned, attempt);
             }
-            (Answer::Undo, _) => {
+            (Answer::Enter | Answer::Yes | Answer::Again, None) => {
+                self.desk.say("  the displacement is needed here");
+            }
+            (answer, _) => self.instead(planned, attempt, answer)?,
+        }
+        Ok(Then::Look)
+    }
+
+    pub(super) fn say_virtual(&mut self) {
+        self.desk
+            .say("  nothing can be measured on the virtual bench: Enter takes the model's value");
+    }
+
+    /// What may be answered instead of a value.
+    pub(super) fn instead(
+        &mut self,
+        planned: &Planned,
+        attempt: u32,
+        answer: Answer,
+    ) -> Result<(), Broken> {
+        let trial = planned.trial;
+        match answer {
+            Answer::Undo => {
                 let campaign = self.folder.campaign();
+                let here = campaign
+                    .state
+                    .trial(trial)
+                    .and_then(|state| state.attempt());
+                if here.is_some_and(|here| here.strokes_left_out || !here.strokes.is_empty()) {
+                    self.row(Row::of(Event::Undone, trial, Some(attempt)))?;
+                    self.desk
+                        .say("  what was said of the last stroke is taken back");
+                    return Ok(());
+                }
                 match campaign.state.last_measured(&campaign.rows) {
                     None => self.desk.say("  no displacement was entered yet"),
                     Some((last, of)) => {
@@ -64,37 +95,45 @@ impl Conduct<'_> {
                     }
                 }
             }
-            (Answer::Repeat(reason), _) => {
+            Answer::Repeat(reason) => {
                 let row = Row::of(Event::Repeated, trial, Some(attempt)).saying(Some(reason));
                 self.row(row)?;
                 self.desk.say(&format!(
                     "  attempt {attempt} does not count; the trial is done again"
                 ));
             }
-            (Answer::Skip(reason), _) => {
+            Answer::Skip(reason) => {
                 self.row(Row::of(Event::Skipped, trial, None).saying(Some(reason)))?;
                 self.desk.say(&format!("  trial {trial} is skipped"));
             }
-            (Answer::Exclude(reason), _) => {
+            Answer::Exclude(reason) => {
                 let row = Row::of(Event::Excluded, trial, Some(attempt)).saying(Some(reason));
                 self.row(row)?;
                 self.desk.say(&format!("  trial {trial} is excluded"));
             }
-            (Answer::Note(text), _) => {
+            Answer::Note(text) => {
                 self.row(Row::of(Event::Note, trial, None).saying(Some(text)))?;
             }
-            (Answer::Camera(_) | Answer::Clamp, _) => {
+            Answer::Camera(_) | Answer::Clamp => {
                 self.desk.say("  that is for the next trial");
             }
-            (
-                Answer::Enter | Answer::Yes | Answer::Again | Answer::Quit | Answer::Unclear(_),
-                _,
-            ) => self.desk.say("  the displacement is needed here"),
+            Answer::Enter
+            | Answer::Length(_)
+            | Answer::Yes
+            | Answer::Again
+            | Answer::Quit
+            | Answer::Unclear(_) => self.desk.say("  the displacement is needed here"),
         }
-        Ok(Then::Look)
+        Ok(())
     }
 
-    fn model(&self, planned: &Planned, attempt: u32) -> Result<Modelled, Broken> {
+    /// What the models say: after a stroke, or of the whole trial.
+    fn model(
+        &self,
+        planned: &Planned,
+        attempt: u32,
+        after_stroke: Option<usize>,
+    ) -> Result<Modelled, Broken> {
         let campaign = self.folder.campaign();
         let sidecar = campaign
             .run_sidecar(planned.trial, attempt)
@@ -104,7 +143,13 @@ impl Conduct<'_> {
             .trial(planned.trial)
             .and_then(|trial| trial.attempt()?.indentation_mm)
             .map_or(0.0, Millimetres::mm);
-        model::displacement(&campaign.plan, planned, attempt, a_mm, &sidecar).map_err(|error| {
+        let modelled = match after_stroke {
+            None => model::displacement(&campaign.plan, planned, attempt, a_mm, &sidecar),
+            Some(stroke) => {
+                model::after_stroke(&campaign.plan, planned, attempt, a_mm, &sidecar, stroke)
+            }
+        };
+        modelled.map_err(|error| {
             let folder = Attempt::folder(planned.trial, attempt);
             Broken::NotReady {
                 why: format!("{folder} has no displacement: {error}"),

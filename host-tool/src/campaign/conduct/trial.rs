@@ -4,27 +4,22 @@ use std::fs;
 use std::path::Path;
 
 use protocol::capsule::{ActuationKind, CapsuleState};
-use protocol::error::Refusal;
-use protocol::rig::{MoveTo, RigEvent};
+use protocol::rig::{Direction, MoveTo, RigEvent};
 use protocol::system::What;
 use serde_json::json;
 
 use crate::campaign::conduct::{Broken, Conduct, Then};
 use crate::campaign::ledger::{Event, Outcome, Row, Standing};
-use crate::campaign::order::{Form, Planned};
+use crate::campaign::order::{Form, Planned, doing};
 use crate::campaign::plan::{Millimetres, Purpose};
 use crate::campaign::prompts::{Answer, Question, camera_file, checks};
 use crate::campaign::remaining;
 use crate::client::Device;
 use crate::coordination::{self, Recordings, Shaping};
-use crate::error::ClientError;
 use crate::experiment;
 use crate::identity::Origin;
 use crate::trial::{RecordError, Recording, Status, json as json_text};
 use crate::writer::replace;
-
-/// How fast the carriage goes to 0 between two trials, um/s.
-const RETURN_UM_S: u32 = 20_000;
 
 impl Conduct<'_> {
     pub(super) fn ask_ready(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
@@ -32,7 +27,13 @@ impl Conduct<'_> {
         let of = campaign.order.len();
         let camera = self.camera_for(planned.trial, attempt);
         let (left_s, _) = remaining::remaining_s(campaign);
-        let mut checks = checks(planned, attempt, of, camera.as_deref());
+        let mut checks = checks(
+            planned,
+            attempt,
+            of,
+            camera.as_deref(),
+            campaign.plan.passes,
+        );
         checks[0].push_str(&format!(" {}.", remaining::text(left_s)));
         let question = Question::Ready {
             planned,
@@ -156,7 +157,11 @@ impl Conduct<'_> {
         folder: &Path,
     ) -> Result<(), Broken> {
         fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
-        self.go_home(planned.block)?;
+        if let Some(direction) = planned.purpose.pass() {
+            self.write_conditions(planned, attempt, began, folder)?;
+            return self.pass(planned, direction, folder);
+        }
+        self.drive_to(planned.block, 0)?;
         self.write_conditions(planned, attempt, began, folder)?;
         if planned.purpose == Purpose::FoldTest {
             self.shape(planned.shape, folder)?;
@@ -211,6 +216,35 @@ impl Conduct<'_> {
         Ok(())
     }
 
+    /// One stroke over the body that lies there. The rollers already stand where it begins.
+    fn pass(
+        &mut self,
+        planned: &Planned,
+        direction: Direction,
+        folder: &Path,
+    ) -> Result<(), Broken> {
+        let plan = &self.folder.campaign().plan;
+        let requested = MoveTo {
+            position_um: match direction {
+                Direction::Away => plan.run.stroke_um,
+                Direction::Home => 0,
+            },
+            speed_um_s: plan.passes.map_or(0, |passes| passes.speed_um_s),
+        };
+        let recording = self.recording(folder, "pass", planned);
+        let mut observer = self.desk.observer();
+        let rig = &mut self.machines.rig;
+        let passed = experiment::move_to(rig, requested, &recording, &mut *observer)?;
+        if passed.trial.status != Status::Complete {
+            return Err(Broken::Ended {
+                action: "the pass",
+                status: passed.trial.status,
+                reason: passed.trial.error,
+            });
+        }
+        Ok(())
+    }
+
     fn recording(&self, folder: &Path, stem: &str, planned: &Planned) -> Recording {
         Recording {
             folder: folder.to_owned(),
@@ -222,63 +256,11 @@ impl Conduct<'_> {
                 planned.trial,
                 planned.indentation,
                 planned.lubrication.name(),
-                planned.shape.name(),
+                doing(planned.purpose, planned.shape),
                 planned.repeat
             )),
             telemetry_ms: self.folder.campaign().plan.telemetry_ms,
         }
-    }
-
-    /// The carriage to 0. A hand at the rollers may have turned the screw, so each block and each session begins with
-    /// homing.
-    fn go_home(&mut self, block: u32) -> Result<(), Broken> {
-        let status = self.machines.rig.rig_status()?;
-        if let Some(fault) = status.fault {
-            return Err(Broken::NotReady {
-                why: format!("the rig has a fault: {fault}"),
-                help: "remove its cause, `retrograde ack rig`, then `retrograde campaign resume`"
-                    .to_owned(),
-            });
-        }
-        if !status.homed || self.homed_in != Some(block) {
-            let mut observer = self.desk.observer();
-            let homed = experiment::home(&mut self.machines.rig, &mut *observer)?;
-            drop(observer);
-            self.machines.homed = Some((self.desk.now(), homed));
-            self.homed_in = Some(block);
-            return Ok(());
-        }
-        let to = MoveTo {
-            position_um: 0,
-            speed_um_s: RETURN_UM_S,
-        };
-        match self.machines.rig.call(to) {
-            Ok(_)
-            | Err(ClientError::Refused {
-                refusal: Refusal::AlreadyThere,
-                ..
-            }) => {}
-            Err(error) => return Err(error.into()),
-        }
-        let status = self.machines.rig.wait_rest()?;
-        if status.position_steps != 0 || status.fault.is_some() {
-            return Err(match self.machines.rig.interrupted() {
-                Some(_) => Broken::Ended {
-                    action: "the move to 0",
-                    status: Status::Stopped,
-                    reason: None,
-                },
-                None => Broken::NotReady {
-                    why: format!(
-                        "the carriage is at {} steps after the move to 0",
-                        status.position_steps
-                    ),
-                    help: "`retrograde info rig` says what is wrong; then `retrograde campaign resume`"
-                        .to_owned(),
-                },
-            });
-        }
-        Ok(())
     }
 
     /// Folds or unfolds the capsule if it is not what the trial wants; recorded.

@@ -182,8 +182,9 @@ fn by_plan(plan: &Plan, question: &Question<'_>) -> String {
         }
         Question::Reading { .. } => Millimetres::from_um(width_um).to_string(),
         Question::Odd { .. } => "yes".to_owned(),
-        Question::Prepare { .. } | Question::Ready { .. } | Question::Displacement { .. } => {
-            String::new()
-        }
+        Question::Prepare { .. }
+        | Question::Ready { .. }
+        | Question::Stroke { .. }
+        | Question::Displacement { .. } => String::new(),
     }
 }
