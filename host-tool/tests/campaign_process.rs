@@ -14,8 +14,7 @@ use std::time::{Duration, Instant};
 
 use bench::{Bench, ready};
 use host_tool::campaign::folder::Campaign;
-use host_tool::campaign::ledger::Event;
-use host_tool::campaign::ledger::Standing;
+use host_tool::campaign::ledger::{Event, Outcome, Standing};
 use host_tool::campaign::verify::verify;
 use host_tool::chance::Chance;
 use machine::VIRTUAL_UID;
@@ -217,4 +216,84 @@ fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
     session.press("q\n");
     assert_eq!(session.ends_restored(), Some(130));
     assert_eq!(standing(), Standing::Done);
+}
+
+/// A stop within a pass leaves no half trial, an emergency stop before one begins nothing, and each time the rollers are homed anew
+/// before the body is laid in.
+#[test]
+fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
+    let bench = Bench::on_tcp_as(&ready(DeviceKind::Rig), SPEED);
+    let text = changed(
+        &plan_of_passes(),
+        &[
+            ("count = 5", "count = 1"),
+            ("duration_s = 6", "duration_s = 90"),
+        ],
+    );
+    std::fs::write(bench.folder.path().join("plan.toml"), text).expect("written");
+    let folder = bench.folder.path().join("c");
+    let converse = |args: &[&str], lines: &[(&str, &str)]| {
+        let mut session = Terminal::start(bench.command(args), 120, 40);
+        for (wanted, line) in lines {
+            session.wait_for(wanted);
+            session.press(line);
+        }
+        session
+    };
+    let outcomes = || -> Vec<_> {
+        let campaign = Campaign::read(&folder).expect("a campaign");
+        let attempts = &campaign.state.trial(2).expect("there").attempts;
+        attempts.iter().map(|attempt| attempt.outcome).collect()
+    };
+    let mut session = converse(
+        &["campaign", "run", "plan.toml", "--out", "c"],
+        &[
+            ("rollers OFF", "\n"),
+            ("Reading 1 of 1: D", "24.4\n"),
+            ("Clamp both rollers", "\n"),
+            ("Reading 1 of 1: i", "14.3\n"),
+            ("Trial 1, unfolded: the rollers go home", "\n"),
+            ("Trial 1 of 5", "skip\n"),
+            // The clamping of a trial that was skipped serves the next block at the same place.
+            ("pass: the rollers go", "\n"),
+            ("Trial 2 of 5", "\n"),
+            ("Move: ", "\x03"),
+        ],
+    );
+    assert_eq!(session.ends_restored(), Some(130));
+    assert_eq!(outcomes(), [Some(Outcome::Stopped)]);
+    assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
+
+    // The rollers stand above the body: nothing moves before it is out.
+    let homings = bench.count("Home");
+    let mut session = converse(
+        &["campaign", "resume", "c"],
+        &[
+            ("the body is taken out", "\n"),
+            ("Trial 2 of 5, attempt 2", ""),
+        ],
+    );
+    assert_eq!(bench.count("Home"), homings + 1);
+    let (code, _, err) = bench.retrograde(&["estop", "rig"]);
+    assert_eq!(code, Some(0), "{err}");
+    session.press("\n");
+    session.wait_for("the rig has a fault");
+    assert_ne!(session.ends_restored(), Some(0));
+    assert_eq!(outcomes(), [Some(Outcome::Stopped)], "nothing has begun");
+
+    let (code, _, err) = bench.retrograde(&["ack", "rig"]);
+    assert_eq!(code, Some(0), "{err}");
+    let mut session = converse(
+        &["campaign", "resume", "c"],
+        &[
+            ("the body is taken out", "\n"),
+            ("Trial 2 of 5, attempt 2", "\n"),
+            ("Move: ", ""),
+        ],
+    );
+    let (code, _, err) = bench.retrograde(&["estop", "rig"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert_ne!(session.ends_restored(), Some(0));
+    assert_eq!(outcomes(), [Some(Outcome::Stopped), Some(Outcome::Faulted)]);
+    assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
 }
