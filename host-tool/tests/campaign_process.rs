@@ -245,7 +245,7 @@ fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
         let attempts = &campaign.state.trial(2).expect("there").attempts;
         attempts.iter().map(|attempt| attempt.outcome).collect()
     };
-    let mut session = converse(
+    let session = converse(
         &["campaign", "run", "plan.toml", "--out", "c"],
         &[
             ("rollers OFF", "\n"),
@@ -283,7 +283,7 @@ fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
 
     let (code, _, err) = bench.retrograde(&["ack", "rig"]);
     assert_eq!(code, Some(0), "{err}");
-    let mut session = converse(
+    let session = converse(
         &["campaign", "resume", "c"],
         &[
             ("the body is taken out", "\n"),

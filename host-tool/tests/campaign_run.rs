@@ -498,26 +498,33 @@ fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
     assert_eq!(code, 0, "{err}");
 }
 
-/// A stroke that the rig does not have ends before a body lies under it.
+/// Neither the way to where a pass begins nor the pass goes beyond the stroke that the rig has.
 #[test]
 fn a_pass_beyond_the_rigs_stroke_is_refused_with_its_number() {
-    let place = place(&plan_of_passes());
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
-    let mut rig = Script::new(DeviceKind::Rig);
-    rig.uid = VIRTUAL_UID;
-    rig.settings = vec![(SettingKey::StrokeUm, 100_000)];
-    let memory = Memory::with(vec![rig, Script::new(DeviceKind::Capsule)]);
-    let args = ["campaign", "run", &plan, "--out", &out, "--yes"];
-    let (code, said, err) = memory.run(&[&args, &AT[..]].concat());
-    assert_ne!(code, 0, "{said}{err}");
-    assert!(err.contains("100"), "{err}");
-    assert!(
-        whole(&out)
-            .state
-            .trials
-            .iter()
-            .all(|trial| trial.attempt().is_none())
-    );
+    for seed in 1..=4 {
+        let plan = plan_of_passes().replace("seed = 20221", &format!("seed = {seed}"));
+        let (before, series) = plan.split_once("[series]").expect("there");
+        let (_, after) = series.split_once("\n\n").expect("a blank line");
+        let place = place(&format!("{before}{after}"));
+        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+        let mut rig = Script::new(DeviceKind::Rig);
+        rig.uid = VIRTUAL_UID;
+        rig.settings = vec![(SettingKey::StrokeUm, 100_000)];
+        let memory = Memory::with(vec![rig, Script::new(DeviceKind::Capsule)]);
+        let args = ["campaign", "run", &plan, "--out", &out, "--yes"];
+        let (code, said, err) = memory.run(&[&args, &AT[..]].concat());
+        assert_eq!(code, 3, "{said}{err}");
+        assert!(err.contains("130 mm, allowed is 0 to 100 mm"), "{err}");
+        assert!(memory.heard().contains(&"MoveTo"));
+        let campaign = whole(&out);
+        let first = &campaign.state.trials[0];
+        let outcomes: Vec<_> = first.attempts.iter().map(|one| one.outcome).collect();
+        match first.planned.purpose {
+            Purpose::AntegradePass => assert_eq!(outcomes, [Some(Outcome::Refused)]),
+            // The rollers do not even get to where it begins.
+            _ => assert_eq!(outcomes, []),
+        }
+    }
 }
 
 #[test]
