@@ -21,11 +21,12 @@ use host_tool::cli::run_at;
 use host_tool::identity::Origin;
 use host_tool::report::check;
 use host_tool::science::trials;
-use host_tool::trial::{Action, RigSample, Trial};
+use host_tool::trial::{Action, Moved, RigSample, Trial};
 use locomotion::roller::{Params, isolated_pass};
 use machine::plan::{ONE_CONDITION, PAPER, changed};
 use machine::tool::Memory;
 use machine::{Script, VIRTUAL_UID, World};
+use protocol::rig::{MoveAccepted, MoveTo, RunOutcome};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 
@@ -307,6 +308,7 @@ fn passes(campaign: &Campaign) -> Vec<(Purpose, f64)> {
             let rows: Vec<RigSample> = record.samples(&sidecar).expect("telemetry");
             assert!(rows.len() > 100, "{}", rows.len());
             assert_eq!(check::movement(&record, &rows), Vec::<String>::new());
+            contradicted(&record, &rows);
             let Action::Move {
                 accepted: Some(accepted),
                 moved: Some(moved),
@@ -329,6 +331,58 @@ fn passes(campaign: &Campaign) -> Vec<(Purpose, f64)> {
             )
         })
         .collect()
+}
+
+/// What is changed in the record of a move is named.
+fn contradicted(record: &Trial, rows: &[RigSample]) {
+    let with = |change: &dyn Fn(&mut Trial, &mut Vec<RigSample>)| {
+        let (mut record, mut rows) = (record.clone(), rows.to_vec());
+        change(&mut record, &mut rows);
+        check::movement(&record, &rows).join("; ")
+    };
+    type Parts<'a> = (&'a mut MoveTo, &'a mut MoveAccepted, &'a mut Moved);
+    fn parts(record: &mut Trial) -> Parts<'_> {
+        match &mut record.action {
+            Action::Move {
+                requested,
+                accepted: Some(accepted),
+                moved: Some(moved),
+                ..
+            } => (requested, accepted, moved),
+            other => panic!("{other:?}"),
+        }
+    }
+    for (said, says) in [
+        (
+            with(&|record, _| parts(record).2.position_steps += 1),
+            "it is called complete at",
+        ),
+        (
+            with(&|record, _| parts(record).2.outcome = RunOutcome::Stopped),
+            "the sidecar's status differ",
+        ),
+        (
+            with(&|record, _| parts(record).0.position_um += 1_000),
+            "another place than was requested",
+        ),
+        (
+            with(&|record, _| parts(record).1.stroke.steps -= 1),
+            "are not those between the two places",
+        ),
+        (
+            with(&|_, rows| rows[7].position_steps = -5),
+            "a sample is at -5 steps",
+        ),
+        (
+            with(&|record, rows| {
+                rows.truncate(20);
+                record.samples = 20;
+            }),
+            "and the move took",
+        ),
+    ] {
+        assert!(said.contains(says), "{says}: {said}");
+    }
 }
 
 /// From the plan to what a fit takes, on the models.

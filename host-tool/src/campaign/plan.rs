@@ -385,7 +385,7 @@ impl Plan {
             CampaignError::misuse(
                 path,
                 why,
-                "correct the plan; `examples/paper.toml` is one that explains every key",
+                "correct the plan; `examples/paper.toml` and `examples/passes.toml` explain every key",
             )
         };
         let file: File = toml::from_str(text)

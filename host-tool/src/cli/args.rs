@@ -178,7 +178,7 @@ pub enum CampaignSubcommand {
 /// Arguments of `campaign new`.
 #[derive(Debug, Args)]
 pub struct NewArgs {
-    /// The plan (TOML). `examples/paper.toml` explains every key.
+    /// The plan (TOML). `examples/paper.toml` and `examples/passes.toml` explain every key.
     #[arg(value_name = "PLAN")]
     pub plan: PathBuf,
     /// The campaign's folder, which must not exist; by default one below `retrograde-campaigns`, named after the plan.

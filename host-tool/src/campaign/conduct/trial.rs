@@ -232,6 +232,10 @@ impl Conduct<'_> {
             speed_um_s: plan.passes.map_or(0, |passes| passes.speed_um_s),
         };
         let recording = self.recording(folder, "pass", planned);
+        // A move cannot be held; the key that stops has to work.
+        if let Some(pacer) = self.desk.pacer() {
+            self.machines.rig.set_pacer(pacer);
+        }
         let mut observer = self.desk.observer();
         let rig = &mut self.machines.rig;
         let passed = experiment::move_to(rig, requested, &recording, &mut *observer)?;
@@ -240,6 +244,18 @@ impl Conduct<'_> {
                 action: "the pass",
                 status: passed.trial.status,
                 reason: passed.trial.error,
+            });
+        }
+        let (from, to) = (passed.accepted.from_steps, passed.accepted.to_steps);
+        let far = from.max(to);
+        let begins = if direction == Direction::Away { 0 } else { far };
+        if from != begins || from.min(to) != 0 {
+            return Err(Broken::NotReady {
+                why: format!(
+                    "the pass went from {from} to {to} steps, and not over the whole stroke"
+                ),
+                help: "did something else move the rig? Then `retrograde campaign resume`"
+                    .to_owned(),
             });
         }
         Ok(())
