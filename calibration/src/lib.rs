@@ -11,14 +11,22 @@
 //! * [`fit`]: all that together.
 //! * [`predictive`]: what the posterior says of trials, beside what they gave.
 //! * [`synthetic`]: trials of a known body.
+//! * [`belief`]: what is held of the unknowns before a trial.
+//! * [`information`]: how much one number tells.
+//! * [`history`]: one course that a series of trials may take.
+//! * [`design`]: which trials tell most.
 //! * [`chance`]: streams of a seed.
 //!
 //! `docs/science.md` says what is assumed and what the tests have shown.
 #![forbid(unsafe_code)]
 
+pub mod belief;
 pub mod chance;
+pub mod design;
 pub mod diagnostics;
 pub mod fit;
+pub mod history;
+pub mod information;
 pub mod observation;
 pub mod prediction;
 pub mod predictive;

@@ -1,0 +1,298 @@
+//! One course that a series of trials may take: a truth, what it gives, and draws of what is believed after it.
+//!
+//! After each result the draws are moved to the new posterior: the likelihood is brought in by stages, each as large as half of the
+//! draws survive; then draws are resampled and moved by differential evolution, which keeps the posterior of the stage
+//! (a sequential Monte Carlo sampler, Del Moral, Doucet and Jasra, Journal of the Royal Statistical Society B 68, 2006).
+
+use std::collections::BTreeMap;
+
+use crate::belief::Belief;
+use crate::chance::{Random, normal, stream, unit};
+use crate::information::{Information, Prediction, information};
+use crate::prior::{Point, UNKNOWNS, discrepancy_mm};
+
+/// What the model says of all displacements at a point, mm; none where it says nothing.
+pub type Response<'a> = dyn Fn(&Point) -> Option<Vec<f64>> + Sync + 'a;
+
+/// A trial that could be made: the mean of some repeats under one condition.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trial {
+    /// Its condition. Trials of one condition share what the model gets wrong there.
+    pub condition: usize,
+    /// Which of the response's displacements it measures.
+    pub place: usize,
+    /// How far the model's discrepancy reaches into it: [`crate::observation::Kind::discrepancies`].
+    pub discrepancies: f64,
+    /// Standard deviation of the measurement error of its mean, mm.
+    pub error_mm: f64,
+}
+
+/// All results of a condition taken together.
+#[derive(Clone, Copy, Debug)]
+struct Result {
+    place: usize,
+    discrepancies: f64,
+    /// 1/mm^2.
+    precision: f64,
+    mean_mm: f64,
+}
+
+impl Result {
+    /// With one more.
+    fn with(before: Option<Self>, trial: &Trial, found_mm: f64) -> Self {
+        let precision = 1.0 / (trial.error_mm * trial.error_mm);
+        let (known, mean_mm) = before.map_or((0.0, 0.0), |one| (one.precision, one.mean_mm));
+        Self {
+            place: trial.place,
+            discrepancies: trial.discrepancies,
+            precision: known + precision,
+            mean_mm: (known * mean_mm + precision * found_mm) / (known + precision),
+        }
+    }
+
+    /// As [`crate::target`] has it, but for a constant.
+    fn log_likelihood(&self, draw: &Draw) -> f64 {
+        let reach_mm = self.discrepancies * draw.tau_mm;
+        let variance = 1.0 / self.precision + reach_mm * reach_mm;
+        let off = self.mean_mm - draw.found_mm[self.place];
+        -0.5 * (off * off / variance + libm::log(variance))
+    }
+}
+
+/// A draw, and what follows from it.
+#[derive(Clone, Debug)]
+struct Draw {
+    point: Point,
+    tau_mm: f64,
+    found_mm: Vec<f64>,
+    /// Belief and all results that stay, at this point.
+    settled: f64,
+    /// The condition that is being brought in: before, and after.
+    moving: [f64; 2],
+}
+
+impl Draw {
+    fn at(point: Point, response: &Response<'_>) -> Option<Self> {
+        let found_mm = response(&point)?;
+        Some(Self {
+            tau_mm: discrepancy_mm(&point),
+            point,
+            found_mm,
+            settled: 0.0,
+            moving: [0.0; 2],
+        })
+    }
+
+    fn log_density(&self, part: f64) -> f64 {
+        self.settled + (1.0 - part) * self.moving[0] + part * self.moving[1]
+    }
+
+    fn gained(&self) -> f64 {
+        self.moving[1] - self.moving[0]
+    }
+}
+
+/// Sweeps of moves after each stage.
+const SWEEPS: usize = 8;
+/// Share of the draws that have to survive a stage.
+const SURVIVING: f64 = 0.5;
+/// Least part of the likelihood that a stage brings in: ends what cannot end otherwise.
+const LEAST_STAGE: f64 = 1e-4;
+/// Scales of a move, as shares of the step that is best for a normal.
+const SCALES: [f64; 3] = [1.0, 0.4, 0.1];
+/// Tries for a draw that the model covers.
+const TRIES: usize = 1_000;
+
+/// One course.
+pub struct History<'a> {
+    belief: &'a Belief,
+    response: &'a Response<'a>,
+    random: Random,
+    truth: Draw,
+    /// What the model gets wrong in each condition, as a multiple of its deviation there.
+    wrong: BTreeMap<usize, f64>,
+    results: BTreeMap<usize, Result>,
+    draws: Vec<Draw>,
+}
+
+impl<'a> History<'a> {
+    /// Before any trial. None if belief and model hardly overlap.
+    pub fn new(
+        belief: &'a Belief,
+        response: &'a Response<'a>,
+        draws: usize,
+        seed: u64,
+        number: u64,
+    ) -> Option<Self> {
+        let mut random = stream(seed, number);
+        let mut drawn = || (0..TRIES).find_map(|_| Draw::at(belief.draw(&mut random), response));
+        let truth = drawn()?;
+        let draws = (0..draws).map(|_| drawn()).collect::<Option<_>>()?;
+        Some(Self {
+            belief,
+            response,
+            random,
+            truth,
+            wrong: BTreeMap::new(),
+            results: BTreeMap::new(),
+            draws,
+        })
+    }
+
+    /// How much a trial tells after what was measured.
+    #[must_use]
+    pub fn information(&self, trial: &Trial) -> Information {
+        let known = self.results.get(&trial.condition);
+        let error = trial.error_mm * trial.error_mm;
+        let predict = |draw: &Draw| {
+            let model_mm = draw.found_mm[trial.place];
+            let reach_mm = trial.discrepancies * draw.tau_mm;
+            let wrong = reach_mm * reach_mm;
+            let Some(known) = known else {
+                return Prediction {
+                    mean_mm: model_mm,
+                    variance_mm2: wrong + error,
+                };
+            };
+            // What is known of the discrepancy in this condition, if this draw is the truth.
+            let share = wrong * known.precision / (1.0 + wrong * known.precision);
+            Prediction {
+                mean_mm: model_mm + share * (known.mean_mm - model_mm),
+                variance_mm2: wrong * (1.0 - share) + error,
+            }
+        };
+        information(&self.draws.iter().map(predict).collect::<Vec<_>>())
+    }
+
+    /// Makes a trial, and moves the draws to what is believed then.
+    pub fn measure(&mut self, trial: &Trial) {
+        let random = &mut self.random;
+        let wrong = *(self.wrong.entry(trial.condition)).or_insert_with(|| normal(random));
+        let found_mm = self.truth.found_mm[trial.place]
+            + trial.discrepancies * self.truth.tau_mm * wrong
+            + trial.error_mm * normal(random);
+        let before = self.results.remove(&trial.condition);
+        let after = Result::with(before, trial, found_mm);
+        self.bring_in(before, after);
+        self.results.insert(trial.condition, after);
+    }
+
+    /// The draw with its density: `self.results` stay, the condition of `before` and `after` moves.
+    fn weigh(&self, draw: &mut Draw, before: Option<Result>, after: Result) {
+        draw.settled = self.belief.log_density(&draw.point);
+        for result in self.results.values() {
+            draw.settled += result.log_likelihood(draw);
+        }
+        draw.moving = [
+            before.map_or(0.0, |one| one.log_likelihood(draw)),
+            after.log_likelihood(draw),
+        ];
+    }
+
+    fn bring_in(&mut self, before: Option<Result>, after: Result) {
+        let mut draws = core::mem::take(&mut self.draws);
+        for draw in &mut draws {
+            self.weigh(draw, before, after);
+        }
+        let mut part = 0.0;
+        while part < 1.0 {
+            let stage = stage(&draws, 1.0 - part);
+            part = if stage < 1.0 - part {
+                part + stage
+            } else {
+                1.0
+            };
+            draws = resampled(&draws, stage, unit(&mut self.random));
+            for _ in 0..SWEEPS {
+                self.sweep(&mut draws, before, after, part);
+            }
+        }
+        self.draws = draws;
+    }
+
+    /// Proposes to move each draw once, along the difference of two others.
+    fn sweep(&mut self, draws: &mut [Draw], before: Option<Result>, after: Result, part: f64) {
+        let stand: Vec<Point> = draws.iter().map(|draw| draw.point).collect();
+        let best = 2.38 / libm::sqrt(2.0 * UNKNOWNS as f64);
+        for draw in draws {
+            let mut below = |count: usize| (unit(&mut self.random) * count as f64) as usize;
+            let (one, other) = (stand[below(stand.len())], stand[below(stand.len())]);
+            let far = best * SCALES[below(SCALES.len())];
+            let chance = libm::log(unit(&mut self.random));
+            if one == other {
+                continue;
+            }
+            let point =
+                core::array::from_fn(|axis| draw.point[axis] + far * (one[axis] - other[axis]));
+            let Some(mut proposed) = Draw::at(point, self.response) else {
+                continue;
+            };
+            self.weigh(&mut proposed, before, after);
+            if proposed.log_density(part) - draw.log_density(part) > chance {
+                *draw = proposed;
+            }
+        }
+    }
+
+    /// Values of an unknown's coordinate in all draws, sorted.
+    #[must_use]
+    pub fn sorted(&self, unknown: usize) -> Vec<f64> {
+        let mut all: Vec<f64> = self.draws.iter().map(|draw| draw.point[unknown]).collect();
+        all.sort_by(f64::total_cmp);
+        all
+    }
+}
+
+/// The greatest part of the likelihood, up to `left`, that leaves enough draws.
+fn stage(draws: &[Draw], left: f64) -> f64 {
+    let surviving = |part: f64| {
+        let weights = weights(draws, part);
+        let sum: f64 = weights.iter().sum();
+        let squares: f64 = weights.iter().map(|weight| weight * weight).sum();
+        sum * sum / squares / draws.len() as f64
+    };
+    if surviving(left) >= SURVIVING {
+        return left;
+    }
+    let (mut low, mut high) = (0.0, left);
+    for _ in 0..20 {
+        let middle = 0.5 * (low + high);
+        if surviving(middle) >= SURVIVING {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    low.max(LEAST_STAGE).min(left)
+}
+
+/// Weights of draws when so much more of the likelihood comes in; the greatest is 1.
+fn weights(draws: &[Draw], part: f64) -> Vec<f64> {
+    let greatest = draws
+        .iter()
+        .map(Draw::gained)
+        .fold(f64::NEG_INFINITY, f64::max);
+    let weight = |draw: &Draw| libm::exp(part * (draw.gained() - greatest));
+    draws.iter().map(weight).collect()
+}
+
+/// As many draws, each as often as its weight asks: systematic resampling.
+fn resampled(draws: &[Draw], part: f64, offset: f64) -> Vec<Draw> {
+    let weights = weights(draws, part);
+    let each = weights.iter().sum::<f64>() / draws.len() as f64;
+    let mut kept = Vec::with_capacity(draws.len());
+    let mut reached = 0.0;
+    for (draw, weight) in draws.iter().zip(weights) {
+        reached += weight;
+        while kept.len() < draws.len() && (kept.len() as f64 + offset) * each < reached {
+            kept.push(draw.clone());
+        }
+    }
+    // Rounding may leave the last place empty.
+    while let Some(last) = kept.last().cloned()
+        && kept.len() < draws.len()
+    {
+        kept.push(last);
+    }
+    kept
+}
