@@ -1,4 +1,4 @@
-//! Which trials to make: the expected information gain of trials, by many histories that they may have.
+//! Which trials to make: their expected information gain on the body, by many histories that they may have.
 //!
 //! The gain of a trial after others is the mean, over histories of these others, of the information in its result. Gains of
 //! a sequence add up to the joint gain of all of it, because each is conditional on those before. A standard error is
@@ -24,7 +24,7 @@ pub struct Effort {
 impl Effort {
     /// For an answer.
     pub const FULL: Self = Self {
-        histories: 192,
+        histories: 128,
         draws: 512,
     };
 }
@@ -119,8 +119,8 @@ pub fn choose(
                 .for_each(|history| history.measure(trial));
         }
         let one = |history: &History<'_>| -> Vec<f64> {
-            let gain = |trial| history.information(trial).nats;
-            candidates.iter().map(gain).collect()
+            let found = history.information(candidates);
+            found.iter().map(|one| one.nats).collect()
         };
         let found: Vec<Vec<f64>> = all.par_iter().map(one).collect();
         let of = |of: &dyn Fn(&[f64]) -> f64| {
@@ -162,7 +162,7 @@ pub fn judge(
         let before = log_widths(history);
         let mut gains: Vec<Information> = vec![];
         for trial in trials {
-            gains.push(history.information(trial));
+            gains.extend(history.information(&[*trial]));
             history.measure(trial);
         }
         (gains, before, log_widths(history))

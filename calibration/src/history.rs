@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 
 use crate::belief::Belief;
 use crate::chance::{Random, normal, stream, unit};
-use crate::information::{Information, Prediction, information};
-use crate::prior::{Point, UNKNOWNS, discrepancy_mm};
+use crate::information::{Information, Normal, concentric_entropy, entropy, information};
+use crate::prior::{OF_BODY, Point, UNKNOWNS, discrepancy_mm};
 
 /// What the model says of all displacements at a point, mm; none where it says nothing.
 pub type Response<'a> = dyn Fn(&Point) -> Option<Vec<f64>> + Sync + 'a;
@@ -100,6 +100,13 @@ const SURVIVING: f64 = 0.5;
 const LEAST_STAGE: f64 = 1e-4;
 /// Scales of a move, as shares of the step that is best for a normal.
 const SCALES: [f64; 3] = [1.0, 0.4, 0.1];
+/// The entropy that is left once the body is known is worked out for one in so many draws.
+const THINNED: usize = 8;
+/// Steps of tau's coordinate to each side of its prior's median, and their width. A posterior of tau is never as narrow as a step.
+const TAU_PLACES: usize = 18;
+const TAU_STEP: f64 = 0.3;
+/// Values of tau that are less likely than the likeliest by this much in the logarithm are left out.
+const TAU_LEAST: f64 = 9.0;
 /// Tries for a draw that the model covers.
 const TRIES: usize = 1_000;
 
@@ -139,29 +146,59 @@ impl<'a> History<'a> {
         })
     }
 
-    /// How much a trial tells after what was measured.
+    /// How much each of some trials tells of the body after what was measured. The discrepancy is an unknown that nobody asks for: what a
+    /// trial would tell of it does not count.
     #[must_use]
-    pub fn information(&self, trial: &Trial) -> Information {
-        let known = self.results.get(&trial.condition);
-        let error = trial.error_mm * trial.error_mm;
-        let predict = |draw: &Draw| {
-            let model_mm = draw.found_mm[trial.place];
-            let reach_mm = trial.discrepancies * draw.tau_mm;
-            let wrong = reach_mm * reach_mm;
-            let Some(known) = known else {
-                return Prediction {
-                    mean_mm: model_mm,
-                    variance_mm2: wrong + error,
+    pub fn information(&self, trials: &[Trial]) -> Vec<Information> {
+        let asked: Vec<&Draw> = self.draws.iter().step_by(THINNED).collect();
+        let taus: Vec<Vec<(f64, f64)>> = asked.iter().map(|draw| self.taus(draw)).collect();
+        // Where nothing was measured the entropy does not depend on the displacement, and many trials share it.
+        let mut fresh: Vec<((f64, f64), f64)> = vec![];
+        let mut one = |trial: &Trial| {
+            let known = self.results.get(&trial.condition);
+            let left = |entropy: fn(&[Normal]) -> f64| {
+                let of_draw = |(draw, taus): (&&Draw, &Vec<(f64, f64)>)| {
+                    let of = |(weight, tau_mm): &(f64, f64)| Normal {
+                        weight: *weight,
+                        ..predicted(trial, known, draw.found_mm[trial.place], *tau_mm)
+                    };
+                    entropy(&taus.iter().map(of).collect::<Vec<_>>())
                 };
+                asked.iter().zip(&taus).map(of_draw).sum::<f64>() / asked.len() as f64
             };
-            // What is known of the discrepancy in this condition, if this draw is the truth.
-            let share = wrong * known.precision / (1.0 + wrong * known.precision);
-            Prediction {
-                mean_mm: model_mm + share * (known.mean_mm - model_mm),
-                variance_mm2: wrong * (1.0 - share) + error,
-            }
+            let alike = (trial.discrepancies, trial.error_mm);
+            let left = if known.is_some() {
+                left(entropy)
+            } else if let Some((_, left)) = fresh.iter().find(|(of, _)| *of == alike) {
+                *left
+            } else {
+                let left = left(concentric_entropy);
+                fresh.push((alike, left));
+                left
+            };
+            let of = |draw: &Draw| predicted(trial, known, draw.found_mm[trial.place], draw.tau_mm);
+            information(&self.draws.iter().map(of).collect::<Vec<_>>(), left)
         };
-        information(&self.draws.iter().map(predict).collect::<Vec<_>>())
+        trials.iter().map(&mut one).collect()
+    }
+
+    /// What the discrepancy may be if the body is that of a draw: weights, and values in mm.
+    fn taus(&self, draw: &Draw) -> Vec<(f64, f64)> {
+        let mut draw = draw.clone();
+        let mut all = vec![];
+        let mut greatest = f64::NEG_INFINITY;
+        for place in 0..=2 * TAU_PLACES {
+            draw.point[OF_BODY] = (place as f64 - TAU_PLACES as f64) * TAU_STEP;
+            draw.tau_mm = discrepancy_mm(&draw.point);
+            let results = self.results.values().map(|one| one.log_likelihood(&draw));
+            let log = self.belief.log_density(&draw.point) + results.sum::<f64>();
+            greatest = greatest.max(log);
+            all.push((log, draw.tau_mm));
+        }
+        all.retain(|(log, _)| *log > greatest - TAU_LEAST);
+        all.iter()
+            .map(|(log, tau_mm)| (libm::exp(log - greatest), *tau_mm))
+            .collect()
     }
 
     /// Makes a trial, and moves the draws to what is believed then.
@@ -240,6 +277,20 @@ impl<'a> History<'a> {
         let mut all: Vec<f64> = self.draws.iter().map(|draw| draw.point[unknown]).collect();
         all.sort_by(f64::total_cmp);
         all
+    }
+}
+
+/// What a trial gives with a body that goes so far, after the results of its condition.
+fn predicted(trial: &Trial, known: Option<&Result>, model_mm: f64, tau_mm: f64) -> Normal {
+    let reach_mm = trial.discrepancies * tau_mm;
+    let wrong = reach_mm * reach_mm;
+    let (precision, mean_mm) = known.map_or((0.0, model_mm), |one| (one.precision, one.mean_mm));
+    // How much of what was off in this condition is the discrepancy.
+    let share = wrong * precision / (1.0 + wrong * precision);
+    Normal {
+        weight: 1.0,
+        mean_mm: model_mm + share * (mean_mm - model_mm),
+        variance_mm2: wrong * (1.0 - share) + trial.error_mm * trial.error_mm,
     }
 }
 

@@ -1,16 +1,17 @@
-//! How much one number that is still to be measured tells, in nats: the mutual information between the number and which
-//! of some equally likely draws is the true one.
+//! How much one number that is still to be measured tells, in nats, of what some equally likely draws are draws of.
 //!
-//! Each draw predicts the number as a normal. The information is the entropy of their mixture less the mean of their own
-//! entropies. The number is one-dimensional, so the entropy is an integral over a grid and not a second random sample: of
-//! the two nested samples of a nested Monte Carlo estimate only the draws remain.
+//! Each draw predicts the number as a normal. The information is the entropy of their mixture less the mean entropy that is left
+//! once the draw is known. The number is one-dimensional, so an entropy is an integral over a grid and not a second random sample:
+//! of the two nested samples of a nested Monte Carlo estimate only the draws remain.
 //!
 //! A finite sample of draws has too little entropy, by an amount in proportion to the inverse of their number. Two halves
 //! have twice as much of it, which is taken off (Richardson); [`Information::correction`] says how much that was.
 
-/// What one draw says of the number.
+/// A normal with a weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Prediction {
+pub struct Normal {
+    /// Its weight, above 0.
+    pub weight: f64,
     /// Mean, mm.
     pub mean_mm: f64,
     /// Variance, mm^2, above 0.
@@ -31,74 +32,85 @@ const POINTS: f64 = 2.0;
 /// How far a normal reaches, in standard deviations.
 const REACH: f64 = 6.5;
 
-/// The information in a number of which draws predict this. The halves are the first and the second one: draws that came from the
-/// same place have to stand together.
+/// The information in a number of which draws predict this, one normal each, if knowing the draw leaves an entropy of
+/// `left`. The halves are the first and the second one: draws that came from the same place have to stand together.
 #[must_use]
-pub fn information(predictions: &[Prediction]) -> Information {
-    let mean_of = |of: fn(&Prediction) -> f64| {
-        predictions.iter().map(of).sum::<f64>() / predictions.len() as f64
-    };
-    let own = mean_of(|one| entropy_of_normal(one.variance_mm2));
-    let [whole, halves] = entropies(predictions);
-    let correction = whole - halves;
+pub fn information(predictions: &[Normal], left: f64) -> Information {
+    let (first, second) = predictions.split_at(predictions.len() / 2);
+    let whole = entropy(predictions);
+    let correction = whole - 0.5 * (entropy(first) + entropy(second));
     Information {
-        nats: whole - own + correction,
+        nats: whole - left + correction,
         correction,
     }
 }
 
-/// Entropy of a normal, nats.
-fn entropy_of_normal(variance_mm2: f64) -> f64 {
-    0.5 * libm::log(core::f64::consts::TAU * core::f64::consts::E * variance_mm2)
-}
-
-/// Entropy of the mixture of all, and the mean of those of the two halves, nats.
-fn entropies(predictions: &[Prediction]) -> [f64; 2] {
+/// Entropy of a mixture of normals, nats.
+#[must_use]
+pub fn entropy(mixture: &[Normal]) -> f64 {
     let least = |values: &mut dyn Iterator<Item = f64>| values.fold(f64::INFINITY, f64::min);
-    let deviation = |one: &Prediction| libm::sqrt(one.variance_mm2);
-    let narrowest = least(&mut predictions.iter().map(deviation));
+    let deviation = |one: &Normal| libm::sqrt(one.variance_mm2);
+    let narrowest = least(&mut mixture.iter().map(deviation));
     let low = least(
-        &mut predictions
+        &mut mixture
             .iter()
             .map(|one| one.mean_mm - REACH * deviation(one)),
     );
     let high = -least(
-        &mut predictions
+        &mut mixture
             .iter()
             .map(|one| -one.mean_mm - REACH * deviation(one)),
     );
     let step = narrowest / POINTS;
-    let points = ((high - low) / step) as usize + 2;
-    let middle = predictions.len() / 2;
-    let mut densities = [vec![0.0; points], vec![0.0; points]];
-    for (place, one) in predictions.iter().enumerate() {
-        let half = &mut densities[usize::from(place >= middle)];
-        add(half, one, low, step);
+    let mut density = vec![0.0; ((high - low) / step) as usize + 2];
+    for one in mixture {
+        add(&mut density, one, low, step);
     }
-    let [first, second] = densities;
-    let counts = [middle as f64, (predictions.len() - middle) as f64];
+    let sum: f64 = mixture.iter().map(|one| one.weight).sum();
     let plain = |density: f64| {
-        if density > 0.0 {
-            -density * libm::log(density)
+        let share = density / sum;
+        if share > 0.0 {
+            -share * libm::log(share)
         } else {
             0.0
         }
     };
-    let (mut whole, mut halves) = (0.0, 0.0);
-    for (one, other) in first.into_iter().zip(second) {
-        whole += plain((one + other) / (counts[0] + counts[1]));
-        halves += 0.5 * (plain(one / counts[0]) + plain(other / counts[1]));
-    }
-    [whole * step, halves * step]
+    density.into_iter().map(plain).sum::<f64>() * step
+}
+
+/// Entropy of a mixture of normals of one mean, nats, whatever their means are said to be. The grid widens with the distance from
+/// the middle, so that widths of different orders cost nothing.
+#[must_use]
+pub fn concentric_entropy(mixture: &[Normal]) -> f64 {
+    const STEP: f64 = 0.1;
+    let deviations = || mixture.iter().map(|one| libm::sqrt(one.variance_mm2));
+    let narrowest = deviations().fold(f64::INFINITY, f64::min);
+    let widest = deviations().fold(0.0, f64::max);
+    let sum: f64 = mixture.iter().map(|one| one.weight).sum();
+    let places = (libm::asinh(REACH * widest / narrowest) / STEP) as usize + 1;
+    let plain = |place: usize| {
+        let at = place as f64 * STEP;
+        let off = narrowest * libm::sinh(at);
+        let density = |one: &Normal| {
+            let height = one.weight / libm::sqrt(core::f64::consts::TAU * one.variance_mm2);
+            height * libm::exp(-0.5 * off * off / one.variance_mm2)
+        };
+        let density = mixture.iter().map(density).sum::<f64>() / sum;
+        let sides = if place == 0 { 1.0 } else { 2.0 };
+        let share = -density * libm::log(density.max(f64::MIN_POSITIVE));
+        sides * share * narrowest * libm::cosh(at) * STEP
+    };
+    (0..=places).map(plain).sum()
 }
 
 /// Adds a normal to a grid. From its middle outwards each value follows from the one before, without an exponential.
-fn add(grid: &mut [f64], one: &Prediction, low: f64, step: f64) {
+fn add(grid: &mut [f64], one: &Normal, low: f64, step: f64) {
     let deviation = libm::sqrt(one.variance_mm2);
     let centre = (((one.mean_mm - low) / step) as usize).min(grid.len() - 1);
     let off = (low + centre as f64 * step - one.mean_mm) / deviation;
     let stride = step / deviation;
-    let height = libm::exp(-0.5 * off * off) / (deviation * libm::sqrt(core::f64::consts::TAU));
+    let height =
+        one.weight * libm::exp(-0.5 * off * off) / (deviation * libm::sqrt(core::f64::consts::TAU));
     let reach = (REACH / stride) as usize + 1;
     let bend = libm::exp(-stride * stride);
     let first = |sign: f64| libm::exp(-stride * (sign * off + 0.5 * stride));
@@ -120,52 +132,70 @@ fn add(grid: &mut [f64], one: &Prediction, low: f64, step: f64) {
 mod tests {
     use super::*;
 
-    fn normals(means_mm: &[f64], variance_mm2: f64) -> Vec<Prediction> {
-        let one = |mean_mm: &f64| Prediction {
+    /// Entropy of a normal of variance 1.
+    fn own() -> f64 {
+        0.5 * (core::f64::consts::TAU * core::f64::consts::E).ln()
+    }
+
+    fn normals(means_mm: &[f64]) -> Vec<Normal> {
+        let one = |mean_mm: &f64| Normal {
+            weight: 1.0,
             mean_mm: *mean_mm,
-            variance_mm2,
+            variance_mm2: 1.0,
         };
         means_mm.iter().map(one).collect()
     }
 
     #[test]
     fn draws_that_are_far_apart_are_told_apart() {
-        let found = entropies(&normals(&[0.0, 100.0, 250.0, 400.0], 1.0));
-        let own = entropy_of_normal(1.0);
-        assert!((found[0] - own - 4f64.ln()).abs() < 1e-9, "{found:?}");
-        assert!((found[1] - own - 2f64.ln()).abs() < 1e-9, "{found:?}");
+        let found = information(&normals(&[0.0, 100.0, 250.0, 400.0]), own());
+        assert!((found.correction - 2f64.ln()).abs() < 1e-9, "{found:?}");
+        assert!((found.nats - 8f64.ln()).abs() < 1e-9, "{found:?}");
     }
 
     #[test]
     fn a_number_that_is_the_same_for_all_tells_nothing() {
-        let found = information(&normals(&[3.0; 10], 0.04));
+        let found = information(&normals(&[3.0; 10]), own());
         assert!(found.nats.abs() < 1e-9, "{found:?}");
         assert!(found.correction.abs() < 1e-9, "{found:?}");
     }
 
-    /// A narrow and a wide normal around the same place: a number tells them apart by its distance. By the trapezoidal
-    /// rule in 400,000 steps over 60 standard deviations, worked out apart from the grid.
     #[test]
-    fn widths_tell_as_well_as_means() {
-        let both = [(0.0, 1.0), (0.5, 25.0)];
-        let predictions = both.map(|(mean_mm, variance_mm2)| Prediction {
+    fn both_grids_agree_on_one_middle() {
+        let wide = [(1.0, 1.0), (0.3, 9.0), (2.0, 1.2), (0.1, 2500.0)];
+        let mixture = wide.map(|(weight, variance_mm2)| Normal {
+            weight,
+            mean_mm: 4.0,
+            variance_mm2,
+        });
+        let (one, other) = (entropy(&mixture), concentric_entropy(&mixture));
+        assert!((one - other).abs() < 1e-7, "{one} {other}");
+        assert!((concentric_entropy(&mixture[..1]) - own()).abs() < 1e-9);
+    }
+
+    /// Against a sum over 400,000 places, worked out apart from the grid.
+    #[test]
+    fn weights_and_widths_count() {
+        let both = [(0.75, 0.0, 1.0), (0.25, 0.5, 25.0)];
+        let mixture = both.map(|(weight, mean_mm, variance_mm2)| Normal {
+            weight: 2.0 * weight,
             mean_mm,
             variance_mm2,
         });
         let density = |x: f64| -> f64 {
-            let of = |(mean, variance): &(f64, f64)| {
-                (-(x - mean).powi(2) / (2.0 * variance)).exp()
-                    / (core::f64::consts::TAU * variance).sqrt()
+            let of = |(weight, mean, variance): &(f64, f64, f64)| {
+                let height = weight / (core::f64::consts::TAU * variance).sqrt();
+                height * (-(x - mean).powi(2) / (2.0 * variance)).exp()
             };
-            both.iter().map(of).sum::<f64>() / 2.0
+            both.iter().map(of).sum()
         };
-        let step = 1.5e-4 * 2.0;
+        let step = 3e-4;
         let exact: f64 = (-200_000..200_000)
             .map(|place| density(f64::from(place) * step))
             .filter(|density| *density > 0.0)
             .map(|density| -density * density.ln() * step)
             .sum();
-        let found = entropies(&predictions)[0];
+        let found = entropy(&mixture);
         assert!((found - exact).abs() < 1e-6, "{found} {exact}");
     }
 }

@@ -13,6 +13,7 @@
 //! * [`synthetic`]: trials of a known body.
 //! * [`belief`]: what is held of the unknowns before a trial.
 //! * [`information`]: how much one number tells.
+//! * [`tabulated`]: the model worked out beforehand for a belief.
 //! * [`history`]: one course that a series of trials may take.
 //! * [`design`]: which trials tell most.
 //! * [`chance`]: streams of a seed.
@@ -34,4 +35,5 @@ pub mod prior;
 pub mod sampler;
 pub mod synthetic;
 pub mod table;
+pub mod tabulated;
 pub mod target;

@@ -114,6 +114,26 @@ fn what_is_the_same_for_all_bodies_tells_nothing_and_no_gain_is_negative() {
     }
 }
 
+/// The scatter of a trial about a body tells of the discrepancy, which is no part of the body.
+#[test]
+fn what_only_the_discrepancy_shows_in_tells_nothing_of_the_body() {
+    let nothing = |condition: usize| Trial {
+        condition,
+        discrepancies: 7.0,
+        ..trial(2, 0.1)
+    };
+    let trials = [nothing(0), nothing(1), nothing(0), nothing(2)];
+    let judged = judge(&Belief::Prior, &linear, &trials, &EFFORT, 10).expect("covered");
+    for gain in &judged.gains {
+        close(*gain, 0.0);
+    }
+    // Tau is found all the same.
+    assert!(
+        judged.after[3].mean < 0.8 * judged.before[3].mean,
+        "{judged:?}"
+    );
+}
+
 /// The widths are those of a normal posterior: a 90 % interval of tau, whose logarithm is the fourth coordinate, is exp(2 x 1.645) wide.
 #[test]
 fn a_width_is_that_of_the_posterior() {
