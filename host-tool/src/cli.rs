@@ -24,6 +24,7 @@ pub(crate) mod motion;
 mod offline;
 pub mod optimise;
 pub(crate) mod partial;
+pub mod plan_experiment;
 mod records;
 mod run;
 pub mod science;
@@ -208,6 +209,7 @@ fn carry_out(
         Subcommand::Design(args) => design::design(args, screen),
         Subcommand::Simulate(args) => science::simulate(args, screen),
         Subcommand::Fit(args) => fit::fit(args, screen),
+        Subcommand::PlanExperiment(args) => plan_experiment::plan_experiment(args, screen),
         Subcommand::List(args) => offline::list(args, screen),
         Subcommand::Report(args) => offline::report(args, screen),
         Subcommand::Flash(args) => flash::flash(args, finder, screen),

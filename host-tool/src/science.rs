@@ -9,6 +9,7 @@
 //! * [`odds`]: how probable it is that the paper's sentences are met.
 //! * [`trials`]: displacements for a calibration, from folders and files.
 //! * [`posterior`]: fitted bodies in a model file.
+//! * [`trial_plan`]: which trials to make next.
 //! * [`snapshots`]: wall and body at several moments.
 //! * [`charts`]: the series as figures, beside what the paper's text says.
 //! * [`crescent`]: the crescent as a beam: forces, the least alpha, displacement over thread.
@@ -29,5 +30,6 @@ pub mod posterior;
 pub mod series;
 pub mod snapshots;
 pub mod table;
+pub mod trial_plan;
 pub mod trials;
 pub mod values;

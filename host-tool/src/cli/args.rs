@@ -14,6 +14,7 @@ use crate::campaign::plan::Millimetres;
 use crate::cli::configured::Names;
 use crate::cli::design::DesignArgs;
 use crate::cli::fit::FitArgs;
+use crate::cli::plan_experiment::PlanExperimentArgs;
 use crate::cli::science::SimulateArgs;
 use crate::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
 use crate::link::address::Address;
@@ -144,6 +145,8 @@ pub enum Subcommand {
     Simulate(Box<SimulateArgs>),
     /// Calibrate the model's body from recorded trials: a posterior with its uncertainty, for `simulate --model`.
     Fit(Box<FitArgs>),
+    /// Plan which trials tell most about the model's body, beside the paper's procedure.
+    PlanExperiment(Box<PlanExperimentArgs>),
     /// Write an HTML report of recorded trials, or of a campaign with its figures and tables.
     Report(ReportArgs),
     /// Flash a board through probe-rs.

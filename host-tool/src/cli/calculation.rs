@@ -60,6 +60,11 @@ impl<'a, 'b> Calculation<'a, 'b> {
         Ok(results?)
     }
 
+    /// Runs work on the threads.
+    pub(crate) fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
+        self.workers.install(work)
+    }
+
     /// Writes rows, each with the origin of its values in the last column.
     pub(crate) fn csv(
         &mut self,

@@ -169,6 +169,11 @@ impl ModelArgs {
         }))
     }
 
+    /// Whether there is a file.
+    pub fn has_file(&self) -> bool {
+        self.file.is_some()
+    }
+
     /// Whether an option gives this parameter.
     pub fn names(&self, key: &str) -> bool {
         self.choices.iter().any(|(setting, _)| setting.key == key)

@@ -81,6 +81,7 @@ pub(crate) fn for_owner(subcommand: &Subcommand) -> Option<&'static str> {
         | Subcommand::Design(_)
         | Subcommand::Simulate(_)
         | Subcommand::Fit(_)
+        | Subcommand::PlanExperiment(_)
         | Subcommand::List(_)
         | Subcommand::Report(_)
         | Subcommand::Verify(_)

@@ -1,6 +1,8 @@
 //! The series as figures: the models' values, with the paper's where its text gives a number. The label of each curve
 //! names the origin of its values.
 
+pub mod trial_plan;
+
 use calibration::observation::{Condition, Lubrication};
 use calibration::predictive::{Band, Span};
 use locomotion::beam::Validation;

@@ -1,0 +1,355 @@
+//! Which trials to make next: candidates, the paper's procedure beside them, and what each is worth.
+
+use calibration::belief::Belief;
+use calibration::design::{Effort, Estimate, Judged, Step, choose, judge};
+use calibration::history::Trial;
+use calibration::observation::{Case, Kind, Lubrication};
+use calibration::prior::Point;
+use calibration::tabulated::Tabulated;
+use locomotion::comparison::INDENTATIONS_MM;
+use locomotion::model::Model;
+use locomotion::range::OutOfRange;
+use serde::Serialize;
+
+/// Cycles of the paper's run.
+pub const PAPER_CYCLES: u16 = 5;
+/// Repeats of each of the paper's conditions.
+pub const PAPER_REPEATS: usize = 10;
+/// Mean correction of a gain, nats, from which on its trials are too exact for the number of draws.
+pub const GREATEST_CORRECTION: f64 = 0.1;
+
+/// What is measured, and on which wall.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Condition {
+    /// Kind and indentation.
+    pub case: Case,
+    /// The model does not know it; but what it gets wrong differs with it.
+    pub lubrication: Lubrication,
+}
+
+/// Trials of one condition.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Planned {
+    /// The condition.
+    pub condition: Condition,
+    /// How many displacements are taken together.
+    pub repeats: usize,
+}
+
+/// What is asked for.
+#[derive(Clone, Debug)]
+pub struct Asked {
+    /// Kinds that may be measured.
+    pub kinds: Vec<Kind>,
+    /// Indentations that may be set, mm.
+    pub indentations_mm: Vec<f64>,
+    /// Trials to choose.
+    pub trials: usize,
+    /// Displacements of a trial.
+    pub repeats: usize,
+    /// Standard deviation of one displacement, mm.
+    pub uncertainty_mm: f64,
+    /// How exactly.
+    pub effort: Effort,
+    /// Seed of everything.
+    pub seed: u64,
+}
+
+/// A series of trials, and what it is worth.
+#[derive(Clone, Debug)]
+pub struct Series {
+    /// What it is.
+    pub name: &'static str,
+    /// Its trials.
+    pub trials: Vec<Planned>,
+    /// Their worth.
+    pub judged: Judged,
+}
+
+impl Series {
+    /// Displacements of all trials.
+    #[must_use]
+    pub fn displacements(&self) -> usize {
+        self.trials.iter().map(|one| one.repeats).sum()
+    }
+
+    /// What all of them tell, nats.
+    #[must_use]
+    pub fn sum(&self) -> Estimate {
+        self.judged.sums[self.judged.sums.len() - 1]
+    }
+}
+
+/// A plan.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// All candidates.
+    pub candidates: Vec<Condition>,
+    /// The choice, step by step.
+    pub steps: Vec<Step>,
+    /// Recommended; the paper's procedure with as many displacements; the paper's procedure.
+    pub series: [Series; 3],
+    /// Greatest error of the table, mm: root of the mean square over bodies.
+    pub table_error_mm: f64,
+}
+
+/// The paper's procedure with so many displacements: net displacements at its indentations, dry and lubricated, dealt out
+/// evenly.
+#[must_use]
+pub fn paper(displacements: usize) -> Vec<Planned> {
+    let walls = [Lubrication::Dry, Lubrication::Lubricated];
+    let conditions = walls.into_iter().flat_map(|lubrication| {
+        INDENTATIONS_MM.map(|indentation_mm| Condition {
+            case: Case {
+                kind: Kind::Net {
+                    cycles: PAPER_CYCLES,
+                },
+                indentation_mm,
+            },
+            lubrication,
+        })
+    });
+    let count = walls.len() * INDENTATIONS_MM.len();
+    conditions
+        .enumerate()
+        .map(|(place, condition)| Planned {
+            condition,
+            repeats: displacements / count + usize::from(place < displacements % count),
+        })
+        .filter(|one| one.repeats > 0)
+        .collect()
+}
+
+/// Plans. None if belief and model hardly overlap.
+///
+/// # Errors
+/// An indentation or a body that the model does not cover.
+pub fn plan(base: &Model, belief: &Belief, asked: &Asked) -> Result<Option<Plan>, OutOfRange> {
+    let candidates: Vec<Condition> = (asked.kinds.iter())
+        .flat_map(|kind| {
+            asked.indentations_mm.iter().map(|mm| Condition {
+                case: Case {
+                    kind: *kind,
+                    indentation_mm: *mm,
+                },
+                lubrication: Lubrication::Dry,
+            })
+        })
+        .collect();
+    let displacements = asked.trials * asked.repeats;
+    let whole = PAPER_REPEATS * paper(usize::MAX).len();
+    let baselines = [paper(displacements), paper(whole)];
+    let mut conditions = candidates.clone();
+    for one in baselines.iter().flatten() {
+        if !conditions.contains(&one.condition) {
+            conditions.push(one.condition);
+        }
+    }
+    let mut cases: Vec<Case> = vec![];
+    for condition in &conditions {
+        if !cases.contains(&condition.case) {
+            cases.push(condition.case);
+        }
+    }
+    let tabulated = Tabulated::new(base, &cases, belief, asked.seed)?;
+    let response = |point: &Point| tabulated.at(point);
+    let place = |all: &[Condition], one: &Condition| all.iter().position(|other| other == one);
+    let trial = |planned: &Planned| Trial {
+        condition: place(&conditions, &planned.condition).unwrap_or_default(),
+        place: (cases.iter())
+            .position(|case| *case == planned.condition.case)
+            .unwrap_or_default(),
+        discrepancies: planned.condition.case.kind.discrepancies(),
+        error_mm: asked.uncertainty_mm / (planned.repeats as f64).sqrt(),
+    };
+    let of = |condition: &Condition| Planned {
+        condition: *condition,
+        repeats: asked.repeats,
+    };
+    let trials: Vec<Trial> = candidates.iter().map(|one| trial(&of(one))).collect();
+    let (effort, seed) = (&asked.effort, asked.seed);
+    let Some(steps) = choose(belief, &response, &trials, asked.trials, effort, seed) else {
+        return Ok(None);
+    };
+    let recommended = steps.iter().map(|step| of(&candidates[step.chosen]));
+    let [as_many, all] = baselines;
+    let series = [
+        ("recommended", recommended.collect()),
+        ("paper, as many", as_many),
+        ("paper, whole", all),
+    ]
+    .map(|(name, planned): (_, Vec<Planned>)| {
+        let trials: Vec<Trial> = planned.iter().map(trial).collect();
+        // By other histories than those that chose, or what was chosen by luck would be praised for it.
+        let judged = judge(belief, &response, &trials, effort, seed ^ AFRESH)?;
+        Some(Series {
+            name,
+            trials: planned,
+            judged,
+        })
+    });
+    let [Some(recommended), Some(as_many), Some(all)] = series else {
+        return Ok(None);
+    };
+    Ok(Some(Plan {
+        candidates,
+        steps,
+        series: [recommended, as_many, all],
+        table_error_mm: tabulated.errors_mm.iter().copied().fold(0.0, f64::max),
+    }))
+}
+
+/// Makes another seed of a seed.
+const AFRESH: u64 = 1 << 62;
+
+/// A row of the table.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// Which series.
+    pub series: &'static str,
+    /// Number in it, from 1.
+    pub trial: usize,
+    /// As `fit` reads it.
+    pub kind: &'static str,
+    /// Of `net`: cycles of the run.
+    pub cycles: Option<u16>,
+    /// Of `stroke`: its number.
+    pub stroke: Option<u16>,
+    /// Indentation, mm.
+    pub indentation_mm: f64,
+    /// State of the wall.
+    pub lubrication: String,
+    /// Displacements.
+    pub repeats: usize,
+    /// Standard deviation of each, mm.
+    pub uncertainty_mm: f64,
+    /// Expected information on the body after the trials before, nats.
+    pub gain_nats: f64,
+    /// Its standard error.
+    pub gain_error_nats: f64,
+    /// Of this and all trials before, jointly.
+    pub sum_nats: f64,
+    /// Its standard error.
+    pub sum_error_nats: f64,
+    /// Other candidates that tell as much, within the error.
+    pub ties: String,
+}
+
+/// Kind as `fit` reads it, cycles, stroke.
+#[must_use]
+pub fn columns(kind: Kind) -> (&'static str, Option<u16>, Option<u16>) {
+    match kind {
+        Kind::Net { cycles } => ("net", Some(cycles), None),
+        Kind::Stroke { number } => ("stroke", None, Some(number)),
+        Kind::AntegradePass => ("antegrade_pass", None, None),
+        Kind::ReturningPass => ("returning_pass", None, None),
+    }
+}
+
+impl Plan {
+    /// The candidates that tell as much as the one of a step, within the error.
+    #[must_use]
+    pub fn ties(&self, step: usize) -> Vec<String> {
+        let name = |place: &usize| {
+            let case = self.candidates[*place].case;
+            format!("{} at {} mm", case.kind, case.indentation_mm)
+        };
+        let step = self.steps.get(step);
+        step.map_or(vec![], |step| step.ties.iter().map(name).collect())
+    }
+
+    /// All series as rows.
+    #[must_use]
+    pub fn rows(&self, uncertainty_mm: f64) -> Vec<Row> {
+        let mut rows = vec![];
+        for (number, series) in self.series.iter().enumerate() {
+            for (place, planned) in series.trials.iter().enumerate() {
+                let (kind, cycles, stroke) = columns(planned.condition.case.kind);
+                let (gain, sum) = (series.judged.gains[place], series.judged.sums[place]);
+                rows.push(Row {
+                    series: series.name,
+                    trial: place + 1,
+                    kind,
+                    cycles,
+                    stroke,
+                    indentation_mm: planned.condition.case.indentation_mm,
+                    lubrication: planned.condition.lubrication.to_string(),
+                    repeats: planned.repeats,
+                    uncertainty_mm,
+                    gain_nats: gain.mean,
+                    gain_error_nats: gain.error,
+                    sum_nats: sum.mean,
+                    sum_error_nats: sum.error,
+                    ties: if number == 0 {
+                        self.ties(place).join("; ")
+                    } else {
+                        String::new()
+                    },
+                });
+            }
+        }
+        rows
+    }
+
+    /// Whether the numbers of draws sufficed for trials as exact as these.
+    #[must_use]
+    pub fn is_resolved(&self) -> bool {
+        self.series
+            .iter()
+            .all(|one| one.judged.correction <= GREATEST_CORRECTION)
+    }
+}
+
+/// A displacement that is to be measured, as a row of what `fit` reads.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Empty {
+    kind: &'static str,
+    cycles: Option<u16>,
+    stroke: Option<u16>,
+    indentation_mm: f64,
+    lubrication: String,
+    displacement_mm: Option<f64>,
+    uncertainty_mm: f64,
+    origin: Option<String>,
+    excluded: Option<String>,
+}
+
+/// Rows for the displacements of a series, to be filled in.
+#[must_use]
+pub fn empty(series: &Series, uncertainty_mm: f64) -> Vec<Empty> {
+    let of = |planned: &Planned| {
+        let (kind, cycles, stroke) = columns(planned.condition.case.kind);
+        let row = Empty {
+            kind,
+            cycles,
+            stroke,
+            indentation_mm: planned.condition.case.indentation_mm,
+            lubrication: planned.condition.lubrication.to_string(),
+            displacement_mm: None,
+            uncertainty_mm,
+            origin: None,
+            excluded: None,
+        };
+        vec![row; planned.repeats]
+    };
+    series.trials.iter().flat_map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_papers_procedure_is_dealt_out_evenly() {
+        let repeats = |displacements: usize| -> Vec<usize> {
+            paper(displacements).iter().map(|one| one.repeats).collect()
+        };
+        assert_eq!(repeats(100), [10; 10]);
+        assert_eq!(repeats(10), [1; 10]);
+        assert_eq!(repeats(13), [2, 2, 2, 1, 1, 1, 1, 1, 1, 1]);
+        assert_eq!(repeats(3), [1; 3]);
+        let lubricated = paper(10)[9].condition;
+        assert_eq!(lubricated.lubrication, Lubrication::Lubricated);
+        assert_eq!(lubricated.case.indentation_mm.to_bits(), 5.05f64.to_bits());
+    }
+}
