@@ -111,8 +111,8 @@ fn triangle(samples: &[Point], mean: &Point, width: f64) -> Option<[Point; UNKNO
                 left / factor[column][column]
             };
         }
-        // Also refuses a NaN.
-        if !(factor[row][row] > 1e-9) {
+        // A NaN is refused, too.
+        if factor[row][row].partial_cmp(&1e-9) != Some(core::cmp::Ordering::Greater) {
             return None;
         }
     }

@@ -87,6 +87,13 @@ pub struct Judged {
     pub after: [Estimate; UNKNOWNS],
 }
 
+/// What one history has shown of a sequence.
+struct Course {
+    gains: Vec<Information>,
+    before: [f64; UNKNOWNS],
+    after: [f64; UNKNOWNS],
+}
+
 fn histories<'a>(
     belief: &'a Belief,
     response: &'a Response<'a>,
@@ -160,31 +167,37 @@ pub fn judge(
     let mut all = histories(belief, response, effort, seed)?;
     let one = |history: &mut History<'_>| {
         let before = log_widths(history);
-        let mut gains: Vec<Information> = vec![];
+        let mut gains = vec![];
         for trial in trials {
             gains.extend(history.information(&[*trial]));
             history.measure(trial);
         }
-        (gains, before, log_widths(history))
+        Course {
+            gains,
+            before,
+            after: log_widths(history),
+        }
     };
-    let found: Vec<_> = all.par_iter_mut().map(one).collect();
-    let over = |of: &dyn Fn(&(Vec<Information>, [f64; UNKNOWNS], [f64; UNKNOWNS])) -> f64| {
-        Estimate::of(&found.iter().map(of).collect::<Vec<_>>())
-    };
+    let found: Vec<Course> = all.par_iter_mut().map(one).collect();
+    let over =
+        |of: &dyn Fn(&Course) -> f64| Estimate::of(&found.iter().map(of).collect::<Vec<_>>());
     let sum = |gains: &[Information]| gains.iter().map(|one| one.nats).sum::<f64>();
     let places = 0..trials.len();
     let corrections = places
         .clone()
-        .map(|place| over(&|one| one.0[place].correction).mean);
+        .map(|place| over(&|one| one.gains[place].correction).mean);
     Some(Judged {
-        gains: (places.clone().map(|place| over(&|one| one.0[place].nats))).collect(),
+        gains: (places
+            .clone()
+            .map(|place| over(&|one| one.gains[place].nats)))
+        .collect(),
         sums: (places
             .clone()
-            .map(|place| over(&|one| sum(&one.0[..=place]))))
+            .map(|place| over(&|one| sum(&one.gains[..=place]))))
         .collect(),
         correction: corrections.fold(0.0, f64::max),
-        before: core::array::from_fn(|unknown| over(&|one| one.1[unknown])),
-        after: core::array::from_fn(|unknown| over(&|one| one.2[unknown])),
+        before: core::array::from_fn(|unknown| over(&|one| one.before[unknown])),
+        after: core::array::from_fn(|unknown| over(&|one| one.after[unknown])),
     })
 }
 

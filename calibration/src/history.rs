@@ -29,7 +29,7 @@ pub struct Trial {
 
 /// All results of a condition taken together.
 #[derive(Clone, Copy, Debug)]
-struct Result {
+struct Outcome {
     place: usize,
     discrepancies: f64,
     /// 1/mm^2.
@@ -37,7 +37,7 @@ struct Result {
     mean_mm: f64,
 }
 
-impl Result {
+impl Outcome {
     /// With one more.
     fn with(before: Option<Self>, trial: &Trial, found_mm: f64) -> Self {
         let precision = 1.0 / (trial.error_mm * trial.error_mm);
@@ -118,7 +118,7 @@ pub struct History<'a> {
     truth: Draw,
     /// What the model gets wrong in each condition, as a multiple of its deviation there.
     wrong: BTreeMap<usize, f64>,
-    results: BTreeMap<usize, Result>,
+    results: BTreeMap<usize, Outcome>,
     draws: Vec<Draw>,
 }
 
@@ -209,13 +209,13 @@ impl<'a> History<'a> {
             + trial.discrepancies * self.truth.tau_mm * wrong
             + trial.error_mm * normal(random);
         let before = self.results.remove(&trial.condition);
-        let after = Result::with(before, trial, found_mm);
+        let after = Outcome::with(before, trial, found_mm);
         self.bring_in(before, after);
         self.results.insert(trial.condition, after);
     }
 
     /// The draw with its density: `self.results` stay, the condition of `before` and `after` moves.
-    fn weigh(&self, draw: &mut Draw, before: Option<Result>, after: Result) {
+    fn weigh(&self, draw: &mut Draw, before: Option<Outcome>, after: Outcome) {
         draw.settled = self.belief.log_density(&draw.point);
         for result in self.results.values() {
             draw.settled += result.log_likelihood(draw);
@@ -226,7 +226,7 @@ impl<'a> History<'a> {
         ];
     }
 
-    fn bring_in(&mut self, before: Option<Result>, after: Result) {
+    fn bring_in(&mut self, before: Option<Outcome>, after: Outcome) {
         let mut draws = core::mem::take(&mut self.draws);
         for draw in &mut draws {
             self.weigh(draw, before, after);
@@ -248,7 +248,7 @@ impl<'a> History<'a> {
     }
 
     /// Proposes to move each draw once, along the difference of two others.
-    fn sweep(&mut self, draws: &mut [Draw], before: Option<Result>, after: Result, part: f64) {
+    fn sweep(&mut self, draws: &mut [Draw], before: Option<Outcome>, after: Outcome, part: f64) {
         let stand: Vec<Point> = draws.iter().map(|draw| draw.point).collect();
         let best = 2.38 / libm::sqrt(2.0 * UNKNOWNS as f64);
         for draw in draws {
@@ -281,7 +281,7 @@ impl<'a> History<'a> {
 }
 
 /// What a trial gives with a body that goes so far, after the results of its condition.
-fn predicted(trial: &Trial, known: Option<&Result>, model_mm: f64, tau_mm: f64) -> Normal {
+fn predicted(trial: &Trial, known: Option<&Outcome>, model_mm: f64, tau_mm: f64) -> Normal {
     let reach_mm = trial.discrepancies * tau_mm;
     let wrong = reach_mm * reach_mm;
     let (precision, mean_mm) = known.map_or((0.0, model_mm), |one| (one.precision, one.mean_mm));

@@ -70,6 +70,9 @@ pub struct PlanExperimentArgs {
     /// What is known before: the posterior in the file of `--model`, or else the prior.
     #[arg(long, value_enum, value_name = "WHAT")]
     pub from: Option<Begin>,
+    /// Histories over which gains are averaged, 16 to 4096: four times as many halve the errors, in four times the time.
+    #[arg(long, value_name = "N", default_value_t = HISTORIES, value_parser = clap::value_parser!(u16).range(16..=4096))]
+    pub histories: u16,
     /// Seed of everything: the same seed makes the same bytes.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     pub seed: u64,
@@ -84,6 +87,8 @@ pub struct PlanExperimentArgs {
     pub model: ModelArgs,
 }
 
+/// Histories unless asked otherwise.
+const HISTORIES: u16 = Effort::FULL.histories as u16;
 /// Least standard error of a trial's mean, mm: the model itself ripples by some hundredths of a millimetre.
 const LEAST_ERROR_MM: f64 = 0.02;
 /// Most indentations.
@@ -163,7 +168,10 @@ impl PlanExperimentArgs {
             trials: self.trials.into(),
             repeats: self.repeats.into(),
             uncertainty_mm: u,
-            effort: Effort::FULL,
+            effort: Effort {
+                histories: self.histories.into(),
+                ..Effort::FULL
+            },
             seed: self.seed,
         })
     }
@@ -265,10 +273,12 @@ pub(crate) fn plan_experiment(
             Some(posterior) => model_file::fitted_name(posterior).short,
         },
         full: format!(
-            "{origin}; {} displacements to {} mm; seed {}",
+            "{origin}; {} displacements to {} mm; seed {}, {} histories of {} draws",
             plan.series[0].displacements(),
             asked.uncertainty_mm,
-            asked.seed
+            asked.seed,
+            asked.effort.histories,
+            asked.effort.draws,
         ),
     };
     work.file("plan.svg", trial_plan(figure, &plan)?.as_bytes())?;
@@ -283,6 +293,7 @@ pub(crate) fn plan_experiment(
         "origin": origin,
         "unit": "nats",
         "seed": asked.seed,
+        "histories": asked.effort.histories,
         "resolved": plan.is_resolved(),
         "table_error_mm": plan.table_error_mm,
         "trials": rows,
@@ -350,16 +361,17 @@ fn say(work: &mut Calculation<'_, '_>, plan: &Plan, asked: &Asked) {
         ));
     }
     work.screen.say(
-        "  A gain is what is expected to be learnt of the body after the trials before, in\n  \
-         nats (1 nat = 1.44 bits), +- its standard error. Ties: other candidates that\n  \
-         tell as much, within two of them; plan-experiment.csv names them.\n  \
-         5 to 95 % spans a factor of  before  recommended  paper, as many  paper, whole",
+        "  A gain is what is expected to be learnt of the body after the trials\n  \
+         before, in nats (1 nat = 1.44 bits), +- its standard error. Ties: other\n  \
+         candidates that tell as much, within two of them; plan-experiment.csv\n  \
+         names them.\n\
+           5 to 95 % spans a factor of  before recommended  paper, as many  paper, whole",
     );
     for (place, unknown) in unknowns().iter().enumerate() {
         let factor = |estimate: Estimate| format!("{:.2}", estimate.mean.exp());
         let after = |series: &Series| factor(series.judged.after[place]);
         work.screen.say(&format!(
-            "  {:<27} {:>7} {:>12} {:>15} {:>13}",
+            "  {:<27} {:>7} {:>11} {:>15} {:>13}",
             unknown.key,
             factor(recommended.judged.before[place]),
             after(&plan.series[0]),
