@@ -80,7 +80,7 @@ fn a_plan_from_the_prior_is_the_same_on_any_number_of_threads() {
     for says in [
         "not validated against a rig",
         "joint gain / nats",
-        "the paper's procedure (model)",
+        "procedure (model)",
     ] {
         assert!(svg.contains(says), "{says}");
     }
