@@ -52,8 +52,18 @@ pub struct Check {
     pub p_scatter: Option<f64>,
 }
 
-/// Below this a check is worth a sentence.
-pub const SUSPICIOUS: f64 = 0.01;
+/// How often a fit of a true model with truly stated uncertainties has a suspicious check, by chance.
+const BY_CHANCE: f64 = 0.05;
+
+/// Below this the check of one of so many conditions is worth a sentence (Bonferroni): among many conditions some are rare by
+/// chance.
+#[must_use]
+pub fn suspicious(conditions: usize) -> f64 {
+    BY_CHANCE / conditions.max(1) as f64
+}
+
+/// Replicated means of each body: rare ones have to be seen among as many conditions as a campaign has.
+const REPLICATES: usize = 50;
 
 /// Displacements of cases, mm, body by body.
 fn found(
@@ -85,7 +95,8 @@ pub fn checks(
         let mut again = vec![];
         for (point, found) in bodies.iter().zip(&found) {
             let deviation_mm = deviation_mm(condition, discrepancy_mm(point));
-            again.push(found[*place] + deviation_mm * normal(&mut random));
+            let replicate = || found[*place] + deviation_mm * normal(&mut random);
+            again.extend(std::iter::repeat_with(replicate).take(REPLICATES));
         }
         let below = again.iter().filter(|mm| **mm < condition.mean_mm).count();
         let part = (below as f64 + 0.5) / (again.len() as f64 + 1.0);

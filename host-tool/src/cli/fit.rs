@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use calibration::fit::{Fit, Settings, fit as calibrate};
 use calibration::observation::{Case, Kind, Observation};
-use calibration::predictive::{Band, Check, SUSPICIOUS, bands, checks};
+use calibration::predictive::{Band, Check, bands, checks, suspicious};
 use calibration::prior::{Point, UNKNOWNS, Values, parts, unknowns, with_body};
 use clap::Args;
 use locomotion::model::{Model, Setting, Value as Given};
@@ -352,23 +352,20 @@ fn say_checks(checked: &[Check], screen: &mut Screen<'_>) {
             check.p_mean,
         ));
     }
-    let off: Vec<_> = checked
-        .iter()
-        .filter(|check| check.p_mean < SUSPICIOUS)
-        .collect();
-    if !off.is_empty() {
+    let (count, rare) = (checked.len(), suspicious(checked.len()));
+    let off = (checked.iter()).filter(|check| check.p_mean < rare).count();
+    if off > 0 {
         screen.say(&format!(
-            "  {} of {} conditions are hardly explained (p below {SUSPICIOUS}): the model is wrong there, or the readings are",
-            off.len(),
-            checked.len()
+            "  hardly explained, p below 0.05 over {count} conditions: {off} of them. The model is wrong there, or the readings are"
         ));
     }
     let scattered = (checked.iter())
-        .filter(|check| check.p_scatter.is_some_and(|p| p < SUSPICIOUS))
+        .filter(|check| check.p_scatter.is_some_and(|p| p < rare))
         .count();
     if scattered > 0 {
         screen.say(&format!(
-            "  the repeats of {scattered} conditions scatter more than the stated uncertainty allows: state a larger one"
+            "  repeats scatter more than the stated uncertainty allows, p below 0.05 over {count} conditions: {scattered} of them.\n  \
+             State a larger uncertainty"
         ));
     }
 }
