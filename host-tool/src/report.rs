@@ -3,6 +3,7 @@
 //! What contradicts itself is shown in red with the reason, and what is left out is listed with it.
 
 pub mod campaign;
+pub mod campaign_band;
 mod campaign_figures;
 pub mod check;
 pub mod evaluation;

@@ -1,6 +1,7 @@
 //! The report of a campaign: what counts and what does not, its numbers, its files.
 
 mod machine;
+mod made_up;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,6 +18,7 @@ use host_tool::experiment::{self, Shape};
 use host_tool::identity::Origin;
 use host_tool::report::Existing;
 use host_tool::report::campaign::{Written, report_folder, write};
+use host_tool::report::campaign_band::BandSource;
 use host_tool::report::evaluation::evaluate;
 use host_tool::science::trials::{self, TrialsError};
 use host_tool::statistics::{Line, Spread};
@@ -229,7 +231,7 @@ fn page(written: &Written) -> String {
 #[test]
 fn a_campaign_becomes_a_page_figures_and_tables() {
     let (_place, path) = made();
-    let written = write(&path, Existing::Keep).expect("written");
+    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
     assert_eq!(written.findings, Vec::<String>::new());
     assert_eq!((written.planned, written.counted), (14, 12));
     let why = |trial| {
@@ -269,10 +271,12 @@ fn a_campaign_becomes_a_page_figures_and_tables() {
     assert_eq!(html.matches("<svg").count(), 2 + 13);
     // What the report makes is no change of the campaign.
     assert_eq!(
-        write(&path, Existing::Replace).expect("again").findings,
+        write(&path, Existing::Replace, &BandSource::default())
+            .expect("again")
+            .findings,
         Vec::<String>::new()
     );
-    let error = write(&path, Existing::Keep).expect_err("there");
+    let error = write(&path, Existing::Keep, &BandSource::default()).expect_err("there");
     assert!(error.to_string().contains("is there already"), "{error}");
 }
 
@@ -284,7 +288,7 @@ fn a_campaign_that_has_not_begun_has_a_report_without_figures() {
     fs::create_dir(report_folder(&path)).expect("a folder");
     let stale = report_folder(&path).join("figure7.svg");
     fs::write(&stale, "of trials that no longer count").expect("written");
-    let written = write(&path, Existing::Keep).expect("written");
+    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
     assert_eq!(
         (written.planned, written.counted, written.left_out.len()),
         (14, 0, 14)
@@ -369,7 +373,7 @@ fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
     let text = fs::read_to_string(&file).expect("there");
     let half = text.len() / 2;
     fs::write(&file, &text[..half]).expect("cut");
-    let written = write(&path, Existing::Keep).expect("written");
+    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
     assert_eq!(written.counted, 11);
     let (_, why) = written
         .left_out
@@ -387,7 +391,7 @@ fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
     let edited = text.replacen(",0.77,", ",0.78,", 1);
     assert_ne!(text, edited);
     fs::write(&ledger, edited).expect("edited");
-    let written = write(&path, Existing::Replace).expect("written");
+    let written = write(&path, Existing::Replace, &BandSource::default()).expect("written");
     assert!(page(&written).contains("NOT AS IT WAS WRITTEN"));
     // A script sees it by the exit code; the page is there all the same.
     fs::remove_file(&written.page).expect("removed");
@@ -419,7 +423,7 @@ fn a_virtual_campaign_cannot_pass_as_a_measurement() {
     fs::write(&plan, text + "[virtual]\nscatter_mm = 0.25\nseed = 77\n").expect("written");
     let sums = manifest::of_folder(&path).expect("a folder");
     fs::write(path.join(manifest::NAME), sums.text()).expect("written");
-    let written = write(&path, Existing::Keep).expect("written");
+    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
     assert_eq!((written.findings.len(), written.counted), (0, 12));
     assert_eq!(written.origin, Origin::Virtual);
     let html = page(&written);
@@ -450,7 +454,7 @@ fn a_virtual_campaign_cannot_pass_as_a_measurement() {
     fs::write(&sidecar, text.replace("\"virtual\"", "\"board\"")).expect("written");
     let sums = manifest::of_folder(&path).expect("a folder");
     fs::write(path.join(manifest::NAME), sums.text()).expect("written");
-    let written = write(&path, Existing::Replace).expect("written");
+    let written = write(&path, Existing::Replace, &BandSource::default()).expect("written");
     assert_eq!((written.counted, written.defects), (11, 1));
     // A script sees that as well.
     let at = path.to_str().expect("UTF-8");
@@ -487,6 +491,65 @@ fn the_command_says_what_it_wrote_and_what_does_not_count() {
     }
 }
 
+/// Behind the series stands what a model leaves open, and the page says whose bodies and what that is worth.
+#[test]
+fn a_models_band_stands_behind_the_series_and_says_what_it_is() {
+    let (place, path) = made();
+    let memory = Memory::with(vec![]);
+    let at = path.to_str().expect("UTF-8");
+    let said = |more: &[&str]| {
+        let (code, _, err) = memory.run(&[&["report", at, "--force"], more].concat());
+        assert_eq!(code, 0, "{err}");
+        let read = |name: &str| fs::read_to_string(path.join("report").join(name)).expect(name);
+        (read("report.html"), read("figure7.svg"))
+    };
+    let (page, prior) = said(&[]);
+    for says in [
+        "not validated against a rig",
+        "bodies that agree with the paper&#39;s words on the rig",
+    ] {
+        assert!(
+            page.contains(says) || page.contains(&says.replace("&#39;", "'")),
+            "{says}"
+        );
+    }
+    assert!(
+        prior.contains("model, 5 to 95 % of bodies that fit"),
+        "{prior}"
+    );
+    assert!(!page.contains("these very trials"));
+
+    let file = place.path().join("model.toml");
+    let sample = |ratio: f64| [0.15, ratio, 0.0007, 0.05];
+    let model = made_up::posterior(&file, "", &[sample(30.0), sample(40.0), sample(50.0)]);
+    let (page, fitted) = said(&["--model", &model]);
+    assert!(page.contains("3 of 3 bodies of the posterior"), "no bodies");
+    assert!(
+        fitted.contains("model, 5 to 95 % of fitted bodies"),
+        "{fitted}"
+    );
+    assert!(!page.contains("these very trials"));
+    assert!(fitted != prior);
+
+    // Its own data in a posterior: agreement is no evidence.
+    let listed = fs::read_to_string(path.join(manifest::NAME)).expect("a list");
+    let hash = listed.lines().find(|line| line.ends_with("  trials.csv"));
+    let hash = hash.expect("the ledger is listed");
+    let text = fs::read_to_string(&model).expect("a model");
+    fs::write(
+        &model,
+        text.replace("sha256 = []", &format!("sha256 = [\"{hash}\"]")),
+    )
+    .expect("written");
+    let (page, _) = said(&["--model", &model]);
+    assert!(page.contains("fitted to these very trials"), "not said");
+
+    let record = path.join("attempts");
+    let (code, _, err) =
+        memory.run(&["report", record.to_str().expect("UTF-8"), "--model", &model]);
+    assert!(code == 2 && err.contains("no campaign is named"), "{err}");
+}
+
 /// An independent program, in another language, works out every number of the page from the campaign's own files.
 #[test]
 fn every_number_of_the_page_is_worked_out_again() {
@@ -497,7 +560,7 @@ fn every_number_of_the_page_is_worked_out_again() {
         command.arg(&script).arg(path).output()
     };
     let (_place, path) = made();
-    write(&path, Existing::Keep).expect("written");
+    write(&path, Existing::Keep, &BandSource::default()).expect("written");
     let Ok(output) = python(&path) else {
         // Without Python there is no second opinion.
         return;

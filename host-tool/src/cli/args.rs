@@ -887,6 +887,10 @@ pub struct ReportArgs {
     /// Replace a report that is there already.
     #[arg(long)]
     pub force: bool,
+    /// Of a campaign: the model whose band stands behind its series, a file that `fit` or `simulate` wrote. Without it the
+    /// band is that of the bodies that agree with the paper's words.
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
 }
 
 /// Arguments of `flash`.

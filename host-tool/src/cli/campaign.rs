@@ -27,6 +27,7 @@ use crate::commission::warning;
 use crate::identity::Origin;
 use crate::limited;
 use crate::report::campaign::report_folder;
+use crate::report::campaign_band::BandSource;
 use crate::report::{self, Existing};
 use desk::{Counter, Who};
 
@@ -180,7 +181,7 @@ fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<PathBuf, Failure> 
         ));
         return Ok(page);
     }
-    let written = report::campaign::write(folder, Existing::Keep)?;
+    let written = report::campaign::write(folder, Existing::Keep, &BandSource::default())?;
     screen.say(&format!("Report: {}", written.page.display()));
     Ok(written.page)
 }

@@ -14,9 +14,11 @@ use crate::cli::args::{
     CAMPAIGNS_FOLDER, Cli, DATA_FOLDER, ListArgs, OnLinkLoss, PlanArgs, ReportArgs,
 };
 use crate::cli::failure::Failure;
+use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
 use crate::decimal;
 use crate::plan::{self, REFERENCE_LIMITS, Summary};
+use crate::report::campaign_band::BandSource;
 use crate::report::{self, Existing, campaign, figures};
 
 pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
@@ -111,6 +113,13 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
     };
     if let Some(folder) = args.trials.iter().find(|path| is_campaign(path)) {
         return report_campaign(folder, args, existing, screen);
+    }
+    if args.model.is_some() {
+        return Err(Failure::Input {
+            why: "--model draws the band of a campaign, and no campaign is named".to_owned(),
+            help: "`retrograde report FOLDER --model FILE` with the folder of a campaign"
+                .to_owned(),
+        });
     }
     let out = args.out.clone().unwrap_or_else(|| "report.html".into());
     let found = report::find(&args.trials)?;
@@ -217,7 +226,12 @@ fn report_campaign(
             help: format!("`retrograde report {}`", folder.display()),
         });
     }
-    let written = campaign::write(folder, existing)?;
+    let file = ModelArgs::of_file(args.model.clone());
+    let source = BandSource {
+        model: file.model()?,
+        posterior: file.posterior()?,
+    };
+    let written = campaign::write(folder, existing, &source)?;
     screen.say(&format!(
         "{} of {} trials count; origin {}",
         written.counted, written.planned, written.origin

@@ -19,6 +19,7 @@ use crate::campaign::plan::Purpose;
 use crate::campaign::readings::Quantity;
 use crate::decimal;
 use crate::identity::Origin;
+use crate::report::campaign_band::{BandSource, ModelBand, band};
 use crate::report::campaign_figures::{carriage, figure7, figure8, passes, run_over_plan};
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, motion_of};
 use crate::report::figures::Figure;
@@ -67,24 +68,29 @@ pub fn report_folder(campaign: &Path) -> PathBuf {
     campaign.join(manifest::NOT_COVERED)
 }
 
-/// Verifies a campaign, works out what it amounts to, and writes page, figures and tables.
+/// Verifies a campaign, works out what it amounts to, and writes page, figures and tables, with a model's band behind the series.
 ///
 /// # Errors
 /// It cannot be read, the page is there already, or something cannot be written. Each file is written whole or not at all,
 /// the page last.
-pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignReportError> {
+pub fn write(
+    folder: &Path,
+    existing: Existing,
+    model: &BandSource,
+) -> Result<Written, CampaignReportError> {
     let into = report_folder(folder);
     let page_path = into.join("report.html");
     if existing == Existing::Keep && page_path.exists() {
         return Err(ReportError::Exists { path: page_path }.into());
     }
     let evaluation = evaluate(folder)?;
+    let band = band(&evaluation, model);
     let figures = Figures {
-        figure7: Drawings::of(figure7(&evaluation))?,
+        figure7: Drawings::of(figure7(&evaluation, band.as_ref()))?,
         figure8: Drawings::of(figure8(&evaluation))?,
         passes: Drawings::of(passes(&evaluation))?,
     };
-    let html = html(&evaluation, &figures)?;
+    let html = html(&evaluation, &figures, band.as_ref())?;
     let mut files = vec![];
     let mut keep = |name: &str, bytes: &[u8]| {
         let path = into.join(name);
@@ -178,7 +184,11 @@ struct Figures {
     passes: Option<Drawings>,
 }
 
-fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportError> {
+fn html(
+    evaluation: &Evaluation,
+    figures: &Figures,
+    band: Option<&ModelBand>,
+) -> Result<String, ReportError> {
     let plan = &evaluation.campaign.plan;
     let title = format!("Campaign {}", plan.name);
     let mut trials = vec![];
@@ -187,6 +197,11 @@ fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportErro
             trials.push(trial(evaluation, row, parts)?);
         }
     }
+    let of_series = format!(
+        "Each dot is a trial, each bar the mean of a condition with one standard deviation up and down. The line is that of least \
+         squares through all dots, the pale area of its colour its band of 95 % confidence. {}",
+        band.map_or("", |band| &band.meaning)
+    );
     let body = html! {
         (origin_banner(evaluation))
         h1 { (title) (page::tag(evaluation.origin)) }
@@ -194,9 +209,7 @@ fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportErro
         (summary(evaluation))
         section {
             h2 { "Displacement over indentation" }
-            (figure(figures.figure7.as_ref().map(|figure| &*figure.svg), "No trial of the series counts yet: no figure.",
-                "Each dot is a trial, each bar the mean of a condition with one standard deviation up and down. The line is that of least squares through all dots, \
-                 the pale area its band of 95 % confidence."))
+            (figure(figures.figure7.as_ref().map(|figure| &*figure.svg), "No trial of the series counts yet: no figure.", &of_series))
             (conditions(evaluation, &[Purpose::Series], None))
             (lines(evaluation))
         }
@@ -210,7 +223,8 @@ fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportErro
         @if plan.passes.is_some() { section {
             h2 { "Isolated passes" }
             (figure(figures.passes.as_ref().map(|figure| &*figure.svg), "No isolated pass counts yet: no figure.",
-                "Each dot is one stroke of the rollers over a body that they met at rest, each bar the mean of a condition with one standard deviation up and down.                  Antegrade is from head to tail, returning from tail to head."))
+                "Each dot is one stroke of the rollers over a body that they met at rest, each bar the mean of a condition with one standard deviation up and down. \
+                 Antegrade is from head to tail, returning from tail to head."))
             (conditions(evaluation, &[Purpose::AntegradePass, Purpose::ReturningPass], Some("pass")))
         } }
         section { h2 { "Left out" } (left_out(evaluation)) }

@@ -5,6 +5,7 @@ use plotters::style::RGBColor;
 
 use crate::campaign::order::{Form, doing};
 use crate::campaign::plan::{Lubrication, Purpose};
+use crate::report::campaign_band::ModelBand;
 use crate::report::check;
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
 use crate::report::figures::{
@@ -15,6 +16,7 @@ use crate::trial::{Action, RigSample, Screw};
 
 const DRY: RGBColor = RGBColor(0xc0, 0x6a, 0x10);
 const WET: RGBColor = MEASURED;
+const BAND: RGBColor = RGBColor(0x4a, 0x4a, 0x4a);
 const IN_RUN: RGBColor = RGBColor(0x3a, 0x8a, 0x4c);
 /// Points of a band's edge.
 const EDGE: u32 = 48;
@@ -45,9 +47,9 @@ fn bar(x: f64, mean: f64, sd: f64, half_width: f64) -> [(f64, f64); 8] {
     ]
 }
 
-/// Displacement against indentation; none without a trial that counts.
+/// Displacement against indentation, before the model's band if there is one; none without a trial that counts.
 #[must_use]
-pub fn figure7(evaluation: &Evaluation) -> Option<Figure> {
+pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figure> {
     let mut curves = vec![];
     for (lubrication, colour) in [(Lubrication::Dry, DRY), (Lubrication::Lubricated, WET)] {
         let points = evaluation.points(Purpose::Series, lubrication);
@@ -94,6 +96,10 @@ pub fn figure7(evaluation: &Evaluation) -> Option<Figure> {
     }
     if curves.is_empty() {
         return None;
+    }
+    // Below all else.
+    if let Some(band) = band {
+        curves.insert(0, curve(band.label, BAND, Mark::Area, band.outline.clone()));
     }
     let chart = Chart {
         x_label: "indentation a / mm",
