@@ -141,6 +141,40 @@ fn a_posterior_is_planned_from_and_tells_less_than_the_prior() {
     assert!(width < 0.5, "{width}");
 }
 
+/// From a posterior as from the prior: what was chosen among the paper's own conditions tells no less than the paper's
+/// choice. With dry candidates only it told less, because the paper's second wall was not among them.
+#[test]
+fn what_is_recommended_tells_no_less_than_the_papers_procedure() {
+    let folder = folder("no-less");
+    let model = posterior_file(&folder);
+    let (code, said, err) = retrograde(&[
+        "plan-experiment",
+        "--uncertainty-mm",
+        "0.5",
+        "--trials",
+        "10",
+        "--kinds",
+        "net",
+        "--histories",
+        "16",
+        "--json",
+        "--model",
+        text(&model),
+        "--out",
+        text(&folder),
+    ]);
+    assert_eq!(code, 0, "{err}");
+    let said: serde_json::Value = serde_json::from_str(&said).expect("JSON");
+    let of = |series: usize, what: &str| said["series"][series][what].as_f64().expect("a number");
+    let (ours, papers) = (of(0, "sum_nats"), of(1, "sum_nats"));
+    let error = of(0, "sum_error_nats").hypot(of(1, "sum_error_nats"));
+    assert!(ours > papers - 2.0 * error, "{ours} {papers} +- {error}");
+    let trials = said["trials"].as_array().expect("trials");
+    let recommended = trials.iter().filter(|row| row["series"] == "recommended");
+    let lubricated = recommended.filter(|row| row["lubrication"] == "lubricated");
+    assert!(lubricated.count() > 0, "{said}");
+}
+
 #[test]
 fn what_cannot_be_planned_is_refused() {
     let folder = folder("refused");
@@ -193,6 +227,10 @@ fn what_cannot_be_planned_is_refused() {
             "sample 1: body.preload_mm = 0.5 is not within its prior",
         ),
         ([&good[..], &["--kinds", "fold"]].concat(), "antegrade_pass"),
+        (
+            [&good[..], &["--lubrication", "wet"]].concat(),
+            "lubricated",
+        ),
     ] {
         let out = ["--out", text(&folder)];
         let (code, _, err) = retrograde(&[&["plan-experiment"], &args[..], &out].concat());

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use calibration::belief::{Belief, LEAST_SAMPLES};
 use calibration::design::{Effort, Estimate};
-use calibration::observation::Kind;
+use calibration::observation::{Kind, Lubrication};
 use calibration::prior::{Point, Values, unknowns};
 use calibration::tabulated::STEP_MM;
 use clap::{Args, ValueEnum};
@@ -46,6 +46,15 @@ pub enum Measured {
     Stroke,
 }
 
+/// The wall that trials may have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Wall {
+    /// Without soap.
+    Dry,
+    /// With soapy water.
+    Lubricated,
+}
+
 /// Arguments of `plan-experiment`.
 #[derive(Debug, Args)]
 pub struct PlanExperimentArgs {
@@ -67,6 +76,9 @@ pub struct PlanExperimentArgs {
     /// Indentations that may be set, in mm; by default the paper's five.
     #[arg(long, value_name = "LIST")]
     pub indentations_mm: Option<values::Values>,
+    /// Walls that may be had; by default both. The model gives both the same displacement, and takes what it gets wrong as independent.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "WALL")]
+    pub lubrication: Vec<Wall>,
     /// What is known before: the posterior in the file of `--model`, or else the prior.
     #[arg(long, value_enum, value_name = "WHAT")]
     pub from: Option<Begin>,
@@ -159,7 +171,15 @@ impl PlanExperimentArgs {
             (Measured::Stroke, stroke(1)),
             (Measured::Stroke, stroke(2)),
         ];
+        let walls = [
+            (Wall::Dry, Lubrication::Dry),
+            (Wall::Lubricated, Lubrication::Lubricated),
+        ];
         Ok(Asked {
+            walls: (walls.into_iter())
+                .filter(|(name, _)| self.lubrication.is_empty() || self.lubrication.contains(name))
+                .map(|(_, wall)| wall)
+                .collect(),
             kinds: (kinds.into_iter())
                 .filter(|(name, _)| asked(*name))
                 .map(|(_, kind)| kind)
@@ -333,7 +353,7 @@ fn say(work: &mut Calculation<'_, '_>, plan: &Plan, asked: &Asked) {
     work.screen.say(&format!(
         "{} candidates of {each} to {} mm, seed {}\n\
          model tabulated with a step of {STEP_MM} mm, off by {:.2} mm at most\n  \
-         trial  kind                a/mm     gain/nats      sum/nats  ties",
+         trial  kind and wall                a/mm     gain/nats      sum/nats  ties",
         plan.candidates.len(),
         asked.uncertainty_mm,
         asked.seed,
@@ -341,11 +361,11 @@ fn say(work: &mut Calculation<'_, '_>, plan: &Plan, asked: &Asked) {
     ));
     let [recommended, others @ ..] = &plan.series;
     for (place, planned) in recommended.trials.iter().enumerate() {
-        let case = planned.condition.case;
+        let trial_plan::Condition { case, lubrication } = planned.condition;
         work.screen.say(&format!(
-            "  {:>5}  {:<18} {:>5}  {:>12}  {:>12}  {:>4}",
+            "  {:>5}  {:<27} {:>5}  {:>12}  {:>12}  {:>4}",
             place + 1,
-            case.kind,
+            format!("{}, {lubrication}", case.kind),
             case.indentation_mm,
             with_error(&recommended.judged.gains[place]),
             with_error(&recommended.judged.sums[place]),
@@ -354,7 +374,7 @@ fn say(work: &mut Calculation<'_, '_>, plan: &Plan, asked: &Asked) {
     }
     for other in others {
         work.screen.say(&format!(
-            "  {:<14} {:>4} displacements           {:>12}",
+            "  {:<14} {:>4} displacements                    {:>12}",
             other.name,
             other.displacements(),
             with_error(&other.sum()),

@@ -43,6 +43,8 @@ pub struct Asked {
     pub kinds: Vec<Kind>,
     /// Indentations that may be set, mm.
     pub indentations_mm: Vec<f64>,
+    /// Walls that may be had.
+    pub walls: Vec<Lubrication>,
     /// Trials to choose.
     pub trials: usize,
     /// Displacements of a trial.
@@ -120,22 +122,29 @@ pub fn paper(displacements: usize) -> Vec<Planned> {
         .collect()
 }
 
+/// Everything that may be measured, wall by wall.
+fn candidates(asked: &Asked) -> Vec<Condition> {
+    let mut all = vec![];
+    for lubrication in &asked.walls {
+        for kind in &asked.kinds {
+            all.extend(asked.indentations_mm.iter().map(|mm| Condition {
+                case: Case {
+                    kind: *kind,
+                    indentation_mm: *mm,
+                },
+                lubrication: *lubrication,
+            }));
+        }
+    }
+    all
+}
+
 /// Plans. None if belief and model hardly overlap.
 ///
 /// # Errors
 /// An indentation or a body that the model does not cover.
 pub fn plan(base: &Model, belief: &Belief, asked: &Asked) -> Result<Option<Plan>, OutOfRange> {
-    let candidates: Vec<Condition> = (asked.kinds.iter())
-        .flat_map(|kind| {
-            asked.indentations_mm.iter().map(|mm| Condition {
-                case: Case {
-                    kind: *kind,
-                    indentation_mm: *mm,
-                },
-                lubrication: Lubrication::Dry,
-            })
-        })
-        .collect();
+    let candidates = candidates(asked);
     let displacements = asked.trials * asked.repeats;
     let whole = PAPER_REPEATS * paper(usize::MAX).len();
     let baselines = [paper(displacements), paper(whole)];
@@ -251,8 +260,12 @@ impl Plan {
     #[must_use]
     pub fn ties(&self, step: usize) -> Vec<String> {
         let name = |place: &usize| {
-            let case = self.candidates[*place].case;
-            format!("{} at {} mm", case.kind, case.indentation_mm)
+            let Condition { case, lubrication } = self.candidates[*place];
+            let Case {
+                kind,
+                indentation_mm,
+            } = case;
+            format!("{kind} at {indentation_mm} mm, {lubrication}")
         };
         let step = self.steps.get(step);
         step.map_or(vec![], |step| step.ties.iter().map(name).collect())

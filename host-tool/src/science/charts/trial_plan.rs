@@ -41,7 +41,10 @@ pub fn trial_plan(model: ModelName, plan: &Plan) -> Result<String, FigureError> 
         line(recommended, "recommended trials (model)", MODEL),
         line(as_many, "the paper's procedure (model)", PAPER),
     ];
-    let first = plan.candidates.iter().zip(&plan.steps[0].gains);
+    // Before anything is measured both walls tell the same.
+    let wall = plan.candidates[0].lubrication;
+    let first = (plan.candidates.iter().zip(&plan.steps[0].gains))
+        .filter(|(candidate, _)| candidate.lubrication == wall);
     let mut members: Vec<(String, Vec<(f64, f64)>)> = vec![];
     for (candidate, gain) in first {
         let label = format!("{} (model)", candidate.case.kind);

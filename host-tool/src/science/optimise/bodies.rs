@@ -35,7 +35,7 @@ impl Per {
 /// How exactly a design is judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Care {
-    /// While it is searched: with about [`SEARCHED`] of the bodies and a coarse step. All designs come out 0.7 % too far.
+    /// While it is searched: with about `SEARCHED` of the bodies and a coarse step. All designs come out 0.7 % too far.
     Searched,
     /// For the table: with all bodies; the step changes no mean by 0.03 mm.
     Listed,
