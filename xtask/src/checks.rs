@@ -4,8 +4,10 @@
 //! dev profile, in which the emulator is optimised; once as metadata for the linter and the documentation;
 //! once for the chip.
 
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::thread;
 use std::time::SystemTime;
 
 use crate::process::{Failure, Result, host_cargo, root, run};
@@ -106,18 +108,32 @@ fn host_tests() -> Result<()> {
 }
 
 fn long_tests() -> Result<()> {
-    let mut cargo = host_cargo("test");
-    // With the bench, so that what they share with it is built with the same features, once.
-    for package in ["protocol", "firmware-rig", "virtual-bench"] {
-        cargo.args(["--package", package]);
-    }
-    bench::accept_this_rust(&mut cargo);
-    // The files that have such tests.
-    cargo.args(["--test", "fuzz", "--test", "link", "--test", "sequences"]);
+    let remedy = "run the failing test alone: `cargo test -p PACKAGE NAME -- --ignored`";
+    let tests = |files: &[&str]| {
+        let mut cargo = host_cargo("test");
+        // With the bench, so that what they share with it is built with the same features, once.
+        for package in ["protocol", "firmware-rig", "virtual-bench"] {
+            cargo.args(["--package", package]);
+        }
+        bench::accept_this_rust(&mut cargo);
+        for file in files {
+            cargo.args(["--test", file]);
+        }
+        cargo
+    };
+    // The files that have such tests. The one series takes as long as all others, so they run side by side.
+    let (series, others) = (["sequences"], ["fuzz", "link"]);
     run(
-        cargo.args(["--", "--ignored"]),
-        "run the failing test alone: `cargo test -p PACKAGE NAME -- --ignored`",
-    )
+        tests(&[&series[..], &others].concat()).arg("--no-run"),
+        remedy,
+    )?;
+    let long = |files: &[&str]| run(tests(files).args(["--", "--ignored"]), remedy);
+    thread::scope(|scope| {
+        let beside = scope.spawn(|| long(&series));
+        let here = long(&others);
+        beside.join().unwrap_or_else(|panic| resume_unwind(panic))?;
+        here
+    })
 }
 
 fn format() -> Result<()> {
