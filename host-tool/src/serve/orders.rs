@@ -1,13 +1,13 @@
-//! From the body of a request to what is to be done: by way of the command line, so that fields, defaults and texts of
-//! refusals are the same.
+//! From the body of a request to what is to be done: by way of the arguments of the command line, so that fields, defaults and
+//! texts of refusals are the same.
 
-use clap::Parser;
+use clap::{Args, Command};
 use protocol::capsule::ActuationKind;
 use protocol::rig::{Jog, MoveTo, Run};
 use protocol::system::DeviceKind;
 use serde_json::{Map, Value, json};
 
-use crate::cli::args::{CapsuleSubcommand, Cli, FoldArgs, RecordArgs, Subcommand};
+use crate::cli::args::{JogArgs, MoveArgs, PartialArgs, RecordArgs, RunArgs};
 use crate::cli::failure::{self, Failure};
 use crate::cli::partial;
 use crate::experiment::Motion;
@@ -59,60 +59,42 @@ impl Work {
         name: &str,
         body: &Map<String, Value>,
     ) -> Option<Result<Self, Failure>> {
-        let (command, options, argument): (&[&str], &[&str], Option<&str>) = match (machine, name) {
-            (DeviceKind::Rig, "home") => (&["home"], &[], None),
-            (DeviceKind::Rig, "run") => (&["run"], &RUN, None),
-            (DeviceKind::Rig, "move") => (&["move"], &["speed_mm_s"], Some("position_mm")),
-            (DeviceKind::Rig, "jog") => (&["jog"], &["speed_mm_s"], Some("direction")),
-            (DeviceKind::Rig, "hold") => (&["hold"], &[], None),
-            (DeviceKind::Rig, "resume") => (&["resume"], &[], None),
-            (_, "ack") => (&["ack"], &[], None),
-            (DeviceKind::Capsule, "fold") => (&["fold"], &FOLD, None),
-            (DeviceKind::Capsule, "unfold") => (&["unfold"], &RECORD, None),
-            (DeviceKind::Capsule, "reference") => (&["capsule", "reference"], &RECORD, None),
-            (DeviceKind::Capsule, "calibrate") => (&["capsule", "calibrate"], &RECORD, None),
-            (DeviceKind::Capsule, "check") => (&["capsule", "check"], &RECORD, None),
-            _ => return None,
+        let alone = |work| words(&[], None, body).map(|_| work);
+        let actuation = |kind: ActuationKind| {
+            parse(&RECORD, None, body).map(|record| Self::Actuate(kind.into(), record))
         };
-        Some(parse(command, options, argument, body).and_then(Self::of))
-    }
-
-    fn of(subcommand: Subcommand) -> Result<Self, Failure> {
-        Ok(match subcommand {
-            Subcommand::Home => Self::Home,
-            Subcommand::Run(args) => {
-                let run = args.waves.request(args.on_link_loss);
-                plan::check(&run)?;
-                Self::Run(run, args.record)
+        Some(match (machine, name) {
+            (DeviceKind::Rig, "home") => alone(Self::Home),
+            (DeviceKind::Rig, "run") => waves(body).map(|(run, record)| Self::Run(run, record)),
+            (DeviceKind::Rig, "move") => {
+                parse(&["speed_mm_s"], Some("position_mm"), body).map(|args: MoveArgs| {
+                    Self::Move(MoveTo {
+                        position_um: args.position_mm.0,
+                        speed_um_s: args.speed_mm_s.0,
+                    })
+                })
             }
-            Subcommand::Move(args) => Self::Move(MoveTo {
-                position_um: args.position_mm.0,
-                speed_um_s: args.speed_mm_s.0,
-            }),
-            Subcommand::Jog(args) => Self::Jog(Jog {
-                sense: args.direction,
-                speed_um_s: args.speed_mm_s.0,
-            }),
-            Subcommand::Hold => Self::Hold,
-            Subcommand::Resume => Self::Resume,
-            Subcommand::Ack(_) => Self::Acknowledge,
-            Subcommand::Fold(args) => Self::Actuate(partial::motion(&args)?, args.fold.record),
-            Subcommand::Unfold(FoldArgs { record, .. }) => {
-                Self::Actuate(ActuationKind::Unfold.into(), record)
+            (DeviceKind::Rig, "jog") => {
+                parse(&["speed_mm_s"], Some("direction"), body).map(|args: JogArgs| {
+                    Self::Jog(Jog {
+                        sense: args.direction,
+                        speed_um_s: args.speed_mm_s.0,
+                    })
+                })
             }
-            Subcommand::Capsule { subcommand } => match subcommand {
-                CapsuleSubcommand::Reference(record) => {
-                    Self::Actuate(ActuationKind::Reference.into(), record)
-                }
-                CapsuleSubcommand::Calibrate(record) => {
-                    Self::Actuate(ActuationKind::Calibrate.into(), record)
-                }
-                CapsuleSubcommand::Check(record) => {
-                    Self::Actuate(ActuationKind::CheckFolded.into(), record)
-                }
-                _ => return Err(not_here()),
-            },
-            _ => return Err(not_here()),
+            (DeviceKind::Rig, "hold") => alone(Self::Hold),
+            (DeviceKind::Rig, "resume") => alone(Self::Resume),
+            (_, "ack") => alone(Self::Acknowledge),
+            (DeviceKind::Capsule, "fold") => {
+                parse(&FOLD, None, body).and_then(|args: PartialArgs| {
+                    Ok(Self::Actuate(partial::motion(&args)?, args.fold.record))
+                })
+            }
+            (DeviceKind::Capsule, "unfold") => actuation(ActuationKind::Unfold),
+            (DeviceKind::Capsule, "reference") => actuation(ActuationKind::Reference),
+            (DeviceKind::Capsule, "calibrate") => actuation(ActuationKind::Calibrate),
+            (DeviceKind::Capsule, "check") => actuation(ActuationKind::CheckFolded),
+            _ => return None,
         })
     }
 
@@ -162,31 +144,53 @@ impl Work {
 
 /// A run as `POST /api/v1/plan` has it.
 pub(crate) fn run(body: &Map<String, Value>) -> Result<Run, Failure> {
-    match Work::of(parse(&["run"], &RUN, None, body)?)? {
-        Work::Run(run, _) => Ok(run),
-        _ => Err(not_here()),
-    }
+    waves(body).map(|(run, _)| run)
 }
 
-fn not_here() -> Failure {
-    Failure::Input {
-        why: "this is no command of the server".to_owned(),
-        help: "docs/serve.md lists all".to_owned(),
-    }
+fn waves(body: &Map<String, Value>) -> Result<(Run, RecordArgs), Failure> {
+    let args: RunArgs = parse(&RUN, None, body)?;
+    let run = args.waves.request(args.on_link_loss);
+    plan::check(&run)?;
+    Ok((run, args.record))
 }
 
-fn parse(
-    command: &[&str],
+/// The arguments of a command. The command line as a whole has a hundred times as many, and building it takes longer than the
+/// rest of a request.
+fn parse<A: Args>(
     options: &[&str],
     argument: Option<&str>,
     body: &Map<String, Value>,
-) -> Result<Subcommand, Failure> {
-    // The places of this process's machines, which the environment may give, are of no concern here.
-    let mut args: Vec<String> = ["retrograde", "--rig=auto", "--capsule=auto"]
-        .iter()
-        .chain(command)
-        .map(|&word| word.to_owned())
-        .collect();
+) -> Result<A, Failure> {
+    let words = words(options, argument, body)?;
+    let command = A::augment_args(Command::new("retrograde").no_binary_name(true));
+    let parsed = command
+        .try_get_matches_from(words)
+        .and_then(|matches| A::from_arg_matches(&matches));
+    parsed.map_err(|error| {
+        let usage = failure::usage(&error.render().to_string());
+        let why = usage["error"]["message"].as_str().unwrap_or_default();
+        Failure::Input {
+            why: why.to_owned(),
+            help: match argument {
+                Some(field) if !body.contains_key(field) => {
+                    format!("nothing was done; the field `{field}` is missing")
+                }
+                _ => {
+                    "nothing was done; fields are the options of the command line, with `_` for `-`"
+                        .to_owned()
+                }
+            },
+        }
+    })
+}
+
+/// The fields as words of a command line.
+fn words(
+    options: &[&str],
+    argument: Option<&str>,
+    body: &Map<String, Value>,
+) -> Result<Vec<String>, Failure> {
+    let mut words = vec![];
     let mut last = None;
     for (field, value) in body {
         let known = options.contains(&field.as_str());
@@ -204,29 +208,14 @@ fn parse(
             continue;
         };
         match known {
-            true => args.push(format!("--{}={text}", field.replace('_', "-"))),
+            true => words.push(format!("--{}={text}", field.replace('_', "-"))),
             false => last = Some(text),
         }
     }
     if let Some(last) = last {
-        args.extend(["--".to_owned(), last]);
+        words.extend(["--".to_owned(), last]);
     }
-    match Cli::try_parse_from(args) {
-        Ok(cli) => Ok(cli.subcommand),
-        Err(error) => {
-            let usage = failure::usage(&error.render().to_string());
-            let why = usage["error"]["message"].as_str().unwrap_or_default();
-            Err(Failure::Input {
-                why: why.to_owned(),
-                help: match argument {
-                    Some(field) if !body.contains_key(field) => {
-                        format!("nothing was done; the field `{field}` is missing")
-                    }
-                    _ => "nothing was done; fields are the options of the command line, with `_` for `-`".to_owned(),
-                },
-            })
-        }
-    }
+    Ok(words)
 }
 
 /// The value as on the command line; `None` if it is null.
