@@ -38,6 +38,8 @@ const UID: [u8; 12] = [0xab; 12];
 pub const VIRTUAL_UID: [u8; 12] = *b"virtual test";
 /// So often is looked whether a machine is driven, us.
 const LOOK_US: u64 = 5_000;
+/// Homing is most of what a script of a rig with few steps takes.
+const FAST_HOMING: (SettingKey, u32) = (SettingKey::LocateUmS, 20_000);
 /// How long somebody presses a button, us.
 const PRESS_US: u64 = 50_000;
 
@@ -190,7 +192,7 @@ fn few_steps() -> &'static [u8] {
     static FLASH: OnceLock<Vec<u8>> = OnceLock::new();
     FLASH.get_or_init(|| {
         let flash = Flash::blank();
-        for (key, value) in rig::FEW_STEPS {
+        for (key, value) in rig::FEW_STEPS.into_iter().chain([FAST_HOMING]) {
             stored(&flash).set(key, value).expect("a good flash");
         }
         flash.bytes()
