@@ -79,10 +79,4 @@ impl Tabulated {
     pub fn at(&self, point: &Point) -> Option<Vec<f64>> {
         self.table.displacements_mm(&parts(point))
     }
-
-    /// How many nodes were worked out, and how many there are.
-    #[must_use]
-    pub fn worked_out(&self) -> (usize, usize) {
-        self.table.worked_out()
-    }
 }

@@ -18,17 +18,11 @@ fn one() -> Point {
     Values([0.15, 40.0, 0.0007, 1e-6]).point()
 }
 
-fn nets(depths_mm: &[f64], uncertainty_mm: f64) -> Vec<Planned> {
+fn nets(uncertainty_mm: f64) -> Vec<Planned> {
     let net = Kind::Net { cycles: 5 };
-    let at = |a: &f64| Planned::dry(net, *a, 1, uncertainty_mm);
-    depths_mm.iter().map(at).collect()
-}
-
-/// All five with `RETROGRADE_CAMPAIGN=full`, else three of them: tables of five take a minute.
-fn depths() -> Vec<f64> {
-    let full = std::env::var("RETROGRADE_CAMPAIGN").is_ok_and(|what| what == "full");
-    let each = if full { 1 } else { 2 };
-    DEPTHS_MM.into_iter().step_by(each).collect()
+    DEPTHS_MM
+        .map(|a| Planned::dry(net, a, 1, uncertainty_mm))
+        .to_vec()
 }
 
 fn passes(depths_mm: &[f64], repeats: usize, uncertainty_mm: f64) -> Vec<Planned> {
@@ -80,7 +74,7 @@ fn span(fit: &Fit, unknown: usize) -> (f64, f64) {
 /// An independent calculation, which accepted bodies within 1 mm of all five, found 22 to 90.
 #[test]
 fn net_displacement_alone_leaves_the_friction_ratio_open() {
-    let fit = fitted(&exact(&nets(&depths(), 1.0)));
+    let fit = fitted(&exact(&nets(1.0)));
     let (low, high) = span(&fit, RATIO);
     assert!(low < 30.0 && high > 80.0, "{low} to {high}");
     assert!(low > 12.0, "the prior begins at 1.2: {low}");
@@ -113,10 +107,7 @@ fn bodies_within_hard_bounds_lie_where_the_posterior_does() {
         let cases: Vec<_> = planned.iter().map(|one| one.case).collect();
         Predictor::new(&Model::ONE, &cases, 0.1).expect("covered")
     };
-    let (passes, nets) = (
-        asked(&passes(&DEPTHS_MM, 1, 0.2)),
-        asked(&nets(&DEPTHS_MM, 1.0)),
-    );
+    let (passes, nets) = (asked(&passes(&DEPTHS_MM, 1, 0.2)), asked(&nets(1.0)));
     let of =
         |predictor: &Predictor, body: &[f64; 3]| predictor.displacements_mm(body).expect("covered");
     let truth = parts(&one());

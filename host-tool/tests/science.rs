@@ -1036,7 +1036,7 @@ fn compared(folder: &Path, args: &[&str]) -> (Value, Vec<u8>) {
 #[test]
 fn compare_says_how_probable_each_sentence_is() {
     let folder = tempfile::tempdir().expect("folder");
-    let (plain, bytes) = compared(&folder.path().join("plain"), &["--threads", "2"]);
+    let (plain, bytes) = compared(&folder.path().join("plain"), &["--threads", "1"]);
     let rows = plain["comparison"].as_array().expect("rows");
     assert_eq!(rows.len(), comparison::ROWS);
     assert_eq!(
