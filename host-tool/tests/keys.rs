@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use bench::Bench;
 use machine::signal::Signal;
+use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use terminal::{End, Terminal};
 
@@ -82,23 +83,30 @@ fn the_terminal_is_restored_however_the_run_ends() {
     assert_eq!(terminal.ends_restored(), Some(3));
 }
 
+/// A rig that takes 0.4 s to stop from 20 mm/s.
+fn sluggish() -> Bench {
+    let mut script = bench::ready(DeviceKind::Rig);
+    script.settings.push((SettingKey::StopAccelUmS2, 50_000));
+    Bench::on_tcp_as(&script, 1)
+}
+
+const SLOWLY: [&str; 7] = [
+    "run",
+    "--cycles",
+    "1",
+    "--speed-mm-s",
+    "20",
+    "--accel-mm-s2",
+    "20",
+];
+
 #[test]
 fn ctrl_c_after_the_key_is_the_emergency_stop() {
-    let bench = Bench::on_tcp(DeviceKind::Rig);
-    // It brakes for as long as it has accelerated.
-    let slow = [
-        "run",
-        "--cycles",
-        "1",
-        "--speed-mm-s",
-        "20",
-        "--accel-mm-s2",
-        "1",
-    ];
+    let bench = sluggish();
     for attempt in 0.. {
-        let mut terminal = Terminal::start(bench.command(&slow), 80, 24);
+        let mut terminal = Terminal::start(bench.command(&SLOWLY), 80, 24);
         terminal.wait_for("stroke 1 of 2");
-        std::thread::sleep(Duration::from_secs(5));
+        std::thread::sleep(Duration::from_millis(1_500));
         // A bar of two lines would wipe what is printed above it.
         let bar = |text: &str| text.lines().position(|line| line.contains("stroke 1 of 2"));
         let shown = terminal.text();
@@ -119,6 +127,38 @@ fn ctrl_c_after_the_key_is_the_emergency_stop() {
         let shown = String::from_utf8_lossy(&shown);
         assert_eq!(code, Some(6), "after {took:?}: {shown:?}");
         assert!(bench.urgent().contains(&Urgent::EStop));
+        assert!(shown.contains("ended by a fault"), "{shown}");
         return;
+    }
+}
+
+/// The rig may stand already when the emergency stop comes. Then the run was stopped, but the position is lost all the same, and
+/// what is printed last has to say so.
+#[test]
+fn an_emergency_stop_after_the_stop_is_told() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    for later_ms in [0, 4, 8, 15] {
+        let stops = bench.urgent().len();
+        let mut terminal = Terminal::start(bench.command(&SLOWLY), 80, 24);
+        terminal.wait_for("stroke 1 of 2");
+        terminal.press("s");
+        terminal.wait_for("stopping; Ctrl-C now for the emergency stop");
+        std::thread::sleep(Duration::from_millis(later_ms));
+        terminal.press("\x03");
+        let shown = Arc::clone(&terminal.bytes);
+        let code = terminal.ends_restored();
+        let shown = shown.lock().expect("free");
+        let shown = String::from_utf8_lossy(&shown);
+        let cut = bench.urgent()[stops..].contains(&Urgent::EStop);
+        assert_eq!(
+            code,
+            Some(if cut { 6 } else { 130 }),
+            "{later_ms} ms: {shown}"
+        );
+        assert_eq!(shown.contains("the position is kept"), !cut, "{shown}");
+        if cut {
+            assert_eq!(bench.retrograde(&["ack"]).0, Some(0));
+        }
+        assert_eq!(bench.retrograde(&["home"]).0, Some(0));
     }
 }

@@ -20,6 +20,7 @@ use crate::decimal;
 use crate::experiment::{self, RunTrial};
 use crate::plan;
 use crate::report::section::actuation_rows;
+use crate::trial::Status;
 
 /// What is tied to the run, if anything is.
 fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {
@@ -97,7 +98,7 @@ pub(crate) fn run(
     let Some((mut capsule, shaping, cue)) = partner else {
         let trial = experiment::run(&mut rig, request, &of_run, &mut screen.live())?;
         drop(single);
-        return ended(&request, &trial, screen);
+        return ended(&request, &trial, &mut rig, screen);
     };
     let of_actuation = recording(&args.record, stem(shaping), finder);
     let recordings = Recordings {
@@ -117,7 +118,7 @@ pub(crate) fn run(
         &mut screen.live(),
     )?;
     drop(single);
-    let ran = ended(&request, &run, screen);
+    let ran = ended(&request, &run, &mut rig, screen);
     if let Some(text) = latency_text(shaping, &coordination) {
         screen.say(&text);
     }
@@ -155,7 +156,12 @@ fn stem(shaping: Shaping) -> &'static str {
 }
 
 /// What the record says of a run that has ended, or the failure if it is not complete.
-fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+fn ended(
+    request: &Run,
+    trial: &RunTrial,
+    rig: &mut Device,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
     screen.say(&format!(
         "{} of {} strokes in {} s, {} steps commanded, {} counted, residual {} steps.\n  {}\n  {}",
         trial.record.strokes,
@@ -171,12 +177,14 @@ fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Val
         "the data is in {}; `retrograde info` shows where the rig is; a new run has to start at 0: `retrograde home`",
         trial.sidecar.display()
     );
-    completed(
-        "the run",
-        trial.trial.status,
-        trial.trial.error.as_ref(),
-        help,
-    )?;
+    let (mut status, mut reason) = (trial.trial.status, trial.trial.error.clone());
+    // An emergency stop that comes when the rig stands already is not in the record of the run, and costs the position all the same.
+    if (status == Status::Stopped || rig.interrupted().is_some())
+        && let Some(fault) = rig.rig_status()?.fault
+    {
+        (status, reason) = (Status::Faulted, Some(fault.to_string()));
+    }
+    completed("the run", status, reason.as_ref(), help)?;
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
 }
 
