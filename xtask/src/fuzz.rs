@@ -124,6 +124,8 @@ fn fuzz(target: &str, runs: u64) -> Result<Tried> {
         "-entropic=0".to_owned(),
         // Ten times as patient with short inputs as by default: they cost less, and longer ones grow from them.
         "-len_control=1000".to_owned(),
+        // Nobody else writes into the folder of its corpus.
+        "-reload=0".to_owned(),
         format!("-artifact_prefix={}/{target}-", found.display()),
         "-print_final_stats=1".to_owned(),
     ]);

@@ -1,7 +1,7 @@
 //! The command `run`, alone or with a fold or an unfolding at a place of it.
 
 use protocol::capsule::CapsuleState;
-use protocol::rig::Run;
+use protocol::rig::{RigFault, Run};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
@@ -17,6 +17,7 @@ use crate::commission::warning;
 use crate::coordination::{self, Coordinated, Recordings, Shaping};
 use crate::cue::{Coordination, Cue};
 use crate::decimal;
+use crate::error::ClientError;
 use crate::experiment::{self, RunTrial};
 use crate::plan;
 use crate::report::section::actuation_rows;
@@ -180,12 +181,23 @@ fn ended(
     let (mut status, mut reason) = (trial.trial.status, trial.trial.error.clone());
     // An emergency stop that comes when the rig stands already is not in the record of the run, and costs the position all the same.
     if (status == Status::Stopped || rig.interrupted().is_some())
-        && let Some(fault) = rig.rig_status()?.fault
+        && let Some(fault) = latched(rig)?
     {
         (status, reason) = (Status::Faulted, Some(fault.to_string()));
     }
     completed("the run", status, reason.as_ref(), help)?;
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
+}
+
+/// The rig's fault after everything that the operator has asked for: another stop may go out while the rig answers.
+fn latched(rig: &mut Device) -> Result<Option<RigFault>, ClientError> {
+    loop {
+        let asked = rig.interrupted();
+        let fault = rig.rig_status()?.fault;
+        if rig.interrupted() == asked {
+            return Ok(fault);
+        }
+    }
 }
 
 /// When it began, by both clocks.
