@@ -387,6 +387,9 @@ impl Device {
         if matches(&identity) {
             // Events from before this session are not reported.
             self.next_event = self.events(u32::MAX)?.next;
+            // One that came before the answer will be fetched, and would be reported twice.
+            let next = self.next_event;
+            self.events.retain(|event| event.index < next);
             self.keep_alive_us = self.asked_keep_alive_us()?;
         }
         Ok(identity)
