@@ -25,6 +25,7 @@ use protocol::system::{
 use protocol::table::{Endpoint, Impact, Reply, Request, Response, SCHEMA_KEY, Telemetry};
 
 use crate::diagnosis::{self, OVERHEARD, Sign};
+use crate::door::lock::StopMark;
 use crate::door::{self, Owner};
 use crate::error::ClientError;
 use crate::identity::Origin;
@@ -487,6 +488,12 @@ impl Device {
     #[must_use]
     pub fn now_us(&self) -> u64 {
         self.link.now_us()
+    }
+
+    /// What is ordered from now on was wanted when this was the last stop on the line. After a newer one it is not sent:
+    /// commands end with [`ClientError::Interrupted`].
+    pub fn ordered_at(&mut self, mark: StopMark) {
+        self.link.ordered_at(mark);
     }
 
     /// Asks the owner of the line once instead of for seconds.

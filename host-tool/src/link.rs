@@ -12,6 +12,7 @@ pub mod tcp;
 use protocol::system::{Identity, Urgent};
 
 use crate::door::Owner;
+use crate::door::lock::StopMark;
 use crate::door::server::Question;
 
 /// Why a link could not be opened, for programs.
@@ -120,7 +121,13 @@ pub trait Link: Send {
         let _ = identity;
     }
 
-    /// The strongest stop that another process has sent through this link so far.
+    /// What is ordered from now on was wanted when this was the line's last stop. If another one was sent since, it counts
+    /// as one that has just come.
+    fn ordered_at(&mut self, mark: StopMark) {
+        let _ = mark;
+    }
+
+    /// The strongest stop that another process has sent on this line so far.
     fn stopped(&mut self) -> Option<Urgent> {
         None
     }

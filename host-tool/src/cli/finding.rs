@@ -78,10 +78,13 @@ impl Finder<'_> {
     /// Opens a session with a machine of this kind, whatever protocol version it speaks.
     pub(crate) fn greet(&self, kind: DeviceKind) -> Result<Device, Failure> {
         let address = self.resolve(kind)?;
+        // Before the line is waited for: a stop that comes meanwhile is meant for this command, too.
+        let mark = self.connector.stop_mark(&address);
         let mut device = self.open_for_command(kind, &address)?;
         // The owner of the line may end while it is asked; then the line is free.
         for attempt in 1.. {
             windows::admit(&self.cli.subcommand, &device)?;
+            device.ordered_at(mark);
             device.set_interrupt(interrupt::install());
             match device.hello(self.connector.nonce()) {
                 Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {
@@ -108,18 +111,39 @@ impl Finder<'_> {
             Some(address) => address,
             None => &self.resolve(kind)?,
         };
-        let mut attempt = 0;
-        loop {
-            attempt += 1;
-            let baud = self.cli.baud;
-            let link = self.connector.open(kind, address, baud, Purpose::Stop)?;
-            let mut device = Device::new(link, self.connector.nonce());
-            match device.urgent(urgent) {
-                Ok(()) => return Ok(device.place()),
+        for _ in 1..OWNERS {
+            match self.stop_by(kind, address, urgent, Purpose::Stop) {
+                Ok(place) => return Ok(place),
                 // The owner of the line has ended; then the line is free.
-                Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {}
-                Err(error) => return Err(error.into()),
+                Err((Failure::Client(ClientError::Link(LinkError::OwnerGone { .. })), _)) => {}
+                // What was sent past its owner, or without one, was sent as directly as can be.
+                Err((failure, false)) => return Err(failure),
+                Err((failure, true)) => {
+                    let past = self.stop_by(kind, address, urgent, Purpose::StopDirectly);
+                    return past.map_err(|_| failure);
+                }
             }
+        }
+        self.stop_by(kind, address, urgent, Purpose::StopDirectly)
+            .map_err(|(failure, _)| failure)
+    }
+
+    /// Sends a stop one way. A failure comes with whether it went through the owner of the line.
+    fn stop_by(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        urgent: Urgent,
+        purpose: Purpose,
+    ) -> Result<String, (Failure, bool)> {
+        let opened = self
+            .connector
+            .open(kind, address, self.cli.baud, purpose)
+            .map_err(|error| (error.into(), false))?;
+        let mut device = Device::new(opened, self.connector.nonce());
+        match device.urgent(urgent) {
+            Ok(()) => Ok(device.place()),
+            Err(error) => Err((error.into(), device.owner().is_some())),
         }
     }
 

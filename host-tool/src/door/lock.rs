@@ -1,15 +1,17 @@
 //! The lock of a line, and where its door is.
 //!
 //! All is in one folder of the user's, by default `/tmp/retrograde-UID`: not below `XDG_RUNTIME_DIR`, which is another one in
-//! a `cron` job or after `su`, and a stop has to find the door from everywhere. A line has three files there, named by a
+//! a `cron` job or after `su`, and a stop has to find the door from everywhere. A line has four files there, named by a
 //! hash of what the line really leads to: `.lock`, held locked by the owner as long as it lives; `.owner`, which says who
-//! that is; and `.door`, the socket.
+//! that is; `.door`, the socket; and `.stop`, whose time of change tells each process that somebody has sent a stop since
+//! it last looked.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
@@ -30,6 +32,11 @@ pub(crate) struct Plate {
     /// Of a loopback door.
     pub(crate) token: String,
 }
+
+/// Which stop was the last one on a line, whichever process sent it and by whichever way. Two marks that differ say that
+/// a stop was sent between them: what was ordered before it must no longer move anything.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StopMark(Option<SystemTime>);
 
 /// Where lock and door of one line are.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -138,6 +145,25 @@ impl Doorway {
         }
     }
 
+    /// The last stop on the line.
+    #[must_use]
+    pub fn stop_mark(&self) -> StopMark {
+        let changed = fs::metadata(self.file("stop")).and_then(|found| found.modified());
+        StopMark(changed.ok())
+    }
+
+    /// Tells all processes that a stop is being sent. Only the file's time changes, which a full disk allows. A stop goes
+    /// out whether or not this works.
+    pub(crate) fn mark_stop(&self) -> StopMark {
+        let file = OpenOptions::new()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(self.file("stop"));
+        let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
+        self.stop_mark()
+    }
+
     /// Who owns the line, as far as it has said so.
     pub(crate) fn plate(&self) -> Option<Plate> {
         serde_json::from_slice(&fs::read(self.file("owner")).ok()?).ok()
@@ -158,8 +184,12 @@ impl Doorway {
         }
     }
 
-    pub(crate) fn connect(&self, plate: &Plate) -> io::Result<Stream> {
-        Stream::connect(&self.file("door"), plate.port)
+    /// Goes to the door. A socket is found by its own name: it needs no plate, which somebody may have cleaned away.
+    pub(crate) fn connect(&self, plate: Option<&Plate>) -> io::Result<Stream> {
+        if plate.is_none() && !cfg!(unix) {
+            return Err(io::ErrorKind::NotFound.into());
+        }
+        Stream::connect(&self.file("door"), plate.and_then(|plate| plate.port))
     }
 }
 
@@ -326,6 +356,19 @@ mod tests {
         for text in ["auto", "virtual", "/dev/retrograde-no-such-port"] {
             assert_eq!(line(&text.parse().expect("an address")), None);
         }
+    }
+
+    #[test]
+    fn every_stop_changes_the_mark_of_its_line_and_of_no_other() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (one, other) = (doorway(folder.path(), "one"), doorway(folder.path(), "other"));
+        let mut marks = vec![one.stop_mark()];
+        for _ in 0..100 {
+            marks.push(one.mark_stop());
+            assert_eq!(one.stop_mark(), marks[marks.len() - 1]);
+        }
+        assert!(marks.windows(2).all(|pair| pair[0] != pair[1]));
+        assert_eq!(other.stop_mark(), StopMark::default());
     }
 
     #[cfg(unix)]

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use protocol::frame::{Deframer, MAX_FRAME};
 use protocol::system::{Identity, Urgent};
 
-use crate::door::lock::Lock;
+use crate::door::lock::{Lock, StopMark};
 use crate::door::server::{Core, Question, serve};
 use crate::link::tcp::{nothing_yet, wall_us};
 use crate::link::{Link, LinkError, OpenError, Reason};
@@ -40,7 +40,7 @@ impl Shared {
     /// With `yields` the line is for any other process that wants it: see [`Link::is_line_wanted`].
     pub(crate) fn new(lock: Lock, halves: Halves, yields: bool) -> Result<Self, OpenError> {
         let place = lock.doorway().place().to_owned();
-        let core = Core::new(halves.writer, yields);
+        let core = Core::new(halves.writer, yields, Some(lock.doorway().clone()));
         let (listener, plate) = lock.listen()?;
         let failed = |why: std::io::Error| OpenError {
             place: place.clone(),
@@ -81,9 +81,8 @@ impl Drop for Shared {
     fn drop(&mut self) {
         self.core.close();
         // Lets the door's thread see that; without a connection it sees it at the next one.
-        if let Some(plate) = self.lock.doorway().plate() {
-            let _ = self.lock.doorway().connect(&plate);
-        }
+        let doorway = self.lock.doorway();
+        let _ = doorway.connect(doorway.plate().as_ref());
         if let Some(pump) = self.pump.take() {
             let _ = pump.join();
         }
@@ -118,6 +117,10 @@ impl Link for Shared {
 
     fn stopped(&mut self) -> Option<Urgent> {
         self.core.stopped()
+    }
+
+    fn ordered_at(&mut self, mark: StopMark) {
+        self.core.ordered_at(mark);
     }
 
     fn is_line_wanted(&mut self) -> bool {
