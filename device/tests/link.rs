@@ -361,7 +361,10 @@ fn whoever_takes_the_line_over_keeps_nothing_moving_that_it_did_not_begin() {
         (2, Request::GetRigStatus(GetRigStatus)),
         (3, Request::Hold(Hold)),
     ] {
-        assert!(!link.shows_life(&request(session, seq, &asked)), "{asked:?}");
+        assert!(
+            !link.shows_life(&request(session, seq, &asked)),
+            "{asked:?}"
+        );
     }
     // What wants to move is refused as long as something does, and is no sign for that either.
     for (seq, asked) in [(4, Request::Home(Home)), (5, Request::Resume(Resume))] {

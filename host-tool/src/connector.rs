@@ -9,7 +9,7 @@ use jiff::Timestamp;
 use protocol::system::DeviceKind;
 
 use crate::commission::hands::Hands;
-use crate::door::lock::{Doorway, StopMark};
+use crate::door::lock::Doorway;
 use crate::door::server::GUESTS;
 use crate::door::window::Window;
 use crate::link::address::Address;
@@ -67,10 +67,10 @@ pub trait Connector: Sync {
         false
     }
 
-    /// The last stop that any process has sent there. Only where several processes share the machine it ever changes.
-    fn stop_mark(&self, address: &Address) -> StopMark {
+    /// Lock and door of the line there, where several processes share it.
+    fn doorway(&self, address: &Address) -> Option<Doorway> {
         let _ = address;
-        StopMark::default()
+        None
     }
 
     /// The places where a machine may be, for `auto` and `devices`.
@@ -238,23 +238,16 @@ impl Connector for Ports {
                 if let Ok(link) = through(&doorway) {
                     return Ok(link);
                 }
-                doorway.mark_stop();
             }
-            (Some(doorway), Purpose::StopDirectly) => {
-                doorway.mark_stop();
-            }
+            (Some(_), Purpose::StopDirectly) | (None, _) => {}
             (Some(doorway), _) => return through(&doorway),
-            (None, _) => {}
         }
         direct(address, baud, limit)
     }
 
-    fn stop_mark(&self, address: &Address) -> StopMark {
-        match Doorway::of(address) {
-            Ok(Some(doorway)) => doorway.stop_mark(),
-            // Opening it says what is wrong.
-            Ok(None) | Err(_) => StopMark::default(),
-        }
+    fn doorway(&self, address: &Address) -> Option<Doorway> {
+        // Opening the line says what is wrong with its lock.
+        Doorway::of(address).ok().flatten()
     }
 
     fn candidates(&self) -> Vec<Candidate> {

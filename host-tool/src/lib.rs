@@ -60,6 +60,7 @@ pub mod report;
 pub mod science;
 pub mod serve;
 pub mod statistics;
+pub mod stops;
 pub mod trial;
 pub mod wording;
 mod writer;

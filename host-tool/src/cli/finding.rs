@@ -1,5 +1,7 @@
 //! Finds the machine meant by `--rig` or `--capsule` and opens a session with it, or lists what is connected.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -9,8 +11,9 @@ use crate::cli::args::{Cli, Which};
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::windows;
-use crate::client::Device;
+use crate::client::{Device, Interrupt};
 use crate::connector::{Candidate, Connector, Purpose};
+use crate::door::lock::{Doorway, StopMark};
 use crate::error::ClientError;
 use crate::identity;
 use crate::link::LinkError;
@@ -79,13 +82,15 @@ impl Finder<'_> {
     pub(crate) fn greet(&self, kind: DeviceKind) -> Result<Device, Failure> {
         let address = self.resolve(kind)?;
         // Before the line is waited for: a stop that comes meanwhile is meant for this command, too.
-        let mark = self.connector.stop_mark(&address);
+        let doorway = self.connector.doorway(&address);
+        let mark = StopMark::of(doorway.as_ref());
+        let interrupt = told(doorway, interrupt::install());
         let mut device = self.open_for_command(kind, &address)?;
         // The owner of the line may end while it is asked; then the line is free.
         for attempt in 1.. {
             windows::admit(&self.cli.subcommand, &device)?;
             device.ordered_at(mark);
-            device.set_interrupt(interrupt::install());
+            device.set_interrupt(Arc::clone(&interrupt));
             match device.hello(self.connector.nonce()) {
                 Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {
                     device = self.open_for_command(kind, &address)?;
@@ -111,6 +116,9 @@ impl Finder<'_> {
             Some(address) => address,
             None => &self.resolve(kind)?,
         };
+        if let Some(doorway) = self.connector.doorway(address) {
+            doorway.mark_stop();
+        }
         for _ in 1..OWNERS {
             match self.stop_by(kind, address, urgent, Purpose::Stop) {
                 Ok(place) => return Ok(place),
@@ -279,6 +287,21 @@ impl Finder<'_> {
         }
         Ok(there)
     }
+}
+
+/// The operator's stop of this process, which is told to the others before it is sent.
+fn told(doorway: Option<Doorway>, interrupt: Interrupt) -> Interrupt {
+    let is_told = AtomicBool::new(false);
+    Arc::new(move || {
+        let wanted = interrupt();
+        if wanted.is_some()
+            && let Some(doorway) = &doorway
+            && !is_told.swap(true, Ordering::Relaxed)
+        {
+            doorway.mark_stop();
+        }
+        wanted
+    })
 }
 
 /// Looks through the door of a line's owner, and again if the owner ends meanwhile: then the line is free.

@@ -55,6 +55,14 @@ pub struct Lock {
     _file: File,
 }
 
+impl StopMark {
+    /// The last stop on the line behind this doorway; where there is none, no other process can send one.
+    #[must_use]
+    pub fn of(doorway: Option<&Doorway>) -> Self {
+        doorway.map_or_else(Self::default, Doorway::stop_mark)
+    }
+}
+
 impl Doorway {
     /// Lock and door of the line behind an address; `None` where there is no line to own.
     ///
@@ -154,14 +162,16 @@ impl Doorway {
 
     /// Tells all processes that a stop is being sent. Only the file's time changes, which a full disk allows. A stop goes
     /// out whether or not this works.
-    pub(crate) fn mark_stop(&self) -> StopMark {
+    ///
+    /// Whoever wants a stop calls this before the stop is sent. Called later, it would refuse what was ordered after the
+    /// stop had been confirmed.
+    pub fn mark_stop(&self) {
         let file = OpenOptions::new()
             .create(true)
             .truncate(false)
             .write(true)
             .open(self.file("stop"));
         let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
-        self.stop_mark()
     }
 
     /// Who owns the line, as far as it has said so.
@@ -361,11 +371,14 @@ mod tests {
     #[test]
     fn every_stop_changes_the_mark_of_its_line_and_of_no_other() {
         let folder = tempfile::tempdir().expect("a folder");
-        let (one, other) = (doorway(folder.path(), "one"), doorway(folder.path(), "other"));
+        let (one, other) = (
+            doorway(folder.path(), "one"),
+            doorway(folder.path(), "other"),
+        );
         let mut marks = vec![one.stop_mark()];
         for _ in 0..100 {
-            marks.push(one.mark_stop());
-            assert_eq!(one.stop_mark(), marks[marks.len() - 1]);
+            one.mark_stop();
+            marks.push(one.stop_mark());
         }
         assert!(marks.windows(2).all(|pair| pair[0] != pair[1]));
         assert_eq!(other.stop_mark(), StopMark::default());

@@ -86,7 +86,7 @@ pub(crate) struct Core {
     yields: AtomicBool,
     /// Somebody wants it.
     wanted: AtomicBool,
-    /// Where stops are told to processes that do not come through this door.
+    /// Where processes tell of stops that need not come through this door.
     doorway: Option<Doorway>,
 }
 
@@ -150,7 +150,7 @@ struct Out {
     /// Stops of guests so far, and how many of these the owner has noticed.
     stops: u32,
     noticed: u32,
-    /// The last stop on the line that the owner knows of, its own and its guests' included.
+    /// The last stop that the owner knows of, of all that any process has sent on this line.
     mark: StopMark,
 }
 
@@ -168,7 +168,7 @@ impl Core {
                 next_seq: FIRST_SEQ,
                 stops: 0,
                 noticed: 0,
-                mark: mark_of(doorway.as_ref()),
+                mark: StopMark::of(doorway.as_ref()),
             }),
             closing: AtomicBool::new(false),
             yields: AtomicBool::new(yields),
@@ -206,26 +206,12 @@ impl Core {
     /// Writes the owner's frame. A request that comes after a stop which the owner has not noticed yet is left out: it
     /// might start again what was stopped. The client repeats what it still wants.
     pub(crate) fn send(&self, bytes: &[u8]) -> io::Result<()> {
-        let kind = header(bytes).map(|header| header.kind);
+        let request = header(bytes).is_some_and(|header| header.kind == Kind::Request);
         let mut out = self.out();
-        if kind == Some(Kind::Request) && out.stops != out.noticed {
+        if request && out.stops != out.noticed {
             return Ok(());
         }
-        if kind == Some(Kind::Urgent) {
-            self.mark_stop(&mut out);
-        }
         out.line.write_all(bytes)
-    }
-
-    /// Tells other processes of a stop that goes out here. One of theirs that the owner has not noticed stays unnoticed.
-    fn mark_stop(&self, out: &mut Out) {
-        if let Some(doorway) = &self.doorway {
-            let before = doorway.stop_mark();
-            let now = doorway.mark_stop();
-            if before == out.mark {
-                out.mark = now;
-            }
-        }
     }
 
     /// What is ordered from now on was wanted at this mark: a stop since then is one that the owner has not noticed yet.
@@ -266,7 +252,7 @@ impl Core {
     pub(crate) fn stopped(&self) -> Option<Urgent> {
         let mut out = self.out();
         out.noticed = out.stops;
-        let mark = mark_of(self.doorway.as_ref());
+        let mark = StopMark::of(self.doorway.as_ref());
         let elsewhere = std::mem::replace(&mut out.mark, mark) != mark;
         drop(out);
         let mut state = self.state();
@@ -425,7 +411,6 @@ impl Core {
         state.nudged = true;
         drop(state);
         out.stops = out.stops.wrapping_add(1);
-        self.mark_stop(&mut out);
         // A stop needs no session.
         let header = Header {
             kind: Kind::Urgent,
@@ -752,10 +737,6 @@ fn remembered(session: &mut Session, ticket: Ticket, answer: &Reply) -> Option<E
     let frame = reply(header, answer)?;
     session.remember(ticket, &frame);
     Some(frame)
-}
-
-fn mark_of(doorway: Option<&Doorway>) -> StopMark {
-    doorway.map_or_else(StopMark::default, Doorway::stop_mark)
 }
 
 fn header(bytes: &[u8]) -> Option<Header> {

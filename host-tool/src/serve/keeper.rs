@@ -152,6 +152,7 @@ impl Keeper<'_> {
     /// Connects, and keeps the machine until the connection is lost, the server ends, or somebody else needs the line.
     fn connection(&self, waiting: &mut Option<Order>) -> Result<(), Failure> {
         let (finder, machine) = (self.finder, self.machine);
+        machine.is_behind(finder.connector.doorway(&machine.address));
         let link = finder.connector.open(
             machine.kind,
             &machine.address,
@@ -232,12 +233,20 @@ impl Keeper<'_> {
 
     /// Waits until a stop that was sent is confirmed, and is ready for the next order.
     fn settle(&self, device: &mut Device) -> Result<(), ClientError> {
+        let stops = &self.machine.stops;
+        if device.interrupted().is_none() {
+            return Ok(());
+        }
+        device.settle()?;
+        // What was sent may be older than what somebody waits for.
+        if let Some(urgent) = stops.unconfirmed() {
+            let asked = stops.asked();
+            device.urgent(urgent)?;
+            stops.confirm(urgent, asked);
+        }
         let Some(urgent) = device.interrupted() else {
             return Ok(());
         };
-        device.settle()?;
-        let urgent = device.interrupted().unwrap_or(urgent);
-        self.machine.done(urgent);
         self.board.notice(
             self.machine,
             Notice::Done(match urgent {
@@ -255,7 +264,18 @@ impl Keeper<'_> {
 
     /// Does what is ordered. An error means that the connection has to be made again.
     fn carry_out(&self, device: &mut Device, order: Order) -> Result<(), Failure> {
-        let Order { action, work, at } = order;
+        let Order {
+            action,
+            work,
+            at,
+            after: (stop, mark),
+        } = order;
+        let stops = &self.machine.stops;
+        if stops.since(stop).is_some() || self.machine.last_stop().1 != mark {
+            let failure = overtaken();
+            self.board.ended(action, Value::Null, Some(&failure));
+            return Ok(());
+        }
         if at.elapsed() > STALE {
             let failure = Failure::Refused {
                 why: format!(
@@ -273,7 +293,11 @@ impl Keeper<'_> {
             self.machine.acting.store(true, Ordering::SeqCst);
         }
         let kind = work.kind();
+        // A stop that comes from now on is seen between any two frames.
+        stops.begin_order(stop);
+        device.ordered_at(mark);
         let result = self.act(device, action, &work);
+        stops.end_order();
         self.machine.acting.store(false, Ordering::SeqCst);
         let (outcome, lost) = match result {
             Ok(outcome) => (outcome, false),
@@ -587,6 +611,14 @@ fn ended(action: &'static str, trial: &Trial, help: String) -> Option<Failure> {
 fn lost(failure: &Failure) -> Failure {
     Failure::NothingFound {
         there: format!("nothing was sent: {}", failure.in_one_line()),
+    }
+}
+
+/// What an order finds that is older than a stop.
+fn overtaken() -> Failure {
+    Failure::Refused {
+        why: "a stop came after this order".to_owned(),
+        help: "nothing was moved; look at the machine, then order it again".to_owned(),
     }
 }
 
