@@ -281,6 +281,8 @@ pub struct Device {
     posted: Option<Posted>,
     /// By the last exchange that told the device's time.
     clock: Option<Clock>,
+    /// Something moves, by what the device has answered last.
+    moves: bool,
     /// Index of the next event to deliver.
     next_event: u32,
     /// Events that arrived before an earlier one.
@@ -340,6 +342,7 @@ impl Device {
             commanding: false,
             posted: None,
             clock: None,
+            moves: false,
             next_event: 0,
             early: BTreeMap::new(),
             events: VecDeque::new(),
@@ -1286,6 +1289,7 @@ impl Device {
             }),
             Some(Output::Accepted(response)) => {
                 self.note_clock(at_us, &response);
+                self.note_motion(impact, &response);
                 Ok(response)
             }
             Some(Output::Refused(refusal)) => Err(ClientError::Refused {
@@ -1309,6 +1313,11 @@ impl Device {
                     .map(ToString::to_string)
                     .unwrap_or_default(),
             }),
+            // What was asked last says nothing about what moves.
+            _ if !command && self.moves => Err(ClientError::Silent {
+                place,
+                action: "a motion",
+            }),
             _ if command => Err(ClientError::OutcomeUnknown {
                 place,
                 request: request_name,
@@ -1328,6 +1337,38 @@ impl Device {
             _ => return,
         };
         self.clock = Some(Clock::of(asked_us, device_us, self.now_us()));
+    }
+
+    /// Notes what an answer says of the motion.
+    fn note_motion(&mut self, impact: Impact, response: &Response) {
+        self.moves = match response {
+            Response::GetRigStatus(status) => matches!(
+                status.state,
+                RigState::Homing | RigState::Running | RigState::Moving | RigState::Stopping
+            ),
+            Response::GetCapsuleStatus(status) => moves(status.state),
+            Response::GetRunRecord(record) => record.outcome == RunOutcome::Running,
+            Response::Resume(_) => true,
+            _ => self.moves || impact == Impact::Motion,
+        };
+    }
+
+    /// The fault that is latched after everything that the operator has asked for: another stop may go out while the device
+    /// answers, and an emergency stop costs the position also of a machine that stands already.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn latched_fault(&mut self) -> Result<Option<String>, ClientError> {
+        loop {
+            let asked = self.interrupted();
+            let fault = match self.identity.map(|identity| identity.device) {
+                Some(DeviceKind::Capsule) => self.capsule_status()?.fault.map(|f| f.to_string()),
+                _ => self.rig_status()?.fault.map(|fault| fault.to_string()),
+            };
+            if self.interrupted() == asked {
+                return Ok(fault);
+            }
+        }
     }
 
     /// Asks, and waits for the answer as [`Device::answer`] does. What `may_repeat` is asked again while the owner of the

@@ -4,9 +4,13 @@ use std::path::PathBuf;
 
 use jiff::Timestamp;
 use miette::Diagnostic;
-use protocol::capsule::{ActuationKind, ActuationRecord, Calibrate, CheckFolded, FoldTo};
+use protocol::capsule::{
+    ActuationKind, ActuationOutcome, ActuationRecord, Calibrate, CheckFolded, FoldTo,
+};
 use protocol::error::Refusal;
-use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunAccepted, RunRecord, RunTiming};
+use protocol::rig::{
+    LinkLossPolicy, MoveAccepted, MoveTo, Run, RunAccepted, RunOutcome, RunRecord, RunTiming,
+};
 use protocol::system::{DeviceKind, Event, Identity};
 use protocol::table::Telemetry;
 
@@ -385,11 +389,26 @@ fn verdict(ending: &Ending) -> String {
     }
 }
 
+/// The fault after the stops that ended an action or came right behind its end. One that cannot be asked for any more is
+/// not in the record.
+pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String> {
+    let is_stopped = match ending {
+        Ending::Run(record) => record.outcome == RunOutcome::Stopped,
+        Ending::Actuation(record) => record.outcome == ActuationOutcome::Stopped,
+        Ending::Move(moved) => moved.outcome == RunOutcome::Stopped,
+        Ending::Lost(_) => false,
+    };
+    if !is_stopped && device.interrupted().is_none() {
+        return None;
+    }
+    device.latched_fault().ok().flatten()
+}
+
 /// Writes the end of a trial, then stops the telemetry. A record that could not be written hides neither what the device
 /// did nor how it was lost.
 fn end<T>(
     device: &mut Device,
-    recorder: Recorder,
+    mut recorder: Recorder,
     observer: &mut dyn Observer,
     outcome: Result<T, ClientError>,
     ending: impl FnOnce(&T) -> Ending,
@@ -399,8 +418,10 @@ fn end<T>(
         Ok(value) => {
             let ending = ending(&value);
             let ended = verdict(&ending);
+            recorder.latched(after_stops(device, &ending));
             let finished = recorder.finish(ending, lost_events);
-            device.set_telemetry(0)?;
+            // The action has ended and is recorded. A device that does not answer now is found by whoever needs it next.
+            let _ = device.set_telemetry(0);
             match finished {
                 Ok(trial) => Ok((trial, value)),
                 Err(record) => Err(ExperimentError::Unrecorded { ended, record }),

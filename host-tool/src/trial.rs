@@ -472,6 +472,8 @@ pub struct Recorder {
     failed: Option<RecordError>,
     /// The observer has heard of an error.
     told: bool,
+    /// The fault that was latched when the action had ended.
+    latched: Option<String>,
 }
 
 impl Recorder {
@@ -504,6 +506,7 @@ impl Recorder {
             trial,
             failed: None,
             told: false,
+            latched: None,
         })
     }
 
@@ -522,6 +525,12 @@ impl Recorder {
     /// Notes when the trial began.
     pub(crate) fn coordinated(&mut self, coordination: Coordination) {
         self.trial.coordination = Some(coordination);
+    }
+
+    /// Notes the fault that is latched after an action that was stopped: an emergency stop that comes when the machine stands
+    /// already is not in the device's record, and costs the position all the same.
+    pub(crate) fn latched(&mut self, fault: Option<String>) {
+        self.latched = fault;
     }
 
     /// The first error in writing, as soon as it is known and once only: whoever watches the trial should hear of it while
@@ -579,6 +588,10 @@ impl Recorder {
                 self.trial.status = Status::Unknown;
                 self.trial.error = Some("the record of another kind of action".to_owned());
             }
+        }
+        if let Some(fault) = self.latched.take() {
+            self.trial.status = Status::Faulted;
+            self.trial.error = Some(fault);
         }
         self.trial.lost_events = lost_events;
         self.flush();

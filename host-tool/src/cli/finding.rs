@@ -117,7 +117,7 @@ impl Finder<'_> {
             None => &self.resolve(kind)?,
         };
         if let Some(doorway) = self.connector.doorway(address) {
-            doorway.mark_stop();
+            doorway.mark_stop(urgent);
         }
         for _ in 1..OWNERS {
             match self.stop_by(kind, address, urgent, Purpose::Stop) {
@@ -291,14 +291,14 @@ impl Finder<'_> {
 
 /// The operator's stop of this process, which is told to the others before it is sent.
 fn told(doorway: Option<Doorway>, interrupt: Interrupt) -> Interrupt {
-    let is_told = AtomicBool::new(false);
+    let told = [AtomicBool::new(false), AtomicBool::new(false)];
     Arc::new(move || {
         let wanted = interrupt();
-        if wanted.is_some()
+        if let Some(urgent) = wanted
             && let Some(doorway) = &doorway
-            && !is_told.swap(true, Ordering::Relaxed)
+            && !told[usize::from(urgent == Urgent::EStop)].swap(true, Ordering::Relaxed)
         {
-            doorway.mark_stop();
+            doorway.mark_stop(urgent);
         }
         wanted
     })

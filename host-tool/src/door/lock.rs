@@ -1,10 +1,10 @@
 //! The lock of a line, and where its door is.
 //!
 //! All is in one folder of the user's, by default `/tmp/retrograde-UID`: not below `XDG_RUNTIME_DIR`, which is another one in
-//! a `cron` job or after `su`, and a stop has to find the door from everywhere. A line has four files there, named by a
+//! a `cron` job or after `su`, and a stop has to find the door from everywhere. A line has five files there, named by a
 //! hash of what the line really leads to: `.lock`, held locked by the owner as long as it lives; `.owner`, which says who
-//! that is; `.door`, the socket; and `.stop`, whose time of change tells each process that somebody has sent a stop since
-//! it last looked.
+//! that is; `.door`, the socket; and `.stop` and `.estop`, whose times of change tell each process that somebody has wanted
+//! a stop since it last looked.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::hash::{BuildHasher, RandomState};
@@ -13,6 +13,7 @@ use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use protocol::system::Urgent;
 use serde::{Deserialize, Serialize};
 
 use crate::door::Owner;
@@ -33,10 +34,13 @@ pub(crate) struct Plate {
     pub(crate) token: String,
 }
 
-/// Which stop was the last one on a line, whichever process sent it and by whichever way. Two marks that differ say that
-/// a stop was sent between them: what was ordered before it must no longer move anything.
+/// Which stop and which emergency stop were the last ones on a line, whichever process wanted them. Two marks that differ
+/// say that one was wanted between them: what was ordered before it must no longer move anything.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct StopMark(Option<SystemTime>);
+pub struct StopMark {
+    stop: Option<SystemTime>,
+    estop: Option<SystemTime>,
+}
 
 /// Where lock and door of one line are.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,6 +64,15 @@ impl StopMark {
     #[must_use]
     pub fn of(doorway: Option<&Doorway>) -> Self {
         doorway.map_or_else(Self::default, Doorway::stop_mark)
+    }
+
+    /// The strongest stop between an earlier mark and this one.
+    #[must_use]
+    pub fn since(self, earlier: Self) -> Option<Urgent> {
+        if self.estop != earlier.estop {
+            return Some(Urgent::EStop);
+        }
+        (self.stop != earlier.stop).then_some(Urgent::Stop)
     }
 }
 
@@ -153,11 +166,17 @@ impl Doorway {
         }
     }
 
-    /// The last stop on the line.
+    /// The last stops on the line.
     #[must_use]
     pub fn stop_mark(&self) -> StopMark {
-        let changed = fs::metadata(self.file("stop")).and_then(|found| found.modified());
-        StopMark(changed.ok())
+        let changed = |urgent| {
+            let found = fs::metadata(self.file(stop_file(urgent)));
+            found.and_then(|found| found.modified()).ok()
+        };
+        StopMark {
+            stop: changed(Urgent::Stop),
+            estop: changed(Urgent::EStop),
+        }
     }
 
     /// Tells all processes that a stop is being sent. Only the file's time changes, which a full disk allows. A stop goes
@@ -165,12 +184,12 @@ impl Doorway {
     ///
     /// Whoever wants a stop calls this before the stop is sent. Called later, it would refuse what was ordered after the
     /// stop had been confirmed.
-    pub fn mark_stop(&self) {
+    pub fn mark_stop(&self, urgent: Urgent) {
         let file = OpenOptions::new()
             .create(true)
             .truncate(false)
             .write(true)
-            .open(self.file("stop"));
+            .open(self.file(stop_file(urgent)));
         let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
     }
 
@@ -252,6 +271,13 @@ impl Drop for Lock {
         // The lock itself stays: another process may be about to take it.
         let _ = fs::remove_file(self.doorway.file("door"));
         let _ = fs::remove_file(self.doorway.file("owner"));
+    }
+}
+
+fn stop_file(urgent: Urgent) -> &'static str {
+    match urgent {
+        Urgent::Stop => "stop",
+        Urgent::EStop => "estop",
     }
 }
 
@@ -376,11 +402,21 @@ mod tests {
             doorway(folder.path(), "other"),
         );
         let mut marks = vec![one.stop_mark()];
-        for _ in 0..100 {
-            one.mark_stop();
+        for n in 0..100 {
+            let urgent = if n % 3 == 0 {
+                Urgent::EStop
+            } else {
+                Urgent::Stop
+            };
+            one.mark_stop(urgent);
             marks.push(one.stop_mark());
+            let [.., before, now] = marks[..] else {
+                panic!("two marks")
+            };
+            assert_eq!(now.since(before), Some(urgent));
         }
-        assert!(marks.windows(2).all(|pair| pair[0] != pair[1]));
+        assert_eq!(marks[100].since(marks[0]), Some(Urgent::EStop));
+        assert_eq!(one.stop_mark().since(marks[100]), None);
         assert_eq!(other.stop_mark(), StopMark::default());
     }
 

@@ -253,11 +253,11 @@ impl Core {
         let mut out = self.out();
         out.noticed = out.stops;
         let mark = StopMark::of(self.doorway.as_ref());
-        let elsewhere = std::mem::replace(&mut out.mark, mark) != mark;
+        let elsewhere = mark.since(std::mem::replace(&mut out.mark, mark));
         drop(out);
         let mut state = self.state();
-        if elsewhere {
-            state.stop(Urgent::Stop);
+        if let Some(urgent) = elsewhere {
+            state.stop(urgent);
         }
         state.stopped
     }

@@ -121,7 +121,7 @@ impl Machine {
     /// Somebody wants a stop. The keeper sends it as soon as it sees this, within 20 ms if there is a connection.
     pub(crate) fn stop(&self, urgent: Urgent) -> Ask {
         if let Some(doorway) = &*lock(&self.doorway) {
-            doorway.mark_stop();
+            doorway.mark_stop(urgent);
         }
         self.stops.ask(urgent)
     }

@@ -189,8 +189,14 @@ mod tests {
             .collect();
         assert_eq!(left, [0, 1, 2]);
         // After the idle ones a reader.
-        let _more = enter(&all, true, MOST[0] - 2 + 1);
-        assert!(is_there(&places[0]) && !is_there(&places[1]) && !is_there(&places[2]));
+        for place in &more {
+            place.does(Doing::Answering);
+        }
+        let last = enter(&all, true, 1);
+        last[0].does(Doing::Answering);
+        assert!(is_there(&places[1]) && !is_there(&places[2]));
+        let _reader_goes = enter(&all, true, 1);
+        assert!(is_there(&places[0]) && !is_there(&places[1]));
     }
 
     #[test]

@@ -66,7 +66,7 @@ impl Shared {
     /// Stops the machine as soon as the feed sees it, within 20 ms.
     pub(crate) fn stop(&self, finder: &Finder<'_>, urgent: Urgent) {
         if let Some(doorway) = finder.connector.doorway(&self.address) {
-            doorway.mark_stop();
+            doorway.mark_stop(urgent);
         }
         self.asks().push(self.stops.ask(urgent));
         self.tell(Notice::Done(format!("{} ...", name(urgent))));
