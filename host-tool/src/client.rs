@@ -5,6 +5,7 @@
 //! stop is sent ahead of everything else.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use protocol::VERSION;
@@ -479,6 +480,18 @@ impl Device {
             now_us: self.link.now_us(),
         };
         self.link = Box::new(gone);
+    }
+
+    /// From now on, what happens is recorded in this file: whoever has the line after a process that was killed finds it
+    /// there. With `None` nothing is left to be ended.
+    pub fn records(&mut self, sidecar: Option<&Path>) {
+        self.link.records(sidecar);
+    }
+
+    /// The record of a process that had the line before this one, and was killed.
+    #[must_use]
+    pub fn left_record(&self) -> Option<PathBuf> {
+        self.link.left_record()
     }
 
     /// How the device's clock stands to the link's, by the last status.

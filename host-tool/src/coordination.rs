@@ -83,6 +83,7 @@ pub fn run(
         Trial::new(action, device, recordings.actuation),
         recordings.actuation,
     )?;
+    capsule.records(Some(recorder.sidecar()));
     capsule.set_telemetry(recordings.actuation.telemetry_ms)?;
     capsule.take_telemetry();
     let mut partner = Partner {
@@ -302,6 +303,7 @@ impl Partner<'_> {
         };
         // What it still sends is thrown away.
         let _ = self.capsule.set_telemetry(0);
+        self.capsule.records(None);
         let trial = match (finished, outcome) {
             (Err(error), _) => Err(error.into()),
             (Ok(trial), Ok(record)) => Ok(ActuationTrial {

@@ -146,6 +146,7 @@ pub fn run(
     };
     let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    rig.records(Some(&sidecar));
     let outcome = (|| {
         rig.set_telemetry(recording.telemetry_ms)?;
         rig.take_telemetry();
@@ -190,6 +191,7 @@ pub fn move_to(
     };
     let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    rig.records(Some(&sidecar));
     let outcome = (|| {
         rig.set_telemetry(recording.telemetry_ms)?;
         // What a move before this one has left is not of this one.
@@ -295,6 +297,7 @@ pub fn actuate(
     };
     let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    capsule.records(Some(&sidecar));
     let outcome = (|| {
         capsule.set_telemetry(recording.telemetry_ms)?;
         capsule.take_telemetry();
@@ -408,12 +411,25 @@ pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String
 /// did nor how it was lost.
 fn end<T>(
     device: &mut Device,
-    mut recorder: Recorder,
+    recorder: Recorder,
     observer: &mut dyn Observer,
     outcome: Result<T, ClientError>,
     ending: impl FnOnce(&T) -> Ending,
 ) -> Result<(Trial, T), ExperimentError> {
     let lost_events = device.lost_events();
+    let ended = finish(device, recorder, observer, outcome, ending, lost_events);
+    device.records(None);
+    ended
+}
+
+fn finish<T>(
+    device: &mut Device,
+    mut recorder: Recorder,
+    observer: &mut dyn Observer,
+    outcome: Result<T, ClientError>,
+    ending: impl FnOnce(&T) -> Ending,
+    lost_events: u32,
+) -> Result<(Trial, T), ExperimentError> {
     match outcome {
         Ok(value) => {
             let ending = ending(&value);

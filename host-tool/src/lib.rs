@@ -51,6 +51,7 @@ pub mod force;
 pub mod identify;
 pub mod identity;
 pub mod image;
+pub mod left;
 mod limited;
 pub mod link;
 pub mod named;

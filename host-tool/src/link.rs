@@ -9,6 +9,8 @@ pub mod serial;
 pub mod shared;
 pub mod tcp;
 
+use std::path::{Path, PathBuf};
+
 use protocol::system::{Identity, Urgent};
 
 use crate::door::Owner;
@@ -144,6 +146,16 @@ pub trait Link: Send {
 
     /// Forgets the stops that other processes have sent so far.
     fn forget_stop(&mut self) {}
+
+    /// The file in which this process records from now on; see [`Link::left_record`].
+    fn records(&mut self, sidecar: Option<&Path>) {
+        let _ = sidecar;
+    }
+
+    /// The record of a process that had the line before this one and was killed.
+    fn left_record(&self) -> Option<PathBuf> {
+        None
+    }
 
     /// The next question of another process, to be asked between two requests.
     fn question(&mut self) -> Option<Question> {

@@ -348,6 +348,41 @@ impl Trial {
         }
     }
 
+    /// Notes how it ended.
+    pub(crate) fn end(&mut self, ending: Ending) {
+        match (&mut self.action, ending) {
+            (Action::Run { executed, .. }, Ending::Run(record)) => {
+                self.status = record.outcome.into();
+                if let RunOutcome::Faulted(fault) = record.outcome {
+                    self.error = Some(fault.to_string());
+                }
+                *executed = Some(Executed::from(&record));
+            }
+            (Action::Actuation { record: slot, .. }, Ending::Actuation(record)) => {
+                self.status = record.outcome.into();
+                if let ActuationOutcome::Faulted(fault) = record.outcome {
+                    self.error = Some(fault.to_string());
+                }
+                *slot = Some(record);
+            }
+            (_, Ending::Lost(error)) => {
+                self.status = Status::Unknown;
+                self.error = Some(error);
+            }
+            (Action::Move { moved: slot, .. }, Ending::Move(moved)) => {
+                self.status = moved.outcome.into();
+                if let RunOutcome::Faulted(fault) = moved.outcome {
+                    self.error = Some(fault.to_string());
+                }
+                *slot = Some(moved);
+            }
+            (_, Ending::Run(_) | Ending::Actuation(_) | Ending::Move(_)) => {
+                self.status = Status::Unknown;
+                self.error = Some("the record of another kind of action".to_owned());
+            }
+        }
+    }
+
     /// Reads a sidecar.
     ///
     /// # Errors
@@ -558,37 +593,7 @@ impl Recorder {
     /// # Errors
     /// The first error in writing, including those during the trial.
     pub fn finish(mut self, ending: Ending, lost_events: u32) -> Result<Trial, RecordError> {
-        match (&mut self.trial.action, ending) {
-            (Action::Run { executed, .. }, Ending::Run(record)) => {
-                self.trial.status = record.outcome.into();
-                if let RunOutcome::Faulted(fault) = record.outcome {
-                    self.trial.error = Some(fault.to_string());
-                }
-                *executed = Some(Executed::from(&record));
-            }
-            (Action::Actuation { record: slot, .. }, Ending::Actuation(record)) => {
-                self.trial.status = record.outcome.into();
-                if let ActuationOutcome::Faulted(fault) = record.outcome {
-                    self.trial.error = Some(fault.to_string());
-                }
-                *slot = Some(record);
-            }
-            (_, Ending::Lost(error)) => {
-                self.trial.status = Status::Unknown;
-                self.trial.error = Some(error);
-            }
-            (Action::Move { moved: slot, .. }, Ending::Move(moved)) => {
-                self.trial.status = moved.outcome.into();
-                if let RunOutcome::Faulted(fault) = moved.outcome {
-                    self.trial.error = Some(fault.to_string());
-                }
-                *slot = Some(moved);
-            }
-            (_, Ending::Run(_) | Ending::Actuation(_) | Ending::Move(_)) => {
-                self.trial.status = Status::Unknown;
-                self.trial.error = Some("the record of another kind of action".to_owned());
-            }
-        }
+        self.trial.end(ending);
         if let Some(fault) = self.latched.take() {
             self.trial.status = Status::Faulted;
             self.trial.error = Some(fault);

@@ -16,6 +16,7 @@ use crate::connector::{Candidate, Connector, Purpose};
 use crate::door::lock::{Doorway, StopMark};
 use crate::error::ClientError;
 use crate::identity;
+use crate::left;
 use crate::link::LinkError;
 use crate::link::address::Address;
 
@@ -101,6 +102,12 @@ impl Finder<'_> {
         }
         if let Err(error @ ClientError::WrongDevice { .. }) = device.require(kind) {
             return Err(error.into());
+        }
+        if device.left_record().is_some()
+            && device.require(kind).is_ok()
+            && let Some(said) = left::end_record(&mut device)?
+        {
+            eprintln!("{said}");
         }
         // Whoever gives it a name does not need it to have one.
         if !windows::is_naming(&self.cli.subcommand) {

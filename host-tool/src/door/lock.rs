@@ -11,6 +11,7 @@ use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
 
 use protocol::system::Urgent;
@@ -32,6 +33,9 @@ pub(crate) struct Plate {
     pub(crate) port: Option<u16>,
     /// Of a loopback door.
     pub(crate) token: String,
+    /// The record that the owner writes: should it be killed, the next one ends it.
+    #[serde(default)]
+    pub(crate) recording: Option<PathBuf>,
 }
 
 /// Which stop and which emergency stop were the last ones on a line, whichever process wanted them. Two marks that differ
@@ -55,6 +59,9 @@ pub struct Doorway {
 #[derive(Debug)]
 pub struct Lock {
     doorway: Doorway,
+    plate: Mutex<Plate>,
+    /// The record of an owner that was killed.
+    left: Mutex<Option<PathBuf>>,
     // Released by the system when the file is closed, however the process ends.
     _file: File,
 }
@@ -154,10 +161,21 @@ impl Doorway {
         match file.try_lock() {
             Ok(()) => {
                 // What an owner that was killed has left.
+                let left = self.plate().and_then(|plate| plate.recording);
                 let _ = fs::remove_file(self.file("door"));
-                let _ = fs::remove_file(self.file("owner"));
+                let plate = Plate {
+                    owner: Owner::this_process(),
+                    port: None,
+                    token: String::new(),
+                    recording: left.clone(),
+                };
+                if left.is_none() {
+                    let _ = fs::remove_file(self.file("owner"));
+                }
                 Ok(Some(Lock {
                     doorway: self.clone(),
+                    plate: Mutex::new(plate),
+                    left: Mutex::new(left),
                     _file: file,
                 }))
             }
@@ -231,34 +249,52 @@ impl Lock {
         #[cfg(not(unix))]
         let listener = Listener::loopback();
         let listener = listener.map_err(|why| doorway.error(why))?;
-        let plate = self.put_up(listener.port())?;
-        Ok((listener, plate))
+        let port = listener.port();
+        let random = || RandomState::new().hash_one(port);
+        let mut plate = self.plate();
+        plate.port = port;
+        plate.token = port.map_or(String::new(), |_| {
+            format!("{:016x}{:016x}", random(), random())
+        });
+        self.put_up(&plate)?;
+        Ok((listener, plate.clone()))
     }
 
-    fn put_up(&self, port: Option<u16>) -> Result<Plate, OpenError> {
-        let random = || RandomState::new().hash_one(port);
-        let plate = Plate {
-            owner: Owner::this_process(),
-            port,
-            token: port.map_or(String::new(), |_| {
-                format!("{:016x}{:016x}", random(), random())
-            }),
-        };
+    fn plate(&self) -> MutexGuard<'_, Plate> {
+        self.plate.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn put_up(&self, plate: &Plate) -> Result<(), OpenError> {
         let doorway = &self.doorway;
         // Whoever reads it meanwhile finds the old one or the new one.
         let (new, file) = (doorway.file("new"), doorway.file("owner"));
-        let text = serde_json::to_vec(&plate).map_err(|why| doorway.error(why))?;
+        let text = serde_json::to_vec(plate).map_err(|why| doorway.error(why))?;
         fs::write(&new, text)
             .and_then(|()| fs::rename(&new, &file))
-            .map_err(|why| doorway.error(why))?;
-        Ok(plate)
+            .map_err(|why| doorway.error(why))
+    }
+
+    /// The owner records there from now on, or no longer. A full disk is told by the record itself.
+    pub(crate) fn records(&self, sidecar: Option<&Path>) {
+        let mut plate = self.plate();
+        plate.recording = sidecar.and_then(|path| std::path::absolute(path).ok());
+        let _ = self.put_up(&plate);
+        *self.left() = None;
+    }
+
+    pub(crate) fn left_record(&self) -> Option<PathBuf> {
+        self.left().clone()
+    }
+
+    fn left(&self) -> MutexGuard<'_, Option<PathBuf>> {
+        self.left.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Says who has the line before its door is open.
     pub(crate) fn announce(&self) -> Result<(), OpenError> {
         // The door of an owner that was killed leads nowhere.
         let _ = fs::remove_file(self.doorway.file("door"));
-        self.put_up(None).map(|_| ())
+        self.put_up(&self.plate())
     }
 
     pub(crate) fn doorway(&self) -> &Doorway {
@@ -270,7 +306,10 @@ impl Drop for Lock {
     fn drop(&mut self) {
         // The lock itself stays: another process may be about to take it.
         let _ = fs::remove_file(self.doorway.file("door"));
-        let _ = fs::remove_file(self.doorway.file("owner"));
+        // A record without an end is for the next owner.
+        if self.plate().recording.is_none() {
+            let _ = fs::remove_file(self.doorway.file("owner"));
+        }
     }
 }
 

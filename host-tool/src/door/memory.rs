@@ -61,6 +61,7 @@ impl Door {
                 },
                 port: None,
                 token: token.to_owned(),
+                recording: None,
             },
             pump: Pump::default(),
             start: Instant::now(),

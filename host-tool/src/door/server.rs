@@ -903,6 +903,7 @@ mod tests {
             owner: crate::door::Owner::this_process(),
             port: listener.port(),
             token: "secret".to_owned(),
+            recording: None,
         };
         let (served, shown) = (Arc::clone(&core), plate.clone());
         thread::spawn(move || serve(&listener, &shown, &served));

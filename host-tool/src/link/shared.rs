@@ -2,6 +2,7 @@
 //! guest goes out and is confirmed whatever the owner is doing.
 
 use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -133,6 +134,14 @@ impl Link for Shared {
 
     fn forget_stop(&mut self) {
         self.core.forget_stop();
+    }
+
+    fn records(&mut self, sidecar: Option<&Path>) {
+        self.lock.records(sidecar);
+    }
+
+    fn left_record(&self) -> Option<PathBuf> {
+        self.lock.left_record()
     }
 
     fn question(&mut self) -> Option<Question> {

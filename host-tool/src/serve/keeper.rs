@@ -17,13 +17,14 @@ use serde_json::{Value, json};
 use crate::cli::args::{DATA_FOLDER, RecordArgs};
 use crate::cli::failure::{Failure, NO_DEVICE, UNKNOWN};
 use crate::cli::finding::Finder;
-use crate::cli::watch::panel::{self, Contact, Notice};
+use crate::cli::watch::panel::{self, Contact, MOVES_ALREADY, Notice};
 use crate::cli::{already, motion};
 use crate::client::{Begun, Device, Interrupt, Observer, Pace, Progress, while_moving};
 use crate::commission::warning;
 use crate::connector::Purpose;
 use crate::error::ClientError;
 use crate::experiment::{self, Motion};
+use crate::left;
 use crate::link::LinkError;
 use crate::serve::board::{Board, Lease, Machine, Order};
 use crate::serve::orders::Work;
@@ -180,6 +181,10 @@ impl Keeper<'_> {
                 Some(owner) => Contact::Window(owner.to_string()),
             },
         );
+        if owned && self.machine.panel().moves() {
+            self.board
+                .notice(self.machine, Notice::Bad(MOVES_ALREADY.to_owned()));
+        }
         let result = self.watch(&mut device, waiting);
         if owned && result.is_ok() {
             // The line is given up in any case.
@@ -202,6 +207,12 @@ impl Keeper<'_> {
                 }
             }
             self.settle(device)?;
+            if asked_us == Some(now_us)
+                && !self.machine.panel().moves()
+                && let Some(said) = left::end_record(device)?
+            {
+                self.board.notice(self.machine, Notice::Bad(said));
+            }
             let order = waiting.take().or_else(|| self.orders.try_recv().ok());
             if let Some(order) = order {
                 asked_us = None;

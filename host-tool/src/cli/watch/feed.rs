@@ -14,10 +14,11 @@ use protocol::table::Telemetry;
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, Target};
 use crate::cli::stops::DO_NOW;
-use crate::cli::watch::panel::{self, Contact, Notice, Panel};
+use crate::cli::watch::panel::{self, Contact, MOVES_ALREADY, Notice, Panel};
 use crate::client::{Device, Interrupt, Observer, Pace};
 use crate::connector::Purpose;
 use crate::error::ClientError;
+use crate::left;
 use crate::link::LinkError;
 use crate::link::address::Address;
 use crate::stops::{Ask, Stops};
@@ -231,6 +232,7 @@ impl Feed<'_> {
         while !self.is_leaving() && !device.is_line_wanted() {
             let now_us = device.now_us();
             let due = asked_us.is_none_or(|asked_us| now_us >= asked_us + ASK_US);
+            let first = asked_us.is_none();
             if self.shared.panel().take_changed() || due {
                 asked_us = Some(now_us);
                 match self.ask(device) {
@@ -240,6 +242,15 @@ impl Feed<'_> {
                 }
             }
             self.settle(device)?;
+            if first && device.owner().is_none() && self.shared.panel().moves() {
+                self.shared.tell(Notice::Bad(MOVES_ALREADY.to_owned()));
+            }
+            if asked_us == Some(now_us)
+                && !self.shared.panel().moves()
+                && let Some(said) = left::end_record(device)?
+            {
+                self.shared.tell(Notice::Bad(said));
+            }
             while let Ok(pace) = self.paces.try_recv() {
                 self.pace(device, pace)?;
             }
