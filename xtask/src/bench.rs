@@ -3,6 +3,8 @@
 use std::process::Command;
 
 use crate::process::{Result, host_cargo, run};
+use crate::programs::{self, Selection};
+use crate::steps::Tests;
 use crate::version::{Version, host_rustc};
 
 /// The Rust version that the manifest of its emulator requires. It builds and runs with older ones, but
@@ -39,17 +41,18 @@ pub(crate) fn models() -> Result<()> {
 }
 
 /// Tests the images: every test of the bench.
-///
-/// # Errors
-/// A test fails.
-pub(crate) fn test() -> Result<()> {
+pub(crate) fn test() -> Tests {
     let mut cargo = host_cargo("test");
-    cargo.args(["--package", "virtual-bench", "--no-fail-fast"]);
+    cargo.args(["--package", "virtual-bench"]);
     accept_this_rust(&mut cargo);
-    run(
-        &mut cargo,
-        "the failing test prints the device's own log; start there",
-    )
+    programs::test(Selection {
+        cargo,
+        program: &[],
+        only: &[],
+        examples: false,
+        // A bench takes as many cores as it can have.
+        lanes: 1,
+    })
 }
 
 /// Adds `--ignore-rust-version` if the Rust in use is older than the emulator requires.

@@ -4,22 +4,21 @@
 //! dev profile, in which the emulator is optimised; once as metadata for the linter and the documentation;
 //! once for the chip.
 
-use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::thread;
 use std::time::SystemTime;
 
 use crate::process::{Failure, Result, host_cargo, root, run};
-use crate::steps::{self, Step};
-use crate::{bench, images, python};
+use crate::programs::Selection;
+use crate::steps::{self, Step, Tests};
+use crate::{bench, images, programs, python};
 
-const HOST_TESTS: Step = Step::new(
+const HOST_TESTS: Step = Step::tests(
     "host tests",
-    "plain `cargo test`, which needs nothing installed",
+    "the programs of plain `cargo test`, which needs nothing installed, side by side",
     host_tests,
 );
-const LONG_TESTS: Step = Step::new(
+const LONG_TESTS: Step = Step::tests(
     "long tests",
     "millions of random command sequences, corrupted frames, noisy lines: the tests that plain `cargo test` leaves out",
     long_tests,
@@ -29,14 +28,14 @@ const IMAGES: Step = Step::new(
     "builds the ARM images, that of a second board too, and checks their addresses and sizes",
     images::build,
 );
-const BENCH_TESTS: Step = Step::new(
+const BENCH_TESTS: Step = Step::tests(
     "bench tests",
     "boots the images on the virtual bench and judges them from their pins",
     bench::test,
 )
 .after("images");
 
-const PYTHON: Step = Step::new(
+const PYTHON: Step = Step::tests(
     "python",
     "the Python package against `retrograde serve` and the images",
     python::test,
@@ -77,6 +76,11 @@ pub(crate) fn test() -> ExitCode {
     steps::run(&[IMAGES, HOST_TESTS, LONG_TESTS, BENCH_TESTS, PYTHON])
 }
 
+/// Runs the tests that need no image.
+pub(crate) fn test_host() -> ExitCode {
+    steps::run(&[HOST_TESTS, LONG_TESTS])
+}
+
 /// Runs the checks that execute no code of ours.
 pub(crate) fn lint() -> ExitCode {
     steps::run(&[FORMAT, LINT_HOST, DOCS, LINT_IMAGES])
@@ -100,39 +104,24 @@ pub(crate) fn ci() -> ExitCode {
     ])
 }
 
-fn host_tests() -> Result<()> {
-    run(
-        &mut host_cargo("test"),
-        "run the failing test alone: `cargo test -p PACKAGE NAME`",
-    )
+fn host_tests() -> Tests {
+    programs::test(Selection {
+        cargo: host_cargo("test"),
+        program: &[],
+        only: &[],
+        examples: true,
+        lanes: programs::cores(),
+    })
 }
 
-fn long_tests() -> Result<()> {
-    let remedy = "run the failing test alone: `cargo test -p PACKAGE NAME -- --ignored`";
-    let tests = |files: &[&str]| {
-        let mut cargo = host_cargo("test");
-        // With the bench, so that what they share with it is built with the same features, once.
-        for package in ["protocol", "firmware-rig", "virtual-bench"] {
-            cargo.args(["--package", package]);
-        }
-        bench::accept_this_rust(&mut cargo);
-        for file in files {
-            cargo.args(["--test", file]);
-        }
-        cargo
-    };
-    // The files that have such tests. The one series takes as long as all others, so they run side by side.
-    let (series, others) = (["sequences"], ["fuzz", "link"]);
-    run(
-        tests(&[&series[..], &others].concat()).arg("--no-run"),
-        remedy,
-    )?;
-    let long = |files: &[&str]| run(tests(files).args(["--", "--ignored"]), remedy);
-    thread::scope(|scope| {
-        let beside = scope.spawn(|| long(&series));
-        let here = long(&others);
-        beside.join().unwrap_or_else(|panic| resume_unwind(panic))?;
-        here
+fn long_tests() -> Tests {
+    programs::test(Selection {
+        // As the host tests, so that nothing is built again.
+        cargo: host_cargo("test"),
+        program: &["--ignored"],
+        only: &["sequences", "fuzz", "link"],
+        examples: false,
+        lanes: programs::cores(),
     })
 }
 

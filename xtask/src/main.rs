@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `main.rs` | reads the command line |
 //! | `steps.rs` | runs named steps, times them, prints the totals |
+//! | `programs.rs` | builds test programs and runs them side by side |
 //! | `checks.rs` | the steps of `test`, `lint` and `ci` |
 //! | `fuzz.rs` | runs cargo-fuzz and counts what it reaches |
 //! | `mutants.rs` | runs cargo-mutants and counts what the tests notice |
@@ -30,6 +31,7 @@ mod layout;
 mod mutants;
 mod places;
 mod process;
+mod programs;
 mod python;
 mod steps;
 mod toolchain;
@@ -44,7 +46,9 @@ cargo xtask <command>
 
   demo [OPTIONS]    build the images and run the paper's experiment on the virtual bench;
                     leaves data and a report (options go to the bench: `cargo xtask demo --help`)
-  test              build the images, run the host tests, long ones too, and the tests of the images
+  test [host]       build the images, run the host tests, long ones too, and the tests of the images
+                    (host: only what needs no image); ends with a table of steps, tests, seconds and the
+                    slowest test programs
   lint              format, clippy for host and chip, documentation; no warning allowed
   ci                everything that has to pass before a change is merged (with cargo-deny, if installed,
                     but without its advisories, which need the net: `cargo deny check advisories`)
@@ -80,6 +84,7 @@ fn main() -> ExitCode {
             .and_then(|()| bench::run_command("bench", options))
             .and_then(|()| bench::models()),
         ("test", []) => return checks::test(),
+        ("test", [which]) if which == "host" => return checks::test_host(),
         ("lint", []) => return checks::lint(),
         ("ci", []) => return checks::ci(),
         ("mutants", arguments) => mutants::run(arguments),

@@ -1,6 +1,7 @@
 //! Child processes and their environment.
 
 use std::fmt;
+use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
 use std::thread::sleep;
@@ -55,6 +56,11 @@ pub(crate) fn root() -> PathBuf {
     let package = std::env::var_os("CARGO_MANIFEST_DIR")
         .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
     package.parent().unwrap_or(Path::new(".")).to_path_buf()
+}
+
+/// The folder that cargo builds in for the host.
+pub(crate) fn target() -> PathBuf {
+    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)
 }
 
 /// A command of the cargo that runs this program, for the host.
@@ -119,6 +125,47 @@ pub(crate) fn status_of(command: &mut Command, remedy: &str) -> Result<ExitStatu
         let what = format!("{} does not start: {error}", spelled(command));
         Failure::new(what, remedy)
     })
+}
+
+/// As [`run`], and returns the lines that it printed on its standard output.
+///
+/// # Errors
+/// As [`run`].
+pub(crate) fn lines_of(command: &mut Command, remedy: &str) -> Result<Vec<String>> {
+    let text = spelled(command);
+    println!("$ {text}");
+    let failure = |reason: String| Failure::new(format!("{text} {reason}"), remedy);
+    let output = Command::output(command.stderr(Stdio::inherit()));
+    let output = output.map_err(|error| failure(format!("does not start: {error}")))?;
+    if !output.status.success() {
+        return Err(failure(format!("ended with {}", output.status)));
+    }
+    let text = String::from_utf8_lossy(&output.stdout);
+    Ok(text.lines().map(str::to_owned).collect())
+}
+
+/// As [`run`], and returns the lines that it printed on its standard error, which appear on the terminal as they come.
+pub(crate) fn errors_of(command: &mut Command, remedy: &str) -> (Vec<String>, Result<()>) {
+    let text = spelled(command);
+    println!("$ {text}");
+    let failure = |reason: String| Failure::new(format!("{text} {reason}"), remedy);
+    let mut child = match command.stderr(Stdio::piped()).spawn() {
+        Ok(child) => child,
+        Err(error) => return (vec![], Err(failure(format!("does not start: {error}")))),
+    };
+    let mut lines = vec![];
+    if let Some(errors) = child.stderr.take() {
+        for line in BufReader::new(errors).lines().map_while(io::Result::ok) {
+            eprintln!("{line}");
+            lines.push(line);
+        }
+    }
+    let outcome = match child.wait() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(failure(format!("ended with {status}"))),
+        Err(error) => Err(failure(format!("cannot be watched: {error}"))),
+    };
+    (lines, outcome)
 }
 
 /// As [`run`], but kills the child if it takes longer than `limit`.

@@ -2,22 +2,57 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::time::Instant;
 
 use crate::bench;
-use crate::process::{Failure, Result, host_cargo, root, run};
+use crate::process::{Failure, Result, errors_of, host_cargo, root, run, target};
+use crate::steps::{Counts, Ran, Tests};
 
 /// Its tests, with bluesky's where bluesky can be had.
-///
-/// # Errors
-/// There is no Python, a program does not build, or a test fails.
-pub(crate) fn test() -> Result<()> {
+pub(crate) fn test() -> Tests {
+    let mut tests = match prepared() {
+        Ok(tests) => tests,
+        Err(failure) => return Tests::failed(failure),
+    };
+    let begin = Instant::now();
+    let remedy = "run the failing test alone: python/README.md says how";
+    let (lines, outcome) = errors_of(&mut tests, remedy);
+    Tests {
+        counts: counts(&lines),
+        programs: vec![Ran {
+            name: "python".to_owned(),
+            took: begin.elapsed(),
+        }],
+        outcome,
+    }
+}
+
+/// What unittest says at the end: `Ran 12 tests in 3.4s` and `FAILED (failures=1, errors=2, skipped=3)`.
+fn counts(lines: &[String]) -> Counts {
+    let said = |words: &[&str]| -> u32 {
+        let number = |line: &String| {
+            let (_, rest) = words.iter().find_map(|word| line.split_once(word))?;
+            let digits = rest.split(|letter: char| !letter.is_ascii_digit()).next()?;
+            digits.parse::<u32>().ok()
+        };
+        lines.iter().rev().take(4).filter_map(number).sum()
+    };
+    let failed = said(&["failures="]) + said(&["errors="]);
+    let ignored = said(&["skipped="]);
+    Counts {
+        passed: said(&["Ran "]).saturating_sub(failed + ignored),
+        failed,
+        ignored,
+    }
+}
+
+/// The command that tests; programs and bluesky are there.
+fn prepared() -> Result<Command> {
     let mut cargo = host_cargo("build");
     cargo.args(["--package", "host-tool", "--package", "virtual-bench"]);
     bench::accept_this_rust(&mut cargo);
     run(&mut cargo, "fix what the compiler reports above")?;
-    let target =
-        std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
-    let python = with_bluesky(&target.join("python")).unwrap_or_else(|| {
+    let python = with_bluesky(&target().join("python")).unwrap_or_else(|| {
         println!("bluesky cannot be installed here: its tests are skipped");
         PathBuf::from("python3")
     });
@@ -31,11 +66,8 @@ pub(crate) fn test() -> Result<()> {
     tests.current_dir(root());
     tests.args(["-m", "unittest", "discover", "-s", "python/tests"]);
     tests.env("PYTHONPATH", root().join("python/src"));
-    tests.env("RETROGRADE_PROGRAMS", target.join("debug"));
-    run(
-        &mut tests,
-        "run the failing test alone: python/README.md says how",
-    )
+    tests.env("RETROGRADE_PROGRAMS", target().join("debug"));
+    Ok(tests)
 }
 
 /// A Python with bluesky below `folder`; none where it cannot be installed.
@@ -66,4 +98,22 @@ fn answers(python: &Path) -> bool {
     let mut version = Command::new(python);
     version.arg("--version").stdout(Stdio::null());
     version.status().is_ok_and(|status| status.success())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_words_of_unittest_are_counted() {
+        let lines = |text: &str| text.lines().map(str::to_owned).collect::<Vec<_>>();
+        let of = |text| {
+            let counts = counts(&lines(text));
+            (counts.passed, counts.failed, counts.ignored)
+        };
+        assert_eq!(of("..\nRan 28 tests in 61.2s\n\nOK\n"), (28, 0, 0));
+        let bad = "Ran 28 tests in 61.2s\n\nFAILED (failures=1, errors=2, skipped=3)\n";
+        assert_eq!(of(bad), (22, 3, 3));
+        assert_eq!(of("Ran 1 test in 0.1s\n\nOK (skipped=1)\n"), (0, 0, 1));
+    }
 }

@@ -4,14 +4,20 @@ use std::fmt;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use crate::process::{Result, installed};
+use crate::process::{Failure, Result, installed};
+
+/// What a step does.
+enum Act {
+    Check(fn() -> Result<()>),
+    Test(fn() -> Tests),
+}
 
 /// One thing to do.
 pub(crate) struct Step {
     name: &'static str,
     /// What it does, in a line.
     does: &'static str,
-    act: fn() -> Result<()>,
+    act: Act,
     /// The name of an earlier step that has to pass before this one can run.
     after: Option<&'static str>,
     /// The cargo subcommand that it runs, if that has to be installed by hand.
@@ -27,7 +33,18 @@ impl Step {
         Self {
             name,
             does,
-            act,
+            act: Act::Check(act),
+            after: None,
+            needs: None,
+        }
+    }
+
+    /// A step that counts tests.
+    pub(crate) const fn tests(name: &'static str, does: &'static str, act: fn() -> Tests) -> Self {
+        Self {
+            name,
+            does,
+            act: Act::Test(act),
             after: None,
             needs: None,
         }
@@ -50,14 +67,78 @@ impl Step {
     }
 }
 
+/// How many tests passed, failed and were left out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Counts {
+    pub(crate) passed: u32,
+    pub(crate) failed: u32,
+    pub(crate) ignored: u32,
+}
+
+impl Counts {
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.passed += other.passed;
+        self.failed += other.failed;
+        self.ignored += other.ignored;
+    }
+}
+
+impl fmt::Display for Counts {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            passed,
+            failed,
+            ignored,
+        } = self;
+        write!(out, "{passed} tests passed, {failed} failed")?;
+        match ignored {
+            0 => Ok(()),
+            _ => write!(out, ", {ignored} left out"),
+        }
+    }
+}
+
+/// A test program and how long it ran.
+pub(crate) struct Ran {
+    pub(crate) name: String,
+    pub(crate) took: Duration,
+}
+
+/// What came of tests.
+pub(crate) struct Tests {
+    pub(crate) counts: Counts,
+    pub(crate) programs: Vec<Ran>,
+    pub(crate) outcome: Result<()>,
+}
+
+impl Default for Tests {
+    fn default() -> Self {
+        Self {
+            counts: Counts::default(),
+            programs: vec![],
+            outcome: Ok(()),
+        }
+    }
+}
+
+impl Tests {
+    /// None were run, for this reason.
+    pub(crate) fn failed(failure: Failure) -> Self {
+        Self {
+            outcome: Err(failure),
+            ..Self::default()
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Outcome {
     Passed,
     Failed,
     /// The step it depends on did not pass; counts as failed.
     NotRun,
-    /// What it needs is not installed; counts neither as passed nor as failed.
-    Skipped,
+    /// This cargo subcommand, which it needs, is not installed; counts neither as passed nor as failed.
+    Skipped(&'static str),
 }
 
 impl fmt::Display for Outcome {
@@ -66,40 +147,46 @@ impl fmt::Display for Outcome {
             Self::Passed => "passed",
             Self::Failed => "FAILED",
             Self::NotRun => "not run",
-            Self::Skipped => "skipped",
+            Self::Skipped(_) => "skipped",
         })
     }
+}
+
+/// A step that is over.
+struct Done {
+    name: &'static str,
+    outcome: Outcome,
+    took: Duration,
+    /// None if it counts no tests.
+    counts: Option<Counts>,
+    programs: Vec<Ran>,
 }
 
 /// Runs all steps, also after a failure, so that one run shows everything that is wrong. Prints a table
 /// and a line of totals at the end.
 pub(crate) fn run(steps: &[Step]) -> ExitCode {
     let start = Instant::now();
-    let mut done: Vec<(&str, Outcome, Duration)> = Vec::new();
+    let mut done: Vec<Done> = Vec::new();
     for (number, step) in (1..).zip(steps) {
         println!("\n[{number}/{}] {}: {}", steps.len(), step.name, step.does);
-        let (outcome, took) = carry_out(step, &done);
+        let one = carry_out(step, &done);
         println!(
-            "[{number}/{}] {}: {outcome}, {}",
+            "[{number}/{}] {}: {}, {}",
             steps.len(),
             step.name,
-            Clock(took)
+            one.outcome,
+            Clock(one.took)
         );
-        done.push((step.name, outcome, took));
+        done.push(one);
     }
 
-    println!();
-    for (name, outcome, took) in &done {
-        println!("{name:<14} {outcome:<8} {:>12}", Clock(*took).to_string());
-    }
-    println!(
-        "{:<14} {:<8} {:>12}",
-        "all",
-        "",
-        Clock(start.elapsed()).to_string()
-    );
-    let count = |outcome| done.iter().filter(|step| step.1 == outcome).count();
-    let (passed, skipped) = (count(Outcome::Passed), count(Outcome::Skipped));
+    println!("\n{}", table(&done, start.elapsed()));
+    let passed = (done.iter())
+        .filter(|step| step.outcome == Outcome::Passed)
+        .count();
+    let skipped = (done.iter())
+        .filter(|step| matches!(step.outcome, Outcome::Skipped(_)))
+        .count();
     let failed = done.len() - passed - skipped;
     print!("\n{passed} passed, {failed} failed");
     match skipped {
@@ -113,13 +200,70 @@ pub(crate) fn run(steps: &[Step]) -> ExitCode {
     }
 }
 
-fn carry_out(step: &Step, done: &[(&str, Outcome, Duration)]) -> (Outcome, Duration) {
+/// So many of the slowest programs are listed.
+const SLOWEST: usize = 10;
+
+/// Each step with its tests and its time, and the slowest test programs. Of single tests the stable compiler's harness
+/// does not tell the time.
+fn table(done: &[Done], all: Duration) -> String {
+    let seconds = |time: Duration| format!("{:.1}", time.as_secs_f64());
+    let mut lines = vec![format!(
+        "{:<14} {:<8} {:>7} {:>9}",
+        "step", "outcome", "tests", "seconds"
+    )];
+    for step in done {
+        let tests = step.counts.map(|counts| counts.passed + counts.failed);
+        let mut line = format!(
+            "{:<14} {:<8} {:>7} {:>9}",
+            step.name,
+            step.outcome,
+            tests.map_or("-".to_owned(), |tests| tests.to_string()),
+            seconds(step.took)
+        );
+        if let Outcome::Skipped(subcommand) = step.outcome {
+            line += &format!("  cargo-{subcommand} is not installed");
+        }
+        if let Some(counts) = step.counts.filter(|counts| counts.failed > 0) {
+            line += &format!("  {} of them failed", counts.failed);
+        }
+        lines.push(line);
+    }
+    let tests: u32 = (done.iter().filter_map(|step| step.counts))
+        .map(|counts| counts.passed + counts.failed)
+        .sum();
+    lines.push(format!(
+        "{:<14} {:<8} {tests:>7} {:>9}  {}",
+        "all",
+        "",
+        seconds(all),
+        Clock(all)
+    ));
+    let mut slowest: Vec<_> = (done.iter())
+        .flat_map(|step| step.programs.iter().map(|ran| (step.name, ran)))
+        .collect();
+    if !slowest.is_empty() {
+        slowest.sort_by_key(|(_, ran)| std::cmp::Reverse(ran.took));
+        lines.push("\nslowest test programs, seconds beside the others".to_owned());
+        for (step, ran) in slowest.iter().take(SLOWEST) {
+            lines.push(format!("{:>9}  {} ({step})", seconds(ran.took), ran.name));
+        }
+    }
+    lines.join("\n")
+}
+
+fn carry_out(step: &Step, done: &[Done]) -> Done {
+    let over = |outcome, took| Done {
+        name: step.name,
+        outcome,
+        took,
+        counts: None,
+        programs: vec![],
+    };
     if let Some(before) = step.after {
-        let passed =
-            |done: &(&str, Outcome, Duration)| done.0 == before && done.1 == Outcome::Passed;
+        let passed = |done: &Done| done.name == before && done.outcome == Outcome::Passed;
         if !done.iter().any(passed) {
             println!("error: this needs the step `{before}`, which did not pass");
-            return (Outcome::NotRun, Duration::ZERO);
+            return over(Outcome::NotRun, Duration::ZERO);
         }
     }
     if let Some(subcommand) = step.needs
@@ -127,21 +271,32 @@ fn carry_out(step: &Step, done: &[(&str, Outcome, Duration)]) -> (Outcome, Durat
     {
         println!("skipped: cargo-{subcommand} is not installed");
         println!("to install it: `cargo install cargo-{subcommand} --locked`");
-        return (Outcome::Skipped, Duration::ZERO);
+        return over(Outcome::Skipped(subcommand), Duration::ZERO);
     }
     let start = Instant::now();
-    let outcome = match (step.act)() {
+    let (ended, counts, programs) = match step.act {
+        Act::Check(act) => (act(), None, vec![]),
+        Act::Test(act) => {
+            let tests = act();
+            (tests.outcome, Some(tests.counts), tests.programs)
+        }
+    };
+    let outcome = match ended {
         Ok(()) => Outcome::Passed,
         Err(failure) => {
             println!("{failure}");
             Outcome::Failed
         }
     };
-    (outcome, start.elapsed())
+    Done {
+        counts,
+        programs,
+        ..over(outcome, start.elapsed())
+    }
 }
 
 /// A duration for people: `12.3 s`, `3 min 05 s`.
-struct Clock(Duration);
+pub(crate) struct Clock(pub(crate) Duration);
 
 impl fmt::Display for Clock {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -155,7 +310,6 @@ impl fmt::Display for Clock {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::process::Failure;
 
     const DOES: &str = "a test's step";
 
@@ -171,17 +325,27 @@ mod tests {
         panic!("must not run")
     }
 
-    fn outcome(step: &Step, done: &[(&str, Outcome, Duration)]) -> Outcome {
-        carry_out(step, done).0
+    fn images(outcome: Outcome) -> Vec<Done> {
+        vec![Done {
+            name: "images",
+            outcome,
+            took: Duration::ZERO,
+            counts: None,
+            programs: vec![],
+        }]
+    }
+
+    fn outcome(step: &Step, done: &[Done]) -> Outcome {
+        carry_out(step, done).outcome
     }
 
     #[test]
     fn a_step_runs_only_after_the_one_it_needs() {
-        let failed = [("images", Outcome::Failed, Duration::ZERO)];
-        let skipped = [("images", Outcome::Skipped, Duration::ZERO)];
-        let passed = [("images", Outcome::Passed, Duration::ZERO)];
+        let failed = images(Outcome::Failed);
+        let skipped = images(Outcome::Skipped("deny"));
+        let passed = images(Outcome::Passed);
         let must_not_run = Step::new("bench", DOES, panics).after("images");
-        for done in [&failed[..], &skipped, &[]] {
+        for done in [&failed[..], &skipped[..], &[]] {
             assert_eq!(outcome(&must_not_run, done), Outcome::NotRun);
         }
         let bench = Step::new("bench", DOES, passes).after("images");
@@ -193,7 +357,10 @@ mod tests {
     #[test]
     fn a_step_is_skipped_without_the_subcommand_it_needs() {
         let without = Step::new("without", DOES, panics).needs("no-such-subcommand");
-        assert_eq!(outcome(&without, &[]), Outcome::Skipped);
+        assert_eq!(
+            outcome(&without, &[]),
+            Outcome::Skipped("no-such-subcommand")
+        );
         let with = Step::new("with", DOES, passes).needs("build");
         assert_eq!(outcome(&with, &[]), Outcome::Passed);
     }
@@ -207,6 +374,38 @@ mod tests {
         assert_eq!(run(&[good(), bad, good()]), ExitCode::FAILURE);
         let late = Step::new("late", DOES, panics).after("skipped");
         assert_eq!(run(&[skipped(), late]), ExitCode::FAILURE);
+    }
+
+    #[test]
+    fn tests_and_slowest_programs_are_in_the_table() {
+        let tests = || Tests {
+            counts: Counts {
+                passed: 40,
+                failed: 2,
+                ignored: 3,
+            },
+            programs: (1..=12)
+                .map(|number| Ran {
+                    name: format!("program {number}"),
+                    took: Duration::from_secs(number),
+                })
+                .collect(),
+            outcome: Err(Failure::new("on purpose", "none")),
+        };
+        let bad = carry_out(&Step::tests("host", DOES, tests), &[]);
+        assert_eq!(bad.outcome, Outcome::Failed);
+        let skipped = carry_out(&Step::new("deny", DOES, panics).needs("no-such"), &[]);
+        let table = table(&[bad, skipped], Duration::from_secs(99));
+        for line in [
+            "host           FAILED        42       0.0  2 of them failed",
+            "deny           skipped        -       0.0  cargo-no-such is not installed",
+            "all                          42      99.0  1 min 39 s",
+            "     12.0  program 12 (host)",
+            "      3.0  program 3 (host)",
+        ] {
+            assert!(table.lines().any(|other| other == line), "{line}\n{table}");
+        }
+        assert!(!table.contains("program 2 "), "{table}");
     }
 
     #[test]

@@ -1,0 +1,452 @@
+//! Test programs side by side. `cargo test` runs them one after the other, which leaves cores idle: many wait for
+//! one long test, some for a clock.
+//!
+//! Cargo builds them and says where they are; each then runs as cargo would run it, in the folder of its package. Its
+//! output goes to a file, which is printed if it fails.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::{Mutex, PoisonError, mpsc};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crate::process::{Failure, Result, host_cargo, lines_of, root, target};
+use crate::steps::{Clock, Counts, Ran, Tests};
+
+/// Package and name of what takes longest, longest first: it begins early, so that the end is short. The order of
+/// everything else does not matter.
+const LONG: [(&str, &str); 0] = [];
+
+/// These wait for a line in real time and compute little: they run beside those that compute.
+const WAITING: [(&str, &str); 0] = [];
+
+/// So many of those that wait run at a time.
+const WAITING_LANES: usize = 2;
+
+/// Whoever waits is told so often what is still running.
+const STILL: Duration = Duration::from_secs(60);
+
+/// What to run.
+pub(crate) struct Selection<'a> {
+    /// `cargo test` with packages and targets; without any, the default packages.
+    pub(crate) cargo: Command,
+    /// Arguments of the programs, as after `--`.
+    pub(crate) program: &'a [&'a str],
+    /// Of what was built only these programs run; none: all.
+    pub(crate) only: &'a [&'a str],
+    /// Whether the examples in the documentation run too.
+    pub(crate) examples: bool,
+    /// So many that compute run at a time.
+    pub(crate) lanes: usize,
+}
+
+/// One program for each core.
+pub(crate) fn cores() -> usize {
+    thread::available_parallelism().map_or(1, usize::from)
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Job {
+    Program(Program),
+    /// The examples in the documentation of the default packages.
+    Examples,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Program {
+    package: String,
+    /// Of the target; that of a library and of its package differ by `-` and `_` only.
+    name: String,
+    /// `lib`, `bin`, `test` or `example`.
+    kind: String,
+    manifest: PathBuf,
+    executable: PathBuf,
+}
+
+impl Job {
+    fn place_in(&self, list: &[(&str, &str)]) -> Option<usize> {
+        let Self::Program(program) = self else {
+            return None;
+        };
+        list.iter()
+            .position(|(package, name)| program.package == *package && program.name == *name)
+    }
+
+    /// What is printed: `calibration recovery`, `host-tool lib`.
+    fn shown(&self) -> String {
+        match self {
+            Self::Program(Program {
+                package,
+                name,
+                kind,
+                ..
+            }) => match kind.as_str() {
+                "test" => format!("{package} {name}"),
+                "lib" => format!("{package} lib"),
+                kind => format!("{package} {kind} {name}"),
+            },
+            Self::Examples => "examples in the documentation".to_owned(),
+        }
+    }
+
+    /// How it is run alone.
+    fn alone(&self) -> String {
+        match self {
+            Self::Program(Program {
+                package,
+                name,
+                kind,
+                ..
+            }) => match kind.as_str() {
+                "lib" => format!("cargo test -p {package} --lib"),
+                kind => format!("cargo test -p {package} --{kind} {name}"),
+            },
+            Self::Examples => "cargo test --doc".to_owned(),
+        }
+    }
+
+    fn command(&self, arguments: &[&str]) -> Command {
+        match self {
+            Self::Program(program) => {
+                let folder = program.manifest.parent().unwrap_or(Path::new("."));
+                // The settings of `.cargo/config.toml`, the seed of the random tests among them, are in the
+                // environment of this program already.
+                let mut command = Command::new(&program.executable);
+                command.args(arguments).current_dir(folder);
+                command.env("CARGO_MANIFEST_DIR", folder);
+                command.env("CARGO_PKG_NAME", &program.package);
+                command
+            }
+            Self::Examples => {
+                let mut cargo = host_cargo("test");
+                cargo.args(["--doc", "--no-fail-fast"]);
+                cargo
+            }
+        }
+    }
+}
+
+/// A job that has ended.
+struct Ended {
+    job: Job,
+    counts: Counts,
+    /// None if all is well; else why not, in a word.
+    wrong: Option<String>,
+    took: Duration,
+    output: String,
+}
+
+/// Builds the chosen programs and runs all of them, also after a failure.
+pub(crate) fn test(selection: Selection<'_>) -> Tests {
+    let Selection {
+        cargo,
+        program,
+        only,
+        examples,
+        lanes,
+    } = selection;
+    let begin = Instant::now();
+    let mut jobs = match build(cargo) {
+        Ok(programs) => programs,
+        Err(failure) => return Tests::failed(failure),
+    };
+    println!("built in {}", Clock(begin.elapsed()));
+    jobs.retain(
+        |job| matches!(job, Job::Program(one) if only.is_empty() || only.contains(&&*one.name)),
+    );
+    if examples {
+        jobs.push(Job::Examples);
+    }
+    let folder = target().join("test-output");
+    if let Err(error) = fs::create_dir_all(&folder) {
+        let what = format!("{} cannot be made: {error}", folder.display());
+        return Tests::failed(Failure::new(what, "make room, or set CARGO_TARGET_DIR"));
+    }
+    let begin = Instant::now();
+    let ended = run_all(jobs, program, &folder, lanes);
+    let mut tests = Tests::default();
+    for one in &ended {
+        tests.counts.add(&one.counts);
+        tests.programs.push(Ran {
+            name: one.job.shown(),
+            took: one.took,
+        });
+    }
+    println!(
+        "{} programs in {}: {}",
+        ended.len(),
+        Clock(begin.elapsed()),
+        tests.counts
+    );
+    let failed: Vec<_> = ended.iter().filter(|one| one.wrong.is_some()).collect();
+    if let Some(first) = failed.first() {
+        let names: Vec<_> = failed.iter().map(|one| one.job.shown()).collect();
+        tests.outcome = Err(Failure::new(
+            format!(
+                "{} of {} programs failed: {}",
+                failed.len(),
+                ended.len(),
+                names.join(", ")
+            ),
+            format!("run the failing test alone: `{} NAME`", first.job.alone()),
+        ));
+    }
+    tests
+}
+
+fn run_all(jobs: Vec<Job>, arguments: &[&str], folder: &Path, lanes: usize) -> Vec<Ended> {
+    let (waiting, mut computing): (Vec<_>, Vec<_>) = jobs
+        .into_iter()
+        .partition(|job| lanes > 1 && job.place_in(&WAITING).is_some());
+    // A stable sort: those that are not listed keep their order.
+    computing.sort_by_key(|job| job.place_in(&LONG).unwrap_or(LONG.len()));
+    let count = waiting.len() + computing.len();
+    let queues = [
+        (Mutex::new(VecDeque::from(computing)), lanes),
+        (Mutex::new(VecDeque::from(waiting)), WAITING_LANES),
+    ];
+    let running = Mutex::new(BTreeMap::new());
+    let (sender, receiver) = mpsc::channel::<Ended>();
+    thread::scope(|scope| {
+        for (queue, lanes) in &queues {
+            for _ in 0..*lanes {
+                let (sender, running) = (sender.clone(), &running);
+                scope.spawn(move || {
+                    while let Some(job) = { lock(queue).pop_front() } {
+                        let shown = job.shown();
+                        lock(running).insert(shown.clone(), Instant::now());
+                        let ended = carry_out(job, arguments, folder);
+                        lock(running).remove(&shown);
+                        // There is no receiver any more if this program ends, and then nobody asks.
+                        let _ = sender.send(ended);
+                    }
+                });
+            }
+        }
+        drop(sender);
+        let mut ended: Vec<Ended> = Vec::with_capacity(count);
+        loop {
+            match receiver.recv_timeout(STILL) {
+                Ok(one) => {
+                    report(&one, ended.len() + 1, count);
+                    ended.push(one);
+                }
+                Err(mpsc::RecvTimeoutError::Timeout) => {
+                    let still = lock(&running);
+                    let still = still
+                        .iter()
+                        .map(|(shown, since)| format!("{shown} ({})", Clock(since.elapsed())));
+                    println!("still running: {}", still.collect::<Vec<_>>().join(", "));
+                }
+                Err(mpsc::RecvTimeoutError::Disconnected) => return ended,
+            }
+        }
+    })
+}
+
+/// A panic elsewhere leaves queue and list as good as they were.
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn report(ended: &Ended, number: usize, of: usize) {
+    let shown = ended.job.shown();
+    let took = Clock(ended.took);
+    match &ended.wrong {
+        None => println!("({number}/{of}) {shown}: {}, {took}", ended.counts),
+        Some(wrong) => println!(
+            "{}\n({number}/{of}) {shown}: FAILED: {wrong}, {took}; all that it said is above",
+            ended.output
+        ),
+    }
+}
+
+fn carry_out(job: Job, arguments: &[&str], folder: &Path) -> Ended {
+    let begin = Instant::now();
+    // A file and not a pipe: a child that a test leaves behind would hold a pipe open.
+    let file = folder.join(format!("{}.txt", job.shown().replace(' ', "-")));
+    let mut command = job.command(arguments);
+    let status = File::create(&file).and_then(|output| {
+        command.stdin(Stdio::null());
+        command.stdout(output.try_clone()?).stderr(output);
+        command.status()
+    });
+    let took = begin.elapsed();
+    let output = fs::read(&file).unwrap_or_default();
+    let output = String::from_utf8_lossy(&output).into_owned();
+    let mut counts = counts(&output);
+    let wrong = match status {
+        Ok(status) if status.success() => None,
+        Ok(status) => Some(status.to_string()),
+        Err(error) => Some(format!("it does not start: {error}")),
+    };
+    if wrong.is_some() && counts.failed == 0 {
+        // It ended before it could say what failed.
+        counts.failed = 1;
+    }
+    Ended {
+        job,
+        counts,
+        wrong,
+        took,
+        output,
+    }
+}
+
+/// What a program says in its last lines: `test result: ok. 12 passed; 0 failed; 1 ignored; ...`.
+fn counts(output: &str) -> Counts {
+    let mut sum = Counts::default();
+    for line in output.lines() {
+        let Some(result) = line.strip_prefix("test result: ") else {
+            continue;
+        };
+        let result = result.split_once(". ").map_or(result, |(_, rest)| rest);
+        let of = |what: &str| {
+            let mut parts = result.split("; ");
+            let number = parts.find_map(|part| part.strip_suffix(what)?.trim().parse().ok());
+            number.unwrap_or(0)
+        };
+        sum.add(&Counts {
+            passed: of(" passed"),
+            failed: of(" failed"),
+            ignored: of(" ignored"),
+        });
+    }
+    sum
+}
+
+/// Builds test programs and says where they are.
+fn build(mut cargo: Command) -> Result<Vec<Job>> {
+    cargo.args(["--no-run", "--message-format=json-render-diagnostics"]);
+    let lines = lines_of(&mut cargo, "fix what the compiler reports above")?;
+    let programs: Vec<_> = lines.iter().filter_map(|line| program(line)).collect();
+    match programs.is_empty() {
+        true => Err(Failure::new(
+            "cargo has named no test program",
+            "`cargo test --no-run` should list them; is this cargo much older or newer?",
+        )),
+        false => Ok(programs),
+    }
+}
+
+/// The test program that a message of cargo is about.
+fn program(message: &str) -> Option<Job> {
+    if !message.contains(r#""reason":"compiler-artifact""#)
+        || !message.contains(r#""test":true},"features""#)
+    {
+        return None;
+    }
+    let executable = text(message, r#""executable":"#)?;
+    let manifest = PathBuf::from(text(message, r#""manifest_path":"#)?);
+    let (_, target) = message.split_once(r#""target":{"#)?;
+    let kind = text(target, r#""kind":["#)?;
+    let folder = manifest.parent()?;
+    // A package of ours has the name of its folder.
+    let package = folder.strip_prefix(root()).ok()?;
+    Some(Job::Program(Program {
+        package: package.to_str()?.to_owned(),
+        name: text(target, r#""name":"#)?,
+        kind,
+        executable: PathBuf::from(executable),
+        manifest,
+    }))
+}
+
+/// The JSON string right after the first `key`. A whole reader of JSON would be compiled before anything else begins.
+fn text(json: &str, key: &str) -> Option<String> {
+    let (_, rest) = json.split_once(key)?;
+    let mut letters = rest.strip_prefix('"')?.chars();
+    let mut text = String::new();
+    loop {
+        match letters.next()? {
+            '"' => return Some(text),
+            '\\' => match letters.next()? {
+                letter @ ('"' | '\\' | '/') => text.push(letter),
+                // No path of a source has a control character.
+                _ => return None,
+            },
+            letter => text.push(letter),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn message(profile: &str, executable: &str) -> String {
+        let manifest = root().join("calibration/Cargo.toml");
+        format!(
+            r#"{{"reason":"compiler-artifact","package_id":"x","manifest_path":"{}","target":{{"kind":["test"],"crate_types":["bin"],"name":"recovery","src_path":"/a","edition":"2024","doc":false,"doctest":false,"test":true}},"profile":{{"opt_level":"3","debuginfo":1,"debug_assertions":true,"overflow_checks":true,{profile}}},"features":[],"filenames":["/t"],"executable":{executable},"fresh":true}}"#,
+            manifest.display()
+        )
+    }
+
+    #[test]
+    fn a_message_of_cargo_names_a_program() {
+        let job = program(&message(r#""test":true"#, r#""/a \"b\"/t""#)).expect("a program");
+        assert_eq!(job.shown(), "calibration recovery");
+        assert_eq!(job.alone(), "cargo test -p calibration --test recovery");
+        let Job::Program(found) = &job else {
+            panic!("{job:?}")
+        };
+        assert_eq!(found.executable, Path::new(r#"/a "b"/t"#));
+        assert_eq!(found.manifest, root().join("calibration/Cargo.toml"));
+        assert_eq!(job.place_in(&[("motion", "recovery")]), None);
+        assert_eq!(
+            job.place_in(&[("motion", "x"), ("calibration", "recovery")]),
+            Some(1)
+        );
+        // What a test is linked with, and what is not built for tests.
+        assert_eq!(program(&message(r#""test":true"#, "null")), None);
+        assert_eq!(program(&message(r#""test":false"#, r#""/t""#)), None);
+        assert_eq!(
+            program(r#"{"reason":"build-finished","success":true}"#),
+            None
+        );
+    }
+
+    #[test]
+    fn results_are_summed() {
+        let output = "\nrunning 3 tests\ntest a ... ok\n\n\
+            test result: ok. 12 passed; 0 failed; 1 ignored; 0 measured; 3 filtered out; finished in 0.10s\n\
+            test result: FAILED. 2 passed; 4 failed; 0 ignored; 0 measured; 0 filtered out; finished in 1.10s\n";
+        let Counts {
+            passed,
+            failed,
+            ignored,
+        } = counts(output);
+        assert_eq!((passed, failed, ignored), (14, 4, 1));
+    }
+
+    fn shell(script: &str) -> Ended {
+        let folder = target().join("test-output");
+        fs::create_dir_all(&folder).expect("a folder");
+        let job = Job::Program(Program {
+            package: "sh".to_owned(),
+            name: script.replace('/', "_"),
+            kind: "test".to_owned(),
+            manifest: root().join("xtask/Cargo.toml"),
+            executable: PathBuf::from("/bin/sh"),
+        });
+        carry_out(job, &["-c", script], &folder)
+    }
+
+    #[test]
+    fn a_program_that_dies_counts_as_a_failure() {
+        let ended = shell("echo said; echo thought >&2; kill -9 $$");
+        assert!(ended.wrong.is_some());
+        assert_eq!(ended.counts.failed, 1);
+        assert_eq!(ended.output, "said\nthought\n");
+    }
+
+    #[test]
+    fn what_a_program_leaves_running_holds_nothing_up() {
+        let ended = shell("sleep 20 & echo 'test result: ok. 1 passed; 0 failed; 0 ignored'");
+        assert_eq!(ended.wrong, None);
+        assert_eq!(ended.counts.passed, 1);
+        assert!(ended.took < Duration::from_secs(20), "{:?}", ended.took);
+    }
+}
