@@ -10,18 +10,27 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use protocol::system::Urgent;
 
 /// A stop that somebody has asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Ask {
     number: u64,
     urgent: Urgent,
 }
 
-/// The stops of one machine.
+impl Ask {
+    /// Number of the stop, from 1.
+    #[must_use]
+    pub fn number(self) -> u64 {
+        self.number
+    }
+}
+
+/// The stops of one machine, for several threads.
 #[derive(Debug, Default)]
 pub struct Stops(Mutex<Book>);
 
-#[derive(Debug, Default)]
-struct Book {
+/// What [`Stops`] keeps, without the threads: a value that a model can copy and compare.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Book {
     /// Number of the last stop.
     asked: u64,
     /// The same for each strength.
@@ -51,14 +60,66 @@ pub fn stronger(one: Option<Urgent>, other: Option<Urgent>) -> Option<Urgent> {
 }
 
 impl Book {
-    fn is_confirmed(&self, ask: Ask) -> bool {
+    /// As [`Stops::ask`].
+    pub fn ask(&mut self, urgent: Urgent) -> Ask {
+        self.asked += 1;
+        let number = self.asked;
+        self.last[strength(urgent)] = number;
+        let ask = Ask { number, urgent };
+        self.open.push(ask);
+        ask
+    }
+
+    /// As [`Stops::withdraw`].
+    pub fn withdraw(&mut self, ask: Ask) {
+        self.open.retain(|open| *open != ask);
+    }
+
+    /// As [`Stops::asked`].
+    #[must_use]
+    pub fn asked(&self) -> u64 {
+        self.asked
+    }
+
+    /// As [`Stops::confirm`].
+    pub fn confirm(&mut self, urgent: Urgent, number: u64) {
+        // An emergency stop is a stop as well.
+        for confirmed in &mut self.confirmed[..=strength(urgent)] {
+            *confirmed = number.max(*confirmed);
+        }
+    }
+
+    /// As [`Stops::is_confirmed`].
+    #[must_use]
+    pub fn is_confirmed(&self, ask: Ask) -> bool {
         self.confirmed[strength(ask.urgent)] >= ask.number
     }
 
-    fn since(&self, number: u64) -> Option<Urgent> {
+    /// As [`Stops::unconfirmed`].
+    #[must_use]
+    pub fn unconfirmed(&self) -> Option<Urgent> {
+        let open = self.open.iter().filter(|ask| !self.is_confirmed(**ask));
+        open.fold(None, |all, ask| stronger(all, Some(ask.urgent)))
+    }
+
+    /// As [`Stops::since`].
+    #[must_use]
+    pub fn since(&self, number: u64) -> Option<Urgent> {
         [Urgent::EStop, Urgent::Stop]
             .into_iter()
             .find(|urgent| self.last[strength(*urgent)] > number)
+    }
+
+    /// As [`Stops::begin_order`] and [`Stops::end_order`].
+    pub fn order(&mut self, number: Option<u64>) {
+        self.order = number;
+    }
+
+    /// As [`Stops::wanted`].
+    #[must_use]
+    pub fn wanted(&self) -> Option<Urgent> {
+        let during = self.order.and_then(|number| self.since(number));
+        stronger(self.unconfirmed(), during)
     }
 }
 
@@ -70,33 +131,23 @@ impl Stops {
 
     /// Somebody wants a stop, and waits for its confirmation until [`Stops::withdraw`].
     pub fn ask(&self, urgent: Urgent) -> Ask {
-        let mut book = self.book();
-        book.asked += 1;
-        let number = book.asked;
-        book.last[strength(urgent)] = number;
-        let ask = Ask { number, urgent };
-        book.open.push(ask);
-        ask
+        self.book().ask(urgent)
     }
 
     /// Nobody waits for this stop any more. Others that wait for theirs still do.
     pub fn withdraw(&self, ask: Ask) {
-        self.book().open.retain(|open| *open != ask);
+        self.book().withdraw(ask);
     }
 
     /// Number of the last stop: an order that comes now is newer than that, and older than the next.
     #[must_use]
     pub fn asked(&self) -> u64 {
-        self.book().asked
+        self.book().asked()
     }
 
     /// The machine has confirmed this stop, which was sent after the stop `number` was asked for.
     pub fn confirm(&self, urgent: Urgent, number: u64) {
-        let mut book = self.book();
-        // An emergency stop is a stop as well.
-        for confirmed in &mut book.confirmed[..=strength(urgent)] {
-            *confirmed = number.max(*confirmed);
-        }
+        self.book().confirm(urgent, number);
     }
 
     /// The machine has confirmed a stop that was sent after this one was asked for.
@@ -108,9 +159,7 @@ impl Stops {
     /// The strongest stop that somebody waits for and the machine has not confirmed.
     #[must_use]
     pub fn unconfirmed(&self) -> Option<Urgent> {
-        let book = self.book();
-        let open = book.open.iter().filter(|ask| !book.is_confirmed(**ask));
-        open.fold(None, |all, ask| stronger(all, Some(ask.urgent)))
+        self.book().unconfirmed()
     }
 
     /// The strongest stop that was asked for since the stop `number`, confirmed or not.
@@ -121,22 +170,18 @@ impl Stops {
 
     /// From now on an order is carried out that came after the stop `number`: every later one stops it.
     pub fn begin_order(&self, number: u64) {
-        self.book().order = Some(number);
+        self.book().order(Some(number));
     }
 
     /// The order has ended.
     pub fn end_order(&self) {
-        self.book().order = None;
+        self.book().order(None);
     }
 
     /// What has to be sent to the machine now.
     #[must_use]
     pub fn wanted(&self) -> Option<Urgent> {
-        let during = {
-            let book = self.book();
-            book.order.and_then(|number| book.since(number))
-        };
-        stronger(self.unconfirmed(), during)
+        self.book().wanted()
     }
 }
 

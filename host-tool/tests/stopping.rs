@@ -381,6 +381,7 @@ fn a_refused_connection_is_closed() {
     // To its end: the server closes.
     stream.read_to_string(&mut text).expect("an answer");
     assert!(text.starts_with("HTTP/1.1 403"), "{text}");
+    assert!(text.to_lowercase().contains("connection: close"), "{text}");
 }
 
 #[test]
@@ -390,11 +391,14 @@ fn a_stop_does_not_wait_for_its_body() {
     let mut stream = server.connect();
     let head = "POST /api/v1/estop HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10\r\n\r\n";
     stream.write_all(head.as_bytes()).expect("sent");
+    let begin = Instant::now();
     let mut line = String::new();
     BufReader::new(stream)
         .read_line(&mut line)
         .expect("an answer");
     assert!(line.contains("200"), "{line}");
+    // A body may take 5 s.
+    assert!(begin.elapsed() < Duration::from_millis(4_500));
     assert!(bench.urgent().contains(&Urgent::EStop));
 }
 
