@@ -367,3 +367,28 @@ fn the_model_finds_what_each_mend_mends() {
         assert!(found.contains(finding), "{mends:?}: {found}");
     }
 }
+
+/// docs/stopping.md names a test for each row of its table, and each of them is there.
+#[test]
+fn the_table_of_the_manual_names_tests_that_exist() {
+    let tests = include_str!("stopping.rs");
+    let manual = include_str!("../../docs/stopping.md");
+    let rows = manual
+        .lines()
+        .filter(|line| line.starts_with("| ") && !line.contains("what confirms it"));
+    let mut count = 0;
+    for row in rows {
+        let name = row
+            .trim_end_matches([' ', '|'])
+            .rsplit("| ")
+            .next()
+            .expect("a column");
+        let name = name.split('`').nth(1).expect("a test");
+        assert!(
+            name == "estop" || tests.contains(&format!("fn {name}()")),
+            "{name}"
+        );
+        count += 1;
+    }
+    assert_eq!(count, 11);
+}
