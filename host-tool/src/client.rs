@@ -1214,6 +1214,7 @@ impl Device {
         }
         while let Some(event) = self.early.remove(&self.next_event) {
             self.next_event += 1;
+            self.moves &= !is_end(&event);
             self.events.push_back(event);
         }
     }
@@ -1559,9 +1560,24 @@ impl Device {
 /// machine does.
 pub(crate) fn while_moving(action: &'static str, error: ClientError) -> ClientError {
     match error {
-        ClientError::NoReply { place, .. } => ClientError::Silent { place, action },
+        ClientError::NoReply { place, .. } | ClientError::Silent { place, .. } => {
+            ClientError::Silent { place, action }
+        }
         error => error,
     }
+}
+
+/// After this event the machine stands, or brakes.
+fn is_end(event: &Event) -> bool {
+    matches!(
+        event.what,
+        What::Rig(
+            RigEvent::Homed { .. }
+                | RigEvent::RunEnded { .. }
+                | RigEvent::Stopped { .. }
+                | RigEvent::Faulted(_)
+        ) | What::Capsule(CapsuleEvent::Ended { .. })
+    )
 }
 
 /// What is left of a link that was given up.

@@ -6,6 +6,7 @@ use std::path::Path;
 use protocol::capsule::ActuationOutcome;
 use protocol::rig::{RigState, RunOutcome};
 
+use crate::campaign::folder::PLAN;
 use crate::client::Device;
 use crate::error::ClientError;
 use crate::identity::IdentityRecord;
@@ -22,7 +23,7 @@ pub fn end_record(device: &mut Device) -> Result<Option<String>, ClientError> {
         return Ok(None);
     };
     // A campaign ends its own records when it is resumed.
-    let is_campaign = |folder: &Path| folder.join("campaign.toml").exists();
+    let is_campaign = |folder: &Path| folder.join(PLAN).exists();
     let trial = Trial::read(&sidecar).ok();
     let trial = trial.filter(|trial| trial.status == Status::Running);
     let Some(mut trial) = trial.filter(|_| !sidecar.ancestors().skip(1).take(3).any(is_campaign))
