@@ -14,7 +14,7 @@ pub trait Surroundings {
     fn now_us(&self) -> u64;
     /// What the chip says of its clock, its supply and its option bytes.
     fn chip(&self) -> Chip;
-    /// How long the host has been silent, us.
+    /// How long the host that began the motion has been silent, us.
     fn silence_us(&self) -> u32;
     /// Sets the interval of telemetry, ms; 0 = none.
     fn set_telemetry(&mut self, period_ms: u16);

@@ -4,7 +4,7 @@ use protocol::{
     frame::{Deframer, Encoded, Header, Kind, encode},
     session::{Decision, Session, Ticket},
     system::{Identity, Urgent},
-    table::{Reply, Request, Response},
+    table::{Impact, Reply, Request, Response},
 };
 
 /// A question to the state machine's owner.
@@ -51,31 +51,69 @@ pub enum Incoming {
     Ignore,
 }
 
-/// A good frame.
-#[derive(Debug, PartialEq)]
-pub struct Received {
-    /// What it asks for.
-    pub incoming: Incoming,
-    /// It shows that the host of the session, or somebody who stops the machine, is there.
-    pub is_sign_of_life: bool,
+/// When the host that began the motion was last heard. A motion lives as long as that host does: another one that takes
+/// the line over opens a session of its own, and its questions keep nothing moving that it did not begin.
+#[derive(Debug)]
+struct Life {
+    /// The present session has begun a motion.
+    began: bool,
+    /// Low 32 bits of the time, us.
+    heard_us: u32,
+    /// The same before the request that is being carried out.
+    before_us: u32,
 }
 
-/// A host is alive that opens a session, sends a request of it, or stops the machine. A frame of another session is a host
-/// that was left behind; a malformed one may be anybody's; one that only devices send is an echo on the line.
-fn is_sign_of_life(decision: &Decision) -> bool {
-    match decision {
-        Decision::Greet { .. }
-        | Decision::Execute { .. }
-        | Decision::Urgent { .. }
-        | Decision::Resend(_)
-        | Decision::Refuse { .. } => true,
-        Decision::Reject { .. } | Decision::Ignore => false,
+impl Life {
+    /// A frame has been taken. One of another session comes from a host that was left behind; a malformed one may be
+    /// anybody's; one that only devices send is an echo on the line; and a stop keeps nothing moving.
+    fn hear(&mut self, decision: &Decision, is_new_session: bool, now_us: u32) {
+        self.before_us = self.heard_us;
+        self.began &= !is_new_session;
+        let is_sign = match decision {
+            // The motion may begin before the answer is known.
+            Decision::Execute { request, .. } => self.began || begins(request),
+            Decision::Greet { .. } | Decision::Resend(_) | Decision::Refuse { .. } => self.began,
+            Decision::Urgent { .. } | Decision::Reject { .. } | Decision::Ignore => false,
+        };
+        if is_sign {
+            self.heard_us = now_us;
+        }
     }
+
+    /// A request that begins a motion was answered.
+    fn answered(&mut self, is_accepted: bool) {
+        if is_accepted {
+            self.began = true;
+        } else if !self.began {
+            self.heard_us = self.before_us;
+        }
+    }
+}
+
+/// After this request something moves, if it is accepted.
+fn begins(request: &Request) -> bool {
+    request.impact() == Impact::Motion || matches!(request, Request::Resume(_))
 }
 
 /// Where an answer goes: session, sequence, and the ticket of a request that may be repeated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Return(u8, u16, Option<Ticket>);
+pub struct Return {
+    session: u8,
+    seq: u16,
+    ticket: Option<Ticket>,
+    begins: bool,
+}
+
+impl Return {
+    const fn new(session: u8, seq: u16, ticket: Option<Ticket>) -> Self {
+        Self {
+            session,
+            seq,
+            ticket,
+            begins: false,
+        }
+    }
+}
 
 /// The device's end.
 #[derive(Debug)]
@@ -83,6 +121,7 @@ pub struct Service {
     deframer: Deframer,
     session: Session,
     identity: Identity,
+    life: Life,
 }
 
 impl Service {
@@ -93,6 +132,11 @@ impl Service {
             deframer: Deframer::new(),
             session: Session::new(identity.boot_id),
             identity,
+            life: Life {
+                began: false,
+                heard_us: 0,
+                before_us: 0,
+            },
         }
     }
 
@@ -106,19 +150,29 @@ impl Service {
         self.session.number()
     }
 
-    /// Takes a byte; something comes back when it completes a good frame.
+    /// When the host that began the motion was last heard, low 32 bits, us. It changes with [`Service::receive`] and
+    /// [`Service::answer`].
+    pub fn heard_us(&self) -> u32 {
+        self.life.heard_us
+    }
+
+    /// Takes a byte at this time, low 32 bits, us; something comes back when it completes a good frame.
     #[inline(never)]
-    pub fn receive(&mut self, byte: u8) -> Option<Received> {
+    pub fn receive(&mut self, byte: u8, now_us: u32) -> Option<Incoming> {
         let frame = self.deframer.push(byte)?;
+        let before = self.session.number();
         let decision = self.session.receive(&frame);
-        Some(Received {
-            is_sign_of_life: is_sign_of_life(&decision),
-            incoming: serve(&mut self.session, &self.identity, decision),
-        })
+        let is_new_session = self.session.number() != before;
+        self.life.hear(&decision, is_new_session, now_us);
+        Some(serve(&mut self.session, &self.identity, decision))
     }
 
     /// The frame of a reply, kept for the case that its request is repeated.
     pub fn answer(&mut self, to: Return, reply: &Reply) -> Option<Encoded> {
+        // An answer that comes after a newer greeting begins nothing for the new host.
+        if to.begins && to.session == self.session.number() {
+            self.life.answered(matches!(reply, Reply::Accepted(_)));
+        }
         answer(&mut self.session, to, reply)
     }
 }
@@ -134,29 +188,30 @@ fn serve(session: &mut Session, identity: &Identity, decision: Decision) -> Inco
                 ..*identity
             };
             let reply = Reply::Accepted(Response::Hello(identity));
-            (Return(number, seq, None), reply)
+            (Return::new(number, seq, None), reply)
         }
         Decision::Execute { request, ticket } => {
-            return Incoming::Ask(
-                Inbound::Request(request),
-                Return(ticket.session, ticket.seq, Some(ticket)),
-            );
+            let to = Return {
+                begins: begins(&request),
+                ..Return::new(ticket.session, ticket.seq, Some(ticket))
+            };
+            return Incoming::Ask(Inbound::Request(request), to);
         }
         Decision::Urgent {
             urgent,
             session,
             seq,
-        } => return Incoming::Ask(Inbound::Urgent(urgent), Return(session, seq, None)),
+        } => return Incoming::Ask(Inbound::Urgent(urgent), Return::new(session, seq, None)),
         Decision::Resend(frame) => return Incoming::Send(frame),
         Decision::Refuse { refusal, ticket } => (
-            Return(ticket.session, ticket.seq, Some(ticket)),
+            Return::new(ticket.session, ticket.seq, Some(ticket)),
             Reply::Refused(refusal),
         ),
         Decision::Reject {
             error,
             session,
             seq,
-        } => (Return(session, seq, None), Reply::Wire(error)),
+        } => (Return::new(session, seq, None), Reply::Wire(error)),
         Decision::Ignore => return Incoming::Ignore,
     };
     answer(session, to, &reply).map_or(Incoming::Ignore, Incoming::Send)
@@ -165,7 +220,12 @@ fn serve(session: &mut Session, identity: &Identity, decision: Decision) -> Inco
 /// Not inlined: one copy of the whole encoder.
 #[inline(never)]
 fn answer(open: &mut Session, to: Return, reply: &Reply) -> Option<Encoded> {
-    let Return(session, seq, ticket) = to;
+    let Return {
+        session,
+        seq,
+        ticket,
+        ..
+    } = to;
     let kind = Kind::Reply;
     let header = Header { kind, session, seq };
     let frame = encode(header, reply).ok()?;

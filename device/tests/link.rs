@@ -4,7 +4,7 @@
 use device::{
     common::{About, Effect, Executed, TELEMETRY_MS},
     identity::identity,
-    service::{Answers, Inbound, Incoming, Received, Return, Service},
+    service::{Answers, Inbound, Incoming, Return, Service},
 };
 use proptest::prelude::*;
 use protocol::{
@@ -12,7 +12,7 @@ use protocol::{
     error::{Field, Refusal, WireError},
     events::EventRing,
     frame::{Deframer, Encoded, Header, Kind, encode},
-    rig::{GetRigStatus, Home},
+    rig::{GetRigStatus, Hold, Home, Resume},
     session::CACHED_REPLIES,
     system::{
         BrownOut, BuildProfile, Chip, Clock, DeviceKind, Done, GetChip, GetEvents, GetLastWords,
@@ -31,6 +31,7 @@ fn this_device() -> Identity {
 struct Link {
     service: Service,
     session: u8,
+    now_us: u32,
 }
 
 impl Link {
@@ -39,6 +40,7 @@ impl Link {
         let mut link = Self {
             service,
             session: 0,
+            now_us: 0,
         };
         link.session = link.greet(1, SCHEMA_KEY);
         link
@@ -65,20 +67,22 @@ impl Link {
     }
 
     fn receive(&mut self, bytes: &[u8]) -> Vec<Incoming> {
-        let received = self.received(bytes).into_iter();
-        received.map(|received| received.incoming).collect()
-    }
-
-    fn received(&mut self, bytes: &[u8]) -> Vec<Received> {
-        let take = |byte: &u8| self.service.receive(*byte);
+        self.now_us = self.now_us.wrapping_add(1_000);
+        let take = |byte: &u8| self.service.receive(*byte, self.now_us);
         bytes.iter().filter_map(take).collect()
     }
 
-    /// These bytes show that the host is there.
+    /// These bytes, once they are answered, show that the host that began the motion is there.
     fn shows_life(&mut self, bytes: &[u8]) -> bool {
-        let mut received = self.received(bytes);
-        assert_eq!(received.len(), 1, "{received:?}");
-        received.remove(0).is_sign_of_life
+        self.shows_life_if(bytes, &reply(10))
+    }
+
+    /// The same where control answers with this.
+    fn shows_life_if(&mut self, bytes: &[u8], answer: &Reply) -> bool {
+        if let Incoming::Ask(_, to) = self.one(bytes) {
+            self.service.answer(to, answer).unwrap();
+        }
+        self.service.heard_us() == self.now_us
     }
 
     /// The one thing that these bytes ask for.
@@ -155,6 +159,7 @@ fn nobody_listens_before_the_first_greeting() {
     let mut link = Link {
         service: Service::new(this_device()),
         session: 0,
+        now_us: 0,
     };
     assert_eq!(link.service.session(), 0);
     let (header, reply) = link.sent(&request(1, 9, &set(10)));
@@ -301,42 +306,87 @@ fn frames_of_devices_are_ignored() {
     assert_eq!(link.service.bad_frames(), 0);
 }
 
+fn hello(nonce: u32) -> Request {
+    Request::Hello(Hello {
+        protocol: VERSION,
+        schema_key: SCHEMA_KEY,
+        nonce,
+    })
+}
+
 /// Whose frames show that the host is still there: not an echo of the device's own, not a host that was left behind, not
-/// a body that is no request.
+/// a body that is no request, and no stop.
 #[test]
-fn a_sign_of_life_comes_from_the_host_of_the_session() {
+fn a_sign_of_life_comes_from_the_host_that_began_the_motion() {
     let mut link = Link::open();
     let old = link.session;
     let session = link.greet(2, SCHEMA_KEY);
     assert_ne!(old, session);
-    let hello = Request::Hello(Hello {
-        protocol: VERSION,
-        schema_key: SCHEMA_KEY,
-        nonce: 2,
-    });
-    assert!(link.shows_life(&request(0, 1, &hello)));
-    let good = request(session, 2, &set(10));
-    assert!(link.shows_life(&good));
-    assert!(link.shows_life(&urgent(old, 1, Urgent::Stop)));
+    // Nothing was begun yet: there is nothing to keep alive.
+    assert!(!link.shows_life(&request(session, 1, &set(10))));
+    assert!(link.shows_life(&request(session, 2, &Request::Home(Home))));
+    assert!(link.shows_life(&request(session, 3, &set(10))));
+    assert!(link.shows_life(&request(session, 3, &set(10))), "repeated");
+    // The same host again.
+    assert!(link.shows_life(&request(0, 1, &hello(2))));
+    // A stop, from whomever.
+    assert!(!link.shows_life(&urgent(session, 1, Urgent::Stop)));
+    assert!(!link.shows_life(&urgent(0, 1, Urgent::EStop)));
     // An old host's, one before any session, nonsense, a number that is used twice, one that is too old.
     assert!(!link.shows_life(&request(old, 7, &set(10))));
     assert!(!link.shows_life(&request(0, 8, &set(10))));
     let header = |kind, seq| Header { kind, session, seq };
-    assert!(!link.shows_life(&encode(header(Kind::Request, 3), &[0xFF_u8; 3]).unwrap()));
-    assert!(!link.shows_life(&encode(header(Kind::Urgent, 3), &[0xFF_u8; 3]).unwrap()));
-    assert!(link.shows_life(&request(session, 4, &set(10))));
-    assert!(!link.shows_life(&request(session, 3, &set(10))));
+    assert!(!link.shows_life(&encode(header(Kind::Request, 4), &[0xFF_u8; 3]).unwrap()));
+    assert!(!link.shows_life(&encode(header(Kind::Urgent, 4), &[0xFF_u8; 3]).unwrap()));
+    assert!(link.shows_life(&request(session, 9, &set(10))));
+    assert!(!link.shows_life(&request(session, 8, &set(10))));
     // What the device itself sends.
     for kind in [Kind::Reply, Kind::Telemetry, Kind::Event] {
         assert!(!link.shows_life(&encode(header(kind, 9), &0_u8).unwrap()));
     }
-    // With another schema the host is refused and is there all the same; a repetition is its own.
-    link.session = link.greet(3, SCHEMA_KEY ^ 1);
-    let refused = request(link.session, 1, &set(10));
-    let (to, reply) = link.sent(&refused);
-    assert_eq!((to.seq, reply), (1, Reply::Refused(Refusal::Incompatible)));
-    assert!(link.shows_life(&request(link.session, 2, &set(10))));
-    assert!(link.shows_life(&refused));
+}
+
+/// A `watch` or a server that takes the line over asks four times a second. It must not keep going what a host began that
+/// is dead.
+#[test]
+fn whoever_takes_the_line_over_keeps_nothing_moving_that_it_did_not_begin() {
+    let busy = Reply::Refused(Refusal::RigBusy(protocol::rig::RigState::Running));
+    let mut link = Link::open();
+    assert!(link.shows_life(&request(link.session, 1, &Request::Home(Home))));
+    let begun_us = link.service.heard_us();
+    let session = link.greet(2, SCHEMA_KEY);
+    assert!(!link.shows_life(&request(0, 1, &hello(2))), "again");
+    for (seq, asked) in [
+        (1, Request::KeepAlive(KeepAlive)),
+        (2, Request::GetRigStatus(GetRigStatus)),
+        (3, Request::Hold(Hold)),
+    ] {
+        assert!(
+            !link.shows_life(&request(session, seq, &asked)),
+            "{asked:?}"
+        );
+    }
+    // What wants to move is refused as long as something does, and is no sign for that either.
+    for (seq, asked) in [(4, Request::Home(Home)), (5, Request::Resume(Resume))] {
+        assert!(!link.shows_life_if(&request(session, seq, &asked), &busy));
+        assert_eq!(link.service.heard_us(), begun_us, "{asked:?}");
+        // While control works on it, a motion that begins must not find its host silent.
+        let Incoming::Ask(_, to) = link.one(&request(session, seq + 10, &asked)) else {
+            panic!("{asked:?}")
+        };
+        assert_eq!(link.service.heard_us(), link.now_us);
+        link.service.answer(to, &busy).unwrap();
+    }
+    // From its own motion on it counts, also if it only resumes what another one has left held.
+    assert!(link.shows_life(&request(session, 20, &Request::Resume(Resume))));
+    assert!(link.shows_life(&request(session, 21, &set(10))));
+    // Refused now, it is there all the same.
+    assert!(link.shows_life_if(&request(session, 22, &Request::Home(Home)), &busy));
+    // An answer that comes after a newer greeting begins nothing for the new host.
+    let (_, to) = link.asked(&request(session, 23, &Request::Home(Home)));
+    let newest = link.greet(3, SCHEMA_KEY);
+    link.service.answer(to, &reply(10)).unwrap();
+    assert!(!link.shows_life(&request(newest, 1, &set(10))));
 }
 
 #[test]

@@ -95,11 +95,7 @@ impl Exemplary {
 impl Peer for Exemplary {
     fn take(&mut self, bytes: &[u8], _: u64) {
         for byte in bytes {
-            let frame = match self
-                .service
-                .receive(*byte)
-                .map(|received| received.incoming)
-            {
+            let frame = match self.service.receive(*byte, 0) {
                 Some(Incoming::Send(frame)) => Some(frame),
                 Some(Incoming::Ask(inbound, to)) => {
                     let reply = self.answer(&inbound);

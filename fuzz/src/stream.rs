@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 
 use device::identity::identity;
-use device::service::{Inbound, Incoming, Received, Service};
+use device::service::{Inbound, Incoming, Service};
 use protocol::error::Refusal;
 use protocol::frame::{Deframer, Kind};
 use protocol::system::{DeviceKind, Done, Hello, Identity, KeepAlive, ResetCause, Urgent};
@@ -42,6 +42,7 @@ struct Line {
     /// Bytes since the last delimiter, and blocks that were no frames.
     block: Vec<u8>,
     bad: u32,
+    now_us: u32,
 }
 
 /// Runs the script.
@@ -89,6 +90,7 @@ impl Line {
             last: vec![],
             block: vec![],
             bad: 0,
+            now_us: 0,
         }
     }
 
@@ -111,7 +113,9 @@ impl Line {
     fn hear(&mut self, bytes: &[u8]) {
         for byte in bytes {
             self.block.push(*byte);
-            let received = self.service.receive(*byte);
+            let heard_us = self.service.heard_us();
+            self.now_us = self.now_us.wrapping_add(1);
+            let received = self.service.receive(*byte, self.now_us);
             if *byte != 0 {
                 assert_eq!(received, None, "a frame before its end");
                 continue;
@@ -121,7 +125,7 @@ impl Line {
             self.bad += bad;
             match (received, good.into_iter().next()) {
                 (None, None) => {}
-                (Some(received), Some(good)) => self.judge(received, &good),
+                (Some(received), Some(good)) => self.judge(received, &good, heard_us),
                 (found, expected) => panic!("{found:?} for {expected:?}"),
             }
         }
@@ -133,12 +137,12 @@ impl Line {
     }
 
     /// Every request and every stop gets one answer; what only devices send gets none.
-    fn judge(&mut self, received: Received, good: &Good) {
+    fn judge(&mut self, received: Incoming, good: &Good, heard_us: u32) {
         let is_for_us = good.kind == Kind::Request as u8 || good.kind == Kind::Urgent as u8;
-        let frame = match received.incoming {
+        let frame = match received {
             Incoming::Ignore => {
                 assert!(!is_for_us, "no answer to {good:?}");
-                assert!(!received.is_sign_of_life);
+                assert_eq!(self.service.heard_us(), heard_us, "a sign of life");
                 return;
             }
             Incoming::Send(frame) => frame,

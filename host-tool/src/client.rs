@@ -5,6 +5,7 @@
 //! stop is sent ahead of everything else.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use protocol::VERSION;
@@ -25,6 +26,7 @@ use protocol::system::{
 use protocol::table::{Endpoint, Impact, Reply, Request, Response, SCHEMA_KEY, Telemetry};
 
 use crate::diagnosis::{self, OVERHEARD, Sign};
+use crate::door::lock::StopMark;
 use crate::door::{self, Owner};
 use crate::error::ClientError;
 use crate::identity::Origin;
@@ -280,6 +282,8 @@ pub struct Device {
     posted: Option<Posted>,
     /// By the last exchange that told the device's time.
     clock: Option<Clock>,
+    /// Something moves, by what the device has answered last.
+    moves: bool,
     /// Index of the next event to deliver.
     next_event: u32,
     /// Events that arrived before an earlier one.
@@ -339,6 +343,7 @@ impl Device {
             commanding: false,
             posted: None,
             clock: None,
+            moves: false,
             next_event: 0,
             early: BTreeMap::new(),
             events: VecDeque::new(),
@@ -477,6 +482,18 @@ impl Device {
         self.link = Box::new(gone);
     }
 
+    /// From now on, what happens is recorded in this file: whoever has the line after a process that was killed finds it
+    /// there. With `None` nothing is left to be ended.
+    pub fn records(&mut self, sidecar: Option<&Path>) {
+        self.link.records(sidecar);
+    }
+
+    /// The record of a process that had the line before this one, and was killed.
+    #[must_use]
+    pub fn left_record(&self) -> Option<PathBuf> {
+        self.link.left_record()
+    }
+
     /// How the device's clock stands to the link's, by the last status.
     #[must_use]
     pub fn clock(&self) -> Option<Clock> {
@@ -487,6 +504,12 @@ impl Device {
     #[must_use]
     pub fn now_us(&self) -> u64 {
         self.link.now_us()
+    }
+
+    /// What is ordered from now on was wanted when this was the last stop on the line. After a newer one it is not sent:
+    /// commands end with [`ClientError::Interrupted`].
+    pub fn ordered_at(&mut self, mark: StopMark) {
+        self.link.ordered_at(mark);
     }
 
     /// Asks the owner of the line once instead of for seconds.
@@ -1191,6 +1214,7 @@ impl Device {
         }
         while let Some(event) = self.early.remove(&self.next_event) {
             self.next_event += 1;
+            self.moves &= !is_end(&event);
             self.events.push_back(event);
         }
     }
@@ -1279,6 +1303,7 @@ impl Device {
             }),
             Some(Output::Accepted(response)) => {
                 self.note_clock(at_us, &response);
+                self.note_motion(impact, &response);
                 Ok(response)
             }
             Some(Output::Refused(refusal)) => Err(ClientError::Refused {
@@ -1302,6 +1327,11 @@ impl Device {
                     .map(ToString::to_string)
                     .unwrap_or_default(),
             }),
+            // What was asked last says nothing about what moves.
+            _ if !command && self.moves => Err(ClientError::Silent {
+                place,
+                action: "a motion",
+            }),
             _ if command => Err(ClientError::OutcomeUnknown {
                 place,
                 request: request_name,
@@ -1321,6 +1351,38 @@ impl Device {
             _ => return,
         };
         self.clock = Some(Clock::of(asked_us, device_us, self.now_us()));
+    }
+
+    /// Notes what an answer says of the motion.
+    fn note_motion(&mut self, impact: Impact, response: &Response) {
+        self.moves = match response {
+            Response::GetRigStatus(status) => matches!(
+                status.state,
+                RigState::Homing | RigState::Running | RigState::Moving | RigState::Stopping
+            ),
+            Response::GetCapsuleStatus(status) => moves(status.state),
+            Response::GetRunRecord(record) => record.outcome == RunOutcome::Running,
+            Response::Resume(_) => true,
+            _ => self.moves || impact == Impact::Motion,
+        };
+    }
+
+    /// The fault that is latched after everything that the operator has asked for: another stop may go out while the device
+    /// answers, and an emergency stop costs the position also of a machine that stands already.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn latched_fault(&mut self) -> Result<Option<String>, ClientError> {
+        loop {
+            let asked = self.interrupted();
+            let fault = match self.identity.map(|identity| identity.device) {
+                Some(DeviceKind::Capsule) => self.capsule_status()?.fault.map(|f| f.to_string()),
+                _ => self.rig_status()?.fault.map(|fault| fault.to_string()),
+            };
+            if self.interrupted() == asked {
+                return Ok(fault);
+            }
+        }
     }
 
     /// Asks, and waits for the answer as [`Device::answer`] does. What `may_repeat` is asked again while the owner of the
@@ -1498,9 +1560,24 @@ impl Device {
 /// machine does.
 pub(crate) fn while_moving(action: &'static str, error: ClientError) -> ClientError {
     match error {
-        ClientError::NoReply { place, .. } => ClientError::Silent { place, action },
+        ClientError::NoReply { place, .. } | ClientError::Silent { place, .. } => {
+            ClientError::Silent { place, action }
+        }
         error => error,
     }
+}
+
+/// After this event the machine stands, or brakes.
+fn is_end(event: &Event) -> bool {
+    matches!(
+        event.what,
+        What::Rig(
+            RigEvent::Homed { .. }
+                | RigEvent::RunEnded { .. }
+                | RigEvent::Stopped { .. }
+                | RigEvent::Faulted(_)
+        ) | What::Capsule(CapsuleEvent::Ended { .. })
+    )
 }
 
 /// What is left of a link that was given up.

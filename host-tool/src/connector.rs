@@ -10,6 +10,7 @@ use protocol::system::DeviceKind;
 
 use crate::commission::hands::Hands;
 use crate::door::lock::Doorway;
+use crate::door::server::GUESTS;
 use crate::door::window::Window;
 use crate::link::address::Address;
 use crate::link::serial::{self, Serial};
@@ -42,6 +43,8 @@ pub enum Purpose {
     Look,
     /// Nothing but a stop, which does not wait for a place that does not answer.
     Stop,
+    /// The same past the owner of the line, who has not brought it to the machine.
+    StopDirectly,
 }
 
 /// Opens links. Several threads may, so that a stop goes to all machines at once.
@@ -62,6 +65,12 @@ pub trait Connector: Sync {
     fn is_made_anew(&self, address: &Address) -> bool {
         let _ = address;
         false
+    }
+
+    /// Lock and door of the line there, where several processes share it.
+    fn doorway(&self, address: &Address) -> Option<Doorway> {
+        let _ = address;
+        None
     }
 
     /// The places where a machine may be, for `auto` and `devices`.
@@ -98,7 +107,7 @@ impl Purpose {
             // A diagnosis is there within 1 s, of which a silent machine takes 0.8 s to be called so.
             Self::Look => [200, 500, 500],
             // Whoever waits longer should be at the button.
-            Self::Stop => [1_000, 250, 250],
+            Self::Stop | Self::StopDirectly => [1_000, 250, 250],
         }
         .map(Duration::from_millis);
         Patience {
@@ -145,6 +154,14 @@ fn way_in(
             });
         }
         if let Ok(window) = Window::open(doorway, left) {
+            if window.is_full() && purpose != Purpose::Stop {
+                return Err(OpenError {
+                    place: doorway.place().to_owned(),
+                    reason: Reason::Busy,
+                    why: format!("{GUESTS} other processes look at it already"),
+                    remedy: "close a `watch` or a page that nobody needs; a stop goes through all the same".to_owned(),
+                });
+            }
             return Ok(Box::new(window));
         }
         thread::sleep(AGAIN);
@@ -211,19 +228,26 @@ impl Connector for Ports {
         let limit = purpose.patience().connect;
         let through =
             |doorway: &Doorway| way_in(doorway, purpose, &|| halves(address, baud, limit));
-        if purpose == Purpose::Stop {
-            // Whatever is wrong with lock or door, the stop goes the direct way.
-            if let Ok(Some(doorway)) = Doorway::of(address)
-                && let Ok(link) = through(&doorway)
-            {
-                return Ok(link);
+        let doorway = match (Doorway::of(address), purpose) {
+            // Whatever is wrong with lock or door, a stop goes the direct way.
+            (Err(_), Purpose::Stop | Purpose::StopDirectly) => None,
+            (doorway, _) => doorway?,
+        };
+        match (doorway, purpose) {
+            (Some(doorway), Purpose::Stop) => {
+                if let Ok(link) = through(&doorway) {
+                    return Ok(link);
+                }
             }
-            return direct(address, baud, limit);
+            (Some(_), Purpose::StopDirectly) | (None, _) => {}
+            (Some(doorway), _) => return through(&doorway),
         }
-        match Doorway::of(address)? {
-            Some(doorway) => through(&doorway),
-            None => direct(address, baud, limit),
-        }
+        direct(address, baud, limit)
+    }
+
+    fn doorway(&self, address: &Address) -> Option<Doorway> {
+        // Opening the line says what is wrong with its lock.
+        Doorway::of(address).ok().flatten()
     }
 
     fn candidates(&self) -> Vec<Candidate> {

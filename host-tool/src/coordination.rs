@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use crate::client::{Begun, Both, Clock, Device, KEEP_ALIVE_US, Observer};
 use crate::cue::{Coordination, Cue};
 use crate::error::ClientError;
-use crate::experiment::{self, ActuationTrial, ExperimentError, RunTrial};
+use crate::experiment::{self, ActuationTrial, ExperimentError, RunTrial, after_stops};
 use crate::identity::IdentityRecord;
 use crate::trial::{Action, Ending, Recorder, Recording, Screw, Trial};
 
@@ -83,6 +83,7 @@ pub fn run(
         Trial::new(action, device, recordings.actuation),
         recordings.actuation,
     )?;
+    capsule.records(Some(recorder.sidecar()));
     capsule.set_telemetry(recordings.actuation.telemetry_ms)?;
     capsule.take_telemetry();
     let mut partner = Partner {
@@ -292,15 +293,20 @@ impl Partner<'_> {
         );
         self.recorder.coordinated(coordination.clone());
         let lost = self.capsule.lost_events();
+        if let Ok(record) = &outcome {
+            let ending = Ending::Actuation(*record);
+            self.recorder.latched(after_stops(self.capsule, &ending));
+        }
         let finished = match &outcome {
             Ok(record) => self.recorder.finish(Ending::Actuation(*record), lost),
             Err(why) => self.recorder.finish(Ending::Lost(why.clone()), lost),
         };
         // What it still sends is thrown away.
-        let quiet = self.capsule.set_telemetry(0);
+        let _ = self.capsule.set_telemetry(0);
+        self.capsule.records(None);
         let trial = match (finished, outcome) {
             (Err(error), _) => Err(error.into()),
-            (Ok(trial), Ok(record)) => quiet.map_err(Into::into).map(|_| ActuationTrial {
+            (Ok(trial), Ok(record)) => Ok(ActuationTrial {
                 record,
                 trial,
                 csv,

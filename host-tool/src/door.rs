@@ -19,6 +19,8 @@
 //! device's end of a session of its own. It answers what it does not let through with
 //! [`protocol::error::WireError::Malformed`]. A guest need not wait for the welcome before it sends a stop.
 //!
+//! A guest beyond the most that may look is welcome to stop the machine and for nothing else: [`Welcome::full`] says so.
+//!
 //! An owner that only looks at the machine offers its line. A guest that knocks with [`Knock::wants_line`] gets it: the owner
 //! closes line and door, the guest opens the line, and the former owner comes back as a guest.
 //!
@@ -118,6 +120,9 @@ pub struct Welcome {
     /// The owner only looks: it gives the line up for a guest that wants it.
     #[serde(default)]
     pub yields: bool,
+    /// There are as many guests as may look: this one can only stop the machine.
+    #[serde(default)]
+    pub full: bool,
 }
 
 /// Whether the door lets a request through.

@@ -139,10 +139,10 @@ pub enum ClientError {
     },
 
     /// A request that changes nothing was not answered.
-    #[error("{place} did not answer {request}; the request changes nothing, so nothing was done")]
+    #[error("{place} did not answer {request}, which moves nothing")]
     #[diagnostic(
         code(retrograde::no_reply),
-        help("check cable and supply, then try again")
+        help("look whether the machine stands; check cable and supply, then try again")
     )]
     NoReply {
         /// What the link leads to.

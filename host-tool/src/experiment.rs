@@ -4,9 +4,13 @@ use std::path::PathBuf;
 
 use jiff::Timestamp;
 use miette::Diagnostic;
-use protocol::capsule::{ActuationKind, ActuationRecord, Calibrate, CheckFolded, FoldTo};
+use protocol::capsule::{
+    ActuationKind, ActuationOutcome, ActuationRecord, Calibrate, CheckFolded, FoldTo,
+};
 use protocol::error::Refusal;
-use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunAccepted, RunRecord, RunTiming};
+use protocol::rig::{
+    LinkLossPolicy, MoveAccepted, MoveTo, Run, RunAccepted, RunOutcome, RunRecord, RunTiming,
+};
 use protocol::system::{DeviceKind, Event, Identity};
 use protocol::table::Telemetry;
 
@@ -142,6 +146,7 @@ pub fn run(
     };
     let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    rig.records(Some(&sidecar));
     let outcome = (|| {
         rig.set_telemetry(recording.telemetry_ms)?;
         rig.take_telemetry();
@@ -186,6 +191,7 @@ pub fn move_to(
     };
     let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    rig.records(Some(&sidecar));
     let outcome = (|| {
         rig.set_telemetry(recording.telemetry_ms)?;
         // What a move before this one has left is not of this one.
@@ -291,6 +297,7 @@ pub fn actuate(
     };
     let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    capsule.records(Some(&sidecar));
     let outcome = (|| {
         capsule.set_telemetry(recording.telemetry_ms)?;
         capsule.take_telemetry();
@@ -385,6 +392,21 @@ fn verdict(ending: &Ending) -> String {
     }
 }
 
+/// The fault after the stops that ended an action or came right behind its end. One that cannot be asked for any more is
+/// not in the record.
+pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String> {
+    let is_stopped = match ending {
+        Ending::Run(record) => record.outcome == RunOutcome::Stopped,
+        Ending::Actuation(record) => record.outcome == ActuationOutcome::Stopped,
+        Ending::Move(moved) => moved.outcome == RunOutcome::Stopped,
+        Ending::Lost(_) => false,
+    };
+    if !is_stopped && device.interrupted().is_none() {
+        return None;
+    }
+    device.latched_fault().ok().flatten()
+}
+
 /// Writes the end of a trial, then stops the telemetry. A record that could not be written hides neither what the device
 /// did nor how it was lost.
 fn end<T>(
@@ -395,12 +417,27 @@ fn end<T>(
     ending: impl FnOnce(&T) -> Ending,
 ) -> Result<(Trial, T), ExperimentError> {
     let lost_events = device.lost_events();
+    let ended = finish(device, recorder, observer, outcome, ending, lost_events);
+    device.records(None);
+    ended
+}
+
+fn finish<T>(
+    device: &mut Device,
+    mut recorder: Recorder,
+    observer: &mut dyn Observer,
+    outcome: Result<T, ClientError>,
+    ending: impl FnOnce(&T) -> Ending,
+    lost_events: u32,
+) -> Result<(Trial, T), ExperimentError> {
     match outcome {
         Ok(value) => {
             let ending = ending(&value);
             let ended = verdict(&ending);
+            recorder.latched(after_stops(device, &ending));
             let finished = recorder.finish(ending, lost_events);
-            device.set_telemetry(0)?;
+            // The action has ended and is recorded. A device that does not answer now is found by whoever needs it next.
+            let _ = device.set_telemetry(0);
             match finished {
                 Ok(trial) => Ok((trial, value)),
                 Err(record) => Err(ExperimentError::Unrecorded { ended, record }),

@@ -9,9 +9,12 @@ pub mod serial;
 pub mod shared;
 pub mod tcp;
 
+use std::path::{Path, PathBuf};
+
 use protocol::system::{Identity, Urgent};
 
 use crate::door::Owner;
+use crate::door::lock::StopMark;
 use crate::door::server::Question;
 
 /// Why a link could not be opened, for programs.
@@ -120,7 +123,13 @@ pub trait Link: Send {
         let _ = identity;
     }
 
-    /// The strongest stop that another process has sent through this link so far.
+    /// What is ordered from now on was wanted when this was the line's last stop. If another one was sent since, it counts
+    /// as one that has just come.
+    fn ordered_at(&mut self, mark: StopMark) {
+        let _ = mark;
+    }
+
+    /// The strongest stop that another process has sent on this line so far.
     fn stopped(&mut self) -> Option<Urgent> {
         None
     }
@@ -137,6 +146,16 @@ pub trait Link: Send {
 
     /// Forgets the stops that other processes have sent so far.
     fn forget_stop(&mut self) {}
+
+    /// The file in which this process records from now on; see [`Link::left_record`].
+    fn records(&mut self, sidecar: Option<&Path>) {
+        let _ = sidecar;
+    }
+
+    /// The record of a process that had the line before this one and was killed.
+    fn left_record(&self) -> Option<PathBuf> {
+        None
+    }
 
     /// The next question of another process, to be asked between two requests.
     fn question(&mut self) -> Option<Question> {

@@ -9,6 +9,7 @@
 //!
 //! * [`access`]: who may do what.
 //! * `http`: the requests.
+//! * `connections`: which are served, and which one goes when there are too many.
 //! * `orders`: from the body of a request to what is to be done, by way of the command line.
 //! * `actions`: commands and what has become of them; each is executed once.
 //! * `keeper`: one machine: connection, orders, telemetry.
@@ -22,6 +23,7 @@ pub mod access;
 mod actions;
 mod board;
 mod campaign;
+mod connections;
 mod errands;
 pub mod http;
 mod keeper;
@@ -54,7 +56,7 @@ use crate::identity::kind_name;
 use crate::link::address::Address;
 use crate::serve::access::{Access, LEAST_TOKEN, new_token};
 use crate::serve::board::{Board, Machine};
-use crate::serve::errands::{Counts, Errand};
+use crate::serve::errands::{Errand, Questions};
 use crate::serve::http::App;
 use crate::serve::keeper::Keeper;
 
@@ -121,6 +123,7 @@ pub(crate) fn serve(
         access: Access::new(token.clone(), options.hosts),
         errands: errands.clone(),
         listing: Semaphore::new(1),
+        planning: Semaphore::new(1),
     });
 
     let plate = Plate::put_up(&json!({
@@ -136,7 +139,7 @@ pub(crate) fn serve(
     }
 
     let leaving = AtomicBool::new(false);
-    let counts = Counts::default();
+    let questions = Questions::default();
     thread::scope(|scope| {
         // Also when something panics here.
         let leave = Leave(&leaving, errands);
@@ -151,8 +154,8 @@ pub(crate) fn serve(
             };
             scope.spawn(move || keeper.keep());
         }
-        let (board, counts) = (&*board, &counts);
-        scope.spawn(move || errands::run(scope, finder, board, counts, &to_do));
+        let (board, questions) = (&*board, &questions);
+        scope.spawn(move || errands::run(scope, finder, board, questions, &to_do));
         runtime.spawn(http::listen(listener, http::router(Arc::clone(&app))));
         runtime.spawn(tell_states(Arc::clone(&app)));
         runtime.spawn(look_at_campaign(Arc::clone(&app), options.campaign));

@@ -348,6 +348,41 @@ impl Trial {
         }
     }
 
+    /// Notes how it ended.
+    pub(crate) fn end(&mut self, ending: Ending) {
+        match (&mut self.action, ending) {
+            (Action::Run { executed, .. }, Ending::Run(record)) => {
+                self.status = record.outcome.into();
+                if let RunOutcome::Faulted(fault) = record.outcome {
+                    self.error = Some(fault.to_string());
+                }
+                *executed = Some(Executed::from(&record));
+            }
+            (Action::Actuation { record: slot, .. }, Ending::Actuation(record)) => {
+                self.status = record.outcome.into();
+                if let ActuationOutcome::Faulted(fault) = record.outcome {
+                    self.error = Some(fault.to_string());
+                }
+                *slot = Some(record);
+            }
+            (_, Ending::Lost(error)) => {
+                self.status = Status::Unknown;
+                self.error = Some(error);
+            }
+            (Action::Move { moved: slot, .. }, Ending::Move(moved)) => {
+                self.status = moved.outcome.into();
+                if let RunOutcome::Faulted(fault) = moved.outcome {
+                    self.error = Some(fault.to_string());
+                }
+                *slot = Some(moved);
+            }
+            (_, Ending::Run(_) | Ending::Actuation(_) | Ending::Move(_)) => {
+                self.status = Status::Unknown;
+                self.error = Some("the record of another kind of action".to_owned());
+            }
+        }
+    }
+
     /// Reads a sidecar.
     ///
     /// # Errors
@@ -472,6 +507,8 @@ pub struct Recorder {
     failed: Option<RecordError>,
     /// The observer has heard of an error.
     told: bool,
+    /// The fault that was latched when the action had ended.
+    latched: Option<String>,
 }
 
 impl Recorder {
@@ -504,6 +541,7 @@ impl Recorder {
             trial,
             failed: None,
             told: false,
+            latched: None,
         })
     }
 
@@ -522,6 +560,12 @@ impl Recorder {
     /// Notes when the trial began.
     pub(crate) fn coordinated(&mut self, coordination: Coordination) {
         self.trial.coordination = Some(coordination);
+    }
+
+    /// Notes the fault that is latched after an action that was stopped: an emergency stop that comes when the machine stands
+    /// already is not in the device's record, and costs the position all the same.
+    pub(crate) fn latched(&mut self, fault: Option<String>) {
+        self.latched = fault;
     }
 
     /// The first error in writing, as soon as it is known and once only: whoever watches the trial should hear of it while
@@ -549,36 +593,10 @@ impl Recorder {
     /// # Errors
     /// The first error in writing, including those during the trial.
     pub fn finish(mut self, ending: Ending, lost_events: u32) -> Result<Trial, RecordError> {
-        match (&mut self.trial.action, ending) {
-            (Action::Run { executed, .. }, Ending::Run(record)) => {
-                self.trial.status = record.outcome.into();
-                if let RunOutcome::Faulted(fault) = record.outcome {
-                    self.trial.error = Some(fault.to_string());
-                }
-                *executed = Some(Executed::from(&record));
-            }
-            (Action::Actuation { record: slot, .. }, Ending::Actuation(record)) => {
-                self.trial.status = record.outcome.into();
-                if let ActuationOutcome::Faulted(fault) = record.outcome {
-                    self.trial.error = Some(fault.to_string());
-                }
-                *slot = Some(record);
-            }
-            (_, Ending::Lost(error)) => {
-                self.trial.status = Status::Unknown;
-                self.trial.error = Some(error);
-            }
-            (Action::Move { moved: slot, .. }, Ending::Move(moved)) => {
-                self.trial.status = moved.outcome.into();
-                if let RunOutcome::Faulted(fault) = moved.outcome {
-                    self.trial.error = Some(fault.to_string());
-                }
-                *slot = Some(moved);
-            }
-            (_, Ending::Run(_) | Ending::Actuation(_) | Ending::Move(_)) => {
-                self.trial.status = Status::Unknown;
-                self.trial.error = Some("the record of another kind of action".to_owned());
-            }
+        self.trial.end(ending);
+        if let Some(fault) = self.latched.take() {
+            self.trial.status = Status::Faulted;
+            self.trial.error = Some(fault);
         }
         self.trial.lost_events = lost_events;
         self.flush();

@@ -33,9 +33,9 @@
 //! body are postcard's varints; a receiver also accepts one with superfluous bytes of zero, no sender makes it, and for the
 //! cache it is another request.
 //!
-//! While the machine moves, the device counts how long its host has been silent. A Hello, a request of the session (a
-//! repeated one, too) and a stop are signs of life. A frame of another session, a body that is no request, and whatever
-//! only devices send, such as an echo on a shorted line, are none.
+//! While the machine moves, the device counts how long the host that began the motion has been silent. A request of its
+//! session is a sign of life, a repeated one, too. A newer session, a stop, a body that is no request, and whatever only
+//! devices send, such as an echo on a shorted line, are none.
 //!
 //! # Compatibility
 //!

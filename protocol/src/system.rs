@@ -228,7 +228,7 @@ pub enum What {
 }
 
 /// A stop: valid at any time, in any session, in any state. The encoding of this message never changes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Urgent {
     /// Category-1 stop: decelerate, keep the position (rig); motor off, worm holds (capsule).

@@ -3,11 +3,14 @@
 //! Virtual time passes only on request: in the `receive` of [`crate::link::VirtualLink`] or in [`Bench::advance_us`].
 //! Between two such calls the machine is paused, and [`Bench::visit`] may inspect and change it. Nothing depends on the
 //! wall clock or on how the host schedules its threads.
+//!
+//! The exception is a machine that is served: it lives in real time, on its own thread, until its last handle is gone.
 
 use std::path::PathBuf;
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
+use std::time::{Duration, Instant};
 
 use rigless::emulator::{self, Driver, Host, Settled, Start, Stop};
 use rigless::image::Image;
@@ -18,6 +21,7 @@ use rigless::time::VirtualNanos;
 use crate::bus::BusReport;
 use crate::emulator::{ChipOptions, CutAt, Emulator, Wiring};
 use crate::log::{Log, Tap};
+use crate::pace::{Pace, Slow, Turn};
 use crate::serial::Serial;
 
 /// Why the bench could not be set up, or stopped working.
@@ -205,6 +209,38 @@ impl<W: Wiring> Visit<'_, W> {
 
 type Visitor<W> = Box<dyn FnOnce(&mut Visit<'_, W>) + Send>;
 
+/// What a machine that lives in real time is connected to.
+pub(crate) trait Outside<W>: Send {
+    /// The machine has run for a piece: it has sent `bytes`, and has lost so much time in all.
+    fn turn(&mut self, board: &W, bytes: &[u8], lost_us: u64);
+
+    /// The computer was too slow for the machine.
+    fn fell_behind(&mut self, slow: Slow);
+}
+
+/// A machine's life in real time.
+struct Life<W> {
+    began: Instant,
+    pace: Pace,
+    outside: Box<dyn Outside<W>>,
+}
+
+impl<W> Life<W> {
+    fn elapsed_us(&self) -> u64 {
+        self.began.elapsed().as_micros() as u64
+    }
+}
+
+/// Gives a machine that lives in real time what comes for it.
+pub(crate) struct Ear<W: Wiring>(Sender<Job<W>>);
+
+impl<W: Wiring> Ear<W> {
+    /// Wakes the machine for these bytes. False if it is gone.
+    pub(crate) fn hear(&self, bytes: Vec<u8>) -> bool {
+        self.0.send(Job::Hear(bytes)).is_ok()
+    }
+}
+
 enum Job<W: Wiring> {
     /// Put `bytes` on the line and run to `until_ns`; with `eager`, only until the machine has sent a whole frame: there is
     /// nothing that the host could do with part of one.
@@ -218,6 +254,10 @@ enum Job<W: Wiring> {
     PowerCycle {
         off_ns: u64,
     },
+    /// Live in real time from now on.
+    Live(Box<dyn Outside<W>>),
+    /// Put these bytes on the line of a machine that lives in real time.
+    Hear(Vec<u8>),
 }
 
 enum Reply {
@@ -239,6 +279,17 @@ struct Conductor<W: Wiring> {
     resets: usize,
     /// The flash to start again from, and when, after a cut of the supply.
     power_cycle: Option<(Vec<u8>, u64)>,
+    life: Option<Life<W>>,
+}
+
+/// What comes after a job.
+enum After {
+    /// The next job.
+    Wait,
+    /// The machine runs.
+    Run,
+    /// The emulator ends.
+    End,
 }
 
 impl<W: Wiring> Conductor<W> {
@@ -280,6 +331,9 @@ impl<W: Wiring> Driver<Emulator<W>> for Conductor<W> {
         if now_ns < self.until_ns && !(self.eager && self.line().has_sent_frame()) {
             return Some(self.next_instant(now_ns));
         }
+        if self.life.is_some() {
+            return self.live(session, stop, host, now_ns);
+        }
         let bytes = self.line().take();
         let paused = Reply::Paused {
             at_ns: now_ns,
@@ -287,40 +341,133 @@ impl<W: Wiring> Driver<Emulator<W>> for Conductor<W> {
         };
         self.replies.send(paused).ok()?;
         loop {
-            match self.jobs.recv().ok()? {
-                Job::Run {
-                    until_ns,
-                    eager,
-                    bytes,
-                } => {
-                    self.line().put(&bytes);
-                    self.until_ns = until_ns;
-                    self.eager = eager;
-                    if until_ns <= now_ns {
-                        let bytes = self.line().take();
-                        let at_ns = now_ns;
-                        self.replies.send(Reply::Paused { at_ns, bytes }).ok()?;
-                        continue;
-                    }
-                    return Some(self.next_instant(now_ns));
+            let job = self.jobs.recv().ok()?;
+            match self.carry_out(job, session, stop, host, now_ns) {
+                After::Wait => {}
+                After::Run => return Some(self.next_instant(now_ns)),
+                After::End => return None,
+            }
+            if self.life.is_some() {
+                return self.live(session, stop, host, now_ns);
+            }
+        }
+    }
+}
+
+impl<W: Wiring> Conductor<W> {
+    fn carry_out(
+        &mut self,
+        job: Job<W>,
+        session: &mut Session<Emulator<W>>,
+        stop: Stop,
+        host: &mut dyn Host,
+        now_ns: u64,
+    ) -> After {
+        match job {
+            Job::Run {
+                until_ns,
+                eager,
+                bytes,
+            } => {
+                self.line().put(&bytes);
+                // A machine that lives in real time lets nobody else push its clock.
+                if until_ns <= now_ns || self.life.is_some() {
+                    let bytes = self.line().take();
+                    let at_ns = now_ns;
+                    return self.reply(Reply::Paused { at_ns, bytes });
                 }
-                Job::Visit(visitor) => {
-                    visitor(&mut Visit {
-                        session,
-                        host,
-                        tap: &mut self.tap,
-                        serial: &self.serial,
-                        stop,
-                        epoch_ns: self.epoch_ns,
-                    });
-                    session.board_mut().refresh(stop.at);
-                    self.replies.send(Reply::Visited).ok()?;
+                self.until_ns = until_ns;
+                self.eager = eager;
+                After::Run
+            }
+            Job::Visit(visitor) => {
+                visitor(&mut Visit {
+                    session,
+                    host,
+                    tap: &mut self.tap,
+                    serial: &self.serial,
+                    stop,
+                    epoch_ns: self.epoch_ns,
+                });
+                session.board_mut().refresh(stop.at);
+                self.reply(Reply::Visited)
+            }
+            Job::PowerCycle { off_ns } => {
+                let flash = crate::emulator::cut_supply(session, host);
+                self.power_cycle = Some((flash, now_ns + off_ns));
+                After::End
+            }
+            Job::Live(outside) => {
+                self.eager = false;
+                self.life = Some(Life {
+                    began: Instant::now(),
+                    pace: Pace::new(now_ns / 1_000),
+                    outside,
+                });
+                self.reply(Reply::Visited)
+            }
+            Job::Hear(bytes) => {
+                self.line().put(&bytes);
+                if let Some(life) = &mut self.life {
+                    life.pace.hurry();
                 }
-                Job::PowerCycle { off_ns } => {
-                    let flash = crate::emulator::cut_supply(session, host);
-                    self.power_cycle = Some((flash, now_ns + off_ns));
-                    return None;
+                After::Wait
+            }
+        }
+    }
+
+    fn reply(&self, reply: Reply) -> After {
+        match self.replies.send(reply) {
+            Ok(()) => After::Wait,
+            Err(_) => After::End,
+        }
+    }
+
+    /// The end of a piece of a machine's life in real time: hands out what it has sent, and waits for its next piece or for
+    /// whatever comes first. Answers when the machine is to stop next.
+    fn live(
+        &mut self,
+        session: &mut Session<Emulator<W>>,
+        stop: Stop,
+        host: &mut dyn Host,
+        now_ns: u64,
+    ) -> Option<VirtualNanos> {
+        let sent: Vec<u8> = self
+            .line()
+            .take()
+            .into_iter()
+            .map(|(_, byte)| byte)
+            .collect();
+        let life = self.life.as_mut()?;
+        let lost_us = life.pace.lost_us();
+        let board = session.board().seen_wiring();
+        life.outside.turn(board, &sent, lost_us);
+        let mut waited = None;
+        loop {
+            // All that has come by now, first.
+            while let Some(job) = waited.take().or_else(|| self.jobs.try_recv().ok()) {
+                match self.carry_out(job, session, stop, host, now_ns) {
+                    After::Wait => {}
+                    After::Run => return Some(self.next_instant(now_ns)),
+                    After::End => return None,
                 }
+            }
+            let life = self.life.as_mut()?;
+            let elapsed_us = life.elapsed_us();
+            if let Some(slow) = life.pace.report(elapsed_us) {
+                life.outside.fell_behind(slow);
+            }
+            match life.pace.turn(elapsed_us, now_ns / 1_000) {
+                Turn::Run(until_us) => {
+                    // Pieces are as short as the line needs them: no stop in between.
+                    self.until_ns = until_us * 1_000;
+                    return Some(VirtualNanos(self.until_ns - self.epoch_ns));
+                }
+                Turn::Rest(us) => match self.jobs.recv_timeout(Duration::from_micros(us)) {
+                    Ok(job) => waited = Some(job),
+                    Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => return None,
+                },
             }
         }
     }
@@ -477,6 +624,7 @@ impl<W: Wiring> Bench<W> {
             epoch_ns: 0,
             resets: 0,
             power_cycle: None,
+            life: None,
         };
         thread::Builder::new()
             .name("emulator".into())
@@ -536,6 +684,14 @@ impl<W: Wiring> Bench<W> {
         answered
             .recv()
             .map_err(|_| BenchError::Ended("the visit did not answer".into()))
+    }
+
+    /// Lets the machine live in real time from now on, connected to `outside`, which is dropped when the machine ends. Nothing but
+    /// visits and cuts of the supply goes to it any more except through the ear.
+    pub(crate) fn live(&self, outside: Box<dyn Outside<W>>) -> Result<Ear<W>, BenchError> {
+        let mut cable = self.cable();
+        cable.ask(Job::Live(outside))?;
+        Ok(Ear(cable.jobs.clone()))
     }
 
     /// Cuts the supply for `off_us`: the flash keeps its contents, RAM and registers do not. The mechanics do not move.

@@ -665,6 +665,14 @@ impl<W: Wiring> Emulator<W> {
         self.chip.wiring.as_mut().expect("between two looks")
     }
 
+    /// The board, to be looked at only.
+    ///
+    /// # Panics
+    /// As [`Emulator::wiring`].
+    pub(crate) fn seen_wiring(&self) -> &W {
+        self.chip.wiring.as_ref().expect("between two looks")
+    }
+
     pub(crate) fn take_wiring(&mut self) -> Option<W> {
         self.chip.wiring.take().map(|wiring| *wiring)
     }

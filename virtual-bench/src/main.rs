@@ -16,7 +16,6 @@ use virtual_bench::demo::{self, DemoOptions};
 use virtual_bench::emulator::Wiring;
 use virtual_bench::figures;
 use virtual_bench::hands::{BenchHands, HandsServer, Machine, Plug};
-use virtual_bench::link::VirtualLink;
 use virtual_bench::plants::capsule::Parameters;
 use virtual_bench::plants::rig::RigOptions;
 use virtual_bench::population;
@@ -172,10 +171,7 @@ fn serve_one<W: Wiring>(
 ) -> Result<thread::JoinHandle<Result<(), BenchError>>, BenchError> {
     let server = Server::listen(port)?;
     eprintln!("{name}: --{name} tcp:127.0.0.1:{}", server.port());
-    Ok(thread::spawn(move || {
-        let mut link = VirtualLink::new(&bench, name);
-        server.serve(&mut link, &plug)
-    }))
+    Ok(thread::spawn(move || server.serve(&bench, name, &plug)))
 }
 
 fn lend_hands(

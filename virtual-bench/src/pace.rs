@@ -1,46 +1,104 @@
 //! Real time for a machine whose time is virtual: how far it may run now. A computer that is too slow makes the machine slow, not
 //! later and later.
+//!
+//! Nothing here reads a clock: whoever keeps the pace says how much of the computer's time has passed.
 
-use std::time::Instant;
+use std::fmt;
 
-/// Longest piece in one go: between two of them the line is looked at.
+/// Piece in one go: between two of them the line is looked at, and the thread sleeps.
 const TURN_US: u64 = 1_000;
 /// So far may the machine's time be behind before that is given up: nobody waits for an answer that long.
 const MOST_LATE_US: u64 = 100_000;
+/// Interval between two reports of lost time.
+const REPORT_US: u64 = 5_000_000;
+
+/// What a machine does next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Turn {
+    /// Run until its clock shows this, us.
+    Run(u64),
+    /// Nothing for so long, us, unless something comes for it.
+    Rest(u64),
+}
+
+/// Time that a machine has lost because the computer was too slow for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Slow {
+    /// How much, us.
+    pub(crate) lost_us: u64,
+    /// In how long, us.
+    pub(crate) of_us: u64,
+}
+
+impl fmt::Display for Slow {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let seconds = |us: u64| us as f64 / 1e6;
+        write!(
+            f,
+            "this computer is too slow for it: {:.2} s of the last {:.1} s are lost, as if they had not been",
+            seconds(self.lost_us),
+            seconds(self.of_us)
+        )
+    }
+}
 
 /// Keeps a machine's time beside the computer's.
 #[derive(Debug)]
 pub(crate) struct Pace {
-    began: Instant,
     epoch_us: u64,
     lost_us: u64,
+    /// Something has come for the machine: it gets it before a whole piece is due.
+    hurried: bool,
+    /// When and with how much lost time the last report ended.
+    reported: (u64, u64),
 }
 
 impl Pace {
-    /// From now on, when the machine's clock shows `now_us`.
+    /// From the computer's time 0 on, when the machine's clock shows `now_us`.
     pub(crate) fn new(now_us: u64) -> Self {
         Self {
-            began: Instant::now(),
             epoch_us: now_us,
             lost_us: 0,
+            hurried: false,
+            reported: (0, 0),
         }
     }
 
-    /// Until when the machine may run, by its clock, which shows `now_us`; none if it is early.
-    pub(crate) fn until_us(&mut self, now_us: u64) -> Option<u64> {
-        self.after(self.began.elapsed().as_micros() as u64, now_us)
-    }
-
-    fn after(&mut self, elapsed_us: u64, now_us: u64) -> Option<u64> {
+    /// What the machine, whose clock shows `now_us`, does next; `elapsed_us` of the computer's time have passed.
+    pub(crate) fn turn(&mut self, elapsed_us: u64, now_us: u64) -> Turn {
         let due_us = self.epoch_us + elapsed_us.saturating_sub(self.lost_us);
         let late_us = due_us.saturating_sub(now_us);
         self.lost_us += late_us.saturating_sub(MOST_LATE_US);
-        (late_us > 0).then(|| now_us + late_us.min(TURN_US))
+        let hurried = std::mem::take(&mut self.hurried);
+        if late_us >= TURN_US || hurried && late_us > 0 {
+            return Turn::Run(now_us + late_us.min(TURN_US));
+        }
+        let early_us = now_us.saturating_sub(due_us);
+        Turn::Rest(early_us + TURN_US - late_us)
+    }
+
+    /// Something has come for the machine: it runs as far as it may at once.
+    pub(crate) fn hurry(&mut self) {
+        self.hurried = true;
     }
 
     /// By how much the machine has fallen behind for good, us.
     pub(crate) fn lost_us(&self) -> u64 {
         self.lost_us
+    }
+
+    /// What was lost since the last report, if one is due and there is something to tell.
+    pub(crate) fn report(&mut self, elapsed_us: u64) -> Option<Slow> {
+        let (since_us, lost_us) = self.reported;
+        if elapsed_us.saturating_sub(since_us) < REPORT_US {
+            return None;
+        }
+        self.reported = (elapsed_us, self.lost_us);
+        let slow = Slow {
+            lost_us: self.lost_us - lost_us,
+            of_us: elapsed_us - since_us,
+        };
+        (slow.lost_us > 0).then_some(slow)
     }
 }
 
@@ -48,35 +106,102 @@ impl Pace {
 mod tests {
     use super::*;
 
-    /// Lets a machine run for 10 s of the computer's time; each ms of its own takes `cost_us`. Its time, and what was lost.
-    fn lived(cost_us: u64) -> (u64, u64) {
-        let (mut pace, mut elapsed_us, mut now_us) = (Pace::new(5_000), 0, 5_000);
+    const BEGAN_US: u64 = 5_000;
+
+    /// Ten seconds of the computer's time.
+    struct Lived {
+        /// The machine's own.
+        us: u64,
+        pace: Pace,
+        pieces: u64,
+        rests: u64,
+        reports: Vec<Slow>,
+    }
+
+    /// Lets a machine run; each ms of its own takes `cost_us`, and a rest lasts `overslept_us` too long.
+    fn lived(cost_us: u64, overslept_us: u64) -> Lived {
+        let (mut elapsed_us, mut now_us) = (0, BEGAN_US);
+        let mut lived = Lived {
+            us: 0,
+            pace: Pace::new(now_us),
+            pieces: 0,
+            rests: 0,
+            reports: vec![],
+        };
         while elapsed_us < 10_000_000 {
-            match pace.after(elapsed_us, now_us) {
-                Some(until_us) => {
-                    assert!(until_us - now_us <= TURN_US);
+            match lived.pace.turn(elapsed_us, now_us) {
+                Turn::Run(until_us) => {
+                    assert!(until_us > now_us && until_us - now_us <= TURN_US);
                     elapsed_us += (until_us - now_us) * cost_us / 1_000;
                     now_us = until_us;
+                    lived.pieces += 1;
                 }
-                None => elapsed_us += 200,
+                Turn::Rest(us) => {
+                    assert!((1..=TURN_US).contains(&us));
+                    elapsed_us += us + overslept_us;
+                    lived.rests += 1;
+                }
             }
-            let behind_us = (5_000 + elapsed_us - pace.lost_us()).saturating_sub(now_us);
+            let due_us = BEGAN_US + elapsed_us - lived.pace.lost_us();
+            let behind_us = due_us.saturating_sub(now_us);
             assert!(behind_us <= MOST_LATE_US + 10 * cost_us, "{behind_us}");
+            lived.reports.extend(lived.pace.report(elapsed_us));
         }
-        (now_us - 5_000, pace.lost_us())
+        lived.us = now_us - BEGAN_US;
+        lived
     }
 
     #[test]
-    fn a_quick_emulator_keeps_real_time() {
-        let (lived_us, lost_us) = lived(400);
-        assert!(lived_us.abs_diff(10_000_000) <= 1_000, "{lived_us}");
-        assert_eq!(lost_us, 0);
+    fn a_quick_emulator_keeps_real_time_and_rests_once_for_each_piece() {
+        for (cost_us, overslept_us) in [(1, 0), (30, 60), (400, 0), (900, 60), (400, 7_000)] {
+            let lived = lived(cost_us, overslept_us);
+            let limit_us = 2 * TURN_US + overslept_us;
+            assert!(lived.us.abs_diff(10_000_000) <= limit_us, "{}", lived.us);
+            assert_eq!(lived.pace.lost_us(), 0);
+            assert_eq!(lived.reports, []);
+            assert!(lived.pieces <= 10_000, "{} pieces", lived.pieces);
+            assert!(lived.rests <= lived.pieces + 1, "{} rests", lived.rests);
+        }
     }
 
     #[test]
     fn a_slow_one_is_slow_and_not_later_and_later() {
-        let (lived_us, lost_us) = lived(2_000);
-        assert!(lived_us.abs_diff(5_000_000) <= 10_000, "{lived_us}");
-        assert!((lived_us + lost_us).abs_diff(10_000_000) <= 2 * MOST_LATE_US);
+        let lived = lived(2_000, 0);
+        assert!(lived.us.abs_diff(5_000_000) <= 10_000, "{}", lived.us);
+        let lost_us = lived.pace.lost_us();
+        assert!((lived.us + lost_us).abs_diff(10_000_000) <= 2 * MOST_LATE_US);
+        assert_eq!(lived.rests, 1);
+        // Half of the time is lost, and each report says so.
+        assert_eq!(lived.reports.len(), 2);
+        for Slow { lost_us, of_us } in lived.reports {
+            assert!(lost_us.abs_diff(of_us / 2) <= 2 * MOST_LATE_US, "{lost_us}");
+        }
+    }
+
+    #[test]
+    fn what_comes_for_it_does_not_wait_for_a_whole_piece() {
+        let mut pace = Pace::new(BEGAN_US);
+        assert_eq!(pace.turn(400, BEGAN_US), Turn::Rest(600));
+        pace.hurry();
+        assert_eq!(pace.turn(401, BEGAN_US), Turn::Run(BEGAN_US + 401));
+        assert_eq!(pace.turn(402, BEGAN_US + 401), Turn::Rest(999));
+        // One that is early cannot run, and is not in a hurry afterwards.
+        pace.hurry();
+        assert_eq!(pace.turn(500, BEGAN_US + 700), Turn::Rest(1_200));
+        assert_eq!(pace.turn(900, BEGAN_US + 700), Turn::Rest(800));
+    }
+
+    #[test]
+    fn a_computer_that_was_away_is_told_once() {
+        let mut pace = Pace::new(0);
+        assert_eq!(pace.turn(3_000_000, 0), Turn::Run(TURN_US));
+        assert_eq!(pace.lost_us(), 3_000_000 - MOST_LATE_US);
+        assert_eq!(pace.report(4_000_000), None);
+        let told = Slow {
+            lost_us: 2_900_000,
+            of_us: 5_000_000,
+        };
+        assert_eq!(pace.report(5_000_000), Some(told));
+        assert_eq!(pace.report(10_000_000), None);
     }
 }

@@ -1,22 +1,30 @@
 //! Serves a machine on TCP in real time, like a serial port.
+//!
+//! The machine lives on its own thread and writes to its client from there; a second thread sleeps until a client comes, and a
+//! third one until that sends something.
 
-use std::io::{ErrorKind, Read, Write};
-use std::net::{TcpListener, TcpStream};
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::mpsc::{Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
 use std::time::Duration;
 
-use host_tool::link::Link;
-
-use crate::bench::BenchError;
+use crate::bench::{Bench, BenchError, Ear, Outside};
+use crate::emulator::Wiring;
 use crate::hands::Plug;
-use crate::pace::Pace;
+use crate::pace::Slow;
 
-/// Interval between two looks at the socket while the machine is early.
-const REST: Duration = Duration::from_micros(500);
+/// So long may a client leave its line full: the machine does not wait for it.
+const PATIENCE: Duration = Duration::from_millis(1);
 
 /// A machine behind a port of the loopback interface.
 pub struct Server {
     listener: TcpListener,
 }
+
+/// The client, if there is one.
+type Client = Arc<Mutex<Option<TcpStream>>>;
 
 impl Server {
     /// Listens on `port`, or on a free one if it is 0.
@@ -24,12 +32,11 @@ impl Server {
     /// # Errors
     /// [`BenchError::Listen`] when the port is taken.
     pub fn listen(port: u16) -> Result<Self, BenchError> {
-        let refused = |why| BenchError::Listen {
-            address: format!("127.0.0.1:{port}"),
-            why,
-        };
-        let listener = TcpListener::bind(("127.0.0.1", port)).map_err(refused)?;
-        listener.set_nonblocking(true).map_err(refused)?;
+        let listener =
+            TcpListener::bind(("127.0.0.1", port)).map_err(|why| BenchError::Listen {
+                address: format!("127.0.0.1:{port}"),
+                why,
+            })?;
         Ok(Self { listener })
     }
 
@@ -41,64 +48,105 @@ impl Server {
             .map_or(0, |address| address.port())
     }
 
-    /// Runs the machine behind `link` forever, for one client at a time: the latest to connect. Connecting and
+    /// Lets the machine called `name` live in real time forever, for one client at a time: the latest to connect. Connecting and
     /// disconnecting have no effect on the machine. While `plug` is out there is no client, and what the machine sends is
     /// lost.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the machine is gone.
-    pub fn serve(&self, link: &mut dyn Link, plug: &Plug) -> Result<(), BenchError> {
-        let mut pace = Pace::new(link.now_us());
-        let mut client: Option<TcpStream> = None;
-        let mut buffer = [0; 4096];
-        loop {
-            if let Ok((stream, _)) = self.listener.accept()
-                && stream.set_nonblocking(true).is_ok()
-            {
-                let _ = stream.set_nodelay(true);
-                client = Some(stream);
-            }
-            if !plug.is_in() {
-                client = None;
-            }
-            let heard = client
-                .as_mut()
-                .map_or(Ok(0), |client| read(client, &mut buffer));
-            match heard {
-                Ok(count) if count > 0 => {
-                    link.send(&buffer[..count]).map_err(ended)?;
-                }
-                Ok(_) => {}
-                Err(_) => client = None,
-            }
-            let Some(until_us) = pace.until_us(link.now_us()) else {
-                std::thread::sleep(REST);
-                continue;
-            };
-            let count = link.receive(&mut buffer, until_us).map_err(ended)?;
-            let written = client
-                .as_mut()
-                .map_or(Ok(()), |client| write(client, &buffer[..count]));
-            if written.is_err() {
-                client = None;
-            }
+    pub fn serve<W: Wiring>(
+        self,
+        bench: &Bench<W>,
+        name: &'static str,
+        plug: &Plug,
+    ) -> Result<(), BenchError> {
+        let client = Client::default();
+        let (alive, end) = channel();
+        let ear = bench.live(Box::new(Port {
+            name,
+            client: Arc::clone(&client),
+            plug: plug.clone(),
+            _alive: alive,
+        }))?;
+        let plug = plug.clone();
+        thread::spawn(move || accept(&self.listener, &client, &Arc::new(ear), &plug));
+        // Nobody ever sends anything: this returns when the machine drops its end.
+        let _ = end.recv();
+        bench.visit(|_| ())
+    }
+}
+
+fn held(client: &Client) -> MutexGuard<'_, Option<TcpStream>> {
+    client.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Ends the connection, which also wakes the thread that waits for its bytes.
+fn hang_up(client: &mut Option<TcpStream>) {
+    if let Some(stream) = client.take() {
+        let _ = stream.shutdown(Shutdown::Both);
+    }
+}
+
+fn accept<W: Wiring>(listener: &TcpListener, client: &Client, ear: &Arc<Ear<W>>, plug: &Plug) {
+    for stream in listener.incoming() {
+        let Ok(stream) = stream else {
+            // Out of descriptors, say: without a rest this would be a loop that does nothing else.
+            thread::sleep(PATIENCE);
+            continue;
+        };
+        let ready = stream
+            .set_nodelay(true)
+            .and_then(|()| stream.set_write_timeout(Some(PATIENCE)))
+            .and_then(|()| stream.try_clone());
+        let Ok(reading) = ready else { continue };
+        {
+            let mut client = held(client);
+            hang_up(&mut client);
+            *client = Some(stream);
+        }
+        let (ear, plug) = (Arc::clone(ear), plug.clone());
+        thread::spawn(move || hear(reading, &ear, &plug));
+    }
+}
+
+/// Passes on what a client sends, until it is gone. Its successor does not wait for that.
+fn hear<W: Wiring>(mut client: TcpStream, ear: &Ear<W>, plug: &Plug) {
+    let mut buffer = [0; 4_096];
+    while let Ok(count @ 1..) = client.read(&mut buffer) {
+        if plug.is_in() && !ear.hear(buffer[..count].to_vec()) {
+            return;
         }
     }
+    // The machine's end of the line finds out when it writes.
+    let _ = client.shutdown(Shutdown::Both);
 }
 
-fn ended(why: impl std::fmt::Display) -> BenchError {
-    BenchError::Ended(why.to_string())
+/// The machine's end of the line.
+struct Port {
+    name: &'static str,
+    client: Client,
+    plug: Plug,
+    /// Dropped with the machine.
+    _alive: Sender<()>,
 }
 
-fn read(client: &mut TcpStream, buffer: &mut [u8]) -> std::io::Result<usize> {
-    match client.read(buffer) {
-        Ok(0) => Err(ErrorKind::UnexpectedEof.into()),
-        Err(why) if matches!(why.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => Ok(0),
-        other => other,
+impl<W> Outside<W> for Port {
+    fn turn(&mut self, _: &W, bytes: &[u8], _: u64) {
+        let pulled = !self.plug.is_in();
+        if bytes.is_empty() && !pulled {
+            return;
+        }
+        let mut client = held(&self.client);
+        let written = client.as_mut().map_or(Ok(()), |client| {
+            // A client that does not read loses its connection, so the machine is not delayed.
+            client.write_all(bytes)
+        });
+        if pulled || written.is_err() {
+            hang_up(&mut client);
+        }
     }
-}
 
-/// Does not block: a client that does not read loses its connection, so the machine is not delayed.
-fn write(client: &mut TcpStream, bytes: &[u8]) -> std::io::Result<()> {
-    client.write_all(bytes)
+    fn fell_behind(&mut self, slow: Slow) {
+        eprintln!("{}: {slow}", self.name);
+    }
 }

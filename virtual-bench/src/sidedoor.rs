@@ -2,7 +2,6 @@
 
 use std::fs::{File, Permissions};
 use std::io::{Read, Seek, Write};
-use std::os::fd::OwnedFd;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -10,15 +9,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use host_tool::link::Link;
 use rustix::fs::{OFlags, fcntl_setfl};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::Value;
 
-use crate::bench::{Bench, BenchError};
+use crate::bench::{BenchError, Ear, Outside};
 use crate::boards::rig::{self, RigBoard};
-use crate::link::VirtualLink;
-use crate::pace::Pace;
+use crate::pace::Slow;
 use crate::plants::rig::RigOptions;
 
 /// Emergency stops unless told.
@@ -93,9 +90,17 @@ impl Rig {
         let port = ptsname(&master, vec![])?.to_string_lossy().into_owned();
         fcntl_setfl(&master, OFlags::NONBLOCK)?;
         let seen = Arc::new(Mutex::new(Seen::default()));
-        let shown = Arc::clone(&seen);
-        // It ends with the process.
-        thread::spawn(move || serve(&bench, master, &shown));
+        let line = File::from(master);
+        let typed = line.try_clone()?;
+        let ear = bench.live(Box::new(Terminal {
+            line,
+            seen: Arc::clone(&seen),
+        }))?;
+        // It ends with the process, and so does the rig, whose handle it keeps.
+        thread::spawn(move || {
+            hear(typed, &ear);
+            drop(bench);
+        });
         Ok(Self {
             port,
             seen,
@@ -178,33 +183,44 @@ fn ends(mut process: Process, args: &[&str], wanted: i32) -> Result<(), DoorErro
     )))
 }
 
-/// Lets the rig live in real time, for ever.
-fn serve(bench: &Bench<RigBoard>, master: OwnedFd, shown: &Mutex<Seen>) -> Result<(), BenchError> {
-    let ended = |why: &dyn std::fmt::Display| BenchError::Ended(why.to_string());
-    let mut link = VirtualLink::new(bench, "virtual rig");
-    let mut terminal = File::from(master);
-    let mut pace = Pace::new(link.now_us());
-    let mut bytes = [0; 4_096];
-    loop {
-        if let Ok(count @ 1..) = terminal.read(&mut bytes) {
-            link.send(&bytes[..count]).map_err(|why| ended(&why))?;
+/// The other end of the rig's line.
+struct Terminal {
+    line: File,
+    seen: Arc<Mutex<Seen>>,
+}
+
+impl Outside<RigBoard> for Terminal {
+    fn turn(&mut self, board: &RigBoard, bytes: &[u8], lost_us: u64) {
+        if !bytes.is_empty() {
+            // What nobody reads is lost, as at a port.
+            let _ = self.line.write(bytes);
         }
-        let Some(until_us) = pace.until_us(link.now_us()) else {
-            thread::sleep(Duration::from_micros(200));
-            continue;
-        };
-        let count = link
-            .receive(&mut bytes, until_us)
-            .map_err(|why| ended(&why))?;
-        // What nobody reads is lost, as at a port.
-        let _ = terminal.write(&bytes[..count]);
-        let edges = bench.visit(|visit| visit.board().rig.edges().len())?;
-        let mut seen = shown.lock().unwrap_or_else(PoisonError::into_inner);
+        let edges = board.rig.edges().len();
+        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         if seen.edges != edges {
             seen.last = Some(Instant::now());
         }
         seen.edges = edges;
-        seen.lost_us = pace.lost_us();
+        seen.lost_us = lost_us;
+    }
+
+    /// The figures say so.
+    fn fell_behind(&mut self, _: Slow) {}
+}
+
+/// Passes on what comes over the line, for ever.
+fn hear(mut line: File, ear: &Ear<RigBoard>) {
+    let mut bytes = [0; 4_096];
+    loop {
+        match line.read(&mut bytes) {
+            Ok(count @ 1..) => {
+                if !ear.hear(bytes[..count].to_vec()) {
+                    return;
+                }
+            }
+            // Nobody has it open now, or nothing has come.
+            _ => thread::sleep(Duration::from_micros(200)),
+        }
     }
 }
 

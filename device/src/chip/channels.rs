@@ -23,7 +23,7 @@ pub static TELEMETRY_MS: AtomicU16 = AtomicU16::new(0);
 pub static TELEMETRY_CHANGED: Signal<Raw, ()> = Signal::new();
 /// Present session, for frames that nobody asked for. Set by link.
 pub static SESSION: AtomicU8 = AtomicU8::new(0);
-/// Low 32 bits of the time of the host's last sign of life, us. Set by link, read by control.
+/// Low 32 bits of the time when the host that began the motion was last heard, us. Set by link, read by control.
 pub static LAST_SIGN_US: AtomicU32 = AtomicU32::new(0);
 /// Receptions that failed. Set by link.
 pub static UART_ERRORS: AtomicU32 = AtomicU32::new(0);

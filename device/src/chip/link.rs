@@ -47,15 +47,14 @@ pub async fn receive(
         };
         BAD_FRAMES.store(service.bad_frames(), Ordering::Relaxed);
         for byte in &buffer[..count] {
-            let Some(received) = service.receive(*byte) else {
+            let now_us = Instant::now().as_micros() as u32;
+            let Some(incoming) = service.receive(*byte, now_us) else {
                 continue;
             };
-            if received.is_sign_of_life {
-                LAST_SIGN_US.store(Instant::now().as_micros() as u32, Ordering::Relaxed);
-            }
+            LAST_SIGN_US.store(service.heard_us(), Ordering::Relaxed);
             SESSION.store(service.session(), Ordering::Relaxed);
             // One way out: each `await` is a copy of the state, so there are few.
-            let frame = match received.incoming {
+            let frame = match incoming {
                 Incoming::Send(frame) => Some(frame),
                 Incoming::Ask(inbound, to) => {
                     if let Inbound::Urgent(urgent) = inbound {
@@ -67,6 +66,8 @@ pub async fn receive(
                 }
                 Incoming::Ignore => None,
             };
+            // A request that was refused keeps nothing moving.
+            LAST_SIGN_US.store(service.heard_us(), Ordering::Relaxed);
             if let Some(frame) = frame {
                 OUTBOUND.send(frame).await;
             }

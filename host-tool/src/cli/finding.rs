@@ -1,5 +1,7 @@
 //! Finds the machine meant by `--rig` or `--capsule` and opens a session with it, or lists what is connected.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -9,10 +11,12 @@ use crate::cli::args::{Cli, Which};
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::windows;
-use crate::client::Device;
+use crate::client::{Device, Interrupt};
 use crate::connector::{Candidate, Connector, Purpose};
+use crate::door::lock::{Doorway, StopMark};
 use crate::error::ClientError;
 use crate::identity;
+use crate::left;
 use crate::link::LinkError;
 use crate::link::address::Address;
 
@@ -78,11 +82,16 @@ impl Finder<'_> {
     /// Opens a session with a machine of this kind, whatever protocol version it speaks.
     pub(crate) fn greet(&self, kind: DeviceKind) -> Result<Device, Failure> {
         let address = self.resolve(kind)?;
+        // Before the line is waited for: a stop that comes meanwhile is meant for this command, too.
+        let doorway = self.connector.doorway(&address);
+        let mark = StopMark::of(doorway.as_ref());
+        let interrupt = told(doorway, interrupt::install());
         let mut device = self.open_for_command(kind, &address)?;
         // The owner of the line may end while it is asked; then the line is free.
         for attempt in 1.. {
             windows::admit(&self.cli.subcommand, &device)?;
-            device.set_interrupt(interrupt::install());
+            device.ordered_at(mark);
+            device.set_interrupt(Arc::clone(&interrupt));
             match device.hello(self.connector.nonce()) {
                 Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {
                     device = self.open_for_command(kind, &address)?;
@@ -93,6 +102,12 @@ impl Finder<'_> {
         }
         if let Err(error @ ClientError::WrongDevice { .. }) = device.require(kind) {
             return Err(error.into());
+        }
+        if device.left_record().is_some()
+            && device.require(kind).is_ok()
+            && let Some(said) = left::end_record(&mut device)?
+        {
+            eprintln!("{said}");
         }
         // Whoever gives it a name does not need it to have one.
         if !windows::is_naming(&self.cli.subcommand) {
@@ -108,18 +123,42 @@ impl Finder<'_> {
             Some(address) => address,
             None => &self.resolve(kind)?,
         };
-        let mut attempt = 0;
-        loop {
-            attempt += 1;
-            let baud = self.cli.baud;
-            let link = self.connector.open(kind, address, baud, Purpose::Stop)?;
-            let mut device = Device::new(link, self.connector.nonce());
-            match device.urgent(urgent) {
-                Ok(()) => return Ok(device.place()),
+        if let Some(doorway) = self.connector.doorway(address) {
+            doorway.mark_stop(urgent);
+        }
+        for _ in 1..OWNERS {
+            match self.stop_by(kind, address, urgent, Purpose::Stop) {
+                Ok(place) => return Ok(place),
                 // The owner of the line has ended; then the line is free.
-                Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {}
-                Err(error) => return Err(error.into()),
+                Err((Failure::Client(ClientError::Link(LinkError::OwnerGone { .. })), _)) => {}
+                // What was sent past its owner, or without one, was sent as directly as can be.
+                Err((failure, false)) => return Err(failure),
+                Err((failure, true)) => {
+                    let past = self.stop_by(kind, address, urgent, Purpose::StopDirectly);
+                    return past.map_err(|_| failure);
+                }
             }
+        }
+        self.stop_by(kind, address, urgent, Purpose::StopDirectly)
+            .map_err(|(failure, _)| failure)
+    }
+
+    /// Sends a stop one way. A failure comes with whether it went through the owner of the line.
+    fn stop_by(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        urgent: Urgent,
+        purpose: Purpose,
+    ) -> Result<String, (Failure, bool)> {
+        let opened = self
+            .connector
+            .open(kind, address, self.cli.baud, purpose)
+            .map_err(|error| (error.into(), false))?;
+        let mut device = Device::new(opened, self.connector.nonce());
+        match device.urgent(urgent) {
+            Ok(()) => Ok(device.place()),
+            Err(error) => Err((error.into(), device.owner().is_some())),
         }
     }
 
@@ -255,6 +294,21 @@ impl Finder<'_> {
         }
         Ok(there)
     }
+}
+
+/// The operator's stop of this process, which is told to the others before it is sent.
+fn told(doorway: Option<Doorway>, interrupt: Interrupt) -> Interrupt {
+    let told = [AtomicBool::new(false), AtomicBool::new(false)];
+    Arc::new(move || {
+        let wanted = interrupt();
+        if let Some(urgent) = wanted
+            && let Some(doorway) = &doorway
+            && !told[usize::from(urgent == Urgent::EStop)].swap(true, Ordering::Relaxed)
+        {
+            doorway.mark_stop(urgent);
+        }
+        wanted
+    })
 }
 
 /// Looks through the door of a line's owner, and again if the owner ends meanwhile: then the line is free.

@@ -1,7 +1,7 @@
 //! The command `run`, alone or with a fold or an unfolding at a place of it.
 
 use protocol::capsule::CapsuleState;
-use protocol::rig::{RigFault, Run};
+use protocol::rig::Run;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
@@ -17,11 +17,10 @@ use crate::commission::warning;
 use crate::coordination::{self, Coordinated, Recordings, Shaping};
 use crate::cue::{Coordination, Cue};
 use crate::decimal;
-use crate::error::ClientError;
 use crate::experiment::{self, RunTrial};
 use crate::plan;
 use crate::report::section::actuation_rows;
-use crate::trial::Status;
+use crate::trial::Trial;
 
 /// What is tied to the run, if anything is.
 fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {
@@ -99,7 +98,7 @@ pub(crate) fn run(
     let Some((mut capsule, shaping, cue)) = partner else {
         let trial = experiment::run(&mut rig, request, &of_run, &mut screen.live())?;
         drop(single);
-        return ended(&request, &trial, &mut rig, screen);
+        return ended(&request, &trial, screen);
     };
     let of_actuation = recording(&args.record, stem(shaping), finder);
     let recordings = Recordings {
@@ -119,7 +118,7 @@ pub(crate) fn run(
         &mut screen.live(),
     )?;
     drop(single);
-    let ran = ended(&request, &run, &mut rig, screen);
+    let ran = ended(&request, &run, screen);
     if let Some(text) = latency_text(shaping, &coordination) {
         screen.say(&text);
     }
@@ -157,12 +156,7 @@ fn stem(shaping: Shaping) -> &'static str {
 }
 
 /// What the record says of a run that has ended, or the failure if it is not complete.
-fn ended(
-    request: &Run,
-    trial: &RunTrial,
-    rig: &mut Device,
-    screen: &mut Screen<'_>,
-) -> Result<Value, Failure> {
+fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     screen.say(&format!(
         "{} of {} strokes in {} s, {} steps commanded, {} counted, residual {} steps.\n  {}\n  {}",
         trial.record.strokes,
@@ -178,26 +172,9 @@ fn ended(
         "the data is in {}; `retrograde info` shows where the rig is; a new run has to start at 0: `retrograde home`",
         trial.sidecar.display()
     );
-    let (mut status, mut reason) = (trial.trial.status, trial.trial.error.clone());
-    // An emergency stop that comes when the rig stands already is not in the record of the run, and costs the position all the same.
-    if (status == Status::Stopped || rig.interrupted().is_some())
-        && let Some(fault) = latched(rig)?
-    {
-        (status, reason) = (Status::Faulted, Some(fault.to_string()));
-    }
-    completed("the run", status, reason.as_ref(), help)?;
+    let Trial { status, error, .. } = &trial.trial;
+    completed("the run", *status, error.as_ref(), help)?;
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
-}
-
-/// The rig's fault after everything that the operator has asked for: another stop may go out while the rig answers.
-fn latched(rig: &mut Device) -> Result<Option<RigFault>, ClientError> {
-    loop {
-        let asked = rig.interrupted();
-        let fault = rig.rig_status()?.fault;
-        if rig.interrupted() == asked {
-            return Ok(fault);
-        }
-    }
 }
 
 /// When it began, by both clocks.

@@ -233,7 +233,7 @@ impl View<'_, '_> {
 
     fn stop(&self, urgent: Urgent) {
         for machine in self.machines {
-            machine.stop(urgent);
+            machine.stop(self.finder, urgent);
             if matches!(machine.panel().contact, Contact::Lost(_)) {
                 // The feed may be busy for seconds with a line that does not open.
                 let finder = self.finder;

@@ -1,16 +1,20 @@
 //! The lock of a line, and where its door is.
 //!
 //! All is in one folder of the user's, by default `/tmp/retrograde-UID`: not below `XDG_RUNTIME_DIR`, which is another one in
-//! a `cron` job or after `su`, and a stop has to find the door from everywhere. A line has three files there, named by a
+//! a `cron` job or after `su`, and a stop has to find the door from everywhere. A line has five files there, named by a
 //! hash of what the line really leads to: `.lock`, held locked by the owner as long as it lives; `.owner`, which says who
-//! that is; and `.door`, the socket.
+//! that is; `.door`, the socket; and `.stop` and `.estop`, whose times of change tell each process that somebody has wanted
+//! a stop since it last looked.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::SystemTime;
 
+use protocol::system::Urgent;
 use serde::{Deserialize, Serialize};
 
 use crate::door::Owner;
@@ -29,6 +33,17 @@ pub(crate) struct Plate {
     pub(crate) port: Option<u16>,
     /// Of a loopback door.
     pub(crate) token: String,
+    /// The record that the owner writes: should it be killed, the next one ends it.
+    #[serde(default)]
+    pub(crate) recording: Option<PathBuf>,
+}
+
+/// Which stop and which emergency stop were the last ones on a line, whichever process wanted them. Two marks that differ
+/// say that one was wanted between them: what was ordered before it must no longer move anything.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StopMark {
+    stop: Option<SystemTime>,
+    estop: Option<SystemTime>,
 }
 
 /// Where lock and door of one line are.
@@ -44,8 +59,28 @@ pub struct Doorway {
 #[derive(Debug)]
 pub struct Lock {
     doorway: Doorway,
+    plate: Mutex<Plate>,
+    /// The record of an owner that was killed.
+    left: Mutex<Option<PathBuf>>,
     // Released by the system when the file is closed, however the process ends.
     _file: File,
+}
+
+impl StopMark {
+    /// The last stop on the line behind this doorway; where there is none, no other process can send one.
+    #[must_use]
+    pub fn of(doorway: Option<&Doorway>) -> Self {
+        doorway.map_or_else(Self::default, Doorway::stop_mark)
+    }
+
+    /// The strongest stop between an earlier mark and this one.
+    #[must_use]
+    pub fn since(self, earlier: Self) -> Option<Urgent> {
+        if self.estop != earlier.estop {
+            return Some(Urgent::EStop);
+        }
+        (self.stop != earlier.stop).then_some(Urgent::Stop)
+    }
 }
 
 impl Doorway {
@@ -126,16 +161,54 @@ impl Doorway {
         match file.try_lock() {
             Ok(()) => {
                 // What an owner that was killed has left.
+                let left = self.plate().and_then(|plate| plate.recording);
                 let _ = fs::remove_file(self.file("door"));
-                let _ = fs::remove_file(self.file("owner"));
+                let plate = Plate {
+                    owner: Owner::this_process(),
+                    port: None,
+                    token: String::new(),
+                    recording: left.clone(),
+                };
+                if left.is_none() {
+                    let _ = fs::remove_file(self.file("owner"));
+                }
                 Ok(Some(Lock {
                     doorway: self.clone(),
+                    plate: Mutex::new(plate),
+                    left: Mutex::new(left),
                     _file: file,
                 }))
             }
             Err(TryLockError::WouldBlock) => Ok(None),
             Err(TryLockError::Error(why)) => Err(self.error(why)),
         }
+    }
+
+    /// The last stops on the line.
+    #[must_use]
+    pub fn stop_mark(&self) -> StopMark {
+        let changed = |urgent| {
+            let found = fs::metadata(self.file(stop_file(urgent)));
+            found.and_then(|found| found.modified()).ok()
+        };
+        StopMark {
+            stop: changed(Urgent::Stop),
+            estop: changed(Urgent::EStop),
+        }
+    }
+
+    /// Tells all processes that a stop is being sent. Only the file's time changes, which a full disk allows. A stop goes
+    /// out whether or not this works.
+    ///
+    /// Whoever wants a stop calls this before the stop is sent. Called later, it would refuse what was ordered after the
+    /// stop had been confirmed.
+    pub fn mark_stop(&self, urgent: Urgent) {
+        let file = OpenOptions::new()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(self.file(stop_file(urgent)));
+        let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
     }
 
     /// Who owns the line, as far as it has said so.
@@ -158,8 +231,12 @@ impl Doorway {
         }
     }
 
-    pub(crate) fn connect(&self, plate: &Plate) -> io::Result<Stream> {
-        Stream::connect(&self.file("door"), plate.port)
+    /// Goes to the door. A socket is found by its own name: it needs no plate, which somebody may have cleaned away.
+    pub(crate) fn connect(&self, plate: Option<&Plate>) -> io::Result<Stream> {
+        if plate.is_none() && !cfg!(unix) {
+            return Err(io::ErrorKind::NotFound.into());
+        }
+        Stream::connect(&self.file("door"), plate.and_then(|plate| plate.port))
     }
 }
 
@@ -172,34 +249,52 @@ impl Lock {
         #[cfg(not(unix))]
         let listener = Listener::loopback();
         let listener = listener.map_err(|why| doorway.error(why))?;
-        let plate = self.put_up(listener.port())?;
-        Ok((listener, plate))
+        let port = listener.port();
+        let random = || RandomState::new().hash_one(port);
+        let mut plate = self.plate();
+        plate.port = port;
+        plate.token = port.map_or(String::new(), |_| {
+            format!("{:016x}{:016x}", random(), random())
+        });
+        self.put_up(&plate)?;
+        Ok((listener, plate.clone()))
     }
 
-    fn put_up(&self, port: Option<u16>) -> Result<Plate, OpenError> {
-        let random = || RandomState::new().hash_one(port);
-        let plate = Plate {
-            owner: Owner::this_process(),
-            port,
-            token: port.map_or(String::new(), |_| {
-                format!("{:016x}{:016x}", random(), random())
-            }),
-        };
+    fn plate(&self) -> MutexGuard<'_, Plate> {
+        self.plate.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn put_up(&self, plate: &Plate) -> Result<(), OpenError> {
         let doorway = &self.doorway;
         // Whoever reads it meanwhile finds the old one or the new one.
         let (new, file) = (doorway.file("new"), doorway.file("owner"));
-        let text = serde_json::to_vec(&plate).map_err(|why| doorway.error(why))?;
+        let text = serde_json::to_vec(plate).map_err(|why| doorway.error(why))?;
         fs::write(&new, text)
             .and_then(|()| fs::rename(&new, &file))
-            .map_err(|why| doorway.error(why))?;
-        Ok(plate)
+            .map_err(|why| doorway.error(why))
+    }
+
+    /// The owner records there from now on, or no longer. A full disk is told by the record itself.
+    pub(crate) fn records(&self, sidecar: Option<&Path>) {
+        let mut plate = self.plate();
+        plate.recording = sidecar.and_then(|path| std::path::absolute(path).ok());
+        let _ = self.put_up(&plate);
+        *self.left() = None;
+    }
+
+    pub(crate) fn left_record(&self) -> Option<PathBuf> {
+        self.left().clone()
+    }
+
+    fn left(&self) -> MutexGuard<'_, Option<PathBuf>> {
+        self.left.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Says who has the line before its door is open.
     pub(crate) fn announce(&self) -> Result<(), OpenError> {
         // The door of an owner that was killed leads nowhere.
         let _ = fs::remove_file(self.doorway.file("door"));
-        self.put_up(None).map(|_| ())
+        self.put_up(&self.plate())
     }
 
     pub(crate) fn doorway(&self) -> &Doorway {
@@ -211,7 +306,17 @@ impl Drop for Lock {
     fn drop(&mut self) {
         // The lock itself stays: another process may be about to take it.
         let _ = fs::remove_file(self.doorway.file("door"));
-        let _ = fs::remove_file(self.doorway.file("owner"));
+        // A record without an end is for the next owner.
+        if self.plate().recording.is_none() {
+            let _ = fs::remove_file(self.doorway.file("owner"));
+        }
+    }
+}
+
+fn stop_file(urgent: Urgent) -> &'static str {
+    match urgent {
+        Urgent::Stop => "stop",
+        Urgent::EStop => "estop",
     }
 }
 
@@ -326,6 +431,32 @@ mod tests {
         for text in ["auto", "virtual", "/dev/retrograde-no-such-port"] {
             assert_eq!(line(&text.parse().expect("an address")), None);
         }
+    }
+
+    #[test]
+    fn every_stop_changes_the_mark_of_its_line_and_of_no_other() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (one, other) = (
+            doorway(folder.path(), "one"),
+            doorway(folder.path(), "other"),
+        );
+        let mut marks = vec![one.stop_mark()];
+        for n in 0..100 {
+            let urgent = if n % 3 == 0 {
+                Urgent::EStop
+            } else {
+                Urgent::Stop
+            };
+            one.mark_stop(urgent);
+            marks.push(one.stop_mark());
+            let [.., before, now] = marks[..] else {
+                panic!("two marks")
+            };
+            assert_eq!(now.since(before), Some(urgent));
+        }
+        assert_eq!(marks[100].since(marks[0]), Some(Urgent::EStop));
+        assert_eq!(one.stop_mark().since(marks[100]), None);
+        assert_eq!(other.stop_mark(), StopMark::default());
     }
 
     #[cfg(unix)]

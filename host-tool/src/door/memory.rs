@@ -51,7 +51,7 @@ impl Door {
     pub fn new(token: &str, yields: bool) -> Self {
         let line = Line::default();
         Self {
-            core: Core::new(Box::new(line.clone()), yields),
+            core: Core::new(Box::new(line.clone()), yields, None),
             line,
             plate: Plate {
                 owner: Owner {
@@ -61,6 +61,7 @@ impl Door {
                 },
                 port: None,
                 token: token.to_owned(),
+                recording: None,
             },
             pump: Pump::default(),
             start: Instant::now(),
@@ -71,10 +72,11 @@ impl Door {
     /// let in.
     #[must_use]
     pub fn knock<'a>(&self, mut bytes: &'a [u8]) -> Option<(Guest, Vec<u8>, &'a [u8])> {
-        let knock = read_line(&mut bytes, LONGEST_LINE).ok()?;
-        let welcome = knocked(&knock, &self.plate, &self.core).ok()?;
+        let line = read_line(&mut bytes, LONGEST_LINE).ok()?;
+        let knock = knocked(&line, &self.plate).ok()?;
         let (frames, waiting) = sync_channel(WAITING_FRAMES);
         let visit = Visit::new(&self.core, Box::new(|| {}), frames)?;
+        let welcome = visit.welcome(&knock, &self.plate).ok()?;
         let start = self.start;
         Some((
             Guest {

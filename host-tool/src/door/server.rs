@@ -14,7 +14,7 @@ use protocol::session::{Decision, Session, Ticket};
 use protocol::system::{Done, Identity, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
 
-use crate::door::lock::Plate;
+use crate::door::lock::{Doorway, Plate, StopMark};
 use crate::door::stream::{Listener, Stream, read_line};
 use crate::door::{Knock, LONGEST_LINE, VERSION, Welcome, admits};
 
@@ -27,14 +27,17 @@ const STALE: Duration = Duration::from_millis(600);
 /// The least time between two questions, so that guests cannot fill the line.
 const BREATH: Duration = Duration::from_millis(10);
 
-/// The most guests at a time.
-const GUESTS: usize = 32;
+/// The most guests at a time that may look. There is no limit for those that only stop.
+pub(crate) const GUESTS: usize = 32;
 
 /// Frames that wait for a guest that does not read; beyond that it misses some.
 pub(crate) const WAITING_FRAMES: usize = 512;
 
-/// How long a guest may take to say what it is.
+/// How long a guest may take to say what it is, and how long one that can only stop may be silent.
 const KNOCKING: Duration = Duration::from_secs(2);
+
+/// Stack of a guest's thread, bytes: many may come at once.
+const GUEST_STACK: usize = 256 * 1024;
 
 /// The first sequence number of guests' stops on the line, far from the owner's, which count from 0.
 const FIRST_SEQ: u16 = 0x8000;
@@ -83,6 +86,8 @@ pub(crate) struct Core {
     yields: AtomicBool,
     /// Somebody wants it.
     wanted: AtomicBool,
+    /// Where processes tell of stops that need not come through this door.
+    doorway: Option<Doorway>,
 }
 
 #[derive(Default)]
@@ -102,6 +107,24 @@ struct State {
     next_guest: u64,
 }
 
+impl State {
+    /// Somebody else has sent this stop.
+    fn stop(&mut self, urgent: Urgent) {
+        self.stopped = match self.stopped {
+            Some(Urgent::EStop) => Some(Urgent::EStop),
+            _ => Some(urgent),
+        };
+    }
+
+    /// What guests wanted done before a stop came: asked after it, it would undo the stop.
+    fn take_orders(&mut self) -> VecDeque<Question> {
+        let looks = |question: &Question| question.request.impact() == Impact::None;
+        let (look, orders) = self.questions.drain(..).partition(looks);
+        self.questions = look;
+        orders
+    }
+}
+
 /// A stop that a guest has sent.
 struct Stop {
     guest: u64,
@@ -113,6 +136,8 @@ struct Stop {
 }
 
 struct Guest {
+    /// It sees what the machine says, and may ask.
+    looks: bool,
     frames: SyncSender<Vec<u8>>,
     /// Ends its connection.
     shut: Box<dyn Fn() + Send>,
@@ -125,10 +150,16 @@ struct Out {
     /// Stops of guests so far, and how many of these the owner has noticed.
     stops: u32,
     noticed: u32,
+    /// The last stop that the owner knows of, of all that any process has sent on this line.
+    mark: StopMark,
 }
 
 impl Core {
-    pub(crate) fn new(line: Box<dyn Write + Send>, yields: bool) -> Arc<Self> {
+    pub(crate) fn new(
+        line: Box<dyn Write + Send>,
+        yields: bool,
+        doorway: Option<Doorway>,
+    ) -> Arc<Self> {
         Arc::new(Self {
             state: Mutex::new(State::default()),
             woken: Condvar::new(),
@@ -137,10 +168,12 @@ impl Core {
                 next_seq: FIRST_SEQ,
                 stops: 0,
                 noticed: 0,
+                mark: StopMark::of(doorway.as_ref()),
             }),
             closing: AtomicBool::new(false),
             yields: AtomicBool::new(yields),
             wanted: AtomicBool::new(false),
+            doorway,
         })
     }
 
@@ -181,6 +214,11 @@ impl Core {
         out.line.write_all(bytes)
     }
 
+    /// What is ordered from now on was wanted at this mark: a stop since then is one that the owner has not noticed yet.
+    pub(crate) fn ordered_at(&self, mark: StopMark) {
+        self.out().mark = mark;
+    }
+
     /// Waits for bytes until `deadline`; 0 then, and when there is something else to see to.
     pub(crate) fn receive(&self, into: &mut [u8], deadline: Instant) -> Result<usize, String> {
         let mut state = self.state();
@@ -210,12 +248,18 @@ impl Core {
         self.state().identity = Some(*identity);
     }
 
-    /// The strongest stop that guests have sent so far.
+    /// The strongest stop that others have sent so far: guests, and processes that went past this door.
     pub(crate) fn stopped(&self) -> Option<Urgent> {
         let mut out = self.out();
         out.noticed = out.stops;
+        let mark = StopMark::of(self.doorway.as_ref());
+        let elsewhere = mark.since(std::mem::replace(&mut out.mark, mark));
         drop(out);
-        self.state().stopped
+        let mut state = self.state();
+        if let Some(urgent) = elsewhere {
+            state.stop(urgent);
+        }
+        state.stopped
     }
 
     pub(crate) fn is_line_wanted(&self) -> bool {
@@ -307,7 +351,7 @@ impl Core {
     pub(crate) fn passed(&self, frame: &Frame<'_>, wire: &[u8]) {
         match frame.header.kind {
             Kind::Telemetry | Kind::Event => {
-                for guest in self.state().guests.values() {
+                for guest in self.state().guests.values().filter(|guest| guest.looks) {
                     // One that does not read misses some, as on a bad line.
                     let _ = guest.frames.try_send(wire.to_vec());
                 }
@@ -362,10 +406,8 @@ impl Core {
                 seq
             }
         };
-        state.stopped = match (state.stopped, urgent) {
-            (Some(Urgent::EStop), _) | (_, Urgent::EStop) => Some(Urgent::EStop),
-            _ => Some(Urgent::Stop),
-        };
+        state.stop(urgent);
+        let older = state.take_orders();
         state.nudged = true;
         drop(state);
         out.stops = out.stops.wrapping_add(1);
@@ -379,6 +421,9 @@ impl Core {
         let written = out.line.write_all(&frame);
         drop(out);
         self.woken.notify_all();
+        for question in older {
+            question.answer(None);
+        }
         written
     }
 
@@ -389,16 +434,26 @@ impl Core {
         self.woken.notify_all();
     }
 
-    /// Lets a guest in; `None` if there are too many, or the line is gone.
-    fn admit(&self, shut: Box<dyn Fn() + Send>, frames: SyncSender<Vec<u8>>) -> Option<u64> {
+    /// Lets a guest in, if only to stop; `None` if the line is gone.
+    fn admit(
+        &self,
+        shut: Box<dyn Fn() + Send>,
+        frames: SyncSender<Vec<u8>>,
+    ) -> Option<(u64, bool)> {
         let mut state = self.state();
-        if state.guests.len() == GUESTS || state.lost.is_some() || self.is_closing() {
+        if state.lost.is_some() || self.is_closing() {
             return None;
         }
         let number = state.next_guest;
         state.next_guest += 1;
-        state.guests.insert(number, Guest { frames, shut });
-        Some(number)
+        let looks = state.guests.values().filter(|guest| guest.looks).count() < GUESTS;
+        let guest = Guest {
+            looks,
+            frames,
+            shut,
+        };
+        state.guests.insert(number, guest);
+        Some((number, looks))
     }
 
     fn left(&self, guest: u64) {
@@ -432,7 +487,9 @@ pub(crate) fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
             continue;
         };
         let (core, plate) = (Arc::clone(core), plate.clone());
-        let host = thread::Builder::new().name("guest".to_owned());
+        let host = thread::Builder::new()
+            .name("guest".to_owned())
+            .stack_size(GUEST_STACK);
         // Without a thread the guest finds its connection closed.
         let _ = host.spawn(move || {
             // A guest that leaves or breaks the rules is of no concern to anybody else.
@@ -444,18 +501,22 @@ pub(crate) fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
 fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Result<()> {
     stream.set_read_timeout(Some(KNOCKING))?;
     stream.set_write_timeout(Some(KNOCKING))?;
-    let line = knocked(&read_line(&mut stream, LONGEST_LINE)?, plate, core)?;
-    stream.write_all(&line)?;
-    stream.set_read_timeout(None)?;
-
+    let knock = knocked(&read_line(&mut stream, LONGEST_LINE)?, plate)?;
     let (frames, waiting) = sync_channel::<Vec<u8>>(WAITING_FRAMES);
     let shut = stream.try_clone()?;
+    // Before the welcome: whoever is welcome can stop the machine.
     let Some(mut visit) = Visit::new(core, Box::new(move || shut.shut()), frames) else {
         return Ok(());
     };
+    stream.write_all(&visit.welcome(&knock, plate)?)?;
+    if visit.looks {
+        stream.set_read_timeout(None)?;
+    }
     let mut to_guest = stream.try_clone()?;
     // Ends when the last sender is gone: core, visit and open questions have one each.
-    let writer = thread::Builder::new().name("guest's frames".to_owned());
+    let writer = thread::Builder::new()
+        .name("guest's frames".to_owned())
+        .stack_size(GUEST_STACK);
     let writing = writer.spawn(move || {
         for frame in waiting {
             if to_guest.write_all(&frame).is_err() {
@@ -473,23 +534,13 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
     result
 }
 
-/// What a guest that knocks with this line is told.
-pub(crate) fn knocked(line: &[u8], plate: &Plate, core: &Core) -> io::Result<Vec<u8>> {
+/// What a guest says first, if it may come in.
+pub(crate) fn knocked(line: &[u8], plate: &Plate) -> io::Result<Knock> {
     let knock: Knock = serde_json::from_slice(line)?;
     if knock.token != plate.token {
         return Err(io::ErrorKind::PermissionDenied.into());
     }
-    if knock.wants_line {
-        core.want_line();
-    }
-    let welcome = Welcome {
-        retrograde_door: VERSION,
-        owner: plate.owner.clone(),
-        yields: core.yields.load(Ordering::Relaxed),
-    };
-    let mut line = serde_json::to_vec(&welcome)?;
-    line.push(b'\n');
-    Ok(line)
+    Ok(knock)
 }
 
 /// A guest's session with the door.
@@ -505,6 +556,8 @@ struct Asking {
 pub(crate) struct Visit {
     core: Arc<Core>,
     number: u64,
+    /// It may do more than stop.
+    looks: bool,
     frames: SyncSender<Vec<u8>>,
     session: Arc<Mutex<Asking>>,
     deframer: Deframer,
@@ -517,16 +570,17 @@ impl Drop for Visit {
 }
 
 impl Visit {
-    /// `None` if there are too many guests, or the line is gone.
+    /// `None` if the line is gone.
     pub(crate) fn new(
         core: &Arc<Core>,
         shut: Box<dyn Fn() + Send>,
         frames: SyncSender<Vec<u8>>,
     ) -> Option<Self> {
-        let number = core.admit(shut, frames.clone())?;
+        let (number, looks) = core.admit(shut, frames.clone())?;
         Some(Self {
             core: Arc::clone(core),
             number,
+            looks,
             frames,
             session: Arc::new(Mutex::new(Asking {
                 session: Session::new(number as u32),
@@ -535,6 +589,22 @@ impl Visit {
             })),
             deframer: Deframer::new(),
         })
+    }
+
+    /// What the guest is told first.
+    pub(crate) fn welcome(&self, knock: &Knock, plate: &Plate) -> io::Result<Vec<u8>> {
+        if knock.wants_line {
+            self.core.want_line();
+        }
+        let welcome = Welcome {
+            retrograde_door: VERSION,
+            owner: plate.owner.clone(),
+            yields: self.core.yields.load(Ordering::Relaxed),
+            full: !self.looks,
+        };
+        let mut line = serde_json::to_vec(&welcome)?;
+        line.push(b'\n');
+        Ok(line)
     }
 
     fn receive(&mut self, stream: &mut Stream) -> io::Result<()> {
@@ -566,8 +636,8 @@ impl Visit {
     fn frame(&self, frame: &Frame<'_>, now: Instant) -> io::Result<()> {
         let mut asking = self.session.lock().unwrap_or_else(PoisonError::into_inner);
         let left = asking.unanswered == Some(frame.header.seq);
-        if (asking.pending || left) && frame.header.kind == Kind::Request {
-            // A repetition of what the owner has not answered.
+        if (asking.pending || left || !self.looks) && frame.header.kind == Kind::Request {
+            // A repetition of what the owner has not answered, or a guest that was told that it can only stop.
             return Ok(());
         }
         let header = |session, seq| Header {
@@ -700,7 +770,7 @@ mod tests {
 
     fn core() -> (Arc<Core>, Receiver<Vec<u8>>) {
         let (tap, written) = channel();
-        (Core::new(Box::new(Tap(tap)), false), written)
+        (Core::new(Box::new(Tap(tap)), false, None), written)
     }
 
     #[test]
@@ -833,6 +903,7 @@ mod tests {
             owner: crate::door::Owner::this_process(),
             port: listener.port(),
             token: "secret".to_owned(),
+            recording: None,
         };
         let (served, shown) = (Arc::clone(&core), plate.clone());
         thread::spawn(move || serve(&listener, &shown, &served));

@@ -16,13 +16,15 @@ pub struct Window {
     place: String,
     owner: Owner,
     yields: bool,
+    full: bool,
     doorway: Doorway,
     stream: Stream,
     start: Instant,
 }
 
 impl Window {
-    /// Goes to the door and knocks; the owner has `limit` to answer.
+    /// Goes to the door and knocks; the owner has `limit` to answer. Through one that is [full](Window::is_full) only stops
+    /// go.
     ///
     /// # Errors
     /// There is no door, nobody answers, or what answers is no door.
@@ -31,13 +33,13 @@ impl Window {
     }
 
     fn knock(doorway: &Doorway, limit: Duration, wants_line: bool) -> io::Result<Self> {
-        let plate = doorway.plate().ok_or(io::ErrorKind::NotFound)?;
-        let mut stream = doorway.connect(&plate)?;
+        let plate = doorway.plate();
+        let mut stream = doorway.connect(plate.as_ref())?;
         stream.set_read_timeout(Some(limit))?;
         stream.set_write_timeout(Some(limit))?;
         let knock = Knock {
             retrograde_window: VERSION,
-            token: plate.token,
+            token: plate.map_or_else(String::new, |plate| plate.token),
             wants_line,
         };
         let mut line = serde_json::to_vec(&knock)?;
@@ -49,10 +51,17 @@ impl Window {
             place: doorway.place().to_owned(),
             owner: welcome.owner,
             yields: welcome.yields,
+            full: welcome.full,
             doorway: doorway.clone(),
             stream,
             start: Instant::now(),
         })
+    }
+
+    /// As many processes look as may: through this window nothing but a stop goes.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        self.full
     }
 
     fn lost(&self) -> LinkError {

@@ -2,6 +2,7 @@
 //! guest goes out and is confirmed whatever the owner is doing.
 
 use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -9,7 +10,7 @@ use std::time::{Duration, Instant};
 use protocol::frame::{Deframer, MAX_FRAME};
 use protocol::system::{Identity, Urgent};
 
-use crate::door::lock::Lock;
+use crate::door::lock::{Lock, StopMark};
 use crate::door::server::{Core, Question, serve};
 use crate::link::tcp::{nothing_yet, wall_us};
 use crate::link::{Link, LinkError, OpenError, Reason};
@@ -40,7 +41,7 @@ impl Shared {
     /// With `yields` the line is for any other process that wants it: see [`Link::is_line_wanted`].
     pub(crate) fn new(lock: Lock, halves: Halves, yields: bool) -> Result<Self, OpenError> {
         let place = lock.doorway().place().to_owned();
-        let core = Core::new(halves.writer, yields);
+        let core = Core::new(halves.writer, yields, Some(lock.doorway().clone()));
         let (listener, plate) = lock.listen()?;
         let failed = |why: std::io::Error| OpenError {
             place: place.clone(),
@@ -81,9 +82,8 @@ impl Drop for Shared {
     fn drop(&mut self) {
         self.core.close();
         // Lets the door's thread see that; without a connection it sees it at the next one.
-        if let Some(plate) = self.lock.doorway().plate() {
-            let _ = self.lock.doorway().connect(&plate);
-        }
+        let doorway = self.lock.doorway();
+        let _ = doorway.connect(doorway.plate().as_ref());
         if let Some(pump) = self.pump.take() {
             let _ = pump.join();
         }
@@ -120,6 +120,10 @@ impl Link for Shared {
         self.core.stopped()
     }
 
+    fn ordered_at(&mut self, mark: StopMark) {
+        self.core.ordered_at(mark);
+    }
+
     fn is_line_wanted(&mut self) -> bool {
         self.core.is_line_wanted()
     }
@@ -130,6 +134,14 @@ impl Link for Shared {
 
     fn forget_stop(&mut self) {
         self.core.forget_stop();
+    }
+
+    fn records(&mut self, sidecar: Option<&Path>) {
+        self.lock.records(sidecar);
+    }
+
+    fn left_record(&self) -> Option<PathBuf> {
+        self.lock.left_record()
     }
 
     fn question(&mut self) -> Option<Question> {

@@ -6,12 +6,30 @@
 
 use std::hash::{BuildHasher, RandomState};
 
-use axum::http::header::{AUTHORIZATION, FORWARDED, HOST, ORIGIN};
+use axum::http::header::{AUTHORIZATION, HOST, ORIGIN};
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, Method, StatusCode, Uri};
 
 /// The fewest characters of a token.
 pub const LEAST_TOKEN: usize = 16;
+
+/// Headers by which proxies say that a request comes from somewhere else.
+const PASSED_ON: [&str; 14] = [
+    "forwarded",
+    "x-forwarded-for",
+    "x-forwarded-host",
+    "x-forwarded-proto",
+    "x-forwarded-port",
+    "x-forwarded-server",
+    "x-real-ip",
+    "x-client-ip",
+    "x-cluster-client-ip",
+    "true-client-ip",
+    "cf-connecting-ip",
+    "fastly-client-ip",
+    "x-original-host",
+    "via",
+];
 
 /// What a request wants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,7 +120,7 @@ impl Access {
             check_origin(&host, headers)?;
         }
         // What was passed on comes from wherever it was passed on from.
-        let passed_on = headers.contains_key(FORWARDED) || headers.contains_key("x-forwarded-for");
+        let passed_on = PASSED_ON.iter().any(|name| headers.contains_key(*name));
         let needed = match demand {
             Demand::Page => false,
             Demand::Look | Demand::Stop => !peer.here || passed_on,
@@ -239,8 +257,12 @@ mod tests {
                 assert_eq!(check(peer, demand, &[host, wrong]), without, "{wrong:?}");
             }
         }
-        let passed_on = ("x-forwarded-for", "10.0.0.9");
-        assert!(check(HERE, Demand::Stop, &[host, passed_on]).is_some());
+        for name in PASSED_ON {
+            let passed_on = (name, "10.0.0.9");
+            let denied = check(HERE, Demand::Stop, &[host, passed_on]);
+            assert_eq!(denied, Some(StatusCode::UNAUTHORIZED), "{name}");
+            assert_eq!(check(HERE, Demand::Stop, &[host, passed_on, BEARER]), None);
+        }
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! What keepers, requests and readers share, and how it is shown.
 
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -16,11 +16,13 @@ use tokio::sync::Notify;
 use crate::cli::failure::Failure;
 use crate::cli::watch::panel::{Contact, Notice, Panel, event_text, in_run};
 use crate::client::Interrupt;
+use crate::door::lock::{Doorway, StopMark};
 use crate::identity::{self, IdentityRecord, Origin, kind_name};
 use crate::link::address::Address;
 use crate::serve::actions::{Action, Actions};
 use crate::serve::orders::Work;
 use crate::serve::stream::Stream;
+use crate::stops::{Ask, Stops, stronger};
 
 /// Samples are told in portions of this time.
 const PORTION: Duration = Duration::from_millis(50);
@@ -36,6 +38,8 @@ pub(crate) struct Order {
     pub(crate) action: u64,
     pub(crate) work: Work,
     pub(crate) at: Instant,
+    /// The last stop before it: of this server, and of any process.
+    pub(crate) after: (u64, StopMark),
 }
 
 /// A jog that goes on as long as it is renewed.
@@ -57,8 +61,9 @@ pub(crate) struct Machine {
     pub(crate) address: Address,
     panel: Mutex<Panel>,
     identity: Mutex<Option<(Identity, String)>>,
-    /// The stop that somebody wants, until it is confirmed.
-    wanted: Arc<AtomicU8>,
+    pub(crate) stops: Arc<Stops>,
+    /// Lock and door of its line, since there was one.
+    doorway: Mutex<Option<Doorway>>,
     /// This server moves it.
     pub(crate) acting: Arc<AtomicBool>,
     pub(crate) orders: SyncSender<Order>,
@@ -69,21 +74,6 @@ pub(crate) struct Machine {
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // Nobody panics while holding one; if somebody did, what is there is shown.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn number(urgent: Urgent) -> u8 {
-    match urgent {
-        Urgent::Stop => 1,
-        Urgent::EStop => 2,
-    }
-}
-
-fn urgent(number: u8) -> Option<Urgent> {
-    match number {
-        0 => None,
-        1 => Some(Urgent::Stop),
-        _ => Some(Urgent::EStop),
-    }
 }
 
 pub(crate) fn stop_name(urgent: Urgent) -> &'static str {
@@ -100,7 +90,8 @@ impl Machine {
             panel: Mutex::new(Panel::new(kind, address.to_string())),
             address,
             identity: Mutex::default(),
-            wanted: Arc::default(),
+            stops: Arc::default(),
+            doorway: Mutex::default(),
             acting: Arc::default(),
             orders,
             lease: Mutex::default(),
@@ -122,39 +113,37 @@ impl Machine {
 
     // Stops.
 
-    /// The keeper stops the machine as soon as it sees this, within 20 ms if there is a connection.
-    pub(crate) fn want(&self, urgent: Urgent) {
-        self.wanted.fetch_max(number(urgent), Ordering::SeqCst);
+    /// From now on this is the line that the machine is at.
+    pub(crate) fn is_behind(&self, doorway: Option<Doorway>) {
+        *lock(&self.doorway) = doorway;
     }
 
-    pub(crate) fn wanted(&self) -> Option<Urgent> {
-        urgent(self.wanted.load(Ordering::SeqCst))
+    /// Somebody wants a stop. The keeper sends it as soon as it sees this, within 20 ms if there is a connection.
+    pub(crate) fn stop(&self, urgent: Urgent) -> Ask {
+        if let Some(doorway) = &*lock(&self.doorway) {
+            doorway.mark_stop(urgent);
+        }
+        self.stops.ask(urgent)
     }
 
-    /// The stop is done, unless a stronger one is wanted by now.
-    pub(crate) fn done(&self, urgent: Urgent) {
-        let now = number(urgent);
-        let _ = self
-            .wanted
-            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, |wanted| {
-                (wanted <= now).then_some(0)
-            });
+    /// What comes now is newer than this.
+    pub(crate) fn last_stop(&self) -> (u64, StopMark) {
+        (
+            self.stops.asked(),
+            StopMark::of(lock(&self.doorway).as_ref()),
+        )
     }
 
     /// What stops the machine: a request, and Ctrl-C if this server moves it.
     pub(crate) fn interrupt(&self, pressed: Interrupt) -> Interrupt {
-        let (wanted, acting) = (Arc::clone(&self.wanted), Arc::clone(&self.acting));
+        let (stops, acting) = (Arc::clone(&self.stops), Arc::clone(&self.acting));
         Arc::new(move || {
-            let here = urgent(wanted.load(Ordering::SeqCst));
             let pressed = match acting.load(Ordering::SeqCst) {
                 true => pressed(),
                 // Others' work is none of Ctrl-C's business.
                 false => None,
             };
-            match (here, pressed) {
-                (Some(Urgent::EStop), _) | (_, Some(Urgent::EStop)) => Some(Urgent::EStop),
-                (here, pressed) => here.or(pressed),
-            }
+            stronger(stops.wanted(), pressed)
         })
     }
 }

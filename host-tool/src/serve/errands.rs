@@ -2,7 +2,7 @@
 //! asked through the door, as other processes ask them, so that they are answered while the keeper works.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::Receiver;
+use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, Scope};
 use std::time::{Duration, Instant};
 
@@ -20,9 +20,7 @@ use crate::client::Device;
 use crate::connector::Purpose;
 use crate::identity::kind_name;
 use crate::serve::board::{Board, Machine, stop_name};
-
-/// Stops on their way at a time. Beyond that they are left to the keepers, which send them within 20 ms.
-const STOPS: usize = 32;
+use crate::stops::Ask;
 
 /// Questions on their way at a time.
 const QUESTIONS: usize = 4;
@@ -48,12 +46,18 @@ impl Question {
     }
 }
 
+/// Somebody who waits for a stop.
+pub(crate) struct Wait {
+    pub(crate) ask: Ask,
+    pub(crate) reply: oneshot::Sender<Told>,
+}
+
 /// What is to be done.
 pub(crate) enum Errand {
     Stop {
         machine: DeviceKind,
         urgent: Urgent,
-        reply: oneshot::Sender<Told>,
+        wait: Wait,
     },
     Ask {
         question: Question,
@@ -63,19 +67,16 @@ pub(crate) enum Errand {
     End,
 }
 
-/// Errands on their way.
+/// Questions on their way.
 #[derive(Debug, Default)]
-pub(crate) struct Counts {
-    stops: AtomicUsize,
-    questions: AtomicUsize,
-}
+pub(crate) struct Questions(AtomicUsize);
 
-/// One more on its way, as long as it lives.
+/// One more question on its way, as long as it lives.
 struct Counted<'a>(&'a AtomicUsize);
 
 impl<'a> Counted<'a> {
-    fn take(count: &'a AtomicUsize, most: usize) -> Option<Self> {
-        let more = |before: usize| (before < most).then_some(before + 1);
+    fn take(Questions(count): &'a Questions) -> Option<Self> {
+        let more = |before: usize| (before < QUESTIONS).then_some(before + 1);
         count
             .fetch_update(Ordering::SeqCst, Ordering::SeqCst, more)
             .ok()
@@ -94,38 +95,40 @@ pub(crate) fn run<'scope>(
     scope: &'scope Scope<'scope, '_>,
     finder: &'scope Finder<'scope>,
     board: &'scope Board,
-    counts: &'scope Counts,
+    questions: &'scope Questions,
     errands: &Receiver<Errand>,
 ) {
+    // Its own courier for each strength: an emergency stop waits for no other stop.
+    let mut couriers = vec![];
+    for machine in &board.machines {
+        for urgent in [Urgent::Stop, Urgent::EStop] {
+            let (waits, waiting) = channel();
+            couriers.push((machine.kind, urgent, waits));
+            scope.spawn(move || {
+                while let Ok(first) = waiting.recv() {
+                    let all = std::iter::once(first).chain(waiting.try_iter()).collect();
+                    stop(finder, board, machine, urgent, all);
+                }
+            });
+        }
+    }
     for errand in errands {
         match errand {
             Errand::End => return,
             Errand::Stop {
                 machine,
                 urgent,
-                reply,
+                wait,
             } => {
-                let Some(machine) = board.machine(machine) else {
-                    continue;
-                };
-                let counted = Counted::take(&counts.stops, STOPS);
-                let direct = counted.is_some();
-                if !direct && counts.stops.load(Ordering::SeqCst) > 8 * STOPS {
-                    // The keeper has it all the same.
-                    continue;
+                let courier = couriers
+                    .iter()
+                    .find(|courier| (courier.0, courier.1) == (machine, urgent));
+                if let Some((.., waits)) = courier {
+                    // It lives as long as this thread.
+                    let _ = waits.send(wait);
                 }
-                let counted = counted.unwrap_or_else(|| {
-                    counts.stops.fetch_add(1, Ordering::SeqCst);
-                    Counted(&counts.stops)
-                });
-                scope.spawn(move || {
-                    let told = stop(finder, board, machine, urgent, direct);
-                    drop(counted);
-                    // Whoever wanted it may have left.
-                    let _ = reply.send(told);
-                });
             }
-            Errand::Ask { question, reply } => match Counted::take(&counts.questions, QUESTIONS) {
+            Errand::Ask { question, reply } => match Counted::take(questions) {
                 None => {
                     let _ = reply.send(Err(Failure::NothingFound {
                         there: "too many questions at once: ask again".to_owned(),
@@ -143,45 +146,47 @@ pub(crate) fn run<'scope>(
     }
 }
 
-/// Stops a machine through the door of its owner, which is the keeper's more often than not, or over a line of its own; and if that
-/// fails, waits for the keeper, which sends it, too.
+/// Stops a machine once for all who wait for it: through the door of its owner, which is the keeper's more often than not, or
+/// over a line of its own; and if that fails, waits for the keeper, which sends it, too.
 pub(crate) fn stop(
     finder: &Finder<'_>,
     board: &Board,
     machine: &Machine,
     urgent: Urgent,
-    direct: bool,
-) -> Told {
+    waits: Vec<Wait>,
+) {
     let target = Target {
         kind: Some(machine.kind),
         address: Some(machine.address.clone()),
     };
-    let mut told = if direct {
-        Told::new(&target, finder.urgent(&target, urgent))
+    let stops = &machine.stops;
+    // Whoever waits has asked by now.
+    let asked = stops.asked();
+    let told = Told::new(&target, finder.urgent(&target, urgent));
+    if told.delivery == Delivery::Stopped {
+        stops.confirm(urgent, asked);
     } else {
-        Told {
-            machine: target.to_string(),
-            delivery: Delivery::NotConfirmed,
-            why: "many stops at once".to_owned(),
-        }
-    };
-    if told.delivery != Delivery::Stopped {
         let begin = Instant::now();
-        while begin.elapsed() < KEEPERS && machine.wanted().is_some_and(|wanted| wanted == urgent) {
+        let is_open = |wait: &Wait| !stops.is_confirmed(wait.ask);
+        while begin.elapsed() < KEEPERS && waits.iter().any(is_open) {
             thread::sleep(Duration::from_millis(5));
         }
-        if machine.wanted().is_none() {
+        if waits.iter().any(is_open) {
+            let name = stop_name(urgent);
+            let notice = format!("{name} NOT CONFIRMED: {DO_NOW} ({})", told.why);
+            board.notice(machine, Notice::Bad(notice));
+        }
+    }
+    for Wait { ask, reply } in waits {
+        let mut told = told.clone();
+        if stops.is_confirmed(ask) {
             told.delivery = Delivery::Stopped;
             told.why = String::new();
         }
+        stops.withdraw(ask);
+        // Whoever wanted it may have left.
+        let _ = reply.send(told);
     }
-    let name = stop_name(urgent);
-    if told.delivery != Delivery::Stopped {
-        let notice = format!("{name} NOT CONFIRMED: {DO_NOW} ({})", told.why);
-        board.notice(machine, Notice::Bad(notice));
-    }
-    machine.done(urgent);
-    told
 }
 
 pub(crate) fn ask(

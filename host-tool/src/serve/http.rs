@@ -1,5 +1,6 @@
 //! The requests: HTTP/1.1 with JSON. docs/serve.md describes them for people, docs/openapi.json for programs.
 
+use std::convert::Infallible;
 use std::io::Read;
 use std::net::SocketAddr;
 use std::path::{Path as FilePath, PathBuf};
@@ -11,8 +12,8 @@ use axum::Router;
 use axum::body::{Body, Bytes, to_bytes};
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::header::{
-    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
-    X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+    CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue,
+    REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
 use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
@@ -38,8 +39,9 @@ use crate::identity::kind_name;
 use crate::plan::{self, REFERENCE_LIMITS};
 use crate::serve::access::{Access, Demand, Denied, Peer, demand};
 use crate::serve::actions::{Action, Arrival, Command, Standing};
-use crate::serve::board::{Board, Order};
-use crate::serve::errands::{Errand, Question};
+use crate::serve::board::{Board, Machine, Order};
+use crate::serve::connections::{Connections, Doing};
+use crate::serve::errands::{Errand, Question, Wait};
 use crate::serve::orders::{self, Work};
 
 /// What programs read.
@@ -85,12 +87,12 @@ pub const ROUTES: [(&str, &str); 28] = [
 const LONGEST_BODY: usize = 16 * 1024;
 /// How long a body may take.
 const BODY: Duration = Duration::from_secs(5);
+/// How long a stop waits for a body that says which machine: nobody waits for the rest of a request to stop a machine.
+const STOP_BODY: Duration = Duration::from_millis(20);
 /// How long the head of a request may take, and how long a connection may wait for its next request.
-const HEAD: Duration = Duration::from_secs(60);
+const HEAD: Duration = Duration::from_secs(10);
 /// What waits for a reader within this process, bytes.
 const BUFFER: usize = 64 * 1024;
-/// Connections from this computer, and from elsewhere: those cannot take the place of a stop from here.
-const CONNECTIONS: [usize; 2] = [256, 128];
 /// The longest wait for the end of an action, s.
 const LONGEST_WAIT_S: u64 = 60;
 /// Stops are confirmed, or not, by then.
@@ -103,6 +105,8 @@ pub(crate) struct App {
     pub(crate) errands: Sender<Errand>,
     /// One list of records at a time.
     pub(crate) listing: Semaphore,
+    /// One plan at a time, beside the threads that answer.
+    pub(crate) planning: Semaphore,
 }
 
 type Shared = State<Arc<App>>;
@@ -137,7 +141,7 @@ pub(crate) fn router(app: Arc<App>) -> Router {
 
 /// Serves connections until the task ends.
 pub(crate) async fn listen(listener: TcpListener, router: Router) {
-    let places = CONNECTIONS.map(|count| Arc::new(Semaphore::new(count)));
+    let connections = Arc::<Connections>::default();
     loop {
         let Ok((stream, peer)) = listener.accept().await else {
             // Too many open files, most likely: some will be closed.
@@ -147,19 +151,31 @@ pub(crate) async fn listen(listener: TcpListener, router: Router) {
         let peer = Peer {
             here: is_here(peer, stream.local_addr().ok()),
         };
-        let places = &places[usize::from(!peer.here)];
-        let Ok(place) = Arc::clone(places).try_acquire_owned() else {
+        let Some(place) = connections.enter(peer.here) else {
             continue;
         };
+        let number = place.number();
         // A stop must not wait for more data.
         let _ = stream.set_nodelay(true);
         let router = router.clone();
-        tokio::spawn(async move {
-            let _place = place;
+        let connection = tokio::spawn(async move {
+            let place = &place;
             let service = service_fn(move |request: hyper::Request<hyper::body::Incoming>| {
                 let mut request = request.map(Body::new);
                 request.extensions_mut().insert(peer);
-                router.clone().call(request)
+                let mut router = router.clone();
+                async move {
+                    if place.is_for_stops && !is_stop(&request) {
+                        return Ok(full());
+                    }
+                    place.does(Doing::Answering);
+                    let response = router.call(request).await?;
+                    place.does(match is_stream(&response) {
+                        true => Doing::Following,
+                        false => Doing::Nothing,
+                    });
+                    Ok::<_, Infallible>(response)
+                }
             });
             // A browser that goes away is of no concern.
             let _ = http1::Builder::new()
@@ -169,7 +185,36 @@ pub(crate) async fn listen(listener: TcpListener, router: Router) {
                 .serve_connection(TokioIo::new(stream), service)
                 .await;
         });
+        connections.ended_by(number, connection.abort_handle());
     }
+}
+
+fn is_stop(request: &Request) -> bool {
+    demand(request.method(), request.uri().path()) == Demand::Stop
+}
+
+fn is_stream(response: &Response) -> bool {
+    response
+        .headers()
+        .get(CONTENT_TYPE)
+        .is_some_and(|kind| kind == "text/event-stream")
+}
+
+/// The answer to all but stops when there are too many connections.
+fn full() -> Response {
+    let response = bad(
+        StatusCode::SERVICE_UNAVAILABLE,
+        "too many connections at once; nothing was done",
+        "close pages and programs that nobody needs; a stop is taken all the same",
+    );
+    closing(response)
+}
+
+/// The connection ends with this answer: whoever is refused keeps no place.
+fn closing(mut response: Response) -> Response {
+    let headers = response.headers_mut();
+    headers.insert(CONNECTION, HeaderValue::from_static("close"));
+    response
 }
 
 /// The other end is on this computer.
@@ -243,7 +288,7 @@ async fn guard(
         .check(peer, demand, request.uri(), request.headers());
     let mut response = match checked {
         Ok(()) => next.run(request).await,
-        Err(Denied { status, why, help }) => bad(status, &why, help),
+        Err(Denied { status, why, help }) => closing(bad(status, &why, help)),
     };
     let headers = response.headers_mut();
     for (name, value) in [
@@ -372,11 +417,11 @@ async fn state(State(app): Shared) -> Response {
 
 async fn stream(State(app): Shared) -> Response {
     let Some(body) = app.board.stream.body(&app.board.json()) else {
-        return bad(
+        return closing(bad(
             StatusCode::SERVICE_UNAVAILABLE,
             "100 readers are there already",
             "close a page that nobody looks at; `GET /api/v1/state` works all the same",
-        );
+        ));
     };
     let mut response = Response::new(body);
     let events = HeaderValue::from_static("text/event-stream");
@@ -474,20 +519,27 @@ fn ends() -> Response {
     )
 }
 
-async fn plan_run(headers: HeaderMap, body: Body) -> Response {
+async fn plan_run(State(app): Shared, headers: HeaderMap, body: Body) -> Response {
     let body = match object(&headers, body).await {
         Ok(body) => body,
         Err(response) => return *response,
     };
-    let planned = orders::run(&body).and_then(|run| {
-        let axis = Axis::REFERENCE;
-        let plan = planning::solve(&run, &axis, &REFERENCE_LIMITS)?;
-        Ok(plan::summary(&run, &axis, &plan))
-    });
-    match planned {
-        Ok(summary) => good(json!({ "plan": summary })),
-        Err(failure) => failed(&failure),
+    let Ok(_one) = app.planning.acquire().await else {
+        return ends();
+    };
+    // Not on a thread that answers: it takes long enough to delay a stop.
+    match tokio::task::spawn_blocking(move || planned(&body)).await {
+        Ok(Ok(summary)) => good(json!({ "plan": summary })),
+        Ok(Err(failure)) => failed(&failure),
+        Err(_) => ends(),
     }
+}
+
+fn planned(body: &Map<String, Value>) -> Result<Value, Failure> {
+    let run = orders::run(body)?;
+    let axis = Axis::REFERENCE;
+    let plan = planning::solve(&run, &axis, &REFERENCE_LIMITS)?;
+    Ok(json!(plan::summary(&run, &axis, &plan)))
 }
 
 async fn records(State(app): Shared) -> Response {
@@ -596,10 +648,12 @@ async fn estop(state: Shared, body: Body) -> Response {
 }
 
 async fn stop_all(State(app): Shared, urgent: Urgent, body: Body) -> Response {
-    // What cannot be understood stops everything, at once.
-    let body = bytes(body).await.unwrap_or_default();
-    let only = serde_json::from_slice::<Value>(&body)
+    // What cannot be understood, or does not come at once, stops everything.
+    let body = timeout(STOP_BODY, to_bytes(body, LONGEST_BODY)).await;
+    let only = body
         .ok()
+        .and_then(Result::ok)
+        .and_then(|body| serde_json::from_slice::<Value>(&body).ok())
         .and_then(|body| body["machine"].as_str().and_then(machine_of));
     let kinds: Vec<_> = app
         .board
@@ -612,16 +666,18 @@ async fn stop_all(State(app): Shared, urgent: Urgent, body: Body) -> Response {
         return no_machine(only.unwrap_or(DeviceKind::Rig));
     }
     let mut replies = vec![];
-    for kind in &kinds {
-        // Both ways at once: the keeper's, and one past it.
-        if let Some(machine) = app.board.machine(*kind) {
-            machine.want(urgent);
-        }
+    for machine in kinds.iter().filter_map(|kind| app.board.machine(*kind)) {
         let (reply, told) = oneshot::channel();
-        let _ = app.errands.send(Errand::Stop {
-            machine: *kind,
-            urgent,
+        // Both ways at once: the keeper's, and one past it.
+        let wait = Wait {
+            ask: machine.stop(urgent),
             reply,
+        };
+        let machine = machine.kind;
+        let _ = app.errands.send(Errand::Stop {
+            machine,
+            urgent,
+            wait,
         });
         replies.push(told);
     }
@@ -717,14 +773,16 @@ async fn order(
         )
     };
     let kind = machine_of(machine).ok_or_else(unknown)?;
+    // Before the body is waited for.
+    let after = app.board.machine(kind).map(Machine::last_stop);
     let body = object(headers, body).await?;
     let work = Work::read(kind, name, &body)
         .ok_or_else(unknown)?
         .map_err(|failure| Box::new(failed(&failure)))?;
     let board = &app.board;
-    let keeper = board
-        .machine(kind)
-        .ok_or_else(|| Box::new(no_machine(kind)))?;
+    let (Some(keeper), Some(after)) = (board.machine(kind), after) else {
+        return Err(Box::new(no_machine(kind)));
+    };
     let print =
         hmac_sha256::Hash::hash(format!("{machine}/{name} {}", Value::Object(body)).as_bytes());
     let command = Command {
@@ -749,6 +807,7 @@ async fn order(
                 action: number,
                 work,
                 at: Instant::now(),
+                after,
             };
             if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
                 keeper.orders.try_send(order)

@@ -17,13 +17,14 @@ use serde_json::{Value, json};
 use crate::cli::args::{DATA_FOLDER, RecordArgs};
 use crate::cli::failure::{Failure, NO_DEVICE, UNKNOWN};
 use crate::cli::finding::Finder;
-use crate::cli::watch::panel::{self, Contact, Notice};
+use crate::cli::watch::panel::{self, Contact, MOVES_ALREADY, Notice};
 use crate::cli::{already, motion};
 use crate::client::{Begun, Device, Interrupt, Observer, Pace, Progress, while_moving};
 use crate::commission::warning;
 use crate::connector::Purpose;
 use crate::error::ClientError;
 use crate::experiment::{self, Motion};
+use crate::left;
 use crate::link::LinkError;
 use crate::serve::board::{Board, Lease, Machine, Order};
 use crate::serve::orders::Work;
@@ -152,6 +153,7 @@ impl Keeper<'_> {
     /// Connects, and keeps the machine until the connection is lost, the server ends, or somebody else needs the line.
     fn connection(&self, waiting: &mut Option<Order>) -> Result<(), Failure> {
         let (finder, machine) = (self.finder, self.machine);
+        machine.is_behind(finder.connector.doorway(&machine.address));
         let link = finder.connector.open(
             machine.kind,
             &machine.address,
@@ -179,6 +181,10 @@ impl Keeper<'_> {
                 Some(owner) => Contact::Window(owner.to_string()),
             },
         );
+        if owned && self.machine.panel().moves() {
+            self.board
+                .notice(self.machine, Notice::Bad(MOVES_ALREADY.to_owned()));
+        }
         let result = self.watch(&mut device, waiting);
         if owned && result.is_ok() {
             // The line is given up in any case.
@@ -201,6 +207,12 @@ impl Keeper<'_> {
                 }
             }
             self.settle(device)?;
+            if asked_us == Some(now_us)
+                && !self.machine.panel().moves()
+                && let Some(said) = left::end_record(device)?
+            {
+                self.board.notice(self.machine, Notice::Bad(said));
+            }
             let order = waiting.take().or_else(|| self.orders.try_recv().ok());
             if let Some(order) = order {
                 asked_us = None;
@@ -232,12 +244,20 @@ impl Keeper<'_> {
 
     /// Waits until a stop that was sent is confirmed, and is ready for the next order.
     fn settle(&self, device: &mut Device) -> Result<(), ClientError> {
+        let stops = &self.machine.stops;
+        if device.interrupted().is_none() {
+            return Ok(());
+        }
+        device.settle()?;
+        // What was sent may be older than what somebody waits for.
+        if let Some(urgent) = stops.unconfirmed() {
+            let asked = stops.asked();
+            device.urgent(urgent)?;
+            stops.confirm(urgent, asked);
+        }
         let Some(urgent) = device.interrupted() else {
             return Ok(());
         };
-        device.settle()?;
-        let urgent = device.interrupted().unwrap_or(urgent);
-        self.machine.done(urgent);
         self.board.notice(
             self.machine,
             Notice::Done(match urgent {
@@ -255,7 +275,18 @@ impl Keeper<'_> {
 
     /// Does what is ordered. An error means that the connection has to be made again.
     fn carry_out(&self, device: &mut Device, order: Order) -> Result<(), Failure> {
-        let Order { action, work, at } = order;
+        let Order {
+            action,
+            work,
+            at,
+            after: (stop, mark),
+        } = order;
+        let stops = &self.machine.stops;
+        if stops.since(stop).is_some() || self.machine.last_stop().1 != mark {
+            let failure = overtaken();
+            self.board.ended(action, Value::Null, Some(&failure));
+            return Ok(());
+        }
         if at.elapsed() > STALE {
             let failure = Failure::Refused {
                 why: format!(
@@ -273,7 +304,11 @@ impl Keeper<'_> {
             self.machine.acting.store(true, Ordering::SeqCst);
         }
         let kind = work.kind();
+        // A stop that comes from now on is seen between any two frames.
+        stops.begin_order(stop);
+        device.ordered_at(mark);
         let result = self.act(device, action, &work);
+        stops.end_order();
         self.machine.acting.store(false, Ordering::SeqCst);
         let (outcome, lost) = match result {
             Ok(outcome) => (outcome, false),
@@ -587,6 +622,14 @@ fn ended(action: &'static str, trial: &Trial, help: String) -> Option<Failure> {
 fn lost(failure: &Failure) -> Failure {
     Failure::NothingFound {
         there: format!("nothing was sent: {}", failure.in_one_line()),
+    }
+}
+
+/// What an order finds that is older than a stop.
+fn overtaken() -> Failure {
+    Failure::Refused {
+        why: "a stop came after this order".to_owned(),
+        help: "nothing was moved; look at the machine, then order it again".to_owned(),
     }
 }
 

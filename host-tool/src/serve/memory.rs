@@ -199,6 +199,7 @@ pub fn with<R>(
             access: Access::new(token.to_owned(), vec![]),
             errands: sender,
             listing: Semaphore::new(1),
+            planning: Semaphore::new(1),
         })),
         board: &board,
         finder: &finder,
@@ -280,11 +281,10 @@ impl Server<'_> {
                 Errand::Stop {
                     machine,
                     urgent,
-                    reply,
+                    wait,
                 } => {
                     if let Some(machine) = self.board.machine(machine) {
-                        let told = errands::stop(self.finder, self.board, machine, urgent, true);
-                        let _ = reply.send(told);
+                        errands::stop(self.finder, self.board, machine, urgent, vec![wait]);
                     }
                 }
                 Errand::Ask { question, reply } => {

@@ -425,12 +425,12 @@ impl Machine {
     /// Bytes reach the device's port.
     fn receive(&mut self, bytes: &[u8]) {
         for byte in bytes {
-            let Some(received) = self.service.receive(*byte) else {
+            let Some(incoming) = self.service.receive(*byte, self.port.now_us() as u32) else {
                 continue;
             };
             self.port
-                .hear(self.service.session(), received.is_sign_of_life);
-            let frame = match received.incoming {
+                .hear(self.service.session(), self.service.heard_us());
+            let frame = match incoming {
                 Incoming::Send(frame) => Some(frame),
                 Incoming::Ask(inbound, to) => {
                     self.note(&inbound);
@@ -438,6 +438,8 @@ impl Machine {
                 }
                 Incoming::Ignore => None,
             };
+            self.port
+                .hear(self.service.session(), self.service.heard_us());
             if let Some(frame) = frame {
                 self.port.reply(frame);
             }

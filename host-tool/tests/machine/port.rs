@@ -15,9 +15,9 @@ pub struct Port(Arc<Mutex<State>>);
 
 struct State {
     now_us: u64,
-    /// Number of the present session, 0 before the first, and when its last good frame came.
+    /// Number of the present session, 0 before the first, and when the host that began the motion was last heard.
     session: u8,
-    heard_us: u64,
+    heard_us: u32,
     telemetry_us: u64,
     next_telemetry_us: Option<u64>,
     telemetry_seq: u16,
@@ -86,13 +86,11 @@ impl Port {
         self.state().now_us = now_us;
     }
 
-    /// A good frame of this session has come.
-    pub fn hear(&self, session: u8, is_sign_of_life: bool) {
+    /// A good frame has come, or was answered.
+    pub fn hear(&self, session: u8, heard_us: u32) {
         let mut state = self.state();
         state.session = session;
-        if is_sign_of_life {
-            state.heard_us = state.now_us;
-        }
+        state.heard_us = heard_us;
     }
 
     pub fn reply(&self, frame: Encoded) {
@@ -145,7 +143,7 @@ impl<B> Surroundings for At<B> {
 
     fn silence_us(&self) -> u32 {
         let state = self.port.state();
-        (state.now_us - state.heard_us) as u32
+        (state.now_us as u32).wrapping_sub(state.heard_us)
     }
 
     fn set_telemetry(&mut self, period_ms: u16) {

@@ -1,6 +1,8 @@
 //! A bad line and a line that falls silent, in every state of the rig.
 
-use crate::common::{Dice, LIMIT_NS, Recorder, RigRun, exact, home_quickly, paper, quick, rig};
+use crate::common::{
+    Dice, LIMIT_NS, Recorder, RigRun, exact, home_quickly, paper, quick, quickly_homed, rig, trials,
+};
 use host_tool::{
     client::{Device, Unobserved},
     error::ClientError,
@@ -340,5 +342,52 @@ fn what_is_no_host_does_not_keep_a_run_going() {
         let record = rig.device.run_record().expect("a record");
         assert_eq!(record.outcome, RunOutcome::LinkLost, "{heard:?}");
         rig.check_clean(0);
+    }
+}
+
+/// How whoever takes the line over looks at the rig: `watch`, `serve`, and a `watch` with five windows at its door.
+const LOOKS_US: [u64; 3] = [250_000, 100_000, 20_000];
+
+/// The life of a run is that of whoever began it: questions of somebody else do not keep it going.
+#[test]
+fn a_bystander_does_not_keep_a_run_going_whose_host_is_gone() {
+    for look_us in LOOKS_US {
+        for trial in 0..trials(2, 20) {
+            let mut dice = Dice(0x5107 + trial);
+            let mut rig = quickly_homed();
+            let run = Run {
+                link_loss: LinkLossPolicy::Stop,
+                ..quick(200, 20_000, 40_000, 500_000)
+            };
+            rig.device.run(run).expect("accepted");
+            let for_us = dice.roll(100_000..3_000_000);
+            rig.device.idle(for_us, &mut Unobserved).expect("there");
+            let link = Box::new(VirtualLink::new(&rig.bench, "virtual rig"));
+            let gone_us = link.now_us();
+            let mut other = Device::connect(link, DeviceKind::Rig, 77).expect("it answers");
+            other.set_telemetry(50).expect("telemetry");
+            let (mut last_us, mut edges) = (gone_us, rig.edge_count());
+            let mut look = gone_us;
+            while other.now_us() < gone_us + 2_500_000 {
+                other.observe(5_000, &mut Unobserved).expect("there");
+                if other.now_us() >= look {
+                    other.rig_status().expect("an answer");
+                    look += look_us;
+                }
+                let count = rig.edge_count();
+                if count > edges {
+                    (last_us, edges) = (other.now_us(), count);
+                }
+            }
+            let after_ms = (last_us - gone_us) / 1_000;
+            assert!(
+                (900..=1_100).contains(&after_ms),
+                "looks every {look_us} us, trial {trial}: the last edge after {after_ms} ms"
+            );
+            let record = other.run_record().expect("a record");
+            assert_eq!(record.outcome, RunOutcome::LinkLost);
+            rig.device = other;
+            rig.check_clean(0);
+        }
     }
 }

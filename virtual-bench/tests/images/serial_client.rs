@@ -32,8 +32,8 @@ use virtual_bench::verdicts::{self, TICK_HZ, Verdict};
 /// A machine in real time behind a port of the loopback interface, until the test's process ends.
 fn serve<W: Wiring>(bench: &Bench<W>, name: &'static str) -> u16 {
     let server = Server::listen(0).expect("a free port");
-    let (port, mut link) = (server.port(), VirtualLink::new(bench, name));
-    thread::spawn(move || server.serve(&mut link, &Plug::default()));
+    let (port, bench) = (server.port(), bench.clone());
+    thread::spawn(move || server.serve(&bench, name, &Plug::default()));
     port
 }
 

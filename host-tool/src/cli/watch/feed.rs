@@ -1,6 +1,6 @@
 //! Keeps one machine's panel up to date, on a thread of its own, and sends what the keys want.
 
-use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -14,12 +14,14 @@ use protocol::table::Telemetry;
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, Target};
 use crate::cli::stops::DO_NOW;
-use crate::cli::watch::panel::{self, Contact, Notice, Panel};
+use crate::cli::watch::panel::{self, Contact, MOVES_ALREADY, Notice, Panel};
 use crate::client::{Device, Interrupt, Observer, Pace};
 use crate::connector::Purpose;
 use crate::error::ClientError;
+use crate::left;
 use crate::link::LinkError;
 use crate::link::address::Address;
+use crate::stops::{Ask, Stops};
 
 /// Interval of telemetry if this process owns the line: as often as the screen is drawn.
 const TELEMETRY_MS: u16 = 50;
@@ -41,8 +43,9 @@ pub(crate) struct Shared {
     pub(crate) kind: DeviceKind,
     address: Address,
     panel: Mutex<Panel>,
-    /// The stop that a key wants, until it is confirmed.
-    wanted: Arc<AtomicU8>,
+    /// The stops that keys want, and those of them that are not confirmed.
+    stops: Arc<Stops>,
+    asks: Mutex<Vec<Ask>>,
 }
 
 impl Shared {
@@ -51,7 +54,8 @@ impl Shared {
             kind,
             panel: Mutex::new(Panel::new(kind, address.to_string())),
             address,
-            wanted: Arc::new(AtomicU8::new(0)),
+            stops: Arc::default(),
+            asks: Mutex::default(),
         }
     }
 
@@ -61,23 +65,28 @@ impl Shared {
     }
 
     /// Stops the machine as soon as the feed sees it, within 20 ms.
-    pub(crate) fn stop(&self, urgent: Urgent) {
-        self.wanted.fetch_max(number(urgent), Ordering::Relaxed);
+    pub(crate) fn stop(&self, finder: &Finder<'_>, urgent: Urgent) {
+        if let Some(doorway) = finder.connector.doorway(&self.address) {
+            doorway.mark_stop(urgent);
+        }
+        self.asks().push(self.stops.ask(urgent));
         self.tell(Notice::Done(format!("{} ...", name(urgent))));
     }
 
-    fn wanted(&self) -> Option<Urgent> {
-        stop(self.wanted.load(Ordering::Relaxed))
+    fn asks(&self) -> MutexGuard<'_, Vec<Ask>> {
+        self.asks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The stop is done, unless a stronger one is wanted by now.
-    fn done(&self, urgent: Urgent) {
-        let now = number(urgent);
-        let _ = self
-            .wanted
-            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |wanted| {
-                (wanted <= now).then_some(0)
-            });
+    /// The machine has confirmed this stop, which was sent after the stop `asked` was asked for.
+    fn confirmed(&self, urgent: Urgent, asked: u64) {
+        self.stops.confirm(urgent, asked);
+        self.asks().retain(|ask| {
+            let is_open = !self.stops.is_confirmed(*ask);
+            if !is_open {
+                self.stops.withdraw(*ask);
+            }
+            is_open
+        });
     }
 
     fn tell(&self, notice: Notice) {
@@ -86,18 +95,26 @@ impl Shared {
 
     /// Sends the stop that a key wants over a line of its own: there is no connection, or it has not confirmed it.
     pub(crate) fn stop_directly(&self, finder: &Finder<'_>) {
-        let Some(urgent) = self.wanted() else {
+        let Some(urgent) = self.stops.unconfirmed() else {
             return;
         };
+        let (asked, asks) = (self.stops.asked(), self.asks().clone());
         let target = Target {
             kind: Some(self.kind),
             address: Some(self.address.clone()),
         };
         let result = finder.urgent(&target, urgent);
-        self.done(urgent);
         self.tell(match result {
-            Ok(_) => confirmed(urgent),
+            Ok(_) => {
+                self.confirmed(urgent, asked);
+                confirmed(urgent)
+            }
             Err(failure) => {
+                // Nobody waits any longer: a stop that goes out by itself an hour later would surprise.
+                self.asks().retain(|ask| !asks.contains(ask));
+                for ask in asks {
+                    self.stops.withdraw(ask);
+                }
                 let name = name(urgent);
                 Notice::Bad(format!("{name} NOT CONFIRMED: {DO_NOW} ({failure})"))
             }
@@ -105,23 +122,8 @@ impl Shared {
     }
 
     fn interrupt(&self) -> Interrupt {
-        let wanted = Arc::clone(&self.wanted);
-        Arc::new(move || stop(wanted.load(Ordering::Relaxed)))
-    }
-}
-
-fn number(urgent: Urgent) -> u8 {
-    match urgent {
-        Urgent::Stop => 1,
-        Urgent::EStop => 2,
-    }
-}
-
-fn stop(number: u8) -> Option<Urgent> {
-    match number {
-        0 => None,
-        1 => Some(Urgent::Stop),
-        _ => Some(Urgent::EStop),
+        let stops = Arc::clone(&self.stops);
+        Arc::new(move || stops.wanted())
     }
 }
 
@@ -230,6 +232,7 @@ impl Feed<'_> {
         while !self.is_leaving() && !device.is_line_wanted() {
             let now_us = device.now_us();
             let due = asked_us.is_none_or(|asked_us| now_us >= asked_us + ASK_US);
+            let first = asked_us.is_none();
             if self.shared.panel().take_changed() || due {
                 asked_us = Some(now_us);
                 match self.ask(device) {
@@ -239,6 +242,15 @@ impl Feed<'_> {
                 }
             }
             self.settle(device)?;
+            if first && device.owner().is_none() && self.shared.panel().moves() {
+                self.shared.tell(Notice::Bad(MOVES_ALREADY.to_owned()));
+            }
+            if asked_us == Some(now_us)
+                && !self.shared.panel().moves()
+                && let Some(said) = left::end_record(device)?
+            {
+                self.shared.tell(Notice::Bad(said));
+            }
             while let Ok(pace) = self.paces.try_recv() {
                 self.pace(device, pace)?;
             }
@@ -255,15 +267,20 @@ impl Feed<'_> {
 
     /// Waits until a stop that was sent is confirmed, and is ready for the next one.
     fn settle(&self, device: &mut Device) -> Result<(), ClientError> {
-        let Some(urgent) = device.interrupted() else {
+        if device.interrupted().is_none() {
             return Ok(());
-        };
+        }
         device.settle()?;
-        let urgent = device.interrupted().unwrap_or(urgent);
-        if self.shared.wanted().is_some() {
-            self.shared.done(urgent);
+        // A key that came before the stop must not undo it.
+        while self.paces.try_recv().is_ok() {}
+        // What was sent may be older than what a key wants.
+        let stops = &self.shared.stops;
+        if let Some(urgent) = stops.unconfirmed() {
+            let asked = stops.asked();
+            device.urgent(urgent)?;
+            self.shared.confirmed(urgent, asked);
             self.shared.tell(confirmed(urgent));
-        } else {
+        } else if let Some(urgent) = device.interrupted() {
             let notice = format!("{} from another terminal", name(urgent));
             self.shared.tell(Notice::Done(notice));
         }

@@ -96,6 +96,9 @@ pub struct Panel {
     pub notice: Option<Notice>,
 }
 
+/// What somebody is told who takes a line over while the machine moves.
+pub(crate) const MOVES_ALREADY: &str = "SOMETHING MOVES that no process here has begun: the one that did has ended, or it was the start button. It stops by itself within 1 s, except a run that was to finish without its host; a stop works as ever";
+
 impl Panel {
     /// Before the first connection.
     #[must_use]
@@ -113,6 +116,17 @@ impl Panel {
             events: VecDeque::new(),
             notice: None,
         }
+    }
+
+    /// Something moves, by what the machine has said last.
+    #[must_use]
+    pub fn moves(&self) -> bool {
+        use protocol::capsule::CapsuleState::{Checking, Folding, Referencing, Unfolding};
+        use protocol::rig::RigState::{Homing, Moving, Running, Stopping};
+        let rig = self.rig.as_ref().map(|status| status.state);
+        let capsule = self.capsule.as_ref().map(|status| status.state);
+        matches!(rig, Some(Homing | Running | Moving | Stopping))
+            || matches!(capsule, Some(Referencing | Checking | Folding | Unfolding))
     }
 
     /// Takes a sample; `missed` were lost before it.
