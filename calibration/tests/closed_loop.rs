@@ -122,7 +122,7 @@ fn log_width(truth: &Point, planned: &[Planned], number: u64) -> f64 {
 fn recommended_trials_leave_less_open_than_as_many_of_the_papers() {
     const UNCERTAINTY_MM: f64 = 0.5;
     let full = std::env::var("RETROGRADE_CAMPAIGN").is_ok_and(|what| what == "full");
-    let count = if full { 200 } else { 24 };
+    let count = if full { 200 } else { 12 };
     let candidates: Vec<Trial> = (0..KINDS.len())
         .flat_map(|kind| trials(kind, UNCERTAINTY_MM))
         .collect();

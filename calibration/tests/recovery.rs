@@ -1,4 +1,5 @@
-//! Bodies that are known are found again, as exactly as the trials allow and no more exactly.
+//! Bodies that are known are found again, as exactly as the trials allow and no more exactly. All of the series with
+//! `RETROGRADE_CAMPAIGN=full`, else a slice.
 
 use calibration::chance::{stream, unit};
 use calibration::fit::{Fit, Settings, Unfit, fit};
@@ -13,16 +14,20 @@ const DEPTHS_MM: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.05];
 const COUPLING: usize = 0;
 const RATIO: usize = 1;
 
+/// Whether the whole series is asked for, or its slice.
+fn full() -> bool {
+    std::env::var("RETROGRADE_CAMPAIGN").is_ok_and(|what| what == "full")
+}
+
 /// The default body, and next to no discrepancy.
 fn one() -> Point {
     Values([0.15, 40.0, 0.0007, 1e-6]).point()
 }
 
-fn nets(uncertainty_mm: f64) -> Vec<Planned> {
+fn nets(depths_mm: &[f64], uncertainty_mm: f64) -> Vec<Planned> {
     let net = Kind::Net { cycles: 5 };
-    DEPTHS_MM
-        .map(|a| Planned::dry(net, a, 1, uncertainty_mm))
-        .to_vec()
+    let at = |a: &f64| Planned::dry(net, *a, 1, uncertainty_mm);
+    depths_mm.iter().map(at).collect()
 }
 
 fn passes(depths_mm: &[f64], repeats: usize, uncertainty_mm: f64) -> Vec<Planned> {
@@ -71,10 +76,16 @@ fn span(fit: &Fit, unknown: usize) -> (f64, f64) {
 }
 
 /// Net displacements to 1 mm say little about the friction ratio. A posterior narrower than this claims what is not known.
-/// An independent calculation, which accepted bodies within 1 mm of all five, found 22 to 90.
+/// An independent calculation, which accepted bodies within 1 mm of all five, found 22 to 90. All five with
+/// `RETROGRADE_CAMPAIGN=full`, else three: they leave more open, and the prior's ends are as far.
 #[test]
 fn net_displacement_alone_leaves_the_friction_ratio_open() {
-    let fit = fitted(&exact(&nets(1.0)));
+    let depths_mm: &[f64] = if full() {
+        &DEPTHS_MM
+    } else {
+        &[1.0, 3.0, 5.05]
+    };
+    let fit = fitted(&exact(&nets(depths_mm, 1.0)));
     let (low, high) = span(&fit, RATIO);
     assert!(low < 30.0 && high > 80.0, "{low} to {high}");
     assert!(low > 12.0, "the prior begins at 1.2: {low}");
@@ -107,7 +118,10 @@ fn bodies_within_hard_bounds_lie_where_the_posterior_does() {
         let cases: Vec<_> = planned.iter().map(|one| one.case).collect();
         Predictor::new(&Model::ONE, &cases, 0.1).expect("covered")
     };
-    let (passes, nets) = (asked(&passes(&DEPTHS_MM, 1, 0.2)), asked(&nets(1.0)));
+    let (passes, nets) = (
+        asked(&passes(&DEPTHS_MM, 1, 0.2)),
+        asked(&nets(&DEPTHS_MM, 1.0)),
+    );
     let of =
         |predictor: &Predictor, body: &[f64; 3]| predictor.displacements_mm(body).expect("covered");
     let truth = parts(&one());
@@ -138,7 +152,8 @@ fn bodies_within_hard_bounds_lie_where_the_posterior_does() {
     assert!(median > 38.0 && median < 48.0, "{median}");
 }
 
-/// Bodies here and there in the prior, with measurement errors and discrepancy: each value lies in its 99 % interval.
+/// Bodies here and there in the prior, with measurement errors and discrepancy: each value lies in its 99 % interval. All
+/// with `RETROGRADE_CAMPAIGN=full`, else the first.
 #[test]
 fn bodies_are_found_again() {
     for (number, body) in [
@@ -148,6 +163,7 @@ fn bodies_are_found_again() {
     ]
     .into_iter()
     .enumerate()
+    .take(if full() { 3 } else { 1 })
     {
         let truth = Values(body);
         let planned = passes(&[1.5, 3.0, 5.0], 5, 0.2);

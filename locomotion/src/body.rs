@@ -160,27 +160,31 @@ impl Chain {
     pub fn step(&mut self, wall_mm: impl Fn(f64) -> f64) -> Result<(), OutOfRange> {
         let m = self.m();
         let mut indentation_mm = [0.0; LINKS];
-        let mut link_mm = self.link_mm;
         let mut changed = false;
-        for i in 0..m {
-            let a = self.params.coupling * wall_mm(self.core_tail_mm + self.middle_mm[i]);
-            indentation_mm[i] = a;
-            if a != self.indentation_mm[i] {
-                link_mm[i] = self.params.design.squeezed_spacing_mm(a)?;
-                changed = true;
-            }
+        let before = self.middle_mm[..m].iter().zip(&self.indentation_mm[..m]);
+        for (a, (middle_mm, was)) in indentation_mm[..m].iter_mut().zip(before) {
+            *a = self.params.coupling * wall_mm(self.core_tail_mm + middle_mm);
+            changed |= *a != *was;
         }
         if !changed {
             return Ok(()); // every delta is 0, so `S` is 0
         }
+        let mut link_mm = self.link_mm;
+        let before = &self.indentation_mm[..m];
+        for ((link_mm, a), was) in link_mm[..m].iter_mut().zip(&indentation_mm).zip(before) {
+            if a != was {
+                *link_mm = self.params.design.squeezed_spacing_mm(*a)?;
+            }
+        }
         let middle_mm = middles(&link_mm[..m]);
         let mut shift = [(0.0, 0.0); LINKS];
-        for i in 0..m {
-            let hold = self.params.preload_mm + (self.indentation_mm[i] + indentation_mm[i]) / 2.0;
-            shift[i] = (
-                middle_mm[i] - self.middle_mm[i],
-                self.params.friction * hold,
-            );
+        let places = middle_mm[..m].iter().zip(&self.middle_mm);
+        let indentations = indentation_mm[..m].iter().zip(before);
+        for ((shift, (middle_mm, was_mm)), (a, was)) in
+            shift[..m].iter_mut().zip(places).zip(indentations)
+        {
+            let hold = self.params.preload_mm + (was + a) / 2.0;
+            *shift = (middle_mm - was_mm, self.params.friction * hold);
         }
         self.core_tail_mm += least_work_shift(&mut shift[..m], self.ratio);
         self.indentation_mm = indentation_mm;
@@ -242,11 +246,12 @@ pub(crate) fn middles(links_mm: &[f64]) -> [f64; LINKS] {
 fn least_work_shift(pairs: &mut [(f64, f64)], ratio: f64) -> f64 {
     // Insertion sort: few pairs, nearly sorted by the geometry, and it is stable.
     for i in 1..pairs.len() {
-        let mut j = i;
-        while j > 0 && pairs[j].0 > pairs[j - 1].0 {
-            pairs.swap(j, j - 1);
-            j -= 1;
-        }
+        let (before, rest) = pairs.split_at_mut(i);
+        let moved = rest[0];
+        let smaller = before.iter().rev().take_while(|pair| moved.0 > pair.0);
+        let place = i - smaller.count();
+        pairs.copy_within(place..i, place + 1);
+        pairs[place] = moved;
     }
     let mut slope = -ratio * pairs.iter().map(|(_, w)| w).sum::<f64>();
     let mut shift = 0.0;

@@ -20,7 +20,7 @@ const HOST_TESTS: Step = Step::tests(
 );
 const LONG_TESTS: Step = Step::tests(
     "long tests",
-    "millions of random command sequences, corrupted frames, noisy lines: the tests that plain `cargo test` leaves out",
+    "slices of the long series that plain `cargo test` leaves out: random commands, corrupted frames, noisy lines",
     long_tests,
 );
 const IMAGES: Step = Step::new(
@@ -119,7 +119,11 @@ fn long_tests() -> Tests {
         // As the host tests, so that nothing is built again.
         cargo: host_cargo("test"),
         program: &["--ignored"],
-        only: &["sequences", "fuzz", "link"],
+        only: &[
+            ("firmware-rig", "sequences"),
+            ("protocol", "fuzz"),
+            ("protocol", "link"),
+        ],
         examples: false,
         lanes: programs::cores(),
     })

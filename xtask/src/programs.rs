@@ -17,10 +17,36 @@ use crate::steps::{Clock, Counts, Ran, Tests};
 
 /// Package and name of what takes longest, longest first: it begins early, so that the end is short. The order of
 /// everything else does not matter.
-const LONG: [(&str, &str); 0] = [];
+const LONG: [(&str, &str); 12] = [
+    ("calibration", "recovery"),
+    ("host-tool", "science"),
+    ("host-tool", "plan_experiment"),
+    ("calibration", "simulation_based"),
+    ("calibration", "closed_loop"),
+    ("firmware-rig", "sequences"),
+    ("firmware-capsule", "scenarios"),
+    ("locomotion", "comparison"),
+    ("calibration", "closed_forms"),
+    ("host-tool", "fit"),
+    ("fuzz", "bounded"),
+    ("host-tool", "crescent"),
+];
 
 /// These wait for a line in real time and compute little: they run beside those that compute.
-const WAITING: [(&str, &str); 0] = [];
+const WAITING: [(&str, &str); 12] = [
+    ("host-tool", "door"),
+    ("host-tool", "host_faults"),
+    ("host-tool", "serve"),
+    ("host-tool", "stopping"),
+    ("host-tool", "stops"),
+    ("host-tool", "keys"),
+    ("host-tool", "signals"),
+    ("host-tool", "campaign_process"),
+    ("host-tool", "watch"),
+    ("host-tool", "named"),
+    ("host-tool", "flash"),
+    ("host-tool", "doctor"),
+];
 
 /// So many of those that wait run at a time.
 const WAITING_LANES: usize = 2;
@@ -34,8 +60,8 @@ pub(crate) struct Selection<'a> {
     pub(crate) cargo: Command,
     /// Arguments of the programs, as after `--`.
     pub(crate) program: &'a [&'a str],
-    /// Of what was built only these programs run; none: all.
-    pub(crate) only: &'a [&'a str],
+    /// Of what was built only these programs run, by package and name; none: all.
+    pub(crate) only: &'a [(&'a str, &'a str)],
     /// Whether the examples in the documentation run too.
     pub(crate) examples: bool,
     /// So many that compute run at a time.
@@ -153,9 +179,7 @@ pub(crate) fn test(selection: Selection<'_>) -> Tests {
         Err(failure) => return Tests::failed(failure),
     };
     println!("built in {}", Clock(begin.elapsed()));
-    jobs.retain(
-        |job| matches!(job, Job::Program(one) if only.is_empty() || only.contains(&&*one.name)),
-    );
+    jobs.retain(|job| only.is_empty() || job.place_in(only).is_some());
     if examples {
         jobs.push(Job::Examples);
     }
