@@ -39,6 +39,7 @@ mod windows;
 use std::ffi::OsString;
 use std::io::{self, BufRead, IsTerminal, Write};
 use std::process::ExitCode;
+use std::sync::LazyLock;
 
 use clap::builder::{OsStr, Resettable};
 use clap::error::ErrorKind;
@@ -55,6 +56,7 @@ use crate::connector::Connector;
 
 /// Runs one command line, program name first, on the process's streams.
 pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) -> ExitCode {
+    LazyLock::force(&finding::BEGAN);
     let (mut out, mut err) = (io::stdout(), io::stderr());
     let terminal = err.is_terminal();
     let at = At {

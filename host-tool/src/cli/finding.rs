@@ -1,9 +1,9 @@
 //! Finds the machine meant by `--rig` or `--capsule` and opens a session with it, or lists what is connected.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, LazyLock};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use protocol::system::{DeviceKind, Identity, Urgent};
 
@@ -19,6 +19,12 @@ use crate::identity;
 use crate::left;
 use crate::link::LinkError;
 use crate::link::address::Address;
+
+/// When this process began: a stop since then is newer than its command, however long it has looked for the machine.
+pub(crate) static BEGAN: LazyLock<SystemTime> = LazyLock::new(SystemTime::now);
+
+/// This process has connected to rig and capsule before.
+static CONNECTED: [AtomicBool; 2] = [AtomicBool::new(false), AtomicBool::new(false)];
 
 /// Both machines.
 pub(crate) const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
@@ -84,7 +90,11 @@ impl Finder<'_> {
         let address = self.resolve(kind)?;
         // Before the line is waited for: a stop that comes meanwhile is meant for this command, too.
         let doorway = self.connector.doorway(&address);
-        let mark = StopMark::of(doorway.as_ref());
+        let now = StopMark::of(doorway.as_ref());
+        // The search for the machine may have taken seconds. Whoever connects again goes on after a stop that was told.
+        let again =
+            CONNECTED[usize::from(kind == DeviceKind::Capsule)].swap(true, Ordering::Relaxed);
+        let mark = if again { now } else { now.at(*BEGAN) };
         let interrupt = told(doorway, interrupt::install());
         let mut device = self.open_for_command(kind, &address)?;
         // The owner of the line may end while it is asked; then the line is free.

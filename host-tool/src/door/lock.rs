@@ -73,6 +73,17 @@ impl StopMark {
         doorway.map_or_else(Self::default, Doorway::stop_mark)
     }
 
+    /// What it was at an earlier time of this computer: a stop since then is not in it. One from the future, after the
+    /// clock was set back, counts as an old one.
+    #[must_use]
+    pub fn at(self, time: SystemTime) -> Self {
+        let until_now = |stop: &SystemTime| *stop <= time || *stop > SystemTime::now();
+        Self {
+            stop: self.stop.filter(until_now),
+            estop: self.estop.filter(until_now),
+        }
+    }
+
     /// The strongest stop between an earlier mark and this one.
     #[must_use]
     pub fn since(self, earlier: Self) -> Option<Urgent> {
@@ -456,6 +467,12 @@ mod tests {
         }
         assert_eq!(marks[100].since(marks[0]), Some(Urgent::EStop));
         assert_eq!(one.stop_mark().since(marks[100]), None);
+        let now = one.stop_mark();
+        assert_eq!(
+            now.since(now.at(SystemTime::UNIX_EPOCH)),
+            Some(Urgent::EStop)
+        );
+        assert_eq!(now.since(now.at(SystemTime::now())), None);
         assert_eq!(other.stop_mark(), StopMark::default());
     }
 
