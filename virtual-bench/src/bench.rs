@@ -454,10 +454,11 @@ impl<W: Wiring> Conductor<W> {
             }
             let life = self.life.as_mut()?;
             let elapsed_us = life.elapsed_us();
+            let turn = life.pace.turn(elapsed_us, now_ns / 1_000);
             if let Some(slow) = life.pace.report(elapsed_us) {
                 life.outside.fell_behind(slow);
             }
-            match life.pace.turn(elapsed_us, now_ns / 1_000) {
+            match turn {
                 Turn::Run(until_us) => {
                     // Pieces are as short as the line needs them: no stop in between.
                     self.until_ns = until_us * 1_000;

@@ -11,6 +11,7 @@ mod dma;
 mod exti;
 mod forward;
 mod map;
+mod quiet;
 mod timer;
 
 use std::fmt;
@@ -18,7 +19,7 @@ use std::num::{NonZeroU32, NonZeroU64};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rigless::cpu::armv7m;
-use rigless::device::{ErasedDevice, Level, ResetCause};
+use rigless::device::{DeviceContext, ErasedDevice, Level, RegisterFile, ResetCause};
 use rigless::emulator::{Access, AccessKind, CoreSpec, Host, Settled};
 use rigless::machine::armv7m as core;
 use rigless::machine::{Board, Target};
@@ -43,6 +44,7 @@ use clocks::Clocked;
 pub use dma::Beats;
 use dma::Paced;
 use exti::{Exti, Syscfg};
+use quiet::Quiet;
 use timer::Watched;
 
 const TARGET: &str = "stm32f411re";
@@ -125,6 +127,8 @@ pub struct Pads<'a> {
     part: &'a mut Stm32f427,
     tim1: &'a mut Watched<Advanced>,
     tim3: &'a mut Watched<General>,
+    tim2: &'a mut Quiet,
+    tim5: &'a mut Quiet,
     exti: &'a mut Exti,
     slots: Slots,
     at: VirtualNanos,
@@ -252,8 +256,10 @@ impl Pads<'_> {
     /// Sets the level at TIM2's external trigger input.
     pub fn drive_tim2_etr(&mut self, high: bool) {
         self.touched = true;
-        self.part
-            .drive_timer(self.at, TIM2, |tim, registers, context| {
+        let bus = self.part.bus_mut();
+        let (registers, mut context) = bus.drive(self.at, self.slots.tim2);
+        self.tim2
+            .edge(high, registers, &mut context, |tim, registers, context| {
                 tim.drive_etr(Level::from(high), registers, context);
             });
     }
@@ -261,22 +267,19 @@ impl Pads<'_> {
     /// Sets the level at TIM2's input `channel`, 1 or 2.
     pub fn drive_tim2_input(&mut self, channel: u8, high: bool) {
         self.touched = true;
-        let channel = rigless::soc::st::tim::Channel::new(channel).expect("channel 1 to 4");
-        self.part
-            .drive_timer(self.at, TIM2, |tim, registers, context| {
-                tim.drive_input(channel, Level::from(high), registers, context);
-            });
+        let bus = self.part.bus_mut();
+        let (registers, mut context) = bus.drive(self.at, self.slots.tim2);
+        drive_input(self.tim2, channel, high, registers, &mut context);
     }
 
     /// Sets the level at TIM5's input `channel`, at this instant of the bench's clock: that of a timer's event just now, or some
     /// nanoseconds ahead.
     pub fn drive_tim5_input(&mut self, channel: u8, high: bool, at_ns: u64) {
         self.touched = true;
-        let channel = rigless::soc::st::tim::Channel::new(channel).expect("channel 1 to 4");
         let at = VirtualNanos(at_ns - self.epoch_ns);
-        self.part.drive_timer(at, TIM5, |tim, registers, context| {
-            tim.drive_input(channel, Level::from(high), registers, context);
-        });
+        let bus = self.part.bus_mut();
+        let (registers, mut context) = bus.drive(at, self.slots.tim5);
+        drive_input(self.tim5, channel, high, registers, &mut context);
     }
 
     /// Sets the voltage at channel `number` of ADC1, mV.
@@ -289,6 +292,19 @@ impl Pads<'_> {
     pub fn set_supply_mv(&mut self, millivolts: u32) {
         supply(self.part, millivolts);
     }
+}
+
+fn drive_input(
+    timer: &mut Quiet,
+    channel: u8,
+    high: bool,
+    registers: &mut RegisterFile,
+    context: &mut DeviceContext<'_>,
+) {
+    let channel = rigless::soc::st::tim::Channel::new(channel).expect("channel 1 to 4");
+    timer.edge(high, registers, context, |tim, registers, context| {
+        tim.drive_input(channel, Level::from(high), registers, context);
+    });
 }
 
 fn supply(part: &mut Stm32f427, millivolts: u32) {
@@ -308,14 +324,16 @@ fn on_bench_clock(edges: &mut Vec<OutputEdge>, epoch_ns: u64) -> Vec<OutputEdge>
 struct Slots {
     tim1: usize,
     tim3: usize,
+    tim2: usize,
+    tim5: usize,
     dma2: usize,
     rcc: usize,
     exti: usize,
     syscfg: usize,
     flash: usize,
     usart2: usize,
-    /// Those whose state [`Pads`] shows to the board.
-    seen: [usize; 6],
+    /// Those whose state [`Pads`] shows to the board, without the timers, which say themselves that an output has changed.
+    seen: [usize; 4],
 }
 
 /// The chip with a board around it.
@@ -324,6 +342,8 @@ struct Chip<W> {
     part: Stm32f427,
     tim1: Watched<Advanced>,
     tim3: Watched<General>,
+    tim2: Quiet,
+    tim5: Quiet,
     dma2: Paced,
     rcc: Clocked,
     exti: Exti,
@@ -355,6 +375,8 @@ impl<W: Wiring> Chip<W> {
         let slots = Slots {
             tim1: bus.slot("TIM1")?,
             tim3: bus.slot("TIM3")?,
+            tim2: bus.slot("TIM2")?,
+            tim5: bus.slot("TIM5")?,
             dma2: bus.slot("DMA2")?,
             rcc: bus.slot("RCC")?,
             exti: bus.slot("EXTI")?,
@@ -365,14 +387,23 @@ impl<W: Wiring> Chip<W> {
                 bus.slot("GPIOA")?,
                 bus.slot("GPIOB")?,
                 bus.slot("GPIOC")?,
-                bus.slot("TIM1")?,
-                bus.slot("TIM3")?,
                 bus.slot("RCC")?,
             ],
         };
+        let quiet = |slot: usize, nth: usize| {
+            let peripheral = *bus.slots()[slot].peripheral();
+            Quiet::new(
+                hollow_general(nth),
+                bus.cpu(),
+                peripheral,
+                options.every_event,
+            )
+        };
         let mut chip = Self {
-            tim1: Watched::new(hollow_advanced(), &[1, 3]),
-            tim3: Watched::new(hollow_general(), &[1, 2]),
+            tim2: quiet(slots.tim2, TIM2)?,
+            tim5: quiet(slots.tim5, TIM5)?,
+            tim1: Watched::new(hollow_advanced(), &[1, 3], !options.every_event),
+            tim3: Watched::new(hollow_general(TIM3), &[1, 2], false),
             dma2: Paced::new(map::hollow_controller(), None),
             rcc: Clocked::new(hollow_clocks(), true),
             options,
@@ -400,9 +431,12 @@ impl<W: Wiring> Chip<W> {
         let rcc = std::mem::replace(&mut part.rcc, hollow_clocks());
         self.rcc = Clocked::new(rcc, self.options.has_hse);
         let tim1 = std::mem::replace(&mut part.advanced[TIM1], hollow_advanced());
-        let tim3 = std::mem::replace(&mut part.tim[TIM3], hollow_general());
-        self.tim1 = Watched::new(tim1, &[1, 3]);
-        self.tim3 = Watched::new(tim3, &[1, 2]);
+        let tim3 = std::mem::replace(&mut part.tim[TIM3], hollow_general(TIM3));
+        for (quiet, nth) in [(&mut self.tim2, TIM2), (&mut self.tim5, TIM5)] {
+            quiet.replace(std::mem::replace(&mut part.tim[nth], hollow_general(nth)));
+        }
+        self.tim1 = Watched::new(tim1, &[1, 3], !self.options.every_event);
+        self.tim3 = Watched::new(tim3, &[1, 2], false);
         self.exti = Exti::default();
         self.wake = None;
         self.serial_pins();
@@ -435,6 +469,8 @@ impl<W: Wiring> Chip<W> {
                 part: &mut self.part,
                 tim1: &mut self.tim1,
                 tim3: &mut self.tim3,
+                tim2: &mut self.tim2,
+                tim5: &mut self.tim5,
                 exti: &mut self.exti,
                 slots: self.slots,
                 at,
@@ -465,7 +501,8 @@ impl<W: Wiring> Chip<W> {
     /// A look, unless it would show the board nothing new.
     fn look_if_changed(&mut self, at: VirtualNanos) -> bool {
         let due = self.wake.is_some_and(|wake| wake <= at);
-        if W::LOOKS_AT_CHANGES_ONLY && !self.unseen && !due {
+        let edges = !self.tim1.edges.is_empty() || !self.tim3.edges.is_empty();
+        if W::LOOKS_AT_CHANGES_ONLY && !self.unseen && !edges && !due {
             return false;
         }
         self.look(at)
@@ -494,8 +531,8 @@ fn hollow_clocks() -> Rcc {
     rcc
 }
 
-fn hollow_general() -> Tim<General> {
-    Tim::with_clock(0, TIMERS[TIM3].counter)
+fn hollow_general(nth: usize) -> Tim<General> {
+    Tim::with_clock(0, TIMERS[nth].counter)
 }
 
 impl<W: Wiring> Mcu for Chip<W> {
@@ -529,29 +566,26 @@ impl<W: Wiring> Mcu for Chip<W> {
         let Slots {
             tim1,
             tim3,
+            tim2,
+            tim5,
             dma2,
             rcc,
             exti,
             syscfg,
             ..
         } = self.slots;
-        if ![tim1, tim3, dma2, rcc, exti, syscfg].contains(&slot) {
-            return self.part.split(slot);
-        }
-        let bus = self.part.bus_mut();
-        let device: &mut dyn ErasedDevice = if slot == tim1 {
-            &mut self.tim1
-        } else if slot == tim3 {
-            &mut self.tim3
-        } else if slot == dma2 {
-            &mut self.dma2
-        } else if slot == rcc {
-            &mut self.rcc
-        } else if slot == exti {
-            &mut self.exti
-        } else {
-            &mut self.syscfg
+        let device: &mut dyn ErasedDevice = match slot {
+            slot if slot == tim1 => &mut self.tim1,
+            slot if slot == tim3 => &mut self.tim3,
+            slot if slot == tim2 => &mut self.tim2,
+            slot if slot == tim5 => &mut self.tim5,
+            slot if slot == dma2 => &mut self.dma2,
+            slot if slot == rcc => &mut self.rcc,
+            slot if slot == exti => &mut self.exti,
+            slot if slot == syscfg => &mut self.syscfg,
+            slot => return self.part.split(slot),
         };
+        let bus = self.part.bus_mut();
         (bus, Some(device))
     }
 }
@@ -595,6 +629,8 @@ pub struct ChipOptions {
     pub has_hse: bool,
     /// How long an erase takes, ns; not less than the emulator's 250 ms.
     pub erase_ns: u64,
+    /// The emulator stops for every event of every timer, whether anybody may notice it or not. Only slower.
+    pub every_event: bool,
 }
 
 impl Default for ChipOptions {
@@ -606,6 +642,7 @@ impl Default for ChipOptions {
             burst: None,
             has_hse: true,
             erase_ns: 0,
+            every_event: false,
         }
     }
 }

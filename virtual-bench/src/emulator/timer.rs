@@ -3,7 +3,7 @@
 use super::forward::forward;
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::Layout;
-use rigless::soc::st::tim::{Channel, Family, Tim};
+use rigless::soc::st::tim::{Channel, Family, Tim, UPDATE_REQUEST};
 use rigless::time::EventId;
 
 /// A change of one compare output.
@@ -29,6 +29,95 @@ pub(super) struct Watched<F: Family> {
     moe_reads_from_ns: u64,
     /// By the last write.
     moe_was_set: bool,
+    /// The shortcut for bursts; none without it.
+    burst: Option<Burst<F::Register>>,
+}
+
+/// Offsets of registers (RM0383 section 12.4).
+const CR1: u32 = 0x00;
+const CCMR1: u32 = 0x18;
+const CCMR2: u32 = 0x1C;
+const ARR: u32 = 0x2C;
+const DCR: u32 = 0x48;
+const DMAR: u32 = 0x4C;
+/// Words of a burst {ARR, RCR, CCR1, CCR2, CCR3}, and DCR that asks for it.
+const WORDS: usize = 5;
+const BURST: u64 = ((WORDS as u64 - 1) << 8) | (ARR as u64 / 4);
+/// The word for CCR2: its channel is not used, and the word is always the same.
+const NOT_PRELOADED: usize = 3;
+/// In CR1 and in CCMRx, and what else in CCMRx makes a channel an input.
+const PRELOADED_PERIOD: u64 = 1 << 7;
+const PRELOADED_ODD_CHANNEL: u64 = 1 << 3;
+const INPUTS: u64 = 0x0303;
+
+/// The bursts that bring the next period. Each of their words has the timer calculate its course anew, four times, although
+/// preloaded registers change nothing before the next update. So where all of them are preloaded, the words go past the timer into
+/// its registers, and it hears of the last one only.
+#[derive(Debug)]
+struct Burst<R> {
+    cr1: R,
+    ccmr1: R,
+    ccmr2: R,
+    dcr: R,
+    targets: [R; WORDS],
+    /// The word that comes next, whoever writes it.
+    next: u64,
+    /// The burst in progress goes past the timer.
+    past: bool,
+    /// What went past the timer last.
+    words: Option<[u64; WORDS]>,
+}
+
+impl<R: Layout> Burst<R> {
+    fn new() -> Option<Self> {
+        let at = |offset: u32| {
+            (0..)
+                .map_while(R::from_index)
+                .find(|register| register.spec().offset == offset)
+        };
+        let target = |nth: u32| at(ARR + 4 * nth);
+        Some(Self {
+            cr1: at(CR1)?,
+            ccmr1: at(CCMR1)?,
+            ccmr2: at(CCMR2)?,
+            dcr: at(DCR)?,
+            targets: [target(0)?, target(1)?, target(2)?, target(3)?, target(4)?],
+            next: 0,
+            past: false,
+            words: None,
+        })
+    }
+
+    /// Whether a burst that begins now may go past the timer.
+    fn may_pass(&self, registers: &RegisterFile) -> bool {
+        let is_preloaded =
+            |control: u64| control & (PRELOADED_ODD_CHANNEL | INPUTS) == PRELOADED_ODD_CHANNEL;
+        registers.get(self.dcr) == BURST
+            && registers.get(self.cr1) & PRELOADED_PERIOD != 0
+            && is_preloaded(registers.get(self.ccmr1))
+            && is_preloaded(registers.get(self.ccmr2))
+    }
+
+    /// The next word's number, and whether it goes past the timer.
+    fn next(&mut self, registers: &RegisterFile) -> (usize, bool) {
+        let length = (registers.get(self.dcr) >> 8 & 0x1F) + 1;
+        let index = self.next;
+        self.next = (index + 1) % length;
+        if index == 0 {
+            self.past = self.may_pass(registers);
+        }
+        (index as usize, self.past)
+    }
+
+    /// Which word of a burst goes into `register`.
+    fn word_of(&self, register: R) -> Option<usize> {
+        let nth = register.spec().offset.checked_sub(ARR)? / 4;
+        (nth < WORDS as u32).then_some(nth as usize)
+    }
+
+    fn reset(&mut self) {
+        (self.next, self.past, self.words) = (0, false, None);
+    }
 }
 
 /// Offset of BDTR, and its bit MOE.
@@ -42,8 +131,9 @@ fn is_bdtr<R: Layout>(register: R) -> bool {
 }
 
 impl<F: Family> Watched<F> {
-    pub(super) fn new(tim: Tim<F>, watched: &'static [u8]) -> Self {
+    pub(super) fn new(tim: Tim<F>, watched: &'static [u8], shortens_bursts: bool) -> Self {
         Self {
+            burst: shortens_bursts.then(Burst::new).flatten(),
             tim,
             watched,
             high: [false; 4],
@@ -55,6 +145,55 @@ impl<F: Family> Watched<F> {
 
     pub(super) fn high(&self, channel: u8) -> bool {
         self.high[usize::from(channel) - 1]
+    }
+
+    /// Writes a word of a burst, if it goes past the timer.
+    fn pass(
+        &mut self,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> bool {
+        let Some(burst) = &mut self.burst else {
+            return false;
+        };
+        let (index, past) = burst.next(registers);
+        if !past {
+            return false;
+        }
+        let target = burst.targets[index];
+        let before = registers.get(target);
+        registers.write_over_bus(target, value);
+        if index == NOT_PRELOADED && registers.get(target) != before {
+            Device::write(&mut self.tim, target, value, registers, context);
+        }
+        if index == WORDS - 1 {
+            burst.words = Some(burst.targets.map(|target| registers.get(target)));
+            // The timer takes an acknowledgement of its request only where a burst has one word.
+            let dcr = registers.get(burst.dcr);
+            registers.set(burst.dcr, 0);
+            self.tim.acknowledge(UPDATE_REQUEST, registers, context);
+            registers.set(burst.dcr, dcr);
+        }
+        true
+    }
+
+    /// The processor writes to a register that bursts write to, too. The timer brings itself up to date with what was in it before,
+    /// but knows that only of what it was shown.
+    fn before_write(
+        &mut self,
+        register: F::Register,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let Some(burst) = &mut self.burst else { return };
+        let Some((nth, words)) = burst.word_of(register).zip(burst.words) else {
+            return;
+        };
+        let landed = registers.get(register);
+        registers.set(register, words[nth]);
+        Device::read(&mut self.tim, burst.cr1, registers, context);
+        registers.set(register, landed);
     }
 
     pub(super) fn note(&mut self, registers: &RegisterFile, at_ns: u64) {
@@ -79,7 +218,7 @@ impl<F: Family> Watched<F> {
 impl<F: Family> Device for Watched<F> {
     type Register = F::Register;
 
-    forward!(tim: layout, peek, on_refused, poll, reset);
+    forward!(tim: layout, peek, on_refused, poll);
 
     fn read(
         &mut self,
@@ -87,6 +226,10 @@ impl<F: Family> Device for Watched<F> {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
+        if register.spec().offset == DMAR {
+            // Nobody does that. It steps the burst, so that the two would no longer agree.
+            self.burst = None;
+        }
         let value = Device::read(&mut self.tim, register, registers, context);
         let now_ns = context.now().0;
         self.note(registers, now_ns);
@@ -103,7 +246,14 @@ impl<F: Family> Device for Watched<F> {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        Device::write(&mut self.tim, register, value, registers, context);
+        if register.spec().offset == DMAR {
+            if !self.pass(value, registers, context) {
+                Device::write(&mut self.tim, register, value, registers, context);
+            }
+        } else {
+            self.before_write(register, registers, context);
+            Device::write(&mut self.tim, register, value, registers, context);
+        }
         let now_ns = context.now().0;
         self.note(registers, now_ns);
         if is_bdtr(register) {
@@ -151,7 +301,17 @@ impl<F: Family> Device for Watched<F> {
         self.note(registers, context.now().0);
     }
 
+    fn reset(&mut self) {
+        Device::reset(&mut self.tim);
+        if let Some(burst) = &mut self.burst {
+            burst.reset();
+        }
+    }
+
     fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        if let Some(burst) = &mut self.burst {
+            burst.reset();
+        }
         Device::reset_line(&mut self.tim, registers, context);
         self.note(registers, context.now().0);
     }

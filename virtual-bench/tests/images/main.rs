@@ -21,5 +21,6 @@ mod serial_client;
 mod settings;
 mod silicon;
 mod speed;
+mod stepwise;
 mod watchdog;
 mod wires;
