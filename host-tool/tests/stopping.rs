@@ -417,3 +417,142 @@ fn a_flood_of_stops_is_answered_and_sent_a_few_times() {
     });
     assert!(!bench.urgent().is_empty());
 }
+
+/// Deterministic choices.
+struct Dice(u64);
+
+impl Dice {
+    fn roll(&mut self, below: u64) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 16) % below
+    }
+
+    fn wait(&mut self, below_ms: u64) {
+        thread::sleep(Duration::from_millis(self.roll(below_ms)));
+    }
+}
+
+/// Orders, then stops at any distance from them, among processes that die, freeze and crowd. Nothing is ordered after the
+/// stops, so nothing may move once one of them is confirmed.
+fn scenario(seed: u64) {
+    let mut dice = Dice(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
+    for _ in 0..8 {
+        let _ = dice.roll(2);
+    }
+    let mut script = ready(DeviceKind::Rig);
+    script.settings = vec![(SettingKey::LinkTimeoutMs, 1_000)];
+    let bench = Bench::on_tcp_as(&script, 1);
+    let now_us = || bench.log.lock().expect("log").now_us;
+    let mut children = vec![];
+    let spawn = |args: &[&str]| bench.command(args).spawn().expect("starts");
+    // Who has the line.
+    let owner = dice.roll(4);
+    match owner {
+        0 => children.push(bench.run(&["--duration-s", "40"])),
+        1 => {
+            children.push(spawn(&["watch"]));
+            bench.wait_for("GetRigStatus");
+        }
+        _ => {}
+    }
+    let server = Server::start(&bench);
+    let guests = if dice.roll(4) == 0 { dice.roll(40) } else { 0 };
+    let guests: Vec<_> = (0..guests).map(|_| spawn(&["watch"])).collect::<Vec<_>>();
+    let idle: Vec<_> = (0..[0, 0, 100, 400][dice.roll(4) as usize])
+        .map(|_| server.connect())
+        .collect();
+    // What is ordered, and what happens to whoever ordered it.
+    thread::scope(|scope| {
+        for key in 0..1 + dice.roll(3) as u32 {
+            let to = 10 + dice.roll(100);
+            if dice.roll(3) == 0 {
+                let to = to.to_string();
+                children.push(spawn(&["move", &to, "--speed-mm-s", "10"]));
+            } else {
+                let server = &server;
+                scope.spawn(move || {
+                    server.order(
+                        "move",
+                        &format!("{{\"position_mm\": {to}, \"speed_mm_s\": 10}}"),
+                        key,
+                    )
+                });
+            }
+            dice.wait(30);
+        }
+        if dice.roll(3) == 0
+            && let Some(child) = children.first_mut()
+        {
+            let blow = [Signal::KILL, Signal::STOP][dice.roll(2) as usize];
+            kill(blow, child.id());
+        }
+        let far = if dice.roll(5) == 0 { 3_000 } else { 40 };
+        dice.wait(far);
+        for _ in 0..1 + dice.roll(3) {
+            let kind = ["stop", "estop"][dice.roll(2) as usize];
+            let asked_us = now_us();
+            let confirmed = match dice.roll(3) {
+                0 => bench.retrograde(&[kind]).0 == Some(0),
+                _ => server.stop(kind).0 == 200,
+            };
+            let answered_us = now_us();
+            if !confirmed {
+                continue;
+            }
+            let seen = {
+                let log = bench.log.lock().expect("log");
+                log.urgent
+                    .iter()
+                    .any(|(_, at_us)| (asked_us..=answered_us).contains(at_us))
+            };
+            assert!(
+                seen,
+                "seed {seed}: told a stop that the machine has not seen"
+            );
+            // Braking takes less than 0.2 s.
+            while now_us() < answered_us + 700_000 {
+                thread::sleep(Duration::from_millis(5));
+            }
+            let driven_us = bench.log.lock().expect("log").driven_us;
+            assert!(
+                driven_us < answered_us + 400_000,
+                "seed {seed}: it moves {} ms after a confirmed stop",
+                (driven_us - answered_us) / 1_000
+            );
+        }
+    });
+    for child in children.iter_mut() {
+        let _ = child.kill();
+        let _ = child.wait();
+    }
+    for mut guest in guests {
+        let _ = guest.kill();
+        let _ = guest.wait();
+    }
+    drop(idle);
+}
+
+/// A slice of the seeds; all thousand where RETROGRADE_CAMPAIGN is set.
+#[test]
+fn no_scenario_moves_after_a_confirmed_stop() {
+    let seeds = match std::env::var_os("RETROGRADE_CAMPAIGN") {
+        Some(_) => 1_000,
+        None => 8,
+    };
+    let next = std::sync::atomic::AtomicU64::new(1);
+    thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                loop {
+                    let seed = next.fetch_add(1, Ordering::SeqCst);
+                    if seed > seeds {
+                        break;
+                    }
+                    scenario(seed);
+                }
+            });
+        }
+    });
+}

@@ -128,38 +128,34 @@ impl Finder<'_> {
         }
         for _ in 1..OWNERS {
             match self.stop_by(kind, address, urgent, Purpose::Stop) {
-                Ok(place) => return Ok(place),
                 // The owner of the line has ended; then the line is free.
-                Err((Failure::Client(ClientError::Link(LinkError::OwnerGone { .. })), _)) => {}
-                // What was sent past its owner, or without one, was sent as directly as can be.
-                Err((failure, false)) => return Err(failure),
-                Err((failure, true)) => {
-                    let past = self.stop_by(kind, address, urgent, Purpose::StopDirectly);
+                (Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))), _) => {}
+                (Err(failure), true) => {
+                    let (past, _) = self.stop_by(kind, address, urgent, Purpose::StopDirectly);
                     return past.map_err(|_| failure);
                 }
+                // What was sent without an owner was sent as directly as can be.
+                (result, _) => return result,
             }
         }
-        self.stop_by(kind, address, urgent, Purpose::StopDirectly)
-            .map_err(|(failure, _)| failure)
+        self.stop_by(kind, address, urgent, Purpose::StopDirectly).0
     }
 
-    /// Sends a stop one way. A failure comes with whether it went through the owner of the line.
+    /// Sends a stop one way; also tells whether that led through the owner of the line.
     fn stop_by(
         &self,
         kind: DeviceKind,
         address: &Address,
         urgent: Urgent,
         purpose: Purpose,
-    ) -> Result<String, (Failure, bool)> {
-        let opened = self
-            .connector
-            .open(kind, address, self.cli.baud, purpose)
-            .map_err(|error| (error.into(), false))?;
-        let mut device = Device::new(opened, self.connector.nonce());
-        match device.urgent(urgent) {
-            Ok(()) => Ok(device.place()),
-            Err(error) => Err((error.into(), device.owner().is_some())),
-        }
+    ) -> (Result<String, Failure>, bool) {
+        let link = match self.connector.open(kind, address, self.cli.baud, purpose) {
+            Ok(link) => link,
+            Err(error) => return (Err(error.into()), false),
+        };
+        let mut device = Device::new(link, self.connector.nonce());
+        let result = device.urgent(urgent).map(|()| device.place());
+        (result.map_err(Into::into), device.owner().is_some())
     }
 
     /// Where to send an urgent stop: to the machines given by the user, or else to every place that may be probed.
