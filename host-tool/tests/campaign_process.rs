@@ -100,7 +100,6 @@ fn survives(text: &str, motion: &str, kills: u32) -> Campaign {
     let mut chance = Chance::new(50);
     let mut before = BTreeMap::new();
     let mut killed = 0;
-    let begin = Instant::now();
     loop {
         let args: &[&str] = match folder.exists() {
             true => &["campaign", "resume", "c", "--yes"],
@@ -137,7 +136,6 @@ fn survives(text: &str, motion: &str, kills: u32) -> Campaign {
             break;
         }
         assert!(code.is_none() || code == Some(0), "{out}{err}");
-        assert!(begin.elapsed() < Duration::from_secs(300), "{before:?}");
     }
     assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
     let campaign = Campaign::read(&folder).expect("a campaign");

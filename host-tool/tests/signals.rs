@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use host_tool::cli::run_at;
 use host_tool::connector::Ports;
 use host_tool::link::memory::Peer;
+use machine::pace::{MOST_LATE_US, Pace, TURN_US};
 use machine::signal::{Signal, kill};
 use machine::{Log, Machine, Script};
 use protocol::system::{DeviceKind, Urgent};
@@ -24,30 +25,40 @@ fn serve(script: Script) -> (String, Arc<Mutex<Log>>) {
     let (mut machine, log) = Machine::new(script);
     thread::spawn(move || {
         let (mut stream, _) = listener.accept().expect("the client");
-        stream
-            .set_read_timeout(Some(Duration::from_millis(2)))
-            .expect("set");
-        let start = Instant::now();
+        stream.set_nonblocking(true).expect("set");
+        let mut pace = Pace::new(1);
         let mut bytes = [0; 256];
         loop {
             let count = match stream.read(&mut bytes) {
                 Ok(0) => return,
                 Ok(count) => count,
-                Err(io) if matches!(io.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => 0,
+                Err(io) if io.kind() == ErrorKind::WouldBlock => 0,
                 Err(_) => return,
             };
-            let now_us = start.elapsed().as_micros() as u64;
+            let now_us = pace.now_us();
             machine.take(&bytes[..count], now_us);
             if stream.write_all(&machine.give(now_us)).is_err() {
                 return;
             }
+            pace.rest();
         }
     });
     (address, log)
 }
 
+/// However slow the computer is, a machine that is asked is so far by then.
+const SOON: Duration = Duration::from_secs(60);
+
+fn wait_until(log: &Mutex<Log>, is_so: impl Fn(&Log) -> bool) {
+    let begin = Instant::now();
+    while !is_so(&log.lock().expect("log")) {
+        assert!(begin.elapsed() < SOON, "it does not come so far");
+        thread::sleep(Duration::from_millis(2));
+    }
+}
+
 /// Starts a command, waits until the rig has executed `request` and 0.4 s more, sends `signals`; returns exit code,
-/// standard error, how long the end took, what the machine was told.
+/// standard error, how long the end took by the machine's clock, what the machine was told.
 fn signalled(
     args: &[&str],
     request: &str,
@@ -64,22 +75,17 @@ fn signalled(
         .stderr(Stdio::piped())
         .spawn()
         .expect("starts");
-    let begin = Instant::now();
-    while !log.lock().expect("log").executed.contains(&request) {
-        assert!(
-            begin.elapsed() < Duration::from_secs(20),
-            "{request} did not begin"
-        );
-        thread::sleep(Duration::from_millis(5));
-    }
-    thread::sleep(Duration::from_millis(400));
-    let asked = Instant::now();
+    wait_until(&log, |log| log.executed.contains(&request));
+    let now_us = || log.lock().expect("log").now_us;
+    let begun_us = now_us();
+    wait_until(&log, |log| log.now_us > begun_us + 400_000);
+    let asked_us = now_us();
     for signal in signals {
         kill(*signal, tool.id());
         thread::sleep(Duration::from_millis(1));
     }
     let output = tool.wait_with_output().expect("ends");
-    let took = asked.elapsed();
+    let took = Duration::from_micros(now_us() - asked_us);
     let urgent = log
         .lock()
         .expect("log")
@@ -122,15 +128,22 @@ fn a_jog_or_a_move_that_the_operator_stops_says_so() {
     }
 }
 
-/// A keyboard on which each line is typed so long after the one before.
-struct Slow(std::vec::IntoIter<(u64, &'static str)>);
+/// A line is typed as soon as the machine has executed this, and so long after it by the machine's clock, us.
+type Typed = (&'static str, u64, &'static str);
 
-impl Read for Slow {
+struct Keyboard {
+    log: Arc<Mutex<Log>>,
+    lines: std::vec::IntoIter<Typed>,
+}
+
+impl Read for Keyboard {
     fn read(&mut self, into: &mut [u8]) -> std::io::Result<usize> {
-        let Some((ms, line)) = self.0.next() else {
+        let Some((request, later_us, line)) = self.lines.next() else {
             return Ok(0);
         };
-        thread::sleep(Duration::from_millis(ms));
+        wait_until(&self.log, |log| log.executed.contains(&request));
+        let since_us = self.log.lock().expect("log").now_us;
+        wait_until(&self.log, |log| log.now_us > since_us + later_us);
         into[..line.len()].copy_from_slice(line.as_bytes());
         Ok(line.len())
     }
@@ -156,10 +169,16 @@ fn a_key_holds_the_run_and_another_resumes_it() {
         "--out",
         folder.path().to_str().expect("UTF-8"),
     ];
-    let typed = vec![(700, "h\n"), (1_500, "what\n"), (10, "r\n")];
-    let keyboard = Box::new(BufReader::new(Slow(typed.into_iter())));
+    let lines: Vec<Typed> = vec![
+        ("Run", 700_000, "h\n"),
+        ("Hold", 1_500_000, "what\n"),
+        ("Hold", 10_000, "r\n"),
+    ];
+    let keyboard = Box::new(BufReader::new(Keyboard {
+        log: Arc::clone(&log),
+        lines: lines.into_iter(),
+    }));
     let (mut out, mut err) = (vec![], vec![]);
-    let begin = Instant::now();
     let code = run_at(
         line.map(Into::into),
         &Ports,
@@ -173,7 +192,6 @@ fn a_key_holds_the_run_and_another_resumes_it() {
         String::from_utf8_lossy(&err).into_owned(),
     );
     assert_eq!(code, 0, "{out}{err}");
-    assert!(begin.elapsed() > Duration::from_millis(3_300), "{out}");
     // The hint, and that the board was not commissioned.
     assert_eq!(err.lines().count(), 2, "{err}");
     assert!(err.contains("h and Enter"), "{err}");
@@ -182,4 +200,22 @@ fn a_key_holds_the_run_and_another_resumes_it() {
     let log = log.lock().expect("log");
     let count = |name| log.executed.iter().filter(|seen| **seen == name).count();
     assert_eq!((count("Hold"), count("Resume")), (1, 1));
+    // Two seconds of motion, and one and a half in which it was held.
+    assert!(log.now_us > 3_500_000, "{out}");
+}
+
+/// A computer that freezes makes the machine slow; it does not make the host silent.
+#[test]
+fn the_scripted_machines_clock_never_jumps() {
+    let mut pace = Pace::new(12);
+    assert_eq!(pace.after(500), 6_000);
+    assert_eq!(pace.after(1_000), 12_000);
+    let (froze_us, mut last_us) = (1_001_000, 12_000);
+    for _ in 0..MOST_LATE_US / TURN_US {
+        let now_us = pace.after(froze_us);
+        assert_eq!(now_us - last_us, 12 * TURN_US);
+        last_us = now_us;
+    }
+    assert_eq!(pace.after(froze_us), last_us, "the rest is given up");
+    assert_eq!(pace.after(froze_us + 10), last_us + 120);
 }

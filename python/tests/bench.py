@@ -8,12 +8,21 @@ import subprocess
 import tempfile
 import time
 import unittest
-from typing import IO, List, Optional
+from typing import IO, Callable, List, Optional
 
 import retrograde
 
 # What a busy computer needs, s.
 SOON_S = 120.0
+
+
+def until(is_so: Callable[[], bool]) -> None:
+    """Waits for something of the machines: how soon it comes is a matter of the computer."""
+    end = time.monotonic() + SOON_S
+    while not is_so():
+        if time.monotonic() > end:
+            raise AssertionError("it does not come so far")
+        time.sleep(0.02)
 
 
 def programs() -> pathlib.Path:

@@ -7,7 +7,7 @@ from typing import Any, Dict
 
 import retrograde
 
-from bench import BenchTest
+from bench import BenchTest, until
 
 # One cycle of 20 mm, 800 steps per mm.
 SHORT: Dict[str, Any] = {"cycles": 1, "stroke_mm": 20, "duration_s": 2, "accel_mm_s2": 400}
@@ -15,6 +15,9 @@ STEPS = 32_000
 
 
 class MachinesTest(BenchTest):
+    def position_um(self) -> int:
+        return self.lab.rig.sample()["position_um"]
+
     def test_1_the_rig_homes_runs_moves_and_stops(self) -> None:
         rig = self.lab.rig
         with self.assertRaises(retrograde.Refused) as refused:
@@ -34,16 +37,18 @@ class MachinesTest(BenchTest):
 
         self.assertEqual(rig.move("12.5")["position_um"], 12_500)
         self.assertTrue(rig.move(12.5).get("already"))
-        with rig.jog("home", speed_mm_s=5):
-            time.sleep(0.5)
-        at = rig.sample()["position_um"]
-        self.assertTrue(5_000 < at < 12_400, at)
+        # It would take 6 s of the rig's time to 0.
+        with rig.jog("home", speed_mm_s=2):
+            until(lambda: self.position_um() < 12_400)
+        at = self.position_um()
+        self.assertTrue(0 < at < 12_400, at)
+        self.assertEqual(self.position_um(), at)
 
     def test_2_a_run_is_held_resumed_and_stopped(self) -> None:
         rig = self.lab.rig
         rig.home()
-        action = rig.start_run(**SHORT)
-        time.sleep(0.5)
+        action = rig.start_run(**{**SHORT, "duration_s": 5})
+        until(lambda: self.position_um() > 500)
         rig.hold()
         self.assertEqual(rig.sample()["state"], "Held")
         rig.resume()
@@ -51,10 +56,17 @@ class MachinesTest(BenchTest):
         self.assertEqual((record["counted_edges"], record["holds"]), (STEPS, 1))
 
         action = rig.start_run(**{**SHORT, "duration_s": 20})
-        threading.Timer(1, self.lab.stop).start()
+
+        def stop_it() -> None:
+            until(lambda: self.position_um() > 500)
+            self.lab.stop()
+
+        stopper = threading.Thread(target=stop_it)
+        stopper.start()
         with self.assertRaises(retrograde.Stopped):
             action.wait()
-        at = rig.sample()["position_um"]
+        stopper.join()
+        at = self.position_um()
         self.assertTrue(0 < at < 20_000, at)
         time.sleep(0.5)
         self.assertEqual(rig.sample()["position_um"], at)
@@ -63,7 +75,7 @@ class MachinesTest(BenchTest):
         rig = self.lab.rig
         rig.home()
         action = rig.start_run(**{**SHORT, "duration_s": 20})
-        time.sleep(0.5)
+        until(lambda: self.position_um() > 500)
         rig.estop()
         with self.assertRaises(retrograde.RetrogradeError):
             action.wait()

@@ -7,7 +7,7 @@ import threading
 import unittest
 from typing import Any, Dict, List, Tuple
 
-from bench import BenchTest
+from bench import BenchTest, until
 
 # The paper's run takes 40 s; RETROGRADE_CAMPAIGN=full makes it.
 PAPER: Dict[str, Any] = {"cycles": 5, "stroke_mm": 130, "duration_s": 40}
@@ -36,6 +36,16 @@ class RunEngineTest(BenchTest):
                 columns = document["data"]
                 rows.extend(dict(zip(columns, row)) for row in zip(*columns.values()))
         return [row for row in rows if name in row]
+
+    def pause_in_the_run(self) -> None:
+        """Asks for a pause as soon as the carriage is on its way."""
+
+        def pause() -> None:
+            until(lambda: self.lab.rig.sample()["state"] == "Running")
+            until(lambda: self.lab.rig.sample()["position_um"] > 500)
+            self.engine.request_pause()
+
+        threading.Thread(target=pause).start()
 
     def test_1_the_devices_are_what_bluesky_asks_for(self) -> None:
         from bluesky import protocols
@@ -66,11 +76,15 @@ class RunEngineTest(BenchTest):
         (stop,) = [document for kind, document in self.documents if kind == "stop"]
         self.assertEqual(stop["exit_status"], "success")
         rows = self.events("rig_telemetry_position")
-        # Every 10 ms.
-        self.assertGreater(len(rows), 90 * run["duration_s"])
-        self.assertEqual(sum(row["rig_telemetry_missed"] for row in rows), 0)
+        # Every 10 ms of the rig's time. A busy computer may lose some; then it is told how many and where.
+        missed = sum(row["rig_telemetry_missed"] for row in rows)
+        self.assertGreater(len(rows) + missed, 90 * run["duration_s"])
+        for before, row in zip(rows, rows[1:]):
+            passed_s = row["rig_telemetry_device_time"] - before["rig_telemetry_device_time"]
+            self.assertAlmostEqual(passed_s, 0.01 * (1 + row["rig_telemetry_missed"]), delta=0.005)
         farthest = max(row["rig_telemetry_position"] for row in rows)
-        self.assertAlmostEqual(farthest, run["stroke_mm"], delta=0.5)
+        # In 10 ms it goes less than half a millimetre.
+        self.assertAlmostEqual(farthest, run["stroke_mm"], delta=0.5 * (1 + missed))
         reading = self.rig.read()
         self.assertEqual(reading["rig_run_outcome"]["value"], "Complete")
         self.assertEqual(reading["rig_run_steps_counted"]["value"], 2 * run["cycles"] * run["stroke_mm"] * 800)
@@ -91,7 +105,7 @@ class RunEngineTest(BenchTest):
 
         self.rig.prepare({**SHORT, "duration_s": 6}).wait(60)
         self.rig.stage()
-        threading.Timer(2, self.engine.request_pause).start()
+        self.pause_in_the_run()
         with self.assertRaises(RunEngineInterrupted):
             self.engine(fly([self.rig]))
         self.assertEqual(self.lab.rig.sample()["state"], "Held")
@@ -99,7 +113,7 @@ class RunEngineTest(BenchTest):
         self.assertEqual(self.rig.read()["rig_run_steps_counted"]["value"], 32_000)
 
         # Ended instead: it is stopped.
-        threading.Timer(2, self.engine.request_pause).start()
+        self.pause_in_the_run()
         with self.assertRaises(RunEngineInterrupted):
             self.engine(stage_wrapper(fly([self.rig]), [self.rig]))
         # Whether the failure of the stopped run is still told is a matter of which comes first.

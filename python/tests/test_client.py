@@ -14,6 +14,7 @@ from typing import Any, Callable, Dict, List, Optional, Tuple
 from unittest import mock
 
 import retrograde
+from bench import until
 from retrograde import client
 
 Answer = Tuple[int, Dict[str, Any]]
@@ -110,6 +111,9 @@ class ClientTest(unittest.TestCase):
 
     def posts(self) -> List[Call]:
         return [call for call in self.server.calls if call.method == "POST"]
+
+    def renewals(self) -> List[Call]:
+        return [post for post in self.posts() if post.path.endswith("renew")]
 
     def test_a_command_is_sent_with_key_and_token_and_waited_for(self) -> None:
         done = action("complete", result={"repeat_steps": 1, "shift_steps": 0, "duration_us": 5})
@@ -255,10 +259,9 @@ class ClientTest(unittest.TestCase):
             }
         )
         with self.lab.rig.jog("away", speed_mm_s=5) as jog:
-            time.sleep(0.8)
+            until(lambda: len(self.renewals()) >= 2)
         self.assertIsNone(jog.why)
-        numbers = [post.body["n"] for post in self.posts() if post.path.endswith("renew")]
-        self.assertGreaterEqual(len(numbers), 2)
+        numbers = [post.body["n"] for post in self.renewals()]
         self.assertEqual(numbers, list(range(1, len(numbers) + 1)))
         self.assertEqual(self.posts()[-1].path, "/api/v1/stop")
         sent = len(self.posts())
@@ -275,9 +278,9 @@ class ClientTest(unittest.TestCase):
             }
         )
         with self.lab.rig.jog("home") as jog:
-            time.sleep(0.5)
+            until(lambda: jog.why is not None)
         self.assertIn("it has ended", str(jog.why))
-        self.assertEqual(len([post for post in self.posts() if post.path.endswith("renew")]), 1)
+        self.assertEqual(len(self.renewals()), 1)
 
     def test_the_stream_gives_events_and_passes_over_signs_of_life(self) -> None:
         self.server.stream = b': alive\n\nevent: state\ndata: {"a": 1}\n\n:\nevent: rig\ndata: {"first": 2}\n\nevent: cut'

@@ -19,6 +19,7 @@ use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;
 
+use crate::machine::pace::Pace;
 use crate::machine::{Log, Machine, Script};
 
 /// The line of a machine: puts out bytes, and takes those that have arrived.
@@ -121,14 +122,14 @@ impl Bench {
         let kind = script.kind;
         let (mut machine, log) = Machine::new(script.clone());
         thread::spawn(move || {
-            let start = Instant::now();
-            let now_us = || start.elapsed().as_micros() as u64 * u64::from(speed);
+            let mut pace = Pace::new(speed);
             let mut bytes = [0; 256];
             loop {
-                let given = machine.give(now_us());
+                let now_us = pace.now_us();
+                let given = machine.give(now_us);
                 let count = carry(&given, &mut bytes);
-                machine.take(&bytes[..count], now_us());
-                thread::sleep(Duration::from_micros(500));
+                machine.take(&bytes[..count], now_us);
+                pace.rest();
             }
         });
         let folder = tempfile::tempdir().expect("a folder");

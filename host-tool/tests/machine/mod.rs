@@ -6,6 +6,7 @@ pub mod capsule;
 #[path = "../../../device/tests/chip/mod.rs"]
 mod chip;
 mod line;
+pub mod pace;
 pub mod plan;
 mod port;
 mod rig;
@@ -334,6 +335,16 @@ impl Machine {
     pub fn executed(&self) -> usize {
         let log = self.log();
         log.executed.len() + log.urgent.len()
+    }
+
+    /// It moves, and the motion that it was asked for last is a run.
+    pub fn is_in_a_run(&mut self) -> bool {
+        const MOTIONS: [&str; 4] = ["Home", "Jog", "MoveTo", "Run"];
+        let log = self.log();
+        let mut asked = log.executed.iter().rev();
+        let last = asked.find(|name| MOTIONS.contains(name)).copied();
+        drop(log);
+        last == Some("Run") && self.device.is_driven()
     }
 
     /// What happens to it now.
