@@ -2,7 +2,7 @@
 //! resistance, bridge, motor, planetary gear, worm, spool, thread, folding spring, encoder, current amplifier.
 //!
 //! ```text
-//! i    = (V - ke w) / (winding + bridge + cell)      no inductance: the winding forgets its current within 10 us
+//! L i' = V - ke w - i (winding + bridge + cell)      exactly, between the edges of the bridge
 //! J w' = kt i - kt I0 sgn(w) - load                  motor
 //! x'   = w r / N                                     thread on the spool
 //! ```
@@ -14,9 +14,11 @@ mod parameters;
 mod random;
 mod spring;
 pub mod verdict;
+mod winding;
 
 pub use parameters::{BATTERY_DIVIDER, COUNTS_PER_REVOLUTION, Parameters, SENSE_MV_PER_MA};
 pub use random::Random;
+pub use winding::{Bridge, Shunt};
 
 /// Winding that is short-circuited within itself, ohm (assumed).
 const SHORTED_OHM: f64 = 0.3;
@@ -60,19 +62,6 @@ pub enum Defect {
     Battery(f64),
 }
 
-/// What the bridge does to the winding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Bridge {
-    /// Asleep, or both inputs low: the winding is open.
-    Coast,
-    /// IN1 high: folds.
-    Forward,
-    /// IN2 high: unfolds.
-    Reverse,
-    /// Both high: the winding is shorted.
-    Brake,
-}
-
 /// The mechanics, with what is wrong with them.
 #[derive(Clone, Debug)]
 pub struct Plant {
@@ -84,7 +73,12 @@ pub struct Plant {
     /// rad/s and rad at the motor.
     speed: f64,
     angle: f64,
+    /// In the winding, now.
     current_a: f64,
+    /// Mean over the last step.
+    mean_a: f64,
+    /// The same from the cell.
+    drawn_a: f64,
     filtered_ma: f64,
     energy_j: f64,
     charge_c: f64,
@@ -115,6 +109,8 @@ impl Plant {
             speed: 0.0,
             angle: 0.0,
             current_a: 0.0,
+            mean_a: 0.0,
+            drawn_a: 0.0,
             filtered_ma: 0.0,
             energy_j: 0.0,
             charge_c: 0.0,
@@ -232,10 +228,16 @@ impl Plant {
         self.charge_c
     }
 
-    /// Current in the winding, mA, positive folding.
+    /// Current in the winding, mA, positive folding: mean over the last step.
     #[must_use]
     pub fn current_ma(&self) -> f64 {
-        self.current_a * 1e3
+        self.mean_a * 1e3
+    }
+
+    /// Current from the cell, mA: mean over the last step.
+    #[must_use]
+    pub fn drawn_ma(&self) -> f64 {
+        self.drawn_a * 1e3
     }
 
     /// Speed of the motor, rad/s, positive folding.
@@ -249,29 +251,29 @@ impl Plant {
     pub fn is_quiet(&self) -> bool {
         self.bridge == Bridge::Coast
             && self.speed == 0.0
-            && self.filtered_ma < 0.01
+            && self.current_a == 0.0
+            && self.filtered_ma.abs() < 0.01
             && !self.collapsing
     }
 
-    /// Voltage at the current amplifier's output, mV, without noise.
+    /// Voltage at the current amplifier's output, mV, without noise; `supply_mv` is that of the amplifier.
     #[must_use]
-    pub fn sense_mv(&self) -> f64 {
+    pub fn sense_mv(&self, supply_mv: f64) -> f64 {
         if self.sense_open {
             return 0.0;
         }
         let signal = self.filtered_ma * SENSE_MV_PER_MA * self.parameters.sense_gain;
-        self.parameters.sense_offset_mv + signal
+        let zero = match self.parameters.shunt {
+            Shunt::Below { .. } => 0.0,
+            Shunt::InSeries => supply_mv / 2.0,
+        };
+        (zero + self.parameters.sense_offset_mv + signal).clamp(0.0, supply_mv)
     }
 
-    /// Voltage at the cell's terminals, mV.
+    /// Voltage at the cell's terminals, mV: mean over the last step.
     #[must_use]
     pub fn terminal_mv(&self) -> f64 {
-        let drawn = match self.drives() {
-            Bridge::Forward => self.current_a,
-            Bridge::Reverse => -self.current_a,
-            Bridge::Brake | Bridge::Coast => 0.0,
-        };
-        let sag = 1e3 * self.parameters.battery_ohm * drawn.max(0.0);
+        let sag = 1e3 * self.parameters.battery_ohm * self.drawn_a;
         (self.parameters.battery_mv - sag).max(0.0)
     }
 
@@ -315,41 +317,65 @@ impl Plant {
         let steps = (duration_s / STEP_S).ceil().max(1.0);
         let step_s = duration_s / steps;
         for _ in 0..steps as u64 {
-            self.integrate(step_s);
+            let charge = self.carry(step_s);
+            self.turn(charge, step_s);
             look(self);
         }
     }
 
-    fn integrate(&mut self, dt: f64) {
-        let parameters = self.parameters;
-        let winding = if self.shorted {
-            SHORTED_OHM
-        } else {
-            parameters.winding_ohm
+    /// One period of the bridge, 50 us at most: what it does, and for how long. The current is integrated from edge to edge, the
+    /// motion over the whole, in which the speed hardly changes; means are over the whole, too.
+    pub fn advance_period(&mut self, phases: &[(Bridge, f64)]) {
+        let (mut charge, mut drawn, mut whole_s) = (0.0, 0.0, 0.0);
+        for &(bridge, length_s) in phases {
+            if length_s > 0.0 {
+                self.bridge = bridge;
+                charge += self.carry(length_s);
+                drawn += self.drawn_a * length_s;
+                whole_s += length_s;
+            }
+        }
+        if whole_s > 0.0 {
+            (self.mean_a, self.drawn_a) = (charge / whole_s, drawn / whole_s);
+            self.turn(charge, whole_s);
+        }
+    }
+
+    /// Current, cell and amplifier, at the present speed. Returns the charge through the winding, C.
+    fn carry(&mut self, dt: f64) -> f64 {
+        let parameters = &self.parameters;
+        // A winding that is shorted within itself gives no back-EMF.
+        let (shorted, back) = match self.shorted {
+            true => (Some(SHORTED_OHM), 0.0),
+            false => (None, parameters.motor_constant * self.speed),
         };
-        // A winding that is shorted within itself gives no torque, and no back-EMF.
+        let flow = winding::flow(
+            parameters,
+            shorted,
+            self.drives(),
+            (self.current_a, back),
+            dt,
+        );
+        self.current_a = flow.end_a;
+        (self.mean_a, self.drawn_a) = (flow.charge / dt, flow.drawn / dt);
+        self.charge_c += flow.drawn;
+        let heat = self.parameters.battery_ohm * flow.drawn_square;
+        self.energy_j += self.parameters.battery_mv * 1e-3 * flow.drawn - heat;
+        let settled = 1.0 - (-dt / self.parameters.sense_filter_s).exp();
+        let sensed_ma = flow.sensed / dt * 1e3;
+        self.filtered_ma += (sensed_ma - self.filtered_ma) * settled;
+        flow.charge
+    }
+
+    /// The motion, with this charge through the winding.
+    fn turn(&mut self, charge: f64, dt: f64) {
+        let parameters = self.parameters;
+        // Nor does it give a torque.
         let constant = if self.shorted {
             0.0
         } else {
             parameters.motor_constant
         };
-        let open = parameters.battery_mv * 1e-3;
-        let driven_ohm = winding + parameters.bridge_ohm + parameters.battery_ohm;
-        let back = constant * self.speed;
-        self.current_a = match self.drives() {
-            Bridge::Forward => (open - back) / driven_ohm,
-            Bridge::Reverse => (-open - back) / driven_ohm,
-            Bridge::Brake => -back / (winding + parameters.bridge_ohm),
-            Bridge::Coast => 0.0,
-        };
-        let drawn = match self.drives() {
-            Bridge::Forward => self.current_a.max(0.0),
-            Bridge::Reverse => (-self.current_a).max(0.0),
-            Bridge::Brake | Bridge::Coast => 0.0,
-        };
-        self.energy_j += self.terminal_mv() * 1e-3 * drawn * dt;
-        self.charge_c += drawn * dt;
-
         let mut force = self.force_n();
         if let Some(limit) = self.clutch_n
             && force > limit
@@ -374,7 +400,7 @@ impl Plant {
         let stop = stop * parameters.spool_mm * 1e-3 / ratio / parameters.planetary_efficiency;
         let folding = ideal * raising + friction;
         let unfolding = -(ideal * lowering + stop * raising + friction);
-        let torque = constant * self.current_a;
+        let torque = constant * charge / dt;
         let resisting = if self.speed > 0.0 {
             folding
         } else if self.speed < 0.0 {
@@ -389,8 +415,6 @@ impl Plant {
         let wound = self.wound_mm();
         let (least, most) = self.extremes_mm;
         self.extremes_mm = (least.min(wound), most.max(wound));
-        let settled = 1.0 - (-dt / parameters.sense_filter_s).exp();
-        self.filtered_ma += (self.current_a.abs() * 1e3 - self.filtered_ma) * settled;
         if self.collapsing {
             let lost_mv = COLLAPSE_V_PER_S * 1e3 * dt;
             self.parameters.battery_mv = (self.parameters.battery_mv - lost_mv).max(0.0);
@@ -418,7 +442,7 @@ mod tests {
         plant.set_bridge(Bridge::Forward);
         let edges = run(&mut plant, 200_000);
         assert!((plant.current_ma() - 16.0).abs() < 0.5);
-        assert!((plant.sense_mv() - 16.0).abs() < 0.5);
+        assert!((plant.sense_mv(3_300.0) - 16.0).abs() < 0.5);
         assert!((plant.counts() - edges as i64).abs() <= 1);
     }
 
@@ -473,14 +497,14 @@ mod tests {
             plant
         };
         let jam = folding(Defect::Jam(12.0));
-        assert!((12.0..12.3).contains(&jam.travel_mm()) && jam.sense_mv() > 300.0);
+        assert!((12.0..12.3).contains(&jam.travel_mm()) && jam.sense_mv(3_300.0) > 300.0);
         assert_eq!(folding(Defect::Snap(15.0)).force_n(), 0.0);
         let clutch = folding(Defect::Clutch(3.0));
         assert!(clutch.peak_force_n() < 3.1 && clutch.wound_mm() > 30.0);
         assert!(folding(Defect::SilentBridge).wound_mm() == 0.0);
         assert!(!folding(Defect::DriverFault).fault_high());
         assert!(folding(Defect::Short).current_ma() > 2_000.0);
-        assert_eq!(folding(Defect::SenseOpen).sense_mv(), 0.0);
+        assert_eq!(folding(Defect::SenseOpen).sense_mv(3_300.0), 0.0);
         assert_eq!(folding(Defect::Collapse).terminal_mv(), 0.0);
         assert!(folding(Defect::Weak(20.0)).peak_force_n() < 6.0);
     }

@@ -1,6 +1,7 @@
 //! Every number of the model, with its source.
 
 use crate::random::Random;
+use crate::winding::Shunt;
 
 /// Counts per motor revolution: 16 lines, four edges each.
 pub const COUNTS_PER_REVOLUTION: f64 = 64.0;
@@ -14,6 +15,8 @@ pub const BATTERY_DIVIDER: f64 = 2.0;
 pub struct Parameters {
     /// Winding resistance, ohm: 5.4 (data sheet of the motor 0816K003SR).
     pub winding_ohm: f64,
+    /// Inductance of the winding, H: 53e-6 (data sheet, 53 uH at 1 kHz), a time constant of 8 us. 0 is none.
+    pub winding_h: f64,
     /// Torque constant, N m/A, and back-EMF constant, V s/rad, the same number: 2.11e-3 (data sheet).
     pub motor_constant: f64,
     /// No-load current, A: 0.016 (data sheet). It is the friction of motor and gears without load.
@@ -44,6 +47,10 @@ pub struct Parameters {
     pub paid_out_stop_mm: Option<f64>,
     /// Both switches of the bridge that conduct, ohm: 0.6 (DRV8833 at 25 C, 0.36 typical; with wires, assumed).
     pub bridge_ohm: f64,
+    /// Forward voltage of a diode in the bridge, V: 0.7 (assumed).
+    pub diode_v: f64,
+    /// Place of the shunt.
+    pub shunt: Shunt,
     /// Cell without load, mV: 3,700, a charged cell of 40 mAh.
     pub battery_mv: f64,
     /// Internal resistance of the cell, ohm: 0.5 (assumed; two SR44 in series: 20).
@@ -66,6 +73,7 @@ impl Parameters {
     pub const fn nominal() -> Self {
         Self {
             winding_ohm: 5.4,
+            winding_h: 0.0,
             motor_constant: 2.11e-3,
             no_load_a: 0.016,
             inertia: 5.1e-9,
@@ -81,6 +89,10 @@ impl Parameters {
             stop_n_per_mm: 200.0,
             paid_out_stop_mm: None,
             bridge_ohm: 0.6,
+            diode_v: 0.7,
+            shunt: Shunt::Below {
+                filtered_first: false,
+            },
             battery_mv: 3_700.0,
             battery_ohm: 0.5,
             sense_offset_mv: 0.0,

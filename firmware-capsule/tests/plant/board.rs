@@ -43,7 +43,7 @@ impl Board {
         let plant = Plant::new(parameters);
         Self {
             encoder: plant.encoder(),
-            means_mv: (plant.sense_mv(), plant.terminal_mv()),
+            means_mv: (plant.sense_mv(3_300.0), plant.terminal_mv()),
             plant,
             peak_ma: 0.0,
             random: Random::new(seed),
@@ -75,11 +75,11 @@ impl Board {
             }
         };
         if self.plant.is_quiet() && bridge == Bridge::Coast {
-            self.means_mv = (self.plant.sense_mv(), self.plant.terminal_mv());
+            self.means_mv = (self.plant.sense_mv(3_300.0), self.plant.terminal_mv());
             return;
         }
         let on_s = PERIOD_S * f64::from(ticks) / f64::from(PWM_TICKS);
-        let mut sensed_mv = self.plant.sense_mv();
+        let mut sensed_mv = self.plant.sense_mv(3_300.0);
         for _ in 0..periods {
             let (mut sense, mut battery, mut current) = (0.0, 0.0, 0.0);
             for (bridge, length_s) in [(bridge, on_s), (Bridge::Coast, PERIOD_S - on_s)] {
@@ -93,12 +93,12 @@ impl Board {
                 let sensed_mv = &mut sensed_mv;
                 self.plant.advance(length_s, |plant| {
                     // The filter's output is no straight line within a step, but nearly.
-                    let sense_mv = plant.sense_mv();
+                    let sense_mv = plant.sense_mv(3_300.0);
                     sense += f64::midpoint(*sensed_mv, sense_mv) * weight;
                     *sensed_mv = sense_mv;
                     battery += plant.terminal_mv() * weight;
                     if bridge == Bridge::Forward || bridge == Bridge::Reverse {
-                        current += plant.current_ma().abs() * weight;
+                        current += plant.drawn_ma() * weight;
                     }
                     let levels = plant.encoder();
                     // One step is a count; two, which cannot be told apart, are none.

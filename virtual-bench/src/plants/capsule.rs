@@ -134,7 +134,7 @@ impl Capsule {
     /// Voltage at the current amplifier's output, mV.
     #[must_use]
     pub fn sense_mv(&self) -> f64 {
-        self.plant.sense_mv()
+        self.plant.sense_mv(self.supply_mv())
     }
 
     /// Supply and analog reference of the chip, mV.
