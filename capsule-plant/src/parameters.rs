@@ -5,7 +5,7 @@ use crate::winding::Shunt;
 
 /// Counts per motor revolution: 16 lines, four edges each.
 pub const COUNTS_PER_REVOLUTION: f64 = 64.0;
-/// Output of the current amplifier, mV per mA: a shunt of 0.5 ohm and a gain of 2 on the current's magnitude.
+/// Output of the current amplifier, mV per mA: a shunt of 0.05 ohm and a gain of 20.
 pub const SENSE_MV_PER_MA: f64 = 1.0;
 /// Ratio of the battery's voltage divider.
 pub const BATTERY_DIVIDER: f64 = 2.0;
@@ -61,8 +61,8 @@ pub struct Parameters {
     pub sense_gain: f64,
     /// Noise of one reading of the current, mA rms. The bench adds none: the emulated converter is exact.
     pub sense_noise_ma: f64,
-    /// Time constant of the amplifier's filter, s: 160e-6 (assumed, 1 kOhm and 160 nF).
-    pub sense_filter_s: f64,
+    /// Time constant of the filters behind the amplifier and at the battery's divider, s: 160e-6 (design, 1 kOhm and 160 nF).
+    pub filter_s: f64,
     /// Thread on the spool at the start, mm.
     pub wound_mm: f64,
 }
@@ -73,7 +73,7 @@ impl Parameters {
     pub const fn nominal() -> Self {
         Self {
             winding_ohm: 5.4,
-            winding_h: 0.0,
+            winding_h: 53e-6,
             motor_constant: 2.11e-3,
             no_load_a: 0.016,
             inertia: 5.1e-9,
@@ -90,15 +90,13 @@ impl Parameters {
             paid_out_stop_mm: None,
             bridge_ohm: 0.6,
             diode_v: 0.7,
-            shunt: Shunt::Below {
-                filtered_first: false,
-            },
+            shunt: Shunt::InSeries,
             battery_mv: 3_700.0,
             battery_ohm: 0.5,
             sense_offset_mv: 0.0,
             sense_gain: 1.0,
             sense_noise_ma: 0.0,
-            sense_filter_s: 160e-6,
+            filter_s: 160e-6,
             wound_mm: 0.0,
         }
     }

@@ -58,9 +58,10 @@ fn healthy(count: u64) {
         .filter(|f| f.energy_error.abs() <= 0.05)
         .count();
     println!(
-        "energy within 5 %: {:.1} %, worst {:.1} %",
+        "energy within 5 %: {:.1} %, worst {:.1} %, mean {:+.1} %",
         share(honest, whole),
-        100.0 * most(|f| f.energy_error.abs())
+        100.0 * most(|f| f.energy_error.abs()),
+        100.0 * found.iter().map(|f| f.energy_error).sum::<f64>() / whole as f64
     );
     println!(
         "folded end repeats within {:.3} mm, unfolded end within {:.3} mm of zero",

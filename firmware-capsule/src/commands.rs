@@ -175,7 +175,7 @@ fn status(capsule: &Capsule, time_us: u64) -> CapsuleStatus {
         fault: capsule.fault(),
         referenced: capsule.referenced(),
         thread_um: capsule.thread().0,
-        current_ma: capsule.sample().current_ma,
+        current_ma: capsule.sample().magnitude_ma(),
         battery_mv: capsule.sample().battery_mv,
         actuation: capsule.actuation(),
         needs_acknowledge: matches!(
@@ -191,7 +191,7 @@ pub fn telemetry(capsule: &Capsule, time_us: u64) -> CapsuleTelemetry {
         time_us,
         state: capsule.state(),
         thread_um: capsule.thread().0,
-        current_ma: capsule.sample().current_ma,
+        current_ma: capsule.sample().magnitude_ma(),
         battery_mv: capsule.sample().battery_mv,
         drive_mv: match capsule.drive() {
             Drive::Millivolts(millivolts) => millivolts,

@@ -5,6 +5,7 @@
 
 use crate::{
     mechanics::{COASTING_CPS2_PER_MA, Counts},
+    sense::ma,
     settings::Settings,
     window::Window,
 };
@@ -14,16 +15,26 @@ use crate::{
 pub struct Sample {
     /// Encoder.
     pub counts: Counts,
-    /// Magnitude of the motor current.
-    pub current_ma: u16,
-    /// The same, as fine as it is known: the energy of a motor without load depends on it.
-    pub current_ua: u32,
-    /// The shunt amplifier's offset, taken at rest; `current_ma` is without it, unless it is too large.
-    pub offset_ma: u16,
+    /// Current of the motor, positive winding; a braked motor's has the other sign.
+    pub current_ua: i32,
+    /// The shunt amplifier's offset, taken at rest; the current is without it, unless it is too large.
+    pub offset_ma: i16,
     /// Battery voltage.
     pub battery_mv: u16,
     /// The bridge pulls nFAULT low.
     pub driver_fault: bool,
+}
+
+impl Sample {
+    /// Magnitude of the current.
+    pub fn magnitude_ma(&self) -> u16 {
+        ma(self.current_ua).unsigned_abs()
+    }
+
+    /// Current that drives the motor in this direction; negative if it brakes.
+    pub fn along_ma(&self, spooling: Spooling) -> i16 {
+        ma(spooling.along(self.current_ua))
+    }
 }
 
 /// Which way the spool turns.
@@ -77,6 +88,10 @@ const COLLAPSED_MV: u16 = 2_000;
 const COLLAPSES: u8 = 5;
 /// Ignores nFAULT while the bridge wakes up (DRV8833: 1 ms).
 const DRIVER_DEBOUNCE_US: u64 = 3_000;
+/// Near the end of the amplifier's range, 1,475 mA with the least supply.
+const RAIL_MA: i16 = 1_300;
+/// A winding that draws so much pulls the battery down by more than this, if at least half of the time.
+const SHORT_SAG_MV: u16 = 100;
 /// Less than this is no current at all: a turning motor takes 10 mA at least.
 const NOTHING_MA: u16 = 5;
 /// Readings that show nothing are not taken for a slack thread: a dead amplifier is named later.
@@ -88,7 +103,7 @@ const SILENCE_US: u64 = 24_000;
 /// Readings before the present one with which the speed is compared: the silence, less the speed's own window.
 const SILENCE_READINGS: usize = 22;
 /// A blocked motor that draws current pulls the battery down by this; the least resistance of a cell is 0.3 ohm.
-const LEAST_SAG_MV: u16 = 25;
+const LEAST_SAG_MV: u16 = 15;
 /// Speed from which a sudden resistance is looked for, counts/s: 7 mm/s.
 const FAST_CPS: i32 = 6_000;
 /// A sudden loss of speed is more than this, counts/s: one and a half counts in 2 ms. Rounding alone makes one.
@@ -160,6 +175,11 @@ impl Debounce {
         }
         let (since_us, began_at) = *self.0.get_or_insert((now_us, counts));
         (now_us.saturating_sub(since_us) >= for_us).then_some(began_at)
+    }
+
+    /// Where the condition began, however long ago.
+    fn began_at(&self) -> Option<Counts> {
+        self.0.map(|(_, began_at)| began_at)
     }
 }
 
@@ -261,12 +281,13 @@ impl Detector {
     ) -> Result<Load, Trip> {
         let Sample {
             counts,
-            current_ma,
             battery_mv,
             driver_fault,
             ..
         } = *sample;
-        self.window.push(now_us, sample, ordered_ma);
+        let current_ma = sample.magnitude_ma();
+        let along_ma = sample.along_ma(self.spooling);
+        self.window.push(now_us, sample, along_ma, ordered_ma);
         if ordered_ma.is_none() {
             self.steady_from_us = now_us.saturating_add(AFTER_BRAKE_US);
         }
@@ -275,6 +296,9 @@ impl Detector {
         };
         if lasts(&mut self.driver, driver_fault, DRIVER_DEBOUNCE_US) {
             return Err(Trip::Driver);
+        }
+        if self.is_open(along_ma, battery_mv) {
+            return Err(Trip::SenseLost);
         }
         let over = current_ma > OVER_CURRENT_MA;
         if lasts(&mut self.over_current, over, OVER_CURRENT_DEBOUNCE_US) {
@@ -302,8 +326,8 @@ impl Detector {
             let current_ma = means.map_or(current_ma, |(mean_ma, _)| mean_ma);
             return Err(Trip::OverCurrent { current_ma });
         }
-        let silent = means
-            .is_some_and(|(mean_ma, wanted_ma)| mean_ma < NOTHING_MA && wanted_ma >= ORDERED_MA);
+        let ordered = means.is_some_and(|(_, wanted_ma)| wanted_ma >= ORDERED_MA);
+        let silent = ordered && self.draws_nothing(FORCE_READINGS);
         if lasts(&mut self.silence, silent, SILENCE_US) && self.makes_progress(now_us) {
             return Err(self.name_of_silence());
         }
@@ -325,6 +349,23 @@ impl Detector {
         Ok(load)
     }
 
+    /// No current either way over so many readings.
+    fn draws_nothing(&self, over: usize) -> bool {
+        let mean_ma = self.window.along_ma(over);
+        mean_ma.is_some_and(|mean_ma| mean_ma.unsigned_abs() < NOTHING_MA.into())
+    }
+
+    /// The amplifier's output lies at 0 V, a current that no motor draws: against the drive when it winds, without a sag of the
+    /// battery when it pays out.
+    fn is_open(&self, along_ma: i16, battery_mv: u16) -> bool {
+        match self.spooling {
+            Spooling::Wind => along_ma < -RAIL_MA,
+            Spooling::PayOut => {
+                along_ma > RAIL_MA && self.rest_mv.saturating_sub(battery_mv) < SHORT_SAG_MV
+            }
+        }
+    }
+
     fn load(&mut self, now_us: u64, counts: Counts, no_load_ma: u16, settings: &Settings) -> Load {
         let seen = self.sees_force(now_us) && now_us >= self.steady_from_us;
         let means = self.window.means_ma(FORCE_READINGS).filter(|_| seen);
@@ -344,13 +385,15 @@ impl Detector {
                 .is_some()
                 || met,
             excess_ma,
-            rise_from: self.rise.update(now_us, counts, rise, LOAD_DEBOUNCE_US),
+            rise_from: if excess_ma.is_some() {
+                self.rise.update(now_us, counts, rise, LOAD_DEBOUNCE_US)
+            } else {
+                // Shorted for a moment, or not yet steady after it: the force has not gone.
+                self.rise.began_at()
+            },
             resisted: slowed || above(RESISTED_MA),
             struck: slowed,
-            silent: self
-                .window
-                .means_ma(SILENT_READINGS)
-                .is_some_and(|(mean_ma, _)| mean_ma < NOTHING_MA),
+            silent: self.window.is_driven(SILENT_READINGS) && self.draws_nothing(SILENT_READINGS),
         }
     }
 
@@ -453,7 +496,8 @@ impl Detector {
             .window
             .battery_mv(FORCE_READINGS)
             .map_or(0, |loaded_mv| self.rest_mv.saturating_sub(loaded_mv));
-        if mean_ma < NOTHING_MA.max(wanted_ma / 8) {
+        // A motor that turns uncounted is ordered as one that stands, and is braked by that for a while.
+        if self.draws_nothing(FORCE_READINGS) && self.draws_nothing(ORDERED_READINGS) {
             if sag_mv >= LEAST_SAG_MV {
                 Trip::SenseLost
             } else {

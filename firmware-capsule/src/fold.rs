@@ -52,10 +52,12 @@ const STRUCK_BRAKE_US: u64 = 10_000;
 const STRUCK_CPS: i32 = 3_000;
 /// Internal resistance of a good cell, until it is measured.
 const CELL_MILLIOHM: u32 = 500;
-/// From this current on the sag of the cell tells its resistance.
-const LOAD_MA: u16 = 80;
+/// From this current out of the cell on its sag tells its resistance.
+const LOAD_MA: u32 = 50;
 /// What a fold and an unfolding take off the voltage of a cell that is nearly empty.
 const RESERVE_MV: u16 = 100;
+/// An amplifier that shows this at rest is none: its output lies at one end of its range.
+const OPEN_MA: u16 = 1_000;
 /// Above the no-load current, the thread pulls: 0.3 N.
 const ENGAGED_MA: u16 = 7;
 /// Two slow windings of 28.5 mm, 5.7 s each, and two ways out.
@@ -172,19 +174,19 @@ struct Actuation {
 /// Sum and number of some currents.
 #[derive(Clone, Copy, Debug, Default)]
 struct Mean {
-    sum: u32,
-    count: u32,
+    sum: i32,
+    count: i32,
 }
 
 impl Mean {
-    fn add(&mut self, current_ma: u16) {
-        self.sum = self.sum.saturating_add(u32::from(current_ma));
+    fn add(&mut self, current_ma: i16) {
+        self.sum = self.sum.saturating_add(i32::from(current_ma));
         self.count = self.count.saturating_add(1);
     }
 
     fn mean_ma(&self) -> Option<u16> {
         let mean = (self.sum + self.count / 2).checked_div(self.count)?;
-        Some(u16::try_from(mean).unwrap_or(u16::MAX))
+        Some(u16::try_from(mean.max(0)).unwrap_or(u16::MAX))
     }
 }
 
@@ -492,8 +494,12 @@ impl Capsule {
 
     /// The shunt amplifier shows a current at rest. Nothing it says under drive can then be relied on.
     fn amplifier_fault(&self) -> Option<CapsuleFault> {
-        let current_ma = self.sample.offset_ma;
-        (current_ma > MOST_OFFSET_MA).then_some(CapsuleFault::OverCurrent { current_ma })
+        let current_ma = self.sample.offset_ma.unsigned_abs();
+        match current_ma {
+            ..=MOST_OFFSET_MA => None,
+            OPEN_MA.. => Some(CapsuleFault::SenseLost),
+            _ => Some(CapsuleFault::OverCurrent { current_ma }),
+        }
     }
 
     fn acknowledge(&mut self) -> Result<(), Refusal> {
@@ -505,7 +511,9 @@ impl Capsule {
                 self.sample.battery_mv < self.settings.least_battery_mv
             }
             CapsuleFault::DriverFault => self.sample.driver_fault,
-            CapsuleFault::OverCurrent { .. } => self.amplifier_fault().is_some(),
+            CapsuleFault::OverCurrent { .. } | CapsuleFault::SenseLost => {
+                self.amplifier_fault().is_some()
+            }
             _ => false,
         };
         if persists {
@@ -594,7 +602,7 @@ impl Capsule {
             let since_us = self.sample_us.max(actuation.started_us);
             self.recorder.add_energy(
                 &sample,
-                drive_mv.unsigned_abs(),
+                drive_mv,
                 actuation.rest_mv,
                 now_us.saturating_sub(since_us),
             );
@@ -673,9 +681,12 @@ impl Capsule {
             actuation.near = is_near(actuation.near, excess_ma, &self.settings);
             let current_ma = excess_ma.saturating_add(self.no_load_ma);
             self.recorder.current(current_ma);
-            if current_ma >= LOAD_MA {
-                let sag_mv = actuation.rest_mv.saturating_sub(self.sample.battery_mv);
-                self.cell_milliohm = u32::from(sag_mv) * 1_000 / u32::from(current_ma);
+            if let Drive::Millivolts(drive_mv) = self.drive {
+                let drawn_ma = drawn_ma(current_ma, drive_mv, self.sample.battery_mv);
+                if drawn_ma >= LOAD_MA {
+                    let sag_mv = actuation.rest_mv.saturating_sub(self.sample.battery_mv);
+                    self.cell_milliohm = u32::from(sag_mv) * 1_000 / drawn_ma;
+                }
             }
             if excess_ma >= ENGAGED_MA && actuation.detector.spooling() == Spooling::Wind {
                 self.recorder.engaged(thread);
@@ -692,7 +703,8 @@ impl Capsule {
         let Mode::Moving(actuation) = &mut self.mode else {
             return Ok(());
         };
-        let (counts, current_ma) = (self.sample.counts, self.sample.current_ma);
+        let counts = self.sample.counts;
+        let current_ma = self.sample.along_ma(actuation.detector.spooling());
         if let Some(slack_from) = actuation.slack_from
             && actuation.detector.spooling() == Spooling::Wind
         {
@@ -953,6 +965,13 @@ impl Capsule {
             _ => Drive::Off,
         }
     }
+}
+
+/// What the cell gives for a current of the motor: the share of the pulses in the period.
+fn drawn_ma(current_ma: u16, drive_mv: i16, battery_mv: u16) -> u32 {
+    (u32::from(current_ma) * u32::from(drive_mv.unsigned_abs()))
+        .checked_div(battery_mv.into())
+        .unwrap_or(0)
 }
 
 fn fault_of(trip: Trip, thread: Thread) -> CapsuleFault {

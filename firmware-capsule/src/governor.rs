@@ -1,7 +1,7 @@
 //! Speed loop on the encoder, with the current bounded by what is known of the motor.
 //!
-//! The bridge lets the motor coast between the pulses, so a duty `d` gives the mean current `d (V - e) / R`, with the
-//! back-EMF `e` from the speed. The loop asks for a current and turns it into a duty; so the current is bounded
+//! The bridge shorts the motor between the pulses, so a duty `D` gives the mean current `(D V - e) / R` whatever the inductance
+//! is, with the back-EMF `e` from the speed. The loop asks for a current and turns it into a duty; so the current is bounded
 //! from the first pulse on, whether it is measured or not. To slow down, the motor is shorted for a millisecond at a
 //! time, which takes 14 % of its speed and nothing from the battery.
 
@@ -13,8 +13,6 @@ const INTEGRAL_QUARTERS: i32 = 1;
 const STANDING_QUARTERS: i32 = 4;
 /// A motor that is faster than it should be by a quarter, or by this, is braked.
 const BRAKE_ABOVE_CPS: i32 = 500;
-/// Back-EMF and battery as close as this: full duty.
-const LEAST_HEADROOM_MV: u32 = 50;
 
 /// What the speed loop wants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,18 +104,12 @@ impl Governor {
 
 /// Duty times battery voltage that gives this mean current at this speed.
 fn drive_mv(current_ua: u32, cps: i32, battery_mv: u16, settings: &Settings) -> u16 {
-    let battery = u32::from(battery_mv);
     // A motor that turns the other way adds to the current; its speed counts as none.
-    let back = (cps.max(0) as u32).saturating_mul(settings.back_emf_uv_per_cps) / 1_000;
-    let headroom = battery.saturating_sub(back);
-    if headroom < LEAST_HEADROOM_MV {
-        return battery_mv;
-    }
-    // uA * mohm / 1000 = uV, and a sixteenth of it times mV / mV: 250 mA and 20 ohm, and 5 V and 4.2 V, fit; more saturates,
-    // and the battery bounds it.
-    let resistive = (current_ua / 4).saturating_mul(settings.loop_milliohm / 4) / 1_000;
-    let drive_mv = resistive.saturating_mul(battery) / headroom * 2 / 125;
-    drive_mv.min(battery) as u16
+    let back_mv = (cps.max(0) as u32).saturating_mul(settings.back_emf_uv_per_cps) / 1_000;
+    // uA * mohm / 1000 = uV, a quarter of both: 250 mA and 20 ohm fit.
+    let resistive_mv = (current_ua / 4).saturating_mul(settings.loop_milliohm / 4) / 62_500;
+    let drive_mv = back_mv.saturating_add(resistive_mv);
+    drive_mv.min(battery_mv.into()) as u16
 }
 
 #[cfg(test)]

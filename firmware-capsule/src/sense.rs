@@ -3,8 +3,8 @@
 //! The ADC measures against its supply, and a linear regulator's output falls with an empty cell: 3,300 mV is what the
 //! supply should be, not what it is. The chip's own reference does not fall with it, so one more conversion tells.
 //!
-//! The shunt amplifier's offset counts as current in every reading. With the bridge asleep no current flows, so what
-//! the amplifier shows then is its offset, and an offset that is too large is a wrong or broken amplifier.
+//! The shunt carries the motor's current in both directions, so its amplifier shows zero at half of its supply. With the bridge asleep
+//! no current flows, so what the amplifier shows then is its zero, and one that lies elsewhere is a wrong or broken amplifier.
 
 use core::ops::RangeInclusive;
 
@@ -51,61 +51,75 @@ impl Reference {
 
 /// Mean voltage at a pin in mV, from the sum of `count` readings.
 pub fn millivolts(sum: u32, count: u32, supply_mv: u32) -> u32 {
-    microvolts(sum, count, supply_mv).saturating_add(500) / 1_000
+    let full = FULL * count;
+    // 4,095 * 16 * 3,600 fits.
+    (sum * supply_mv + full / 2).checked_div(full).unwrap_or(0)
 }
 
-/// The same in uV.
-pub fn microvolts(sum: u32, count: u32, supply_mv: u32) -> u32 {
-    let full = u64::from(FULL * count);
-    // 4,095 * 10 * 3,600,000 fits.
-    let scaled = u64::from(sum) * u64::from(supply_mv) * 1_000 + full / 2;
-    // At most the supply.
-    scaled.checked_div(full).unwrap_or(0) as u32
-}
+/// Parts of a step of the converter in which means of several readings are kept.
+pub const FINE: i32 = 16;
+/// Half of the amplifier's supply, which is the converter's too.
+const HALF: i32 = FULL as i32 * FINE / 2;
 
-/// The shunt amplifier's offset.
+/// The shunt amplifier's zero. It lies at half of its supply, and moves with it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Offset {
+pub struct Zero {
     asleep_since_us: Option<u64>,
-    mean_ua: u32,
-    readings: u32,
+    /// Mean distance from the half, in fine steps times [`AVERAGED`].
+    offset: i32,
+    readings: i32,
 }
 
-/// A reading so far from the mean is not noise.
-const JUMP_UA: u32 = 10_000;
+/// A reading so far from the mean is not noise: 10 mA.
+const JUMP: i32 = 200;
 /// The mean is taken over about so many readings at rest. One reading has noise, which would be in all readings of a motion.
-const AVERAGED: u32 = 32;
+const AVERAGED: i32 = 32;
 
-impl Offset {
-    /// Takes a reading of the current in uA, with the bridge awake or asleep, and returns it without the offset. An offset
+impl Zero {
+    /// Takes a reading in fine steps, with the bridge awake or asleep, and returns the current in uA, positive winding. An offset
     /// above [`MOST_OFFSET_MA`] is not one, and stays in the reading.
-    pub fn take_off(&mut self, now_us: u64, awake: bool, reading_ua: u32) -> u32 {
+    pub fn take_off(&mut self, now_us: u64, awake: bool, reading: i32, supply_mv: u32) -> i32 {
+        let from_half = reading - HALF;
         if awake {
             self.asleep_since_us = None;
         } else {
             let since_us = *self.asleep_since_us.get_or_insert(now_us);
             if now_us.saturating_sub(since_us) >= SETTLED_US {
-                self.average(reading_ua);
+                self.average(from_half);
             }
         }
-        if self.offset_ma() > MOST_OFFSET_MA {
-            return reading_ua;
-        }
-        reading_ua.saturating_sub(self.mean_ua)
+        let current = if self.offset_ma(supply_mv).unsigned_abs() > MOST_OFFSET_MA {
+            from_half
+        } else {
+            from_half - self.offset / AVERAGED
+        };
+        fine_ua(current, supply_mv)
     }
 
-    fn average(&mut self, reading_ua: u32) {
-        if self.mean_ua.abs_diff(reading_ua) > JUMP_UA {
+    fn average(&mut self, from_half: i32) {
+        let step = from_half * AVERAGED - self.offset;
+        if step.abs() > JUMP * AVERAGED {
             self.readings = 0;
         }
         self.readings = (self.readings + 1).min(AVERAGED);
-        let step = (i64::from(reading_ua) - i64::from(self.mean_ua)) / i64::from(self.readings);
-        // Between the mean and the reading: fits.
-        self.mean_ua = (i64::from(self.mean_ua) + step) as u32;
+        self.offset += step / self.readings;
     }
 
-    /// As it was at the last settled readings; 0 before the first.
-    pub fn offset_ma(&self) -> u16 {
-        u16::try_from((self.mean_ua + 500) / 1_000).unwrap_or(u16::MAX)
+    /// As it was at the last settled readings, mA; 0 before the first.
+    pub fn offset_ma(&self, supply_mv: u32) -> i16 {
+        ma(fine_ua(self.offset / AVERAGED, supply_mv))
     }
+}
+
+/// 1 mV per mA.
+fn fine_ua(fine: i32, supply_mv: u32) -> i32 {
+    // At most half of the converter's range, 2 V.
+    let scaled = i64::from(fine) * i64::from(supply_mv) * 1_000;
+    (scaled / (i64::from(FULL) * i64::from(FINE))) as i32
+}
+
+/// Rounded to mA.
+pub fn ma(ua: i32) -> i16 {
+    let ma = (ua + 500 * ua.signum()) / 1_000;
+    ma.clamp(i16::MIN.into(), i16::MAX.into()) as i16
 }

@@ -67,7 +67,7 @@ impl Recording {
         };
         self.points[self.next] = Packed {
             counts: from_origin.clamp(i16::MIN.into(), i16::MAX.into()) as i16,
-            current_ma: sample.current_ma,
+            current_ma: sample.magnitude_ma(),
             battery: u8::try_from(battery).unwrap_or(u8::MAX),
             drive: (drive_mv / DRIVE_STEP_MV).clamp(i8::MIN.into(), i8::MAX.into()) as i8,
         };

@@ -23,7 +23,7 @@ struct Point {
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
-    current_ma: u32,
+    current_ma: i32,
     ordered_ma: u32,
     battery_mv: u32,
 }
@@ -46,16 +46,13 @@ impl Window {
         }
     }
 
-    /// Takes a reading.
-    pub fn push(&mut self, at_us: u64, sample: &Sample, ordered_ma: Option<u16>) {
+    /// Takes a reading, and its current in the direction of the leg.
+    pub fn push(&mut self, at_us: u64, sample: &Sample, current_ma: i16, ordered_ma: Option<u16>) {
         let before = self.back(0).copied().unwrap_or_default();
         let elapsed_us = at_us.saturating_sub(before.at_us);
         let follows = self.count != 0 && (500..=1_500).contains(&elapsed_us);
         let sums = Sums {
-            current_ma: before
-                .sums
-                .current_ma
-                .wrapping_add(sample.current_ma.into()),
+            current_ma: before.sums.current_ma.wrapping_add(current_ma.into()),
             ordered_ma: before
                 .sums
                 .ordered_ma
@@ -126,7 +123,7 @@ impl Window {
         self.back(0).is_some_and(|last| last.driven >= over)
     }
 
-    /// Means of current and of ordered current over the last `over` readings, fewer than are kept; `None` if some of them
+    /// Means of current in the direction of the leg and of ordered current over the last `over` readings, fewer than are kept; `None` if some of them
     /// are missing or were not driven.
     pub fn means_ma(&self, over: usize) -> Option<(u16, u16)> {
         let (last, before) = self.over(over)?;
@@ -136,9 +133,18 @@ impl Window {
         let mean = |sum: u32, before: u32| {
             (sum.wrapping_sub(before) + over as u32 / 2).checked_div(over as u32)
         };
-        let current_ma = mean(last.sums.current_ma, before.current_ma)?;
         let ordered_ma = mean(last.sums.ordered_ma, before.ordered_ma)?;
+        // What brakes the motor drives nothing.
+        let sum = last.sums.current_ma.wrapping_sub(before.current_ma).max(0);
+        let current_ma = mean(sum as u32, 0)?;
         Some((current_ma as u16, ordered_ma as u16))
+    }
+
+    /// Mean of the current over the last `over` readings with its sign: negative if it brakes the motor.
+    pub fn along_ma(&self, over: usize) -> Option<i32> {
+        let (last, before) = self.over(over)?;
+        let sum = last.sums.current_ma.wrapping_sub(before.current_ma);
+        sum.checked_div(over as i32)
     }
 
     /// No more current was ordered in the last `over` readings than in the last one; false if some of them are missing

@@ -137,7 +137,6 @@ impl Device {
         }
         let sample = Sample {
             counts: Counts(self.counts),
-            current_ma: 16,
             current_ua: 16_000,
             offset_ma: 0,
             battery_mv: 3_900,

@@ -184,12 +184,17 @@ impl Monitor {
                 current_ma,
                 battery_mv,
             } => {
-                (self.sample.current_ma, self.sample.battery_mv) = (current_ma, battery_mv);
+                let current_ua = i32::from(current_ma) * 1_000;
+                self.sample.battery_mv = battery_mv;
                 for _ in 0..ms {
                     let step = match self.capsule.drive() {
                         Drive::Millivolts(millivolts) if millivolts > 0 => counts_per_ms,
                         Drive::Millivolts(_) => -counts_per_ms,
                         Drive::Brake | Drive::Off => 0,
+                    };
+                    self.sample.current_ua = match self.capsule.drive() {
+                        Drive::Millivolts(millivolts) if millivolts < 0 => -current_ua,
+                        _ => current_ua,
                     };
                     self.sample.counts = Counts(self.sample.counts.0.wrapping_add(step));
                     self.now_us += 1_000;
@@ -230,7 +235,6 @@ const CALIBRATION: Calibration = Calibration {
 fn monitor(fault: Option<CapsuleFault>, start: i32, known: bool) -> Monitor {
     let sample = Sample {
         counts: Counts(start),
-        current_ma: 0,
         current_ua: 0,
         offset_ma: 0,
         battery_mv: 3_900,

@@ -44,7 +44,7 @@ fn a_nominal_capsule_keeps_the_figures_of_the_manual() {
     assert!((5.2..6.0).contains(&figures.end_n), "{figures:?}");
     assert!(figures.energy_error.abs() < 0.03, "{figures:?}");
     assert!(figures.peak_ma <= 250.0, "{figures:?}");
-    assert!(figures.fold_repeat_mm < 0.05 && figures.unfold_mm < 0.1);
+    assert!(figures.fold_repeat_mm < 0.1 && figures.unfold_mm < 0.1);
     assert!(figures.lowest_mm >= 0.0);
 }
 

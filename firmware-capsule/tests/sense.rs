@@ -1,9 +1,9 @@
 //! Supply, reference and offset of the capsule's readings.
 
-use firmware_capsule::sense::{MOST_OFFSET_MA, Offset, Reference, microvolts, millivolts};
+use firmware_capsule::sense::{self, FINE, MOST_OFFSET_MA, Reference, Zero, millivolts};
 
 /// What the ADC reads for `mv` at a supply of `supply_mv`.
-fn reading(mv: f64, supply_mv: f64) -> u16 {
+fn reads(mv: f64, supply_mv: f64) -> u16 {
     (mv / supply_mv * 4_095.0) as u16
 }
 
@@ -14,11 +14,11 @@ fn the_supply_is_right_to_half_a_percent_over_the_range_of_the_reference() {
         .into_iter()
         .flat_map(|mv| [(mv, 3_300), (mv, 3_000)])
     {
-        let word = reading(reference_mv, f64::from(factory_mv));
+        let word = reads(reference_mv, f64::from(factory_mv));
         let reference =
             Reference::from_factory(word, factory_mv).expect("in the range of the data sheet");
         for supply_mv in (1_720..3_590).step_by(7) {
-            let now = reading(reference_mv, f64::from(supply_mv));
+            let now = reads(reference_mv, f64::from(supply_mv));
             let measured = reference.supply_mv(now).expect("the chip runs on it");
             let error = f64::from(measured) / f64::from(supply_mv) - 1.0;
             assert!(error.abs() < 0.005, "{measured} mV for {supply_mv} mV");
@@ -59,75 +59,103 @@ fn a_mean_is_rounded_and_scales_with_the_supply() {
         "the largest sum fits"
     );
     assert_eq!(millivolts(1, 1, 3_300), 1, "0.8 mV");
-    assert_eq!(microvolts(1, 1, 3_300), 806);
-    assert_eq!(microvolts(2_048, 1, 2_950), 1_475_360);
     assert_eq!(millivolts(7, 0, 3_300), 0, "no reading, no voltage");
 }
 
+/// A reading with this current, in the converter's fine steps.
+fn reading(ma: f64) -> i32 {
+    ((0.5 + ma / 3_300.0) * 4_095.0 * f64::from(FINE)).round() as i32
+}
+
+/// What is made of it.
+fn taken_ma(zero: &mut Zero, now_us: u64, awake: bool, ma: f64) -> i16 {
+    sense::ma(zero.take_off(now_us, awake, reading(ma), 3_300))
+}
+
 #[test]
-fn an_offset_is_taken_at_rest_and_off_every_reading() {
-    let mut offset = Offset::default();
-    assert_eq!(offset.take_off(1_000, false, 12_000), 12_000, "just asleep");
-    assert_eq!(
-        offset.take_off(10_999, false, 12_000),
-        12_000,
-        "not settled"
-    );
-    assert_eq!(offset.offset_ma(), 0);
-    assert_eq!(offset.take_off(11_000, false, 12_000), 0);
-    assert_eq!(offset.offset_ma(), 12);
-    assert_eq!(offset.take_off(12_000, true, 172_000), 160_000);
-    assert_eq!(
-        offset.take_off(13_000, true, 5_000),
-        0,
-        "never below nothing"
-    );
-    // Asleep again: the current of the motor that runs out is no offset.
-    assert_eq!(offset.take_off(14_000, false, 400_000), 388_000);
-    assert_eq!(offset.offset_ma(), 12);
+fn the_zero_is_taken_at_rest_and_off_every_reading() {
+    for offset in [12.0, -12.0] {
+        let mut zero = Zero::default();
+        let shown = offset as i16;
+        assert_eq!(
+            taken_ma(&mut zero, 1_000, false, offset),
+            shown,
+            "just asleep"
+        );
+        assert_eq!(
+            taken_ma(&mut zero, 10_999, false, offset),
+            shown,
+            "not settled"
+        );
+        assert_eq!(zero.offset_ma(3_300), 0);
+        assert_eq!(taken_ma(&mut zero, 11_000, false, offset), 0);
+        assert_eq!(zero.offset_ma(3_300), shown);
+        for current in [160.0, -160.0] {
+            assert_eq!(
+                taken_ma(&mut zero, 12_000, true, offset + current),
+                current as i16
+            );
+        }
+        // Asleep again: the current of the motor that runs out is no offset.
+        assert_eq!(taken_ma(&mut zero, 14_000, false, offset + 388.0), 388);
+        assert_eq!(zero.offset_ma(3_300), shown);
+    }
+}
+
+/// Both fall with an empty battery.
+#[test]
+fn the_zero_follows_the_supply() {
+    let mut zero = Zero::default();
+    let half = 4_095 * FINE / 2;
+    assert_eq!(zero.take_off(0, true, half, 3_300), 0);
+    assert_eq!(zero.take_off(0, true, half, 2_800), 0);
+    let above = half + 100 * FINE;
+    assert_eq!(sense::ma(zero.take_off(0, true, above, 3_300)), 81);
+    assert_eq!(sense::ma(zero.take_off(0, true, above, 2_800)), 68);
 }
 
 /// The noise of one reading would be in all readings of a motion.
 #[test]
 fn the_offset_is_a_mean_and_follows_the_temperature() {
-    let mut offset = Offset::default();
-    offset.take_off(0, false, 12_000);
+    let mut zero = Zero::default();
+    taken_ma(&mut zero, 0, false, 12.0);
     let mut now_us = 10_000;
-    for reading_ua in [10_000, 14_000].repeat(40) {
-        offset.take_off(now_us, false, reading_ua);
+    for reading_ma in [10.0, 14.0].repeat(40) {
+        taken_ma(&mut zero, now_us, false, reading_ma);
         now_us += 100_000;
     }
-    assert!((11_900..=12_100).contains(&(20_000 - offset.take_off(now_us, true, 20_000))));
+    assert_eq!(taken_ma(&mut zero, now_us, true, 20.0), 8);
     for _ in 0..200 {
-        offset.take_off(now_us, false, 15_000);
+        taken_ma(&mut zero, now_us, false, 15.0);
         now_us += 100_000;
     }
-    assert_eq!(offset.offset_ma(), 15);
+    assert_eq!(zero.offset_ma(3_300), 15);
     // An amplifier that fails is seen at once.
-    offset.take_off(now_us, false, 1_650_000);
-    assert_eq!(offset.offset_ma(), 1_650);
+    taken_ma(&mut zero, now_us, false, -1_650.0);
+    assert_eq!(zero.offset_ma(3_300), -1_650);
 }
 
 #[test]
 fn an_offset_that_is_too_large_stays_in_the_reading() {
+    let most = i16::try_from(MOST_OFFSET_MA).expect("it fits");
     for (reading_ma, shown_ma) in [
-        (MOST_OFFSET_MA, 0),
-        (MOST_OFFSET_MA + 1, MOST_OFFSET_MA + 1),
+        (most, 0),
+        (-most, 0),
+        (most + 1, most + 1),
+        (-most - 1, -most - 1),
         (1_650, 1_650),
-        (u16::MAX, u16::MAX),
+        (-1_650, -1_650),
     ] {
-        let mut offset = Offset::default();
-        let reading_ua = u32::from(reading_ma) * 1_000;
-        offset.take_off(0, false, reading_ua);
-        let shown_ua = offset.take_off(100_000, false, reading_ua);
-        assert_eq!(shown_ua, u32::from(shown_ma) * 1_000);
-        assert_eq!(offset.offset_ma(), reading_ma);
+        let mut zero = Zero::default();
+        taken_ma(&mut zero, 0, false, reading_ma.into());
+        let shown = taken_ma(&mut zero, 100_000, false, reading_ma.into());
+        assert_eq!((shown, zero.offset_ma(3_300)), (shown_ma, reading_ma));
     }
 }
 
 #[test]
 fn a_clock_that_steps_back_settles_nothing() {
-    let mut offset = Offset::default();
-    offset.take_off(50_000, false, 9_000);
-    assert_eq!(offset.take_off(40_000, false, 9_000), 9_000);
+    let mut zero = Zero::default();
+    taken_ma(&mut zero, 50_000, false, 9.0);
+    assert_eq!(taken_ma(&mut zero, 40_000, false, 9.0), 9);
 }

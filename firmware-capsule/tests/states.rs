@@ -426,7 +426,7 @@ fn the_answers_say_what_they_should() {
     assert_eq!(status.time_us, sim.now_us);
     assert_eq!(
         (status.current_ma, status.battery_mv),
-        (sample.current_ma, sample.battery_mv)
+        (sample.magnitude_ma(), sample.battery_mv)
     );
     let telemetry = commands::telemetry(&sim.capsule, 77);
     assert_eq!(telemetry.time_us, 77);
@@ -435,7 +435,7 @@ fn the_answers_say_what_they_should() {
     assert_eq!(telemetry.thread_um, status.thread_um);
     assert_eq!(
         (telemetry.current_ma, telemetry.battery_mv),
-        (sample.current_ma, sample.battery_mv)
+        (sample.magnitude_ma(), sample.battery_mv)
     );
     let mut paying_out = sim_in(CapsuleState::Unfolding);
     let drive_mv = |sim: &Simulation| commands::telemetry(&sim.capsule, 0).drive_mv;

@@ -1,7 +1,7 @@
 //! Identifies one capsule from the recordings of a fold and the unfolding after it: circuit, motor, friction, origami.
 //!
 //! ```text
-//! D V       = R i + k D w                    circuit: D share of the PWM period, V cell without load, w speed
+//! D U       = R i + k w                      circuit: D share of the PWM period, U cell in the pulses, w speed
 //! k i       = k I0 + J w' + S g up(mu) F(x)        winding the thread; F by the beam estimate, x travel
 //! k |i|     = k I0 + J |w|' + S g down(mu) F(x)    paying it out: the worm locks, so this is driven, too
 //! ```
@@ -47,6 +47,8 @@ const BEAM_N_PER_MM: f64 = 0.2055;
 
 /// Gain of the current amplifier, as a share: its shunt and resistors [assumed]. All that rests on a current is uncertain by it.
 const GAIN: f64 = 0.03;
+/// `R T2 / 12 L2` of the bridge's slow decay, mA per volt: 6.2 ohm, 12.5 us, 53 uH (data sheet).
+const RISE_MA_PER_V: f64 = 28.7;
 /// What is left of the amplifier's offset, mA.
 const OFFSET_MA: f64 = 1.0;
 /// The amplifier's output follows the bridge's pulses: so far may a reading at 100 mA be from their mean, mA [assumed].
@@ -183,6 +185,12 @@ fn mechanics(
 }
 
 impl Block {
+    /// What the cell gives: the motor's current in the pulses, and what it rises above its mean in them.
+    fn drawn_ma(&self) -> f64 {
+        let both = self.duty * (1.0 - self.duty);
+        self.duty * self.current_ma + RISE_MA_PER_V * self.battery_mv * 1e-3 * both * both
+    }
+
     /// As the amplifier's ripple might show it.
     fn rippled(&self) -> Self {
         let share = self.current_ma / 100.0;
@@ -270,16 +278,17 @@ fn block(readings: &[TracePoint], sign: f64) -> Option<Block> {
 fn circuit(folding: &[Block], unfolding: &[Block]) -> Result<(Estimate, Estimate), IdentifyError> {
     let blocks = || folding.iter().chain(unfolding);
     let sagging: Vec<_> = blocks()
-        .map(|block| ([1.0, -block.current_ma], block.battery_mv))
+        .map(|block| ([1.0, -block.drawn_ma()], block.battery_mv))
         .collect();
     let cell = fit(&sagging).ok_or(IdentifyError::NoFit("the current never changes"))?;
-    let open_mv = cell.values[0];
+    let [open_mv, cell_ohm] = cell.values;
     let row = |block: &Block, folds: f64| {
-        let driven = block.duty * block.speed_mm_s / MM_PER_RAD;
-        // What the offset makes of the current is a voltage of its own in each motion.
+        // What the offset makes of the current is a voltage of its own in each motion. The cell gives all of its current in the
+        // pulses.
+        let speed = block.speed_mm_s / MM_PER_RAD;
         (
-            [block.current_ma, driven, folds, 1.0 - folds],
-            block.duty * open_mv,
+            [block.current_ma, speed, folds, 1.0 - folds],
+            block.duty * open_mv - cell_ohm * block.drawn_ma(),
         )
     };
     let folded = folding.iter().map(|block| row(block, 1.0));
@@ -287,6 +296,7 @@ fn circuit(folding: &[Block], unfolding: &[Block]) -> Result<(Estimate, Estimate
     let rows: Vec<_> = folded.chain(unfolded).collect();
     let fit = fit(&rows).ok_or(IdentifyError::NoFit("speed and current change together"))?;
     let [ohm, constant, ..] = fit.values;
+    let ohm = ohm + cell_ohm;
     if ohm <= 0.0 || constant <= 0.0 {
         return Err(IdentifyError::NoFit(
             "a motor without resistance or back-EMF",
@@ -295,7 +305,8 @@ fn circuit(folding: &[Block], unfolding: &[Block]) -> Result<(Estimate, Estimate
     Ok((
         Estimate {
             value: ohm,
-            uncertainty: COVERAGE * fit.deviations[0] + (GAIN + VOLTAGE) * ohm,
+            uncertainty: COVERAGE * fit.deviations[0].hypot(cell.deviations[1])
+                + (GAIN + VOLTAGE) * ohm,
         },
         Estimate {
             value: constant,

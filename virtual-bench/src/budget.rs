@@ -22,8 +22,8 @@ const SLEEP_MA: [f64; 2] = [0.4, 1.3];
 const SENSORS_MA: f64 = 8.3;
 /// What is always there, mA: the battery's divider of 200 kohm, the regulator, a bridge asleep [assumed].
 const ALWAYS_MA: f64 = 0.03;
-/// TIM3's compare register of the winding input: its duty.
-const WINDING_DUTY: u32 = 0x4000_0434;
+/// TIM3's compare register of the second input: the pauses of a motor that winds.
+const WINDING_DUTY: u32 = 0x4000_0438;
 /// Readings of a fold whose orders are timed.
 const READINGS: u64 = 200;
 /// Interval at which the processor is looked at.

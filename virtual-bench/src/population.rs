@@ -7,6 +7,7 @@ use host_tool::error::ClientError;
 use protocol::capsule::{
     ActuationAccepted, ActuationOutcome, ActuationRecord, Calibrate, CapsuleState, GetCapsuleTotals,
 };
+use protocol::error::Refusal;
 use protocol::system::DeviceKind;
 
 use crate::bench::{Bench, BenchError};
@@ -118,7 +119,7 @@ impl Workbench {
     ) -> Result<Moved, CaseError> {
         let accepted = match accepted {
             Ok(accepted) => accepted,
-            Err(ClientError::Refused { refusal, .. }) => return Ok(Moved::Refused(name(&refusal))),
+            Err(ClientError::Refused { refusal, .. }) => return Ok(Moved::Refused(refusal)),
             Err(other) => return Err(other.into()),
         };
         let record = self.device.wait_actuation(&accepted, &mut Unobserved)?;
@@ -173,7 +174,7 @@ impl Workbench {
             self.look(move |capsule| capsule.plan(at_ns, defect))?;
         }
         let mut short_mm = None;
-        let mut last = Moved::Refused(String::new());
+        let mut last = Moved::Refused(Refusal::AlreadyThere);
         let motions = match course.motion {
             Motion::Calibrate => vec![Self::calibrate as fn(&mut Self) -> _],
             Motion::Fold => vec![Self::fold as _],
@@ -226,7 +227,7 @@ impl Workbench {
         }
         if faulted {
             match self.unfold()? {
-                Moved::Refused(refusal) if refusal == "CapsuleFaulted" => {}
+                Moved::Refused(Refusal::CapsuleFaulted(_)) => {}
                 other => return Ok(Err(format!("with a fault: {}", other.name()))),
             }
         }
@@ -241,14 +242,15 @@ impl Workbench {
 }
 
 enum Moved {
-    Refused(String),
+    Refused(Refusal),
     Ended(ActuationRecord),
 }
 
 impl Moved {
     fn name(&self) -> String {
         match self {
-            Self::Refused(refusal) => refusal.clone(),
+            Self::Refused(Refusal::CapsuleFaulted(fault)) => name(fault),
+            Self::Refused(refusal) => name(refusal),
             Self::Ended(record) => match record.outcome {
                 ActuationOutcome::Faulted(fault) => name(&fault),
                 outcome => name(&outcome),

@@ -9,27 +9,23 @@ use firmware_capsule::{
     detect::Sample,
     fold::Drive,
     mechanics::Counts,
-    sense::{Offset, Reference, microvolts, millivolts},
+    sense::{FINE, Reference, Zero, millivolts},
 };
 
 /// The battery's divider is 1/2.
 const BATTERY_RATIO: u32 = 2;
-/// Readings per sample while driving, evenly over one PWM period: their mean is the period's, wherever in it the sample begins. The
-/// samples are a whole number of periods apart, so a phase that is preferred would be preferred throughout a motion.
+/// Readings per sample. The filters before both inputs leave 2 mA of the current's ripple; the readings spread over two
+/// PWM periods and more, so that their mean has none of it, wherever the sample begins.
 const ADC_PAIRS: u32 = 4;
-/// Two conversions have to end within it.
-const PAIR_TICKS: u16 = PWM_TICKS / ADC_PAIRS as u16;
 /// From the supply of encoder and amplifier to their first valid levels (assumed of both; ask their data sheets).
 pub(crate) const SENSORS_START: Duration = Duration::from_millis(1);
-/// Looks at the counter until it is there: a period at 8 cycles each, twice.
-const PHASE_PATIENCE: u32 = 200;
 
 /// Motor, encoder, current and battery.
 pub(crate) struct DriveTrain {
     current: u8,
     battery: u8,
     reference: Reference,
-    offset: Offset,
+    zero: Zero,
     battery_mv: u16,
 }
 
@@ -53,7 +49,7 @@ impl DriveTrain {
             current,
             battery,
             reference,
-            offset: Offset::default(),
+            zero: Zero::default(),
             battery_mv: 0,
         }
     }
@@ -63,8 +59,8 @@ impl DriveTrain {
         let (in1, in2) = match drive {
             Drive::Off => return pins::outputs_off(),
             Drive::Brake => (PWM_TICKS, PWM_TICKS),
-            Drive::Millivolts(millivolts) if millivolts >= 0 => (self.pulse(millivolts), 0),
-            Drive::Millivolts(millivolts) => (0, self.pulse(millivolts)),
+            Drive::Millivolts(millivolts) if millivolts >= 0 => (PWM_TICKS, self.pause(millivolts)),
+            Drive::Millivolts(millivolts) => (self.pause(millivolts), PWM_TICKS),
         };
         pins::PULSES.set(in1, in2);
         if !pins::PULSES.run() {
@@ -94,12 +90,13 @@ impl DriveTrain {
         pins::power_sensors(false);
     }
 
-    /// Length of the pulse that is this share of the battery. No battery reading: no drive.
-    fn pulse(&self, millivolts: i16) -> u16 {
+    /// How long the motor is shorted in each period, so that the rest is this share of the battery. No battery reading: no drive.
+    fn pause(&self, millivolts: i16) -> u16 {
         let full = u32::from(PWM_TICKS);
-        let ticks = u32::from(millivolts.unsigned_abs()) * full;
-        let ticks = ticks.checked_div(u32::from(self.battery_mv));
-        ticks.map_or(0, |ticks| ticks.min(full) as u16)
+        let battery_mv = u32::from(self.battery_mv);
+        let ticks = u32::from(millivolts.unsigned_abs()) * full + battery_mv / 2;
+        let pulse = ticks.checked_div(battery_mv).unwrap_or(0).min(full);
+        PWM_TICKS - pulse as u16
     }
 
     /// Reads everything. nFAULT means nothing while the bridge sleeps.
@@ -112,11 +109,7 @@ impl DriveTrain {
         let reading = pins::convert(pins::REFERENCE_CHANNEL);
         let supply_mv = self.reference.supply_mv(reading).unwrap_or(0);
         let (mut current, mut battery) = (0, 0);
-        let began = pins::PULSES.count();
-        for pair in 0..pairs as u16 {
-            if awake {
-                await_phase(began, pair * PAIR_TICKS);
-            }
+        for _ in 0..pairs {
             current += u32::from(pins::convert(self.current));
             battery += u32::from(pins::convert(self.battery));
         }
@@ -124,26 +117,16 @@ impl DriveTrain {
             pins::switch_adc_off();
         }
         let battery_mv = millivolts(battery, pairs, supply_mv) * BATTERY_RATIO;
-        let reading_ua = microvolts(current, pairs, supply_mv); // 1 uV per uA
-        let current_ua = self.offset.take_off(now_us, awake, reading_ua);
+        // At most 4,095 fine steps.
+        let fine = (current * FINE as u32 / pairs) as i32;
+        let current_ua = self.zero.take_off(now_us, awake, fine, supply_mv);
         self.battery_mv = u16::try_from(battery_mv).unwrap_or(u16::MAX);
         Sample {
             counts: Counts(timers::encoder_count()),
-            current_ma: u16::try_from((current_ua + 500) / 1_000).unwrap_or(u16::MAX),
             current_ua,
-            offset_ma: self.offset.offset_ma(),
+            offset_ma: self.zero.offset_ma(supply_mv),
             battery_mv: self.battery_mv,
             driver_fault: awake && pins::fault_is_reported(),
-        }
-    }
-}
-
-/// Waits until the PWM's counter is so many ticks further than `began`, less than a period.
-fn await_phase(began: u16, ticks: u16) {
-    for _ in 0..PHASE_PATIENCE {
-        let passed = (pins::PULSES.count() + PWM_TICKS - began) % PWM_TICKS;
-        if passed >= ticks {
-            return;
         }
     }
 }

@@ -3,12 +3,12 @@
 //!
 //! | signal | what it does |
 //! |---|---|
-//! | IN1, IN2 | bridge, DRV8833 class; 20 kHz while it drives |
+//! | IN1, IN2 | bridge, DRV8411 class; 80 kHz while it drives |
 //! | nSLEEP | low = bridge asleep; pull-down on the board |
 //! | nFAULT | low = the bridge reports a fault |
 //! | A, B | encoder, four edges counted over 32 bits |
-//! | current | motor current's magnitude, 1 mV per mA (README, "Shunt amplifier") |
-//! | battery | through 1/2 |
+//! | current | motor current with its sign, 1 mV per mA, zero at half of the supply (README, "Shunt amplifier") |
+//! | battery | through 1/2, filtered |
 //! | sensors | supply of encoder and amplifier; high = on; pull-down on the board |
 //! | serial | 115,200 baud |
 //!
@@ -19,10 +19,9 @@
 //! | 0 | 1 | pays out |
 //! | 1 | 1 | motor shorted |
 //!
-//! While driving, one input carries pulses and the other one is low: between the pulses the motor runs free. The
-//! usual alternative, shorting it between the pulses, would make the mean voltage independent of the load, but needs an
-//! inductance to carry the current over: this motor's winding forgets its current within some 10 us of the 50 us, and
-//! would brake itself with 0.3 A in every pause, all of it from the battery.
+//! While driving, one input is high and the other one carries the pauses: in these both low sides conduct, and the current circulates
+//! through them (slow decay). So the motor has the mean voltage `D V` and the mean current `(D V - e) / R`, whatever its inductance is.
+//! At 80 kHz the current ripples by 0.17 A at most.
 
 #[cfg(feature = "stm32f411re")]
 mod stm32f411re;

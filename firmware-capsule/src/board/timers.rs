@@ -32,8 +32,8 @@ pub(crate) fn encoder_count() -> i32 {
     pac::TIM2.cnt().read() as i32
 }
 
-/// One period of the bridge's pulses: 20 kHz of the 16 MHz that a board's timer has.
-pub(crate) const PWM_TICKS: u16 = 800;
+/// One period of the bridge's pulses: 80 kHz of the 16 MHz that a board's timer has (docs/capsule.md, "Drive").
+pub(crate) const PWM_TICKS: u16 = 200;
 
 /// The timer of the bridge's pulses, on its first two channels.
 pub(crate) struct Pulses(pub(crate) TimGp16);
@@ -56,7 +56,7 @@ impl Pulses {
         });
     }
 
-    /// Pulses of so many ticks, from the next period on.
+    /// Both inputs high for so many ticks of each period, from the next one on.
     pub(crate) fn set(&self, in1: u16, in2: u16) {
         self.0.ccr(0).write(|w| w.set_ccr(in1));
         self.0.ccr(1).write(|w| w.set_ccr(in2));
@@ -76,10 +76,5 @@ impl Pulses {
     /// They run, and the bridge is awake.
     pub(crate) fn run(&self) -> bool {
         self.0.cr1().read().cen()
-    }
-
-    /// Ticks since the present pulse began.
-    pub(crate) fn count(&self) -> u16 {
-        self.0.cnt().read().cnt()
     }
 }

@@ -2,13 +2,20 @@
 //! converter, the encoder's counter.
 
 use capsule_plant::{Bridge, Parameters, Plant, Random};
-use firmware_capsule::{detect::Sample, fold::Drive, mechanics::Counts, sense::Offset};
+use firmware_capsule::{
+    detect::Sample,
+    fold::Drive,
+    mechanics::Counts,
+    sense::{FINE, Zero},
+};
 
 /// Ticks of a PWM period, and its length, as on the board.
-const PWM_TICKS: u32 = 800;
-const PERIOD_S: f64 = 50e-6;
-/// The same, us.
-pub const PERIOD_US: u64 = 50;
+const PWM_TICKS: u32 = 200;
+const PERIOD_S: f64 = 12.5e-6;
+/// So many periods in a millisecond.
+pub const PERIODS_PER_MS: u64 = 80;
+/// Supply of converter and amplifier, mV.
+const SUPPLY_MV: u32 = 3_300;
 
 /// The mechanics on their board.
 #[derive(Clone, Debug)]
@@ -18,9 +25,7 @@ pub struct Board {
     /// Largest current from the cell, mean over a PWM period, mA.
     pub peak_ma: f64,
     random: Random,
-    offset: Offset,
-    /// Means of amplifier and battery over the last period, mV.
-    means_mv: (f64, f64),
+    zero: Zero,
     battery_mv: u16,
     /// TIM2, which counts the edges of both lines.
     counter: i32,
@@ -43,11 +48,10 @@ impl Board {
         let plant = Plant::new(parameters);
         Self {
             encoder: plant.encoder(),
-            means_mv: (plant.sense_mv(3_300.0), plant.terminal_mv()),
             plant,
             peak_ma: 0.0,
             random: Random::new(seed),
-            offset: Offset::default(),
+            zero: Zero::default(),
             battery_mv: 0,
             counter: 0,
         }
@@ -61,11 +65,12 @@ impl Board {
     /// So many periods of the bridge.
     pub fn run(&mut self, drive: Drive, periods: u64) {
         let (bridge, ticks) = match drive {
-            Drive::Off => (Bridge::Coast, 0),
+            Drive::Off => (Bridge::Coast, PWM_TICKS),
             Drive::Brake => (Bridge::Brake, PWM_TICKS),
             Drive::Millivolts(drive_mv) => {
-                let wanted = u32::from(drive_mv.unsigned_abs()) * PWM_TICKS;
-                let ticks = wanted.checked_div(u32::from(self.battery_mv));
+                let battery_mv = u32::from(self.battery_mv);
+                let wanted = u32::from(drive_mv.unsigned_abs()) * PWM_TICKS + battery_mv / 2;
+                let ticks = wanted.checked_div(battery_mv);
                 let bridge = if drive_mv >= 0 {
                     Bridge::Forward
                 } else {
@@ -75,58 +80,37 @@ impl Board {
             }
         };
         if self.plant.is_quiet() && bridge == Bridge::Coast {
-            self.means_mv = (self.plant.sense_mv(3_300.0), self.plant.terminal_mv());
             return;
         }
         let on_s = PERIOD_S * f64::from(ticks) / f64::from(PWM_TICKS);
-        let mut sensed_mv = self.plant.sense_mv(3_300.0);
         for _ in 0..periods {
-            let (mut sense, mut battery, mut current) = (0.0, 0.0, 0.0);
-            for (bridge, length_s) in [(bridge, on_s), (Bridge::Coast, PERIOD_S - on_s)] {
-                if length_s <= 0.0 {
-                    continue;
-                }
-                self.plant.set_bridge(bridge);
-                let steps = (length_s / 20e-6).ceil();
-                let weight = length_s / steps / PERIOD_S;
-                let (counter, encoder) = (&mut self.counter, &mut self.encoder);
-                let sensed_mv = &mut sensed_mv;
-                self.plant.advance(length_s, |plant| {
-                    // The filter's output is no straight line within a step, but nearly.
-                    let sense_mv = plant.sense_mv(3_300.0);
-                    sense += f64::midpoint(*sensed_mv, sense_mv) * weight;
-                    *sensed_mv = sense_mv;
-                    battery += plant.terminal_mv() * weight;
-                    if bridge == Bridge::Forward || bridge == Bridge::Reverse {
-                        current += plant.drawn_ma() * weight;
-                    }
-                    let levels = plant.encoder();
-                    // One step is a count; two, which cannot be told apart, are none.
-                    *counter += match (quarter(levels) - quarter(*encoder)).rem_euclid(4) {
-                        1 => 1,
-                        3 => -1,
-                        _ => 0,
-                    };
-                    *encoder = levels;
-                });
-            }
-            self.means_mv = (sense, battery);
-            self.peak_ma = self.peak_ma.max(current);
+            let phases = [(Bridge::Brake, PERIOD_S - on_s), (bridge, on_s)];
+            self.plant.advance_period(&phases);
+            self.peak_ma = self.peak_ma.max(self.plant.drawn_ma());
+            let levels = self.plant.encoder();
+            // One step is a count; two, which cannot be told apart, are none.
+            self.counter += match (quarter(levels) - quarter(self.encoder)).rem_euclid(4) {
+                1 => 1,
+                3 => -1,
+                _ => 0,
+            };
+            self.encoder = levels;
         }
     }
 
-    /// What the converter reads after a period, with the bridge awake or asleep.
+    /// What the converter reads, with the bridge awake or asleep.
     pub fn sample(&mut self, now_us: u64, awake: bool) -> Sample {
-        let (sense_mv, battery_mv) = self.means_mv;
         let noise = self.random.normal() * self.plant.parameters.sense_noise_ma;
-        let reading_ua = ((sense_mv + noise).max(0.0) * 1e3).round() as u32;
-        let current_ua = self.offset.take_off(now_us, awake, reading_ua);
-        self.battery_mv = (battery_mv / 2.0).round() as u16 * 2;
+        let sense_mv = (self.plant.sense_mv(SUPPLY_MV.into()) + noise).clamp(0.0, 3_300.0);
+        let fine = sense_mv / f64::from(SUPPLY_MV) * 4_095.0 * f64::from(FINE);
+        let current_ua = self
+            .zero
+            .take_off(now_us, awake, fine.round() as i32, SUPPLY_MV);
+        self.battery_mv = (self.plant.seen_battery_mv() / 2.0).round() as u16 * 2;
         Sample {
             counts: Counts(self.counter),
-            current_ma: ((current_ua + 500) / 1_000) as u16,
             current_ua,
-            offset_ma: self.offset.offset_ma(),
+            offset_ma: self.zero.offset_ma(SUPPLY_MV),
             battery_mv: self.battery_mv,
             driver_fault: awake && !self.plant.fault_high(),
         }

@@ -7,7 +7,10 @@ use capsule_plant::{
     verdict::{Verdict, name},
 };
 use firmware_capsule::fold::{Command, Drive, Event};
-use protocol::capsule::{ActuationOutcome, CapsuleState};
+use protocol::{
+    capsule::{ActuationOutcome, CapsuleState},
+    error::Refusal,
+};
 
 fn name_of(outcome: ActuationOutcome) -> String {
     match outcome {
@@ -90,10 +93,11 @@ fn with_defect(
     }
     let folded = sim.capsule.state() == CapsuleState::Folded;
     Verdict {
-        name: refusal.map_or_else(
-            || name_of(sim.capsule.record().outcome),
-            |refusal| name(&refusal),
-        ),
+        name: match refusal {
+            None => name_of(sim.capsule.record().outcome),
+            Some(Refusal::CapsuleFaulted(fault)) => name(&fault),
+            Some(refusal) => name(&refusal),
+        },
         took_ms,
         peak_n: sim.plant.peak_force_n(),
         short_mm: folded.then(|| end_mm - sim.plant.travel_mm()),

@@ -3,7 +3,7 @@
 pub mod board;
 pub mod cases;
 
-use board::{Board, PERIOD_US};
+use board::{Board, PERIODS_PER_MS};
 use capsule_plant::Parameters;
 use core::ops::{Deref, DerefMut};
 use firmware_capsule::{
@@ -76,8 +76,9 @@ impl Simulation {
         self.now_us += 1_000;
         let drive = self.capsule.drive();
         let before = std::mem::replace(&mut self.before, drive);
-        self.board.run(before, ORDER_US / PERIOD_US);
-        self.board.run(drive, (1_000 - ORDER_US) / PERIOD_US);
+        let late = ORDER_US * PERIODS_PER_MS / 1_000;
+        self.board.run(before, late);
+        self.board.run(drive, PERIODS_PER_MS - late);
         let sample = self.board.sample(self.now_us, drive != Drive::Off);
         (sample, self.give(Event::Sample(sample)).drive)
     }

@@ -24,8 +24,7 @@ impl Feed {
             now_us: 0,
             sample: Sample {
                 counts: Counts(i32::MAX - 100),
-                current_ma: NO_LOAD_MA,
-                current_ua: 16_000,
+                current_ua: spooling.along(16_000),
                 offset_ma: 0,
                 battery_mv: 3_690,
                 driver_fault: false,
@@ -62,7 +61,10 @@ impl Feed {
     }
 
     fn draws(&mut self, current_ma: u16, ordered_ma: u16) {
-        self.sample.current_ma = current_ma;
+        self.sample.current_ua = self
+            .detector
+            .spooling()
+            .along(i32::from(current_ma) * 1_000);
         self.ordered_ma = Some(ordered_ma);
     }
 }

@@ -27,11 +27,11 @@ fn the_first_pulse_is_bounded_by_the_current() {
 
 #[test]
 fn a_turning_motor_is_given_more_for_the_same_current() {
-    // 11,000 counts/s are 2,277 mV of back-EMF: 1,423 mV of 3,700 remain.
+    // 11,000 counts/s are 2,277 mV of back-EMF.
     assert_eq!(drive_mv(100_000, 0, 3_700, &Settings::REFERENCE), 650);
     assert_eq!(
         drive_mv(100_000, 11_000, 3_700, &Settings::REFERENCE),
-        1_690
+        2_927
     );
     assert_eq!(
         drive_mv(100_000, 18_000, 3_700, &Settings::REFERENCE),

@@ -6,7 +6,7 @@
 //! | PB10 | nSLEEP | plain output; the bridge pulls it low |
 //! | PA8 | nFAULT | open drain, high through the chip's pull-up |
 //! | PA0, PA1 | encoder A, B | TIM2 in encoder mode, AF1 |
-//! | PA4 | motor current | ADC1 channel 4, 1 mV per mA |
+//! | PA4 | motor current | ADC1 channel 4, 1 mV per mA, zero at half of the supply |
 //! | PB0 | battery | ADC1 channel 8, half its voltage |
 //! | PB1 | supply of encoder and amplifier | plain output; the board pulls it low |
 //! | VDD, VDDA | a linear regulator's 3.3 V, or less from an empty battery | supply, and reference of ADC1 |

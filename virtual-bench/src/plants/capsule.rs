@@ -154,7 +154,7 @@ impl Capsule {
     /// Voltage at the battery's divider, mV.
     #[must_use]
     pub fn battery_mv(&self) -> f64 {
-        self.plant.terminal_mv() / BATTERY_DIVIDER
+        self.plant.seen_battery_mv() / BATTERY_DIVIDER
     }
 
     /// Voltage at the battery's terminals, mV.

@@ -544,17 +544,32 @@ fn a_cell_that_sags_under_load_ends_the_fold_and_is_refused_from_then_on() {
 /// A bidirectional amplifier, with its zero at half of its supply, is not what the firmware is made for.
 #[test]
 fn a_current_at_rest_keeps_the_motor_off() {
+    let over = |fault| {
+        matches!(
+            fault,
+            CapsuleFault::OverCurrent {
+                current_ma: 490..=510
+            }
+        )
+    };
+    is_refused_for(-500.0, over);
+    is_refused_for(500.0, over);
+    // At the end of its range the amplifier is none.
+    is_refused_for(-1_650.0, |fault| fault == CapsuleFault::SenseLost);
+}
+
+fn is_refused_for(sense_offset_mv: f64, right: impl Fn(CapsuleFault) -> bool) {
     let mut capsule = start_with(Parameters {
-        sense_offset_mv: 1_650.0,
+        sense_offset_mv,
         ..Parameters::nominal()
     });
     capsule.idle(250_000);
     let before = capsule.look(|capsule| capsule.wound_mm());
     let fault = match capsule.device.reference() {
         Err(ClientError::Refused {
-            refusal: Refusal::CapsuleFaulted(fault @ CapsuleFault::OverCurrent { current_ma }),
+            refusal: Refusal::CapsuleFaulted(fault),
             ..
-        }) if (1_640..1_660).contains(&current_ma) => fault,
+        }) if right(fault) => fault,
         other => panic!("{other:?}\n{}", capsule.log()),
     };
     capsule.check_at_rest();
