@@ -12,6 +12,8 @@ use firmware_capsule::{
 /// Ticks of a PWM period, and its length, as on the board.
 const PWM_TICKS: u32 = 200;
 const PERIOD_S: f64 = 12.5e-6;
+/// Two of them, us.
+pub const TWO_PERIODS_US: u64 = 25;
 /// So many periods in a millisecond.
 pub const PERIODS_PER_MS: u64 = 80;
 /// Supply of converter and amplifier, mV.

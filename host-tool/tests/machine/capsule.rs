@@ -4,7 +4,7 @@
 mod board;
 
 pub use board::Board as Mechanics;
-use board::PERIOD_US;
+use board::TWO_PERIODS_US;
 use capsule_plant::{Defect, Parameters};
 use device::retained::Retained;
 use device::service::Answers;
@@ -52,9 +52,9 @@ impl At<Board> {
     /// Lets the motor turn until now.
     fn turn(&mut self) {
         let board = &mut self.board;
-        let periods = (self.port.now_us() - board.mechanics_us) / PERIOD_US;
-        board.mechanics_us += periods * PERIOD_US;
-        board.mechanics.run(board.drive, periods);
+        let twice = (self.port.now_us() - board.mechanics_us) / TWO_PERIODS_US;
+        board.mechanics_us += twice * TWO_PERIODS_US;
+        board.mechanics.run(board.drive, 2 * twice);
     }
 }
 
@@ -117,7 +117,9 @@ impl Device for Capsule {
     fn reset(&mut self, left: Retained, cause: ResetCause) {
         // The motor runs out with the bridge asleep, and the worm holds.
         let board = &mut self.control.capsule().board;
-        board.mechanics.run(Drive::Off, COASTS_US / PERIOD_US);
+        board
+            .mechanics
+            .run(Drive::Off, 2 * COASTS_US / TWO_PERIODS_US);
         let mechanics = board.mechanics.clone();
         *self = Self::start(&self.port, &self.flash, left, cause, mechanics);
     }
