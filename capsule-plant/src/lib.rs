@@ -32,6 +32,19 @@ const STEP_S: f64 = 20e-6;
 pub enum Defect {
     /// The fold meets something hard at this travel.
     Jam(f64),
+    /// The fold meets something at this travel that gives way: N per mm of thread.
+    Obstacle {
+        /// Travel, mm.
+        at_mm: f64,
+        /// Its stiffness.
+        n_per_mm: f64,
+    },
+    /// The worm's friction is so many times what it was: grease, temperature, wear.
+    Friction(f64),
+    /// The no-load current is so many times what it was.
+    NoLoad(f64),
+    /// The origami pulls with this share of its force: what a fold that is held loses.
+    Relaxed(f64),
     /// The thread snaps as soon as the travel reaches this.
     Snap(f64),
     /// The thread lets go of so much of itself at once, mm: more slack.
@@ -86,6 +99,7 @@ pub struct Plant {
     peak_force_n: f64,
     extremes_mm: (f64, f64),
     jam_mm: Option<f64>,
+    obstacle: Option<(f64, f64)>,
     snap_mm: Option<f64>,
     snapped: bool,
     slipped_mm: f64,
@@ -119,6 +133,7 @@ impl Plant {
             peak_force_n: 0.0,
             extremes_mm: (parameters.wound_mm, parameters.wound_mm),
             jam_mm: None,
+            obstacle: None,
             snap_mm: None,
             snapped: false,
             slipped_mm: 0.0,
@@ -138,6 +153,13 @@ impl Plant {
         let (a, b) = self.true_encoder();
         match defect {
             Defect::Jam(travel_mm) => self.jam_mm = Some(travel_mm),
+            Defect::Obstacle { at_mm, n_per_mm } => self.obstacle = Some((at_mm, n_per_mm)),
+            Defect::Friction(times) => {
+                self.parameters.worm_friction *= times;
+                self.worm_factors = self.parameters.worm_factors();
+            }
+            Defect::NoLoad(times) => self.parameters.no_load_a *= times,
+            Defect::Relaxed(share) => self.parameters.stiffness *= share,
             Defect::Snap(travel_mm) => self.snap_mm = Some(travel_mm),
             Defect::Slip(length_mm) => self.slipped_mm += length_mm,
             Defect::Clutch(newton) => self.clutch_n = Some(newton),
@@ -155,9 +177,10 @@ impl Plant {
         }
     }
 
-    /// Everything is well again, but for the cell and for thread that has slipped.
+    /// Everything is well again, but for the cell, what has aged, and thread that has slipped.
     pub fn heal(&mut self) {
         self.jam_mm = None;
+        self.obstacle = None;
         self.snap_mm = None;
         self.snapped = false;
         self.clutch_n = None;
@@ -196,7 +219,11 @@ impl Plant {
         let travel = self.travel_mm();
         let end = self.parameters.end_mm;
         let stop = self.jam_mm.map_or(end, |jam| jam.min(end));
+        let met = self.obstacle.map_or(0.0, |(at_mm, n_per_mm)| {
+            n_per_mm * (travel - at_mm).max(0.0)
+        });
         spring::force_n(travel) * self.parameters.stiffness
+            + met
             + self.parameters.stop_n_per_mm * (travel - stop).max(0.0)
     }
 

@@ -103,7 +103,8 @@ impl Parameters {
 
     /// A healthy capsule as production and a patient's day may make it: stiffness x0.5 to 4, friction in the worm 0.10
     /// to 0.20, cell 3.05 to 4.2 V and 0.3 to 0.8 ohm, no-load current 12 to 20 mA, slack 0.8 to 1.2 mm, amplifier
-    /// within 3 % of its gain with up to 15 mV of offset and 2 mA of noise. The same seed is the same capsule.
+    /// within 3 % of its gain with up to 15 mV of offset and 2 mA of noise, end and jams of 100 to 300 N/mm. The same seed is
+    /// the same capsule.
     #[must_use]
     pub fn varied(seed: u64) -> Self {
         let mut random = Random::new(seed);
@@ -117,6 +118,7 @@ impl Parameters {
             sense_offset_mv: random.between(0.0, 15.0),
             sense_gain: random.between(0.97, 1.03),
             sense_noise_ma: 2.0,
+            stop_n_per_mm: random.between(100.0, 300.0),
             ..Self::nominal()
         }
     }

@@ -7,8 +7,9 @@
 #[path = "../tests/plant/mod.rs"]
 mod plant;
 
-use capsule_plant::{Parameters, cases::Kind, verdict};
+use capsule_plant::{Defect, Parameters, cases::Kind, verdict};
 use plant::cases::{self, Figures};
+use std::collections::BTreeMap;
 
 fn share(part: usize, whole: usize) -> f64 {
     100.0 * part as f64 / whole as f64
@@ -83,6 +84,57 @@ fn healthy(count: u64) {
     );
 }
 
+/// The names with how often each came.
+fn counted<'a>(names: impl Iterator<Item = &'a String>) -> String {
+    let mut counts = BTreeMap::<&str, u32>::new();
+    for name in names {
+        *counts.entry(name).or_default() += 1;
+    }
+    let named: Vec<_> = counts
+        .iter()
+        .map(|(name, count)| format!("{name} {count}"))
+        .collect();
+    named.join(", ")
+}
+
+/// What changes in a life of a healthy capsule.
+fn lives(count: u64) {
+    println!(
+        "| change | capsules | how three cycles end | least thread, mm | folded end off by at most, mm |"
+    );
+    println!("|---|---|---|---|---|");
+    for times in [0.7, 0.8, 0.9, 1.1, 1.2, 1.3, 1.4] {
+        let found = verdict::all(count, |seed| {
+            cases::lives_on(seed, &[Defect::Friction(times)])
+        });
+        let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);
+        let off = found.iter().map(|f| f.2).fold(0.0, f64::max);
+        println!(
+            "| friction in the worm x {times} | {count} | {} | {least:.3} | {off:.2} |",
+            counted(found.iter().map(|f| &f.0))
+        );
+    }
+    let found = verdict::all(count, cases::held_and_warmed);
+    let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);
+    println!(
+        "| folded at 22, held, unfolded at 37 degrees | {count} | {} | {least:.3} | - |",
+        counted(found.iter().map(|f| &f.0))
+    );
+    for obstacle in [false, true] {
+        let found = verdict::all(count, |seed| cases::referenced_past(seed, obstacle));
+        let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);
+        let what = if obstacle {
+            "past 0.5 to 300 N/mm"
+        } else {
+            "nothing in the way"
+        };
+        println!(
+            "| a reference run from anywhere, {what} | {count} | {} | {least:.3} | - |",
+            counted(found.iter().map(|f| &f.0))
+        );
+    }
+}
+
 fn main() {
     let mut arguments = std::env::args().skip(1);
     let count = arguments.next().map_or(Ok(500), |text| text.parse());
@@ -101,6 +153,7 @@ fn main() {
     };
     if only.is_empty() {
         healthy(2 * count);
+        lives(count);
     }
     faults(count, &only);
     if only.is_empty() {

@@ -11,13 +11,16 @@ pub struct Calibration {
     pub no_load_ma: u16,
     /// Thread from half of the end force to the end force.
     pub rise: Thread,
-    /// Current above the no-load current in the last 0.3 mm of an unfolding's first, slow part.
+    /// Thread from a quarter of the end force to the end force.
+    pub long_rise: Thread,
+    /// Current winding at the folded end, less that of paying out in the last 0.3 mm of an unfolding's first, slow part: twice the
+    /// pull, whatever the friction.
     pub tension_ma: u16,
 }
 
 /// Version and the fields, little-endian.
-pub const RECORD: usize = 11;
-const VERSION: u8 = 1;
+pub const RECORD: usize = 13;
+const VERSION: u8 = 2;
 
 impl Calibration {
     /// As it is written to flash.
@@ -28,12 +31,13 @@ impl Calibration {
         // At most 28,500 um.
         record[7..9].copy_from_slice(&(self.rise.0 as u16).to_le_bytes());
         record[9..11].copy_from_slice(&self.tension_ma.to_le_bytes());
+        record[11..13].copy_from_slice(&(self.long_rise.0 as u16).to_le_bytes());
         record
     }
 
     /// From a record in flash; `None` if it is not one of this layout, or not of a capsule.
     pub fn from_record(record: &[u8]) -> Option<Self> {
-        let &[VERSION, a, b, c, d, e, f, g, h, i, j] = record else {
+        let &[VERSION, a, b, c, d, e, f, g, h, i, j, k, l] = record else {
             return None;
         };
         let folded = Thread(i32::from_le_bytes([a, b, c, d]));
@@ -43,6 +47,7 @@ impl Calibration {
             no_load_ma: u16::from_le_bytes([e, f]),
             rise: Thread(i32::from(u16::from_le_bytes([g, h]))),
             tension_ma: u16::from_le_bytes([i, j]),
+            long_rise: Thread(i32::from(u16::from_le_bytes([k, l]))),
         })
     }
 }

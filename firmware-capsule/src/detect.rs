@@ -72,6 +72,8 @@ const PROGRESS_COUNTS: i32 = 8;
 const WRONG_WAY_COUNTS: i32 = 40;
 /// Twice what the speed loop lets a healthy motor draw.
 pub const OVER_CURRENT_MA: u16 = 450;
+/// A motor that is braked against its speed draws 0.6 A.
+const MOST_BRAKING_MA: i16 = 800;
 /// Over-current must last this long.
 const OVER_CURRENT_DEBOUNCE_US: u64 = 2_000;
 /// Twice the current that was ordered, and this, is a short circuit, too.
@@ -108,8 +110,6 @@ const LEAST_SAG_MV: u16 = 15;
 const FAST_CPS: i32 = 6_000;
 /// A sudden loss of speed is more than this, counts/s: one and a half counts in 2 ms. Rounding alone makes one.
 const STRUCK_LOSS_CPS: i32 = 750;
-/// Above the no-load current: resistance. The stiffest origami with the most friction takes 115 mA where a fold becomes slow.
-const RESISTED_MA: u16 = 130;
 /// From this speed on, counts/s, a loss of a fifth is more than rounding.
 const SLOW_CPS_AT_LEAST: i32 = 3_000;
 /// Readings with which the order is compared.
@@ -152,8 +152,12 @@ pub struct Load {
     pub end_force: bool,
     /// Current above the no-load current, while it can be told.
     pub excess_ma: Option<u16>,
+    /// The same without what makes the motor faster.
+    pub pull_ma: Option<u16>,
     /// Where the force rose above half of the end force, while it stays above.
     pub rise_from: Option<Counts>,
+    /// The same for a quarter of it.
+    pub long_rise_from: Option<Counts>,
     /// A fast motor is slowed down, or loaded more than the origami loads it there.
     pub resisted: bool,
     /// It is slowed down: its momentum pulls until it stands.
@@ -206,6 +210,7 @@ pub struct Detector {
     silence: Debounce,
     end_force: Debounce,
     rise: Debounce,
+    long_rise: Debounce,
 }
 
 impl Detector {
@@ -228,6 +233,7 @@ impl Detector {
             silence: Debounce::default(),
             end_force: Debounce::default(),
             rise: Debounce::default(),
+            long_rise: Debounce::default(),
         }
     }
 
@@ -300,7 +306,7 @@ impl Detector {
         if self.is_open(along_ma, battery_mv) {
             return Err(Trip::SenseLost);
         }
-        let over = current_ma > OVER_CURRENT_MA;
+        let over = along_ma > OVER_CURRENT_MA as i16 || along_ma < -MOST_BRAKING_MA;
         if lasts(&mut self.over_current, over, OVER_CURRENT_DEBOUNCE_US) {
             return Err(Trip::OverCurrent { current_ma });
         }
@@ -375,7 +381,20 @@ impl Detector {
         let accelerating_ma = self.accelerating_ma();
         let pulls = |level| above(accelerating_ma.saturating_add(level));
         let end_force = pulls(settings.force_ma);
-        let rise = above(settings.rise_start_ma);
+        // Shorted for a moment, or not yet steady after it: the force has not gone.
+        let told = excess_ma.is_some();
+        let rise_from = |rise: &mut Debounce, level_ma| {
+            if told {
+                // Ripple does not end it.
+                let ends_ma = level_ma - level_ma / 8;
+                let level_ma = rise.began_at().map_or(level_ma, |_| ends_ma);
+                rise.update(now_us, counts, above(level_ma), LOAD_DEBOUNCE_US)
+            } else {
+                rise.began_at()
+            }
+        };
+        let rise_from_half = rise_from(&mut self.rise, settings.rise_start_ma);
+        let long_rise_from = rise_from(&mut self.long_rise, settings.rise_start_ma / 2);
         let met = pulls(settings.met_ma) && self.meets_something();
         let slowed = self.is_slowed();
         Load {
@@ -385,13 +404,10 @@ impl Detector {
                 .is_some()
                 || met,
             excess_ma,
-            rise_from: if excess_ma.is_some() {
-                self.rise.update(now_us, counts, rise, LOAD_DEBOUNCE_US)
-            } else {
-                // Shorted for a moment, or not yet steady after it: the force has not gone.
-                self.rise.began_at()
-            },
-            resisted: slowed || above(RESISTED_MA),
+            pull_ma: excess_ma.map(|excess_ma| excess_ma.saturating_sub(accelerating_ma)),
+            rise_from: rise_from_half,
+            long_rise_from,
+            resisted: slowed || above(settings.resisted_ma),
             struck: slowed,
             silent: self.window.is_driven(SILENT_READINGS) && self.draws_nothing(SILENT_READINGS),
         }
@@ -461,12 +477,20 @@ impl Detector {
         else {
             return false;
         };
-        // Two steps lie between `d` and the first without progress. A jam with the brake on takes 3.4 counts per ms
-        // and ms, without it 1.4.
+        // A motor that is being stopped, because it has met something, may end as suddenly.
+        if !self.window.is_driven(steps.len()) {
+            return false;
+        }
+        // Two steps lie between `d` and the first without progress. A jam takes 2 counts per ms and ms.
         let (d, e, f) = (d.abs(), e.abs(), f.abs());
         let steady = d >= 8 || d >= 4 && e.max(f) <= d + 1;
         let stopped = [a, b, c].iter().all(|step| step.abs() <= 1) && (a + b + c).abs() <= 1;
         steady && stopped
+    }
+
+    /// Mean of the current in the leg's direction over the last readings, if all of them were driven.
+    pub fn mean_ma(&self) -> Option<u16> {
+        self.window.means_ma(FORCE_READINGS).map(|(mean, _)| mean)
     }
 
     fn makes_progress(&self, now_us: u64) -> bool {

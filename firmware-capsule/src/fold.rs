@@ -6,7 +6,7 @@
 //! | Unfolded, Stopped | Fold \[battery, amplifier\] | Folding |
 //! | Unfolded, Folded, Stopped | FoldTo \[calibration, battery, amplifier\] | Folding or Unfolding |
 //! | Folded, Stopped | Unfold \[battery, amplifier\] | Unfolding |
-//! | any at rest but Folded | CheckFolded \[calibration, battery, amplifier\] | Checking |
+//! | any at rest | CheckFolded \[calibration, battery, amplifier\] | Checking |
 //! | any at rest | Reference, Fold, ... \[amplifier shows a current\] | Faulted |
 //! | Referencing | zero found and reached | Unfolded |
 //! | Folding | end force at the calibrated end | Folded; WasFolded if the end has wandered |
@@ -14,7 +14,7 @@
 //! | Checking | end force | Folded |
 //! | Unfolding | zero reached | Unfolded |
 //! | Folding, Unfolding | Stop, link silent | Stopped |
-//! | Referencing, Checking | Stop, link silent | Unreferenced; Stopped once the zero is found |
+//! | Referencing, Checking | Stop, link silent | Unreferenced; Stopped if the zero is known |
 //! | any | EStop | Faulted |
 //! | moving | trip, jam, broken thread, time-out | Faulted |
 //! | Faulted | Acknowledge \[cause gone\] | Stopped, or Unreferenced if the fault costs the position |
@@ -30,8 +30,8 @@ use crate::{
     calibration::Calibration,
     detect::{Detector, Load, Sample, Spooling, Trip},
     governor::{Effort, Governor},
-    leg::{Decision, Leg, MOST_MA, Purpose, TENSION_ZONE, is_near},
-    mechanics::{Counts, FOUND_AGAIN, MOST_NO_LOAD_MA, Thread},
+    leg::{Decision, Leg, MOST_MA, Purpose, Rise, STOP_MARGIN, TENSION_ZONE, Then, is_near},
+    mechanics::{Counts, FOUND_AGAIN, FOUND_BY_RISE, MOST_NO_LOAD_MA, Thread},
     record::Recorder,
     sense::MOST_OFFSET_MA,
     settings::Settings,
@@ -50,6 +50,8 @@ const STRUCK_BRAKE_US: u64 = 10_000;
 /// And down to this speed, counts/s, 3.7 mm/s: should it be a false alarm, it must not stand. From standstill it takes more
 /// than the end force to start.
 const STRUCK_CPS: i32 = 3_000;
+/// While it is faster than this it is driven against its direction. The speed is 2 ms old, and falls by 3 counts/ms in each.
+const PLUGGED_CPS: i32 = 4_500;
 /// Internal resistance of a good cell, until it is measured.
 const CELL_MILLIOHM: u32 = 500;
 /// From this current out of the cell on its sag tells its resistance.
@@ -150,6 +152,8 @@ struct Actuation {
     kind: ActuationKind,
     leg: Leg,
     detector: Detector,
+    /// Where it began, and as much more as a partial winding stops early.
+    from: Thread,
     started_us: u64,
     deadline_us: u64,
     governor: Governor,
@@ -163,12 +167,16 @@ struct Actuation {
     /// Where the thread was slack at the start, so that the first current is the no-load current.
     slack_from: Option<Counts>,
     slack: Mean,
-    /// Current of a thread that must be taut.
+    /// Current winding at the folded end, before a thread that must be taut is paid out.
+    winding_ma: Option<u16>,
+    /// Its current then.
     taut: Mean,
     /// So often may the slow part that it is measured in be prolonged.
     prolongations: u8,
     /// A calibration that lacks its tension.
-    found: Option<(Thread, Thread)>,
+    found: Option<(Thread, Rise)>,
+    /// With the end force that the friction of this motion asks for.
+    settings: Settings,
 }
 
 /// Sum and number of some currents.
@@ -196,8 +204,19 @@ const SLACK_ZONE: (Thread, Thread) = (Thread(800), Thread(2_200));
 const STEADY_UM: i32 = 300;
 /// So often is the tension zone made longer by that, if the motor was never steady in it.
 const PROLONGATIONS: u8 = 4;
-/// A taut thread that unfolds takes at least this above the no-load current.
-const LEAST_TENSION_MA: u16 = 4;
+/// Winding a taut thread takes at least this more than paying it out.
+const LEAST_TENSION_MA: u32 = 15;
+/// Of the calibrated pull, what a folded thread has at least: what has slipped by 2 mm or more pulls with 65 % at most.
+const LEAST_PULL_PERCENT: u32 = 72;
+/// A check of a folded capsule pays out this much, and winds it again: the zone in which the pull is measured, and as much as it may be
+/// prolonged by.
+const CHECKED: Thread = Thread(1_500);
+/// Half of the end force is felt earlier or later by no more than this because of friction.
+const FRICTION_SHIFT: Thread = Thread(1_200);
+/// By so much the place scatters, um.
+const SCATTER_UM: i32 = 120;
+/// Least and most end force for its sake, in thousandths.
+const FRICTION_FORCE: (i32, i32) = (600, 1_350);
 
 /// Where folds have ended since the zero was found.
 #[derive(Clone, Copy, Debug, Default)]
@@ -285,9 +304,9 @@ impl Capsule {
                 ActuationKind::CheckFolded => CapsuleState::Checking,
                 ActuationKind::Fold => CapsuleState::Folding,
                 ActuationKind::Unfold => CapsuleState::Unfolding,
-                ActuationKind::FoldTo => match actuation.leg.spooling() {
-                    Spooling::Wind => CapsuleState::Folding,
-                    Spooling::PayOut => CapsuleState::Unfolding,
+                ActuationKind::FoldTo => match actuation.leg {
+                    Leg::Wind { .. } => CapsuleState::Folding,
+                    _ => CapsuleState::Unfolding,
                 },
             },
         }
@@ -421,8 +440,7 @@ impl Capsule {
             ) => {
                 return Err(Refusal::NotReferenced);
             }
-            (Mode::Folded, ActuationKind::CheckFolded | ActuationKind::Fold)
-            | (Mode::Unfolded, ActuationKind::Unfold) => {
+            (Mode::Folded, ActuationKind::Fold) | (Mode::Unfolded, ActuationKind::Unfold) => {
                 return Err(Refusal::AlreadyThere);
             }
             (_, ActuationKind::Fold | ActuationKind::CheckFolded | ActuationKind::FoldTo)
@@ -534,23 +552,30 @@ impl Capsule {
         let calibrates = kind == ActuationKind::Calibrate
             || kind == ActuationKind::Reference && self.calibration.is_none();
         let slack = calibrates || matches!(self.mode, Mode::Unfolded);
-        let pay_out = |to: Thread| Leg::PayOut {
-            to,
+        let pay_out = |to: Thread| match self.mode {
             // Not if it ends before the tension has been measured.
-            taut_to: matches!(self.mode, Mode::Folded)
-                .then(|| self.taut_to())
-                .filter(|taut_to| to < *taut_to),
+            Mode::Folded if to < self.taut_to() => Leg::Feel {
+                from: origin,
+                then: Then::PayOut(to),
+            },
+            _ => Leg::PayOut { to, taut_to: None },
         };
-        let wind = |end, short| Leg::Wind {
+        let wind = |end, careful, short| Leg::Wind {
             end,
-            careful: false,
+            careful,
             short,
         };
         let leg = match (kind, self.folded_end()) {
             (ActuationKind::Unfold, _) => pay_out(Thread(0)),
             (ActuationKind::FoldTo, _) if target < self.thread() => pay_out(target),
-            (ActuationKind::FoldTo, Some(end)) => wind(end, Some(target)),
-            (ActuationKind::Fold, Some(end)) => wind(end, None),
+            (ActuationKind::FoldTo, Some(end)) => wind(end, false, Some(target)),
+            (ActuationKind::Fold, Some(end)) => wind(end, false, None),
+            // Of a known position the check asks whether the end is where it should be; at the end it pays out a little first.
+            (ActuationKind::CheckFolded, _) if matches!(self.mode, Mode::Folded) => Leg::Feel {
+                from: origin,
+                then: Then::PayOut(Thread(self.thread().0 - CHECKED.0)),
+            },
+            (ActuationKind::CheckFolded, Some(end)) if self.referenced => wind(end, true, None),
             (ActuationKind::CheckFolded, _) => seek(Purpose::Check {
                 believed: self.was_folded,
             }),
@@ -567,6 +592,7 @@ impl Capsule {
             kind,
             leg,
             detector: Detector::new(leg.spooling(), from_us, self.sample.battery_mv),
+            from: Thread(self.thread().0.saturating_add(STOP_MARGIN.0)),
             started_us: now_us,
             deadline_us: from_us.saturating_add(timeout_us),
             governor: Governor::default(),
@@ -576,9 +602,11 @@ impl Capsule {
             rest_mv: self.sample.battery_mv,
             slack_from: slack.then_some(origin),
             slack: Mean::default(),
+            winding_ma: None,
             taut: Mean::default(),
             prolongations: PROLONGATIONS,
             found: None,
+            settings: self.settings,
         });
         self.recorder
             .start(kind, self.thread(), self.sample.battery_mv);
@@ -627,7 +655,11 @@ impl Capsule {
         }
         let (cps, least_cps) = actuation.detector.speeds_cps();
         if now_us < actuation.struck_until_us && least_cps > STRUCK_CPS {
-            actuation.effort = actuation.governor.brake();
+            actuation.effort = if least_cps > PLUGGED_CPS {
+                actuation.governor.plug(least_cps, &self.settings)
+            } else {
+                actuation.governor.brake()
+            };
             return;
         }
         let aim = actuation
@@ -663,22 +695,27 @@ impl Capsule {
                 Drive::Millivolts(_) => actuation.governor.ordered_ma(),
                 Drive::Brake | Drive::Off => None,
             };
-            actuation
-                .detector
-                .check(
-                    now_us,
-                    &self.sample,
-                    ordered_ma,
-                    self.no_load_ma,
-                    &self.settings,
-                )
-                .map_err(|trip| fault_of(trip, thread))?
+            let checked = actuation.detector.check(
+                now_us,
+                &self.sample,
+                ordered_ma,
+                self.no_load_ma,
+                &actuation.settings,
+            );
+            match (checked, actuation.leg) {
+                // A thread that cannot be wound with all that the motor is given pulls.
+                (Err(Trip::Blocked), Leg::Feel { .. }) => Load {
+                    end_force: true,
+                    ..Load::default()
+                },
+                (checked, _) => checked.map_err(|trip| fault_of(trip, thread))?,
+            }
         } else {
             // The first sample of a leg was taken before its drive: only its position counts.
             Load::default()
         };
         if let Some(excess_ma) = load.excess_ma {
-            actuation.near = is_near(actuation.near, excess_ma, &self.settings);
+            actuation.near = is_near(actuation.near, excess_ma, &actuation.settings);
             let current_ma = excess_ma.saturating_add(self.no_load_ma);
             self.recorder.current(current_ma);
             if let Drive::Millivolts(drive_mv) = self.drive {
@@ -688,14 +725,40 @@ impl Capsule {
                     self.cell_milliohm = u32::from(sag_mv) * 1_000 / drawn_ma;
                 }
             }
-            if excess_ma >= ENGAGED_MA && actuation.detector.spooling() == Spooling::Wind {
+            let winds = actuation.leg.spooling() == Spooling::Wind
+                && !matches!(actuation.leg, Leg::Feel { .. });
+            if winds && load.pull_ma >= Some(ENGAGED_MA) {
                 self.recorder.engaged(thread);
             }
         }
+        self.follow_friction(&load);
         if !load.silent {
             self.measure(thread, load.excess_ma.is_some())?;
         }
         self.decide(now_us, load, actions)
+    }
+
+    /// The folded end is a place, found by a current that depends on the worm's friction. Where the force of half of it is felt earlier or later than in the calibration, the
+    /// friction is another one, and so is the current at the end: the force there grows by the same share in each millimetre.
+    fn follow_friction(&mut self, load: &Load) {
+        let (Mode::Moving(actuation), Some(calibration)) = (&mut self.mode, &self.calibration)
+        else {
+            return;
+        };
+        let (Leg::Wind { end, .. }, Some(from)) = (actuation.leg, load.rise_from) else {
+            return;
+        };
+        let rise_um = calibration.rise.0.max(1);
+        let later_um = from.since(self.zero).thread().0 - (end.0 - rise_um);
+        actuation.settings = if later_um.abs() <= FRICTION_SHIFT.0 {
+            // What is less than the scatter of the place is none. ln 2 of the force in each rise.
+            let scatter = later_um.clamp(-SCATTER_UM, SCATTER_UM);
+            let less = 693 * (later_um - scatter) / rise_um;
+            let (least, most) = FRICTION_FORCE;
+            self.settings.with_force((1_000 - less).clamp(least, most))
+        } else {
+            self.settings
+        };
     }
 
     /// Currents of a slack thread and of a taut one, from readings at a steady speed.
@@ -747,27 +810,28 @@ impl Capsule {
             return Ok(());
         }
         actuation.leg = Leg::PayOut { taut_to: None, to };
-        // Without a steady reading there is no verdict: the next fold finds a broken thread.
+        // Without steady readings there is no verdict: the next fold finds a broken thread.
         let tension_ma = actuation
-            .taut
-            .mean_ma()
-            .map_or(LEAST_TENSION_MA, |taut_ma| {
-                taut_ma.saturating_sub(self.no_load_ma)
-            });
-        let judged = actuation.taut.count != 0;
+            .winding_ma
+            .zip(actuation.taut.mean_ma())
+            .map(|(winding_ma, taut_ma)| winding_ma.saturating_sub(taut_ma));
         let least_ma = match (actuation.found, &self.calibration) {
-            (None, Some(calibration)) => (calibration.tension_ma * 3 / 4).max(LEAST_TENSION_MA),
-            _ => LEAST_TENSION_MA,
+            (None, Some(calibration)) => {
+                u32::from(calibration.tension_ma) * LEAST_PULL_PERCENT / 100
+            }
+            _ => 0,
         };
-        if judged && tension_ma < least_ma {
+        let least_ma = least_ma.max(LEAST_TENSION_MA);
+        if tension_ma.is_some_and(|tension_ma| u32::from(tension_ma) < least_ma) {
             return Err(CapsuleFault::SlipOrBreak);
         }
         if let Some((folded, rise)) = actuation.found {
             self.calibration = Some(Calibration {
                 folded,
                 no_load_ma: self.no_load_ma,
-                rise,
-                tension_ma,
+                rise: rise.half,
+                long_rise: rise.quarter,
+                tension_ma: tension_ma.unwrap_or(0),
             });
             self.referenced = true;
         }
@@ -780,15 +844,19 @@ impl Capsule {
         load: Load,
         actions: &mut Actions,
     ) -> Result<(), CapsuleFault> {
+        let end = self.folded_end().unwrap_or_default();
         let Mode::Moving(actuation) = &mut self.mode else {
             return Ok(());
         };
         let stopping = actuation.detector.stopping_distance();
         let counts = self.sample.counts;
-        let next = match actuation
-            .leg
-            .decide(counts, self.zero, load, stopping, &self.settings)?
-        {
+        let next = match actuation.leg.decide(
+            counts,
+            self.zero,
+            load,
+            stopping,
+            (self.calibration.as_ref(), &self.settings),
+        )? {
             Decision::Continue if now_us >= actuation.deadline_us => {
                 return Err(CapsuleFault::Timeout);
             }
@@ -801,6 +869,10 @@ impl Capsule {
                 return Ok(());
             }
             Decision::Reverse(leg) => leg,
+            Decision::Felt(leg) => {
+                actuation.winding_ma = load.excess_ma.and(actuation.detector.mean_ma());
+                leg
+            }
             Decision::EndFound {
                 wound,
                 rise,
@@ -813,9 +885,26 @@ impl Capsule {
                 }
             },
             Decision::Folded => {
+                let drifts = actuation.kind != ActuationKind::CheckFolded;
                 self.end(now_us, Mode::Folded, ActuationOutcome::Complete, actions);
-                self.watch_drift(actions);
+                if drifts {
+                    self.watch_drift(actions);
+                }
                 return Ok(());
+            }
+            // The folded thread pulls as it did: back to where it was.
+            Decision::Arrived if actuation.kind == ActuationKind::CheckFolded => {
+                match actuation.leg.spooling() {
+                    Spooling::PayOut => Leg::Wind {
+                        end,
+                        careful: true,
+                        short: Some(actuation.from),
+                    },
+                    Spooling::Wind => {
+                        self.end(now_us, Mode::Folded, ActuationOutcome::Complete, actions);
+                        return Ok(());
+                    }
+                }
             }
             Decision::Arrived => {
                 self.end(now_us, Mode::Stopped, ActuationOutcome::Complete, actions);
@@ -847,7 +936,7 @@ impl Capsule {
     fn end_found(
         &mut self,
         wound: Thread,
-        rise: Thread,
+        rise: Rise,
         purpose: Purpose,
     ) -> Result<Option<Leg>, CapsuleFault> {
         let folded = match (purpose, &self.calibration) {
@@ -862,11 +951,17 @@ impl Capsule {
                 wound
             }
         };
-        // The end may be found a little before where the calibration found it: the thread is believed shorter, so that an
-        // unfolding ends before zero.
+        if let Mode::Moving(actuation) = &mut self.mode {
+            actuation.winding_ma = actuation.detector.mean_ma();
+        }
+        // The end may be found before where the calibration found it: the thread is believed shorter, so that an unfolding ends
+        // before zero. What this run has wound itself is there.
         self.spare = match purpose {
             Purpose::Calibrate => Thread(0),
-            Purpose::Reference | Purpose::Check { .. } => FOUND_AGAIN,
+            Purpose::Check { believed: true } => FOUND_AGAIN,
+            Purpose::Reference | Purpose::Check { .. } => {
+                Thread((folded.0 - wound.0).clamp(FOUND_AGAIN.0, FOUND_BY_RISE.0))
+            }
         };
         let believed = Thread(folded.0 - self.spare.0);
         let zero = self.sample.counts.back(believed.counts());
@@ -952,8 +1047,6 @@ impl Capsule {
                 match actuation.effort {
                     Effort::Brake => Drive::Brake,
                     Effort::Millivolts(millivolts) => {
-                        // A battery has 32 V at most.
-                        let millivolts = i16::try_from(millivolts).unwrap_or(i16::MAX);
                         Drive::Millivolts(match actuation.leg.spooling() {
                             Spooling::Wind => millivolts,
                             Spooling::PayOut => -millivolts,

@@ -14,13 +14,18 @@ const STANDING_QUARTERS: i32 = 4;
 /// A motor that is faster than it should be by a quarter, or by this, is braked.
 const BRAKE_ABOVE_CPS: i32 = 500;
 
+/// Current with which a motor that meets something is stopped.
+const PLUG_MA: u32 = 600;
+/// And the most voltage for it: what an empty cell has.
+const MOST_PLUG_MV: i64 = -2_500;
+
 /// What the speed loop wants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effort {
     /// Shorted.
     Brake,
-    /// Duty times battery voltage, in the direction of the leg.
-    Millivolts(u16),
+    /// Duty times battery voltage, in the direction of the leg; negative is against it.
+    Millivolts(i16),
 }
 
 /// Aim of the speed loop.
@@ -49,6 +54,17 @@ impl Governor {
     /// Current that the last effort was meant to give; none while braking.
     pub fn ordered_ma(&self) -> Option<u16> {
         self.ordered_ma
+    }
+
+    /// Drives the motor against its direction, with more current than a short circuit would give.
+    pub fn plug(&mut self, cps: i32, settings: &Settings) -> Effort {
+        self.ordered_ma = None;
+        self.braked_ms = self.braked_ms.saturating_add(1);
+        let back_mv = cps.max(0) as u32 * settings.back_emf_uv_per_cps / 1_000;
+        let against_mv = PLUG_MA * settings.loop_milliohm / 1_000;
+        let millivolts = i64::from(back_mv) - i64::from(against_mv);
+        // A short circuit is the least of it.
+        Effort::Millivolts(millivolts.clamp(MOST_PLUG_MV, 0) as i16)
     }
 
     /// Shorts the motor for a millisecond, whatever its speed.
@@ -98,7 +114,7 @@ impl Governor {
         self.ordered_ma = Some((current_ua / 1_000) as u16);
         let drive_mv = drive_mv(current_ua as u32, least_cps, battery_mv, settings);
         self.saturated = drive_mv >= battery_mv;
-        Effort::Millivolts(drive_mv)
+        Effort::Millivolts(i16::try_from(drive_mv).unwrap_or(i16::MAX))
     }
 }
 

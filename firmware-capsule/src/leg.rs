@@ -10,11 +10,12 @@
 //! known; it ends unfolded, wherever it began.
 //!
 //! An obstacle stops the thread with the end force, too. If it were taken for the folded end, the run would pay out
-//! past zero by the thread that was not wound. The rise tells the two apart: from half of the end force to all of it
-//! the origami takes at least [`LEAST_RISE`] of thread, an obstacle almost none. A rise that is too short may also mean
-//! that the origami was folded from the start, so a reference run backs off by [`BACK_OFF`] and tries once more; the
-//! second try decides. Only a thread that catches within the first 4 mm is paid out too far by that, by the part of
-//! the 4 mm that was not wound; [`Settings::seek_limit`] allows for it. A check never pays out.
+//! past zero by the thread that was not wound. The rise tells the two apart: the thread from half of the end force to all of it, and that from a
+//! quarter, have to be those of the calibration. What something soft in the way can hide in that is [`FOUND_BY_RISE`](crate::mechanics::FOUND_BY_RISE), and
+//! so much before its zero does such a run believe the thread to end. A rise that is too short may also mean
+//! that the origami was folded from the start, so a reference run backs off and tries once more; the
+//! second try decides. It backs off by [`BACK_OFF`] at a time, and only while it then feels, winding, that the thread still pulls: a thread that
+//! pulls is past its slack, and further from zero than that. A check never pays out past where it began.
 //!
 //! # Folded is not a force alone
 //!
@@ -30,16 +31,17 @@
 //! cut: it must stand before zero without a brake.
 
 use crate::{
+    calibration::Calibration,
     detect::{Load, Spooling},
     governor::Aim,
-    mechanics::{BACK_OFF, COASTING_CPS2_PER_MA, Counts, LEAST_RISE, Thread},
+    mechanics::{BACK_OFF, BACK_OFFS, COASTING_CPS2_PER_MA, Counts, LEAST_RISE, Thread},
     settings::Settings,
 };
 use protocol::capsule::CapsuleFault;
 
 /// Above the no-load current: from this pull on, a fold becomes slower, so that pull and momentum together do not grow. It
 /// ends a fold with less current than one that keeps its speed.
-const LOADED_FROM_MA: u16 = 82;
+const LOADED_FROM_MA: u16 = 68;
 /// The last of paying out: 2 mm/s.
 const LAST_CPS: i32 = 1_600;
 /// A fold is slow for so much before its calibrated end.
@@ -73,6 +75,51 @@ pub enum Purpose {
     },
 }
 
+/// What follows when the pull has been felt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Then {
+    /// The thread is paid out to here.
+    PayOut(Thread),
+    /// A reference run backs off further, if the thread pulls, and else tries again.
+    BackOff {
+        /// Where it began.
+        origin: Counts,
+        /// So often.
+        left: u8,
+    },
+}
+
+/// How far it was from shares of the end force to all of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Rise {
+    /// From half.
+    pub half: Thread,
+    /// From a quarter.
+    pub quarter: Thread,
+}
+
+impl Rise {
+    fn to(counts: Counts, load: &Load) -> Self {
+        let since =
+            |from: Option<Counts>| from.map_or(Thread(0), |from| counts.since(from).thread());
+        Self {
+            half: since(load.rise_from),
+            quarter: since(load.long_rise_from),
+        }
+    }
+
+    /// It is that of the calibrated origami: within a quarter of it, and as much longer from a quarter as it was, to an eighth. What rises along
+    /// a straight line has the half's rise and half as much again; the origami's grows by more than as much again.
+    pub fn is_of(self, calibration: &Calibration) -> bool {
+        let (half, quarter) = (i64::from(self.half.0), i64::from(self.quarter.0));
+        let (known, long) = (
+            i64::from(calibration.rise.0),
+            i64::from(calibration.long_rise.0),
+        );
+        (half - known).abs() * 4 <= known && quarter * known * 8 >= 7 * long * half
+    }
+}
+
 /// Part of a motion with one direction and one end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Leg {
@@ -91,6 +138,15 @@ pub enum Leg {
         to: Counts,
         /// Where the reference run began.
         origin: Counts,
+        /// So often again.
+        left: u8,
+    },
+    /// Wind a little, to feel whether the thread pulls.
+    Feel {
+        /// Where from.
+        from: Counts,
+        /// What for.
+        then: Then,
     },
     /// Wind to the end force, for the fold.
     Wind {
@@ -117,14 +173,16 @@ pub enum Decision {
     Continue,
     /// The leg is over; the motion goes on with this one.
     Reverse(Leg),
+    /// The pull was felt: the motion goes on with this one, the other way.
+    Felt(Leg),
     /// The leg goes on like this one.
     Careful(Leg),
     /// The end force is that of the folded origami: `wound` from the origin, `rise` from half of the end force.
     EndFound {
         /// Since the run began.
         wound: Thread,
-        /// Since half of the end force.
-        rise: Thread,
+        /// Since shares of the end force.
+        rise: Rise,
         /// What it was looked for.
         purpose: Purpose,
     },
@@ -154,7 +212,7 @@ impl Leg {
     /// Which way the spool turns.
     pub fn spooling(self) -> Spooling {
         match self {
-            Leg::Seek { .. } | Leg::Wind { .. } => Spooling::Wind,
+            Leg::Seek { .. } | Leg::Feel { .. } | Leg::Wind { .. } => Spooling::Wind,
             Leg::BackOff { .. } | Leg::PayOut { .. } => Spooling::PayOut,
         }
     }
@@ -172,6 +230,10 @@ impl Leg {
         };
         match self {
             Leg::Seek { .. } | Leg::BackOff { .. } => slow,
+            Leg::Feel { .. } => Aim {
+                cps: settings.near_cps,
+                ..slow
+            },
             Leg::Wind {
                 end,
                 careful,
@@ -218,7 +280,7 @@ impl Leg {
         zero: Counts,
         load: Load,
         stopping: Counts,
-        settings: &Settings,
+        (calibration, settings): (Option<&Calibration>, &Settings),
     ) -> Result<Decision, CapsuleFault> {
         let thread = counts.since(zero).thread();
         let stop_within = Thread(stopping.thread().0.saturating_add(STOP_MARGIN.0));
@@ -259,11 +321,15 @@ impl Leg {
                 purpose,
             } if load.end_force => {
                 let wound = counts.since(origin).thread();
-                let rise = load
-                    .rise_from
-                    .map_or(Thread(0), |from| counts.since(from).thread());
-                let believed = purpose == Purpose::Check { believed: true };
-                if rise >= LEAST_RISE || believed {
+                let rise = Rise::to(counts, &load);
+                let right = match (purpose, calibration) {
+                    (Purpose::Check { believed: true }, _) => true,
+                    (Purpose::Reference | Purpose::Check { .. }, Some(calibration)) => {
+                        rise.is_of(calibration)
+                    }
+                    _ => rise.half >= LEAST_RISE,
+                };
+                if right {
                     Decision::EndFound {
                         wound,
                         rise,
@@ -272,11 +338,24 @@ impl Leg {
                 } else if second || purpose != Purpose::Reference {
                     return Err(jam);
                 } else {
+                    // It pulls with the end force.
                     Decision::Reverse(Leg::BackOff {
                         to: counts.back(BACK_OFF.counts()),
                         origin,
+                        left: BACK_OFFS,
                     })
                 }
+            }
+            Leg::Feel { from, then } => {
+                let way = counts.since(from).thread();
+                let felt = load.excess_ma.is_some() && way >= FELT_AFTER;
+                let past = calibration.is_some_and(|calibration| {
+                    thread.0 >= calibration.folded.0 + settings.end_overrun.0 - STOP_MARGIN.0
+                });
+                if !felt && !load.end_force && !past && way < FELT_AT_MOST {
+                    return Ok(Decision::Continue);
+                }
+                self.felt(counts, thread, load.end_force || pulls(&load), then)
             }
             Leg::Seek {
                 origin,
@@ -289,12 +368,9 @@ impl Leg {
                 return Err(past_the_end);
             }
             Leg::Seek { .. } => Decision::Continue,
-            Leg::BackOff { to, origin } if counts.since(to).thread() <= stop_within => {
-                Decision::Reverse(Leg::Seek {
-                    origin,
-                    second: true,
-                    purpose: Purpose::Reference,
-                })
+            Leg::BackOff { to, origin, left } if counts.since(to).thread() <= stop_within => {
+                let then = Then::BackOff { origin, left };
+                Decision::Reverse(Leg::Feel { from: counts, then })
             }
             Leg::PayOut { to, .. } if thread.0 - to.0 <= stop_within.0 => match to {
                 Thread(0) => Decision::Unfolded,
@@ -305,8 +381,40 @@ impl Leg {
     }
 }
 
+impl Leg {
+    /// What follows when it has been felt whether the thread `pulls`.
+    pub fn felt(self, counts: Counts, thread: Thread, pulls: bool, then: Then) -> Decision {
+        match then {
+            Then::PayOut(to) => Decision::Felt(Leg::PayOut {
+                to,
+                taut_to: Some(Thread(thread.0.saturating_sub(TENSION_ZONE.0))),
+            }),
+            Then::BackOff { origin, left } if pulls && left > 0 => {
+                Decision::Reverse(Leg::BackOff {
+                    to: counts.back(BACK_OFF.counts()),
+                    origin,
+                    left: left - 1,
+                })
+            }
+            Then::BackOff { origin, .. } => Decision::Careful(Leg::Seek {
+                origin,
+                second: true,
+                purpose: Purpose::Reference,
+            }),
+        }
+    }
+}
+
+fn pulls(load: &Load) -> bool {
+    load.excess_ma
+        .is_some_and(|excess_ma| excess_ma >= LOADED_MA)
+}
+
 /// A thread that pulls with 0.5 N, at least.
 const LOADED_MA: u16 = 12;
+/// The pull can be felt from here on, once the motor is steady; and at the latest here.
+const FELT_AFTER: Thread = Thread(120);
+const FELT_AT_MOST: Thread = Thread(300);
 
 #[cfg(test)]
 #[path = "../tests/unit/leg.rs"]

@@ -84,11 +84,17 @@ pub const LEAST_RISE: Thread = Thread(500);
 /// What a calibration can be, whatever the settings are: the shortest and the longest fold that they allow.
 pub const POSSIBLE_FOLD: (Thread, Thread) = (Thread(8_000), Thread(28_000));
 
-/// How much less thread than calibrated a check or a reference run may have found: the worst seen was 0.1 mm, and zero is
-/// not to be passed.
+/// How much less thread than calibrated is wound where the end of a folded capsule is found again: the worst seen was 0.1 mm, and
+/// zero is not to be passed.
 pub const FOUND_AGAIN: Thread = Thread(100);
-/// How far a reference run backs off before its second try.
-pub const BACK_OFF: Thread = Thread(4_000);
+/// The same where only the way in which the force rises says that it is the end: something soft in the way, of 0.3 to 300 N/mm anywhere, that
+/// raises the force like the origami itself ends it up to 1.1 mm early.
+pub const FOUND_BY_RISE: Thread = Thread(1_300);
+/// How far a reference run backs off at once before it feels whether the thread still pulls: less than the slack, so that a thread that
+/// pulled before cannot have been paid out past zero.
+pub const BACK_OFF: Thread = Thread(700);
+/// So often, unless the thread stops pulling before: the rise from a quarter of the end force takes up to 4.4 mm.
+pub const BACK_OFFS: u8 = 14;
 
 #[cfg(test)]
 #[path = "../tests/unit/mechanics.rs"]

@@ -1,6 +1,6 @@
 //! The limits of the capsule as its control uses them, worked out of the settings in flash.
 
-use crate::mechanics::{BACK_OFF, Thread};
+use crate::mechanics::Thread;
 use device::settings::Values;
 use protocol::settings::{SettingKey as Key, SettingRule};
 
@@ -16,6 +16,9 @@ pub struct Settings {
     pub near_ma: (u16, u16),
     /// With this current above the no-load current, a slow motor that meets something hard is at the end force.
     pub met_ma: u16,
+    /// Above the no-load current, from here on a fold is slow: the stiffest origami with the most friction takes 115 mA where it
+    /// becomes slow by itself.
+    pub resisted_ma: u16,
     /// Winding over the long way, counts/s.
     pub fold_cps: i32,
     /// Winding where force ends it, counts/s.
@@ -53,6 +56,9 @@ pub struct Settings {
     /// Silence of the host that ends a motion.
     pub link_timeout_us: u32,
 }
+
+/// Above the no-load current; the speed loop gives 200 mA.
+const MOST_FORCE_MA: u16 = 185;
 
 /// Shares of the end force, as they were at 135 mA.
 const fn share(force_ma: u32, of_135: u32) -> u16 {
@@ -97,6 +103,7 @@ impl Settings {
             rise_start_ma: share(force_ma, 67),
             near_ma: (share(force_ma, 105), share(force_ma, 75)),
             met_ma: share(force_ma, 100),
+            resisted_ma: share(force_ma, 133),
             fold_cps: counts_of(get(values, Key::FoldUmS)),
             slow_cps,
             near_cps: slow_cps * 40 / 57,
@@ -118,10 +125,24 @@ impl Settings {
         })
     }
 
-    /// Longest way to the folded end from an unknown position: the longest calibration, and what an interrupted back-off may
-    /// have paid out too far.
+    /// Longest way to the folded end from an unknown position: the longest calibration, and a thread that was left past zero.
     pub fn seek_limit(&self) -> Thread {
-        Thread(self.folded_range.1.0 + BACK_OFF.0)
+        Thread(self.folded_range.1.0 + 1_000)
+    }
+
+    /// These with so many thousandths of the end force. The speed loop bounds the current to what it is for.
+    pub fn with_force(&self, thousandths: i32) -> Self {
+        let scaled = |ma: u16| {
+            let ma = i32::from(ma) * thousandths / 1_000;
+            ma.clamp(0, MOST_FORCE_MA.into()) as u16
+        };
+        Self {
+            force_ma: scaled(self.force_ma),
+            met_ma: scaled(self.met_ma),
+            resisted_ma: scaled(self.resisted_ma),
+            near_ma: (scaled(self.near_ma.0), scaled(self.near_ma.1)),
+            ..*self
+        }
     }
 }
 

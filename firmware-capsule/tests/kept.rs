@@ -61,6 +61,7 @@ const CALIBRATION: Calibration = Calibration {
     folded: Thread(21_727),
     no_load_ma: 15,
     rise: Thread(1_538),
+    long_rise: Thread(3_402),
     tension_ma: 54,
 };
 
@@ -121,7 +122,7 @@ fn records_of_another_layout_are_left_out() {
     assert_eq!(Calibration::from_record(&record), Some(CALIBRATION));
     assert_eq!(Calibration::from_record(&record[..10]), None);
     let mut other = record;
-    other[0] = 2;
+    other[0] = 1;
     assert_eq!(Calibration::from_record(&other), None);
     // No setting allows a fold within 7 mm, or one of 30.
     for um in [7_000_i32, 30_000, -1, i32::MAX] {

@@ -5,7 +5,7 @@ use firmware_capsule::{
     calibration::Calibration,
     detect::Sample,
     fold::{Actions, BRAKE_US, Capsule, Command, Drive, Event},
-    mechanics::{BACK_OFF, Counts, Thread},
+    mechanics::{BACK_OFF, BACK_OFFS, Counts, Thread},
     settings::Settings,
 };
 use proptest::prelude::*;
@@ -171,7 +171,8 @@ impl Monitor {
             );
             let out = self.top.since(self.sample.counts).thread();
             // A calibration pays out what it wound; it counts as referenced once the tension is known.
-            prop_assert!(millivolts > 0 || out < BACK_OFF, "backs off by {:?}", out);
+            let most = Thread(BACK_OFF.0 * (i32::from(BACK_OFFS) + 1));
+            prop_assert!(millivolts > 0 || out < most, "backs off by {:?}", out);
         }
         Ok(())
     }
@@ -229,6 +230,7 @@ const CALIBRATION: Calibration = Calibration {
     folded: Thread(21_700),
     no_load_ma: 16,
     rise: Thread(1_500),
+    long_rise: Thread(3_300),
     tension_ma: 50,
 };
 
@@ -289,12 +291,19 @@ fn the_judge_sees_every_state() {
         current_ma,
         battery_mv: 3_900,
     };
-    let folded = [turn(100, 5, 20), turn(300, 5, 100), turn(45, 5, 175)];
-    let taut = [turn(100, 5, 70), turn(300, 5, 20)];
+    let folded = [
+        turn(100, 5, 20),
+        turn(295, 5, 60),
+        turn(200, 5, 100),
+        turn(45, 5, 175),
+    ];
+    let felt = [turn(50, 3, 90)];
+    let taut = [turn(100, 5, 40), turn(300, 5, 20)];
     let script = [
         &[turn(1, 0, 0), Input::Command(Command::CheckFolded)][..],
         &folded,
         &[turn(60, 0, 0), Input::Command(Command::Unfold)],
+        &felt,
         &taut,
         &[Input::Command(Command::Stop), turn(60, 0, 0)],
         &[Input::Command(Command::Fold), turn(100, 5, 20)],

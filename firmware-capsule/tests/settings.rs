@@ -2,7 +2,7 @@
 
 use device::settings::Values;
 use firmware_capsule::{
-    mechanics::{BACK_OFF, POSSIBLE_FOLD, Thread},
+    mechanics::{POSSIBLE_FOLD, Thread},
     settings::Settings,
 };
 use proptest::prelude::*;
@@ -37,13 +37,24 @@ fn the_defaults_are_what_the_population_was_tried_with() {
     let settings = Settings::REFERENCE;
     assert_eq!((settings.force_ma, settings.rise_start_ma), (132, 65));
     assert_eq!((settings.near_ma, settings.met_ma), ((102, 73), 97));
-    assert_eq!((settings.fold_cps, settings.pay_out_cps), (10_550, 17_100));
+    assert_eq!(settings.resisted_ma, 130);
+    assert_eq!((settings.fold_cps, settings.pay_out_cps), (9_330, 17_100));
     assert_eq!((settings.slow_cps, settings.near_cps), (5_700, 4_000));
     assert_eq!(settings.link_timeout_us, 1_000_000);
+    assert_eq!(settings.seek_limit().0 - settings.folded_range.1.0, 1_000);
+}
+
+#[test]
+fn another_end_force_takes_its_neighbourhood_along_and_stays_within_what_is_given() {
+    let settings = Settings::REFERENCE;
+    assert_eq!(settings.with_force(1_000), settings);
+    let more = settings.with_force(1_350);
     assert_eq!(
-        settings.seek_limit().0 - settings.folded_range.1.0,
-        BACK_OFF.0
+        (more.force_ma, more.near_ma.0, more.met_ma),
+        (178, 137, 130)
     );
+    assert_eq!(settings.with_force(2_000).force_ma, 185);
+    assert_eq!(more.rise_start_ma, settings.rise_start_ma);
 }
 
 #[test]

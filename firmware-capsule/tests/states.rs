@@ -100,7 +100,6 @@ fn expected(state: CapsuleState, event: Event) -> Result<CapsuleState, Refusal> 
         Event::Command(_) if moving => Err(Refusal::CapsuleBusy(state)),
         Event::Command(Command::Reference | Command::Calibrate) => Ok(Referencing),
         Event::Command(Command::CheckFolded) if !calibrated => Err(Refusal::NotCalibrated),
-        Event::Command(Command::CheckFolded) if state == Folded => Err(Refusal::AlreadyThere),
         Event::Command(Command::CheckFolded) => Ok(Checking),
         Event::Command(_) if matches!(state, Unreferenced | WasFolded) => {
             Err(Refusal::NotReferenced)

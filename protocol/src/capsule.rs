@@ -25,7 +25,8 @@ pub struct Unfold;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Calibrate;
 
-/// Winds gently to the end force and stays there: confirms after a reset that the capsule is folded. Nothing is paid out.
+/// Confirms that the capsule is folded, and leaves it so: winds gently to the end force, or, if it is known to be folded, feels
+/// whether its thread pulls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CheckFolded;
@@ -283,7 +284,7 @@ pub struct CapsuleCalibration {
     pub rise_um: i32,
     /// Current of the motor with a slack thread.
     pub no_load_ma: u16,
-    /// Current above that with which the folded thread begins to unfold.
+    /// Current of winding the folded thread less that of paying it out.
     pub tension_ma: u16,
 }
 

@@ -77,7 +77,7 @@ settings! {
     ButtonTotalMs of Rig: "button_total_ms", "ms", 100..=86_400_000, 40_000, "Run of the start button: total duration.";
     ButtonAccelUmS2 of Rig: "button_accel_um_s2", "um/s2", 1..=10_000_000, 100_000, "Run of the start button: acceleration.";
     EndForceMa of Capsule: "end_force_ma", "mA", 60..=160, 132, "Current above the no-load current at which the thread counts as wound to its end.";
-    FoldUmS of Capsule: "fold_um_s", "um/s", 7_000..=12_947, 12_947, "Winding over the long way of a fold. No faster: a thread that catches has to stop the motor's momentum.";
+    FoldUmS of Capsule: "fold_um_s", "um/s", 7_000..=11_450, 11_450, "Winding over the long way of a fold. No faster: a thread that catches has to stop the motor's momentum.";
     UnfoldUmS of Capsule: "unfold_um_s", "um/s", 7_000..=20_985, 20_985, "Paying out, at most; slower where the motor must stop before zero by friction alone.";
     SlowUmS of Capsule: "slow_um_s", "um/s", 5_500..=6_995, 6_995, "Winding where force ends it: calibrate, reference, check, and the last of a fold.";
     LeastBatteryMv of Capsule: "least_battery_mv", "mV", 2_900..=4_000, 3_000, "Battery at rest below which a motion is refused.";

@@ -263,3 +263,99 @@ pub fn cut_anywhere(seed: u64) -> f64 {
     }
     least_mm
 }
+
+/// What a change in a life makes of three folds and unfoldings: the first name that is not `Complete`, the least thread on the spool,
+/// mm, and how far at most a folded end is from the calibrated one, mm.
+pub fn lives_on(seed: u64, changes: &[Defect]) -> (String, f64, f64) {
+    let mut sim = Simulation::calibrated(Parameters::varied(seed), seed);
+    let folded = sim.capsule.calibration().expect("calibrated").folded;
+    for change in changes {
+        sim.plant.suffer(*change);
+    }
+    let mut off_mm: f64 = 0.0;
+    for _ in 0..3 {
+        for command in [Command::Fold, Command::Unfold] {
+            let name = run(&mut sim, command);
+            if command == Command::Fold && name == "Complete" {
+                let end_mm = f64::from(folded.0) / 1e3;
+                off_mm = off_mm.max((sim.plant.wound_mm() - end_mm).abs());
+            }
+            if name != "Complete" {
+                return (
+                    format!("{command:?} {name}"),
+                    sim.plant.extremes_mm().0,
+                    off_mm,
+                );
+            }
+        }
+    }
+    ("Complete".to_owned(), sim.plant.extremes_mm().0, off_mm)
+}
+
+/// Folded at 22 degrees, held for an hour, unfolded at 37: friction and no-load current fall, the origami relaxes. Checked before,
+/// or not; after a reset, or not. What ended it, and the least thread on the spool, mm.
+pub fn held_and_warmed(seed: u64) -> (String, f64) {
+    let mut random = Random::new(seed ^ 0x3700);
+    let mut sim = Simulation::calibrated(Parameters::varied(seed), seed);
+    sim.run(Command::Fold);
+    for change in [
+        Defect::Friction(random.between(0.7, 1.0)),
+        Defect::NoLoad(random.between(0.7, 1.0)),
+        Defect::Relaxed(random.between(0.85, 1.0)),
+    ] {
+        sim.plant.suffer(change);
+    }
+    let (resets, checks) = (random.unit() < 0.3, random.unit() < 0.5);
+    if resets {
+        sim.reset(true);
+    }
+    let mut way = Vec::new();
+    if resets || checks {
+        way.push(Command::CheckFolded);
+    }
+    way.extend([Command::Unfold, Command::Fold, Command::Unfold]);
+    for command in way {
+        let name = run(&mut sim, command);
+        if name != "Complete" {
+            return (format!("{command:?} {name}"), sim.plant.extremes_mm().0);
+        }
+    }
+    ("Complete".to_owned(), sim.plant.extremes_mm().0)
+}
+
+/// A reference run from anywhere, past something of 0.5 to 300 N/mm anywhere, or nothing. What ended it, and the least thread on the
+/// spool, mm.
+pub fn referenced_past(seed: u64, obstacle: bool) -> (String, f64) {
+    let mut random = Random::new(seed ^ 0x0B57);
+    let mut sim = Simulation::calibrated(Parameters::varied(seed), seed);
+    let folded = f64::from(sim.capsule.calibration().expect("calibrated").folded.0) / 1e3;
+    match random.unit() {
+        ..0.4 => {}
+        ..0.6 => sim.run(Command::Fold),
+        _ => {
+            sim.run_past(Command::Fold, random.between(1.0, folded - 0.5));
+            sim.order(Command::Stop);
+            sim.settle();
+        }
+    }
+    sim.reset(false);
+    if obstacle {
+        let travel_mm = sim.plant.travel_mm();
+        let end_mm = folded - sim.plant.parameters.slack_mm;
+        sim.plant.suffer(Defect::Obstacle {
+            at_mm: random.between(travel_mm, end_mm),
+            n_per_mm: 0.5 * 600_f64.powf(random.unit()),
+        });
+    }
+    let name = run(&mut sim, Command::Reference);
+    (name, sim.plant.extremes_mm().0)
+}
+
+/// Orders something and waits for its end: how it ended, or why it was refused.
+fn run(sim: &mut Simulation, command: Command) -> String {
+    if let Some(refusal) = sim.give(Event::Command(command)).refusal {
+        return name(&refusal);
+    }
+    sim.settle();
+    name_of(sim.capsule.record().outcome)
+}

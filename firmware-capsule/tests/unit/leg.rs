@@ -31,7 +31,16 @@ fn after(from: Counts, um: i32) -> Counts {
     }
 }
 
+const KNOWN: Calibration = Calibration {
+    folded: END,
+    no_load_ma: 16,
+    rise: Thread(1_500),
+    long_rise: Thread(3_300),
+    tension_ma: 90,
+};
 const NONE: Load = Load {
+    long_rise_from: None,
+    pull_ma: Some(0),
     end_force: false,
     excess_ma: Some(0),
     rise_from: None,
@@ -47,7 +56,13 @@ const END_FORCE: Load = Load {
 const FORCE: u16 = 150;
 
 fn decide(leg: Leg, counts: Counts, load: Load) -> Result<Decision, CapsuleFault> {
-    leg.decide(counts, ZERO, load, Counts(0), &Settings::REFERENCE)
+    leg.decide(
+        counts,
+        ZERO,
+        load,
+        Counts(0),
+        (Some(&KNOWN), &Settings::REFERENCE),
+    )
 }
 
 #[test]
@@ -136,12 +151,81 @@ fn near_the_end_force_the_speed_does_not_go_to_and_fro() {
     );
 }
 
+/// Something soft in the way raises the force along a line: the rise from half may be the origami's, that from a quarter is not.
+#[test]
+fn a_rise_along_a_line_is_no_origami() {
+    for (half, quarter, right) in [
+        (1_500, 3_300, true),
+        (1_500, 2_900, true),
+        (1_500, 2_250, false),
+        (1_120, 2_600, false),
+        (1_900, 4_200, false),
+    ] {
+        let rise = Rise {
+            half: Thread(half),
+            quarter: Thread(quarter),
+        };
+        assert_eq!(rise.is_of(&KNOWN), right, "{rise:?}");
+    }
+}
+
+/// A reference run backs off only while the thread pulls.
+#[test]
+fn what_is_felt_decides_what_follows() {
+    let at = after(ZERO, 10_000);
+    let back = Then::BackOff {
+        origin: ORIGIN,
+        left: 1,
+    };
+    let feel = |then| Leg::Feel {
+        from: Counts(at.0 - FELT_AFTER.counts().0 - 1),
+        then,
+    };
+    let load = |excess_ma| Load {
+        excess_ma: Some(excess_ma),
+        ..NONE
+    };
+    let untold = Load {
+        excess_ma: None,
+        ..NONE
+    };
+    assert_eq!(decide(feel(back), at, untold), Ok(Decision::Continue));
+    let further = decide(feel(back), at, load(LOADED_MA));
+    let again = Leg::BackOff {
+        to: at.back(BACK_OFF.counts()),
+        origin: ORIGIN,
+        left: 0,
+    };
+    assert_eq!(further, Ok(Decision::Reverse(again)));
+    let slack = decide(feel(back), at, load(LOADED_MA - 1));
+    assert_eq!(slack, Ok(Decision::Careful(seek(true, Purpose::Reference))));
+    let last = Then::BackOff {
+        origin: ORIGIN,
+        left: 0,
+    };
+    let enough = decide(feel(last), at, load(60));
+    assert_eq!(
+        enough,
+        Ok(Decision::Careful(seek(true, Purpose::Reference)))
+    );
+    let paid_out = decide(feel(Then::PayOut(Thread(0))), at, load(60));
+    assert!(matches!(
+        paid_out,
+        Ok(Decision::Felt(Leg::PayOut {
+            to: Thread(0),
+            taut_to: Some(_)
+        }))
+    ));
+}
+
 /// A short rise is an obstacle, or an origami that was folded from the start.
 #[test]
 fn a_short_rise_is_tried_again_by_a_reference_only() {
     let at = after(ORIGIN, 20_000);
-    let risen = |um| Load {
+    // As long a rise from a quarter as the origami's.
+    let risen = |um: i32| Load {
         rise_from: Some(Counts(at.0 - Thread(um).counts().0)),
+        long_rise_from: Some(Counts(at.0 - Thread(um * 22 / 10).counts().0)),
         ..END_FORCE
     };
     let thread_um = at.since(ZERO).thread().0;
@@ -149,6 +233,7 @@ fn a_short_rise_is_tried_again_by_a_reference_only() {
     let again = Ok(Decision::Reverse(Leg::BackOff {
         to: at.back(BACK_OFF.counts()),
         origin: ORIGIN,
+        left: BACK_OFFS,
     }));
     assert_eq!(
         decide(seek(false, Purpose::Reference), at, risen(450)),
@@ -163,9 +248,10 @@ fn a_short_rise_is_tried_again_by_a_reference_only() {
         "nothing is paid out"
     );
     for (purpose, um) in [
-        (Purpose::Reference, 510),
+        (Purpose::Reference, 1_150),
+        (Purpose::Reference, 1_850),
         (Purpose::Calibrate, 510),
-        (doubted, 510),
+        (doubted, 1_500),
         (Purpose::Check { believed: true }, 0),
     ] {
         let found = decide(seek(false, purpose), at, risen(um));
@@ -185,12 +271,24 @@ fn paying_out_ends_before_zero_by_what_the_motor_runs_on() {
     let stopping = Thread(200).counts();
     let at = after(ZERO, 200 + STOP_MARGIN.0 + 2);
     assert_eq!(
-        leg.decide(at, ZERO, NONE, stopping, &Settings::REFERENCE),
+        leg.decide(
+            at,
+            ZERO,
+            NONE,
+            stopping,
+            (Some(&KNOWN), &Settings::REFERENCE)
+        ),
         Ok(Decision::Continue)
     );
     let at = Counts(at.0 - 4);
     assert_eq!(
-        leg.decide(at, ZERO, NONE, stopping, &Settings::REFERENCE),
+        leg.decide(
+            at,
+            ZERO,
+            NONE,
+            stopping,
+            (Some(&KNOWN), &Settings::REFERENCE)
+        ),
         Ok(Decision::Unfolded)
     );
 }

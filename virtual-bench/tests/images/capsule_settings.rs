@@ -135,7 +135,7 @@ fn settings_count_at_once_and_after_the_next_start() {
     capsule.device.call(FactoryReset).expect("a reset");
     assert_eq!(
         (get(&mut capsule, end), get(&mut capsule, speed)),
-        (132, 12_947)
+        (132, 11_450)
     );
     capsule.power_cycle(3);
     assert_eq!(
