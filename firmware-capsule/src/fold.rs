@@ -26,21 +26,24 @@
 //!
 //! [`leg`](crate::leg) says how each motion is driven, where it ends, and how the zero is found.
 
+mod measures;
+mod orders;
+
 use crate::{
     calibration::Calibration,
     detect::{Detector, Load, Sample, Spooling, Trip},
     governor::{Effort, Governor},
-    leg::{Decision, Leg, MOST_MA, Purpose, Rise, STOP_MARGIN, TENSION_ZONE, Then, is_near},
-    mechanics::{Counts, FOUND_AGAIN, FOUND_BY_RISE, MOST_NO_LOAD_MA, Thread},
+    leg::{Decision, Leg, Purpose, Rise, is_near},
+    mechanics::{Counts, FOUND_AGAIN, FOUND_BY_RISE, Thread},
     record::Recorder,
-    sense::MOST_OFFSET_MA,
     settings::Settings,
 };
+use measures::{Drift, Mean, drawn_ma};
 use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleFault, CapsuleState,
     },
-    error::{Field, Refusal},
+    error::Refusal,
 };
 
 /// How long the motor is shorted after a motion: six of its time constants.
@@ -56,18 +59,12 @@ const PLUGGED_CPS: i32 = 4_500;
 const CELL_MILLIOHM: u32 = 500;
 /// From this current out of the cell on its sag tells its resistance.
 const LOAD_MA: u32 = 50;
-/// What a fold and an unfolding take off the voltage of a cell that is nearly empty.
-const RESERVE_MV: u16 = 100;
-/// An amplifier that shows this at rest is none: its output lies at one end of its range.
-const OPEN_MA: u16 = 1_000;
 /// Above the no-load current, the thread pulls: 0.3 N.
 const ENGAGED_MA: u16 = 7;
 /// Two slow windings of 28.5 mm, 5.7 s each, and two ways out.
 pub const REFERENCE_TIMEOUT_MS: u32 = 16_000;
 /// A partial fold is this far from either end: the ends have motions of their own.
 pub const PARTIAL_MARGIN: Thread = Thread(500);
-/// As near as a partial fold stops.
-const ARRIVED: i32 = 100;
 
 /// State of the bridge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -177,64 +174,6 @@ struct Actuation {
     found: Option<(Thread, Rise)>,
     /// With the end force that the friction of this motion asks for.
     settings: Settings,
-}
-
-/// Sum and number of some currents.
-#[derive(Clone, Copy, Debug, Default)]
-struct Mean {
-    sum: i32,
-    count: i32,
-}
-
-impl Mean {
-    fn add(&mut self, current_ma: i16) {
-        self.sum = self.sum.saturating_add(i32::from(current_ma));
-        self.count = self.count.saturating_add(1);
-    }
-
-    fn mean_ma(&self) -> Option<u16> {
-        let mean = (self.sum + self.count / 2).checked_div(self.count)?;
-        Some(u16::try_from(mean.max(0)).unwrap_or(u16::MAX))
-    }
-}
-
-/// A thread is slack over this way from the unfolded end, and the motor at its speed.
-const SLACK_ZONE: (Thread, Thread) = (Thread(800), Thread(2_200));
-/// The last part of the tension zone, where its current counts.
-const STEADY_UM: i32 = 300;
-/// So often is the tension zone made longer by that, if the motor was never steady in it.
-const PROLONGATIONS: u8 = 4;
-/// Winding a taut thread takes at least this more than paying it out.
-const LEAST_TENSION_MA: u32 = 15;
-/// Of the calibrated pull, what a folded thread has at least: what has slipped by 2 mm or more pulls with 65 % at most.
-const LEAST_PULL_PERCENT: u32 = 72;
-/// A check of a folded capsule pays out this much, and winds it again: the zone in which the pull is measured, and as much as it may be
-/// prolonged by.
-const CHECKED: Thread = Thread(1_500);
-/// Half of the end force is felt earlier or later by no more than this because of friction.
-const FRICTION_SHIFT: Thread = Thread(1_200);
-/// By so much the place scatters, um.
-const SCATTER_UM: i32 = 120;
-/// Least and most end force for its sake, in thousandths.
-const FRICTION_FORCE: (i32, i32) = (600, 1_350);
-
-/// Where folds have ended since the zero was found.
-#[derive(Clone, Copy, Debug, Default)]
-struct Drift {
-    first: Option<Thread>,
-    /// Of the distances from the first end, over about four folds, so that one of them does not decide.
-    mean: Thread,
-    folds: i32,
-}
-
-impl Drift {
-    /// Takes an end; returns how far the ends have wandered.
-    fn add(&mut self, end: Thread) -> Thread {
-        let first = *self.first.get_or_insert(end);
-        self.folds = (self.folds + 1).min(4);
-        self.mean.0 += (end.0 - first.0 - self.mean.0) / self.folds;
-        self.mean
-    }
 }
 
 /// The state machine.
@@ -405,225 +344,6 @@ impl Capsule {
         actions
     }
 
-    fn on_command(
-        &mut self,
-        now_us: u64,
-        command: Command,
-        actions: &mut Actions,
-    ) -> Result<(), Refusal> {
-        let kind = match command {
-            Command::Reference => ActuationKind::Reference,
-            Command::Calibrate => ActuationKind::Calibrate,
-            Command::CheckFolded => ActuationKind::CheckFolded,
-            Command::Fold => ActuationKind::Fold,
-            Command::Unfold => ActuationKind::Unfold,
-            Command::FoldTo(_) => ActuationKind::FoldTo,
-            Command::Stop => {
-                self.stop(now_us, ActuationOutcome::Stopped, actions);
-                return Ok(());
-            }
-            Command::EStop => {
-                self.fail(now_us, CapsuleFault::EStopFrame, actions);
-                return Ok(());
-            }
-            Command::Acknowledge => return self.acknowledge(),
-        };
-        match (&self.mode, kind) {
-            (Mode::Faulted(CapsuleFault::Watchdog | CapsuleFault::Panic), _) => {
-                return Err(Refusal::AcknowledgeFirst);
-            }
-            (Mode::Faulted(fault), _) => return Err(Refusal::CapsuleFaulted(*fault)),
-            (Mode::Moving(_), _) => return Err(Refusal::CapsuleBusy(self.state())),
-            (
-                Mode::Unreferenced,
-                ActuationKind::Fold | ActuationKind::Unfold | ActuationKind::FoldTo,
-            ) => {
-                return Err(Refusal::NotReferenced);
-            }
-            (Mode::Folded, ActuationKind::Fold) | (Mode::Unfolded, ActuationKind::Unfold) => {
-                return Err(Refusal::AlreadyThere);
-            }
-            (_, ActuationKind::Fold | ActuationKind::CheckFolded | ActuationKind::FoldTo)
-                if self.calibration.is_none() =>
-            {
-                return Err(Refusal::NotCalibrated);
-            }
-            _ => {}
-        }
-        if let Command::FoldTo(target) = command {
-            self.may_stop_at(target)?;
-        }
-        let min_mv = match kind {
-            // Paying out takes little, and somebody may need it.
-            ActuationKind::Unfold => self.settings.least_battery_mv,
-            _ => self.least_battery_mv(),
-        };
-        if self.sample.battery_mv < min_mv {
-            return Err(Refusal::BatteryLow {
-                battery_mv: self.sample.battery_mv,
-                min_mv,
-            });
-        }
-        if let Some(fault) = self.amplifier_fault() {
-            self.fail(now_us, fault, actions);
-            return Err(Refusal::CapsuleFaulted(fault));
-        }
-        let target = match command {
-            Command::FoldTo(target) => target,
-            _ => Thread(0),
-        };
-        self.start(now_us, kind, target, actions);
-        Ok(())
-    }
-
-    /// A partial fold ends between the ends, and somewhere else than here.
-    fn may_stop_at(&self, target: Thread) -> Result<(), Refusal> {
-        let Thread(end_um) = self.folded_end().unwrap_or_default();
-        let (min, max) = (PARTIAL_MARGIN.0, end_um - PARTIAL_MARGIN.0);
-        if !(min..=max).contains(&target.0) {
-            let count = |um: i32| u64::try_from(um).unwrap_or(0);
-            return Err(Refusal::OutOfRange {
-                field: Field::ThreadUm,
-                requested: count(target.0),
-                min: count(min),
-                max: count(max),
-            });
-        }
-        if self.thread().0.abs_diff(target.0) <= ARRIVED.unsigned_abs() {
-            return Err(Refusal::AlreadyThere);
-        }
-        Ok(())
-    }
-
-    /// Where the folded end is believed to be.
-    fn folded_end(&self) -> Option<Thread> {
-        let calibration = self.calibration.as_ref()?;
-        Some(Thread(calibration.folded.0 - self.spare.0))
-    }
-
-    /// What the cell must have at rest to stay above its limit under the end force, twice: to fold and to unfold again.
-    fn least_battery_mv(&self) -> u16 {
-        let sag_mv = self.cell_milliohm * u32::from(MOST_MA) / 1_000;
-        let under_load_mv = u32::from(self.settings.loaded_battery_mv + RESERVE_MV) + sag_mv;
-        u16::try_from(under_load_mv)
-            .unwrap_or(u16::MAX)
-            .max(self.settings.least_battery_mv)
-    }
-
-    /// The shunt amplifier shows a current at rest. Nothing it says under drive can then be relied on.
-    fn amplifier_fault(&self) -> Option<CapsuleFault> {
-        let current_ma = self.sample.offset_ma.unsigned_abs();
-        match current_ma {
-            ..=MOST_OFFSET_MA => None,
-            OPEN_MA.. => Some(CapsuleFault::SenseLost),
-            _ => Some(CapsuleFault::OverCurrent { current_ma }),
-        }
-    }
-
-    fn acknowledge(&mut self) -> Result<(), Refusal> {
-        let Mode::Faulted(fault) = self.mode else {
-            return Err(Refusal::NothingToAcknowledge);
-        };
-        let persists = match fault {
-            CapsuleFault::LowBattery { .. } => {
-                self.sample.battery_mv < self.settings.least_battery_mv
-            }
-            CapsuleFault::DriverFault => self.sample.driver_fault,
-            CapsuleFault::OverCurrent { .. } | CapsuleFault::SenseLost => {
-                self.amplifier_fault().is_some()
-            }
-            _ => false,
-        };
-        if persists {
-            return Err(Refusal::CauseStillPresent);
-        }
-        self.mode = self.resting_between_ends();
-        Ok(())
-    }
-
-    /// `target` is that of a partial fold.
-    fn start(&mut self, now_us: u64, kind: ActuationKind, target: Thread, actions: &mut Actions) {
-        let origin = self.sample.counts;
-        let seek = |purpose| Leg::Seek {
-            origin,
-            second: false,
-            purpose,
-        };
-        let calibrates = kind == ActuationKind::Calibrate
-            || kind == ActuationKind::Reference && self.calibration.is_none();
-        let slack = calibrates || matches!(self.mode, Mode::Unfolded);
-        let pay_out = |to: Thread| match self.mode {
-            // Not if it ends before the tension has been measured.
-            Mode::Folded if to < self.taut_to() => Leg::Feel {
-                from: origin,
-                then: Then::PayOut(to),
-            },
-            _ => Leg::PayOut { to, taut_to: None },
-        };
-        let wind = |end, careful, short| Leg::Wind {
-            end,
-            careful,
-            short,
-        };
-        let leg = match (kind, self.folded_end()) {
-            (ActuationKind::Unfold, _) => pay_out(Thread(0)),
-            (ActuationKind::FoldTo, _) if target < self.thread() => pay_out(target),
-            (ActuationKind::FoldTo, Some(end)) => wind(end, false, Some(target)),
-            (ActuationKind::Fold, Some(end)) => wind(end, false, None),
-            // Of a known position the check asks whether the end is where it should be; at the end it pays out a little first.
-            (ActuationKind::CheckFolded, _) if matches!(self.mode, Mode::Folded) => Leg::Feel {
-                from: origin,
-                then: Then::PayOut(Thread(self.thread().0 - CHECKED.0)),
-            },
-            (ActuationKind::CheckFolded, Some(end)) if self.referenced => wind(end, true, None),
-            (ActuationKind::CheckFolded, _) => seek(Purpose::Check {
-                believed: self.was_folded,
-            }),
-            _ if calibrates => seek(Purpose::Calibrate),
-            _ => seek(Purpose::Reference),
-        };
-        if matches!(leg, Leg::Seek { .. }) {
-            self.referenced = false;
-        }
-        self.was_folded = false;
-        let from_us = now_us.max(self.brake_until_us);
-        let timeout_us = u64::from(self.timeout_ms(kind)) * 1_000;
-        self.mode = Mode::Moving(Actuation {
-            kind,
-            leg,
-            detector: Detector::new(leg.spooling(), from_us, self.sample.battery_mv),
-            from: Thread(self.thread().0.saturating_add(STOP_MARGIN.0)),
-            started_us: now_us,
-            deadline_us: from_us.saturating_add(timeout_us),
-            governor: Governor::default(),
-            effort: Effort::Millivolts(0),
-            near: false,
-            struck_until_us: 0,
-            rest_mv: self.sample.battery_mv,
-            slack_from: slack.then_some(origin),
-            slack: Mean::default(),
-            winding_ma: None,
-            taut: Mean::default(),
-            prolongations: PROLONGATIONS,
-            found: None,
-            settings: self.settings,
-        });
-        self.recorder
-            .start(kind, self.thread(), self.sample.battery_mv);
-        actions.emit(CapsuleEvent::Started {
-            actuation: self.actuation(),
-            kind,
-        });
-        // If the leg is already at its end, the motor is not even switched on.
-        self.supervise(now_us, actions);
-        self.govern(now_us);
-    }
-
-    /// The thread is taut down to here, if it is taut now.
-    fn taut_to(&self) -> Thread {
-        Thread(self.thread().0.saturating_sub(TENSION_ZONE.0))
-    }
-
     fn on_sample(&mut self, now_us: u64, sample: Sample, actions: &mut Actions) {
         if let (Drive::Millivolts(drive_mv), Mode::Moving(actuation)) = (self.drive, &self.mode) {
             // The last sample before a start is up to 100 ms old, and the motor was not driven then.
@@ -736,106 +456,6 @@ impl Capsule {
             self.measure(thread, load.excess_ma.is_some())?;
         }
         self.decide(now_us, load, actions)
-    }
-
-    /// The folded end is a place, found by a current that depends on the worm's friction. Where the force of half of it is felt earlier or later than in the calibration, the
-    /// friction is another one, and so is the current at the end: the force there grows by the same share in each millimetre.
-    fn follow_friction(&mut self, load: &Load) {
-        let (Mode::Moving(actuation), Some(calibration)) = (&mut self.mode, &self.calibration)
-        else {
-            return;
-        };
-        let (Leg::Wind { end, .. }, Some(from)) = (actuation.leg, load.rise_from) else {
-            return;
-        };
-        let rise_um = calibration.rise.0.max(1);
-        let later_um = from.since(self.zero).thread().0 - (end.0 - rise_um);
-        actuation.settings = if later_um.abs() <= FRICTION_SHIFT.0 {
-            // What is less than the scatter of the place is none. ln 2 of the force in each rise.
-            let scatter = later_um.clamp(-SCATTER_UM, SCATTER_UM);
-            let less = 693 * (later_um - scatter) / rise_um;
-            let (least, most) = FRICTION_FORCE;
-            self.settings.with_force((1_000 - less).clamp(least, most))
-        } else {
-            self.settings
-        };
-    }
-
-    /// Currents of a slack thread and of a taut one, from readings at a steady speed.
-    fn measure(&mut self, thread: Thread, steady: bool) -> Result<(), CapsuleFault> {
-        let Mode::Moving(actuation) = &mut self.mode else {
-            return Ok(());
-        };
-        let counts = self.sample.counts;
-        let current_ma = self.sample.along_ma(actuation.detector.spooling());
-        if let Some(slack_from) = actuation.slack_from
-            && actuation.detector.spooling() == Spooling::Wind
-        {
-            let way = counts.since(slack_from).thread();
-            let (from, to) = SLACK_ZONE;
-            if (from..to).contains(&way) {
-                if steady {
-                    actuation.slack.add(current_ma);
-                }
-            } else if way >= to {
-                actuation.slack_from = None;
-                let measured = actuation.slack.mean_ma();
-                if let Some(no_load_ma) = measured.filter(|mean_ma| *mean_ma <= MOST_NO_LOAD_MA) {
-                    self.no_load_ma = no_load_ma;
-                }
-            }
-        }
-        let Leg::PayOut {
-            taut_to: Some(taut_to),
-            to,
-        } = actuation.leg
-        else {
-            return Ok(());
-        };
-        if thread > taut_to {
-            // Not while the motor takes up its speed.
-            if steady && thread.0 - taut_to.0 <= STEADY_UM {
-                actuation.taut.add(current_ma);
-            }
-            return Ok(());
-        }
-        let further = Thread(taut_to.0 - STEADY_UM);
-        if actuation.taut.count == 0 && actuation.prolongations > 0 && to < further {
-            // A motor that starts too fast is braked, and its current does not count for a while.
-            actuation.prolongations -= 1;
-            actuation.leg = Leg::PayOut {
-                taut_to: Some(further),
-                to,
-            };
-            return Ok(());
-        }
-        actuation.leg = Leg::PayOut { taut_to: None, to };
-        // Without steady readings there is no verdict: the next fold finds a broken thread.
-        let tension_ma = actuation
-            .winding_ma
-            .zip(actuation.taut.mean_ma())
-            .map(|(winding_ma, taut_ma)| winding_ma.saturating_sub(taut_ma));
-        let least_ma = match (actuation.found, &self.calibration) {
-            (None, Some(calibration)) => {
-                u32::from(calibration.tension_ma) * LEAST_PULL_PERCENT / 100
-            }
-            _ => 0,
-        };
-        let least_ma = least_ma.max(LEAST_TENSION_MA);
-        if tension_ma.is_some_and(|tension_ma| u32::from(tension_ma) < least_ma) {
-            return Err(CapsuleFault::SlipOrBreak);
-        }
-        if let Some((folded, rise)) = actuation.found {
-            self.calibration = Some(Calibration {
-                folded,
-                no_load_ma: self.no_load_ma,
-                rise: rise.half,
-                long_rise: rise.quarter,
-                tension_ma: tension_ma.unwrap_or(0),
-            });
-            self.referenced = true;
-        }
-        Ok(())
     }
 
     fn decide(
@@ -979,18 +599,6 @@ impl Capsule {
         }))
     }
 
-    /// A folded end that wanders means that thread or zero are not what they were.
-    fn watch_drift(&mut self, actions: &mut Actions) {
-        let by = self.drift.add(self.thread());
-        if by.0.saturating_abs() <= self.settings.drift.0 {
-            return;
-        }
-        self.referenced = false;
-        self.was_folded = true;
-        self.mode = Mode::Unreferenced;
-        actions.emit(CapsuleEvent::Drifted { by_um: by.0 });
-    }
-
     fn stop(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {
         if self.is_moving() {
             let mode = self.resting_between_ends();
@@ -1058,13 +666,6 @@ impl Capsule {
             _ => Drive::Off,
         }
     }
-}
-
-/// What the cell gives for a current of the motor: the share of the pulses in the period.
-fn drawn_ma(current_ma: u16, drive_mv: i16, battery_mv: u16) -> u32 {
-    (u32::from(current_ma) * u32::from(drive_mv.unsigned_abs()))
-        .checked_div(battery_mv.into())
-        .unwrap_or(0)
 }
 
 fn fault_of(trip: Trip, thread: Thread) -> CapsuleFault {

@@ -1,0 +1,251 @@
+//! Orders of the host: why one is refused, and how a motion begins.
+
+use super::{Actions, Actuation, Capsule, Command, Mode, measures};
+use crate::{
+    detect::Detector,
+    governor::{Effort, Governor},
+    leg::{Leg, MOST_MA, Purpose, STOP_MARGIN, TENSION_ZONE, Then},
+    mechanics::Thread,
+    sense::MOST_OFFSET_MA,
+};
+use protocol::{
+    capsule::{ActuationKind, ActuationOutcome, CapsuleEvent, CapsuleFault},
+    error::{Field, Refusal},
+};
+
+/// What a fold and an unfolding take off the voltage of a cell that is nearly empty.
+const RESERVE_MV: u16 = 100;
+/// An amplifier that shows this at rest is none: its output lies at one end of its range.
+const OPEN_MA: u16 = 1_000;
+/// As near as a partial fold stops.
+const ARRIVED: i32 = 100;
+/// A check of a folded capsule pays out this much, and winds it again: the zone in which the pull is measured, and as much as it may be
+/// prolonged by.
+const CHECKED: Thread = Thread(1_500);
+
+impl Capsule {
+    pub(super) fn on_command(
+        &mut self,
+        now_us: u64,
+        command: Command,
+        actions: &mut Actions,
+    ) -> Result<(), Refusal> {
+        let kind = match command {
+            Command::Reference => ActuationKind::Reference,
+            Command::Calibrate => ActuationKind::Calibrate,
+            Command::CheckFolded => ActuationKind::CheckFolded,
+            Command::Fold => ActuationKind::Fold,
+            Command::Unfold => ActuationKind::Unfold,
+            Command::FoldTo(_) => ActuationKind::FoldTo,
+            Command::Stop => {
+                self.stop(now_us, ActuationOutcome::Stopped, actions);
+                return Ok(());
+            }
+            Command::EStop => {
+                self.fail(now_us, CapsuleFault::EStopFrame, actions);
+                return Ok(());
+            }
+            Command::Acknowledge => return self.acknowledge(),
+        };
+        match (&self.mode, kind) {
+            (Mode::Faulted(CapsuleFault::Watchdog | CapsuleFault::Panic), _) => {
+                return Err(Refusal::AcknowledgeFirst);
+            }
+            (Mode::Faulted(fault), _) => return Err(Refusal::CapsuleFaulted(*fault)),
+            (Mode::Moving(_), _) => return Err(Refusal::CapsuleBusy(self.state())),
+            (
+                Mode::Unreferenced,
+                ActuationKind::Fold | ActuationKind::Unfold | ActuationKind::FoldTo,
+            ) => {
+                return Err(Refusal::NotReferenced);
+            }
+            (Mode::Folded, ActuationKind::Fold) | (Mode::Unfolded, ActuationKind::Unfold) => {
+                return Err(Refusal::AlreadyThere);
+            }
+            (_, ActuationKind::Fold | ActuationKind::CheckFolded | ActuationKind::FoldTo)
+                if self.calibration.is_none() =>
+            {
+                return Err(Refusal::NotCalibrated);
+            }
+            _ => {}
+        }
+        if let Command::FoldTo(target) = command {
+            self.may_stop_at(target)?;
+        }
+        let min_mv = match kind {
+            // Paying out takes little, and somebody may need it.
+            ActuationKind::Unfold => self.settings.least_battery_mv,
+            _ => self.least_battery_mv(),
+        };
+        if self.sample.battery_mv < min_mv {
+            return Err(Refusal::BatteryLow {
+                battery_mv: self.sample.battery_mv,
+                min_mv,
+            });
+        }
+        if let Some(fault) = self.amplifier_fault() {
+            self.fail(now_us, fault, actions);
+            return Err(Refusal::CapsuleFaulted(fault));
+        }
+        let target = match command {
+            Command::FoldTo(target) => target,
+            _ => Thread(0),
+        };
+        self.start(now_us, kind, target, actions);
+        Ok(())
+    }
+
+    /// A partial fold ends between the ends, and somewhere else than here.
+    pub(super) fn may_stop_at(&self, target: Thread) -> Result<(), Refusal> {
+        let Thread(end_um) = self.folded_end().unwrap_or_default();
+        let (min, max) = (super::PARTIAL_MARGIN.0, end_um - super::PARTIAL_MARGIN.0);
+        if !(min..=max).contains(&target.0) {
+            let count = |um: i32| u64::try_from(um).unwrap_or(0);
+            return Err(Refusal::OutOfRange {
+                field: Field::ThreadUm,
+                requested: count(target.0),
+                min: count(min),
+                max: count(max),
+            });
+        }
+        if self.thread().0.abs_diff(target.0) <= ARRIVED.unsigned_abs() {
+            return Err(Refusal::AlreadyThere);
+        }
+        Ok(())
+    }
+
+    /// Where the folded end is believed to be.
+    pub(super) fn folded_end(&self) -> Option<Thread> {
+        let calibration = self.calibration.as_ref()?;
+        Some(Thread(calibration.folded.0 - self.spare.0))
+    }
+
+    /// What the cell must have at rest to stay above its limit under the end force, twice: to fold and to unfold again.
+    pub(super) fn least_battery_mv(&self) -> u16 {
+        let sag_mv = self.cell_milliohm * u32::from(MOST_MA) / 1_000;
+        let under_load_mv = u32::from(self.settings.loaded_battery_mv + RESERVE_MV) + sag_mv;
+        u16::try_from(under_load_mv)
+            .unwrap_or(u16::MAX)
+            .max(self.settings.least_battery_mv)
+    }
+
+    /// The shunt amplifier shows a current at rest. Nothing it says under drive can then be relied on.
+    pub(super) fn amplifier_fault(&self) -> Option<CapsuleFault> {
+        let current_ma = self.sample.offset_ma.unsigned_abs();
+        match current_ma {
+            ..=MOST_OFFSET_MA => None,
+            OPEN_MA.. => Some(CapsuleFault::SenseLost),
+            _ => Some(CapsuleFault::OverCurrent { current_ma }),
+        }
+    }
+
+    pub(super) fn acknowledge(&mut self) -> Result<(), Refusal> {
+        let Mode::Faulted(fault) = self.mode else {
+            return Err(Refusal::NothingToAcknowledge);
+        };
+        let persists = match fault {
+            CapsuleFault::LowBattery { .. } => {
+                self.sample.battery_mv < self.settings.least_battery_mv
+            }
+            CapsuleFault::DriverFault => self.sample.driver_fault,
+            CapsuleFault::OverCurrent { .. } | CapsuleFault::SenseLost => {
+                self.amplifier_fault().is_some()
+            }
+            _ => false,
+        };
+        if persists {
+            return Err(Refusal::CauseStillPresent);
+        }
+        self.mode = self.resting_between_ends();
+        Ok(())
+    }
+
+    /// `target` is that of a partial fold.
+    pub(super) fn start(
+        &mut self,
+        now_us: u64,
+        kind: ActuationKind,
+        target: Thread,
+        actions: &mut Actions,
+    ) {
+        let origin = self.sample.counts;
+        let seek = |purpose| Leg::Seek {
+            origin,
+            second: false,
+            purpose,
+        };
+        let calibrates = kind == ActuationKind::Calibrate
+            || kind == ActuationKind::Reference && self.calibration.is_none();
+        let slack = calibrates || matches!(self.mode, Mode::Unfolded);
+        let pay_out = |to: Thread| match self.mode {
+            // Not if it ends before the tension has been measured.
+            Mode::Folded if to < self.taut_to() => Leg::Feel {
+                from: origin,
+                then: Then::PayOut(to),
+            },
+            _ => Leg::PayOut { to, taut_to: None },
+        };
+        let wind = |end, careful, short| Leg::Wind {
+            end,
+            careful,
+            short,
+        };
+        let leg = match (kind, self.folded_end()) {
+            (ActuationKind::Unfold, _) => pay_out(Thread(0)),
+            (ActuationKind::FoldTo, _) if target < self.thread() => pay_out(target),
+            (ActuationKind::FoldTo, Some(end)) => wind(end, false, Some(target)),
+            (ActuationKind::Fold, Some(end)) => wind(end, false, None),
+            // Of a known position the check asks whether the end is where it should be; at the end it pays out a little first.
+            (ActuationKind::CheckFolded, _) if matches!(self.mode, Mode::Folded) => Leg::Feel {
+                from: origin,
+                then: Then::PayOut(Thread(self.thread().0 - CHECKED.0)),
+            },
+            (ActuationKind::CheckFolded, Some(end)) if self.referenced => wind(end, true, None),
+            (ActuationKind::CheckFolded, _) => seek(Purpose::Check {
+                believed: self.was_folded,
+            }),
+            _ if calibrates => seek(Purpose::Calibrate),
+            _ => seek(Purpose::Reference),
+        };
+        if matches!(leg, Leg::Seek { .. }) {
+            self.referenced = false;
+        }
+        self.was_folded = false;
+        let from_us = now_us.max(self.brake_until_us);
+        let timeout_us = u64::from(self.timeout_ms(kind)) * 1_000;
+        self.mode = Mode::Moving(Actuation {
+            kind,
+            leg,
+            detector: Detector::new(leg.spooling(), from_us, self.sample.battery_mv),
+            from: Thread(self.thread().0.saturating_add(STOP_MARGIN.0)),
+            started_us: now_us,
+            deadline_us: from_us.saturating_add(timeout_us),
+            governor: Governor::default(),
+            effort: Effort::Millivolts(0),
+            near: false,
+            struck_until_us: 0,
+            rest_mv: self.sample.battery_mv,
+            slack_from: slack.then_some(origin),
+            slack: measures::Mean::default(),
+            winding_ma: None,
+            taut: measures::Mean::default(),
+            prolongations: measures::PROLONGATIONS,
+            found: None,
+            settings: self.settings,
+        });
+        self.recorder
+            .start(kind, self.thread(), self.sample.battery_mv);
+        actions.emit(CapsuleEvent::Started {
+            actuation: self.actuation(),
+            kind,
+        });
+        // If the leg is already at its end, the motor is not even switched on.
+        self.supervise(now_us, actions);
+        self.govern(now_us);
+    }
+
+    /// The thread is taut down to here, if it is taut now.
+    pub(super) fn taut_to(&self) -> Thread {
+        Thread(self.thread().0.saturating_sub(TENSION_ZONE.0))
+    }
+}
