@@ -32,6 +32,9 @@ use protocol::{
 /// A motor whose bridge has failed runs out without a brake, for 0.3 s.
 const STANDS_US: u64 = 500_000;
 
+/// A line of the encoder that lies on its edge may flicker: that is no motion.
+const FLICKER: u32 = 2;
+
 /// The rest of the capsule, as control sees it.
 pub trait Capsule {
     /// Sets the bridge, or confirms what it is set to.
@@ -115,7 +118,8 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     fn keep(&mut self, at_us: u64, counts: Counts) {
         let (rests_at, since_us) = self.resting;
         let driven = self.machine.is_moving() || self.machine.drive() != Drive::Off;
-        if driven || counts != rests_at {
+        let moved = counts.since(rests_at).0.unsigned_abs() > FLICKER;
+        if driven || moved {
             self.resting = (counts, at_us);
             return;
         }

@@ -481,6 +481,26 @@ fn set(key: SettingKey, value: u32) -> Request {
 }
 
 /// What is in force is what the next start finds, and nothing is written while the motor may turn.
+/// A line of the encoder on its edge kept everything from being written, for ever.
+#[test]
+fn a_count_that_flickers_is_no_motion() {
+    let mut device = Device::ready();
+    for round in 0..1_000 {
+        device.counts += if round % 2 == 0 { 1 } else { -1 };
+        device.read();
+    }
+    let (key, value) = (SettingKey::EndForceMa, 120);
+    let set_to = Response::SetSetting(Setting { key, value });
+    assert_eq!(device.accepted(set(key, value)), set_to);
+    // A motor that turns on is.
+    for _ in 0..1_000 {
+        device.counts += 1;
+        device.read();
+    }
+    let refused = device.ask(set(key, 121));
+    assert!(matches!(refused, Reply::Refused(Refusal::CapsuleBusy(_))));
+}
+
 #[test]
 fn settings_are_kept_at_rest_and_refused_in_motion() {
     let mut device = Device::ready();

@@ -352,8 +352,10 @@ fn a_low_battery_is_latched_until_it_is_charged() {
         panic!("{:?}", sim.capsule.fault())
     };
     assert_fault(&sim, fault);
-    sim.plant.suffer(Defect::Battery(2_900.0));
-    sim.tick();
+    sim.plant.suffer(Defect::Battery(2_780.0));
+    for _ in 0..10 {
+        sim.tick();
+    }
     let refusal = sim.give(Event::Command(Command::Acknowledge)).refusal;
     assert_eq!(refusal, Some(Refusal::CauseStillPresent));
     sim.plant.suffer(Defect::Battery(3_900.0));
@@ -361,6 +363,28 @@ fn a_low_battery_is_latched_until_it_is_charged() {
     sim.order(Command::Acknowledge);
     assert_eq!(sim.capsule.state(), CapsuleState::Stopped);
     assert!(sim.capsule.referenced());
+}
+
+/// What strands a capsule in mid-fold must not keep it there.
+#[test]
+fn a_cell_that_is_too_low_for_a_fold_still_unfolds() {
+    let mut sim = nominal();
+    sim.run_past(Command::Fold, 15.0);
+    sim.plant.suffer(Defect::Battery(2_900.0));
+    sim.plant.suffer(Defect::Weak(5.0));
+    sim.settle();
+    let fault = sim.capsule.fault();
+    assert!(
+        matches!(fault, Some(CapsuleFault::LowBattery { .. })),
+        "{fault:?}"
+    );
+    sim.plant.suffer(Defect::Weak(0.8));
+    sim.run(Command::Acknowledge);
+    let refusal = sim.give(Event::Command(Command::Fold)).refusal;
+    assert!(matches!(refusal, Some(Refusal::BatteryLow { .. })));
+    sim.run(Command::Unfold);
+    assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
+    assert!(sim.plant.extremes_mm().0 >= 0.0);
 }
 
 #[test]

@@ -74,7 +74,7 @@ impl Capsule {
         }
         let min_mv = match kind {
             // Paying out takes little, and somebody may need it.
-            ActuationKind::Unfold => self.settings.least_battery_mv,
+            ActuationKind::Unfold => self.least_unfolding_mv(),
             _ => self.least_battery_mv(),
         };
         if self.sample.battery_mv < min_mv {
@@ -129,6 +129,11 @@ impl Capsule {
             .max(self.settings.least_battery_mv)
     }
 
+    /// The same to unfold only: an empty cell that strands a capsule in mid-fold still unfolds it.
+    pub(super) fn least_unfolding_mv(&self) -> u16 {
+        self.settings.loaded_battery_mv + RESERVE_MV
+    }
+
     /// The shunt amplifier shows a current at rest. Nothing it says under drive can then be relied on.
     pub(super) fn amplifier_fault(&self) -> Option<CapsuleFault> {
         let current_ma = self.sample.offset_ma.unsigned_abs();
@@ -144,9 +149,7 @@ impl Capsule {
             return Err(Refusal::NothingToAcknowledge);
         };
         let persists = match fault {
-            CapsuleFault::LowBattery { .. } => {
-                self.sample.battery_mv < self.settings.least_battery_mv
-            }
+            CapsuleFault::LowBattery { .. } => self.sample.battery_mv < self.least_unfolding_mv(),
             CapsuleFault::DriverFault => self.sample.driver_fault,
             CapsuleFault::OverCurrent { .. } | CapsuleFault::SenseLost => {
                 self.amplifier_fault().is_some()
