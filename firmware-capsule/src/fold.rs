@@ -38,7 +38,7 @@ use crate::{
     record::Recorder,
     settings::Settings,
 };
-use measures::{Drift, Mean, drawn_ma};
+use measures::{Drift, FRICTION_FORCE, Mean, drawn_ma};
 use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleFault, CapsuleState,
@@ -185,6 +185,9 @@ pub struct Capsule {
     zero: Counts,
     /// So much less thread than calibrated is believed to be wound at the folded end.
     spare: Thread,
+    /// So much later than calibrated the force has been felt: by another friction, or because the count has moved. Nothing
+    /// tells which, so an unfolding ends so much before zero.
+    doubt: Thread,
     sample: Sample,
     sample_us: u64,
     drive: Drive,
@@ -213,6 +216,7 @@ impl Capsule {
             mode: fault.map_or(Mode::Unreferenced, Mode::Faulted),
             referenced: false,
             spare: Thread(0),
+            doubt: Thread(0),
             zero: Counts(0),
             sample: Sample::default(),
             sample_us: 0,
@@ -515,22 +519,26 @@ impl Capsule {
             // The folded thread pulls as it did: back to where it was.
             Decision::Arrived if actuation.kind == ActuationKind::CheckFolded => {
                 match actuation.leg.spooling() {
-                    Spooling::PayOut => Leg::Wind {
-                        end,
-                        careful: true,
-                        short: Some(actuation.from),
-                    },
+                    Spooling::PayOut => {
+                        // Whatever the friction asks for.
+                        actuation.settings = self.settings.with_force(FRICTION_FORCE.1);
+                        Leg::Wind {
+                            end,
+                            careful: true,
+                            short: Some(actuation.from),
+                        }
+                    }
                     Spooling::Wind => {
                         self.end(now_us, Mode::Folded, ActuationOutcome::Complete, actions);
                         return Ok(());
                     }
                 }
             }
-            Decision::Arrived => {
+            Decision::Arrived if actuation.kind != ActuationKind::Unfold => {
                 self.end(now_us, Mode::Stopped, ActuationOutcome::Complete, actions);
                 return Ok(());
             }
-            Decision::Unfolded => {
+            Decision::Arrived | Decision::Unfolded => {
                 if actuation.found.is_some() {
                     actions.calibrated = self.calibration;
                 }
@@ -587,7 +595,7 @@ impl Capsule {
         let zero = self.sample.counts.back(believed.counts());
         self.recorder.zero_moved(self.zero.since(zero).thread());
         self.zero = zero;
-        self.drift = Drift::default();
+        (self.drift, self.doubt) = (Drift::default(), Thread(0));
         // A calibration counts only with its last part, the tension.
         self.referenced = purpose != Purpose::Calibrate;
         if matches!(purpose, Purpose::Check { .. }) {

@@ -10,7 +10,7 @@ use firmware_capsule::{
 };
 use plant::Simulation;
 use protocol::{
-    capsule::{ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState},
+    capsule::{ActuationOutcome, CapsuleFault, CapsuleState},
     error::{Field, Refusal},
 };
 
@@ -91,44 +91,18 @@ fn a_jam_under_way_is_a_jam() {
 
 /// A counter that loses 0.06 mm in each cycle has the zero somewhere else after a while. No single fold shows it.
 #[test]
-fn ends_that_wander_take_the_reference_away() {
+fn a_count_that_moves_pays_out_past_zero_no_more_than_another_friction() {
     let mut sim = Simulation::calibrated(Parameters::nominal(), 0);
-    let mut folds = 0;
-    let drifted = loop {
+    for cycle in 0..6 {
         sim.run(Command::Fold);
-        folds += 1;
-        let drifted = sim.events.iter().find_map(|event| match event {
-            CapsuleEvent::Drifted { by_um } => Some(*by_um),
-            _ => None,
-        });
-        if let Some(by_um) = drifted {
-            break by_um;
-        }
-        assert_eq!(sim.capsule.state(), CapsuleState::Folded);
-        assert!(folds < 8, "not noticed");
+        assert_eq!(sim.capsule.state(), CapsuleState::Folded, "cycle {cycle}");
         sim.run(Command::Unfold);
-        sim.board.miscount(50);
-    };
-    assert!(
-        (4..=7).contains(&folds) && (150..350).contains(&drifted),
-        "{folds}: {drifted}"
-    );
-    let record = sim.capsule.record();
-    assert_eq!(record.outcome, ActuationOutcome::Complete, "it is folded");
-    assert_eq!(sim.capsule.state(), CapsuleState::WasFolded);
-    let refused = sim.give(Event::Command(Command::Unfold)).refusal;
-    assert_eq!(refused, Some(Refusal::NotReferenced));
-    // A check finds the end, and with it the zero.
-    sim.run(Command::CheckFolded);
-    assert_eq!(sim.capsule.state(), CapsuleState::Folded);
-    sim.forget();
-    sim.run(Command::Unfold);
-    assert!(
-        sim.plant.wound_mm().abs() < 0.25,
-        "{}",
-        sim.plant.wound_mm()
-    );
-    assert!(sim.plant.extremes_mm().0 >= 0.0);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
+        let least_mm = sim.plant.extremes_mm().0;
+        assert!(least_mm >= -0.05, "cycle {cycle}: {least_mm} mm");
+        // 0.12 mm more than there is.
+        sim.board.miscount(100);
+    }
 }
 
 /// A healthy capsule folds the same way again and again.

@@ -7,7 +7,7 @@ use crate::{
     leg::Leg,
     mechanics::{MOST_NO_LOAD_MA, Thread},
 };
-use protocol::capsule::{CapsuleEvent, CapsuleFault};
+use protocol::capsule::{ActuationKind, CapsuleEvent, CapsuleFault};
 
 /// Sum and number of some currents.
 #[derive(Clone, Copy, Debug, Default)]
@@ -40,10 +40,12 @@ const LEAST_TENSION_MA: u32 = 15;
 const LEAST_PULL_PERCENT: u32 = 72;
 /// Half of the end force is felt earlier or later by no more than this because of friction.
 const FRICTION_SHIFT: Thread = Thread(1_200);
+/// By so much, um.
+const EARLIER_UM: i32 = 80;
 /// By so much the place scatters, um.
 const SCATTER_UM: i32 = 120;
 /// Least and most end force for its sake, in thousandths.
-const FRICTION_FORCE: (i32, i32) = (600, 1_350);
+pub(super) const FRICTION_FORCE: (i32, i32) = (600, 1_350);
 
 /// Where folds have ended since the zero was found.
 #[derive(Clone, Copy, Debug, Default)]
@@ -72,15 +74,22 @@ impl Capsule {
         else {
             return;
         };
-        let (Leg::Wind { end, .. }, Some(from)) = (actuation.leg, load.rise_from) else {
+        let (Leg::Wind { end, short, .. }, Some(from)) = (actuation.leg, load.rise_from) else {
             return;
         };
+        // A check of a folded capsule begins beyond that place.
+        if actuation.kind == ActuationKind::CheckFolded && short.is_some() {
+            return;
+        }
         let rise_um = calibration.rise.0.max(1);
         let later_um = from.since(self.zero).thread().0 - (end.0 - rise_um);
+        // A fast fold feels it a little earlier than the slow calibration.
+        self.doubt = Thread((later_um + EARLIER_UM).clamp(0, FRICTION_SHIFT.0));
         actuation.settings = if later_um.abs() <= FRICTION_SHIFT.0 {
-            // What is less than the scatter of the place is none. ln 2 of the force in each rise.
-            let scatter = later_um.clamp(-SCATTER_UM, SCATTER_UM);
-            let less = 693 * (later_um - scatter) / rise_um;
+            // What is less than the scatter of the place is none, and from twice of it on all of it counts. ln 2 of the force in each rise.
+            let beyond_um = later_um - later_um.clamp(-SCATTER_UM, SCATTER_UM);
+            let counted_um = later_um.abs().min(2 * beyond_um.abs()) * later_um.signum();
+            let less = 693 * counted_um / rise_um;
             let (least, most) = FRICTION_FORCE;
             self.settings.with_force((1_000 - less).clamp(least, most))
         } else {

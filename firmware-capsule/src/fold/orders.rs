@@ -194,7 +194,7 @@ impl Capsule {
             short,
         };
         let leg = match (kind, self.folded_end()) {
-            (ActuationKind::Unfold, _) => pay_out(Thread(0)),
+            (ActuationKind::Unfold, _) => pay_out(self.doubt),
             (ActuationKind::FoldTo, _) if target < self.thread() => pay_out(target),
             (ActuationKind::FoldTo, Some(end)) => wind(end, false, Some(target)),
             (ActuationKind::Fold, Some(end)) => wind(end, false, None),
