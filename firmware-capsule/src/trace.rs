@@ -1,14 +1,12 @@
-//! The present or last motion, reading by reading: the last two seconds of it, at 1 kHz. A fault keeps what led to it.
+//! The present or last motion, reading by reading: the last 2.8 s of it, at 1 kHz. A fault keeps what led to it.
 
 use crate::{
     detect::Sample,
     fold::Drive,
     mechanics::{Counts, Thread},
 };
-use protocol::capsule::{GetTrace, MAX_TRACE_POINTS, Trace, TracePoint};
+use protocol::capsule::{GetTrace, KEPT_TRACE_POINTS, MAX_TRACE_POINTS, Trace, TracePoint};
 
-/// Readings that are kept. A fold is shorter; of a reference run the last two seconds are kept.
-const KEPT: usize = 2_000;
 /// Resolution of the battery's voltage, and its origin.
 const BATTERY_STEP_MV: u16 = 10;
 const BATTERY_FROM_MV: u16 = 2_000;
@@ -29,7 +27,7 @@ struct Packed {
 pub struct Recording {
     actuation: u32,
     origin: Counts,
-    points: [Packed; KEPT],
+    points: [Packed; KEPT_TRACE_POINTS],
     count: usize,
     next: usize,
 }
@@ -46,7 +44,7 @@ impl Recording {
         Self {
             actuation: 0,
             origin: Counts(0),
-            points: [NONE; KEPT],
+            points: [NONE; KEPT_TRACE_POINTS],
             count: 0,
             next: 0,
         }
@@ -71,17 +69,17 @@ impl Recording {
             battery: u8::try_from(battery).unwrap_or(u8::MAX),
             drive: (drive_mv / DRIVE_STEP_MV).clamp(i8::MIN.into(), i8::MAX.into()) as i8,
         };
-        self.next = (self.next + 1) % KEPT;
-        self.count = (self.count + 1).min(KEPT);
+        self.next = (self.next + 1) % KEPT_TRACE_POINTS;
+        self.count = (self.count + 1).min(KEPT_TRACE_POINTS);
     }
 
     /// Some of it, with the thread counted from `zero`.
     pub fn part(&self, get: &GetTrace, zero: Counts) -> Trace {
         let from = usize::try_from(get.from).unwrap_or(usize::MAX);
         let last = self.count.min(from.saturating_add(MAX_TRACE_POINTS));
-        let oldest = (self.next + KEPT - self.count) % KEPT;
+        let oldest = (self.next + KEPT_TRACE_POINTS - self.count) % KEPT_TRACE_POINTS;
         let points = (from..last).map(|index| {
-            let packed = &self.points[(oldest + index) % KEPT];
+            let packed = &self.points[(oldest + index) % KEPT_TRACE_POINTS];
             let Thread(thread_um) = Counts(self.origin.0.wrapping_add(packed.counts.into()))
                 .since(zero)
                 .thread();

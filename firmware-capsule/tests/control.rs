@@ -20,7 +20,7 @@ use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, Calibrate, CapsuleEvent, CapsuleFault, CapsuleState,
         CapsuleTelemetry, CapsuleTotals, Fold, GetCapsuleStatus, GetCapsuleTotals, GetTrace,
-        Reference,
+        KEPT_TRACE_POINTS, Reference,
     },
     error::Refusal,
     rig,
@@ -455,12 +455,12 @@ fn a_motion_is_recorded_reading_by_reading() {
     assert_eq!((last.current_ma, last.battery_mv), (16, 3_900));
     assert!(last.drive_mv > 0 && last.thread_um > 200, "{last:?}");
     assert!(points.is_sorted_by_key(|point| point.thread_um));
-    // A long one keeps its last two seconds.
-    for _ in 0..2_500 {
+    // A long one keeps its end.
+    for _ in 0..KEPT_TRACE_POINTS + 500 {
         device.read();
     }
     match device.accepted(Request::GetTrace(GetTrace { from: 0 })) {
-        Response::GetTrace(trace) => assert_eq!(trace.total, 2_000),
+        Response::GetTrace(trace) => assert_eq!(usize::from(trace.total), KEPT_TRACE_POINTS),
         other => panic!("{other:?}"),
     }
 }

@@ -321,7 +321,7 @@ fn moves(state: CapsuleState) -> bool {
 pub struct Recorded {
     /// Number of the actuation; 0 if there was none.
     pub actuation: u32,
-    /// The last 2,000 readings.
+    /// The last [`protocol::capsule::KEPT_TRACE_POINTS`] readings.
     pub points: Vec<capsule::TracePoint>,
 }
 

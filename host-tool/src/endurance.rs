@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
-use protocol::capsule::{ActuationOutcome, ActuationRecord, GetTrace};
+use protocol::capsule::{ActuationOutcome, ActuationRecord, GetTrace, KEPT_TRACE_POINTS};
 use serde::Serialize;
 
 use crate::client::{Device, Observer};
@@ -17,8 +17,6 @@ use crate::writer::replace;
 
 /// Thread that is slack in a fold from the unfolded end, the motor at its speed; the firmware measures there, too, um.
 const SLACK_UM: std::ops::Range<i32> = 800..2_200;
-/// A recording that is as long has lost its first readings.
-const WHOLE_RECORDING: usize = 2_000;
 
 /// One pair. Lengths are thread from the zero, as the capsule counts it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -295,7 +293,7 @@ fn over_the_slack(capsule: &mut Device, actuation: u32) -> Result<Vec<[f64; 3]>,
     let mut from = 0;
     loop {
         let part = capsule.call(GetTrace { from })?;
-        if part.actuation != actuation || usize::from(part.total) >= WHOLE_RECORDING {
+        if part.actuation != actuation || usize::from(part.total) >= KEPT_TRACE_POINTS {
             return Ok(vec![]);
         }
         for (time_ms, point) in (from..).zip(&part.points) {
@@ -316,7 +314,7 @@ fn over_the_slack(capsule: &mut Device, actuation: u32) -> Result<Vec<[f64; 3]>,
         if part.points.is_empty() {
             return Ok(readings);
         }
-        // At most 2,000.
+        // No more than the capsule keeps.
         from += part.points.len() as u32;
     }
 }

@@ -70,7 +70,7 @@ pub fn write(
     for (index, point) in points.iter().enumerate() {
         let force = no_load_ma.and_then(|no_load_ma| force_n(points, index, no_load_ma));
         csv.serialize(Row {
-            // At most 2,000 readings.
+            // No more than the capsule keeps.
             time_ms: index as u32,
             thread_um: point.thread_um,
             current_ma: point.current_ma,

@@ -231,6 +231,9 @@ pub struct GetTrace {
 /// Most readings in one part of a recording.
 pub const MAX_TRACE_POINTS: usize = 13;
 
+/// Readings of an actuation that the capsule keeps, 1 ms apart: those of a whole fold at the default speed, with a margin.
+pub const KEPT_TRACE_POINTS: usize = 2_800;
+
 /// One reading of a recording; 1 ms apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -245,7 +248,7 @@ pub struct TracePoint {
     pub drive_mv: i16,
 }
 
-/// A part of the recording of an actuation: its last 2,000 readings.
+/// A part of the recording of an actuation: its last [`KEPT_TRACE_POINTS`] readings.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Trace {

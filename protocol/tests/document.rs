@@ -607,7 +607,7 @@ fn every_field_of_a_request_has_its_range_written_down() {
 #[test]
 fn the_constants_are_those_of_the_code() {
     let key = SCHEMA_KEY;
-    let constants: [(&str, String, &str); 12] = [
+    let constants: [(&str, String, &str); 13] = [
         (
             "version",
             format!("{}.{}", VERSION.major, VERSION.minor),
@@ -647,6 +647,11 @@ fn the_constants_are_those_of_the_code() {
             "readings per reply",
             protocol::capsule::MAX_TRACE_POINTS.to_string(),
             "of `GetTrace`, at most",
+        ),
+        (
+            "readings kept",
+            protocol::capsule::KEPT_TRACE_POINTS.to_string(),
+            "of an actuation (`KEPT_TRACE_POINTS`), 1 ms apart; of a longer one the last",
         ),
         ("longest name", format!("{MAX_NAME} bytes"), "of a rig"),
         (

@@ -44,6 +44,8 @@ pub struct Bench {
     pub folder: tempfile::TempDir,
     /// Number of connections so far, on TCP.
     pub connections: Arc<Mutex<u32>>,
+    /// The machine is switched off with the last of these.
+    power: Arc<()>,
 }
 
 impl Bench {
@@ -121,10 +123,12 @@ impl Bench {
     ) -> Self {
         let kind = script.kind;
         let (mut machine, log) = Machine::new(script.clone());
+        let power = Arc::new(());
+        let on = Arc::downgrade(&power);
         thread::spawn(move || {
             let mut pace = Pace::new(speed);
             let mut bytes = [0; 256];
-            loop {
+            while on.strong_count() > 0 {
                 let now_us = pace.now_us();
                 let given = machine.give(now_us);
                 let count = carry(&given, &mut bytes);
@@ -142,6 +146,7 @@ impl Bench {
             log,
             folder,
             connections,
+            power,
         }
     }
 
