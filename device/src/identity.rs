@@ -1,5 +1,6 @@
 //! What a device says of itself.
 
+use crate::retained::Retained;
 use protocol::{
     VERSION,
     system::{BuildProfile, DeviceKind, Identity, ResetCause, Revision},
@@ -40,11 +41,13 @@ pub fn identity(
     }
 }
 
-/// Why the device started, when last words tell more than the chip's flags: it resets itself after a panic.
+/// Why the device started, when the previous start tells more than the chip's flags: it resets itself after a panic, and to
+/// take its own place.
 #[must_use]
-pub fn reset_cause(by_flags: ResetCause, has_last_words: bool) -> ResetCause {
-    match by_flags {
-        ResetCause::Software if has_last_words => ResetCause::Panic,
-        cause => cause,
+pub fn reset_cause(by_flags: ResetCause, left: &Retained) -> ResetCause {
+    match (by_flags, left.cause) {
+        (ResetCause::Software, Some(cause)) => cause,
+        (ResetCause::Software, None) if left.last_words.is_some() => ResetCause::Panic,
+        (cause, _) => cause,
     }
 }

@@ -5,6 +5,7 @@
 
 use crate::last_words::{LONGEST, LastWords};
 use heapless::String;
+use protocol::system::ResetCause;
 
 /// Words of RAM that keep their content over a reset; any bit pattern is valid.
 pub trait Words {
@@ -15,7 +16,7 @@ pub trait Words {
 }
 
 /// How many words are used.
-pub const WORDS: usize = CLOCK + 1;
+pub const WORDS: usize = CAUSE + 1;
 
 const MAGIC: u32 = 0x5245_5430;
 const LATCHED_LOOP: u32 = MAGIC ^ 1;
@@ -30,6 +31,16 @@ const LENGTH: usize = 4;
 const CHECK: usize = 5;
 const TEXT: usize = 6;
 const CLOCK: usize = TEXT + LONGEST;
+const CAUSE: usize = CLOCK + 1;
+
+/// The causes that are kept for the next start, each as [`MAGIC`] plus its place and one.
+const CAUSES: [ResetCause; 5] = [
+    ResetCause::PowerOn,
+    ResetCause::Pin,
+    ResetCause::Panic,
+    ResetCause::Watchdog,
+    ResetCause::Software,
+];
 
 /// An emergency stop that stays latched over a reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,6 +62,8 @@ pub struct Retained {
     pub latched: Option<EStop>,
     /// The clock stopped, and that ended the previous start; told once.
     pub clock_failed: bool,
+    /// Why the previous start began, if this one only takes its place; told once.
+    pub cause: Option<ResetCause>,
 }
 
 /// Takes what the previous start left, and counts this one.
@@ -60,10 +73,13 @@ pub fn start(words: &mut impl Words) -> Retained {
     } else {
         words.set(LATCHED, 0);
         words.set(CLOCK, 0);
+        words.set(CAUSE, 0);
         1
     };
     let clock_failed = words.get(CLOCK) == MAGIC;
     words.set(CLOCK, 0);
+    let place = words.get(CAUSE).wrapping_sub(MAGIC + 1);
+    words.set(CAUSE, 0);
     let length = (words.get(LENGTH) as usize).min(LONGEST);
     let told = words.get(TEXT_MAGIC) == MAGIC && words.get(CHECK) == check(words, length);
     let last_words = told.then(|| {
@@ -83,7 +99,21 @@ pub fn start(words: &mut impl Words) -> Retained {
         last_words,
         latched,
         clock_failed,
+        cause: CAUSES.get(place as usize).copied(),
     }
+}
+
+/// Leaves to the next start what was left to this one, and why this one began: it could do nothing yet, and the next one takes
+/// its place. An E-stop is still kept.
+pub fn leave_again(words: &mut impl Words, left: &Retained, cause: ResetCause) {
+    if left.clock_failed {
+        keep_clock_failed(words);
+    }
+    if let Some(text) = &left.last_words {
+        keep_last_words(words, text.as_bytes());
+    }
+    let place = CAUSES.iter().position(|kept| *kept == cause);
+    words.set(CAUSE, place.map_or(0, |place| MAGIC + 1 + place as u32));
 }
 
 /// Keeps for the next start that the clock stopped.

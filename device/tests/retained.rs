@@ -5,7 +5,8 @@ use device::{
     identity::reset_cause,
     last_words::{Draft, LONGEST},
     retained::{
-        EStop, Retained, WORDS, Words, keep_clock_failed, keep_last_words, keep_latched, start,
+        EStop, Retained, WORDS, Words, keep_clock_failed, keep_last_words, keep_latched,
+        leave_again, start,
     },
 };
 use proptest::prelude::*;
@@ -44,6 +45,7 @@ fn starts_are_counted_from_one() {
             last_words: None,
             latched: None,
             clock_failed: false,
+            cause: None,
         };
         assert_eq!(start(&mut ram), left);
     }
@@ -102,10 +104,46 @@ fn last_words_are_told_once() {
 #[test]
 fn only_a_reset_by_itself_with_last_words_is_a_panic() {
     use ResetCause::*;
+    let silent = start(&mut Ram::blank());
+    let mut ram = Ram::blank();
+    keep_last_words(&mut ram, b"oh");
+    let told = start(&mut ram);
     for cause in [PowerOn, Pin, Panic, Watchdog, Software] {
-        assert_eq!(reset_cause(cause, false), cause);
+        assert_eq!(reset_cause(cause, &silent), cause);
         let expected = if cause == Software { Panic } else { cause };
-        assert_eq!(reset_cause(cause, true), expected);
+        assert_eq!(reset_cause(cause, &told), expected);
+    }
+}
+
+/// A start that makes room for the next one leaves it everything: words, E-stop, failed clock, and its own cause. Once.
+#[test]
+fn a_start_that_takes_the_place_of_another_is_told_what_that_one_was() {
+    use ResetCause::*;
+    for cause in [PowerOn, Pin, Panic, Watchdog, Software] {
+        for (words, estop, failed) in [(true, None, true), (false, Some(EStop::Loop), false)] {
+            let mut ram = Ram::blank();
+            start(&mut ram);
+            keep_latched(&mut ram, estop);
+            if words {
+                keep_last_words(&mut ram, b"oh");
+            }
+            if failed {
+                keep_clock_failed(&mut ram);
+            }
+            let before = start(&mut ram);
+            leave_again(&mut ram, &before, cause);
+            let after = start(&mut ram);
+            let expected = Retained {
+                boot_id: before.boot_id + 1,
+                cause: Some(cause),
+                ..before
+            };
+            assert_eq!(after, expected);
+            assert_eq!(reset_cause(Software, &after), cause);
+            // Another reset came in between: that one is the cause.
+            assert_eq!(reset_cause(Watchdog, &after), Watchdog);
+            assert_eq!(start(&mut ram).cause, None);
+        }
     }
 }
 
@@ -147,7 +185,7 @@ fn the_layout_stays() {
     assert_eq!(ram.0[6..22], letters);
     keep_latched(&mut ram, Some(EStop::Frame));
     assert_eq!(ram.0[2], 0x5245_5432);
-    assert_eq!(WORDS, 127);
+    assert_eq!(WORDS, 128);
 }
 
 proptest! {
@@ -166,7 +204,7 @@ proptest! {
     #[test]
     fn a_ram_of_noise_says_nothing(noise in prop::collection::vec(any::<u32>(), WORDS)) {
         let mut ram = Ram(noise);
-        let first = Retained { boot_id: 1, last_words: None, latched: None, clock_failed: false };
+        let first = Retained { boot_id: 1, last_words: None, latched: None, clock_failed: false, cause: None };
         prop_assert_eq!(start(&mut ram), first);
         prop_assert_eq!(start(&mut ram).boot_id, 2);
     }
@@ -207,7 +245,7 @@ proptest! {
     ) {
         let mut ram = Ram::blank();
         keep_last_words(&mut ram, words.as_bytes());
-        let text = WORDS - LONGEST - 1; // one word lies behind the text
+        let text = WORDS - LONGEST - 2; // two words lie behind the text
         let index = text + place.index(words.len());
         prop_assert_eq!(ram.0[index], u32::from(words.as_bytes()[index - text]));
         ram.0[index] ^= 1 << bit;

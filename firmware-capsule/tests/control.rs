@@ -92,6 +92,7 @@ const FRESH: Retained = Retained {
     last_words: None,
     latched: None,
     clock_failed: false,
+    cause: None,
 };
 
 struct Device {

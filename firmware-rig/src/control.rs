@@ -9,7 +9,6 @@ use crate::{
 };
 use device::{
     common::{About, Effect, Surroundings},
-    last_words::LastWords,
     retained::{EStop, Retained},
     service::Answers,
     settings::SettingsStore,
@@ -53,6 +52,10 @@ pub trait Rig {
     fn set_position(&mut self, position: StepPosition);
     /// Sets how long a switch must keep its level, us.
     fn set_switch_filter(&mut self, filter_us: u32);
+    /// The clock that was missed at the start has come.
+    fn clock_has_come(&self) -> bool;
+    /// Starts again with the clock; the next start tells what was left to this one, and why this one began.
+    fn start_again(&mut self, left: &Retained, cause: ResetCause);
 }
 
 /// What telemetry and the LED show of the state machine.
@@ -72,7 +75,8 @@ pub struct Control<R: Rig + Surroundings, F: NorFlash> {
     machine: Machine,
     settings: SettingsStore<F>,
     events: EventRing,
-    last_words: LastWords,
+    left: Retained,
+    reset_cause: ResetCause,
     image_hash: u32,
     underruns: u32,
     /// When the last round was due, and by how much one was late at most.
@@ -100,7 +104,8 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
             machine: Machine::new(settings, fault, image_hash),
             settings: store,
             events: EventRing::new(),
-            last_words: left.last_words.unwrap_or_default(),
+            left,
+            reset_cause,
             image_hash,
             underruns: 0,
             round_us,
@@ -176,8 +181,12 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         }
     }
 
-    /// Every 10 ms: button, time-outs, the E-stop loop at rest.
+    /// Every 10 ms: button, time-outs, the E-stop loop at rest, a clock that is missed.
     pub fn tick(&mut self) {
+        // Nothing moves without it, so nothing is lost.
+        if self.machine.fault() == Some(RigFault::ClockMissing) && self.rig.clock_has_come() {
+            self.rig.start_again(&self.left, self.reset_cause);
+        }
         let now = self.rig.now();
         self.round_us += ROUND_US;
         let late_us = now.time_us.saturating_sub(self.round_us);
@@ -270,7 +279,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
             stroke: self.rig.stroke(),
             about: About {
                 events: &self.events,
-                last_words: &self.last_words,
+                last_words: self.left.last_words.as_deref().unwrap_or_default(),
                 chip: self.rig.chip(),
             },
             values: self.settings.values(),

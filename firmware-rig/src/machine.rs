@@ -482,7 +482,7 @@ impl Machine {
         };
         let present = match fault {
             RigFault::EStopLoop if inputs.estop_loop => true,
-            // It is looked for at a start.
+            // When it comes, the rig starts again.
             RigFault::ClockMissing => true,
             // No carriage is at both ends: whatever the fault was, the switches' cable is unplugged.
             _ => inputs.home_flag && inputs.far_limit,

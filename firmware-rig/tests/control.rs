@@ -80,6 +80,8 @@ struct Board {
     filters_us: Vec<u32>,
     latched: Vec<Option<EStop>>,
     cuts: u32,
+    clock_has_come: bool,
+    started_again: Vec<(Retained, ResetCause)>,
 }
 
 impl Surroundings for Board {
@@ -153,6 +155,14 @@ impl control::Rig for Board {
     fn set_switch_filter(&mut self, filter_us: u32) {
         self.filters_us.push(filter_us);
     }
+
+    fn clock_has_come(&self) -> bool {
+        self.clock_has_come
+    }
+
+    fn start_again(&mut self, left: &Retained, cause: ResetCause) {
+        self.started_again.push((left.clone(), cause));
+    }
 }
 
 /// The rig from its start on.
@@ -167,6 +177,7 @@ const FRESH: Retained = Retained {
     last_words: None,
     latched: None,
     clock_failed: false,
+    cause: None,
 };
 
 impl Bench {
@@ -194,6 +205,8 @@ impl Bench {
             filters_us: Vec::new(),
             latched: Vec::new(),
             cuts: 0,
+            clock_has_come: false,
+            started_again: Vec::new(),
         };
         // Control starts when the chip has been running for a while.
         board.carriage.now = 123_456;
@@ -1095,6 +1108,34 @@ fn a_missing_clock_is_a_fault_that_nothing_clears() {
             Refusal::CauseStillPresent
         );
         bench.accepted(Request::SetTelemetry(SetTelemetry { period_ms: 5 }));
+    }
+}
+
+/// The clock that was missed comes: one new start, with all that this one was left. Another clock's state makes none.
+#[test]
+fn a_clock_that_comes_starts_the_rig_again() {
+    let left = Retained {
+        clock_failed: true,
+        ..FRESH
+    };
+    for (clock, fault) in [
+        (system::Clock::Internal, RigFault::ClockMissing),
+        (system::Clock::External, RigFault::ClockFailed),
+    ] {
+        let cause = ResetCause::Software;
+        let mut bench = Bench::start_with(Flash::blank(), left.clone(), cause, |board| {
+            board.clock = clock;
+        });
+        bench.control.tick();
+        assert_eq!(bench.status().fault, Some(fault));
+        assert_eq!(bench.board().started_again, []);
+        bench.board().clock_has_come = true;
+        bench.control.tick();
+        let again = match clock {
+            system::Clock::Internal => vec![(left.clone(), cause)],
+            system::Clock::External => vec![],
+        };
+        assert_eq!(bench.board().started_again, again);
     }
 }
 

@@ -239,7 +239,7 @@ impl fmt::Display for RigFault {
             RigFault::Watchdog => f.write_str("a task hung and the watchdog reset the device: acknowledge, then home"),
             RigFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then home"),
             RigFault::ClockMissing => f.write_str(
-                "the board gets no 8 MHz clock from its ST-LINK, and without it nothing moves: check jumpers JP5 and JP1 and bridges SB16 and SB50 (a board MB1136 C-01 lacks them), then reset",
+                "the board gets no 8 MHz clock from its ST-LINK, and without it nothing moves: check jumpers JP5 and JP1 and bridges SB16 and SB50 (a board MB1136 C-01 lacks them); when the clock comes the rig starts again by itself",
             ),
             RigFault::ClockFailed => f.write_str(
                 "the 8 MHz clock from the ST-LINK stopped: feed board and ST-LINK so that they outlive the USB cable, acknowledge, home",

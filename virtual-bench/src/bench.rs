@@ -173,10 +173,10 @@ impl<W: Wiring> Visit<'_, W> {
         self.session.board_mut().set_supply_mv(millivolts);
     }
 
-    /// The 8 MHz clock from the ST-LINK stops. After a reset it comes back or not.
-    pub fn fail_hse(&mut self, comes_back: bool) {
+    /// The 8 MHz clock from the ST-LINK stops, and comes back after so long, or never.
+    pub fn fail_hse(&mut self, back_after_ns: Option<u64>) {
         let at = self.stop.at;
-        self.session.board_mut().fail_hse(at, comes_back);
+        self.session.board_mut().fail_hse(at, back_after_ns);
     }
 
     /// Keeps the processor from executing anything for a while. Timers and DMA go on.

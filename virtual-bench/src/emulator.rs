@@ -27,7 +27,7 @@ use rigless::mcu::Mcu;
 use rigless::session::Session;
 use rigless::snapshot::Store;
 use rigless::soc::stm32f427::Stm32f427;
-use rigless::soc::stm32f427::generated::{flash, gpioa, rcc, tim1};
+use rigless::soc::stm32f427::generated::{flash, gpioa, tim1};
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin as PortPin};
 use rigless::soc::stm32f427::peripherals::rcc::Rcc;
 use rigless::soc::stm32f427::peripherals::tim::{Advanced, General, Tim};
@@ -129,6 +129,7 @@ pub struct Pads<'a> {
     tim3: &'a mut Watched<General>,
     tim2: &'a mut Quiet,
     tim5: &'a mut Quiet,
+    rcc: &'a Clocked,
     exti: &'a mut Exti,
     slots: Slots,
     at: VirtualNanos,
@@ -229,7 +230,7 @@ impl Pads<'_> {
     #[must_use]
     pub fn hse_is_on(&self) -> bool {
         let registers = self.part.bus().slots()[self.slots.rcc].registers();
-        (registers.get(rcc::Register::Cr) >> 16) & 1 == 1
+        self.rcc.is_switched_on(registers)
     }
 
     /// TIM3's output `channel` now.
@@ -405,7 +406,7 @@ impl<W: Wiring> Chip<W> {
             tim1: Watched::new(hollow_advanced(), &[1, 3], !options.every_event),
             tim3: Watched::new(hollow_general(TIM3), &[1, 2], false),
             dma2: Paced::new(map::hollow_controller(), None),
-            rcc: Clocked::new(hollow_clocks(), true),
+            rcc: Clocked::new(hollow_clocks(), None),
             options,
             part,
             exti: Exti::default(),
@@ -429,7 +430,8 @@ impl<W: Wiring> Chip<W> {
         part.dma = [dma1, map::hollow_controller()];
         self.dma2 = Paced::new(dma2, self.options.burst);
         let rcc = std::mem::replace(&mut part.rcc, hollow_clocks());
-        self.rcc = Clocked::new(rcc, self.options.has_hse);
+        let from = self.options.hse_after_ns.map(VirtualNanos);
+        self.rcc = Clocked::new(rcc, from);
         let tim1 = std::mem::replace(&mut part.advanced[TIM1], hollow_advanced());
         let tim3 = std::mem::replace(&mut part.tim[TIM3], hollow_general(TIM3));
         for (quiet, nth) in [(&mut self.tim2, TIM2), (&mut self.tim5, TIM5)] {
@@ -471,6 +473,7 @@ impl<W: Wiring> Chip<W> {
                 tim3: &mut self.tim3,
                 tim2: &mut self.tim2,
                 tim5: &mut self.tim5,
+                rcc: &self.rcc,
                 exti: &mut self.exti,
                 slots: self.slots,
                 at,
@@ -625,8 +628,8 @@ pub struct ChipOptions {
     pub uid: [u8; 12],
     /// How long the bursts of the step timer take; none = no time, which is quicker to emulate.
     pub burst: Option<Beats>,
-    /// The 8 MHz clock from the ST-LINK is there.
-    pub has_hse: bool,
+    /// How long after power-up the 8 MHz clock from the ST-LINK comes, ns; never without.
+    pub hse_after_ns: Option<u64>,
     /// How long an erase takes, ns; not less than the emulator's 250 ms.
     pub erase_ns: u64,
     /// The emulator stops for every event of every timer, whether anybody may notice it or not. Only slower.
@@ -640,7 +643,7 @@ impl Default for ChipOptions {
             instructions_per_second: 65_000_000,
             uid: *b"virtual rig\0",
             burst: None,
-            has_hse: true,
+            hse_after_ns: Some(0),
             erase_ns: 0,
             every_event: false,
         }
@@ -764,11 +767,12 @@ impl<W: Wiring> Emulator<W> {
         supply(&mut self.chip.part, millivolts);
     }
 
-    /// The 8 MHz clock stops. After a reset it comes back or not.
-    pub(crate) fn fail_hse(&mut self, at: VirtualNanos, comes_back: bool) {
+    /// The 8 MHz clock stops, and comes back after so long, or never.
+    pub(crate) fn fail_hse(&mut self, at: VirtualNanos, back_after_ns: Option<u64>) {
         let chip = &mut self.chip;
-        chip.options.has_hse = comes_back;
-        chip.rcc.set_present(comes_back);
+        chip.options.hse_after_ns = back_after_ns.map(|ns| at.0 + ns);
+        chip.rcc
+            .set_from(chip.options.hse_after_ns.map(VirtualNanos));
         let (registers, mut context) = chip.part.bus_mut().drive(at, chip.slots.rcc);
         chip.rcc.rcc.fail_hse(registers, &mut context);
     }

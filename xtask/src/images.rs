@@ -77,6 +77,10 @@ pub(crate) fn build() -> Result<()> {
     check()
 }
 
+/// A reset stays a reset while the log is open. By default `probe-rs run` halts the core at each one and at each processor fault:
+/// the reset button, a panic and the watchdog would then leave the machine standing.
+const KEEP_RESETS: [&str; 2] = ["--no-catch-reset", "--no-catch-hardfault"];
+
 /// Builds all images and flashes one of them: the same file that the bench tests.
 ///
 /// # Errors
@@ -87,8 +91,9 @@ pub(crate) fn flash(machine: &str) -> Result<()> {
     run(
         Command::new("probe-rs")
             .args(["run", "--chip", image.chip])
+            .args(KEEP_RESETS)
             .arg(path_of(image)),
-        "install probe-rs (https://probe.rs), connect the board by USB; `probe-rs list` shows it",
+        "install probe-rs 0.28 or later (https://probe.rs), connect the board by USB; `probe-rs list` shows it",
     )
 }
 
@@ -185,4 +190,20 @@ fn path_of(image: &Image) -> PathBuf {
         .join(TARGET)
         .join("firmware")
         .join(image.name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `cargo run` on an image flashes it the same way.
+    #[test]
+    fn the_runner_keeps_resets_too() {
+        let config = include_str!("../../.cargo/config.toml");
+        let runner = config.lines().find(|line| line.starts_with("runner"));
+        let runner = runner.expect("a runner for the images");
+        for flag in KEEP_RESETS {
+            assert!(runner.contains(flag), "{runner} lacks {flag}");
+        }
+    }
 }

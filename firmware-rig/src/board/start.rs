@@ -26,7 +26,7 @@ async fn main(spawner: Spawner) {
     let left = retained::start();
     let board = pins::init();
     HOME_FLAG_OPEN.store(pins::inputs().home_flag, Ordering::Relaxed);
-    let cause = reset_cause(start::reset_cause(), left.last_words.is_some());
+    let cause = reset_cause(start::reset_cause(), &left);
     let identity = identity(DeviceKind::Rig, start::uid(), left.boot_id, cause);
     defmt::info!("rig, start {=u32}, {}", left.boot_id, cause);
     let (transmitter, receiver) = board.serial;

@@ -13,6 +13,7 @@ use core::sync::atomic::Ordering;
 use device::{
     chip::{
         channels::{BAD_FRAMES, REPLIES, REQUESTS, UART_ERRORS, UNSENT_FRAMES},
+        clock,
         flash::Sectors,
         image, link,
         surroundings::OnChip,
@@ -148,6 +149,15 @@ impl control::Rig for Rig {
 
     fn set_switch_filter(&mut self, filter_us: u32) {
         SWITCH_FILTER_US.store(filter_us, Ordering::Relaxed);
+    }
+
+    fn clock_has_come(&self) -> bool {
+        clock::external_clock_has_come()
+    }
+
+    fn start_again(&mut self, left: &Retained, cause: ResetCause) {
+        defmt::info!("the 8 MHz clock has come");
+        clock::start_again(left, cause)
     }
 }
 

@@ -535,7 +535,7 @@ fn an_enable_without_pull_up_is_named() {
 #[test]
 fn a_missing_clock_is_named() {
     let mut options = BenchOptions::new(rig::image());
-    options.chip.has_hse = false;
+    options.chip.hse_after_ns = None;
     let bench = Bench::start(RigBoard::new(Rig::new(short())), options).expect("the image boots");
     is_named(bench, &[], "clock", "the board gets no 8 MHz clock");
 }

@@ -7,6 +7,7 @@ mod campaign;
 mod capsule;
 mod capsule_settings;
 mod cli;
+mod clock;
 mod commission;
 mod coordination;
 mod edge_timing;

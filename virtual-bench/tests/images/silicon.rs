@@ -390,7 +390,7 @@ fn with_chip(change: impl FnOnce(&mut ChipOptions)) -> RigRun {
 /// Item 2: a board without the ST-LINK's clock answers, says what is missing, and moves nothing.
 #[test]
 fn a_rig_without_its_clock_says_so() {
-    let mut rig = with_chip(|chip| chip.has_hse = false);
+    let mut rig = with_chip(|chip| chip.hse_after_ns = None);
     assert!(
         rig.bench.now_ns() < 1_000_000_000,
         "it answers within a second"
@@ -431,7 +431,7 @@ fn a_clock_that_stops_ends_the_run_and_is_named() {
         rig.idle(500_000);
         let edges = rig.edge_count();
         rig.bench
-            .visit(move |visit| visit.fail_hse(comes_back))
+            .visit(move |visit| visit.fail_hse(comes_back.then_some(0)))
             .expect("the bench runs");
         rig.bench.advance_us(1_000_000).expect("the bench runs");
         assert!(

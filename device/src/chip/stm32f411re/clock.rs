@@ -1,26 +1,33 @@
-//! An external clock: one that may not come, and one that stops.
+//! An external clock: one that may not come, or come late, and one that stops.
 
 use super::super::{
     retained::Ram,
     start::{WATCHDOG_US, feed, init_clearing_stale_flags},
 };
-use crate::retained::keep_clock_failed;
+use crate::retained::{Retained, keep_clock_failed, leave_again};
 use embassy_stm32::{Config, pac};
+use protocol::system::ResetCause;
 
-/// The external clock has this long to come, ms: the ST-LINK has to start first.
+/// So long is the external clock waited for before the link is served without it, ms. From its USB the ST-LINK has started by
+/// then. From an outer supply it may take seconds.
 const CLOCK_MS: u32 = 300;
 /// The oscillator that a reset begins with, kHz.
 const RESET_KHZ: u32 = 16_000;
 
 /// Starts the watchdog and then the HAL with `external` clocks, or with `internal` ones where the external clock does
-/// not come. A clock that stops later breaks TIM1, which ends all pulses, and raises the NMI (RM0383 section 6.2.7).
+/// not come; it stays switched on, and [`external_clock_has_come`] tells when it comes after all. A clock that stops later
+/// breaks TIM1, which ends all pulses, and raises the NMI (RM0383 section 6.2.7).
 ///
 /// The HAL itself waits for the external clock for ever, and before the watchdog.
 pub fn init_with_either_clock(external: Config, internal: Config) -> embassy_stm32::Peripherals {
     start_watchdog();
     let comes = external_clock_comes();
     let peripherals = init_clearing_stale_flags(if comes { external } else { internal });
-    pac::RCC.cr().modify(|w| w.set_csson(comes));
+    pac::RCC.cr().modify(|w| {
+        // The HAL switches off what it does not use.
+        w.set_hseon(true);
+        w.set_csson(comes);
+    });
     peripherals
 }
 
@@ -45,17 +52,26 @@ fn start_watchdog() {
     feed();
 }
 
-/// Switches the external clock on and waits for it, bounded. Off again if it does not come.
+/// Switches the external clock on and waits for it, bounded.
 fn external_clock_comes() -> bool {
     pac::RCC.cr().modify(|w| w.set_hsebyp(true));
     pac::RCC.cr().modify(|w| w.set_hseon(true));
-    let comes = (0..CLOCK_MS).any(|_| {
+    (0..CLOCK_MS).any(|_| {
         cortex_m::asm::delay(RESET_KHZ);
         feed();
-        pac::RCC.cr().read().hserdy()
-    });
-    pac::RCC.cr().modify(|w| w.set_hseon(comes));
-    comes
+        external_clock_has_come()
+    })
+}
+
+/// The external clock is there.
+pub fn external_clock_has_come() -> bool {
+    pac::RCC.cr().read().hserdy()
+}
+
+/// Starts again, now that the clock is there. What this start has found is told by the next one.
+pub fn start_again(left: &Retained, cause: ResetCause) -> ! {
+    leave_again(&mut Ram, left, cause);
+    cortex_m::peripheral::SCB::sys_reset()
 }
 
 /// The clock stopped. The outputs are off; the chip runs on its own oscillator by now.

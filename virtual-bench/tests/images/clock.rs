@@ -1,0 +1,153 @@
+//! The 8 MHz from the ST-LINK come late, never, or stop: what a rig on an outer supply meets with every power-on.
+
+use crate::common::{LIMIT_NS, RigRun, exact, execute, paper, quickly_homed, start};
+use host_tool::{client::Device, error::ClientError};
+use protocol::{
+    error::Refusal,
+    rig::{RigFault, RigState},
+    system::{Clock, DeviceKind, GetChip, ResetCause},
+};
+use virtual_bench::{
+    bench::{Bench, BenchOptions},
+    boards::rig::{RigBoard, image},
+    link::VirtualLink,
+    plants::rig::{Action, Rig, RigOptions},
+    verdicts::Verdict,
+};
+
+const S_NS: u64 = 1_000_000_000;
+
+fn options(hse_after_ns: Option<u64>) -> BenchOptions {
+    let mut options = BenchOptions::new(image());
+    options.chip.hse_after_ns = hse_after_ns;
+    options
+}
+
+/// A rig that is switched on without a host.
+fn alone(hse_after_ns: Option<u64>) -> Bench<RigBoard> {
+    let board = RigBoard::new(Rig::new(RigOptions::default()));
+    Bench::start(board, options(hse_after_ns)).expect("the image boots")
+}
+
+fn steps_and_driver(bench: &Bench<RigBoard>) -> (usize, bool) {
+    bench
+        .visit(|visit| {
+            let rig = &visit.board().rig;
+            (rig.edges().len(), rig.is_enabled())
+        })
+        .expect("the bench runs")
+}
+
+/// Presses the start button for 60 ms.
+fn press(bench: &Bench<RigBoard>) {
+    for down in [true, false] {
+        let now_ns = bench.now_ns();
+        bench
+            .visit(move |visit| visit.board().rig.act(Action::Button(down), now_ns))
+            .expect("the bench runs");
+        bench.advance_us(60_000).expect("the bench runs");
+    }
+}
+
+/// Switched on without a host; whenever the clock comes, the start button homes the rig and a run is exact. Nothing moves before
+/// that, the watchdog is fed all the time, and the start is told as the power-on that it is.
+#[test]
+fn a_rig_whose_clock_comes_late_homes() {
+    for after_ms in [0, 500, 2_000, 10_000] {
+        let what = format!("after {after_ms} ms");
+        let bench = alone(Some(after_ms * S_NS / 1_000));
+        bench
+            .advance_us(after_ms * 1_000 + 600_000)
+            .expect("the bench runs");
+        assert_eq!(steps_and_driver(&bench), (0, false), "{what}");
+        press(&bench);
+        bench.advance_us(12_000_000).expect("the bench runs");
+        let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
+        let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
+        let mut rig = RigRun { bench, device };
+        let status = rig.device.rig_status().expect("a status");
+        assert_eq!(
+            (status.state, status.fault, rig.carriage()),
+            (RigState::Ready, None, 0),
+            "{what}\n{}",
+            rig.log()
+        );
+        let chip = rig.device.call(GetChip).expect("it answers");
+        assert_eq!(chip.clock, Clock::External, "{what}");
+        let cause = rig.device.hello(2).expect("it answers").reset_cause;
+        assert_eq!(cause, ResetCause::PowerOn, "{what}");
+        let first = rig.edge_count();
+        execute(&mut rig, paper(1));
+        Verdict::of(&exact(1), &rig.edges(first))
+            .check(LIMIT_NS)
+            .unwrap_or_else(|why| panic!("{what}: {why}"));
+        // It starts again once, with the clock.
+        rig.check_clean(usize::from(after_ms > 300));
+    }
+}
+
+/// Without the clock the rig says so, for as long as it takes, and recovers by itself when the clock appears.
+#[test]
+fn a_rig_without_its_clock_says_so_and_looks_for_it() {
+    let mut rig = start(RigOptions::default(), options(Some(30 * S_NS)));
+    let fault = RigFault::ClockMissing;
+    for _ in 0..4 {
+        let status = rig.device.rig_status().expect("a status");
+        assert_eq!(
+            (status.state, status.fault),
+            (RigState::Faulted, Some(fault))
+        );
+        match rig.device.home() {
+            Err(ClientError::Refused { refusal, .. }) => {
+                assert_eq!(refusal, Refusal::RigFaulted(fault));
+            }
+            other => panic!("{other:?}"),
+        }
+        assert!(rig.device.acknowledge().is_err());
+        // It is pressed in vain, and not remembered.
+        press(&rig.bench);
+        rig.idle(7_000_000);
+    }
+    rig.check_clean(0);
+    rig.bench.advance_us(5_000_000).expect("the bench runs");
+    rig.device.hello(2).expect("it answers again");
+    let status = rig.device.rig_status().expect("a status");
+    assert_eq!(
+        (status.state, status.fault),
+        (RigState::Unhomed, None),
+        "{}",
+        rig.log()
+    );
+    assert_eq!(
+        steps_and_driver(&rig.bench),
+        (0, false),
+        "it moved by itself"
+    );
+    rig.home();
+    rig.check_clean(1);
+}
+
+/// A clock that stops in a run and comes back later: what ended the run is told then, and not before it is acknowledged does
+/// anything move.
+#[test]
+fn a_clock_that_comes_back_later_is_still_told_as_stopped() {
+    let mut rig = quickly_homed();
+    rig.device.run(paper(1)).expect("accepted");
+    rig.idle(500_000);
+    rig.bench
+        .visit(|visit| visit.fail_hse(Some(2 * S_NS)))
+        .expect("the bench runs");
+    rig.bench.advance_us(1_000_000).expect("the bench runs");
+    let edges = rig.edge_count();
+    rig.device.hello(5).expect("it answers");
+    let fault = |rig: &mut RigRun| rig.device.rig_status().expect("a status").fault;
+    assert_eq!(fault(&mut rig), Some(RigFault::ClockMissing));
+    rig.bench.advance_us(2_000_000).expect("the bench runs");
+    rig.device.hello(6).expect("it answers");
+    let log = rig.log();
+    assert_eq!(fault(&mut rig), Some(RigFault::ClockFailed), "{log}");
+    assert_eq!(rig.edge_count(), edges, "it moved by itself");
+    rig.device.acknowledge().expect("the clock is back");
+    rig.home();
+    rig.check_clean_after(2, 1);
+}
