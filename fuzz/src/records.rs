@@ -4,9 +4,9 @@ use std::fs;
 use std::path::Path;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
+use client::{Device, Unobserved};
 use host_tool::campaign::manifest::{self, Manifest};
 use host_tool::campaign::verify::verify;
-use host_tool::client::{Device, Unobserved};
 use host_tool::experiment;
 use host_tool::report::check;
 use host_tool::trial::{Action, CapsuleSample, Recording, RigSample, Trial};

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use client::identity::Origin;
 use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
@@ -12,7 +13,6 @@ use crate::campaign::folder::{Campaign, ORDER, PLAN};
 use crate::campaign::ledger::{Outcome, Standing, TrialState};
 use crate::campaign::order::doing;
 use crate::campaign::verify;
-use crate::identity::Origin;
 use crate::report;
 use crate::report::section::heading;
 use crate::trial::{Status, Trial};

@@ -5,6 +5,9 @@
 
 use std::path::Path;
 
+use client::error::ClientError;
+use client::identity::IdentityRecord;
+use client::{Begun, Both, Clock, Device, KEEP_ALIVE_US, Observer};
 use protocol::capsule::{
     ActuationAccepted, ActuationKind, ActuationRecord, CapsuleEvent, Fold, GetCapsuleStatus, Unfold,
 };
@@ -13,11 +16,8 @@ use protocol::system::{DeviceKind, Event, What};
 use protocol::table::{Endpoint, Telemetry};
 use serde::{Deserialize, Serialize};
 
-use crate::client::{Begun, Both, Clock, Device, KEEP_ALIVE_US, Observer};
 use crate::cue::{Coordination, Cue};
-use crate::error::ClientError;
 use crate::experiment::{self, ActuationTrial, ExperimentError, RunTrial, after_stops};
-use crate::identity::IdentityRecord;
 use crate::trial::{Action, Ending, Recorder, Recording, Screw, Trial};
 
 /// Which of the two.

@@ -1,9 +1,8 @@
 //! A place of a run at which an actuation begins, and the record of when it did.
 
+use client::decimal;
 use protocol::rig::Run;
 use serde::{Deserialize, Serialize};
-
-use crate::decimal;
 
 /// A place of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

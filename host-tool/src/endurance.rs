@@ -3,15 +3,15 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
+use client::error::ClientError;
+use client::identity::Origin;
+use client::{Device, Observer};
 use jiff::Timestamp;
 use protocol::capsule::{ActuationOutcome, ActuationRecord, GetTrace};
 use serde::Serialize;
 
-use crate::client::{Device, Observer};
-use crate::error::ClientError;
 use crate::experiment::ExperimentError;
 use crate::force::UM_MS2_PER_MA;
-use crate::identity::Origin;
 use crate::trial::{RecordError, Status, create_new, json};
 use crate::writer::replace;
 

@@ -2,6 +2,11 @@
 
 use std::path::PathBuf;
 
+use client::decimal;
+use client::diagnosis::Sign;
+use client::error::ClientError;
+use client::identity::IdentityRecord;
+use client::{Begun, Both, Clock, Device, Homed, Observer, Pace, Progress};
 use jiff::Timestamp;
 use miette::Diagnostic;
 use protocol::capsule::{
@@ -14,11 +19,6 @@ use protocol::rig::{
 use protocol::system::{DeviceKind, Event, Identity};
 use protocol::table::Telemetry;
 
-use crate::client::{Begun, Both, Clock, Device, Homed, Observer, Pace, Progress};
-use crate::decimal;
-use crate::diagnosis::Sign;
-use crate::error::ClientError;
-use crate::identity::IdentityRecord;
 use crate::trial::{Action, Ending, Moved, RecordError, Recorder, Recording, Screw, Status, Trial};
 
 /// The paper's run: 5 cycles of 130 mm in 40 s.

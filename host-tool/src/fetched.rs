@@ -5,16 +5,16 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use client::Device;
+use client::error::ClientError;
+use client::identity::{IdentityRecord, Origin, kind_name};
 use jiff::Timestamp;
 use protocol::capsule::{ActuationOutcome, ActuationRecord};
 use protocol::rig::RunOutcome;
 use protocol::system::{DeviceKind, Event};
 use serde::Serialize;
 
-use crate::client::Device;
 use crate::commission::record::Subject;
-use crate::error::ClientError;
-use crate::identity::{IdentityRecord, Origin, kind_name};
 use crate::trial::{Executed, RecordError, Status, json};
 use crate::writer::create;
 

@@ -6,10 +6,9 @@
 
 use std::io::Write;
 
+use client::identity::Origin;
 use protocol::capsule::TracePoint;
 use serde::Serialize;
-
-use crate::identity::Origin;
 
 /// mA per newton with friction coefficients 0.10 and 0.20 in the worm.
 const MA_PER_N: (f64, f64) = (18.1, 29.0);

@@ -2,13 +2,13 @@
 
 use std::path::Path;
 
+use client::identity::kind_name;
+use client::limited;
 use object::read::elf::{ElfFile32, FileHeader as _, ProgramHeader as _};
 use object::{Endianness, Object as _, ObjectSymbol as _, elf};
 use protocol::system::DeviceKind;
 
 use crate::commission::image::{self, ImageError};
-use crate::identity::kind_name;
-use crate::limited;
 
 /// Flash of the STM32F411RE.
 const FLASH: std::ops::Range<u64> = 0x0800_0000..0x0808_0000;

@@ -3,13 +3,13 @@
 
 use std::path::Path;
 
+use client::Device;
+use client::error::ClientError;
+use client::identity::IdentityRecord;
 use protocol::capsule::ActuationOutcome;
 use protocol::rig::{RigState, RunOutcome};
 
 use crate::campaign::folder::PLAN;
-use crate::client::Device;
-use crate::error::ClientError;
-use crate::identity::IdentityRecord;
 use crate::trial::{Action, Ending, Moved, RecordError, Status, Trial, json};
 use crate::writer::replace;
 

@@ -2,6 +2,7 @@
 
 use std::io::{self, Write};
 
+use client::decimal;
 use motion::axis::{Axis, Direction};
 use motion::run::{Limits, RunError, RunPlan};
 use motion::step_times::StepTimes;
@@ -11,7 +12,6 @@ use protocol::rig::Run;
 use protocol::settings::SettingKey;
 use serde::Serialize;
 
-use crate::decimal;
 use crate::trial::{Achieved, Screw};
 
 /// Limits by the default settings. A rig applies its own settings, which may differ.

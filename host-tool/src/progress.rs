@@ -2,14 +2,13 @@
 
 use std::io::Write;
 
+use client::decimal;
+use client::{Begun, Observer, Pace, Progress, homing_limit_us};
 use indicatif::{ProgressBar, ProgressStyle};
 use protocol::capsule::CapsuleEvent;
 use protocol::error::Refusal;
 use protocol::rig::{RigEvent, RunTiming};
 use protocol::system::{Event, What};
-
-use crate::client::{Begun, Observer, Pace, Progress, homing_limit_us};
-use crate::decimal;
 
 /// Interval between two plain lines, us of the machine's time.
 const LINE_US: u64 = 5_000_000;

@@ -15,12 +15,12 @@ pub mod section;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use client::identity::Origin;
+use client::limited;
 use maud::html;
 use miette::Diagnostic;
 use serde_json::Value;
 
-use crate::identity::Origin;
-use crate::limited;
 use crate::report::figures::FigureError;
 use crate::report::section::{heading, in_short, reasons, remark_table, section, status};
 use crate::trial::{RecordError, Trial};

@@ -8,6 +8,10 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead};
 use std::path::{Path, PathBuf};
 
+use client::decimal;
+use client::identity::{IdentityRecord, Origin};
+use client::limited;
+use client::{Begun, Observer, Progress, Recorded};
 use jiff::Timestamp;
 use miette::Diagnostic;
 use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome, ActuationRecord};
@@ -18,11 +22,7 @@ use protocol::system::Event;
 use protocol::table::{SCHEMA_KEY, Telemetry};
 use serde::{Deserialize, Serialize};
 
-use crate::client::{Begun, Observer, Progress, Recorded};
 use crate::cue::Coordination;
-use crate::decimal;
-use crate::identity::{IdentityRecord, Origin};
-use crate::limited;
 use crate::writer::{Appender, Writer, replace};
 
 /// Version of the sidecar's format; incremented when a field changes its meaning.

@@ -6,6 +6,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use client::identity::Origin;
+use client::{Device, Unobserved};
 use host_tool::campaign::folder::{ATTEMPTS, Campaign, Folder, READINGS, TRIALS, order_text};
 use host_tool::campaign::ledger::{Event, Outcome, Row, Source, Standing, State};
 use host_tool::campaign::manifest::{self, Manifest};
@@ -16,9 +18,7 @@ use host_tool::campaign::readings::{
 };
 use host_tool::campaign::verify::verify;
 use host_tool::chance::Chance;
-use host_tool::client::{Device, Unobserved};
 use host_tool::experiment;
-use host_tool::identity::Origin;
 use host_tool::trial::Recording;
 use jiff::Timestamp;
 use machine::{Script, link};

@@ -8,14 +8,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
+use client::identity::Origin;
+use client::{Device, Unobserved};
 use host_tool::campaign::folder::{Campaign, Folder};
 use host_tool::campaign::ledger::{Event, Outcome, Row, Source};
 use host_tool::campaign::manifest;
 use host_tool::campaign::plan::{Millimetres, Purpose};
 use host_tool::campaign::readings::{Kind, Quantity, ReadingRow};
-use host_tool::client::{Device, Unobserved};
 use host_tool::experiment::{self, Shape};
-use host_tool::identity::Origin;
 use host_tool::report::Existing;
 use host_tool::report::campaign::{Written, report_folder, write};
 use host_tool::report::campaign_band::BandSource;

@@ -12,13 +12,13 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use calibration::observation::Kind as Observed;
+use client::identity::Origin;
 use host_tool::campaign::folder::Campaign;
 use host_tool::campaign::ledger::{Event, Outcome, Source, Standing};
 use host_tool::campaign::order::Form;
 use host_tool::campaign::plan::Purpose;
 use host_tool::campaign::verify::verify;
 use host_tool::cli::run_at;
-use host_tool::identity::Origin;
 use host_tool::report::check;
 use host_tool::science::trials;
 use host_tool::trial::{Action, Moved, RigSample, Trial};

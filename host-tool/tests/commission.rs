@@ -5,6 +5,7 @@ mod machine;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use client::identity::Origin;
 use host_tool::commission::hands::{Act, Part, Reading, Wish};
 use host_tool::commission::image;
 use host_tool::commission::procedure::{Procedure, Standing, open, standing};
@@ -13,7 +14,6 @@ use host_tool::commission::rig::wrong_travel;
 use host_tool::commission::session::wrapped;
 use host_tool::commission::step::Step;
 use host_tool::commission::steps;
-use host_tool::identity::Origin;
 use jiff::Timestamp;
 use machine::Script;
 use machine::tool::{Memory, ready};

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use host_tool::client::{Clock, Device, Observer, Unobserved};
+use client::{Clock, Device, Observer, Unobserved};
 use host_tool::coordination::{self, Coordinated, Recordings, Shaping};
 use host_tool::cue::Cue;
 use host_tool::experiment::{ExperimentError, PAPER_RUN};

@@ -5,9 +5,9 @@ mod machine;
 use std::fs;
 use std::path::Path;
 
-use host_tool::client::{Device, Unobserved};
+use client::identity::Origin;
+use client::{Device, Unobserved};
 use host_tool::fetched::{Kept, Nothing};
-use host_tool::identity::Origin;
 use host_tool::trial::Status;
 use jiff::Timestamp;
 use machine::tool::{Memory, ready};

@@ -15,15 +15,15 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bench::{Bench, read, with_little_space};
+use client::link::address::Address;
+use client::link::memory::{Memory, Peer};
+use client::link::{Link, LinkError, OpenError};
 use host_tool::campaign::folder::Campaign;
 use host_tool::campaign::ledger::{Event, Outcome, Standing};
 use host_tool::campaign::verify::verify;
 use host_tool::chance::Chance;
 use host_tool::cli::run_at;
 use host_tool::connector::{Candidate, Connector, Purpose};
-use host_tool::link::address::Address;
-use host_tool::link::memory::{Memory, Peer};
-use host_tool::link::{Link, LinkError, OpenError};
 use jiff::{SignedDuration, Timestamp};
 use machine::plan::{ONE_CONDITION, PAPER, changed};
 use machine::signal::{Signal, kill};

@@ -5,10 +5,10 @@ mod machine;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use host_tool::client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
-use host_tool::error::ClientError;
+use client::error::ClientError;
+use client::link::Link;
+use client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
 use host_tool::experiment::PAPER_RUN;
-use host_tool::link::Link;
 use machine::capsule::FOLDED_UM;
 use machine::{Script, World, link};
 use protocol::capsule::ActuationOutcome;

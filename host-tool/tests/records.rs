@@ -7,11 +7,11 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use host_tool::client::{Begun, Device, Homed, Observer, Progress, Unobserved};
+use client::identity::{IdentityRecord, Origin};
+use client::{Begun, Device, Homed, Observer, Progress, Unobserved};
 use host_tool::experiment::{
     self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
 };
-use host_tool::identity::{IdentityRecord, Origin};
 use host_tool::report::{self, Found, Remark};
 use host_tool::trial::{Action, Recorder, Recording, RigSample, Screw, Status, Trial};
 use jiff::Timestamp;

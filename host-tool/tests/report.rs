@@ -6,7 +6,7 @@ mod machine;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use host_tool::client::{Device, Unobserved};
+use client::{Device, Unobserved};
 use host_tool::experiment::{self, PAPER_RUN};
 use host_tool::report::{self, Damaged, Existing, Found};
 use host_tool::trial::Recording;

@@ -3,14 +3,16 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use host_tool::client::{Device, Homed, Observer};
-use host_tool::error::ClientError;
+use client::decimal;
+use client::error::ClientError;
+use client::identity;
+use client::{Device, Homed, Observer};
+use host_tool::cli;
 use host_tool::experiment::{
     self, ActuationTrial, ExperimentError, Hooks, Procedure, RunTrial, Shape,
 };
 use host_tool::progress::Live;
 use host_tool::report::{self, Existing, Found, Remark, ReportError};
-use host_tool::{cli, decimal, identity};
 use jiff::Timestamp;
 use locomotion::kinematics::Design;
 use locomotion::range::OutOfRange;

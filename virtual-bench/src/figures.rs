@@ -2,10 +2,10 @@
 
 use std::time::Instant;
 
-use host_tool::client::{Device, Unobserved};
-use host_tool::error::ClientError;
+use client::error::ClientError;
+use client::link::Link as _;
+use client::{Device, Unobserved};
 use host_tool::experiment::PAPER_RUN;
-use host_tool::link::Link as _;
 use protocol::frame::{Header, Kind, encode};
 use protocol::rig::{GetRigHealth, Run as RunRequest, RunTiming};
 use protocol::settings::{Setting, SettingKey};

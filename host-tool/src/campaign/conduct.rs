@@ -7,6 +7,9 @@ mod stage;
 mod strokes;
 mod trial;
 
+use client::error::ClientError;
+use client::identity::{IdentityRecord, Origin};
+use client::{Device, Homed, Observer, Pacer, Unobserved};
 use jiff::Timestamp;
 use protocol::capsule::CapsuleState;
 use protocol::rig::RigState;
@@ -19,11 +22,8 @@ use crate::campaign::folder::Folder;
 use crate::campaign::ledger::{Outcome, Row, Standing};
 use crate::campaign::prompts::{self, Answer, Halt, Question};
 use crate::campaign::readings::ReadingRow;
-use crate::client::{Device, Homed, Observer, Pacer, Unobserved};
 use crate::commission::record::Subject;
-use crate::error::ClientError;
 use crate::experiment::ExperimentError;
-use crate::identity::{IdentityRecord, Origin};
 use crate::trial::{RecordError, Status};
 
 /// How long the machines are kept company at a time while a question waits, us.

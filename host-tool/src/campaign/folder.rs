@@ -7,6 +7,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use client::identity::Origin;
+use client::limited;
 use jiff::Timestamp;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -18,8 +20,6 @@ use crate::campaign::order::{Planned, order};
 use crate::campaign::plan::{Millimetres, Plan};
 use crate::campaign::readings::{ReadingRow, Readings};
 use crate::campaign::verify::{self, Differences};
-use crate::identity::Origin;
-use crate::limited;
 use crate::trial::{Status, Trial};
 use crate::writer::replace;
 

@@ -5,12 +5,12 @@
 
 use std::collections::BTreeMap;
 
+use client::identity::Origin;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use crate::campaign::order::{Condition, Planned};
 use crate::campaign::plan::Millimetres;
-use crate::identity::Origin;
 use crate::trial::Status;
 
 /// What a row tells.

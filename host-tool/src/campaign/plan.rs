@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
 
+use client::decimal;
+use client::wording;
 use locomotion::roller;
 use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use serde::de::{Error, Visitor};
@@ -12,9 +14,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use crate::campaign::CampaignError;
 use crate::campaign::order::Form;
 use crate::cue::Cue;
-use crate::decimal;
 use crate::plan;
-use crate::wording;
 
 /// Version of the format; incremented when a key changes its meaning.
 pub const FORMAT: u32 = 1;

@@ -1,13 +1,13 @@
 //! What a campaign asks, and what may be answered. Who is asked is behind a trait: a person at a terminal, or nobody.
 
+use client::decimal::DecimalError;
+use client::error::ClientError;
 use protocol::rig::Direction;
 
 use crate::campaign::ledger::Attempt;
 use crate::campaign::order::{Form, Planned, doing};
 use crate::campaign::plan::{Lubrication, Millimetres, Passes, Purpose};
 use crate::campaign::readings::Quantity;
-use crate::decimal::DecimalError;
-use crate::error::ClientError;
 
 /// Why there is no answer.
 #[derive(Debug)]

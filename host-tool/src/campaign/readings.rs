@@ -1,13 +1,13 @@
 //! Readings of the caliper: the intestine's width D and, after every clamping, the distance i_n between the crests of the
 //! wave. What they amount to is a_n = (D - i_n)/2, Eq. (8) of the paper.
 
+use client::identity::Origin;
 use jiff::Timestamp;
 use locomotion::kinematics::indentation_from_calipers_mm;
 use serde::{Deserialize, Serialize};
 
 use crate::campaign::ledger::{Contradiction, Sequence};
 use crate::campaign::plan::{Millimetres, Plan};
-use crate::identity::Origin;
 
 /// What the caliper is held to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -4,6 +4,8 @@ mod desk;
 
 use std::path::{Path, PathBuf};
 
+use client::identity::Origin;
+use client::limited;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
@@ -24,8 +26,6 @@ use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
 use crate::commission::warning;
-use crate::identity::Origin;
-use crate::limited;
 use crate::report::campaign::report_folder;
 use crate::report::campaign_band::BandSource;
 use crate::report::{self, Existing};

@@ -4,6 +4,7 @@ mod terminal;
 
 use std::path::PathBuf;
 
+use client::identity::kind_name;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 
@@ -18,7 +19,6 @@ use crate::commission::record::{Commissioning, Outcome, Subject};
 use crate::commission::session::{self, Broken, Ending};
 use crate::commission::steps;
 use crate::commission::work::{Options, Work};
-use crate::identity::kind_name;
 use terminal::Terminal;
 
 pub(crate) fn commission(

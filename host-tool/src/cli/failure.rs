@@ -3,6 +3,11 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use client::decimal;
+use client::error::ClientError;
+use client::identity;
+use client::link::OpenError;
+use client::wording;
 use locomotion::range::OutOfRange;
 use miette::Diagnostic;
 use motion::axis::AxisError;
@@ -15,16 +20,11 @@ use crate::campaign::verify::Finding;
 use crate::cli::configured;
 use crate::cli::doctor::{self, Finding as Sickness};
 use crate::cli::stops::{self, Delivery, Told};
-use crate::decimal;
-use crate::error::ClientError;
 use crate::experiment::ExperimentError;
-use crate::identity;
-use crate::link::OpenError;
 use crate::report::ReportError;
 use crate::report::campaign::CampaignReportError;
 use crate::report::figures::FigureError;
 use crate::trial::{RecordError, Status};
-use crate::wording;
 
 /// Success.
 pub const DONE: u8 = 0;

@@ -8,6 +8,7 @@ use calibration::observation::{Case, Kind, Observation};
 use calibration::predictive::{Band, Check, bands, checks, suspicious};
 use calibration::prior::{Point, UNKNOWNS, Values, parts, unknowns, with_body};
 use clap::Args;
+use client::identity::Origin;
 use locomotion::model::{Model, Setting, Value as Given};
 use serde_json::{Value, json};
 
@@ -15,7 +16,6 @@ use crate::cli::calculation::write;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
-use crate::identity::Origin;
 use crate::science::posterior::{FORMAT, Posterior, SourceRecord};
 use crate::science::series::Workers;
 use crate::science::trials::{self, Trials, TrialsError};

@@ -5,6 +5,8 @@ use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::door::lock::Doorway;
+use client::identity::{self, IdentityRecord};
 use protocol::rig::GetRigHealth;
 use protocol::system::{BuildProfile, DeviceKind, Identity};
 use serde_json::{Value, json};
@@ -13,8 +15,6 @@ use crate::cli::args::FlashArgs;
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
-use crate::door::lock::Doorway;
-use crate::identity::{self, IdentityRecord};
 use crate::image::{self, Image};
 
 const CHIP: &str = "STM32F411RETx";

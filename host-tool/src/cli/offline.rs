@@ -5,6 +5,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use clap::CommandFactory;
+use client::decimal;
 use motion::axis::{Axis, MAX_STROKE};
 use serde_json::{Value, json};
 
@@ -16,7 +17,6 @@ use crate::cli::args::{
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
-use crate::decimal;
 use crate::plan::{self, REFERENCE_LIMITS, Summary};
 use crate::report::campaign_band::BandSource;
 use crate::report::{self, Existing, campaign, figures};

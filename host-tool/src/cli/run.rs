@@ -1,5 +1,7 @@
 //! The command `run`, alone or with a fold or an unfolding at a place of it.
 
+use client::Device;
+use client::decimal;
 use protocol::capsule::CapsuleState;
 use protocol::rig::Run;
 use protocol::system::DeviceKind;
@@ -12,11 +14,9 @@ use crate::cli::fresh;
 use crate::cli::keyboard::{self, SingleKeys};
 use crate::cli::machines::{completed, recording};
 use crate::cli::screen::Screen;
-use crate::client::Device;
 use crate::commission::warning;
 use crate::coordination::{self, Coordinated, Recordings, Shaping};
 use crate::cue::{Coordination, Cue};
-use crate::decimal;
 use crate::experiment::{self, RunTrial};
 use crate::plan;
 use crate::report::section::actuation_rows;

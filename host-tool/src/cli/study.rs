@@ -3,6 +3,8 @@
 use std::fs::{self, OpenOptions};
 use std::path::{Path, PathBuf};
 
+use client::decimal;
+use client::{Device, Recorded, Unobserved};
 use protocol::capsule::{ActuationKind, ActuationRecord, CapsuleState, GetCapsuleTotals};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
@@ -13,8 +15,6 @@ use crate::cli::finding::Finder;
 use crate::cli::fresh;
 use crate::cli::machines::{completed, recording};
 use crate::cli::screen::Screen;
-use crate::client::{Device, Recorded, Unobserved};
-use crate::decimal;
 use crate::endurance::{Drift, Endurance, Run};
 use crate::experiment;
 use crate::force;

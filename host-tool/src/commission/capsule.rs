@@ -1,17 +1,17 @@
 //! The capsule's steps.
 
+use client::Unobserved;
+use client::decimal;
 use protocol::capsule::{
     ActuationAccepted, ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState, CapsuleStatus,
 };
 use protocol::system::{BuildProfile, Urgent};
 
-use crate::client::Unobserved;
 use crate::commission::device;
 use crate::commission::halt::Halt;
 use crate::commission::hands::Reading;
 use crate::commission::step::Step;
 use crate::commission::work::{LOOK_US, Work};
-use crate::decimal;
 
 const PLAIN: Step = Step {
     name: "",

@@ -23,7 +23,7 @@ pub(super) fn started_well(work: &mut Work<'_>) -> Result<Identity, Halt> {
         let words = work.device.last_words()?;
         return Err(Halt::Defect(format!(
             "its last start was a failure: {}. {words}",
-            crate::identity::reset_cause(identity.reset_cause)
+            client::identity::reset_cause(identity.reset_cause)
         )));
     }
     Ok(identity)

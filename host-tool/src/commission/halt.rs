@@ -1,9 +1,8 @@
 //! Why a measurement ended before its end, and what faults say about a new machine.
 
+use client::error::ClientError;
 use protocol::error::Refusal;
 use protocol::rig::RigFault;
-
-use crate::error::ClientError;
 
 /// Why a measurement ended before its end.
 #[derive(Debug)]

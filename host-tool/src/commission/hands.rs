@@ -14,8 +14,9 @@ use std::net::TcpStream;
 use std::str::FromStr;
 use std::time::Duration;
 
+use client::error::ClientError;
+
 use crate::commission::halt::Halt;
-use crate::error::ClientError;
 
 /// How long the bench's hands may take, s: a cable is pulled for some seconds.
 const PATIENCE: Duration = Duration::from_secs(30);

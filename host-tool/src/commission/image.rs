@@ -2,10 +2,9 @@
 
 use std::path::Path;
 
+use client::limited;
 use object::read::elf::{ElfFile32, ProgramHeader as _};
 use object::{Endianness, Object as _, ObjectSymbol as _};
-
-use crate::limited;
 
 /// Flash of the STM32F411RE.
 const MOST_BYTES: usize = 512 * 1024;

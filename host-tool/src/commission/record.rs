@@ -6,6 +6,11 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
+use client::Device;
+use client::diagnosis::Sign;
+use client::error::ClientError;
+use client::identity::{IdentityRecord, Origin, kind_name};
+use client::limited;
 use jiff::Timestamp;
 use protocol::rig::GetRigHealth;
 use protocol::settings::{GetSetting, SettingKey};
@@ -13,11 +18,6 @@ use protocol::system::{DeviceKind, Identity};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::client::Device;
-use crate::diagnosis::Sign;
-use crate::error::ClientError;
-use crate::identity::{IdentityRecord, Origin, kind_name};
-use crate::limited;
 use crate::trial::{RecordError, json};
 use crate::writer::replace;
 

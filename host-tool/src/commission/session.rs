@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use client::error::ClientError;
 use jiff::Timestamp;
 
 use crate::commission::halt::Halt;
@@ -10,7 +11,6 @@ use crate::commission::record::{Commissioning, Finding, Outcome};
 use crate::commission::step::Step;
 use crate::commission::steps;
 use crate::commission::work::Work;
-use crate::error::ClientError;
 use crate::trial::RecordError;
 
 /// How a session ended.

@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use crate::client::Device;
+use client::Device;
+use client::error::ClientError;
+
 use crate::commission::procedure::{self, Standing};
 use crate::commission::record::{Commissioning, Subject};
 use crate::commission::steps;
-use crate::error::ClientError;
 
 /// Why a rig should not be trusted with a run yet; none if its record in one of `folders` is complete and still counts.
 ///

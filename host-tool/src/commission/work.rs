@@ -4,10 +4,10 @@ pub mod rig;
 
 use std::path::PathBuf;
 
+use client::{Device, Unobserved};
 use protocol::settings::SettingKey;
 use serde_json::{Map, Value};
 
-use crate::client::{Device, Unobserved};
 use crate::commission::halt::Halt;
 use crate::commission::hands::{Act, Hands, Part, Reading};
 use crate::commission::record::Subject;

@@ -8,6 +8,8 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use client::decimal;
+use client::identity::Origin;
 use maud::{Markup, PreEscaped, html};
 use miette::Diagnostic;
 use serde::Serialize;
@@ -17,8 +19,6 @@ use crate::campaign::manifest;
 use crate::campaign::order::doing;
 use crate::campaign::plan::Purpose;
 use crate::campaign::readings::Quantity;
-use crate::decimal;
-use crate::identity::Origin;
 use crate::report::campaign_band::{BandSource, ModelBand, band};
 use crate::report::campaign_figures::{carriage, figure7, figure8, passes, run_over_plan};
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, motion_of};

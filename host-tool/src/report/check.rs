@@ -4,13 +4,13 @@
 
 use std::path::Path;
 
+use client::decimal;
+use client::identity::Origin;
 use protocol::capsule::{ActuationRecord, CapsuleEvent};
 use protocol::rig::{RigEvent, Run};
 use protocol::system::What;
 use serde::Deserialize;
 
-use crate::decimal;
-use crate::identity::Origin;
 use crate::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial};
 
 /// A sample is sent a little late when the device has something more urgent to do, us.

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use client::identity::{IdentityRecord, Origin};
+use client::limited;
 use serde::{Serialize, Serializer};
 
 use crate::campaign::CampaignError;
@@ -15,8 +17,6 @@ use crate::campaign::order::{Condition, Form};
 use crate::campaign::plan::{Lubrication, Millimetres, Purpose};
 use crate::campaign::readings::{Quantity, Summary};
 use crate::campaign::verify::{self, Finding};
-use crate::identity::{IdentityRecord, Origin};
-use crate::limited;
 use crate::report::check;
 use crate::report::figures::position_at;
 use crate::statistics::{Line, Spread};

@@ -3,11 +3,11 @@
 //! A chart is drawn so large that its letters are 12 px high on a telephone 390 px wide, and two fit beside each other on a
 //! desk.
 
+use client::identity::Origin;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use protocol::rig::{Run, Stroke};
 
-use crate::identity::Origin;
 use crate::report::pdf::{Drawn, Page};
 use crate::trial::{Achieved, CapsuleSample, RigSample, Screw};
 

@@ -1,8 +1,7 @@
 //! The page around a report: style for light and dark, telephone and print, and the banner that says what it is worth.
 
+use client::identity::Origin;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-
-use crate::identity::Origin;
 
 /// Colours come twice: the figures' are attributes of their elements, so the dark page changes them by their values.
 const STYLE: &str = "\

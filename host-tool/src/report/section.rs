@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
+use client::decimal;
 use maud::{Markup, PreEscaped, html};
 use protocol::capsule::{ActuationKind, ActuationRecord};
 use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunTiming, Stroke};
 
-use crate::decimal;
 use crate::report::figures::{FigureError, actuation_figures, planned, run_figures};
 use crate::report::{Remark, check, page};
 use crate::trial::{

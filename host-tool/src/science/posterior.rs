@@ -3,10 +3,10 @@
 use std::fmt::Write;
 
 use calibration::prior::{OF_BODY, unknowns};
+use client::identity::Origin;
 use locomotion::model::{Model, Setting, Value};
 use serde::{Deserialize, Serialize};
 
-use crate::identity::Origin;
 use crate::science::trials::{LeftOut, SourceFile};
 
 /// Version of the format.

@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use calibration::observation::{Kind, Lubrication, MOST_CYCLES, Observation};
+use client::identity::Origin;
+use client::limited;
 use serde::Serialize;
 
 use crate::campaign::CampaignError;
@@ -13,8 +15,6 @@ use crate::campaign::manifest::{self, hex};
 use crate::campaign::order::Form;
 use crate::campaign::plan::{self, Purpose};
 use crate::campaign::verify::{Finding, verify};
-use crate::identity::Origin;
-use crate::limited;
 
 /// A file that a calibration rests on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

@@ -3,7 +3,7 @@
 
 use std::str::FromStr;
 
-use crate::decimal;
+use client::decimal;
 
 /// Most members of a list.
 pub const MOST: usize = 10_000;

@@ -1,6 +1,6 @@
 //! Both images at once: a fold at a place of a run, from the rig's STEP pin to the capsule's bridge.
 
-use host_tool::client::{Clock, Device, Observer, Unobserved};
+use client::{Clock, Device, Observer, Unobserved};
 use host_tool::coordination::{self, Coordinated, Recordings, Shaping};
 use host_tool::cue::Cue;
 use host_tool::experiment::PAPER_RUN;

@@ -1,5 +1,6 @@
 //! The displacement of a trial that was completed: asked for, or that of a model, and what may be answered instead.
 
+use client::identity::Origin;
 use protocol::capsule::{ActuationKind, CapsuleState};
 
 use crate::campaign::conduct::{Broken, Conduct, Then};
@@ -8,7 +9,6 @@ use crate::campaign::model::{self, Modelled};
 use crate::campaign::order::{Form, Planned};
 use crate::campaign::plan::Millimetres;
 use crate::campaign::prompts::{Answer, Question};
-use crate::identity::Origin;
 
 impl Conduct<'_> {
     /// Asks for what is missing of an attempt that was completed: the displacements after strokes first, then the net one.

@@ -1,5 +1,6 @@
 //! The caliper's readings of a session: what has to be read before a trial, and the questions that they raise.
 
+use client::identity::Origin;
 use jiff::Timestamp;
 
 use crate::campaign::conduct::{Broken, Conduct, Then};
@@ -7,7 +8,6 @@ use crate::campaign::order::Planned;
 use crate::campaign::plan::{Millimetres, Purpose};
 use crate::campaign::prompts::{Answer, Question};
 use crate::campaign::readings::{Kind, Quantity, ReadingRow, Set, Summary, questions, refusal};
-use crate::identity::Origin;
 
 impl Conduct<'_> {
     /// Makes sure that D is known and that the rollers are clamped for this trial's block.

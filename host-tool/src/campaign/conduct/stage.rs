@@ -1,13 +1,13 @@
 //! The rollers go to where a trial begins while the body is out of their way: in a plan with isolated passes they stand at either
 //! end after a trial, and between the ends lies the body.
 
+use client::error::ClientError;
 use protocol::error::Refusal;
 use protocol::rig::{Direction, MoveTo, RigState, RigStatus};
 
 use crate::campaign::conduct::{Broken, Conduct, Then};
 use crate::campaign::order::Planned;
 use crate::campaign::prompts::{Answer, Question, clearing};
-use crate::error::ClientError;
 use crate::experiment;
 use crate::trial::{Screw, Status};
 

@@ -3,6 +3,8 @@
 use std::fs;
 use std::path::Path;
 
+use client::Device;
+use client::identity::Origin;
 use protocol::capsule::{ActuationKind, CapsuleState};
 use protocol::rig::{Direction, MoveTo, RigEvent};
 use protocol::system::What;
@@ -14,10 +16,8 @@ use crate::campaign::order::{Form, Planned, doing};
 use crate::campaign::plan::{Millimetres, Purpose};
 use crate::campaign::prompts::{Answer, Question, camera_file, checks};
 use crate::campaign::remaining;
-use crate::client::Device;
 use crate::coordination::{self, Recordings, Shaping};
 use crate::experiment;
-use crate::identity::Origin;
 use crate::trial::{RecordError, Recording, Status, json as json_text};
 use crate::writer::replace;
 

@@ -6,6 +6,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
+use client::error::ClientError;
+use client::{Interrupt, Observer, Pace, Pacer};
 use jiff::Timestamp;
 
 use crate::campaign::conduct::Desk;
@@ -16,8 +18,6 @@ use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
 use crate::cli::{Keyboard, interrupt};
-use crate::client::{Interrupt, Observer, Pace, Pacer};
-use crate::error::ClientError;
 
 /// Interval between two looks at the keyboard.
 const TURN: Duration = Duration::from_millis(10);

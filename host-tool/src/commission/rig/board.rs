@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use client::decimal;
 use protocol::rig::RigFault;
 use protocol::system::{BrownOut, Clock, GetChip};
 
@@ -9,7 +10,6 @@ use crate::commission::halt::{Halt, fault_text};
 use crate::commission::hands::Reading;
 use crate::commission::work::Work;
 use crate::commission::{device, image};
-use crate::decimal;
 
 /// A pull-up of 10 kohm against the driver's own resistor gives more than this, mV.
 const LEAST_ENABLE_MV: i64 = 2_500;

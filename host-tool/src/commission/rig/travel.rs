@@ -1,5 +1,6 @@
 //! Homing and travel: pulses without motor power, direction, scale, repetition, the whole stroke.
 
+use client::decimal;
 use protocol::rig::RigFault;
 use protocol::settings::SettingKey as Key;
 use serde_json::json;
@@ -9,7 +10,6 @@ use crate::commission::halt::{Halt, fault_text, homing_text};
 use crate::commission::hands::Reading;
 use crate::commission::work::Work;
 use crate::commission::work::rig::HomeEnd;
-use crate::decimal;
 
 /// The longest way of the travel measurement, um.
 const TRAVEL_UM: u32 = 40_000;

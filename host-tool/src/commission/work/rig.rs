@@ -1,5 +1,8 @@
 //! A session with a rig: motor supply, homing, moves and runs.
 
+use client::decimal;
+use client::error::ClientError;
+use client::{Homed, Observer, Progress, Unobserved, homing_limit_us};
 use protocol::error::Refusal;
 use protocol::rig::{
     LinkLossPolicy, MoveTo, RigEvent, RigFault, RigInputs, RigState, RigStatus, Run, RunAccepted,
@@ -9,11 +12,8 @@ use protocol::settings::SettingKey;
 use protocol::system::{Event, Urgent, What};
 
 use super::{LOOK_US, Work};
-use crate::client::{Homed, Observer, Progress, Unobserved, homing_limit_us};
 use crate::commission::halt::{Halt, fault_text, homing_text, refused};
 use crate::commission::hands::{Act, Part};
-use crate::decimal;
-use crate::error::ClientError;
 
 /// An effect that has not come in this time after the act does not come, us.
 const SETTLE_US: u64 = 500_000;

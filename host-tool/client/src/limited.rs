@@ -5,19 +5,19 @@ use std::io::{self, Read};
 use std::path::Path;
 
 /// Settings, and other files that people write by hand.
-pub(crate) const BY_HAND: u64 = 64 << 10;
+pub const BY_HAND: u64 = 64 << 10;
 
 /// What this program writes for itself: sidecars, records of commissioning.
-pub(crate) const RECORD: u64 = 64 << 20;
+pub const RECORD: u64 = 64 << 20;
 
 /// An image for a board of 512 KiB, with its debug information.
-pub(crate) const IMAGE: u64 = 256 << 20;
+pub const IMAGE: u64 = 256 << 20;
 
 /// Reads a file of at most `limit` bytes.
 ///
 /// # Errors
 /// Those of the file, and [`io::ErrorKind::FileTooLarge`].
-pub(crate) fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = vec![];
     // One more shows that there are more.
     File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
@@ -33,7 +33,7 @@ pub(crate) fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
 ///
 /// # Errors
 /// As [`read`], and [`io::ErrorKind::InvalidData`] if it is not UTF-8.
-pub(crate) fn read_text(path: &Path, limit: u64) -> io::Result<String> {
+pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
     String::from_utf8(read(path, limit)?)
         .map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not text"))
 }

@@ -1558,7 +1558,7 @@ impl Device {
 
 /// What an error means while something may move: a request without an answer changes nothing, but nobody knows what the
 /// machine does.
-pub(crate) fn while_moving(action: &'static str, error: ClientError) -> ClientError {
+pub fn while_moving(action: &'static str, error: ClientError) -> ClientError {
     match error {
         ClientError::NoReply { place, .. } | ClientError::Silent { place, .. } => {
             ClientError::Silent { place, action }

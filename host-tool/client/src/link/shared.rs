@@ -20,7 +20,7 @@ use crate::link::{Link, LinkError, OpenError, Reason};
 pub(crate) const READ: Duration = Duration::from_millis(if cfg!(windows) { 2 } else { 10 });
 
 /// Both directions of a line, each usable by a thread of its own. A read ends after [`READ`].
-pub(crate) struct Halves {
+pub struct Halves {
     pub(crate) reader: Box<dyn Read + Send>,
     pub(crate) writer: Box<dyn Write + Send>,
     /// Why no bytes will come any more when a read returns none.
@@ -39,7 +39,7 @@ pub struct Shared {
 
 impl Shared {
     /// With `yields` the line is for any other process that wants it: see [`Link::is_line_wanted`].
-    pub(crate) fn new(lock: Lock, halves: Halves, yields: bool) -> Result<Self, OpenError> {
+    pub fn new(lock: Lock, halves: Halves, yields: bool) -> Result<Self, OpenError> {
         let place = lock.doorway().place().to_owned();
         let core = Core::new(halves.writer, yields, Some(lock.doorway().clone()));
         let (listener, plate) = lock.listen()?;

@@ -10,7 +10,7 @@ use crate::link::tcp::{nothing_yet, timeout, wall_us};
 use crate::link::{Link, LinkError};
 
 /// A link through another process. Stops go out at once; reading goes between the owner's requests; what only the owner
-/// may do is refused by [`crate::client::Device`] before it is sent.
+/// may do is refused by [`crate::device::Device`] before it is sent.
 #[derive(Debug)]
 pub struct Window {
     place: String,

@@ -28,7 +28,7 @@ const STALE: Duration = Duration::from_millis(600);
 const BREATH: Duration = Duration::from_millis(10);
 
 /// The most guests at a time that may look. There is no limit for those that only stop.
-pub(crate) const GUESTS: usize = 32;
+pub const GUESTS: usize = 32;
 
 /// Frames that wait for a guest that does not read; beyond that it misses some.
 pub(crate) const WAITING_FRAMES: usize = 512;

@@ -59,7 +59,7 @@ impl Tcp {
     }
 
     /// Both directions for two threads.
-    pub(crate) fn halves(self) -> io::Result<Halves> {
+    pub fn halves(self) -> io::Result<Halves> {
         self.stream.set_read_timeout(Some(READ))?;
         self.stream.set_write_timeout(Some(WRITE))?;
         Ok(Halves {

@@ -51,7 +51,7 @@ impl Serial {
     }
 
     /// Both directions for two threads.
-    pub(crate) fn halves(mut self) -> io::Result<Halves> {
+    pub fn halves(mut self) -> io::Result<Halves> {
         let mut reader = self.port.try_clone()?;
         reader.set_timeout(READ)?;
         self.port.set_timeout(WRITE)?;

@@ -125,7 +125,8 @@ impl Doorway {
         ))
     }
 
-    pub(crate) fn new(folder: PathBuf, line: &str, place: String) -> Self {
+    /// The doorway of a line, with its lock in this folder.
+    pub fn new(folder: PathBuf, line: &str, place: String) -> Self {
         // FNV-1a: the same in every build, and short, for the path of a socket has 107 bytes at most.
         let hash = line.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
             (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3)
@@ -234,7 +235,7 @@ impl Doorway {
     }
 
     /// The owner listens, as far as can be seen from outside: between its name and its door it sets up, or it leaves.
-    pub(crate) fn is_open(&self) -> bool {
+    pub fn is_open(&self) -> bool {
         if cfg!(unix) {
             self.file("door").exists()
         } else {
@@ -302,7 +303,7 @@ impl Lock {
     }
 
     /// Says who has the line before its door is open.
-    pub(crate) fn announce(&self) -> Result<(), OpenError> {
+    pub fn announce(&self) -> Result<(), OpenError> {
         // The door of an owner that was killed leads nowhere.
         let _ = fs::remove_file(self.doorway.file("door"));
         self.put_up(&self.plate())
@@ -360,7 +361,7 @@ fn host(at: SocketAddr) -> String {
 }
 
 /// The folder, made if need be, and safe from other users.
-pub(crate) fn folder() -> Result<PathBuf, String> {
+pub fn folder() -> Result<PathBuf, String> {
     let folder = match std::env::var_os(FOLDER_VARIABLE) {
         Some(folder) if !folder.is_empty() => PathBuf::from(folder),
         _ => default_folder()?,
