@@ -20,11 +20,11 @@ use client::identity;
 use client::link::address::Address;
 use client::link::serial::DEFAULT_BAUD;
 use host_tool::connector::{Connector, Ports, Purpose};
-use host_tool::experiment::{self, PAPER_RUN};
-use host_tool::progress::Live;
 use miette::{IntoDiagnostic, Result, miette};
 use protocol::rig::{RunOutcome, RunRecord};
 use protocol::system::DeviceKind;
+use trials::experiment::{self, PAPER_RUN};
+use trials::progress::Live;
 
 fn main() -> Result<()> {
     let address: Address = std::env::args()

@@ -8,14 +8,13 @@ use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
 use serde::Serialize;
+use trials::sidecar::{heading, unreadable};
+use trials::trial::{Status, Trial};
 
 use crate::campaign::folder::{Campaign, ORDER, PLAN};
 use crate::campaign::ledger::{Outcome, Standing, TrialState};
 use crate::campaign::order::doing;
 use crate::campaign::verify;
-use crate::report;
-use crate::report::section::heading;
-use crate::trial::{Status, Trial};
 
 /// Folders within folders are looked through so deep.
 const DEPTH: u32 = 3;
@@ -132,7 +131,7 @@ impl Catalogue {
                 Ok(trial) => self.entries.push(ordinary(sidecar, &trial)),
                 // Records of other kinds are no trials; a trial that cannot be read is told.
                 Err(error) => {
-                    if let Some(why) = report::unreadable(sidecar, error) {
+                    if let Some(why) = unreadable(sidecar, error) {
                         self.unreadable.push(why);
                     }
                 }

@@ -16,15 +16,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use client::identity::Origin;
-use client::limited;
 use maud::html;
 use miette::Diagnostic;
-use serde_json::Value;
+use trials::sidecar::{heading, other};
+use trials::trial::{RecordError, Trial};
+use trials::writer;
 
 use crate::report::figures::FigureError;
-use crate::report::section::{heading, in_short, reasons, remark_table, section, status};
-use crate::trial::{RecordError, Trial};
-use crate::writer;
+use crate::report::section::{in_short, reasons, remark_table, section, status};
 
 /// Why the report could not be written.
 #[derive(Debug, thiserror::Error, Diagnostic)]
@@ -224,26 +223,6 @@ fn belongs(file: &Path) -> Result<Option<Trial>, (String, bool)> {
         return Err((why, true));
     }
     Ok(Some(trial))
-}
-
-/// What else a JSON file of this program may be.
-fn other(file: &Path) -> Option<String> {
-    let text = limited::read_text(file, limited::RECORD).ok()?;
-    let value: Value = serde_json::from_str(&text).ok()?;
-    let what = if value.get("drift").is_some() && value.get("asked").is_some() {
-        "an endurance run"
-    } else if value.get("board_uid").is_some() && value.get("steps").is_some() {
-        "a commissioning"
-    } else {
-        return None;
-    };
-    Some(format!("the record of {what}, which is no trial"))
-}
-
-/// What to tell of a JSON file that is no trial; nothing of records of other kinds and of files that are not beside telemetry.
-pub(crate) fn unreadable(file: &Path, error: RecordError) -> Option<String> {
-    let told = file.with_extension("csv").exists() && other(file).is_none();
-    told.then(|| error.to_string())
 }
 
 /// Makes the report of these trials and writes it.

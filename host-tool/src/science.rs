@@ -7,7 +7,7 @@
 //! * [`bands`]: what the bodies that agree with the paper's words do.
 //! * [`model_file`]: a model as people give it, and what it calls itself.
 //! * [`odds`]: how probable it is that the paper's sentences are met.
-//! * [`trials`]: displacements for a calibration, from folders and files.
+//! * [`observations`]: displacements for a calibration, from folders and files.
 //! * [`posterior`]: fitted bodies in a model file.
 //! * [`trial_plan`]: which trials to make next.
 //! * [`snapshots`]: wall and body at several moments.
@@ -24,6 +24,7 @@ pub mod crescent;
 pub mod design;
 pub mod drawing;
 pub mod model_file;
+pub mod observations;
 pub mod odds;
 pub mod optimise;
 pub mod posterior;
@@ -31,5 +32,4 @@ pub mod series;
 pub mod snapshots;
 pub mod table;
 pub mod trial_plan;
-pub mod trials;
 pub mod values;

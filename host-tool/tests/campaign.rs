@@ -18,12 +18,12 @@ use host_tool::campaign::readings::{
 };
 use host_tool::campaign::verify::verify;
 use host_tool::chance::Chance;
-use host_tool::experiment;
-use host_tool::trial::Recording;
 use jiff::Timestamp;
 use machine::{Script, link};
 use proptest::prelude::*;
 use protocol::system::DeviceKind;
+use trials::experiment;
+use trials::trial::Recording;
 
 const PAPER: &str = include_str!("../../examples/paper.toml");
 

@@ -6,10 +6,11 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use client::identity::Origin;
+use client::subject::Subject;
 use host_tool::commission::hands::{Act, Part, Reading, Wish};
 use host_tool::commission::image;
 use host_tool::commission::procedure::{Procedure, Standing, open, standing};
-use host_tool::commission::record::{Commissioning, Finding, Outcome, Subject};
+use host_tool::commission::record::{Commissioning, Finding, Outcome};
 use host_tool::commission::rig::wrong_travel;
 use host_tool::commission::session::wrapped;
 use host_tool::commission::step::Step;

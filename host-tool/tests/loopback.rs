@@ -8,7 +8,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use client::error::ClientError;
 use client::link::Link;
 use client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
-use host_tool::experiment::PAPER_RUN;
 use machine::capsule::FOLDED_UM;
 use machine::{Script, World, link};
 use protocol::capsule::ActuationOutcome;
@@ -17,6 +16,7 @@ use protocol::rig::{RigEvent, RigFault, RigState, Run, RunOutcome, RunTiming};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, ResetCause, Urgent, What};
 use protocol::table::Telemetry;
+use trials::experiment::PAPER_RUN;
 
 const SHORT_RUN: Run = Run {
     cycles: 2,

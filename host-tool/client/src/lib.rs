@@ -7,6 +7,7 @@
 //! * [`error`]: why a request failed, and what to do about it.
 //! * [`identity`]: names of machines, images and versions.
 //! * [`named`]: the user's names for machines.
+//! * [`subject`]: the machine that results are about.
 //! * [`wording`]: refusals in people's units.
 //! * [`decimal`]: decimal numbers as people write them, exact.
 //! * [`limited`]: files that are read up to a limit.
@@ -21,6 +22,7 @@ pub mod identity;
 pub mod limited;
 pub mod link;
 pub mod named;
+pub mod subject;
 pub mod wording;
 
 pub use device::{

@@ -9,6 +9,7 @@ mod trial;
 
 use client::error::ClientError;
 use client::identity::{IdentityRecord, Origin};
+use client::subject::Subject;
 use client::{Device, Homed, Observer, Pacer, Unobserved};
 use jiff::Timestamp;
 use protocol::capsule::CapsuleState;
@@ -16,15 +17,14 @@ use protocol::rig::RigState;
 use protocol::settings::GetName;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
+use trials::experiment::ExperimentError;
+use trials::trial::{RecordError, Status};
 
 use crate::campaign::CampaignError;
 use crate::campaign::folder::Folder;
 use crate::campaign::ledger::{Outcome, Row, Standing};
 use crate::campaign::prompts::{self, Answer, Halt, Question};
 use crate::campaign::readings::ReadingRow;
-use crate::commission::record::Subject;
-use crate::experiment::ExperimentError;
-use crate::trial::{RecordError, Status};
 
 /// How long the machines are kept company at a time while a question waits, us.
 const COMPANY_US: u64 = 50_000;

@@ -12,6 +12,8 @@ use client::limited;
 use jiff::Timestamp;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use trials::trial::{Status, Trial};
+use trials::writer::replace;
 
 use crate::campaign::CampaignError;
 use crate::campaign::ledger::{Attempt, Event, Outcome, Row, State};
@@ -20,8 +22,6 @@ use crate::campaign::order::{Planned, order};
 use crate::campaign::plan::{Millimetres, Plan};
 use crate::campaign::readings::{ReadingRow, Readings};
 use crate::campaign::verify::{self, Differences};
-use crate::trial::{Status, Trial};
-use crate::writer::replace;
 
 /// The plan, as it was given.
 pub const PLAN: &str = "plan.toml";

@@ -8,10 +8,10 @@ use std::collections::BTreeMap;
 use client::identity::Origin;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use trials::trial::Status;
 
 use crate::campaign::order::{Condition, Planned};
 use crate::campaign::plan::Millimetres;
-use crate::trial::Status;
 
 /// What a row tells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

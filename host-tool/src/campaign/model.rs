@@ -9,6 +9,7 @@ use locomotion::model::Model;
 use locomotion::range::OutOfRange;
 use locomotion::{folded, roller};
 use protocol::rig::Direction;
+use trials::trial::{Action, RecordError, RigSample, Screw, Status, Trial};
 
 use crate::campaign::ledger::Source;
 use crate::campaign::order::{Form, Planned};
@@ -16,7 +17,6 @@ use crate::campaign::plan::{Lubrication, Millimetres, Plan};
 use crate::chance::Chance;
 use crate::science::model_file;
 use crate::science::series::LUBRICATION;
-use crate::trial::{Action, RecordError, RigSample, Screw, Status, Trial};
 
 /// Slack of the thread before it pulls, mm: that of the bench's capsule.
 const SLACK_MM: f64 = 1.0;

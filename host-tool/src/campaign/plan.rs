@@ -10,11 +10,11 @@ use locomotion::roller;
 use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
+use trials::cue::Cue;
+use trials::plan;
 
 use crate::campaign::CampaignError;
 use crate::campaign::order::Form;
-use crate::cue::Cue;
-use crate::plan;
 
 /// Version of the format; incremented when a key changes its meaning.
 pub const FORMAT: u32 = 1;
@@ -191,11 +191,11 @@ struct RunTable {
 }
 
 const fn default_acceleration() -> Millimetres {
-    Millimetres::from_um(crate::experiment::DEFAULT_ACCEL_UM_S2 as i64)
+    Millimetres::from_um(trials::experiment::DEFAULT_ACCEL_UM_S2 as i64)
 }
 
 const fn default_telemetry_ms() -> u16 {
-    crate::experiment::DEFAULT_TELEMETRY_MS
+    trials::experiment::DEFAULT_TELEMETRY_MS
 }
 
 /// How the caliper is read.

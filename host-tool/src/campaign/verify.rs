@@ -6,12 +6,12 @@ use std::io;
 use std::path::Path;
 
 use client::limited;
+use trials::trial::{Action, CapsuleSample, RigSample, Status, Trial};
 
 use crate::campaign::CampaignError;
 use crate::campaign::folder::{ATTEMPTS, Campaign, ORDER, PLAN, READINGS, TRIALS};
 use crate::campaign::ledger::{Attempt, Outcome};
 use crate::campaign::manifest::{self, Hash, Manifest, PART, contents, hash_file};
-use crate::trial::{Action, CapsuleSample, RigSample, Status, Trial};
 
 /// The files that grow by lines.
 const GROWING: [&str; 2] = [READINGS, TRIALS];

@@ -5,6 +5,7 @@ mod terminal;
 use std::path::PathBuf;
 
 use client::identity::kind_name;
+use client::subject::Subject;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 
@@ -15,7 +16,7 @@ use crate::cli::screen::Screen;
 use crate::cli::{flash, interrupt};
 use crate::commission::hands::{Bench, Hands, Nobody};
 use crate::commission::procedure;
-use crate::commission::record::{Commissioning, Outcome, Subject};
+use crate::commission::record::{Commissioning, Outcome};
 use crate::commission::session::{self, Broken, Ending};
 use crate::commission::steps;
 use crate::commission::work::{Options, Work};

@@ -14,17 +14,17 @@ use motion::axis::AxisError;
 use motion::run::RunError;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
+use trials::experiment::ExperimentError;
+use trials::trial::{RecordError, Status};
 
 use crate::campaign::CampaignError;
 use crate::campaign::verify::Finding;
 use crate::cli::configured;
 use crate::cli::doctor::{self, Finding as Sickness};
 use crate::cli::stops::{self, Delivery, Told};
-use crate::experiment::ExperimentError;
 use crate::report::ReportError;
 use crate::report::campaign::CampaignReportError;
 use crate::report::figures::FigureError;
-use crate::trial::{RecordError, Status};
 
 /// Success.
 pub const DONE: u8 = 0;

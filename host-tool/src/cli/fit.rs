@@ -16,9 +16,9 @@ use crate::cli::calculation::write;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
+use crate::science::observations::{self, Trials, TrialsError};
 use crate::science::posterior::{FORMAT, Posterior, SourceRecord};
 use crate::science::series::Workers;
-use crate::science::trials::{self, Trials, TrialsError};
 use crate::science::{charts, model_file};
 
 /// Arguments of `fit`.
@@ -89,7 +89,7 @@ struct Read {
 fn read(args: &FitArgs) -> Result<Read, Failure> {
     let mut all: Vec<Trials> = vec![];
     for path in &args.sources {
-        all.push(trials::read(path, args.uncertainty_mm)?);
+        all.push(observations::read(path, args.uncertainty_mm)?);
     }
     let origin = all.first().map_or(Origin::Unknown, |one| one.origin);
     if let Some(other) = all.iter().find(|one| one.origin != origin) {

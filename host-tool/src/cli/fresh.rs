@@ -4,12 +4,12 @@
 use client::Device;
 use client::link::address::Address;
 use protocol::system::DeviceKind;
+use trials::experiment;
 
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::machines::homed_text;
 use crate::cli::screen::Screen;
-use crate::experiment;
 
 /// Homes a virtual rig, references a virtual capsule, if it is new.
 pub(crate) fn prepare(

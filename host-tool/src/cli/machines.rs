@@ -11,6 +11,8 @@ use protocol::error::Refusal;
 use protocol::rig::RigStatus;
 use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
 use serde_json::{Map, Value, json};
+use trials::experiment::{self, Motion};
+use trials::trial::{Recording, Status};
 
 use crate::cli::already;
 use crate::cli::args::{RecordArgs, Which};
@@ -20,9 +22,7 @@ use crate::cli::finding::{Finder, line};
 use crate::cli::fresh;
 use crate::cli::screen::Screen;
 use crate::cli::study::TraceFile;
-use crate::experiment::{self, Motion};
 use crate::report::section::actuation_rows;
-use crate::trial::{Recording, Status};
 
 pub(crate) fn devices(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let found = finder.survey(None);

@@ -8,6 +8,7 @@ use clap::CommandFactory;
 use client::decimal;
 use motion::axis::{Axis, MAX_STROKE};
 use serde_json::{Value, json};
+use trials::plan::{self, REFERENCE_LIMITS, Summary};
 
 use crate::campaign::folder::{ORDER, PLAN};
 use crate::catalogue::{self, Wanted};
@@ -17,7 +18,6 @@ use crate::cli::args::{
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
-use crate::plan::{self, REFERENCE_LIMITS, Summary};
 use crate::report::campaign_band::BandSource;
 use crate::report::{self, Existing, campaign, figures};
 

@@ -4,13 +4,13 @@ use client::decimal;
 use locomotion::kinematics::Design;
 use protocol::capsule::ActuationKind;
 use serde_json::Value;
+use trials::experiment::Motion;
 
 use crate::cli::args::PartialArgs;
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::machines;
 use crate::cli::screen::Screen;
-use crate::experiment::Motion;
 
 pub(crate) fn fold(
     args: &PartialArgs,

@@ -3,12 +3,12 @@
 use client::decimal;
 use client::identity::kind_name;
 use serde_json::{Map, Value, json};
+use trials::fetched::{self, Fetched, Kept, Nothing};
 
 use crate::cli::args::{FetchArgs, RecordsSubcommand};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
-use crate::fetched::{self, Fetched, Kept, Nothing};
 
 pub(crate) fn records(
     subcommand: &RecordsSubcommand,

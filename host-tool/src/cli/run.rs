@@ -6,6 +6,11 @@ use protocol::capsule::CapsuleState;
 use protocol::rig::Run;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
+use trials::coordination::{self, Coordinated, Recordings, Shaping};
+use trials::cue::{Coordination, Cue};
+use trials::experiment::{self, RunTrial};
+use trials::plan;
+use trials::trial::Trial;
 
 use crate::cli::args::{DATA_FOLDER, RunArgs};
 use crate::cli::failure::Failure;
@@ -15,12 +20,7 @@ use crate::cli::keyboard::{self, SingleKeys};
 use crate::cli::machines::{completed, recording};
 use crate::cli::screen::Screen;
 use crate::commission::warning;
-use crate::coordination::{self, Coordinated, Recordings, Shaping};
-use crate::cue::{Coordination, Cue};
-use crate::experiment::{self, RunTrial};
-use crate::plan;
 use crate::report::section::actuation_rows;
-use crate::trial::Trial;
 
 /// What is tied to the run, if anything is.
 fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeSet;
 
+use client::subject::Subject;
 use jiff::Timestamp;
 
-use crate::commission::record::{Commissioning, Finding, Outcome, StepResult, Subject};
+use crate::commission::record::{Commissioning, Finding, Outcome, StepResult};
 use crate::commission::step::Step;
 
 /// Whether a step's result still counts.

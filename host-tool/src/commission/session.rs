@@ -4,6 +4,7 @@ use std::path::Path;
 
 use client::error::ClientError;
 use jiff::Timestamp;
+use trials::trial::RecordError;
 
 use crate::commission::halt::Halt;
 use crate::commission::procedure::Procedure;
@@ -11,7 +12,6 @@ use crate::commission::record::{Commissioning, Finding, Outcome};
 use crate::commission::step::Step;
 use crate::commission::steps;
 use crate::commission::work::Work;
-use crate::trial::RecordError;
 
 /// How a session ended.
 #[derive(Debug)]

@@ -4,9 +4,10 @@ use std::path::PathBuf;
 
 use client::Device;
 use client::error::ClientError;
+use client::subject::Subject;
 
 use crate::commission::procedure::{self, Standing};
-use crate::commission::record::{Commissioning, Subject};
+use crate::commission::record::Commissioning;
 use crate::commission::steps;
 
 /// Why a rig should not be trusted with a run yet; none if its record in one of `folders` is complete and still counts.

@@ -4,13 +4,13 @@ pub mod rig;
 
 use std::path::PathBuf;
 
+use client::subject::Subject;
 use client::{Device, Unobserved};
 use protocol::settings::SettingKey;
 use serde_json::{Map, Value};
 
 use crate::commission::halt::Halt;
 use crate::commission::hands::{Act, Hands, Part, Reading};
-use crate::commission::record::Subject;
 
 /// Interval between two looks at the machine, us.
 pub(crate) const LOOK_US: u64 = 50_000;

@@ -13,6 +13,7 @@ use client::identity::Origin;
 use maud::{Markup, PreEscaped, html};
 use miette::Diagnostic;
 use serde::Serialize;
+use trials::trial::RecordError;
 
 use crate::campaign::CampaignError;
 use crate::campaign::manifest;
@@ -26,7 +27,6 @@ use crate::report::figures::Figure;
 use crate::report::section::{reasons, status};
 use crate::report::{Existing, ReportError, page, put};
 use crate::science::table;
-use crate::trial::RecordError;
 
 /// Why a campaign's report could not be written.
 #[derive(Debug, thiserror::Error, Diagnostic)]

@@ -2,6 +2,7 @@
 //! and each run against its plan.
 
 use plotters::style::RGBColor;
+use trials::trial::{Action, RigSample, Screw};
 
 use crate::campaign::order::{Form, doing};
 use crate::campaign::plan::{Lubrication, Purpose};
@@ -12,7 +13,6 @@ use crate::report::figures::{
     Chart, Curve, Figure, FigureError, Heading, MEASURED, Mark, PLANNED, Source, figure, planned,
     sampled, thinned,
 };
-use crate::trial::{Action, RigSample, Screw};
 
 const DRY: RGBColor = RGBColor(0xc0, 0x6a, 0x10);
 const WET: RGBColor = MEASURED;

@@ -10,8 +10,7 @@ use protocol::capsule::{ActuationRecord, CapsuleEvent};
 use protocol::rig::{RigEvent, Run};
 use protocol::system::What;
 use serde::Deserialize;
-
-use crate::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial};
+use trials::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial};
 
 /// A sample is sent a little late when the device has something more urgent to do, us.
 const LATE_US: u64 = 10_000;

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use client::identity::{IdentityRecord, Origin};
 use client::limited;
 use serde::{Serialize, Serializer};
+use trials::trial::{Action, CapsuleSample, RigSample, Trial};
 
 use crate::campaign::CampaignError;
 use crate::campaign::folder::{ATTEMPTS, Campaign};
@@ -20,7 +21,6 @@ use crate::campaign::verify::{self, Finding};
 use crate::report::check;
 use crate::report::figures::position_at;
 use crate::statistics::{Line, Spread};
-use crate::trial::{Action, CapsuleSample, RigSample, Trial};
 
 /// A number with so many decimals as are shown, on the page and in the tables alike.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -7,9 +7,9 @@ use client::identity::Origin;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use protocol::rig::{Run, Stroke};
+use trials::trial::{Achieved, CapsuleSample, RigSample, Screw};
 
 use crate::report::pdf::{Drawn, Page};
-use crate::trial::{Achieved, CapsuleSample, RigSample, Screw};
 
 /// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large and
 /// displayed small.
@@ -670,9 +670,10 @@ fn span(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
+    use trials::experiment::PAPER_RUN;
+    use trials::plan::{REFERENCE_LIMITS, summary};
+
     use super::*;
-    use crate::experiment::PAPER_RUN;
-    use crate::plan::{REFERENCE_LIMITS, summary};
     use motion::axis::Axis;
     use planning::solve;
 

@@ -6,12 +6,13 @@ use client::decimal;
 use maud::{Markup, PreEscaped, html};
 use protocol::capsule::{ActuationKind, ActuationRecord};
 use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunTiming, Stroke};
+use trials::sidecar::heading;
+use trials::trial::{
+    Achieved, Action, CapsuleSample, Executed, Moved, RigSample, Screw, Status, Trial,
+};
 
 use crate::report::figures::{FigureError, actuation_figures, planned, run_figures};
 use crate::report::{Remark, check, page};
-use crate::trial::{
-    Achieved, Action, CapsuleSample, Executed, Moved, RigSample, Screw, Status, Trial,
-};
 
 /// A trial with what is wrong with its record.
 pub(crate) struct Section {
@@ -294,25 +295,6 @@ fn move_rows(
             moved.map_or_else(dash, |moved| mm(moved.position_steps)),
         ),
     ]
-}
-
-pub(crate) fn heading(trial: &Trial) -> String {
-    match &trial.action {
-        Action::Move { requested, .. } => format!("Move to {} mm", milli(requested.position_um)),
-        Action::Run { requested, .. } => format!(
-            "Run, {} cycles of {} mm",
-            requested.cycles,
-            milli(requested.stroke_um)
-        ),
-        Action::Actuation { actuation, .. } => match actuation {
-            ActuationKind::Reference => "Reference of the thread".to_owned(),
-            ActuationKind::Calibrate => "Calibration of the thread".to_owned(),
-            ActuationKind::CheckFolded => "Check that it is folded".to_owned(),
-            ActuationKind::Fold => "Fold".to_owned(),
-            ActuationKind::Unfold => "Unfold".to_owned(),
-            ActuationKind::FoldTo => "Partial fold".to_owned(),
-        },
-    }
 }
 
 pub(crate) fn in_short(trial: &Trial) -> String {

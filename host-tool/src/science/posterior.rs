@@ -7,7 +7,7 @@ use client::identity::Origin;
 use locomotion::model::{Model, Setting, Value};
 use serde::{Deserialize, Serialize};
 
-use crate::science::trials::{LeftOut, SourceFile};
+use crate::science::observations::{LeftOut, SourceFile};
 
 /// Version of the format.
 pub const FORMAT: u32 = 1;

@@ -60,9 +60,9 @@ impl Standing {
     fn of(failure: &Failure) -> Self {
         match failure {
             Failure::Ended { status, .. } => match status {
-                crate::trial::Status::LinkLost => Self::LinkLost,
-                crate::trial::Status::Stopped => Self::Stopped,
-                crate::trial::Status::Faulted => Self::Faulted,
+                trials::trial::Status::LinkLost => Self::LinkLost,
+                trials::trial::Status::Stopped => Self::Stopped,
+                trials::trial::Status::Faulted => Self::Faulted,
                 _ => Self::Unknown,
             },
             failure => match failure.exit_code() {

@@ -32,11 +32,11 @@ use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, oneshot};
 use tokio::time::timeout;
 use tower_service::Service as _;
+use trials::plan::{self, REFERENCE_LIMITS};
 
 use crate::catalogue::{self, Kind, Wanted};
 use crate::cli::failure::{self, Failure};
 use crate::cli::stops::{Delivery, Told};
-use crate::plan::{self, REFERENCE_LIMITS};
 use crate::serve::access::{Access, Demand, Denied, Peer, demand};
 use crate::serve::actions::{Action, Arrival, Command, Standing};
 use crate::serve::board::{Board, Machine, Order};

@@ -16,6 +16,8 @@ use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{Event, Urgent, What};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
+use trials::experiment::{self, Motion};
+use trials::trial::{Achieved, Recording, Status, Trial};
 
 use crate::cli::args::{DATA_FOLDER, RecordArgs};
 use crate::cli::failure::{Failure, NO_DEVICE, UNKNOWN};
@@ -24,11 +26,9 @@ use crate::cli::watch::panel::{self, Contact, MOVES_ALREADY, Notice};
 use crate::cli::{already, motion};
 use crate::commission::warning;
 use crate::connector::Purpose;
-use crate::experiment::{self, Motion};
 use crate::left;
 use crate::serve::board::{Board, Lease, Machine, Order};
 use crate::serve::orders::Work;
-use crate::trial::{Achieved, Recording, Status, Trial};
 
 /// Interval of telemetry while nothing is recorded, ms.
 const TELEMETRY_MS: u16 = 50;

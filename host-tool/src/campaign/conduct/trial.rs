@@ -9,6 +9,10 @@ use protocol::capsule::{ActuationKind, CapsuleState};
 use protocol::rig::{Direction, MoveTo, RigEvent};
 use protocol::system::What;
 use serde_json::json;
+use trials::coordination::{self, Recordings, Shaping};
+use trials::experiment;
+use trials::trial::{RecordError, Recording, Status, json as json_text};
+use trials::writer::replace;
 
 use crate::campaign::conduct::{Broken, Conduct, Then};
 use crate::campaign::ledger::{Event, Outcome, Row, Standing};
@@ -16,10 +20,6 @@ use crate::campaign::order::{Form, Planned, doing};
 use crate::campaign::plan::{Millimetres, Purpose};
 use crate::campaign::prompts::{Answer, Question, camera_file, checks};
 use crate::campaign::remaining;
-use crate::coordination::{self, Recordings, Shaping};
-use crate::experiment;
-use crate::trial::{RecordError, Recording, Status, json as json_text};
-use crate::writer::replace;
 
 impl Conduct<'_> {
     pub(super) fn ask_ready(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {

@@ -8,13 +8,13 @@ use std::path::{Path, PathBuf};
 use client::Device;
 use client::error::ClientError;
 use client::identity::{IdentityRecord, Origin, kind_name};
+use client::subject::Subject;
 use jiff::Timestamp;
 use protocol::capsule::{ActuationOutcome, ActuationRecord};
 use protocol::rig::RunOutcome;
 use protocol::system::{DeviceKind, Event};
 use serde::Serialize;
 
-use crate::commission::record::Subject;
 use crate::trial::{Executed, RecordError, Status, json};
 use crate::writer::create;
 

@@ -117,7 +117,7 @@ fn write(path: &Path, mut file: File, jobs: Receiver<Job>, failed: &OnceLock<Wri
 ///
 /// # Errors
 /// It cannot be written; the old one is still there.
-pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     fs::rename(written(path, bytes)?, path)
 }
 
@@ -125,7 +125,7 @@ pub(crate) fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 ///
 /// # Errors
 /// As [`replace`]; [`io::ErrorKind::AlreadyExists`] leaves what is there as it is.
-pub(crate) fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
     // Whoever has the name first keeps it. Empty until the rename, which no reader takes for a whole file.
     drop(File::create_new(path)?);
     replace(path, bytes).inspect_err(|_| drop(fs::remove_file(path)))

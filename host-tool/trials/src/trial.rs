@@ -42,7 +42,8 @@ pub struct RecordError {
 }
 
 impl RecordError {
-    pub(crate) fn write(path: &Path, why: impl ToString) -> Self {
+    /// A record that could not be written.
+    pub fn write(path: &Path, why: impl ToString) -> Self {
         Self {
             path: path.to_owned(),
             why: why.to_string(),
@@ -50,7 +51,8 @@ impl RecordError {
         }
     }
 
-    pub(crate) fn read(path: &Path, why: impl ToString) -> Self {
+    /// A record that could not be read.
+    pub fn read(path: &Path, why: impl ToString) -> Self {
         Self {
             path: path.to_owned(),
             why: why.to_string(),
@@ -349,7 +351,7 @@ impl Trial {
     }
 
     /// Notes how it ended.
-    pub(crate) fn end(&mut self, ending: Ending) {
+    pub fn end(&mut self, ending: Ending) {
         match (&mut self.action, ending) {
             (Action::Run { executed, .. }, Ending::Run(record)) => {
                 self.status = record.outcome.into();
@@ -668,7 +670,7 @@ fn keep_whole_rows(csv: &Path) -> io::Result<u64> {
 }
 
 /// A JSON file's text.
-pub(crate) fn json(value: &impl Serialize) -> io::Result<Vec<u8>> {
+pub fn json(value: &impl Serialize) -> io::Result<Vec<u8>> {
     let mut bytes = serde_json::to_vec_pretty(value)?;
     bytes.push(b'\n');
     Ok(bytes)
