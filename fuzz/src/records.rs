@@ -4,9 +4,9 @@ use std::fs;
 use std::path::Path;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
+use campaign::manifest::{self, Manifest};
+use campaign::verify::verify;
 use client::{Device, Unobserved};
-use host_tool::campaign::manifest::{self, Manifest};
-use host_tool::campaign::verify::verify;
 use host_tool::report::check;
 use jiff::Timestamp;
 use protocol::rig::{LinkLossPolicy, Run, RunTiming};

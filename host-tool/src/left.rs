@@ -11,7 +11,7 @@ use protocol::rig::{RigState, RunOutcome};
 use trials::trial::{Action, Ending, Moved, RecordError, Status, Trial, json};
 use trials::writer::replace;
 
-use crate::campaign::folder::PLAN;
+use campaign::folder::PLAN;
 
 /// Ends the record that was left on the line of `device`, if there is one and nothing moves any more. Returns what there
 /// is to say.

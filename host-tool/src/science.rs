@@ -9,6 +9,7 @@
 //! * [`odds`]: how probable it is that the paper's sentences are met.
 //! * [`observations`]: displacements for a calibration, from folders and files.
 //! * [`posterior`]: fitted bodies in a model file.
+//! * [`virtual_displacement`]: displacements of the virtual bench.
 //! * [`trial_plan`]: which trials to make next.
 //! * [`snapshots`]: wall and body at several moments.
 //! * [`charts`]: the series as figures, beside what the paper's text says.
@@ -33,3 +34,4 @@ pub mod snapshots;
 pub mod table;
 pub mod trial_plan;
 pub mod values;
+pub mod virtual_displacement;

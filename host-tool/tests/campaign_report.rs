@@ -8,19 +8,19 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
+use campaign::folder::{Campaign, Folder};
+use campaign::ledger::{Event, Outcome, Row, Source};
+use campaign::manifest;
+use campaign::plan::{Millimetres, Purpose};
+use campaign::readings::{Kind, Quantity, ReadingRow};
+use campaign::statistics::{Line, Spread};
 use client::identity::Origin;
 use client::{Device, Unobserved};
-use host_tool::campaign::folder::{Campaign, Folder};
-use host_tool::campaign::ledger::{Event, Outcome, Row, Source};
-use host_tool::campaign::manifest;
-use host_tool::campaign::plan::{Millimetres, Purpose};
-use host_tool::campaign::readings::{Kind, Quantity, ReadingRow};
 use host_tool::report::Existing;
 use host_tool::report::campaign::{Written, report_folder, write};
 use host_tool::report::campaign_band::BandSource;
 use host_tool::report::evaluation::evaluate;
 use host_tool::science::observations::{self, TrialsError};
-use host_tool::statistics::{Line, Spread};
 use jiff::Timestamp;
 use machine::tool::Memory;
 use machine::{Script, link};
@@ -306,7 +306,7 @@ fn the_numbers_are_those_of_the_trials_that_count() {
     let evaluation = evaluate(&path).expect("a campaign");
     let order = Campaign::read(&path).expect("a campaign").order;
     for row in &evaluation.conditions {
-        let of_it = |planned: &&host_tool::campaign::order::Planned| {
+        let of_it = |planned: &&campaign::order::Planned| {
             (planned.purpose, planned.lubrication, planned.shape)
                 == (row.purpose, row.lubrication, row.shape)
                 && planned.indentation == row.indentation

@@ -12,12 +12,12 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use calibration::observation::Kind as Observed;
+use campaign::folder::Campaign;
+use campaign::ledger::{Event, Outcome, Source, Standing};
+use campaign::order::Form;
+use campaign::plan::Purpose;
+use campaign::verify::verify;
 use client::identity::Origin;
-use host_tool::campaign::folder::Campaign;
-use host_tool::campaign::ledger::{Event, Outcome, Source, Standing};
-use host_tool::campaign::order::Form;
-use host_tool::campaign::plan::Purpose;
-use host_tool::campaign::verify::verify;
 use host_tool::cli::run_at;
 use host_tool::report::check;
 use host_tool::science::observations;

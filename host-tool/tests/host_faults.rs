@@ -15,13 +15,13 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bench::{Bench, read, with_little_space};
+use campaign::chance::Chance;
+use campaign::folder::Campaign;
+use campaign::ledger::{Event, Outcome, Standing};
+use campaign::verify::verify;
 use client::link::address::Address;
 use client::link::memory::{Memory, Peer};
 use client::link::{Link, LinkError, OpenError};
-use host_tool::campaign::folder::Campaign;
-use host_tool::campaign::ledger::{Event, Outcome, Standing};
-use host_tool::campaign::verify::verify;
-use host_tool::chance::Chance;
 use host_tool::cli::run_at;
 use host_tool::connector::{Candidate, Connector, Purpose};
 use jiff::{SignedDuration, Timestamp};

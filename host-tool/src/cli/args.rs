@@ -13,12 +13,12 @@ use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 
-use crate::campaign::plan::Millimetres;
 use crate::cli::configured::Names;
 use crate::cli::design::DesignArgs;
 use crate::cli::fit::FitArgs;
 use crate::cli::plan_experiment::PlanExperimentArgs;
 use crate::cli::science::SimulateArgs;
+use campaign::plan::Millimetres;
 
 const EXAMPLES: &str = "\
 Examples:

@@ -17,14 +17,14 @@ use serde_json::{Value, json};
 use trials::experiment::ExperimentError;
 use trials::trial::{RecordError, Status};
 
-use crate::campaign::CampaignError;
-use crate::campaign::verify::Finding;
 use crate::cli::configured;
 use crate::cli::doctor::{self, Finding as Sickness};
 use crate::cli::stops::{self, Delivery, Told};
 use crate::report::ReportError;
 use crate::report::campaign::CampaignReportError;
 use crate::report::figures::FigureError;
+use campaign::CampaignError;
+use campaign::verify::Finding;
 
 /// Success.
 pub const DONE: u8 = 0;

@@ -9,7 +9,6 @@ use locomotion::kinematics::Design;
 use locomotion::model::Model;
 use serde_json::{Value, json};
 
-use crate::chance::Chance;
 use crate::cli::calculation::Calculation;
 use crate::cli::failure::Failure;
 use crate::cli::screen::Screen;
@@ -21,6 +20,7 @@ use crate::science::optimise::search::{self, FREE, Proposal};
 use crate::science::optimise::{self, Row};
 use crate::science::posterior::Posterior;
 use crate::science::{charts, model_file};
+use campaign::chance::Chance;
 
 /// What the displacement is counted for.
 #[derive(Clone, Copy, Debug, ValueEnum)]

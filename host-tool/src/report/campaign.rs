@@ -15,11 +15,6 @@ use miette::Diagnostic;
 use serde::Serialize;
 use trials::trial::RecordError;
 
-use crate::campaign::CampaignError;
-use crate::campaign::manifest;
-use crate::campaign::order::doing;
-use crate::campaign::plan::Purpose;
-use crate::campaign::readings::Quantity;
 use crate::report::campaign_band::{BandSource, ModelBand, band};
 use crate::report::campaign_figures::{carriage, figure7, figure8, passes, run_over_plan};
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, motion_of};
@@ -27,6 +22,11 @@ use crate::report::figures::Figure;
 use crate::report::section::{reasons, status};
 use crate::report::{Existing, ReportError, page, put};
 use crate::science::table;
+use campaign::CampaignError;
+use campaign::manifest;
+use campaign::order::doing;
+use campaign::plan::Purpose;
+use campaign::readings::Quantity;
 
 /// Why a campaign's report could not be written.
 #[derive(Debug, thiserror::Error, Diagnostic)]

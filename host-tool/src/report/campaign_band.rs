@@ -4,12 +4,12 @@ use locomotion::model::{Model, Setting, Value};
 use locomotion::prior::{Words, agreeing};
 use rayon::prelude::*;
 
-use crate::campaign::folder::TRIALS;
-use crate::campaign::manifest::hex;
-use crate::campaign::plan::{Lubrication, Purpose};
 use crate::report::evaluation::Evaluation;
 use crate::science::bands::{self, Bands, Body};
 use crate::science::posterior::Posterior;
+use campaign::folder::TRIALS;
+use campaign::manifest::hex;
+use campaign::plan::{Lubrication, Purpose};
 
 /// Most bodies of which a band is drawn: more of them move its edges by less than the line's width.
 const MOST_BODIES: usize = 110;

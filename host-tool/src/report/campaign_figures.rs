@@ -4,8 +4,6 @@
 use plotters::style::RGBColor;
 use trials::trial::{Action, RigSample, Screw};
 
-use crate::campaign::order::{Form, doing};
-use crate::campaign::plan::{Lubrication, Purpose};
 use crate::report::campaign_band::ModelBand;
 use crate::report::check;
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
@@ -13,6 +11,8 @@ use crate::report::figures::{
     Chart, Curve, Figure, FigureError, Heading, MEASURED, Mark, PLANNED, Source, figure, planned,
     sampled, thinned,
 };
+use campaign::order::{Form, doing};
+use campaign::plan::{Lubrication, Purpose};
 
 const DRY: RGBColor = RGBColor(0xc0, 0x6a, 0x10);
 const WET: RGBColor = MEASURED;

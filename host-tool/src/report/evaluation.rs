@@ -10,17 +10,17 @@ use client::limited;
 use serde::{Serialize, Serializer};
 use trials::trial::{Action, CapsuleSample, RigSample, Trial};
 
-use crate::campaign::CampaignError;
-use crate::campaign::folder::{ATTEMPTS, Campaign};
-use crate::campaign::ledger::{Attempt, Outcome, Source, Standing, TrialState};
-use crate::campaign::manifest::{self, Manifest};
-use crate::campaign::order::{Condition, Form};
-use crate::campaign::plan::{Lubrication, Millimetres, Purpose};
-use crate::campaign::readings::{Quantity, Summary};
-use crate::campaign::verify::{self, Finding};
 use crate::report::check;
 use crate::report::figures::position_at;
-use crate::statistics::{Line, Spread};
+use campaign::CampaignError;
+use campaign::folder::{ATTEMPTS, Campaign};
+use campaign::ledger::{Attempt, Outcome, Source, Standing, TrialState};
+use campaign::manifest::{self, Manifest};
+use campaign::order::{Condition, Form};
+use campaign::plan::{Lubrication, Millimetres, Purpose};
+use campaign::readings::{Quantity, Summary};
+use campaign::statistics::{Line, Spread};
+use campaign::verify::{self, Finding};
 
 /// A number with so many decimals as are shown, on the page and in the tables alike.
 #[derive(Clone, Copy, Debug, PartialEq)]

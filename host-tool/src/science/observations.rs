@@ -8,13 +8,13 @@ use client::identity::Origin;
 use client::limited;
 use serde::Serialize;
 
-use crate::campaign::CampaignError;
-use crate::campaign::folder::{Campaign, TRIALS};
-use crate::campaign::ledger::Standing;
-use crate::campaign::manifest::{self, hex};
-use crate::campaign::order::Form;
-use crate::campaign::plan::{self, Purpose};
-use crate::campaign::verify::{Finding, verify};
+use campaign::CampaignError;
+use campaign::folder::{Campaign, TRIALS};
+use campaign::ledger::Standing;
+use campaign::manifest::{self, hex};
+use campaign::order::Form;
+use campaign::plan::{self, Purpose};
+use campaign::verify::{Finding, verify};
 
 /// A file that a calibration rests on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]

@@ -34,7 +34,6 @@ use tokio::time::timeout;
 use tower_service::Service as _;
 use trials::plan::{self, REFERENCE_LIMITS};
 
-use crate::catalogue::{self, Kind, Wanted};
 use crate::cli::failure::{self, Failure};
 use crate::cli::stops::{Delivery, Told};
 use crate::serve::access::{Access, Demand, Denied, Peer, demand};
@@ -43,6 +42,7 @@ use crate::serve::board::{Board, Machine, Order};
 use crate::serve::connections::{Connections, Doing};
 use crate::serve::errands::{Errand, Question, Wait};
 use crate::serve::orders::{self, Work};
+use campaign::catalogue::{self, Kind, Wanted};
 
 /// What programs read.
 pub const OPENAPI: &str = include_str!("../../../docs/openapi.json");

@@ -6,8 +6,8 @@
 use locomotion::kinematics::{Design, MAX_CRESCENTS};
 use locomotion::range::OutOfRange;
 
-use crate::chance::Chance;
 use crate::science::optimise::limits::Limits;
+use campaign::chance::Chance;
 
 /// Numbers that are free in a design.
 pub const FREE: usize = 4;

@@ -3,12 +3,12 @@
 use client::identity::Origin;
 use protocol::capsule::{ActuationKind, CapsuleState};
 
-use crate::campaign::conduct::{Broken, Conduct, Then};
-use crate::campaign::ledger::{Attempt, Event, Outcome, Row, Source};
-use crate::campaign::model::{self, Modelled};
-use crate::campaign::order::{Form, Planned};
-use crate::campaign::plan::Millimetres;
-use crate::campaign::prompts::{Answer, Question};
+use crate::conduct::modelled::{Modelled, Wanted};
+use crate::conduct::{Broken, Conduct, Then};
+use crate::ledger::{Attempt, Event, Outcome, Row, Source};
+use crate::order::{Form, Planned};
+use crate::plan::Millimetres;
+use crate::prompts::{Answer, Question};
 
 impl Conduct<'_> {
     /// Asks for what is missing of an attempt that was completed: the displacements after strokes first, then the net one.
@@ -143,12 +143,14 @@ impl Conduct<'_> {
             .trial(planned.trial)
             .and_then(|trial| trial.attempt()?.indentation_mm)
             .map_or(0.0, Millimetres::mm);
-        let modelled = match after_stroke {
-            None => model::displacement(&campaign.plan, planned, attempt, a_mm, &sidecar),
-            Some(stroke) => {
-                model::after_stroke(&campaign.plan, planned, attempt, a_mm, &sidecar, stroke)
-            }
-        };
+        let modelled = self.model.displacement(&Wanted {
+            plan: &campaign.plan,
+            planned,
+            attempt,
+            indentation_mm: a_mm,
+            sidecar: &sidecar,
+            after_stroke,
+        });
         modelled.map_err(|error| {
             let folder = Attempt::folder(planned.trial, attempt);
             Broken::NotReady {

@@ -2,6 +2,7 @@
 //! leaves. Everything is in the folder before the next thing begins.
 
 mod displacement;
+pub mod modelled;
 mod readings;
 mod stage;
 mod strokes;
@@ -20,11 +21,12 @@ use serde_json::{Value, json};
 use trials::experiment::ExperimentError;
 use trials::trial::{RecordError, Status};
 
-use crate::campaign::CampaignError;
-use crate::campaign::folder::Folder;
-use crate::campaign::ledger::{Outcome, Row, Standing};
-use crate::campaign::prompts::{self, Answer, Halt, Question};
-use crate::campaign::readings::ReadingRow;
+use crate::CampaignError;
+use crate::conduct::modelled::DisplacementModel;
+use crate::folder::Folder;
+use crate::ledger::{Outcome, Row, Standing};
+use crate::prompts::{self, Answer, Halt, Question};
+use crate::readings::ReadingRow;
 
 /// How long the machines are kept company at a time while a question waits, us.
 const COMPANY_US: u64 = 50_000;
@@ -232,6 +234,7 @@ pub struct Conduct<'a> {
     folder: &'a mut Folder,
     machines: &'a mut Machines,
     desk: &'a mut dyn Desk,
+    model: &'a dyn DisplacementModel,
     /// A name for the camera's next file, if the operator has given one.
     camera: Option<String>,
     /// The rollers were clamped anew, although the block has begun.
@@ -252,11 +255,17 @@ enum Then {
 
 impl<'a> Conduct<'a> {
     /// Nothing is asked and nothing moves yet.
-    pub fn new(folder: &'a mut Folder, machines: &'a mut Machines, desk: &'a mut dyn Desk) -> Self {
+    pub fn new(
+        folder: &'a mut Folder,
+        machines: &'a mut Machines,
+        desk: &'a mut dyn Desk,
+        model: &'a dyn DisplacementModel,
+    ) -> Self {
         Self {
             folder,
             machines,
             desk,
+            model,
             camera: None,
             clamped_anew: false,
             homed_in: None,

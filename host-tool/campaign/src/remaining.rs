@@ -1,7 +1,7 @@
 //! How much time a campaign will still take: an estimate from the plan and from how long the last trials took.
 
-use crate::campaign::folder::Campaign;
-use crate::campaign::ledger::{Event, Standing};
+use crate::folder::Campaign;
+use crate::ledger::{Event, Standing};
 
 /// Between the end of a run and the beginning of the next one, before anything is known, s.
 const HANDLING_S: f64 = 60.0;

@@ -9,19 +9,24 @@
 //! * [`verify`]: every change of a folder, found.
 //! * [`prompts`]: what is asked, and what may be answered.
 //! * [`conduct`]: carries the trials out.
-//! * [`model`]: displacements of the virtual bench.
+//! * [`catalogue`]: campaigns and trials by date, specimen, outcome.
+//! * [`statistics`]: mean, deviation, and a line with its band.
+//! * [`chance`]: chance from a seed.
 //! * [`remaining`]: how much time is left.
+#![forbid(unsafe_code)]
 
+pub mod catalogue;
+pub mod chance;
 pub mod conduct;
 pub mod folder;
 pub mod ledger;
 pub mod manifest;
-pub mod model;
 pub mod order;
 pub mod plan;
 pub mod prompts;
 pub mod readings;
 pub mod remaining;
+pub mod statistics;
 pub mod verify;
 
 use std::path::{Path, PathBuf};
@@ -44,7 +49,8 @@ pub struct CampaignError {
 }
 
 impl CampaignError {
-    pub(crate) fn new(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
+    /// A campaign that is not as it should be.
+    pub fn new(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
         Self {
             path: path.to_owned(),
             why: why.to_string(),
@@ -53,7 +59,8 @@ impl CampaignError {
         }
     }
 
-    pub(crate) fn misuse(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
+    /// A command that does not fit the campaign.
+    pub fn misuse(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
         Self {
             misuse: true,
             ..Self::new(path, why, remedy)

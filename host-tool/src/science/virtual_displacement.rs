@@ -1,6 +1,7 @@
 //! What the locomotion models say about an attempt: the displacement of a body on the virtual bench, whose rollers touch
 //! nothing. It is driven by the telemetry, so by what the carriage did.
 
+use std::error::Error;
 use std::fs;
 use std::path::Path;
 
@@ -11,12 +12,13 @@ use locomotion::{folded, roller};
 use protocol::rig::Direction;
 use trials::trial::{Action, RecordError, RigSample, Screw, Status, Trial};
 
-use crate::campaign::ledger::Source;
-use crate::campaign::order::{Form, Planned};
-use crate::campaign::plan::{Lubrication, Millimetres, Plan};
-use crate::chance::Chance;
 use crate::science::model_file;
 use crate::science::series::LUBRICATION;
+use campaign::chance::Chance;
+use campaign::conduct::modelled::{DisplacementModel, Modelled, Wanted};
+use campaign::ledger::Source;
+use campaign::order::{Form, Planned};
+use campaign::plan::{Lubrication, Millimetres, Plan};
 
 /// Slack of the thread before it pulls, mm: that of the bench's capsule.
 const SLACK_MM: f64 = 1.0;
@@ -40,15 +42,25 @@ pub enum ModelError {
     NoFold,
 }
 
-/// A displacement that was calculated, and how.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Modelled {
-    /// The displacement, rounded to the caliper's resolution.
-    pub value: Millimetres,
-    /// With or without scatter.
-    pub source: Source,
-    /// Model and scatter in words, for the record.
-    pub text: String,
+/// The models of this tool, for campaigns on virtual machines.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Models;
+
+impl DisplacementModel for Models {
+    fn displacement(&self, wanted: &Wanted<'_>) -> Result<Modelled, Box<dyn Error>> {
+        let Wanted {
+            plan,
+            planned,
+            attempt,
+            indentation_mm,
+            sidecar,
+            after_stroke: stroke,
+        } = *wanted;
+        Ok(match stroke {
+            None => displacement(plan, planned, attempt, indentation_mm, sidecar)?,
+            Some(stroke) => after_stroke(plan, planned, attempt, indentation_mm, sidecar, stroke)?,
+        })
+    }
 }
 
 /// The displacement that the models give for an attempt with this indentation, with the scatter that the plan declares.

@@ -8,10 +8,10 @@ use std::path::Path;
 use client::limited;
 use trials::trial::{Action, CapsuleSample, RigSample, Status, Trial};
 
-use crate::campaign::CampaignError;
-use crate::campaign::folder::{ATTEMPTS, Campaign, ORDER, PLAN, READINGS, TRIALS};
-use crate::campaign::ledger::{Attempt, Outcome};
-use crate::campaign::manifest::{self, Hash, Manifest, PART, contents, hash_file};
+use crate::CampaignError;
+use crate::folder::{ATTEMPTS, Campaign, ORDER, PLAN, READINGS, TRIALS};
+use crate::ledger::{Attempt, Outcome};
+use crate::manifest::{self, Hash, Manifest, PART, contents, hash_file};
 
 /// The files that grow by lines.
 const GROWING: [&str; 2] = [READINGS, TRIALS];
@@ -258,7 +258,7 @@ impl Differences {
 /// Only the attempt that was made last can have files that the manifest does not know.
 fn is_new(attempt: &str, campaign: &Campaign) -> bool {
     let began = campaign.rows.iter().rev().find_map(|row| {
-        (row.event == crate::campaign::ledger::Event::Began)
+        (row.event == crate::ledger::Event::Began)
             .then(|| Attempt::folder(row.trial.unwrap_or(0), row.attempt.unwrap_or(0)))
     });
     began.as_deref() == Some(attempt)

@@ -3,11 +3,11 @@
 use client::identity::Origin;
 use jiff::Timestamp;
 
-use crate::campaign::conduct::{Broken, Conduct, Then};
-use crate::campaign::order::Planned;
-use crate::campaign::plan::{Millimetres, Purpose};
-use crate::campaign::prompts::{Answer, Question};
-use crate::campaign::readings::{Kind, Quantity, ReadingRow, Set, Summary, questions, refusal};
+use crate::conduct::{Broken, Conduct, Then};
+use crate::order::Planned;
+use crate::plan::{Millimetres, Purpose};
+use crate::prompts::{Answer, Question};
+use crate::readings::{Kind, Quantity, ReadingRow, Set, Summary, questions, refusal};
 
 impl Conduct<'_> {
     /// Makes sure that D is known and that the rollers are clamped for this trial's block.

@@ -6,8 +6,8 @@ use jiff::Timestamp;
 use locomotion::kinematics::indentation_from_calipers_mm;
 use serde::{Deserialize, Serialize};
 
-use crate::campaign::ledger::{Contradiction, Sequence};
-use crate::campaign::plan::{Millimetres, Plan};
+use crate::ledger::{Contradiction, Sequence};
+use crate::plan::{Millimetres, Plan};
 
 /// What the caliper is held to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -1,10 +1,10 @@
 //! The displacements after the strokes of a run: asked for one by one before the net one, or left out.
 
-use crate::campaign::conduct::{Broken, Conduct, Then};
-use crate::campaign::ledger::{Event, Row, Source};
-use crate::campaign::model::Modelled;
-use crate::campaign::order::Planned;
-use crate::campaign::prompts::{Answer, Question};
+use crate::conduct::modelled::Modelled;
+use crate::conduct::{Broken, Conduct, Then};
+use crate::ledger::{Event, Row, Source};
+use crate::order::Planned;
+use crate::prompts::{Answer, Question};
 
 impl Conduct<'_> {
     /// The stroke after which the displacement is missing, from 1, and of how many; none if nothing is.

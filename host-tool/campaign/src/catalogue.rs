@@ -11,10 +11,10 @@ use serde::Serialize;
 use trials::sidecar::{heading, unreadable};
 use trials::trial::{Status, Trial};
 
-use crate::campaign::folder::{Campaign, ORDER, PLAN};
-use crate::campaign::ledger::{Outcome, Standing, TrialState};
-use crate::campaign::order::doing;
-use crate::campaign::verify;
+use crate::folder::{Campaign, ORDER, PLAN};
+use crate::ledger::{Outcome, Standing, TrialState};
+use crate::order::doing;
+use crate::verify;
 
 /// Folders within folders are looked through so deep.
 const DEPTH: u32 = 3;

@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use trials::experiment::Shape;
 
-use crate::campaign::plan::{Lubrication, Plan, Purpose};
 use crate::chance::Chance;
+use crate::plan::{Lubrication, Plan, Purpose};
 
 /// What is equal in trials that are averaged.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

@@ -10,8 +10,8 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use trials::trial::Status;
 
-use crate::campaign::order::{Condition, Planned};
-use crate::campaign::plan::Millimetres;
+use crate::order::{Condition, Planned};
+use crate::plan::Millimetres;
 
 /// What a row tells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

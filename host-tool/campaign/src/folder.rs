@@ -15,13 +15,13 @@ use serde::de::DeserializeOwned;
 use trials::trial::{Status, Trial};
 use trials::writer::replace;
 
-use crate::campaign::CampaignError;
-use crate::campaign::ledger::{Attempt, Event, Outcome, Row, State};
-use crate::campaign::manifest::{self, Manifest, PART};
-use crate::campaign::order::{Planned, order};
-use crate::campaign::plan::{Millimetres, Plan};
-use crate::campaign::readings::{ReadingRow, Readings};
-use crate::campaign::verify::{self, Differences};
+use crate::CampaignError;
+use crate::ledger::{Attempt, Event, Outcome, Row, State};
+use crate::manifest::{self, Manifest, PART};
+use crate::order::{Planned, order};
+use crate::plan::{Millimetres, Plan};
+use crate::readings::{ReadingRow, Readings};
+use crate::verify::{self, Differences};
 
 /// The plan, as it was given.
 pub const PLAN: &str = "plan.toml";

@@ -13,8 +13,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 use trials::cue::Cue;
 use trials::plan;
 
-use crate::campaign::CampaignError;
-use crate::campaign::order::Form;
+use crate::CampaignError;
+use crate::order::Form;
 
 /// Version of the format; incremented when a key changes its meaning.
 pub const FORMAT: u32 = 1;

@@ -4,10 +4,10 @@ use client::decimal::DecimalError;
 use client::error::ClientError;
 use protocol::rig::Direction;
 
-use crate::campaign::ledger::Attempt;
-use crate::campaign::order::{Form, Planned, doing};
-use crate::campaign::plan::{Lubrication, Millimetres, Passes, Purpose};
-use crate::campaign::readings::Quantity;
+use crate::ledger::Attempt;
+use crate::order::{Form, Planned, doing};
+use crate::plan::{Lubrication, Millimetres, Passes, Purpose};
+use crate::readings::Quantity;
 
 /// Why there is no answer.
 #[derive(Debug)]

@@ -7,9 +7,9 @@ use protocol::rig::{Direction, MoveTo, RigState, RigStatus};
 use trials::experiment;
 use trials::trial::{Screw, Status};
 
-use crate::campaign::conduct::{Broken, Conduct, Then};
-use crate::campaign::order::Planned;
-use crate::campaign::prompts::{Answer, Question, clearing};
+use crate::conduct::{Broken, Conduct, Then};
+use crate::order::Planned;
+use crate::prompts::{Answer, Question, clearing};
 
 /// How fast the carriage goes to where a trial begins, um/s.
 const STAGE_UM_S: u32 = 20_000;

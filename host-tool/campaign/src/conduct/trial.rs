@@ -14,12 +14,12 @@ use trials::experiment;
 use trials::trial::{RecordError, Recording, Status, json as json_text};
 use trials::writer::replace;
 
-use crate::campaign::conduct::{Broken, Conduct, Then};
-use crate::campaign::ledger::{Event, Outcome, Row, Standing};
-use crate::campaign::order::{Form, Planned, doing};
-use crate::campaign::plan::{Millimetres, Purpose};
-use crate::campaign::prompts::{Answer, Question, camera_file, checks};
-use crate::campaign::remaining;
+use crate::conduct::{Broken, Conduct, Then};
+use crate::ledger::{Event, Outcome, Row, Standing};
+use crate::order::{Form, Planned, doing};
+use crate::plan::{Millimetres, Purpose};
+use crate::prompts::{Answer, Question, camera_file, checks};
+use crate::remaining;
 
 impl Conduct<'_> {
     pub(super) fn ask_ready(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
