@@ -4,10 +4,10 @@ use std::fs;
 use std::path::Path;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
+use analysis::report::check;
 use campaign::manifest::{self, Manifest};
 use campaign::verify::verify;
 use client::{Device, Unobserved};
-use host_tool::report::check;
 use jiff::Timestamp;
 use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::system::DeviceKind;

@@ -13,10 +13,9 @@ use client::link::serial::{self, Serial};
 use client::link::shared::{Halves, Shared};
 use client::link::tcp::Tcp;
 use client::link::{Link, OpenError, Reason};
+use commissioning::hands::Hands;
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
-
-use crate::commission::hands::Hands;
 
 /// A place where a machine may be.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -11,6 +11,8 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use analysis::report::check;
+use analysis::science::observations;
 use calibration::observation::Kind as Observed;
 use campaign::folder::Campaign;
 use campaign::ledger::{Event, Outcome, Source, Standing};
@@ -19,8 +21,6 @@ use campaign::plan::Purpose;
 use campaign::verify::verify;
 use client::identity::Origin;
 use host_tool::cli::run_at;
-use host_tool::report::check;
-use host_tool::science::observations;
 use locomotion::roller::{Params, isolated_pass};
 use machine::plan::{ONE_CONDITION, PAPER, changed};
 use machine::tool::Memory;

@@ -7,9 +7,9 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use analysis::report::{self, Found, Remark};
 use client::identity::{IdentityRecord, Origin};
 use client::{Begun, Device, Homed, Observer, Progress, Unobserved};
-use host_tool::report::{self, Found, Remark};
 use jiff::Timestamp;
 use machine::capsule::FOLDED_UM;
 use machine::{Script, link};

@@ -6,8 +6,8 @@ mod machine;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use analysis::report::{self, Damaged, Existing, Found};
 use client::{Device, Unobserved};
-use host_tool::report::{self, Damaged, Existing, Found};
 use jiff::Timestamp;
 use machine::tool::Memory;
 use machine::{Script, link};

@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use client::link::address::Address;
 use client::link::{Link, OpenError, Reason};
-use host_tool::commission::hands::Hands;
+use commissioning::hands::Hands;
 use host_tool::connector::{Candidate, Connector, Ports, Purpose};
 use jiff::Timestamp;
 use protocol::system::DeviceKind;

@@ -3,12 +3,12 @@
 use std::io::Write;
 use std::path::PathBuf;
 
+use analysis::report::{self, Existing, Found, Remark, ReportError};
 use client::decimal;
 use client::error::ClientError;
 use client::identity;
 use client::{Device, Homed, Observer};
 use host_tool::cli;
-use host_tool::report::{self, Existing, Found, Remark, ReportError};
 use jiff::Timestamp;
 use locomotion::kinematics::Design;
 use locomotion::range::OutOfRange;

@@ -4,22 +4,10 @@ mod desk;
 
 use std::path::{Path, PathBuf};
 
-use client::identity::Origin;
-use client::limited;
-use protocol::system::DeviceKind;
-use serde_json::{Value, json};
-
-use crate::cli::args::{
-    CAMPAIGNS_FOLDER, CampaignSubcommand, DATA_FOLDER, Edit, EditArgs, SessionArgs, VerifyArgs,
-};
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
-use crate::cli::screen::Screen;
-use crate::commission::warning;
-use crate::report::campaign::report_folder;
-use crate::report::campaign_band::BandSource;
-use crate::report::{self, Existing};
-use crate::science::virtual_displacement::Models;
+use analysis::report::campaign::report_folder;
+use analysis::report::campaign_band::BandSource;
+use analysis::report::{self, Existing};
+use analysis::science::virtual_displacement::Models;
 use campaign::CampaignError;
 use campaign::conduct::{Broken, Conduct, Ending, Machines};
 use campaign::folder::{Campaign, Folder};
@@ -30,6 +18,18 @@ use campaign::plan::{Millimetres, Plan};
 use campaign::readings::Summary;
 use campaign::remaining::{remaining_s, text as time_text};
 use campaign::verify as verification;
+use client::identity::Origin;
+use client::limited;
+use commissioning::warning;
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+
+use crate::cli::args::{
+    CAMPAIGNS_FOLDER, CampaignSubcommand, DATA_FOLDER, Edit, EditArgs, SessionArgs, VerifyArgs,
+};
+use crate::cli::failure::Failure;
+use crate::cli::finding::Finder;
+use crate::cli::screen::Screen;
 use desk::{Counter, Who};
 
 pub(crate) fn campaign(

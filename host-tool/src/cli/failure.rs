@@ -3,6 +3,11 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use analysis::report::ReportError;
+use analysis::report::campaign::CampaignReportError;
+use analysis::report::figures::FigureError;
+use campaign::CampaignError;
+use campaign::verify::Finding;
 use client::decimal;
 use client::error::ClientError;
 use client::identity;
@@ -20,11 +25,6 @@ use trials::trial::{RecordError, Status};
 use crate::cli::configured;
 use crate::cli::doctor::{self, Finding as Sickness};
 use crate::cli::stops::{self, Delivery, Told};
-use crate::report::ReportError;
-use crate::report::campaign::CampaignReportError;
-use crate::report::figures::FigureError;
-use campaign::CampaignError;
-use campaign::verify::Finding;
 
 /// Success.
 pub const DONE: u8 = 0;

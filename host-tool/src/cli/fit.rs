@@ -3,6 +3,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use analysis::science::observations::{self, Trials, TrialsError};
+use analysis::science::posterior::{FORMAT, Posterior, SourceRecord};
+use analysis::science::series::Workers;
+use analysis::science::{charts, model_file};
 use calibration::fit::{Fit, Settings, fit as calibrate};
 use calibration::observation::{Case, Kind, Observation};
 use calibration::predictive::{Band, Check, bands, checks, suspicious};
@@ -16,10 +20,6 @@ use crate::cli::calculation::write;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
-use crate::science::observations::{self, Trials, TrialsError};
-use crate::science::posterior::{FORMAT, Posterior, SourceRecord};
-use crate::science::series::Workers;
-use crate::science::{charts, model_file};
 
 /// Arguments of `fit`.
 #[derive(Debug, Args)]

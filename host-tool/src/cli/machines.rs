@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use analysis::report::section::actuation_rows;
 use client::decimal;
 use client::error::ClientError;
 use client::identity::{self, IdentityRecord};
@@ -22,7 +23,6 @@ use crate::cli::finding::{Finder, line};
 use crate::cli::fresh;
 use crate::cli::screen::Screen;
 use crate::cli::study::TraceFile;
-use crate::report::section::actuation_rows;
 
 pub(crate) fn devices(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let found = finder.survey(None);

@@ -4,6 +4,9 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use analysis::report::campaign as campaign_report;
+use analysis::report::campaign_band::BandSource;
+use analysis::report::{self, Existing, figures};
 use campaign::catalogue::{self, Wanted};
 use campaign::folder::{ORDER, PLAN};
 use clap::CommandFactory;
@@ -18,9 +21,6 @@ use crate::cli::args::{
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
-use crate::report::campaign as campaign_report;
-use crate::report::campaign_band::BandSource;
-use crate::report::{self, Existing, figures};
 
 pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let run = args.waves.request(OnLinkLoss::Stop);

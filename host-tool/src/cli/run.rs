@@ -1,7 +1,9 @@
 //! The command `run`, alone or with a fold or an unfolding at a place of it.
 
+use analysis::report::section::actuation_rows;
 use client::Device;
 use client::decimal;
+use commissioning::warning;
 use protocol::capsule::CapsuleState;
 use protocol::rig::Run;
 use protocol::system::DeviceKind;
@@ -19,8 +21,6 @@ use crate::cli::fresh;
 use crate::cli::keyboard::{self, SingleKeys};
 use crate::cli::machines::{completed, recording};
 use crate::cli::screen::Screen;
-use crate::commission::warning;
-use crate::report::section::actuation_rows;
 
 /// What is tied to the run, if anything is.
 fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {

@@ -1,7 +1,7 @@
 //! Both images at once: a fold at a place of a run, from the rig's STEP pin to the capsule's bridge.
 
+use analysis::report::check;
 use client::{Clock, Device, Observer, Unobserved};
-use host_tool::report::check;
 use jiff::Timestamp;
 use protocol::rig::{Run, RunTiming};
 use protocol::system::DeviceKind;

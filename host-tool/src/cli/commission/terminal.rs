@@ -7,11 +7,11 @@ use std::time::Duration;
 
 use client::Interrupt;
 use client::decimal;
+use commissioning::halt::Halt;
+use commissioning::hands::{Act, Hands, Part, Reading, Say, Watch};
+use commissioning::session::wrapped;
 
 use crate::cli::Keyboard;
-use crate::commission::halt::Halt;
-use crate::commission::hands::{Act, Hands, Part, Reading, Say, Watch};
-use crate::commission::session::wrapped;
 
 /// Interval between two looks at the keyboard.
 const TURN: Duration = Duration::from_millis(20);
