@@ -3,8 +3,8 @@
 
 use std::sync::{Arc, OnceLock};
 
-use host_tool::client::{Device, Unobserved};
-use host_tool::link::memory::{Memory, Peer};
+use client::link::memory::{Memory, Peer};
+use client::{Device, Unobserved};
 use protocol::capsule::{Calibrate, Fold};
 use protocol::error::Refusal;
 use protocol::frame::Kind;

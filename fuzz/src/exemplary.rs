@@ -2,9 +2,9 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
+use client::link::memory::Peer;
 use device::identity::identity;
 use device::service::{Inbound, Incoming, Service};
-use host_tool::link::memory::Peer;
 use protocol::capsule::CapsuleState;
 use protocol::error::Refusal;
 use protocol::rig::RigState;
@@ -146,10 +146,11 @@ fn response(request: &Request) -> Response {
 
 #[cfg(test)]
 mod tests {
+    use client::Device;
+    use client::error::ClientError;
+    use client::link::memory::Memory;
+
     use super::*;
-    use host_tool::client::Device;
-    use host_tool::error::ClientError;
-    use host_tool::link::memory::Memory;
 
     #[test]
     fn a_recording_without_an_end_is_given_up() {

@@ -2,12 +2,12 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use host_tool::client::{Device, Observer, Progress};
+use client::error::ClientError;
+use client::link::address::Address;
+use client::link::memory::Peer;
+use client::link::{Link, LinkError, OpenError, Reason};
+use client::{Device, Observer, Progress};
 use host_tool::connector::{Candidate, Connector, Purpose};
-use host_tool::error::ClientError;
-use host_tool::link::address::Address;
-use host_tool::link::memory::Peer;
-use host_tool::link::{Link, LinkError, OpenError, Reason};
 use host_tool::serve::memory::{self, INSTANCE, Server};
 use jiff::Timestamp;
 use protocol::frame::Kind;

@@ -6,10 +6,10 @@ use std::fs;
 use std::path::Path;
 use std::sync::OnceLock;
 
+use client::link::address::Address;
+use client::link::memory::Memory;
+use client::link::{Link, OpenError};
 use host_tool::connector::{Candidate, Connector, Purpose};
-use host_tool::link::address::Address;
-use host_tool::link::memory::Memory;
-use host_tool::link::{Link, OpenError};
 use host_tool::serve::http::ROUTES;
 use host_tool::serve::memory::{self, Answer, INSTANCE, Server};
 use jiff::Timestamp;

@@ -4,17 +4,17 @@ use std::fs;
 use std::path::Path;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-use host_tool::campaign::manifest::{self, Manifest};
-use host_tool::campaign::verify::verify;
-use host_tool::client::{Device, Unobserved};
-use host_tool::experiment;
-use host_tool::report::check;
-use host_tool::trial::{Action, CapsuleSample, Recording, RigSample, Trial};
+use analysis::report::check;
+use campaign::manifest::{self, Manifest};
+use campaign::verify::verify;
+use client::{Device, Unobserved};
 use jiff::Timestamp;
 use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::system::DeviceKind;
 use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
+use trials::experiment;
+use trials::trial::{Action, CapsuleSample, Recording, RigSample, Trial};
 
 use crate::machine::{Script, link};
 use crate::script::steps;

@@ -3,8 +3,8 @@
 
 use std::sync::OnceLock;
 
-use host_tool::door::VERSION;
-use host_tool::door::memory::{Door, Guest};
+use client::door::VERSION;
+use client::door::memory::{Door, Guest};
 use protocol::frame::Kind;
 use protocol::rig::{GetRigStatus, Home};
 use protocol::system::{DeviceKind, Done, Hello, Identity, ResetCause, Urgent};

@@ -14,17 +14,17 @@
 
 use std::io;
 
-use host_tool::client::Device;
+use client::Device;
+use client::decimal;
+use client::identity;
+use client::link::address::Address;
+use client::link::serial::DEFAULT_BAUD;
 use host_tool::connector::{Connector, Ports, Purpose};
-use host_tool::decimal;
-use host_tool::experiment::{self, PAPER_RUN};
-use host_tool::identity;
-use host_tool::link::address::Address;
-use host_tool::link::serial::DEFAULT_BAUD;
-use host_tool::progress::Live;
 use miette::{IntoDiagnostic, Result, miette};
 use protocol::rig::{RunOutcome, RunRecord};
 use protocol::system::DeviceKind;
+use trials::experiment::{self, PAPER_RUN};
+use trials::progress::Live;
 
 fn main() -> Result<()> {
     let address: Address = std::env::args()

@@ -5,18 +5,17 @@ use std::hash::{BuildHasher, RandomState};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::door::lock::Doorway;
+use client::door::server::GUESTS;
+use client::door::window::Window;
+use client::link::address::Address;
+use client::link::serial::{self, Serial};
+use client::link::shared::{Halves, Shared};
+use client::link::tcp::Tcp;
+use client::link::{Link, OpenError, Reason};
+use commissioning::hands::Hands;
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
-
-use crate::commission::hands::Hands;
-use crate::door::lock::Doorway;
-use crate::door::server::GUESTS;
-use crate::door::window::Window;
-use crate::link::address::Address;
-use crate::link::serial::{self, Serial};
-use crate::link::shared::{Halves, Shared};
-use crate::link::tcp::Tcp;
-use crate::link::{Link, OpenError, Reason};
 
 /// A place where a machine may be.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -3,15 +3,15 @@
 
 use std::path::Path;
 
+use client::Device;
+use client::error::ClientError;
+use client::identity::IdentityRecord;
 use protocol::capsule::ActuationOutcome;
 use protocol::rig::{RigState, RunOutcome};
+use trials::trial::{Action, Ending, Moved, RecordError, Status, Trial, json};
+use trials::writer::replace;
 
-use crate::campaign::folder::PLAN;
-use crate::client::Device;
-use crate::error::ClientError;
-use crate::identity::IdentityRecord;
-use crate::trial::{Action, Ending, Moved, RecordError, Status, Trial, json};
-use crate::writer::replace;
+use campaign::folder::PLAN;
 
 /// Ends the record that was left on the line of `device`, if there is one and nothing moves any more. Returns what there
 /// is to say.

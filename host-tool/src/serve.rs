@@ -41,6 +41,10 @@ use std::sync::{Arc, mpsc};
 use std::thread;
 use std::time::Duration;
 
+use client::Interrupt;
+use client::door::lock;
+use client::identity::kind_name;
+use client::link::address::Address;
 use protocol::system::DeviceKind;
 use serde_json::json;
 use tokio::net::{TcpListener, TcpSocket};
@@ -50,10 +54,6 @@ use tokio::time::{interval, sleep, timeout};
 
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
-use crate::client::Interrupt;
-use crate::door::lock;
-use crate::identity::kind_name;
-use crate::link::address::Address;
 use crate::serve::access::{Access, LEAST_TOKEN, new_token};
 use crate::serve::board::{Board, Machine};
 use crate::serve::errands::{Errand, Questions};

@@ -9,13 +9,11 @@ mod machine;
 use std::fmt::Write as _;
 
 use bench::Bench;
+use client::Device;
+use client::link::address::Address;
 use host_tool::cli::run_on;
 use host_tool::connector::Ports;
-use host_tool::link::address::Address;
-use host_tool::{
-    client::Device,
-    connector::{Connector as _, Purpose},
-};
+use host_tool::connector::{Connector as _, Purpose};
 use protocol::rig::{GetRigHealth, RigHealth, RigStatus, RunRecord};
 use protocol::system::DeviceKind;
 use serde_json::Value;

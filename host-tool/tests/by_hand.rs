@@ -2,12 +2,12 @@
 
 mod machine;
 
-use host_tool::experiment::PAPER_RUN;
 use machine::tool::{Memory, ready};
 use machine::{Script, World, button, estop};
 use protocol::rig::{Run, RunTiming};
 use protocol::{settings::SettingKey, system::DeviceKind};
 use serde_json::Value;
+use trials::experiment::PAPER_RUN;
 
 const SHORT_RUN_US: u64 = 4_000_000;
 const SHORT_RUN: Run = Run {

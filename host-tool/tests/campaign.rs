@@ -6,24 +6,22 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use host_tool::campaign::folder::{ATTEMPTS, Campaign, Folder, READINGS, TRIALS, order_text};
-use host_tool::campaign::ledger::{Event, Outcome, Row, Source, Standing, State};
-use host_tool::campaign::manifest::{self, Manifest};
-use host_tool::campaign::order::{Form, order};
-use host_tool::campaign::plan::{Lubrication, Millimetres, Plan, Purpose};
-use host_tool::campaign::readings::{
-    Kind, Quantity, ReadingRow, Readings, Summary, questions, refusal,
-};
-use host_tool::campaign::verify::verify;
-use host_tool::chance::Chance;
-use host_tool::client::{Device, Unobserved};
-use host_tool::experiment;
-use host_tool::identity::Origin;
-use host_tool::trial::Recording;
+use campaign::chance::Chance;
+use campaign::folder::{ATTEMPTS, Campaign, Folder, READINGS, TRIALS, order_text};
+use campaign::ledger::{Event, Outcome, Row, Source, Standing, State};
+use campaign::manifest::{self, Manifest};
+use campaign::order::{Form, order};
+use campaign::plan::{Lubrication, Millimetres, Plan, Purpose};
+use campaign::readings::{Kind, Quantity, ReadingRow, Readings, Summary, questions, refusal};
+use campaign::verify::verify;
+use client::identity::Origin;
+use client::{Device, Unobserved};
 use jiff::Timestamp;
 use machine::{Script, link};
 use proptest::prelude::*;
 use protocol::system::DeviceKind;
+use trials::experiment;
+use trials::trial::Recording;
 
 const PAPER: &str = include_str!("../../examples/paper.toml");
 

@@ -13,10 +13,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bench::{Bench, ready};
-use host_tool::campaign::folder::Campaign;
-use host_tool::campaign::ledger::{Event, Outcome, Standing};
-use host_tool::campaign::verify::verify;
-use host_tool::chance::Chance;
+use campaign::chance::Chance;
+use campaign::folder::Campaign;
+use campaign::ledger::{Event, Outcome, Standing};
+use campaign::verify::verify;
 use machine::VIRTUAL_UID;
 use machine::plan::{ONE_CONDITION, PAPER, changed};
 use protocol::system::DeviceKind;
@@ -37,7 +37,7 @@ fn plan(changes: &[(&str, &str)]) -> String {
 
 /// The displacements that count, and the attempts that they are of.
 fn done(campaign: &Campaign) -> BTreeMap<u32, (u32, i64)> {
-    let of = |trial: &host_tool::campaign::ledger::TrialState| {
+    let of = |trial: &campaign::ledger::TrialState| {
         let mm = trial.counted()?;
         Some((trial.planned.trial, (trial.attempt()?.number, mm.value.um)))
     };

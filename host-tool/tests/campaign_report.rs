@@ -8,26 +8,26 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
-use host_tool::campaign::folder::{Campaign, Folder};
-use host_tool::campaign::ledger::{Event, Outcome, Row, Source};
-use host_tool::campaign::manifest;
-use host_tool::campaign::plan::{Millimetres, Purpose};
-use host_tool::campaign::readings::{Kind, Quantity, ReadingRow};
-use host_tool::client::{Device, Unobserved};
-use host_tool::experiment::{self, Shape};
-use host_tool::identity::Origin;
-use host_tool::report::Existing;
-use host_tool::report::campaign::{Written, report_folder, write};
-use host_tool::report::campaign_band::BandSource;
-use host_tool::report::evaluation::evaluate;
-use host_tool::science::trials::{self, TrialsError};
-use host_tool::statistics::{Line, Spread};
-use host_tool::trial::Recording;
+use analysis::report::Existing;
+use analysis::report::campaign::{Written, report_folder, write};
+use analysis::report::campaign_band::BandSource;
+use analysis::report::evaluation::evaluate;
+use analysis::science::observations::{self, TrialsError};
+use campaign::folder::{Campaign, Folder};
+use campaign::ledger::{Event, Outcome, Row, Source};
+use campaign::manifest;
+use campaign::plan::{Millimetres, Purpose};
+use campaign::readings::{Kind, Quantity, ReadingRow};
+use campaign::statistics::{Line, Spread};
+use client::identity::Origin;
+use client::{Device, Unobserved};
 use jiff::Timestamp;
 use machine::tool::Memory;
 use machine::{Script, link};
 use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
+use trials::experiment::{self, Shape};
+use trials::trial::Recording;
 
 /// Three indentations, dry and lubricated, twice each, and a fold test: 14 trials.
 const PLAN: &str = r#"
@@ -306,7 +306,7 @@ fn the_numbers_are_those_of_the_trials_that_count() {
     let evaluation = evaluate(&path).expect("a campaign");
     let order = Campaign::read(&path).expect("a campaign").order;
     for row in &evaluation.conditions {
-        let of_it = |planned: &&host_tool::campaign::order::Planned| {
+        let of_it = |planned: &&campaign::order::Planned| {
             (planned.purpose, planned.lubrication, planned.shape)
                 == (row.purpose, row.lubrication, row.shape)
                 && planned.indentation == row.indentation
@@ -668,9 +668,11 @@ fn the_catalogue_finds_campaigns_and_trials_by_date_specimen_and_outcome() {
 #[test]
 fn a_calibration_takes_what_counts_and_lists_what_does_not() {
     let (_place, path) = made();
-    let why = trials::read(&path, None).expect_err("not said").to_string();
+    let why = observations::read(&path, None)
+        .expect_err("not said")
+        .to_string();
     assert!(why.contains("how exact its displacements are"), "{why}");
-    let read = trials::read(&path, Some(0.5)).expect("readable");
+    let read = observations::read(&path, Some(0.5)).expect("readable");
     assert_eq!(read.origin, Origin::Board);
     assert_eq!(read.stroke_mm, Some(5.0));
     let campaign = Campaign::read(&path).expect("a campaign");
@@ -708,6 +710,6 @@ fn a_calibration_takes_what_counts_and_lists_what_does_not() {
     let trials_csv = path.join("trials.csv");
     let text = fs::read_to_string(&trials_csv).expect("a file");
     fs::write(&trials_csv, text.replacen("measured", "Measured", 1)).expect("written");
-    let error = trials::read(&path, Some(0.5)).expect_err("changed");
+    let error = observations::read(&path, Some(0.5)).expect_err("changed");
     assert!(matches!(error, TrialsError::Changed { .. }), "{error}");
 }

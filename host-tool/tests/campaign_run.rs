@@ -11,17 +11,16 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use analysis::report::check;
+use analysis::science::observations;
 use calibration::observation::Kind as Observed;
-use host_tool::campaign::folder::Campaign;
-use host_tool::campaign::ledger::{Event, Outcome, Source, Standing};
-use host_tool::campaign::order::Form;
-use host_tool::campaign::plan::Purpose;
-use host_tool::campaign::verify::verify;
+use campaign::folder::Campaign;
+use campaign::ledger::{Event, Outcome, Source, Standing};
+use campaign::order::Form;
+use campaign::plan::Purpose;
+use campaign::verify::verify;
+use client::identity::Origin;
 use host_tool::cli::run_at;
-use host_tool::identity::Origin;
-use host_tool::report::check;
-use host_tool::science::trials;
-use host_tool::trial::{Action, Moved, RigSample, Trial};
 use locomotion::roller::{Params, isolated_pass};
 use machine::plan::{ONE_CONDITION, PAPER, changed};
 use machine::tool::Memory;
@@ -29,6 +28,7 @@ use machine::{Script, VIRTUAL_UID, World};
 use protocol::rig::{MoveAccepted, MoveTo, RunOutcome};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
+use trials::trial::{Action, Moved, RigSample, Trial};
 
 /// The paper's plan, but for the number of trials and the length of the run, with these changes.
 fn small_plan(changes: &[(&str, &str)]) -> String {
@@ -405,7 +405,7 @@ fn passes_and_strokes_reach_the_fit_and_the_report() {
         // The ripple of the model, for the body lies elsewhere, and the rounding to the caliper.
         assert!((mm - alone).abs() < 0.3, "{purpose:?}: {mm}, alone {alone}");
     }
-    let trials = trials::read(Path::new(&out), None).expect("verifies");
+    let trials = observations::read(Path::new(&out), None).expect("verifies");
     let of = |wanted: Observed| {
         let found = trials
             .measured
@@ -427,7 +427,7 @@ fn passes_and_strokes_reach_the_fit_and_the_report() {
     assert!(first.displacement_mm > 5.0 && second.displacement_mm < first.displacement_mm);
     of(Observed::AntegradePass);
     of(Observed::ReturningPass);
-    let given = trials::read(Path::new(&out), Some(0.5)).expect("verifies");
+    let given = observations::read(Path::new(&out), Some(0.5)).expect("verifies");
     assert_eq!(given.overridden_mm, Some(0.3));
     assert!(given.measured[0].observation.uncertainty_mm == 0.5);
 
@@ -457,7 +457,7 @@ fn passes_and_strokes_reach_the_fit_and_the_report() {
     let number = pass.expect("there").planned.trial.to_string();
     let (code, _, err) = memory.run(&["campaign", "edit", &out, "exclude", &number, "torn"]);
     assert_eq!(code, 0, "{err}");
-    let trials = trials::read(Path::new(&out), None).expect("verifies");
+    let trials = observations::read(Path::new(&out), None).expect("verifies");
     assert_eq!(trials.measured.len(), 4);
     assert_eq!(trials.left_out[0].why, "excluded: torn");
 }

@@ -8,6 +8,7 @@ use assert_cmd::Command;
 use machine::capsule::FOLDED_UM;
 use machine::tool::{Memory, ready};
 use machine::{Script, World, button, estop};
+use protocol::capsule::KEPT_TRACE_POINTS;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;
 
@@ -265,13 +266,13 @@ fn the_recording_of_the_last_actuation_becomes_a_file() {
     let folder = tempfile::tempdir().expect("folder");
     let out_dir = folder.path().to_str().expect("UTF-8");
     let trace = ["--json", "capsule", "trace", "--out", out_dir];
-    // The actuation before was the reference: slower than the two seconds that are kept.
+    // The actuation before was the reference: slower than what is kept.
     let (code, out, err) = Memory::with(vec![ready(DeviceKind::Capsule)]).run(&trace);
     assert_eq!(code, 0, "{err}");
     let json: Value = serde_json::from_str(&out).expect("one object");
     assert_eq!(
         (&json["actuation"], &json["readings"]),
-        (&1.into(), &2_000.into())
+        (&1.into(), &KEPT_TRACE_POINTS.into())
     );
     let path = json["csv"].as_str().expect("a path");
     let text = std::fs::read_to_string(path).expect("a file");
@@ -289,7 +290,7 @@ fn the_recording_of_the_last_actuation_becomes_a_file() {
                 .collect()
         })
         .collect();
-    assert_eq!(rows.len(), 2_000);
+    assert_eq!(rows.len(), KEPT_TRACE_POINTS);
     assert!((0..).zip(&rows).all(|(time_ms, row)| row[0] == time_ms));
     // It pays out at the end, to zero, driven the other way, and the cell sags a little.
     assert!(rows.iter().any(|row| row[4] < -1_000));

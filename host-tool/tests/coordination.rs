@@ -6,17 +6,17 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use host_tool::client::{Clock, Device, Observer, Unobserved};
-use host_tool::coordination::{self, Coordinated, Recordings, Shaping};
-use host_tool::cue::Cue;
-use host_tool::experiment::{ExperimentError, PAPER_RUN};
-use host_tool::trial::{Recording, Status, Trial};
+use client::{Clock, Device, Observer, Unobserved};
 use jiff::Timestamp;
 use machine::tool::{Memory, ready};
 use machine::{Script, World, link};
 use protocol::capsule::{ActuationOutcome, CapsuleEvent, CapsuleState};
 use protocol::rig::{RigEvent, RigState, Run, RunTiming};
 use protocol::system::{DeviceKind, Event, Urgent, What};
+use trials::coordination::{self, Coordinated, Recordings, Shaping};
+use trials::cue::Cue;
+use trials::experiment::{ExperimentError, PAPER_RUN};
+use trials::trial::{Recording, Status, Trial};
 
 /// Three cycles of 10 mm, 2 s each.
 const RUN: Run = Run {

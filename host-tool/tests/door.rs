@@ -17,8 +17,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bench::{Bench, read};
-use host_tool::client::{Observer, Unobserved};
-use host_tool::error::ClientError;
+use client::error::ClientError;
+use client::{Observer, Unobserved};
 use machine::signal::{Signal, kill};
 use protocol::system::{DeviceKind, Event, Urgent};
 use protocol::table::Telemetry;

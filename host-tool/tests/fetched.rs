@@ -5,16 +5,16 @@ mod machine;
 use std::fs;
 use std::path::Path;
 
-use host_tool::client::{Device, Unobserved};
-use host_tool::fetched::{Kept, Nothing};
-use host_tool::identity::Origin;
-use host_tool::trial::Status;
+use client::identity::Origin;
+use client::{Device, Unobserved};
 use jiff::Timestamp;
 use machine::tool::{Memory, ready};
 use machine::{Script, VIRTUAL_UID, button, link};
 use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::system::DeviceKind;
 use serde_json::Value;
+use trials::fetched::{Kept, Nothing};
+use trials::trial::Status;
 
 /// Two strokes of 20 mm in 3 s.
 const RUN: Run = Run {
@@ -117,10 +117,10 @@ fn a_run_of_the_button_is_fetched() {
         ..ready(DeviceKind::Rig)
     };
     let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 1).expect("a rig");
-    let asked = host_tool::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH).expect("answers");
+    let asked = trials::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH).expect("answers");
     assert_eq!(asked, Err(Nothing::Yet));
     rig.idle(45_000_000, &mut Unobserved).expect("there");
-    let asked = host_tool::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH).expect("answers");
+    let asked = trials::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH).expect("answers");
     let fetched = asked.expect("a run");
     assert_eq!(
         (fetched.status, fetched.origin),

@@ -4,10 +4,10 @@ mod machine;
 
 use std::sync::{Arc, Mutex};
 
+use client::link::address::Address;
+use client::link::{Link, OpenError};
 use host_tool::cli::run_on;
 use host_tool::connector::{Candidate, Connector, Purpose};
-use host_tool::link::address::Address;
-use host_tool::link::{Link, OpenError};
 use jiff::Timestamp;
 use machine::{Log, Script, link};
 use protocol::system::DeviceKind;

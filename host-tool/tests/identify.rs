@@ -3,8 +3,8 @@
 mod population;
 
 use capsule_plant::Parameters;
-use host_tool::identify::{IdentifyError, identify};
 use protocol::capsule::TracePoint;
+use trials::identify::{IdentifyError, identify};
 
 /// A slice of what `examples/identify.rs` tries.
 #[test]

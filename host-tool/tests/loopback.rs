@@ -5,10 +5,9 @@ mod machine;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use host_tool::client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
-use host_tool::error::ClientError;
-use host_tool::experiment::PAPER_RUN;
-use host_tool::link::Link;
+use client::error::ClientError;
+use client::link::Link;
+use client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
 use machine::capsule::FOLDED_UM;
 use machine::{Script, World, link};
 use protocol::capsule::ActuationOutcome;
@@ -17,6 +16,7 @@ use protocol::rig::{RigEvent, RigFault, RigState, Run, RunOutcome, RunTiming};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, ResetCause, Urgent, What};
 use protocol::table::Telemetry;
+use trials::experiment::PAPER_RUN;
 
 const SHORT_RUN: Run = Run {
     cycles: 2,

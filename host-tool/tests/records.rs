@@ -7,19 +7,19 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use host_tool::client::{Begun, Device, Homed, Observer, Progress, Unobserved};
-use host_tool::experiment::{
-    self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
-};
-use host_tool::identity::{IdentityRecord, Origin};
-use host_tool::report::{self, Found, Remark};
-use host_tool::trial::{Action, Recorder, Recording, RigSample, Screw, Status, Trial};
+use analysis::report::{self, Found, Remark};
+use client::identity::{IdentityRecord, Origin};
+use client::{Begun, Device, Homed, Observer, Progress, Unobserved};
 use jiff::Timestamp;
 use machine::capsule::FOLDED_UM;
 use machine::{Script, link};
 use protocol::capsule::ActuationKind;
 use protocol::rig::{Run, RunTiming};
 use protocol::system::{DeviceKind, Identity};
+use trials::experiment::{
+    self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
+};
+use trials::trial::{Action, Recorder, Recording, RigSample, Screw, Status, Trial};
 
 const SHORT_RUN: Run = Run {
     cycles: 2,

@@ -6,16 +6,16 @@ mod machine;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use host_tool::client::{Device, Unobserved};
-use host_tool::experiment::{self, PAPER_RUN};
-use host_tool::report::{self, Damaged, Existing, Found};
-use host_tool::trial::Recording;
+use analysis::report::{self, Damaged, Existing, Found};
+use client::{Device, Unobserved};
 use jiff::Timestamp;
 use machine::tool::Memory;
 use machine::{Script, link};
 use protocol::capsule::ActuationKind;
 use protocol::rig::{Run, RunTiming};
 use protocol::system::DeviceKind;
+use trials::experiment::{self, PAPER_RUN};
+use trials::trial::Recording;
 
 const RUN: Run = Run {
     cycles: 2,

@@ -8,8 +8,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+use analysis::science::series::{self, TubeCase};
 use assert_cmd::Command;
-use host_tool::science::series::{self, TubeCase};
 use locomotion::comparison::{self, INDENTATIONS_MM, frictions, pressures_pa};
 use locomotion::model::{Model, SETTINGS, Setting};
 use locomotion::range::OutOfRange;

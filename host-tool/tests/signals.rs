@@ -10,9 +10,9 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::link::memory::Peer;
 use host_tool::cli::run_at;
 use host_tool::connector::Ports;
-use host_tool::link::memory::Peer;
 use machine::pace::{MOST_LATE_US, Pace, TURN_US};
 use machine::signal::{Signal, kill};
 use machine::{Log, Machine, Script};

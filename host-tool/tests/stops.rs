@@ -7,10 +7,10 @@ use std::sync::{Condvar, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::link::address::Address;
+use client::link::{Link, LinkError, OpenError, Reason};
 use host_tool::cli::run_on;
 use host_tool::connector::{Candidate, Connector, Ports, Purpose};
-use host_tool::link::address::Address;
-use host_tool::link::{Link, LinkError, OpenError, Reason};
 use jiff::Timestamp;
 use machine::tool::{Memory, ready};
 use machine::{Script, link};

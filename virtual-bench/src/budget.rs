@@ -1,6 +1,6 @@
 //! How long a 40 mAh cell lasts in a study: what the capsule's image does at rest, measured, and what that costs by data sheet.
 
-use host_tool::client::{Device, Unobserved};
+use client::{Device, Unobserved};
 use protocol::capsule::Calibrate;
 use protocol::system::DeviceKind;
 

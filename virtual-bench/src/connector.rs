@@ -3,10 +3,10 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use host_tool::commission::hands::Hands;
+use client::link::address::Address;
+use client::link::{Link, OpenError, Reason};
+use commissioning::hands::Hands;
 use host_tool::connector::{Candidate, Connector, Ports, Purpose};
-use host_tool::link::address::Address;
-use host_tool::link::{Link, OpenError, Reason};
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
 

@@ -3,19 +3,21 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use host_tool::client::{Device, Homed, Observer};
-use host_tool::error::ClientError;
-use host_tool::experiment::{
-    self, ActuationTrial, ExperimentError, Hooks, Procedure, RunTrial, Shape,
-};
-use host_tool::progress::Live;
-use host_tool::report::{self, Existing, Found, Remark, ReportError};
-use host_tool::{cli, decimal, identity};
+use analysis::report::{self, Existing, Found, Remark, ReportError};
+use client::decimal;
+use client::error::ClientError;
+use client::identity;
+use client::{Device, Homed, Observer};
+use host_tool::cli;
 use jiff::Timestamp;
 use locomotion::kinematics::Design;
 use locomotion::range::OutOfRange;
 use locomotion::{folded, roller};
 use protocol::system::{DeviceKind, Identity};
+use trials::experiment::{
+    self, ActuationTrial, ExperimentError, Hooks, Procedure, RunTrial, Shape,
+};
+use trials::progress::Live;
 
 use crate::bench::{Bench, BenchError};
 use crate::boards::capsule::CapsuleBoard;

@@ -2,15 +2,15 @@
 
 use std::time::Instant;
 
-use host_tool::client::{Device, Unobserved};
-use host_tool::error::ClientError;
-use host_tool::experiment::PAPER_RUN;
-use host_tool::link::Link as _;
+use client::error::ClientError;
+use client::link::Link as _;
+use client::{Device, Unobserved};
 use protocol::frame::{Header, Kind, encode};
 use protocol::rig::{GetRigHealth, Run as RunRequest, RunTiming};
 use protocol::settings::{Setting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use protocol::table::Request;
+use trials::experiment::PAPER_RUN;
 
 use crate::bench::{Bench, BenchError, BenchOptions};
 use crate::boards::rig::{self, RigBoard};

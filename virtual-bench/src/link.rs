@@ -1,6 +1,6 @@
 //! The host tool's link to a machine on the bench, in virtual time.
 
-use host_tool::link::{Link, LinkError};
+use client::link::{Link, LinkError};
 
 use crate::bench::{Bench, BenchError};
 use crate::emulator::Wiring;

@@ -2,8 +2,8 @@
 
 use capsule_plant::cases::{Course, Kind, Motion};
 use capsule_plant::verdict::{self, Verdict, name};
-use host_tool::client::{Device, Unobserved};
-use host_tool::error::ClientError;
+use client::error::ClientError;
+use client::{Device, Unobserved};
 use protocol::capsule::{
     ActuationAccepted, ActuationOutcome, ActuationRecord, Calibrate, CapsuleState, GetCapsuleTotals,
 };

@@ -1,13 +1,13 @@
 //! Commands that find their goal reached: they succeed and say so, so that a script can repeat them.
 
+use client::Device;
+use client::error::ClientError;
 use protocol::capsule::{ActuationKind, CapsuleState, CapsuleStatus};
 use protocol::error::Refusal;
 use serde_json::{Value, json};
 
 use crate::cli::failure::Failure;
 use crate::cli::screen::Screen;
-use crate::client::Device;
-use crate::error::ClientError;
 
 /// The device refused because there is nothing to do.
 pub(crate) fn is_there(error: &ClientError) -> bool {

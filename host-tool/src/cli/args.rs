@@ -5,20 +5,20 @@ use std::path::PathBuf;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Parser, ValueEnum};
+use client::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
+use client::link::address::Address;
+use client::link::serial::DEFAULT_BAUD;
 use jiff::civil::Date;
 use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 
-use crate::campaign::plan::Millimetres;
 use crate::cli::configured::Names;
 use crate::cli::design::DesignArgs;
 use crate::cli::fit::FitArgs;
 use crate::cli::plan_experiment::PlanExperimentArgs;
 use crate::cli::science::SimulateArgs;
-use crate::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
-use crate::link::address::Address;
-use crate::link::serial::DEFAULT_BAUD;
+use campaign::plan::Millimetres;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -840,7 +840,7 @@ where
 
 /// Accepts 0, because the planner's refusal explains more.
 fn cycles(text: &str) -> Result<u16, String> {
-    let value = crate::decimal::parse(text, 0, 10_000).map_err(|error| error.to_string())?;
+    let value = client::decimal::parse(text, 0, 10_000).map_err(|error| error.to_string())?;
     u16::try_from(value).map_err(|_| "too large: use at most 10000".to_owned())
 }
 

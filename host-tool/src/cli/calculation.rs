@@ -3,14 +3,14 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use analysis::science::series::Workers;
+use analysis::science::table;
 use indicatif::{ProgressBar, ProgressStyle};
 use locomotion::range::OutOfRange;
 use serde::Serialize;
 
 use crate::cli::failure::Failure;
 use crate::cli::screen::Screen;
-use crate::science::series::Workers;
-use crate::science::table;
 
 /// One command's calculation.
 pub(crate) struct Calculation<'a, 'b> {

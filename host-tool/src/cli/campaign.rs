@@ -4,31 +4,32 @@ mod desk;
 
 use std::path::{Path, PathBuf};
 
+use analysis::report::campaign::report_folder;
+use analysis::report::campaign_band::BandSource;
+use analysis::report::{self, Existing};
+use analysis::science::virtual_displacement::Models;
+use campaign::CampaignError;
+use campaign::conduct::{Broken, Conduct, Ending, Machines};
+use campaign::folder::{Campaign, Folder};
+use campaign::ledger::{Event, Row, Source, Standing, TrialState};
+use campaign::manifest;
+use campaign::order::doing;
+use campaign::plan::{Millimetres, Plan};
+use campaign::readings::Summary;
+use campaign::remaining::{remaining_s, text as time_text};
+use campaign::verify as verification;
+use client::identity::Origin;
+use client::limited;
+use commissioning::warning;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
-use crate::campaign::CampaignError;
-use crate::campaign::conduct::{Broken, Conduct, Ending, Machines};
-use crate::campaign::folder::{Campaign, Folder};
-use crate::campaign::ledger::{Event, Row, Source, Standing, TrialState};
-use crate::campaign::manifest;
-use crate::campaign::order::doing;
-use crate::campaign::plan::{Millimetres, Plan};
-use crate::campaign::readings::Summary;
-use crate::campaign::remaining::{remaining_s, text as time_text};
-use crate::campaign::verify as verification;
 use crate::cli::args::{
     CAMPAIGNS_FOLDER, CampaignSubcommand, DATA_FOLDER, Edit, EditArgs, SessionArgs, VerifyArgs,
 };
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
-use crate::commission::warning;
-use crate::identity::Origin;
-use crate::limited;
-use crate::report::campaign::report_folder;
-use crate::report::campaign_band::BandSource;
-use crate::report::{self, Existing};
 use desk::{Counter, Who};
 
 pub(crate) fn campaign(
@@ -238,7 +239,7 @@ fn sit_down(
         }
     };
     let mut desk = Counter::new(screen, finder, who);
-    let ended = Conduct::new(folder, &mut machines, &mut desk).carry_out(session.trials);
+    let ended = Conduct::new(folder, &mut machines, &mut desk, &Models).carry_out(session.trials);
     ended.map_err(|broken| failure(broken, &path))
 }
 

@@ -4,6 +4,14 @@ mod terminal;
 
 use std::path::PathBuf;
 
+use client::identity::kind_name;
+use client::subject::Subject;
+use commissioning::hands::{Bench, Hands, Nobody};
+use commissioning::procedure;
+use commissioning::record::{Commissioning, Outcome};
+use commissioning::session::{self, Broken, Ending};
+use commissioning::steps;
+use commissioning::work::{Options, Work};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 
@@ -12,13 +20,6 @@ use crate::cli::failure::{Failure, Unfinished};
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
 use crate::cli::{flash, interrupt};
-use crate::commission::hands::{Bench, Hands, Nobody};
-use crate::commission::procedure;
-use crate::commission::record::{Commissioning, Outcome, Subject};
-use crate::commission::session::{self, Broken, Ending};
-use crate::commission::steps;
-use crate::commission::work::{Options, Work};
-use crate::identity::kind_name;
 use terminal::Terminal;
 
 pub(crate) fn commission(

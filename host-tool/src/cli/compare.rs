@@ -1,5 +1,8 @@
 //! `simulate compare`: the paper's sentences beside the model's values, and how probable it is that each is met.
 
+use analysis::science::model_file;
+use analysis::science::odds::{Judged, Poll};
+use analysis::science::posterior::Posterior;
 use locomotion::comparison::Sheet;
 use locomotion::model::Model;
 use locomotion::prior;
@@ -7,9 +10,6 @@ use serde_json::{Value, json};
 
 use crate::cli::calculation::Calculation;
 use crate::cli::failure::Failure;
-use crate::science::model_file;
-use crate::science::odds::{Judged, Poll};
-use crate::science::posterior::Posterior;
 
 pub(crate) fn compare(
     work: &mut Calculation<'_, '_>,

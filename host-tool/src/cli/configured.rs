@@ -3,6 +3,10 @@
 use std::panic::resume_unwind;
 use std::thread;
 
+use client::identity::{self, IdentityRecord};
+use client::link::address::Address;
+use client::named::{self, Named, NamedError};
+use client::{Device, matches};
 use protocol::settings::GetName;
 use protocol::system::{DeviceKind, Identity};
 use serde_json::{Value, json};
@@ -10,11 +14,7 @@ use serde_json::{Value, json};
 use crate::cli::args::Cli;
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, KINDS, past_owners};
-use crate::client::{Device, matches};
 use crate::connector::Purpose;
-use crate::identity::{self, IdentityRecord};
-use crate::link::address::Address;
-use crate::named::{self, Named, NamedError};
 
 /// The names by which the user has called the machines.
 #[derive(Clone, Debug, Default)]

@@ -1,5 +1,6 @@
 //! `simulate crescent`: the crescent as a beam, with inputs of its own, beside no other model.
 
+use analysis::science::{charts, crescent, table};
 use locomotion::beam::{NoAnswer, Validation, band, thread};
 use locomotion::comparison::INDENTATIONS_MM;
 use serde_json::{Value, json};
@@ -7,7 +8,6 @@ use serde_json::{Value, json};
 use crate::cli::calculation::Calculation;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
-use crate::science::{charts, crescent, table};
 
 /// Fewest draws that make a band.
 const FEWEST: usize = 10;

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use analysis::science::design::{self, Report};
+use analysis::science::{charts, drawing};
 use clap::Args;
 use locomotion::kinematics::Design;
 use locomotion::range::{Ends, OutOfRange};
@@ -12,8 +14,6 @@ use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::optimise::{OptimiseArgs, optimise};
 use crate::cli::screen::Screen;
-use crate::science::design::{self, Report};
-use crate::science::{charts, drawing};
 
 /// Arguments of `design`. All angles are measured from the transverse axis.
 #[derive(Debug, Args)]

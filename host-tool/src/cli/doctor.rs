@@ -4,6 +4,12 @@
 use std::panic::resume_unwind;
 use std::thread;
 
+use client::Device;
+use client::diagnosis::Sign;
+use client::error::ClientError;
+use client::identity;
+use client::link::address::Address;
+use client::link::{OpenError, Reason};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
@@ -11,13 +17,7 @@ use crate::cli::args::Which;
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, KINDS, past_owners};
 use crate::cli::screen::Screen;
-use crate::client::Device;
 use crate::connector::{Candidate, Purpose};
-use crate::diagnosis::Sign;
-use crate::error::ClientError;
-use crate::identity;
-use crate::link::address::Address;
-use crate::link::{OpenError, Reason};
 
 /// A place to look at.
 struct Place {

@@ -3,28 +3,28 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use analysis::report::ReportError;
+use analysis::report::campaign::CampaignReportError;
+use analysis::report::figures::FigureError;
+use campaign::CampaignError;
+use campaign::verify::Finding;
+use client::decimal;
+use client::error::ClientError;
+use client::identity;
+use client::link::OpenError;
+use client::wording;
 use locomotion::range::OutOfRange;
 use miette::Diagnostic;
 use motion::axis::AxisError;
 use motion::run::RunError;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
+use trials::experiment::ExperimentError;
+use trials::trial::{RecordError, Status};
 
-use crate::campaign::CampaignError;
-use crate::campaign::verify::Finding;
 use crate::cli::configured;
 use crate::cli::doctor::{self, Finding as Sickness};
 use crate::cli::stops::{self, Delivery, Told};
-use crate::decimal;
-use crate::error::ClientError;
-use crate::experiment::ExperimentError;
-use crate::identity;
-use crate::link::OpenError;
-use crate::report::ReportError;
-use crate::report::campaign::CampaignReportError;
-use crate::report::figures::FigureError;
-use crate::trial::{RecordError, Status};
-use crate::wording;
 
 /// Success.
 pub const DONE: u8 = 0;

@@ -5,20 +5,20 @@ use std::sync::{Arc, LazyLock};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
+use client::door::lock::{Doorway, StopMark};
+use client::error::ClientError;
+use client::identity;
+use client::link::LinkError;
+use client::link::address::Address;
+use client::{Device, Interrupt};
 use protocol::system::{DeviceKind, Identity, Urgent};
 
 use crate::cli::args::{Cli, Which};
 use crate::cli::failure::Failure;
 use crate::cli::interrupt;
 use crate::cli::windows;
-use crate::client::{Device, Interrupt};
 use crate::connector::{Candidate, Connector, Purpose};
-use crate::door::lock::{Doorway, StopMark};
-use crate::error::ClientError;
-use crate::identity;
 use crate::left;
-use crate::link::LinkError;
-use crate::link::address::Address;
 
 /// When this process began: a stop since then is newer than its command, however long it has looked for the machine.
 pub(crate) static BEGAN: LazyLock<SystemTime> = LazyLock::new(SystemTime::now);

@@ -3,11 +3,16 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use analysis::science::observations::{self, Trials, TrialsError};
+use analysis::science::posterior::{FORMAT, Posterior, SourceRecord};
+use analysis::science::series::Workers;
+use analysis::science::{charts, model_file};
 use calibration::fit::{Fit, Settings, fit as calibrate};
 use calibration::observation::{Case, Kind, Observation};
 use calibration::predictive::{Band, Check, bands, checks, suspicious};
 use calibration::prior::{Point, UNKNOWNS, Values, parts, unknowns, with_body};
 use clap::Args;
+use client::identity::Origin;
 use locomotion::model::{Model, Setting, Value as Given};
 use serde_json::{Value, json};
 
@@ -15,11 +20,6 @@ use crate::cli::calculation::write;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
-use crate::identity::Origin;
-use crate::science::posterior::{FORMAT, Posterior, SourceRecord};
-use crate::science::series::Workers;
-use crate::science::trials::{self, Trials, TrialsError};
-use crate::science::{charts, model_file};
 
 /// Arguments of `fit`.
 #[derive(Debug, Args)]
@@ -89,7 +89,7 @@ struct Read {
 fn read(args: &FitArgs) -> Result<Read, Failure> {
     let mut all: Vec<Trials> = vec![];
     for path in &args.sources {
-        all.push(trials::read(path, args.uncertainty_mm)?);
+        all.push(observations::read(path, args.uncertainty_mm)?);
     }
     let origin = all.first().map_or(Origin::Unknown, |one| one.origin);
     if let Some(other) = all.iter().find(|one| one.origin != origin) {

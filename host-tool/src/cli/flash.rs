@@ -5,6 +5,9 @@ use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::door::lock::Doorway;
+use client::identity::{self, IdentityRecord};
+use commissioning::flashing::{self, Image};
 use protocol::rig::GetRigHealth;
 use protocol::system::{BuildProfile, DeviceKind, Identity};
 use serde_json::{Value, json};
@@ -13,9 +16,6 @@ use crate::cli::args::FlashArgs;
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
-use crate::door::lock::Doorway;
-use crate::identity::{self, IdentityRecord};
-use crate::image::{self, Image};
 
 const CHIP: &str = "STM32F411RETx";
 
@@ -47,7 +47,7 @@ pub(crate) fn flash(
             help: "build the images with `cargo xtask images` in the workspace, or give one with `--image ELF`".to_owned(),
         });
     }
-    let image = image::inspect(&path, kind).map_err(|unfit| Failure::Input {
+    let image = flashing::inspect(&path, kind).map_err(|unfit| Failure::Input {
         why: format!("{} cannot be flashed: {unfit}", path.display()),
         help: format!(
             "nothing was flashed; `cargo xtask images` in the workspace makes `{}`",

@@ -1,15 +1,15 @@
 //! A machine on the virtual bench is made for one command and is new each time: it is neither homed nor referenced. What
 //! needs that does it first, in the same command. A real machine is never moved without having been told.
 
+use client::Device;
+use client::link::address::Address;
 use protocol::system::DeviceKind;
+use trials::experiment;
 
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::machines::homed_text;
 use crate::cli::screen::Screen;
-use crate::client::Device;
-use crate::experiment;
-use crate::link::address::Address;
 
 /// Homes a virtual rig, references a virtual capsule, if it is new.
 pub(crate) fn prepare(

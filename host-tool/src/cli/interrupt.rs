@@ -4,9 +4,8 @@ use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, OnceLock};
 
+use client::Interrupt;
 use protocol::system::Urgent;
-
-use crate::client::Interrupt;
 
 const STOPPING: &str = "stopping; Ctrl-C now for the emergency stop";
 

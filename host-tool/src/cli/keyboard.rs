@@ -4,8 +4,9 @@ use std::io::{self, BufRead, BufReader, IsTerminal, Read};
 use std::sync::mpsc;
 use std::thread;
 
+use client::{Pace, Pacer};
+
 use crate::cli::{Keyboard, interrupt};
-use crate::client::{Pace, Pacer};
 
 /// What can be typed during a run.
 pub(crate) fn hint(single: bool) -> &'static str {

@@ -2,11 +2,18 @@
 
 use std::path::Path;
 
+use analysis::report::section::actuation_rows;
+use client::decimal;
+use client::error::ClientError;
+use client::identity::{self, IdentityRecord};
+use client::{Device, matches};
 use protocol::capsule::{ActuationKind, CapsuleState, CapsuleStatus};
 use protocol::error::Refusal;
 use protocol::rig::RigStatus;
 use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
 use serde_json::{Map, Value, json};
+use trials::experiment::{self, Motion};
+use trials::trial::{Recording, Status};
 
 use crate::cli::already;
 use crate::cli::args::{RecordArgs, Which};
@@ -16,13 +23,6 @@ use crate::cli::finding::{Finder, line};
 use crate::cli::fresh;
 use crate::cli::screen::Screen;
 use crate::cli::study::TraceFile;
-use crate::client::{Device, matches};
-use crate::decimal;
-use crate::error::ClientError;
-use crate::experiment::{self, Motion};
-use crate::identity::{self, IdentityRecord};
-use crate::report::section::actuation_rows;
-use crate::trial::{Recording, Status};
 
 pub(crate) fn devices(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let found = finder.survey(None);
@@ -192,7 +192,7 @@ pub(crate) fn home(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value
 
 /// The result of homing in one line.
 #[must_use]
-pub fn homed_text(homed: &crate::client::Homed) -> String {
+pub fn homed_text(homed: &client::Homed) -> String {
     format!(
         "Homed in {} s; the two passes differ by {} steps, the reference moved by {} steps.",
         decimal::write(homed.duration_us / 1_000, 3),

@@ -4,12 +4,12 @@ use std::fs;
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
+use analysis::science::model_file::{self, Choice, Given, ModelError};
+use analysis::science::posterior::Posterior;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 use locomotion::model::{Model, Setting};
 
 use crate::cli::failure::Failure;
-use crate::science::model_file::{self, Choice, Given, ModelError};
-use crate::science::posterior::Posterior;
 
 /// A model as options give it.
 #[derive(Clone, Debug, Default)]

@@ -1,9 +1,13 @@
 //! Commands that move the rig by hand, hold and resume a run, or show the rig's health.
 
+use client::decimal;
+use client::error::ClientError;
+use client::{Device, Unobserved, while_moving};
 use protocol::rig::{self, Direction, RigHealth, RigState, RigStatus};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
+use trials::trial::Status;
 
 use crate::cli::already;
 use crate::cli::args::{JogArgs, MoveArgs};
@@ -11,10 +15,6 @@ use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::fresh;
 use crate::cli::screen::Screen;
-use crate::client::{Device, Unobserved, while_moving};
-use crate::decimal;
-use crate::error::ClientError;
-use crate::trial::Status;
 
 /// Interval at which a jog is renewed, us; shorter if the rig's dead-man time is less than three of these.
 const RENEW_US: u64 = 100_000;

@@ -4,22 +4,23 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use analysis::report::campaign as campaign_report;
+use analysis::report::campaign_band::BandSource;
+use analysis::report::{self, Existing, figures};
+use campaign::catalogue::{self, Wanted};
+use campaign::folder::{ORDER, PLAN};
 use clap::CommandFactory;
+use client::decimal;
 use motion::axis::{Axis, MAX_STROKE};
 use serde_json::{Value, json};
+use trials::plan::{self, REFERENCE_LIMITS, Summary};
 
-use crate::campaign::folder::{ORDER, PLAN};
-use crate::catalogue::{self, Wanted};
 use crate::cli::args::{
     CAMPAIGNS_FOLDER, Cli, DATA_FOLDER, ListArgs, OnLinkLoss, PlanArgs, ReportArgs,
 };
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
-use crate::decimal;
-use crate::plan::{self, REFERENCE_LIMITS, Summary};
-use crate::report::campaign_band::BandSource;
-use crate::report::{self, Existing, campaign, figures};
 
 pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let run = args.waves.request(OnLinkLoss::Stop);
@@ -231,7 +232,7 @@ fn report_campaign(
         model: file.model()?,
         posterior: file.posterior()?,
     };
-    let written = campaign::write(folder, existing, &source)?;
+    let written = campaign_report::write(folder, existing, &source)?;
     screen.say(&format!(
         "{} of {} trials count; origin {}",
         written.counted, written.planned, written.origin

@@ -3,24 +3,24 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use analysis::report::figures::ModelName;
+use analysis::science::design::{CAPSULE_MM, LEAST_ALPHA_DEG, PAPER_INDENTATION_MM};
+use analysis::science::optimise::bodies::{Bodies, Care, Per};
+use analysis::science::optimise::limits::Limits;
+use analysis::science::optimise::search::{self, FREE, Proposal};
+use analysis::science::optimise::{self, Row};
+use analysis::science::posterior::Posterior;
+use analysis::science::{charts, model_file};
+use campaign::chance::Chance;
 use clap::{Args, ValueEnum};
 use locomotion::beam::Validation;
 use locomotion::kinematics::Design;
 use locomotion::model::Model;
 use serde_json::{Value, json};
 
-use crate::chance::Chance;
 use crate::cli::calculation::Calculation;
 use crate::cli::failure::Failure;
 use crate::cli::screen::Screen;
-use crate::report::figures::ModelName;
-use crate::science::design::{CAPSULE_MM, LEAST_ALPHA_DEG, PAPER_INDENTATION_MM};
-use crate::science::optimise::bodies::{Bodies, Care, Per};
-use crate::science::optimise::limits::Limits;
-use crate::science::optimise::search::{self, FREE, Proposal};
-use crate::science::optimise::{self, Row};
-use crate::science::posterior::Posterior;
-use crate::science::{charts, model_file};
 
 /// What the displacement is counted for.
 #[derive(Clone, Copy, Debug, ValueEnum)]

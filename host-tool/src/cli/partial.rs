@@ -1,16 +1,16 @@
 //! `retrograde fold`, to the end or partly: a target by length of thread, or by the indentation that would fold as far.
 
+use client::decimal;
 use locomotion::kinematics::Design;
 use protocol::capsule::ActuationKind;
 use serde_json::Value;
+use trials::experiment::Motion;
 
 use crate::cli::args::PartialArgs;
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::machines;
 use crate::cli::screen::Screen;
-use crate::decimal;
-use crate::experiment::Motion;
 
 pub(crate) fn fold(
     args: &PartialArgs,

@@ -2,6 +2,13 @@
 
 use std::path::PathBuf;
 
+use analysis::report::figures::ModelName;
+use analysis::science::charts::trial_plan::trial_plan;
+use analysis::science::model_file;
+use analysis::science::posterior::Posterior;
+use analysis::science::table;
+use analysis::science::trial_plan::{self, Asked, Plan, Series};
+use analysis::science::values;
 use calibration::belief::{Belief, LEAST_SAMPLES};
 use calibration::design::{Effort, Estimate};
 use calibration::observation::{Kind, Lubrication};
@@ -15,13 +22,6 @@ use crate::cli::calculation::Calculation;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
-use crate::report::figures::ModelName;
-use crate::science::charts::trial_plan::trial_plan;
-use crate::science::model_file;
-use crate::science::posterior::Posterior;
-use crate::science::table;
-use crate::science::trial_plan::{self, Asked, Plan, Series};
-use crate::science::values;
 
 /// What the plan begins with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

@@ -1,14 +1,14 @@
 //! `records fetch`: what a machine itself still knows of its last action, into a file.
 
+use client::decimal;
+use client::identity::kind_name;
 use serde_json::{Map, Value, json};
+use trials::fetched::{self, Fetched, Kept, Nothing};
 
 use crate::cli::args::{FetchArgs, RecordsSubcommand};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
-use crate::decimal;
-use crate::fetched::{self, Fetched, Kept, Nothing};
-use crate::identity::kind_name;
 
 pub(crate) fn records(
     subcommand: &RecordsSubcommand,

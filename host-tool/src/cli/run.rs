@@ -1,9 +1,18 @@
 //! The command `run`, alone or with a fold or an unfolding at a place of it.
 
+use analysis::report::section::actuation_rows;
+use client::Device;
+use client::decimal;
+use commissioning::warning;
 use protocol::capsule::CapsuleState;
 use protocol::rig::Run;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
+use trials::coordination::{self, Coordinated, Recordings, Shaping};
+use trials::cue::{Coordination, Cue};
+use trials::experiment::{self, RunTrial};
+use trials::plan;
+use trials::trial::Trial;
 
 use crate::cli::args::{DATA_FOLDER, RunArgs};
 use crate::cli::failure::Failure;
@@ -12,15 +21,6 @@ use crate::cli::fresh;
 use crate::cli::keyboard::{self, SingleKeys};
 use crate::cli::machines::{completed, recording};
 use crate::cli::screen::Screen;
-use crate::client::Device;
-use crate::commission::warning;
-use crate::coordination::{self, Coordinated, Recordings, Shaping};
-use crate::cue::{Coordination, Cue};
-use crate::decimal;
-use crate::experiment::{self, RunTrial};
-use crate::plan;
-use crate::report::section::actuation_rows;
-use crate::trial::Trial;
 
 /// What is tied to the run, if anything is.
 fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {

@@ -2,6 +2,13 @@
 
 use std::path::PathBuf;
 
+use analysis::report::figures::ModelName;
+use analysis::science::bands::{self, Bands};
+use analysis::science::model_file;
+use analysis::science::posterior::Posterior;
+use analysis::science::series::{self, TubeCase, TubeRow, TubeRun};
+use analysis::science::values::Values;
+use analysis::science::{charts, snapshots, table};
 use clap::{Args, Subcommand};
 use locomotion::comparison::{self, INDENTATIONS_MM};
 use locomotion::folded::Contact;
@@ -17,13 +24,6 @@ use crate::cli::crescent;
 use crate::cli::failure::Failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
-use crate::report::figures::ModelName;
-use crate::science::bands::{self, Bands};
-use crate::science::model_file;
-use crate::science::posterior::Posterior;
-use crate::science::series::{self, TubeCase, TubeRow, TubeRun};
-use crate::science::values::Values;
-use crate::science::{charts, snapshots, table};
 
 /// Arguments of `simulate`.
 #[derive(Debug, Args)]

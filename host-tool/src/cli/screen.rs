@@ -3,10 +3,10 @@
 use std::io::{self, Write};
 
 use serde_json::Value;
+use trials::progress::Live;
 
 use crate::cli::Keyboard;
 use crate::cli::failure::{DONE, Failure};
-use crate::progress::Live;
 
 /// The two streams of a command.
 pub(crate) struct Screen<'a> {

@@ -7,6 +7,8 @@ use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
+use client::Device;
+use client::identity;
 use protocol::settings::{FactoryReset, GetName, GetSetting, MAX_NAME, Name, Setting, SettingKey};
 use protocol::system::DeviceKind;
 use serde::Serialize;
@@ -16,8 +18,6 @@ use crate::cli::args::{MachineKind, SettingsSubcommand};
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
-use crate::client::Device;
-use crate::identity;
 
 /// Contents of a settings file.
 #[derive(Debug, Serialize)]

@@ -4,6 +4,8 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::error::ClientError;
+use client::identity;
 use protocol::system::Urgent;
 use serde_json::{Value, json};
 
@@ -11,8 +13,6 @@ use crate::cli::args::{Subcommand, Which};
 use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, Target};
 use crate::cli::screen::Screen;
-use crate::error::ClientError;
-use crate::identity;
 
 /// After this time the operator is told which machines have not confirmed, while the attempt goes on.
 const PATIENCE: Duration = Duration::from_secs(2);

@@ -3,9 +3,16 @@
 use std::fs::{self, OpenOptions};
 use std::path::{Path, PathBuf};
 
+use client::decimal;
+use client::{Device, Recorded, Unobserved};
 use protocol::capsule::{ActuationKind, ActuationRecord, CapsuleState, GetCapsuleTotals};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
+use trials::endurance::{Drift, Endurance, Run};
+use trials::experiment;
+use trials::force;
+use trials::identify::{self, Estimate, Identified};
+use trials::trial::{self, RecordError, Status};
 
 use crate::cli::args::{CycleArgs, RecordArgs, TraceArgs};
 use crate::cli::failure::Failure;
@@ -13,13 +20,6 @@ use crate::cli::finding::Finder;
 use crate::cli::fresh;
 use crate::cli::machines::{completed, recording};
 use crate::cli::screen::Screen;
-use crate::client::{Device, Recorded, Unobserved};
-use crate::decimal;
-use crate::endurance::{Drift, Endurance, Run};
-use crate::experiment;
-use crate::force;
-use crate::identify::{self, Estimate, Identified};
-use crate::trial::{self, RecordError, Status};
 
 pub(crate) fn trace(
     args: &TraceArgs,

@@ -13,6 +13,8 @@ use std::sync::mpsc::{Sender, channel};
 use std::thread::{self, Scope};
 use std::time::{Duration, Instant};
 
+use client::Pace;
+use client::identity;
 use crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use protocol::system::{DeviceKind, Urgent};
 use ratatui_core::terminal::Terminal;
@@ -27,8 +29,6 @@ use crate::cli::watch::draw::{Look, draw};
 use crate::cli::watch::feed::{Feed, Shared};
 use crate::cli::watch::panel::{Contact, Panel};
 use crate::cli::watch::terminal::Output;
-use crate::client::Pace;
-use crate::identity;
 
 /// Interval between two drawings.
 const DRAW: Duration = Duration::from_millis(50);

@@ -1,8 +1,9 @@
 //! What a command may do when another process owns the line.
 
+use client::Device;
+use client::error::ClientError;
+
 use crate::cli::args::{CampaignSubcommand, CapsuleSubcommand, SettingsSubcommand, Subcommand};
-use crate::client::Device;
-use crate::error::ClientError;
 
 /// Refuses a command for the line's owner before anything is sent or recorded.
 ///

@@ -3,13 +3,13 @@
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use client::identity::kind_name;
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
 use crate::cli::failure::{FAULT, Failure, NO_DEVICE, REFUSED, STOPPED, UNKNOWN};
-use crate::identity::kind_name;
 
 /// Actions that are remembered.
 pub const KEPT: usize = 512;
@@ -60,9 +60,9 @@ impl Standing {
     fn of(failure: &Failure) -> Self {
         match failure {
             Failure::Ended { status, .. } => match status {
-                crate::trial::Status::LinkLost => Self::LinkLost,
-                crate::trial::Status::Stopped => Self::Stopped,
-                crate::trial::Status::Faulted => Self::Faulted,
+                trials::trial::Status::LinkLost => Self::LinkLost,
+                trials::trial::Status::Stopped => Self::Stopped,
+                trials::trial::Status::Faulted => Self::Faulted,
                 _ => Self::Unknown,
             },
             failure => match failure.exit_code() {

@@ -6,6 +6,10 @@ use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use client::Interrupt;
+use client::door::lock::{Doorway, StopMark};
+use client::identity::{self, IdentityRecord, Origin, kind_name};
+use client::link::address::Address;
 use jiff::Timestamp;
 use protocol::rig::RigStatus;
 use protocol::system::{DeviceKind, Event, Identity, Urgent};
@@ -15,10 +19,6 @@ use tokio::sync::Notify;
 
 use crate::cli::failure::Failure;
 use crate::cli::watch::panel::{Contact, Notice, Panel, event_text, in_run};
-use crate::client::Interrupt;
-use crate::door::lock::{Doorway, StopMark};
-use crate::identity::{self, IdentityRecord, Origin, kind_name};
-use crate::link::address::Address;
 use crate::serve::actions::{Action, Actions};
 use crate::serve::orders::Work;
 use crate::serve::stream::Stream;

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use crate::campaign::folder::Campaign;
-use crate::campaign::ledger::Standing;
-use crate::campaign::order::doing;
-use crate::campaign::remaining;
-use crate::catalogue::{self, Kind, Wanted};
 use crate::cli::args::CAMPAIGNS_FOLDER;
+use campaign::catalogue::{self, Kind, Wanted};
+use campaign::folder::Campaign;
+use campaign::ledger::Standing;
+use campaign::order::doing;
+use campaign::remaining;
 
 /// The newest campaign that is not complete.
 pub(crate) fn newest() -> Option<PathBuf> {

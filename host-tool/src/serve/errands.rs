@@ -6,6 +6,8 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, Scope};
 use std::time::{Duration, Instant};
 
+use client::Device;
+use client::identity::kind_name;
 use protocol::rig;
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
@@ -16,9 +18,7 @@ use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, Target, past_owners};
 use crate::cli::stops::{DO_NOW, Delivery, Told};
 use crate::cli::watch::panel::Notice;
-use crate::client::Device;
 use crate::connector::Purpose;
-use crate::identity::kind_name;
 use crate::serve::board::{Board, Machine, stop_name};
 use crate::stops::Ask;
 

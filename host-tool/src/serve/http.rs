@@ -19,6 +19,7 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::Response;
 use axum::routing::{get, post};
+use client::identity::kind_name;
 use futures_util::stream::unfold;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
@@ -31,18 +32,17 @@ use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, oneshot};
 use tokio::time::timeout;
 use tower_service::Service as _;
+use trials::plan::{self, REFERENCE_LIMITS};
 
-use crate::catalogue::{self, Kind, Wanted};
 use crate::cli::failure::{self, Failure};
 use crate::cli::stops::{Delivery, Told};
-use crate::identity::kind_name;
-use crate::plan::{self, REFERENCE_LIMITS};
 use crate::serve::access::{Access, Demand, Denied, Peer, demand};
 use crate::serve::actions::{Action, Arrival, Command, Standing};
 use crate::serve::board::{Board, Machine, Order};
 use crate::serve::connections::{Connections, Doing};
 use crate::serve::errands::{Errand, Question, Wait};
 use crate::serve::orders::{self, Work};
+use campaign::catalogue::{self, Kind, Wanted};
 
 /// What programs read.
 pub const OPENAPI: &str = include_str!("../../../docs/openapi.json");

@@ -7,28 +7,28 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::error::ClientError;
+use client::link::LinkError;
+use client::{Begun, Device, Interrupt, Observer, Pace, Progress, while_moving};
+use commissioning::warning;
 use protocol::error::Refusal;
 use protocol::rig::{self, RigEvent, RigState, RigStatus};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{Event, Urgent, What};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
+use trials::experiment::{self, Motion};
+use trials::trial::{Achieved, Recording, Status, Trial};
 
 use crate::cli::args::{DATA_FOLDER, RecordArgs};
 use crate::cli::failure::{Failure, NO_DEVICE, UNKNOWN};
 use crate::cli::finding::Finder;
 use crate::cli::watch::panel::{self, Contact, MOVES_ALREADY, Notice};
 use crate::cli::{already, motion};
-use crate::client::{Begun, Device, Interrupt, Observer, Pace, Progress, while_moving};
-use crate::commission::warning;
 use crate::connector::Purpose;
-use crate::error::ClientError;
-use crate::experiment::{self, Motion};
 use crate::left;
-use crate::link::LinkError;
 use crate::serve::board::{Board, Lease, Machine, Order};
 use crate::serve::orders::Work;
-use crate::trial::{Achieved, Recording, Status, Trial};
 
 /// Interval of telemetry while nothing is recorded, ms.
 const TELEMETRY_MS: u16 = 50;
@@ -677,7 +677,7 @@ impl Busy<'_> {
                 }
                 _ => {
                     drop(pacing);
-                    let machine = crate::identity::kind_name(keeper.machine.kind);
+                    let machine = client::identity::kind_name(keeper.machine.kind);
                     let failure = Failure::Refused {
                         why: format!("the {machine} is busy: `{}` is under way", self.kind),
                         help: "nothing was moved by this request; wait for the end, or stop it"
@@ -826,7 +826,7 @@ impl Observer for Busy<'_> {
         self.paced(|_| Err(&failure));
     }
 
-    fn turn(&mut self, _now_us: u64, _clock: Option<crate::client::Clock>) {
+    fn turn(&mut self, _now_us: u64, _clock: Option<client::Clock>) {
         self.look();
     }
 }

@@ -6,12 +6,12 @@ use protocol::capsule::ActuationKind;
 use protocol::rig::{Jog, MoveTo, Run};
 use protocol::system::DeviceKind;
 use serde_json::{Map, Value, json};
+use trials::experiment::Motion;
+use trials::plan;
 
 use crate::cli::args::{JogArgs, MoveArgs, PartialArgs, RecordArgs, RunArgs};
 use crate::cli::failure::{self, Failure};
 use crate::cli::partial;
-use crate::experiment::Motion;
-use crate::plan;
 
 /// What is to be done by a machine.
 #[derive(Debug)]
@@ -249,8 +249,9 @@ fn shown(field: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use trials::experiment::PAPER_RUN;
+
     use super::*;
-    use crate::experiment::PAPER_RUN;
 
     fn read(machine: DeviceKind, name: &str, body: Value) -> Result<Work, Failure> {
         let Value::Object(body) = body else {

@@ -80,7 +80,7 @@ impl Stream {
 
     /// Tells samples of telemetry, which are counted.
     pub(crate) fn tell_samples(&self, machine: DeviceKind, samples: Vec<Value>) {
-        let event = crate::identity::kind_name(machine);
+        let event = client::identity::kind_name(machine);
         self.send(event, &Value::Array(samples), Some(machine));
     }
 

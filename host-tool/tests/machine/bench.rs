@@ -11,10 +11,10 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use host_tool::client::Device;
-use host_tool::door::lock::Doorway;
-use host_tool::door::window::Window;
-use host_tool::link::memory::Peer;
+use client::Device;
+use client::door::lock::Doorway;
+use client::door::window::Window;
+use client::link::memory::Peer;
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;

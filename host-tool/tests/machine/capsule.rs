@@ -176,5 +176,9 @@ impl Device for Capsule {
         };
         let plant = &mut self.control.capsule().board.mechanics.plant;
         plant.suffer(Defect::Battery(mv.into()));
+        if !self.is_driven() {
+            // Asleep it reads ten times a second, and no cell runs down within a tenth.
+            self.next_reading_us = self.port.now_us();
+        }
     }
 }

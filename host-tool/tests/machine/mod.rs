@@ -19,12 +19,12 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 
 use chip::Flash;
+use client::link::memory::{Memory, Peer};
+use client::{self, Unobserved};
 use device::identity::identity;
 use device::retained::Retained;
 use device::service::{Inbound, Incoming, Service};
 use device::settings::SettingsStore;
-use host_tool::client::{self, Unobserved};
-use host_tool::link::memory::{Memory, Peer};
 use line::{LATENCY_US, Line};
 use port::Port;
 use protocol::frame::{Header, Kind, encode};

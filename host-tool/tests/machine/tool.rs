@@ -2,10 +2,10 @@
 
 use std::sync::{Arc, Mutex};
 
+use client::link::address::Address;
+use client::link::{Link, OpenError};
 use host_tool::cli::{Keyboard, run_at};
 use host_tool::connector::{Candidate, Connector, Purpose};
-use host_tool::link::address::Address;
-use host_tool::link::{Link, OpenError};
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
 

@@ -7,9 +7,9 @@ mod plant;
 use capsule_plant::Parameters;
 use firmware_capsule::fold::Command;
 use firmware_capsule::trace::Recording;
-use host_tool::identify::{Estimate, Identified, identify};
 use plant::Simulation;
 use protocol::capsule::{ActuationOutcome, GetTrace, TracePoint};
+use trials::identify::{Estimate, Identified, identify};
 
 /// What the host fetches after a motion.
 fn recorded(sim: &mut Simulation, command: Command) -> Vec<TracePoint> {

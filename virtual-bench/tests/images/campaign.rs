@@ -4,12 +4,12 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::Path;
 
-use host_tool::campaign::folder::Campaign;
-use host_tool::campaign::ledger::{Source, Standing};
-use host_tool::campaign::order::Form;
-use host_tool::campaign::verify::verify;
+use analysis::report::evaluation::evaluate;
+use campaign::folder::Campaign;
+use campaign::ledger::{Source, Standing};
+use campaign::order::Form;
+use campaign::verify::verify;
 use host_tool::cli;
-use host_tool::report::evaluation::evaluate;
 use virtual_bench::connector::BenchPorts;
 
 const PAPER: &str = include_str!("../../../examples/paper.toml");

@@ -1,11 +1,10 @@
 //! The capsule's image, judged from its motor, thread and spring.
 
+use client::error::ClientError;
+use client::{Device, Observer, Unobserved};
+
 use crate::common::trials;
 use capsule_plant::cases::Kind;
-use host_tool::{
-    client::{Device, Observer, Unobserved},
-    error::ClientError,
-};
 use protocol::{
     capsule::{
         ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState, CheckFolded,

@@ -1,7 +1,9 @@
 //! The capsule's settings, partial folds, and threads that slip, on the image.
 
+use client::Unobserved;
+use client::error::ClientError;
+
 use crate::capsule::{CapsuleRun, referenced};
-use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     capsule::{
         ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState, FoldTo, GetCapsuleTotals,

@@ -1,11 +1,12 @@
 //! The command line against the rig's image: what cannot be done is refused with a text that helps, and no edge leaves
 //! the pin.
 
+use client::link::address::Address;
+use client::link::{Link, OpenError};
+
 use crate::common::RigRun;
 use host_tool::cli;
 use host_tool::connector::{Candidate, Connector, Ports, Purpose};
-use host_tool::link::address::Address;
-use host_tool::link::{Link, OpenError};
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
 use virtual_bench::bench::Bench;

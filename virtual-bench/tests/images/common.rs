@@ -1,7 +1,7 @@
 //! What the tests on the images share.
 #![allow(missing_docs, dead_code, unreachable_pub)]
 
-use host_tool::client::{Device, Observer, Unobserved};
+use client::{Device, Observer, Unobserved};
 use protocol::{
     rig::{LinkLossPolicy, RigFault, Run, RunAccepted, RunOutcome, RunRecord, RunTiming},
     settings::{Setting, SettingKey},

@@ -1,14 +1,14 @@
 //! Both images at once: a fold at a place of a run, from the rig's STEP pin to the capsule's bridge.
 
-use host_tool::client::{Clock, Device, Observer, Unobserved};
-use host_tool::coordination::{self, Coordinated, Recordings, Shaping};
-use host_tool::cue::Cue;
-use host_tool::experiment::PAPER_RUN;
-use host_tool::report::check;
-use host_tool::trial::{CapsuleSample, Recording, Status};
+use analysis::report::check;
+use client::{Clock, Device, Observer, Unobserved};
 use jiff::Timestamp;
 use protocol::rig::{Run, RunTiming};
 use protocol::system::DeviceKind;
+use trials::coordination::{self, Coordinated, Recordings, Shaping};
+use trials::cue::Cue;
+use trials::experiment::PAPER_RUN;
+use trials::trial::{CapsuleSample, Recording, Status};
 use virtual_bench::bench::Bench;
 use virtual_bench::boards::capsule::{self, CapsuleBoard};
 use virtual_bench::boards::rig::RigBoard;

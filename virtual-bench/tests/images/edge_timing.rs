@@ -1,10 +1,11 @@
 //! The rig times its own steps through the second jumper, and finds each that is not where the plan has it.
 
+use client::Unobserved;
+
 use crate::common::{
     LIMIT_NS, RigRun, execute, home_quickly, paper, quick, rig_as_quick_as, rig_with,
 };
 use crate::speed::{quick_rig_on, quick_run};
-use host_tool::client::Unobserved;
 use protocol::{
     rig::{Hold, Resume, RigFault, RigState, Run, RunOutcome, RunRecord, RunTiming},
     system::Urgent,

@@ -1,7 +1,8 @@
 //! Many runs on one start of the device.
 
+use client::{Device, Observer, Unobserved};
+
 use crate::common::{home_quickly, quick, rig, trials};
-use host_tool::client::{Device, Observer, Unobserved};
 use protocol::{
     rig::{RigEvent, RunOutcome},
     system::{Event, What},

@@ -1,9 +1,11 @@
 //! What goes wrong around the rig: resets, cut supplies, lost steps, bad switches, a noisy line.
 
+use client::Unobserved;
+use client::error::ClientError;
+
 use crate::common::{
     Dice, Recorder, execute, home_quickly, homed, paper, quick, rig_from_flash, rig_with, trials,
 };
-use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     error::Refusal,
     rig::{RigFault, RigState, Run, RunOutcome, RunTiming},
@@ -327,7 +329,7 @@ fn a_wrong_kind_of_machine_is_not_driven() {
         "virtual rig",
     ));
     let wanted = DeviceKind::Capsule;
-    let refused = host_tool::client::Device::connect(link, wanted, 7).err();
+    let refused = client::Device::connect(link, wanted, 7).err();
     assert!(
         matches!(refused, Some(ClientError::WrongDevice { .. })),
         "{refused:?}"

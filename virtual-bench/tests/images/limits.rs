@@ -1,7 +1,8 @@
 //! The switches of the rig: a true one stops, a disturbance does not.
 
+use client::Unobserved;
+
 use crate::common::{Dice, LIMIT_NS, exact, faulted, paper, quickly_homed, trials};
-use host_tool::client::Unobserved;
 use protocol::{
     error::Refusal,
     rig::{RigFault, RunOutcome},
@@ -83,7 +84,7 @@ fn both_switches_open_is_an_unplugged_cable() {
     });
     rig.idle(10_000);
     match rig.device.home() {
-        Err(host_tool::error::ClientError::Refused { refusal, .. }) => {
+        Err(client::error::ClientError::Refused { refusal, .. }) => {
             assert_eq!(refusal, Refusal::BothSwitchesOpen);
         }
         other => panic!("{other:?}"),

@@ -1,12 +1,11 @@
 //! A bad line and a line that falls silent, in every state of the rig.
 
+use client::error::ClientError;
+use client::link::Link;
+use client::{Device, Unobserved};
+
 use crate::common::{
     Dice, LIMIT_NS, Recorder, RigRun, exact, home_quickly, paper, quick, quickly_homed, rig, trials,
-};
-use host_tool::{
-    client::{Device, Unobserved},
-    error::ClientError,
-    link::Link,
 };
 use protocol::{
     frame::{Header, Kind, encode},

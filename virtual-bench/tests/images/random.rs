@@ -7,8 +7,11 @@
 
 use std::time::{Duration, Instant};
 
+use client::Unobserved;
+use client::error::ClientError;
+use client::link::Link;
+
 use crate::common::{Dice, RigRun, home_quickly, quick, rig_with};
-use host_tool::{client::Unobserved, error::ClientError, link::Link};
 use protocol::{
     rig::{
         Direction, Hold, Home, Jog, LinkLossPolicy, MoveTo, Resume, RigState, RigStatus, Run,

@@ -1,10 +1,12 @@
 //! The rig's image, judged from its pins.
 
+use client::Unobserved;
+use client::error::ClientError;
+
 use crate::common::{
     Dice, LIMIT_NS, Recorder, exact, execute, faulted, homed, paper, quick, quickly_homed, rig,
     trials,
 };
-use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     error::{Field, Refusal},
     rig::{LinkLossPolicy, MoveTo, RigFault, RigState, Run, RunOutcome, RunTiming},

@@ -1,8 +1,9 @@
 //! docs/protocol.md at the images: a program in another language that was written from that page, and the page's figures.
 #![cfg(unix)]
 
+use client::{Device, Unobserved};
+
 use crate::common::{LIMIT_NS, quick};
-use host_tool::client::{Device, Unobserved};
 use protocol::{
     rig::RigEvent,
     system::{DeviceKind, GetEvents, What},

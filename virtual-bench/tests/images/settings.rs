@@ -1,7 +1,9 @@
 //! The rig's settings on the image: kept, checked, and safe against a cut of the supply at every flash operation.
 
+use client::error::ClientError;
+use client::link::Link;
+
 use crate::common::{RigRun, is_made, rig};
-use host_tool::{error::ClientError, link::Link};
 use protocol::{
     error::Refusal,
     frame::{Header, Kind, encode},
@@ -80,7 +82,7 @@ fn settings_are_the_defaults_at_first_and_survive_reset_and_power() {
     rig.device.call(FactoryReset).expect_err("it moves");
     let _ = rig
         .device
-        .wait_homing(&accepted, &mut host_tool::client::Unobserved)
+        .wait_homing(&accepted, &mut client::Unobserved)
         .expect("homed");
     rig.device.call(FactoryReset).expect("accepted");
     power_cycle(&mut rig);

@@ -1,10 +1,12 @@
 //! Where the chip is less kind than a plain model of it: the items of `docs/silicon.md` that the bench shows.
 
+use client::Unobserved;
+use client::error::ClientError;
+
 use crate::common::{
     Dice, LIMIT_NS, Recorder, RigRun, exact, execute, faulted, home_quickly, homed, paper, quick,
     quickly_homed, rig, start, trials,
 };
-use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     error::Refusal,
     rig::{GetRigHealth, Hold, RigFault, RigState, Run, RunOutcome},

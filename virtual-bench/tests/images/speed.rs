@@ -1,7 +1,8 @@
 //! The highest step rate that the settings allow, with everything else going on.
 
+use client::Unobserved;
+
 use crate::common::{LIMIT_NS, RigRun, homed, is_made, paper, quick, start, trials};
-use host_tool::client::Unobserved;
 use protocol::{
     rig::{GetRigHealth, RigFault, Run, RunOutcome, RunTiming},
     settings::{Setting, SettingKey},

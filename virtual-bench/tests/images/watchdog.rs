@@ -1,7 +1,9 @@
 //! Tasks that hang and processor faults, each where a task checks in with the watchdog.
 
+use client::Unobserved;
+use client::error::ClientError;
+
 use crate::common::{RigRun, homed, is_made, paper};
-use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     error::Refusal,
     rig::{RigFault, RigState},

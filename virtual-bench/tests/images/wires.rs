@@ -1,7 +1,9 @@
 //! Cut wires, welded and bouncing contacts, each on a rig that works otherwise.
 
+use client::Unobserved;
+use client::error::ClientError;
+
 use crate::common::{RigRun, execute, home_quickly, quick, quickly_homed, rig};
-use host_tool::{client::Unobserved, error::ClientError};
 use protocol::{
     error::Refusal,
     rig::{HomingPhase, RigFault, RigState, RunOutcome, RunRecord},

@@ -6,18 +6,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
+use client::error::ClientError;
+use client::{Interrupt, Observer, Pace, Pacer};
 use jiff::Timestamp;
 
-use crate::campaign::conduct::Desk;
-use crate::campaign::plan::{Millimetres, Plan};
-use crate::campaign::prompts::{Halt, Question};
-use crate::campaign::readings::Quantity;
 use crate::cli::failure::Failure;
 use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
 use crate::cli::{Keyboard, interrupt};
-use crate::client::{Interrupt, Observer, Pace, Pacer};
-use crate::error::ClientError;
+use campaign::conduct::Desk;
+use campaign::plan::{Millimetres, Plan};
+use campaign::prompts::{Halt, Question};
+use campaign::readings::Quantity;
 
 /// Interval between two looks at the keyboard.
 const TURN: Duration = Duration::from_millis(10);

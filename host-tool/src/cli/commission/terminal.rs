@@ -5,12 +5,13 @@ use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::thread;
 use std::time::Duration;
 
+use client::Interrupt;
+use client::decimal;
+use commissioning::halt::Halt;
+use commissioning::hands::{Act, Hands, Part, Reading, Say, Watch};
+use commissioning::session::wrapped;
+
 use crate::cli::Keyboard;
-use crate::client::Interrupt;
-use crate::commission::halt::Halt;
-use crate::commission::hands::{Act, Hands, Part, Reading, Say, Watch};
-use crate::commission::session::wrapped;
-use crate::decimal;
 
 /// Interval between two looks at the keyboard.
 const TURN: Duration = Duration::from_millis(20);

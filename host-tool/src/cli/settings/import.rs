@@ -5,6 +5,10 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
 
+use client::Device;
+use client::error::ClientError;
+use client::identity;
+use client::limited::{self, BY_HAND};
 use protocol::settings::{GetName, GetSetting, MAX_NAME, Name, Setting};
 use protocol::system::DeviceKind;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
@@ -13,10 +17,6 @@ use serde_json::Value;
 use crate::cli::args::Key;
 use crate::cli::failure::Failure;
 use crate::cli::settings::{checked_name, value_of};
-use crate::client::Device;
-use crate::error::ClientError;
-use crate::identity;
-use crate::limited::{self, BY_HAND};
 
 /// The file. Unknown and repeated fields are errors.
 #[derive(serde::Deserialize)]

@@ -2,6 +2,8 @@
 
 use std::time::Instant;
 
+use client::decimal;
+use client::identity;
 use protocol::capsule::{CapsuleState, CapsuleStatus};
 use protocol::rig::{RigState, RigStatus};
 use ratatui_core::buffer::Buffer;
@@ -9,8 +11,6 @@ use ratatui_core::layout::Rect;
 use ratatui_core::style::{Color, Style};
 
 use crate::cli::watch::panel::{Contact, Notice, Panel, left_text, millimetres, run_text};
-use crate::decimal;
-use crate::identity;
 
 /// The least columns and rows.
 pub const LEAST: (u16, u16) = (80, 24);

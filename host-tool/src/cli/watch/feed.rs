@@ -6,6 +6,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::error::ClientError;
+use client::link::LinkError;
+use client::link::address::Address;
+use client::{Device, Interrupt, Observer, Pace};
 use protocol::error::Refusal;
 use protocol::rig;
 use protocol::system::{DeviceKind, Event, Urgent};
@@ -15,12 +19,8 @@ use crate::cli::failure::Failure;
 use crate::cli::finding::{Finder, Target};
 use crate::cli::stops::DO_NOW;
 use crate::cli::watch::panel::{self, Contact, MOVES_ALREADY, Notice, Panel};
-use crate::client::{Device, Interrupt, Observer, Pace};
 use crate::connector::Purpose;
-use crate::error::ClientError;
 use crate::left;
-use crate::link::LinkError;
-use crate::link::address::Address;
 use crate::stops::{Ask, Stops};
 
 /// Interval of telemetry if this process owns the line: as often as the screen is drawn.
@@ -320,5 +320,5 @@ fn confirmed(urgent: Urgent) -> Notice {
 }
 
 fn reason(refusal: &Refusal) -> String {
-    crate::wording::refusal(refusal)
+    client::wording::refusal(refusal)
 }

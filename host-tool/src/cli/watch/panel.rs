@@ -4,15 +4,14 @@ use std::collections::VecDeque;
 use std::sync::MutexGuard;
 use std::time::{Duration, Instant};
 
+use client::Device;
+use client::decimal;
+use client::error::ClientError;
 use protocol::capsule::{CapsuleEvent, CapsuleStatus};
 use protocol::rig::{RigEvent, RigStatus};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, What};
 use protocol::table::Telemetry;
-
-use crate::client::Device;
-use crate::decimal;
-use crate::error::ClientError;
 
 /// Events that are kept for the screen.
 const KEPT_EVENTS: usize = 60;
@@ -267,7 +266,7 @@ impl Panel {
         }
         format!(
             "{}: {}",
-            crate::identity::kind_name(self.kind),
+            client::identity::kind_name(self.kind),
             parts.join(", ")
         )
     }

@@ -1,0 +1,562 @@
+//! The report of a campaign: one page, its figures as SVG and PDF, and its tables as CSV, in the folder `report` of the campaign.
+//!
+//! A cell with a number that was worked out has the attribute `data-is`, its place in the tables: `docs/examples/check_report.py`
+//! works each of them out again from the campaign's own files and compares.
+
+use std::fmt::Display;
+use std::fs;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use campaign::CampaignError;
+use campaign::manifest;
+use campaign::order::doing;
+use campaign::plan::Purpose;
+use campaign::readings::Quantity;
+use client::decimal;
+use client::identity::Origin;
+use maud::{Markup, PreEscaped, html};
+use miette::Diagnostic;
+use serde::Serialize;
+use trials::trial::RecordError;
+
+use crate::report::campaign_band::{BandSource, ModelBand, band};
+use crate::report::campaign_figures::{carriage, figure7, figure8, passes, run_over_plan};
+use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, motion_of};
+use crate::report::figures::Figure;
+use crate::report::section::{reasons, status};
+use crate::report::{Existing, ReportError, page, put};
+use crate::science::table;
+
+/// Why a campaign's report could not be written.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+pub enum CampaignReportError {
+    /// The folder.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Campaign(#[from] CampaignError),
+    /// The report.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Report(#[from] ReportError),
+}
+
+/// What was written, and what must not be believed of it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Written {
+    /// The page.
+    pub page: PathBuf,
+    /// All files, the page last.
+    pub files: Vec<PathBuf>,
+    /// Trials of the plan.
+    pub planned: usize,
+    /// Trials that count.
+    pub counted: usize,
+    /// Trials that do not, and why.
+    pub left_out: Vec<(u32, String)>,
+    /// Those of them that are done, but whose records cannot be relied on.
+    pub defects: usize,
+    /// What `verify` has found.
+    pub findings: Vec<String>,
+    /// Where the data come from.
+    pub origin: Origin,
+}
+
+/// Where the reports of a campaign are; `verify` leaves it out.
+#[must_use]
+pub fn report_folder(campaign: &Path) -> PathBuf {
+    campaign.join(manifest::NOT_COVERED)
+}
+
+/// Verifies a campaign, works out what it amounts to, and writes page, figures and tables, with a model's band behind the series.
+///
+/// # Errors
+/// It cannot be read, the page is there already, or something cannot be written. Each file is written whole or not at all,
+/// the page last.
+pub fn write(
+    folder: &Path,
+    existing: Existing,
+    model: &BandSource,
+) -> Result<Written, CampaignReportError> {
+    let into = report_folder(folder);
+    let page_path = into.join("report.html");
+    if existing == Existing::Keep && page_path.exists() {
+        return Err(ReportError::Exists { path: page_path }.into());
+    }
+    let evaluation = evaluate(folder)?;
+    let band = band(&evaluation, model);
+    let figures = Figures {
+        figure7: Drawings::of(figure7(&evaluation, band.as_ref()))?,
+        figure8: Drawings::of(figure8(&evaluation))?,
+        passes: Drawings::of(passes(&evaluation))?,
+    };
+    let html = html(&evaluation, &figures, band.as_ref())?;
+    let mut files = vec![];
+    let mut keep = |name: &str, bytes: &[u8]| {
+        let path = into.join(name);
+        // Figures and tables go with their page, so they are replaced with it.
+        put(&path, bytes, Existing::Replace)?;
+        files.push(path);
+        Ok::<_, ReportError>(())
+    };
+    for (name, drawings) in [
+        ("figure7", &figures.figure7),
+        ("figure8", &figures.figure8),
+        ("passes", &figures.passes),
+    ] {
+        let (svg, pdf) = (format!("{name}.svg"), format!("{name}.pdf"));
+        match drawings {
+            Some(drawings) => {
+                keep(&svg, drawings.svg.as_bytes())?;
+                keep(&pdf, &drawings.pdf)?;
+            }
+            None => {
+                remove_stale(&into.join(svg))?;
+                remove_stale(&into.join(pdf))?;
+            }
+        }
+    }
+    let lines: Vec<_> = evaluation.lines.iter().map(|(row, _)| row).collect();
+    for (name, bytes) in [
+        ("trials.csv", table::csv(&evaluation.trials)),
+        ("attempts.csv", table::csv(&evaluation.attempts)),
+        ("conditions.csv", table::csv(&evaluation.conditions)),
+        ("lines.csv", table::csv(&lines)),
+        ("readings.csv", table::csv(&evaluation.readings)),
+    ] {
+        let bytes = bytes
+            .map_err(|error| ReportError::from(RecordError::write(&into.join(name), error)))?;
+        keep(name, &bytes)?;
+    }
+    put(&page_path, html.as_bytes(), existing)?;
+    files.push(page_path.clone());
+    let left_out = evaluation
+        .trials
+        .iter()
+        .filter_map(|row| Some((row.trial, row.reason.clone()?)));
+    Ok(Written {
+        page: page_path,
+        files,
+        planned: evaluation.trials.len(),
+        counted: evaluation.trials.iter().filter(|row| row.counts).count(),
+        left_out: left_out.collect(),
+        defects: evaluation
+            .trials
+            .iter()
+            .filter(|row| row.has_defect)
+            .count(),
+        findings: evaluation
+            .findings
+            .iter()
+            .map(ToString::to_string)
+            .collect(),
+        origin: evaluation.origin,
+    })
+}
+
+/// A figure of an earlier report, of trials that no longer count.
+fn remove_stale(path: &Path) -> Result<(), ReportError> {
+    match fs::remove_file(path) {
+        Err(io) if io.kind() != ErrorKind::NotFound => Err(RecordError::write(path, io).into()),
+        _ => Ok(()),
+    }
+}
+
+/// A figure in its two formats.
+struct Drawings {
+    svg: String,
+    pdf: Vec<u8>,
+}
+
+impl Drawings {
+    fn of(figure: Option<Figure>) -> Result<Option<Self>, ReportError> {
+        let Some(figure) = figure else {
+            return Ok(None);
+        };
+        let (svg, pdf) = (figure.svg()?, figure.pdf()?);
+        Ok(Some(Self { svg, pdf }))
+    }
+}
+
+struct Figures {
+    figure7: Option<Drawings>,
+    figure8: Option<Drawings>,
+    passes: Option<Drawings>,
+}
+
+fn html(
+    evaluation: &Evaluation,
+    figures: &Figures,
+    band: Option<&ModelBand>,
+) -> Result<String, ReportError> {
+    let plan = &evaluation.campaign.plan;
+    let title = format!("Campaign {}", plan.name);
+    let mut trials = vec![];
+    for (row, parts) in evaluation.trials.iter().zip(&evaluation.parts) {
+        if !parts.is_empty() {
+            trials.push(trial(evaluation, row, parts)?);
+        }
+    }
+    let of_series = format!(
+        "Each dot is a trial, each bar the mean of a condition with one standard deviation up and down. The line is that of least \
+         squares through all dots, the pale area of its colour its band of 95 % confidence. {}",
+        band.map_or("", |band| &band.meaning)
+    );
+    let body = html! {
+        (origin_banner(evaluation))
+        h1 { (title) (page::tag(evaluation.origin)) }
+        (verified(evaluation))
+        (summary(evaluation))
+        section {
+            h2 { "Displacement over indentation" }
+            (figure(figures.figure7.as_ref().map(|figure| &*figure.svg), "No trial of the series counts yet: no figure.", &of_series))
+            (conditions(evaluation, &[Purpose::Series], None))
+            (lines(evaluation))
+        }
+        section {
+            h2 { "Folded against unfolded" }
+            (figure(figures.figure8.as_ref().map(|figure| &*figure.svg), "No trial of the fold test counts yet: no figure.",
+                "The displacement is read at the beginning, where it is zero, and at the end: the straight lines join the two and say nothing of the way between. \
+                 Below, the carriage in the first trial of each shape."))
+            (conditions(evaluation, &[Purpose::FoldTest], Some("shape")))
+        }
+        @if plan.passes.is_some() { section {
+            h2 { "Isolated passes" }
+            (figure(figures.passes.as_ref().map(|figure| &*figure.svg), "No isolated pass counts yet: no figure.",
+                "Each dot is one stroke of the rollers over a body that they met at rest, each bar the mean of a condition with one standard deviation up and down. \
+                 Antegrade is from head to tail, returning from tail to head."))
+            (conditions(evaluation, &[Purpose::AntegradePass, Purpose::ReturningPass], Some("pass")))
+        } }
+        section { h2 { "Left out" } (left_out(evaluation)) }
+        section { h2 { "Conditions" } (setting(evaluation)) }
+        section { h2 { "Ledger, glitches, energy" } (totals(evaluation)) }
+        section { h2 { "All trials" } (all_trials(evaluation)) }
+        @for trial in &trials { (trial) }
+        section { h2 { "Provenance" } (provenance(evaluation)) }
+    };
+    Ok(page::page(&title, &body))
+}
+
+fn origin_banner(evaluation: &Evaluation) -> Markup {
+    html! {
+        @match evaluation.origin {
+            Origin::Board => {},
+            Origin::Virtual => p.banner {
+                "VIRTUAL: this campaign was simulated. Its displacements are those of a model, not measurements."
+                @if evaluation.campaign.plan.virtual_bench.scatter_mm.um != 0 {
+                    " Scatter with a standard deviation of " (evaluation.campaign.plan.virtual_bench.scatter_mm)
+                    " mm was added, seed " (evaluation.campaign.plan.virtual_bench.seed) "."
+                }
+            },
+            Origin::Unknown => p.banner { "ORIGIN UNKNOWN: nothing was recorded yet, or the records do not say what made them." },
+        }
+    }
+}
+
+fn verified(evaluation: &Evaluation) -> Markup {
+    html! {
+        @if evaluation.findings.is_empty() {
+            p.ok { "Verified: all " (evaluation.manifest.0.len()) " files are as they were written." }
+        } @else {
+            p.banner { "NOT AS IT WAS WRITTEN: " (evaluation.findings.len()) " findings. Numbers that rest on these files cannot be relied on." }
+            (reasons(&evaluation.findings.iter().map(|finding| format!("{finding}; {}", finding.remedy)).collect::<Vec<_>>()))
+        }
+    }
+}
+
+fn summary(evaluation: &Evaluation) -> Markup {
+    let metadata = &evaluation.campaign.plan.metadata;
+    html! {
+        p {
+            (cell("totals/counted", evaluation.trials.iter().filter(|row| row.counts).count()))
+            " of " (cell("totals/planned", evaluation.trials.len())) " trials count. Operator: " (metadata.operator)
+            ". Specimen: " (metadata.specimen) "."
+        }
+    }
+}
+
+/// A number that the check works out again.
+fn cell(is: &str, value: impl Display) -> Markup {
+    html! { span data-is=(is) { (value.to_string()) } }
+}
+
+fn number(is: &str, value: Option<impl Display>) -> Markup {
+    html! { td.n { @match value { Some(value) => (cell(is, value)), None => "-" } } }
+}
+
+fn figure(svg: Option<&str>, otherwise: &str, caption: &str) -> Markup {
+    html! {
+        @match svg {
+            Some(svg) => figure.one { (PreEscaped(svg)) figcaption { (caption) } },
+            None => p { (otherwise) },
+        }
+    }
+}
+
+fn condition_key(row: &ConditionRow) -> String {
+    format!(
+        "conditions/{}/{}/{}/{}",
+        row.purpose.name(),
+        row.lubrication.name(),
+        row.indentation,
+        row.shape.name()
+    )
+}
+
+/// The conditions for these purposes; `kind` heads the column that tells them apart.
+fn conditions(evaluation: &Evaluation, purposes: &[Purpose], kind: Option<&str>) -> Markup {
+    let rows = || {
+        let rows = evaluation.conditions.iter();
+        rows.filter(|row| purposes.contains(&row.purpose))
+    };
+    html! {
+        @if rows().next().is_none() { p { "The plan has none." } }
+        @else { div.wide { table {
+            thead { tr {
+                th { "walls" } th { "place" } @if let Some(kind) = kind { th { (kind) } }
+                th.n { "a / mm" } th.n { "n" } th.n { "mean / mm" } th.n { "SD / mm" }
+            } }
+            tbody { @for row in rows() {
+                @let key = condition_key(row);
+                tr {
+                    td { (row.lubrication.name()) } td { (row.indentation) }
+                    @if kind.is_some() { td { (doing(row.purpose, row.shape)) } }
+                    (number(&format!("{key}/indentation_mm"), row.indentation_mm))
+                    td.n { (cell(&format!("{key}/n"), row.n)) " of " (cell(&format!("{key}/planned"), row.planned)) }
+                    (number(&format!("{key}/mean_mm"), row.mean_mm))
+                    (number(&format!("{key}/sd_mm"), row.sd_mm))
+                }
+            } }
+        } } }
+    }
+}
+
+fn lines(evaluation: &Evaluation) -> Markup {
+    html! {
+        @if !evaluation.lines.is_empty() { div.wide { table {
+            thead { tr { th { "line" } th.n { "n" } th.n { "slope" } th.n { "± (95 %)" } th.n { "at a = 0 / mm" } th.n { "R²" } th.n { "SD / mm" } } }
+            tbody { @for (row, _) in &evaluation.lines {
+                @let key = format!("lines/{}", row.lubrication.name());
+                tr {
+                    td { (row.lubrication.name()) }
+                    (number(&format!("{key}/n"), Some(row.n)))
+                    (number(&format!("{key}/slope"), Some(row.slope)))
+                    (number(&format!("{key}/slope_half_95"), row.slope_half_95))
+                    (number(&format!("{key}/intercept_mm"), Some(row.intercept_mm)))
+                    (number(&format!("{key}/r_squared"), row.r_squared))
+                    (number(&format!("{key}/residual_sd_mm"), row.residual_sd_mm))
+                }
+            } }
+        } } }
+    }
+}
+
+fn left_out(evaluation: &Evaluation) -> Markup {
+    let left = || {
+        let rows = evaluation.trials.iter();
+        rows.filter_map(|row| Some((row, row.reason.as_ref()?)))
+    };
+    let fallen = || evaluation.attempts.iter().filter(|row| !row.stands);
+    html! {
+        @if left().next().is_none() { p { "Every trial of the plan counts." } }
+        @else { div.wide { table {
+            thead { tr { th { "trial" } th { "condition" } th { "why it does not count" } } }
+            tbody { @for (row, why) in left() { tr { td { (row.trial) } td { (condition_text(row)) } td { (why) } } } }
+        } } }
+        @if fallen().next().is_some() {
+            h3 { "Attempts that do not count" }
+            div.wide { table {
+                thead { tr { th { "trial" } th { "attempt" } th { "began (UTC)" } th { "ended" } th { "why" } } }
+                tbody { @for row in fallen() { tr {
+                    td { (row.trial) } td { (row.attempt) } td { (row.began_utc) }
+                    td { (row.outcome.map_or("open", |outcome| outcome.name())) }
+                    td { (row.reason.as_deref().unwrap_or("")) }
+                } } }
+            } }
+        }
+    }
+}
+
+fn condition_text(row: &TrialRow) -> String {
+    format!(
+        "{}, {}, {}, repeat {}",
+        row.lubrication.name(),
+        row.indentation,
+        doing(row.purpose, row.shape),
+        row.repeat
+    )
+}
+
+fn setting(evaluation: &Evaluation) -> Markup {
+    let plan = &evaluation.campaign.plan;
+    let metadata = &plan.metadata;
+    let resolution = metadata.caliper_resolution_mm;
+    html! {
+        (page::rows([
+            ("operator", metadata.operator.clone()),
+            ("specimen", metadata.specimen.clone()),
+            ("silicone", metadata.silicone.clone()),
+            ("soap", metadata.soap.clone()),
+            ("camera", metadata.camera.clone()),
+            ("caliper", format!("{}, resolves {resolution} mm", metadata.caliper)),
+            ("run", format!("{} cycles of {} mm in {} s", plan.run.cycles, decimal::write(plan.run.stroke_um.into(), 3), plan.run_s())),
+            ("order", format!("blocks, dry before lubricated, shuffled by seed {}", plan.seed)),
+        ]))
+        h3 { "Caliper" }
+        @if evaluation.readings.is_empty() { p { "No accepted readings yet." } }
+        @else { div.wide { table {
+            thead { tr { th { "set" } th { "width" } th.n { "n" } th.n { "mean / mm" } th.n { "SD / mm" } th.n { "spread / mm" } th.n { "a = (D - i)/2 / mm" } } }
+            tbody { @for row in &evaluation.readings {
+                @let key = format!("readings/{}", row.readings_set);
+                tr {
+                    td { (row.readings_set) }
+                    td { @match (row.quantity, &row.indentation) {
+                        (Quantity::Width, _) => "D",
+                        (Quantity::BetweenCrests, name) => { "i of " (name.as_deref().unwrap_or("-")) },
+                    } }
+                    (number(&format!("{key}/n"), Some(row.n)))
+                    (number(&format!("{key}/mean_mm"), Some(row.mean_mm)))
+                    (number(&format!("{key}/sd_mm"), Some(row.sd_mm)))
+                    (number(&format!("{key}/spread_mm"), Some(row.spread_mm)))
+                    (number(&format!("{key}/indentation_mm"), row.indentation_mm))
+                }
+            } }
+        } } }
+    }
+}
+
+fn totals(evaluation: &Evaluation) -> Markup {
+    let rows = || evaluation.trials.iter();
+    let sum = |of: fn(&TrialRow) -> Option<u64>| rows().filter_map(of).sum::<u64>();
+    let worst = rows()
+        .filter_map(|row| row.worst_residual_steps)
+        .map(i32::unsigned_abs)
+        .max();
+    let deviation = rows()
+        .filter_map(|row| row.greatest_deviation_mm)
+        .reduce(|a, b| if b.0 > a.0 { b } else { a });
+    let (commanded, counted) = (sum(|row| row.commanded_steps), sum(|row| row.counted_steps));
+    let energy = rows().any(|row| row.energy_mj.is_some());
+    html! {
+        div.wide.short { table { tbody {
+            tr { th { "trials that were run" } td.n { (cell("totals/run", rows().filter(|row| row.counted_steps.is_some()).count())) } }
+            tr { th { "attempts" } td.n { (cell("totals/attempts", evaluation.attempts.len())) } }
+            tr { th { "steps commanded" } td.n { (cell("totals/commanded_steps", commanded)) } }
+            tr { th { "steps counted at the pin" } td.n { (cell("totals/counted_steps", counted)) } }
+            tr { th { "largest residual of the position ledger, steps" } (number("totals/worst_residual_steps", worst)) }
+            tr { th { "largest difference from the plan, mm" } (number("totals/greatest_deviation_mm", deviation)) }
+            tr { th { "false pulses on the limit inputs" } td.n { (cell("totals/glitches", sum(|row| row.glitches.map(u64::from)))) } }
+            tr { th { "holds" } td.n { (cell("totals/holds", sum(|row| row.holds.map(u64::from)))) } }
+            tr { th { "samples lost on the link" } td.n { (cell("totals/lost_samples", sum(|row| row.lost_samples))) } }
+            tr { th { "energy of the capsule's motor, mJ" } (number("totals/energy_mj", energy.then(|| sum(|row| row.energy_mj.map(u64::from))))) }
+        } } }
+        @if commanded != counted { p.bad { "Commanded and counted steps differ." } }
+    }
+}
+
+fn all_trials(evaluation: &Evaluation) -> Markup {
+    html! {
+        div.wide { table {
+            thead { tr {
+                th.n { "trial" } th { "walls" } th { "place" } th { "shape or pass" } th.n { "a / mm" } th.n { "displacement / mm" } th.n { "steps" }
+                th.n { "residual / steps" } th.n { "from plan / mm" } th { "" }
+            } }
+            tbody { @for row in &evaluation.trials {
+                @let key = format!("trials/{}", row.trial);
+                tr {
+                    td.n { @if row.samples.is_some() { a href={ "#trial-" (row.trial) } { (row.trial) } } @else { (row.trial) } }
+                    td { (row.lubrication.name()) } td { (row.indentation) } td { (doing(row.purpose, row.shape)) }
+                    (number(&format!("{key}/indentation_mm"), row.indentation_mm))
+                    (number(&format!("{key}/displacement_mm"), row.displacement_mm))
+                    (number(&format!("{key}/counted_steps"), row.counted_steps))
+                    (number(&format!("{key}/worst_residual_steps"), row.worst_residual_steps))
+                    (number(&format!("{key}/greatest_deviation_mm"), row.greatest_deviation_mm))
+                    td { @if row.counts { span.ok { "counts" } } @else { "does not count" } }
+                }
+            } }
+        } }
+    }
+}
+
+fn trial(evaluation: &Evaluation, row: &TrialRow, parts: &[Part]) -> Result<Markup, ReportError> {
+    let name = format!("Trial {}: {}", row.trial, condition_text(row));
+    let is_pass = row.purpose.pass().is_some();
+    let svg = match motion_of(parts, row.purpose) {
+        Some(pass) if is_pass => carriage(&name, pass)?,
+        Some(run) => run_over_plan(&name, run)?,
+        None => None,
+    };
+    let caption = match is_pass {
+        true => "The carriage by the read-back counter. Time 0 is the first sample.",
+        false => {
+            "The carriage by the read-back counter over the plan, and the one less the other. Time 0 is the run's start."
+        }
+    };
+    let key = format!("trials/{}", row.trial);
+    Ok(html! {
+        section.trial id={ "trial-" (row.trial) } {
+            h3 { (name) (page::tag(evaluation.origin)) }
+            @if let Some(why) = &row.reason { p.bad { (why) } }
+            (figure(svg.as_deref(), "No telemetry with a plan: no figure.", caption))
+            div.facts {
+            div.wide.short { table { tbody {
+                tr { th { "displacement / mm" } (number(&format!("{key}/displacement_mm"), row.displacement_mm)) }
+                @if !row.strokes_mm.0.is_empty() { tr {
+                    th { "displacement after each stroke / mm" }
+                    td.n { @for (number, mm) in (1..).zip(&row.strokes_mm.0) { (cell(&format!("{key}/stroke/{number}"), mm)) " " } }
+                } }
+                tr { th { "steps planned" } (number(&format!("{key}/planned_steps"), row.planned_steps)) }
+                tr { th { "steps commanded" } (number(&format!("{key}/commanded_steps"), row.commanded_steps)) }
+                tr { th { "steps counted at the pin" } (number(&format!("{key}/counted_steps"), row.counted_steps)) }
+                tr { th { "largest difference from the plan / mm" } (number(&format!("{key}/greatest_deviation_mm"), row.greatest_deviation_mm)) }
+                tr { th { "duration less the plan's, ticks of 10 ns" } (number(&format!("{key}/late_ticks"), row.late_ticks)) }
+                tr { th { "false pulses" } (number(&format!("{key}/glitches"), row.glitches)) }
+                tr { th { "holds" } (number(&format!("{key}/holds"), row.holds)) }
+                tr { th { "samples" } (number(&format!("{key}/samples"), row.samples)) }
+                tr { th { "samples lost on the link" } (number(&format!("{key}/lost_samples"), row.lost_samples)) }
+                @if row.energy_mj.is_some() { tr { th { "energy of the capsule's motor / mJ" } (number(&format!("{key}/energy_mj"), row.energy_mj)) } }
+            } } }
+            @for part in parts {
+                p {
+                    (evaluation.within(&part.sidecar)) ": " (status(part.trial.status, &part.defects)) br;
+                    span.hash { "SHA-256 " (evaluation.hash(&part.sidecar).unwrap_or_else(|| "not listed".to_owned())) }
+                }
+                (reasons(&part.defects))
+            }
+            }
+        }
+    })
+}
+
+fn provenance(evaluation: &Evaluation) -> Markup {
+    html! {
+        (page::rows([
+            ("origin", evaluation.origin.meaning().to_owned()),
+            ("recorded by", evaluation.tools.join(", ")),
+            ("reported by", concat!("retrograde ", env!("CARGO_PKG_VERSION")).to_owned()),
+        ]))
+        @if !evaluation.devices.is_empty() {
+            h3 { "Machines" }
+            div.wide { table {
+                thead { tr { th { "machine" } th { "origin" } th { "UID" } th { "firmware" } th { "protocol" } th { "start" } } }
+                tbody { @for device in &evaluation.devices { tr {
+                    td { (device.device) } td { (device.origin) } td.hash { (device.uid) }
+                    td { (device.firmware) " (" (device.profile) ")" } td { (device.protocol) }
+                    td { (device.boot_id) ", " (device.reset_cause) }
+                } } }
+            } }
+        }
+        @for [name, image, commissioning] in &evaluation.rigs {
+            p {
+                @if name.is_empty() { "A rig without a name" } @else { "Rig " (name) }
+                ", image " (image) ", commissioning: " (commissioning) "."
+            }
+        }
+        h3 { "Files" }
+        p.hash { (manifest::NAME) ": SHA-256 " (evaluation.manifest_sha256) }
+        div.wide { table {
+            thead { tr { th { "file" } th { "SHA-256, as listed" } } }
+            tbody { @for (path, hash) in &evaluation.manifest.0 { tr { td { (path) } td.hash { (manifest::hex(hash)) } } } }
+        } }
+    }
+}

@@ -1,0 +1,314 @@
+//! The figures of a campaign: displacement against indentation (the paper's Fig. 7), folded against unfolded (its Fig. 8),
+//! and each run against its plan.
+
+use campaign::order::{Form, doing};
+use campaign::plan::{Lubrication, Purpose};
+use plotters::style::RGBColor;
+use trials::trial::{Action, RigSample, Screw};
+
+use crate::report::campaign_band::ModelBand;
+use crate::report::check;
+use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
+use crate::report::figures::{
+    Chart, Curve, Figure, FigureError, Heading, MEASURED, Mark, PLANNED, Source, figure, planned,
+    sampled, thinned,
+};
+
+const DRY: RGBColor = RGBColor(0xc0, 0x6a, 0x10);
+const WET: RGBColor = MEASURED;
+const BAND: RGBColor = RGBColor(0x4a, 0x4a, 0x4a);
+const IN_RUN: RGBColor = RGBColor(0x3a, 0x8a, 0x4c);
+/// Points of a band's edge.
+const EDGE: u32 = 48;
+/// Stretches of time of which a run's figure shows the extremes.
+const STRETCHES: usize = 250;
+
+fn curve(label: impl Into<String>, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> Curve {
+    Curve {
+        label: label.into(),
+        colour,
+        mark,
+        points,
+    }
+}
+
+/// Mean with one standard deviation up and down, as segments: the bar, its two ends and its middle.
+fn bar(x: f64, mean: f64, sd: f64, half_width: f64) -> [(f64, f64); 8] {
+    let (low, high) = (mean - sd, mean + sd);
+    [
+        (x, low),
+        (x, high),
+        (x - half_width, low),
+        (x + half_width, low),
+        (x - half_width, high),
+        (x + half_width, high),
+        (x - 2.0 * half_width, mean),
+        (x + 2.0 * half_width, mean),
+    ]
+}
+
+/// Displacement against indentation, before the model's band if there is one; none without a trial that counts.
+#[must_use]
+pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figure> {
+    let mut curves = vec![];
+    for (lubrication, colour) in [(Lubrication::Dry, DRY), (Lubrication::Lubricated, WET)] {
+        let points = evaluation.points(Purpose::Series, lubrication);
+        if points.is_empty() {
+            continue;
+        }
+        let ends = points.iter().fold((f64::MAX, f64::MIN), |(a, b), (x, _)| {
+            (a.min(*x), b.max(*x))
+        });
+        let line = evaluation
+            .lines
+            .iter()
+            .find(|(row, _)| row.lubrication == lubrication)
+            .map(|(_, line)| line);
+        if let Some(line) = line {
+            let at = |index: u32| ends.0 + (ends.1 - ends.0) * f64::from(index) / f64::from(EDGE);
+            let edge = |sign: f64| {
+                (0..=EDGE)
+                    .map(at)
+                    .filter_map(move |x| Some((x, line.at(x) + sign * line.half_band(x)?)))
+                    .collect::<Vec<_>>()
+            };
+            let (upper, lower) = (edge(1.0), edge(-1.0));
+            if !upper.is_empty() {
+                let round = upper.into_iter().chain(lower.into_iter().rev()).collect();
+                curves.push(curve("", colour, Mark::Area, round));
+            }
+            let through = vec![(ends.0, line.at(ends.0)), (ends.1, line.at(ends.1))];
+            curves.push(curve("", colour, Mark::Line(3), through));
+        }
+        let name = lubrication.name();
+        let rows = evaluation.conditions.iter().filter(|row| {
+            row.purpose == Purpose::Series && row.lubrication == lubrication && row.n > 0
+        });
+        let label = format!("{name}, n = {}", points.len());
+        curves.push(curve(label, colour, Mark::Dots(7), points));
+        // Of different width, so that both can be seen where they cover each other.
+        let half_width = if lubrication == Lubrication::Dry {
+            0.08
+        } else {
+            0.05
+        };
+        curves.push(curve("", colour, Mark::Segments(4), bars(rows, half_width)));
+    }
+    if curves.is_empty() {
+        return None;
+    }
+    // Below all else.
+    if let Some(band) = band {
+        curves.insert(0, curve(band.label, BAND, Mark::Area, band.outline.clone()));
+    }
+    let chart = Chart {
+        x_label: "indentation a / mm",
+        y_label: "displacement / mm".to_owned(),
+        y_from_zero: true,
+        curves,
+    };
+    let title = "Fig. 7: displacement over indentation";
+    let heading = Heading::new(title, Source::Records(evaluation.origin));
+    Some(Figure::new(heading, vec![chart]))
+}
+
+/// Displacement by an isolated pass over indentation, both ways; none without a trial that counts.
+#[must_use]
+pub fn passes(evaluation: &Evaluation) -> Option<Figure> {
+    let mut curves = vec![];
+    let ways = [
+        (Purpose::AntegradePass, 9, 0.08),
+        (Purpose::ReturningPass, 5, 0.05),
+    ];
+    for (purpose, size, half_width) in ways {
+        for (lubrication, colour) in [(Lubrication::Dry, DRY), (Lubrication::Lubricated, WET)] {
+            let points = evaluation.points(purpose, lubrication);
+            if points.is_empty() {
+                continue;
+            }
+            let rows = evaluation.conditions.iter().filter(|row| {
+                row.purpose == purpose && row.lubrication == lubrication && row.n > 0
+            });
+            let (way, walls) = (doing(purpose, Form::Unfolded), lubrication.name());
+            let label = format!("{way}, {walls}, n = {}", points.len());
+            curves.push(curve(label, colour, Mark::Dots(size), points));
+            curves.push(curve("", colour, Mark::Segments(4), bars(rows, half_width)));
+        }
+    }
+    if curves.is_empty() {
+        return None;
+    }
+    let chart = Chart {
+        x_label: "indentation a / mm",
+        y_label: "displacement / mm".to_owned(),
+        y_from_zero: true,
+        curves,
+    };
+    let heading = Heading::new("Isolated passes", Source::Records(evaluation.origin));
+    Some(Figure::new(heading, vec![chart]))
+}
+
+/// Bars of all conditions that have a standard deviation.
+fn bars<'a>(rows: impl Iterator<Item = &'a ConditionRow>, half_width: f64) -> Vec<(f64, f64)> {
+    rows.filter_map(|row| {
+        let (x, mean, sd) = (row.indentation_mm?.0, row.mean_mm?.0, row.sd_mm?.0);
+        Some(bar(x, mean, sd, half_width))
+    })
+    .flatten()
+    .collect()
+}
+
+/// Folded against unfolded over time; none without a trial that counts. The displacement is read at the beginning, where it
+/// is zero, and at the end; between them is the carriage.
+#[must_use]
+pub fn figure8(evaluation: &Evaluation) -> Option<Figure> {
+    let shapes = [
+        (Form::Unfolded, WET),
+        (Form::Folded, DRY),
+        (Form::Folding, IN_RUN),
+    ];
+    let (mut displacements, mut carriages) = (vec![], vec![]);
+    for (shape, colour) in shapes {
+        let rows = evaluation.trials.iter().zip(&evaluation.parts);
+        let rows: Vec<_> = rows
+            .filter(|(row, _)| row.counts && row.purpose == Purpose::FoldTest && row.shape == shape)
+            .collect();
+        let ends: Vec<(f64, f64)> = rows
+            .iter()
+            .filter_map(|(row, parts)| {
+                let run = run_of(parts)?;
+                let Action::Run { executed, .. } = &run.trial.action else {
+                    return None;
+                };
+                let time_s = executed.as_ref()?.ticks as f64 * 1e-8;
+                Some((time_s, row.displacement_mm?.mm()))
+            })
+            .collect();
+        if ends.is_empty() {
+            continue;
+        }
+        let name = match (shape, evaluation.campaign.plan.fold_at) {
+            (Form::Folding, Some(cue)) => format!("folding at cycle {}", cue.cycle),
+            _ => shape.name().to_owned(),
+        };
+        let label = format!("{name}, n = {}", ends.len());
+        let from_zero = ends.iter().flat_map(|end| [(0.0, 0.0), *end]).collect();
+        displacements.push(curve("", colour, Mark::Segments(2), from_zero));
+        displacements.push(curve(label, colour, Mark::Dots(9), ends));
+        if let Some((_, parts)) = rows.first()
+            && let Some(run) = run_of(parts)
+            && let Some(points) = positions(run)
+        {
+            let width = if carriages.is_empty() { 9 } else { 3 };
+            carriages.push(curve(name, colour, Mark::Line(width), points));
+        }
+    }
+    if displacements.is_empty() {
+        return None;
+    }
+    let chart = |y_label: &str, y_from_zero, curves| Chart {
+        x_label: "time / s",
+        y_label: y_label.to_owned(),
+        y_from_zero,
+        curves,
+    };
+    let heading = Heading::new(
+        "Fig. 8: folded against unfolded",
+        Source::Records(evaluation.origin),
+    );
+    let mut charts = vec![chart("displacement / mm", true, displacements)];
+    if !carriages.is_empty() {
+        charts.push(chart("carriage / mm", false, carriages));
+    }
+    Some(Figure::new(heading, charts))
+}
+
+/// Position of the carriage over time.
+fn positions(run: &Part) -> Option<Vec<(f64, f64)>> {
+    let (samples, start_us, screw) = samples(run)?;
+    let all: Vec<_> = samples
+        .iter()
+        .map(|sample| {
+            let us = i128::from(sample.time_us) - i128::from(start_us);
+            (us as f64 * 1e-6, screw.mm(sample.position_steps.into()))
+        })
+        .collect();
+    Some(thinned(&all, STRETCHES))
+}
+
+fn samples(run: &Part) -> Option<(Vec<RigSample>, u64, Screw)> {
+    let (Action::Run { screw, .. } | Action::Move { screw, .. }) = &run.trial.action else {
+        return None;
+    };
+    let (samples, _) = check::read::<RigSample>(&run.sidecar, &run.trial);
+    let start_us = match &run.trial.action {
+        // No event tells when a move begins: its record does just before.
+        Action::Move { .. } => samples.first()?.time_us,
+        _ => check::run_start_us(&run.trial)?,
+    };
+    (!samples.is_empty()).then_some((samples, start_us, *screw))
+}
+
+/// The carriage in a pass; none without telemetry.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn carriage(name: &str, pass: &Part) -> Result<Option<String>, FigureError> {
+    let Some(points) = positions(pass) else {
+        return Ok(None);
+    };
+    let origin = pass.trial.device.origin;
+    let chart = Chart {
+        x_label: "time / s",
+        y_label: "position / mm".to_owned(),
+        y_from_zero: false,
+        curves: vec![curve(sampled(origin), MEASURED, Mark::Line(3), points)],
+    };
+    figure(&Heading::new(name, Source::Records(origin)), vec![chart]).map(Some)
+}
+
+/// A run over its plan, and what is between them; none without telemetry or plan.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn run_over_plan(name: &str, run: &Part) -> Result<Option<String>, FigureError> {
+    let Action::Run {
+        screw,
+        requested,
+        achieved: Some(achieved),
+        ..
+    } = &run.trial.action
+    else {
+        return Ok(None);
+    };
+    let (Some((samples, ..)), Some(positions)) = (samples(run), positions(run)) else {
+        return Ok(None);
+    };
+    let measured = sampled(run.trial.device.origin);
+    let plan = planned(screw, requested, achieved).position;
+    let mut charts = vec![Chart {
+        x_label: "time / s",
+        y_label: "position / mm".to_owned(),
+        y_from_zero: false,
+        curves: vec![
+            curve("planned", PLANNED, Mark::Line(9), plan),
+            curve(measured, MEASURED, Mark::Line(3), positions),
+        ],
+    }];
+    if let Some(deviations) = deviations(&run.trial, &samples) {
+        let in_um: Vec<_> = deviations.iter().map(|(s, mm)| (*s, mm * 1e3)).collect();
+        charts.push(Chart {
+            x_label: "time / s",
+            y_label: "residual / um".to_owned(),
+            y_from_zero: true,
+            curves: vec![curve(
+                format!("{measured} less planned"),
+                MEASURED,
+                Mark::Line(3),
+                thinned(&in_um, STRETCHES),
+            )],
+        });
+    }
+    let heading = Heading::new(name, Source::Records(run.trial.device.origin));
+    figure(&heading, charts).map(Some)
+}

@@ -1,0 +1,572 @@
+//! Holds a trial's telemetry against its sidecar: a record that contradicts itself must not look complete.
+//!
+//! Pure but for [`read`]. Each defect is a sentence with its numbers.
+
+use std::path::Path;
+
+use client::decimal;
+use client::identity::Origin;
+use protocol::capsule::{ActuationRecord, CapsuleEvent};
+use protocol::rig::{RigEvent, Run};
+use protocol::system::What;
+use serde::Deserialize;
+use trials::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial};
+
+/// A sample is sent a little late when the device has something more urgent to do, us.
+const LATE_US: u64 = 10_000;
+/// The thread may settle so much between the end of a motion and the last sample, um.
+const SETTLES_UM: u32 = 300;
+
+/// What a row of either machine has.
+pub trait Sample: for<'de> Deserialize<'de> {
+    /// Device time, us.
+    fn time_us(&self) -> u64;
+    /// Samples lost just before.
+    fn missed(&self) -> u16;
+    /// As the row says.
+    fn origin(&self) -> Origin;
+    /// A number of the row that is none, or contradicts another one.
+    fn wrong(&self, trial: &Trial) -> Option<String>;
+}
+
+impl Sample for RigSample {
+    fn time_us(&self) -> u64 {
+        self.time_us
+    }
+    fn missed(&self) -> u16 {
+        self.missed
+    }
+    fn origin(&self) -> Origin {
+        self.origin
+    }
+    fn wrong(&self, trial: &Trial) -> Option<String> {
+        for (name, text) in [
+            ("position_mm", &self.position_mm),
+            ("speed_mm_s", &self.speed_mm_s),
+        ] {
+            if !text.parse::<f64>().is_ok_and(f64::is_finite) {
+                return Some(format!("{name} is `{text}`"));
+            }
+        }
+        let (Action::Run { screw, .. } | Action::Move { screw, .. }) = &trial.action else {
+            return None;
+        };
+        let exact = decimal::write_signed(screw.nm(self.position_steps.into()), 6);
+        (self.position_mm != exact).then(|| {
+            format!(
+                "position_mm is {}, and {} steps are {exact} mm",
+                self.position_mm, self.position_steps
+            )
+        })
+    }
+}
+
+impl Sample for CapsuleSample {
+    fn time_us(&self) -> u64 {
+        self.time_us
+    }
+    fn missed(&self) -> u16 {
+        self.missed
+    }
+    fn origin(&self) -> Origin {
+        self.origin
+    }
+    fn wrong(&self, _: &Trial) -> Option<String> {
+        None
+    }
+}
+
+/// Reads the telemetry as far as it can be read; what is wrong with the file is among the defects.
+pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
+    let path = sidecar.with_file_name(&trial.telemetry);
+    let name = &trial.telemetry;
+    let mut reader = match csv::Reader::from_path(&path) {
+        Ok(reader) => reader,
+        Err(error) => return (vec![], vec![format!("{name} cannot be read: {error}")]),
+    };
+    let mut samples = vec![];
+    for row in reader.deserialize() {
+        match row {
+            Ok(sample) => samples.push(sample),
+            Err(error) => {
+                // What comes after it is not trusted.
+                let row = samples.len() + 1;
+                return (
+                    samples,
+                    vec![format!("row {row} of {name} cannot be read: {error}")],
+                );
+            }
+        }
+    }
+    (samples, vec![])
+}
+
+/// What is wrong with a rig's trial.
+#[must_use]
+pub fn run(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
+    let mut defects = telemetry(trial, samples);
+    let Action::Run {
+        screw,
+        requested,
+        achieved,
+        executed,
+    } = &trial.action
+    else {
+        return defects;
+    };
+    if let (Some(achieved), Some(executed)) = (achieved, executed) {
+        planned_and_done(trial, screw, requested, achieved, executed, &mut defects);
+        covers(
+            trial,
+            samples,
+            run_start_us(trial),
+            executed.ticks / 100,
+            &mut defects,
+        );
+        travelled(screw, achieved, executed, samples, &mut defects);
+    } else if trial.status == Status::Complete {
+        defects.push("it is called complete, without what was planned or executed".to_owned());
+    }
+    if let Some(executed) = executed {
+        agree(
+            Status::from(executed.outcome) == trial.status,
+            "the record's outcome and the sidecar's status differ",
+            &mut defects,
+        );
+    }
+    defects
+}
+
+/// What is wrong with the record of a move.
+#[must_use]
+pub fn movement(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
+    let mut defects = telemetry(trial, samples);
+    let Action::Move {
+        screw,
+        requested,
+        accepted,
+        moved,
+    } = &trial.action
+    else {
+        return defects;
+    };
+    let (Some(accepted), Some(moved)) = (accepted, moved) else {
+        if trial.status == Status::Complete {
+            defects.push("it is called complete, without what was accepted or done".to_owned());
+        }
+        return defects;
+    };
+    agree(
+        Status::from(moved.outcome) == trial.status,
+        "the outcome of the move and the sidecar's status differ",
+        &mut defects,
+    );
+    agree(
+        screw.steps(requested.position_um) == accepted.to_steps,
+        "the rig accepted another place than was requested",
+        &mut defects,
+    );
+    let (from, to) = (i64::from(accepted.from_steps), i64::from(accepted.to_steps));
+    agree(
+        (to - from).unsigned_abs() == u64::from(accepted.stroke.steps),
+        "the steps that were accepted are not those between the two places",
+        &mut defects,
+    );
+    if trial.status != Status::Complete {
+        return defects;
+    }
+    if moved.position_steps != accepted.to_steps {
+        defects.push(format!(
+            "it is called complete at {} steps, and {to} were to be reached",
+            moved.position_steps
+        ));
+    }
+    let (least, most) = (from.min(to), from.max(to));
+    let outside = |sample: &&RigSample| !(least..=most).contains(&i64::from(sample.position_steps));
+    if let Some(sample) = samples.iter().find(outside) {
+        defects.push(format!(
+            "a sample is at {} steps, outside of {least} to {most}",
+            sample.position_steps
+        ));
+    }
+    // What was not recorded has no length: the samples have to last as long as the move, but for one at either end.
+    if let [first, .., last] = samples {
+        let lasted_us = last.time_us.saturating_sub(first.time_us);
+        let every_us = samples
+            .windows(2)
+            .map(|pair| pair[1].time_us.saturating_sub(pair[0].time_us))
+            .max()
+            .unwrap_or(0);
+        let least_us = accepted.stroke.duration_ticks / 100;
+        if lasted_us.saturating_add(every_us.saturating_mul(2) + LATE_US) < least_us {
+            defects.push(format!(
+                "the telemetry lasts {lasted_us} us, and the move took {least_us} us"
+            ));
+        }
+    } else if samples.is_empty() {
+        defects.push("the move has no telemetry".to_owned());
+    }
+    defects
+}
+
+/// What is wrong with a capsule's trial.
+#[must_use]
+pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Vec<String> {
+    let mut defects = telemetry(trial, samples);
+    let Action::Actuation {
+        actuation,
+        accepted,
+        record,
+    } = &trial.action
+    else {
+        return defects;
+    };
+    let Some(record) = record else {
+        if trial.status == Status::Complete {
+            defects.push("it is called complete, without the capsule's record".to_owned());
+        }
+        return defects;
+    };
+    agree(
+        Status::from(record.outcome) == trial.status,
+        "the record's outcome and the sidecar's status differ",
+        &mut defects,
+    );
+    agree(
+        record.kind == *actuation,
+        "the record is that of another kind of actuation",
+        &mut defects,
+    );
+    agree(
+        accepted.is_none_or(|accepted| accepted.actuation == record.actuation),
+        "the record is that of another actuation than was accepted",
+        &mut defects,
+    );
+    if record.end_current_ma > record.peak_current_ma {
+        defects.push(format!(
+            "the current at the end, {} mA, is above the largest one, {} mA",
+            record.end_current_ma, record.peak_current_ma
+        ));
+    }
+    covers(
+        trial,
+        samples,
+        actuation_start_us(trial),
+        u64::from(record.duration_ms) * 1_000,
+        &mut defects,
+    );
+    ends_at(trial, record, samples, &mut defects);
+    defects
+}
+
+/// Start of a run by its event, device time.
+#[must_use]
+pub fn run_start_us(trial: &Trial) -> Option<u64> {
+    let started = |what: &What| matches!(what, What::Rig(RigEvent::RunStarted { .. }));
+    let event = trial.events.iter().find(|event| started(&event.what))?;
+    Some(event.time_us)
+}
+
+/// Start of an actuation by its event, device time.
+#[must_use]
+pub fn actuation_start_us(trial: &Trial) -> Option<u64> {
+    let started = |what: &What| matches!(what, What::Capsule(CapsuleEvent::Started { .. }));
+    let event = trial.events.iter().find(|event| started(&event.what))?;
+    Some(event.time_us)
+}
+
+fn agree(holds: bool, otherwise: &str, defects: &mut Vec<String>) {
+    if !holds {
+        defects.push(otherwise.to_owned());
+    }
+}
+
+/// What both machines' telemetry has in common.
+fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Vec<String> {
+    let mut defects = vec![];
+    let name = &trial.telemetry;
+    // While it was running, the sidecar did not know how many there would be.
+    if trial.status != Status::Running {
+        if samples.len() as u64 != trial.samples {
+            defects.push(format!(
+                "{name} has {} rows, {} were recorded",
+                samples.len(),
+                trial.samples
+            ));
+        }
+        let missed: u64 = samples
+            .iter()
+            .map(|sample| u64::from(sample.missed()))
+            .sum();
+        if missed != trial.missed_samples {
+            defects.push(format!(
+                "by the rows of {name} {missed} samples were lost, by the sidecar {}",
+                trial.missed_samples
+            ));
+        }
+    }
+    let wrong = samples
+        .iter()
+        .enumerate()
+        .find_map(|(index, sample)| Some((index + 1, sample.wrong(trial)?)));
+    if let Some((row, why)) = wrong {
+        defects.push(format!("row {row} of {name}: {why}"));
+    }
+    let other =
+        |sample: &T| sample.origin() != Origin::Unknown && sample.origin() != trial.device.origin;
+    if let Some(sample) = samples.iter().find(|sample| other(sample)) {
+        defects.push(format!(
+            "{name} is of origin {}, the sidecar of origin {}",
+            sample.origin(),
+            trial.device.origin
+        ));
+    }
+    let back = samples
+        .windows(2)
+        .position(|pair| pair[1].time_us() <= pair[0].time_us());
+    match back {
+        Some(row) => defects.push(format!(
+            "time does not go on between rows {} and {} of {name}",
+            row + 1,
+            row + 2
+        )),
+        None => gaps(trial, samples, &mut defects),
+    }
+    if trial.lost_events == 0
+        && let Some(pair) = trial
+            .events
+            .windows(2)
+            .find(|pair| pair[1].index != pair[0].index.wrapping_add(1))
+    {
+        defects.push(format!(
+            "event {} follows event {}",
+            pair[1].index, pair[0].index
+        ));
+    }
+    defects
+}
+
+/// Time between samples, us: the middle one of those without a loss.
+fn interval_us<T: Sample>(samples: &[T]) -> Option<u64> {
+    let mut all: Vec<u64> = samples
+        .windows(2)
+        .filter(|pair| pair[1].missed() == 0)
+        .map(|pair| pair[1].time_us().saturating_sub(pair[0].time_us()))
+        .collect();
+    all.sort_unstable();
+    all.get(all.len() / 2).copied()
+}
+
+/// Longest time that these samples may be apart when so many were lost between them.
+fn longest_us(interval_us: u64, missed: u16) -> u64 {
+    let missed_us = interval_us.saturating_mul(u64::from(missed) + 1);
+    missed_us.saturating_add(LATE_US.max(interval_us - interval_us.div_ceil(10)))
+}
+
+fn gaps<T: Sample>(trial: &Trial, samples: &[T], defects: &mut Vec<String>) {
+    let Some(interval_us) = interval_us(samples) else {
+        return;
+    };
+    let is_gap = |pair: &&[T]| {
+        pair[1].time_us() - pair[0].time_us() > longest_us(interval_us, pair[1].missed())
+    };
+    let gaps: Vec<_> = samples.windows(2).filter(is_gap).collect();
+    if let Some(first) = gaps.first() {
+        defects.push(format!(
+            "{} gaps in {} that no lost samples explain, the first of {} s at {} us",
+            gaps.len(),
+            trial.telemetry,
+            seconds(first[1].time_us() - first[0].time_us()),
+            first[0].time_us()
+        ));
+    }
+}
+
+/// The telemetry begins with the motion and ends with it.
+fn covers<T: Sample>(
+    trial: &Trial,
+    samples: &[T],
+    start_us: Option<u64>,
+    duration_us: u64,
+    defects: &mut Vec<String>,
+) {
+    if trial.status != Status::Complete {
+        return;
+    }
+    let name = &trial.telemetry;
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+        defects.push(format!("{name} is empty"));
+        return;
+    };
+    let start_us = start_us.unwrap_or(first.time_us());
+    let interval_us = interval_us(samples).unwrap_or(0);
+    let begins_us = start_us
+        .saturating_add(longest_us(interval_us, first.missed()))
+        .saturating_add(interval_us);
+    if first.time_us() > begins_us {
+        defects.push(format!(
+            "{name} begins {} s after the motion",
+            seconds(first.time_us() - start_us)
+        ));
+    }
+    let end_us = start_us.saturating_add(duration_us);
+    // Samples that the link lost after the last row are told by no row.
+    if last.time_us().saturating_add(longest_us(interval_us, 2)) < end_us {
+        defects.push(format!(
+            "{name} ends {} s before the motion",
+            seconds(end_us - last.time_us())
+        ));
+    }
+}
+
+/// Plan and execution of a run that is called complete.
+fn planned_and_done(
+    trial: &Trial,
+    screw: &Screw,
+    requested: &Run,
+    achieved: &Achieved,
+    executed: &Executed,
+    defects: &mut Vec<String>,
+) {
+    let cycle_steps = u64::from(achieved.forward.steps) + u64::from(achieved.back.steps);
+    let planned = u64::from(requested.cycles) * cycle_steps;
+    if planned != achieved.edges {
+        defects.push(format!(
+            "{} cycles of {cycle_steps} steps are {planned}, the plan says {}",
+            requested.cycles, achieved.edges
+        ));
+    }
+    let stroke_nm = screw.nm(achieved.forward.steps.into());
+    let step_nm = screw.nm(1).max(1);
+    if (stroke_nm - i64::from(requested.stroke_um) * 1_000).abs() > step_nm {
+        defects.push(format!(
+            "{} steps are {} mm, and {} mm were asked for",
+            achieved.forward.steps,
+            decimal::write_signed(stroke_nm, 6),
+            decimal::write(requested.stroke_um.into(), 3)
+        ));
+    }
+    agree(
+        executed.plan_hash == achieved.plan_hash,
+        "the executed plan has another fingerprint than the accepted one",
+        defects,
+    );
+    if trial.status != Status::Complete {
+        return;
+    }
+    if executed.counted_edges != executed.commanded_edges {
+        defects.push(format!(
+            "{} steps were commanded, {} were seen at the pin",
+            executed.commanded_edges, executed.counted_edges
+        ));
+    }
+    if executed.commanded_edges != achieved.edges {
+        defects.push(format!(
+            "it is called complete with {} of {} steps",
+            executed.commanded_edges, achieved.edges
+        ));
+    }
+    let strokes = u32::from(requested.cycles) * 2;
+    if executed.strokes != strokes {
+        defects.push(format!(
+            "it is called complete with {} of {strokes} strokes",
+            executed.strokes
+        ));
+    }
+    if executed.holds == 0 && executed.ticks != achieved.total_ticks {
+        defects.push(format!(
+            "it took {} s, the plan {} s",
+            decimal::seconds(executed.ticks),
+            decimal::seconds(achieved.total_ticks)
+        ));
+    }
+    let done = |what: &What| matches!(what, What::Rig(RigEvent::StrokeDone { .. }));
+    let done = trial
+        .events
+        .iter()
+        .filter(|event| done(&event.what))
+        .count();
+    if trial.lost_events == 0 && done as u64 != u64::from(executed.strokes) {
+        defects.push(format!(
+            "{} strokes have an event of their end, {} were counted",
+            done, executed.strokes
+        ));
+    }
+}
+
+/// The way of the telemetry against the counted steps. A reversal between two samples hides at most what the rig can go
+/// meanwhile, there and back.
+fn travelled(
+    screw: &Screw,
+    achieved: &Achieved,
+    executed: &Executed,
+    samples: &[RigSample],
+    defects: &mut Vec<String>,
+) {
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+        return;
+    };
+    let seen: u64 = samples
+        .windows(2)
+        .map(|pair| u64::from(pair[1].position_steps.abs_diff(pair[0].position_steps)))
+        .sum();
+    if seen > executed.counted_edges {
+        defects.push(format!(
+            "the telemetry goes {seen} steps, {} were counted",
+            executed.counted_edges
+        ));
+    }
+    let longest_us = samples
+        .windows(2)
+        .map(|pair| pair[1].time_us.saturating_sub(pair[0].time_us))
+        .max()
+        .unwrap_or(0);
+    let fastest_um_s = achieved.forward.peak_um_s.max(achieved.back.peak_um_s);
+    let hidden_um = f64::from(fastest_um_s) * longest_us as f64 * 1e-6;
+    let hidden = hidden_um * f64::from(screw.steps_per_rev) / f64::from(screw.lead_um.max(1));
+    let ends = u64::from(
+        first
+            .position_steps
+            .unsigned_abs()
+            .max(last.position_steps.unsigned_abs()),
+    );
+    let most = (f64::from(executed.strokes) + 2.0) * hidden + ends as f64;
+    let missing = executed.counted_edges.saturating_sub(seen);
+    if missing as f64 > most {
+        defects.push(format!(
+            "the telemetry goes {seen} steps, {} were counted; its reversals hide at most {most:.0}",
+            executed.counted_edges
+        ));
+    }
+    let out = samples.iter().find(|sample| {
+        !(executed.min_steps..=executed.max_steps).contains(&sample.commanded_steps)
+    });
+    if let Some(sample) = out {
+        defects.push(format!(
+            "the telemetry is at {} steps, the record says {} to {}",
+            sample.commanded_steps, executed.min_steps, executed.max_steps
+        ));
+    }
+}
+
+fn ends_at(
+    trial: &Trial,
+    record: &ActuationRecord,
+    samples: &[CapsuleSample],
+    defects: &mut Vec<String>,
+) {
+    if let Some(last) = samples.last()
+        && trial.status == Status::Complete
+        && last.thread_um.abs_diff(record.thread_um) > SETTLES_UM
+    {
+        defects.push(format!(
+            "the telemetry ends at {} mm of thread, the record says {} mm",
+            decimal::fixed(last.thread_um.into(), 3),
+            decimal::fixed(record.thread_um.into(), 3)
+        ));
+    }
+}
+
+fn seconds(us: u64) -> String {
+    decimal::write(us, 6)
+}

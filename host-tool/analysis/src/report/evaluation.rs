@@ -1,0 +1,699 @@
+//! What a campaign amounts to: which trials count and why others do not, means, deviations and lines, and what the rig and
+//! the capsule recorded of each trial. Its rows are the tables of the report.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use campaign::CampaignError;
+use campaign::folder::{ATTEMPTS, Campaign};
+use campaign::ledger::{Attempt, Outcome, Source, Standing, TrialState};
+use campaign::manifest::{self, Manifest};
+use campaign::order::{Condition, Form};
+use campaign::plan::{Lubrication, Millimetres, Purpose};
+use campaign::readings::{Quantity, Summary};
+use campaign::statistics::{Line, Spread};
+use campaign::verify::{self, Finding};
+use client::identity::{IdentityRecord, Origin};
+use client::limited;
+use serde::{Serialize, Serializer};
+use trials::trial::{Action, CapsuleSample, RigSample, Trial};
+
+use crate::report::check;
+use crate::report::figures::position_at;
+
+/// A number with so many decimals as are shown, on the page and in the tables alike.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rounded<const DECIMALS: usize>(pub f64);
+
+impl<const DECIMALS: usize> std::fmt::Display for Rounded<DECIMALS> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let text = format!("{:.DECIMALS$}", self.0);
+        let zero = text
+            .trim_start_matches('-')
+            .chars()
+            .all(|c| "0.".contains(c));
+        f.write_str(if zero {
+            text.trim_start_matches('-')
+        } else {
+            &text
+        })
+    }
+}
+
+impl<const DECIMALS: usize> Serialize for Rounded<DECIMALS> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+/// Displacements after the strokes of a run, in one cell with blanks between them; empty if they are left out.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct StrokesMm(pub Vec<Millimetres>);
+
+impl Serialize for StrokesMm {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let texts: Vec<String> = self.0.iter().map(ToString::to_string).collect();
+        serializer.serialize_str(&texts.join(" "))
+    }
+}
+
+/// A trial: a row of `report/trials.csv`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TrialRow {
+    /// Its number.
+    pub trial: u32,
+    /// Its block.
+    pub block: u32,
+    /// Series or fold test.
+    pub purpose: Purpose,
+    /// State of the walls.
+    pub lubrication: Lubrication,
+    /// Name of the indentation.
+    pub indentation: String,
+    /// Shape of the body.
+    pub shape: Form,
+    /// Which of the repeats.
+    pub repeat: u32,
+    /// It is in means and lines.
+    pub counts: bool,
+    /// Why it is not.
+    pub reason: Option<String>,
+    /// It is done, but its record cannot be relied on.
+    #[serde(skip)]
+    pub has_defect: bool,
+    /// Attempts at it.
+    pub attempts: usize,
+    /// The one that stands.
+    pub attempt: Option<u32>,
+    /// Its indentation a_n by Eq. 8.
+    pub indentation_mm: Option<Millimetres>,
+    /// Displacement of the tail, + headward.
+    pub displacement_mm: Option<Millimetres>,
+    /// Where the displacement comes from.
+    pub source: Option<Source>,
+    /// Displacement since the beginning, after each stroke.
+    pub strokes_mm: StrokesMm,
+    /// Steps of the plan.
+    pub planned_steps: Option<u64>,
+    /// Steps that the generator emitted.
+    pub commanded_steps: Option<u64>,
+    /// Steps that were seen at the pin.
+    pub counted_steps: Option<u64>,
+    /// Largest residual of the position ledger.
+    pub worst_residual_steps: Option<i32>,
+    /// Largest difference of a sample's position from the plan, either way.
+    pub greatest_deviation_mm: Option<Rounded<4>>,
+    /// Duration of the run by the step timer, less the plan's, ticks of 10 ns.
+    pub late_ticks: Option<i64>,
+    /// False pulses on the limit inputs.
+    pub glitches: Option<u32>,
+    /// Number of holds.
+    pub holds: Option<u32>,
+    /// Rows of the telemetry.
+    pub samples: Option<u64>,
+    /// Samples that the link lost.
+    pub lost_samples: Option<u64>,
+    /// Energy of the capsule's motor in this attempt.
+    pub energy_mj: Option<u32>,
+    /// The telemetry, within the campaign's folder.
+    pub telemetry: Option<String>,
+    /// Its hash by the manifest.
+    pub telemetry_sha256: Option<String>,
+    /// Where all this comes from.
+    pub origin: Origin,
+}
+
+/// Equal trials: a row of `report/conditions.csv`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ConditionRow {
+    /// Series or fold test.
+    pub purpose: Purpose,
+    /// State of the walls.
+    pub lubrication: Lubrication,
+    /// Name of the indentation.
+    pub indentation: String,
+    /// Shape of the body.
+    pub shape: Form,
+    /// Trials of the plan.
+    pub planned: usize,
+    /// Trials that count.
+    pub n: usize,
+    /// Mean of a_n over them.
+    pub indentation_mm: Option<Rounded<3>>,
+    /// Mean of their displacements.
+    pub mean_mm: Option<Rounded<3>>,
+    /// Standard deviation of the sample.
+    pub sd_mm: Option<Rounded<3>>,
+    /// Where all this comes from.
+    pub origin: Origin,
+}
+
+/// A line through displacement over indentation: a row of `report/lines.csv`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LineRow {
+    /// State of the walls.
+    pub lubrication: Lubrication,
+    /// Trials.
+    pub n: usize,
+    /// Rise, mm of displacement per mm of indentation.
+    pub slope: Rounded<4>,
+    /// Half the width of its interval with 95 %.
+    pub slope_half_95: Option<Rounded<4>>,
+    /// Value without indentation.
+    pub intercept_mm: Rounded<4>,
+    /// Share of the spread that the line explains.
+    pub r_squared: Option<Rounded<4>>,
+    /// Standard deviation about the line.
+    pub residual_sd_mm: Option<Rounded<4>>,
+    /// Where all this comes from.
+    pub origin: Origin,
+}
+
+/// An attempt: a row of `report/attempts.csv`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AttemptRow {
+    /// The trial.
+    pub trial: u32,
+    /// From 1.
+    pub attempt: u32,
+    /// When it began.
+    pub began_utc: String,
+    /// How it ended.
+    pub outcome: Option<Outcome>,
+    /// The trial rests on it.
+    pub stands: bool,
+    /// Why it does not.
+    pub reason: Option<String>,
+    /// The camera's file.
+    pub camera_file: Option<String>,
+    /// Where all this comes from.
+    pub origin: Origin,
+}
+
+/// Accepted readings of one width: a row of `report/readings.csv`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ReadingsRow {
+    /// Number of the set.
+    pub readings_set: u32,
+    /// What was measured.
+    pub quantity: Quantity,
+    /// Name of the indentation; empty for the width.
+    pub indentation: Option<String>,
+    /// Number of readings.
+    pub n: usize,
+    /// Their mean.
+    pub mean_mm: Rounded<4>,
+    /// Standard deviation of the sample.
+    pub sd_mm: Rounded<4>,
+    /// The greatest less the least.
+    pub spread_mm: Millimetres,
+    /// a_n = (D - i_n)/2 with the last D, Eq. 8.
+    pub indentation_mm: Option<Rounded<4>>,
+    /// Where all this comes from.
+    pub origin: Origin,
+}
+
+/// A record of a machine that is part of a trial.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// Its sidecar.
+    pub sidecar: PathBuf,
+    /// What it says.
+    pub trial: Trial,
+    /// What is wrong with it.
+    pub defects: Vec<String>,
+}
+
+/// Everything that the report shows.
+#[derive(Clone, Debug)]
+pub struct Evaluation {
+    /// The campaign.
+    pub campaign: Campaign,
+    /// Where its data come from.
+    pub origin: Origin,
+    /// What `verify` has found.
+    pub findings: Vec<Finding>,
+    /// The hashes, as listed.
+    pub manifest: Manifest,
+    /// Hash of the list.
+    pub manifest_sha256: String,
+    /// All trials, in their order.
+    pub trials: Vec<TrialRow>,
+    /// The records of each trial, in the same order.
+    pub parts: Vec<Vec<Part>>,
+    /// All conditions of the plan, also those without a trial that counts.
+    pub conditions: Vec<ConditionRow>,
+    /// Lines through the series.
+    pub lines: Vec<(LineRow, Line)>,
+    /// All attempts.
+    pub attempts: Vec<AttemptRow>,
+    /// All accepted readings.
+    pub readings: Vec<ReadingsRow>,
+    /// All machines that took part.
+    pub devices: Vec<IdentityRecord>,
+    /// Names and versions of the tools that recorded.
+    pub tools: Vec<String>,
+    /// How the rig was, by the records of the attempts that stand: name, image, commissioning.
+    pub rigs: Vec<[String; 3]>,
+}
+
+/// Reads a campaign's folder, verifies it first, and works out what it amounts to.
+///
+/// # Errors
+/// It is no campaign, or one whose ledger cannot be read.
+pub fn evaluate(folder: &Path) -> Result<Evaluation, CampaignError> {
+    let findings = verify::verify(folder)?.findings;
+    let campaign = Campaign::read(folder)?;
+    let manifest = verify::manifest(folder)?.unwrap_or_default();
+    let manifest_sha256 = manifest::hash_file(&folder.join(manifest::NAME))
+        .map(|hash| manifest::hex(&hash))
+        .unwrap_or_default();
+    let origin = campaign.origin().unwrap_or(Origin::Unknown);
+    let mut evaluation = Evaluation {
+        origin,
+        findings,
+        manifest,
+        manifest_sha256,
+        trials: vec![],
+        parts: vec![],
+        conditions: vec![],
+        lines: vec![],
+        attempts: vec![],
+        readings: vec![],
+        devices: vec![],
+        tools: vec![],
+        rigs: vec![],
+        campaign: campaign.clone(),
+    };
+    for state in &campaign.state.trials {
+        let parts = parts(&campaign, state);
+        let row = evaluation.trial_row(state, &parts);
+        evaluation.trials.push(row);
+        evaluation.parts.push(parts);
+        let attempts = state.attempts.iter();
+        evaluation
+            .attempts
+            .extend(attempts.map(|attempt| attempt_row(state, attempt, origin)));
+    }
+    evaluation.machines();
+    evaluation.conditions = evaluation.condition_rows();
+    evaluation.lines = [Lubrication::Dry, Lubrication::Lubricated]
+        .into_iter()
+        .filter_map(|lubrication| evaluation.line(lubrication))
+        .collect();
+    evaluation.readings = evaluation.reading_rows();
+    Ok(evaluation)
+}
+
+/// The records in the folder of the attempt that stands.
+fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
+    let Some(attempt) = state.attempt() else {
+        return vec![];
+    };
+    let folder = campaign.attempt_folder(state.planned.trial, attempt.number);
+    let mut files: Vec<PathBuf> = fs::read_dir(folder)
+        .map(|entries| entries.flatten().map(|entry| entry.path()).collect())
+        .unwrap_or_default();
+    files.retain(|file| file.extension().is_some_and(|kind| kind == "json"));
+    files.sort();
+    let mut parts: Vec<Part> = files
+        .into_iter()
+        // Other JSON files are no records of a machine; `verify` looks after them.
+        .filter_map(|sidecar| Some((Trial::read(&sidecar).ok()?, sidecar)))
+        .map(|(trial, sidecar)| {
+            let defects = match &trial.action {
+                Action::Run { .. } => {
+                    let (samples, unreadable) = check::read::<RigSample>(&sidecar, &trial);
+                    [unreadable, check::run(&trial, &samples)].concat()
+                }
+                Action::Move { .. } => {
+                    let (samples, unreadable) = check::read::<RigSample>(&sidecar, &trial);
+                    [unreadable, check::movement(&trial, &samples)].concat()
+                }
+                Action::Actuation { .. } => {
+                    let (samples, unreadable) = check::read::<CapsuleSample>(&sidecar, &trial);
+                    [unreadable, check::actuation(&trial, &samples)].concat()
+                }
+            };
+            Part {
+                sidecar,
+                trial,
+                defects,
+            }
+        })
+        .collect();
+    parts.sort_by_key(|part| part.trial.started_utc);
+    parts
+}
+
+/// The run among the records of a trial.
+#[must_use]
+pub fn run_of(parts: &[Part]) -> Option<&Part> {
+    parts
+        .iter()
+        .find(|part| matches!(part.trial.action, Action::Run { .. }))
+}
+
+/// The run, or for a pass the move, among the records of a trial.
+#[must_use]
+pub fn motion_of(parts: &[Part], purpose: Purpose) -> Option<&Part> {
+    match purpose.pass() {
+        None => run_of(parts),
+        Some(_) => parts
+            .iter()
+            .find(|part| matches!(part.trial.action, Action::Move { .. })),
+    }
+}
+
+/// Position of each sample, less that of the plan at its time: (s, mm). None for a run that was held, or not planned.
+#[must_use]
+pub fn deviations(trial: &Trial, samples: &[RigSample]) -> Option<Vec<(f64, f64)>> {
+    let Action::Run {
+        screw,
+        requested,
+        achieved: Some(achieved),
+        executed: Some(executed),
+    } = &trial.action
+    else {
+        return None;
+    };
+    let start_us = check::run_start_us(trial)?;
+    if executed.holds > 0 {
+        return None;
+    }
+    let at = |sample: &RigSample| {
+        let us = i128::from(sample.time_us) - i128::from(start_us);
+        let time_s = us as f64 * 1e-6;
+        let planned_mm = position_at(screw, requested, achieved, time_s);
+        (time_s, screw.mm(sample.position_steps.into()) - planned_mm)
+    };
+    Some(samples.iter().map(at).collect())
+}
+
+impl Evaluation {
+    /// The file's path within the folder, as the manifest has it.
+    #[must_use]
+    pub fn within(&self, file: &Path) -> String {
+        let file = file.strip_prefix(&self.campaign.folder).unwrap_or(file);
+        let parts = file.iter().map(|part| part.to_string_lossy());
+        parts.collect::<Vec<_>>().join("/")
+    }
+
+    /// The file's hash by the manifest.
+    #[must_use]
+    pub fn hash(&self, file: &Path) -> Option<String> {
+        Some(manifest::hex(self.manifest.0.get(&self.within(file))?))
+    }
+
+    /// Why a trial does not count by the ledger; none for one that is done.
+    fn not_done(state: &TrialState) -> Option<String> {
+        let of = |what: &str, why: &str| match why {
+            "" => what.to_owned(),
+            why => format!("{what}: {why}"),
+        };
+        match state.standing() {
+            Standing::Done => None,
+            Standing::Excluded => {
+                let why = state.excluded.as_deref().unwrap_or_default();
+                Some(of("excluded", why))
+            }
+            Standing::Skipped => {
+                let why = state.skipped.as_deref().unwrap_or_default();
+                Some(of("skipped", why))
+            }
+            Standing::Unmeasured => Some("its displacement is missing".to_owned()),
+            Standing::UnderWay => Some("under way".to_owned()),
+            Standing::Open => Some(match state.attempts.last() {
+                None => "not done yet".to_owned(),
+                Some(last) => {
+                    let outcome = last.outcome.map_or("open", Outcome::name);
+                    format!("no attempt stands; the last one: {outcome}")
+                }
+            }),
+        }
+    }
+
+    /// Why the record of a trial that is done cannot be relied on.
+    fn record_defect(&self, state: &TrialState, parts: &[Part]) -> Option<String> {
+        let attempt = state.attempt()?;
+        let folder = format!(
+            "{ATTEMPTS}/{}/",
+            Attempt::folder(state.planned.trial, attempt.number)
+        );
+        if let Some(finding) = self
+            .findings
+            .iter()
+            .find(|finding| finding.path.starts_with(&folder))
+        {
+            return Some(format!(
+                "left out, its record is not as it was written: {finding}"
+            ));
+        }
+        if let Some(defect) = parts.iter().flat_map(|part| &part.defects).next() {
+            return Some(format!("left out, its record contradicts itself: {defect}"));
+        }
+        match motion_of(parts, state.planned.purpose) {
+            None => Some(format!(
+                "left out, it has no record of a {}",
+                state.planned.purpose.pass().map_or("run", |_| "pass")
+            )),
+            Some(run) if run.trial.device.origin != self.origin => Some(format!(
+                "left out, its record is of origin {}, the ledger of origin {}",
+                run.trial.device.origin, self.origin
+            )),
+            Some(_) => None,
+        }
+    }
+
+    fn trial_row(&self, state: &TrialState, parts: &[Part]) -> TrialRow {
+        let planned = &state.planned;
+        let attempt = state.attempt();
+        let displacement = attempt.and_then(|attempt| attempt.displacement);
+        let not_done = Self::not_done(state);
+        let record_defect = match not_done {
+            None => self.record_defect(state, parts),
+            Some(_) => None,
+        };
+        let has_defect = record_defect.is_some();
+        let reason = not_done.or(record_defect);
+        let run = run_of(parts);
+        let (achieved, executed) = match run.map(|part| &part.trial.action) {
+            Some(Action::Run {
+                achieved, executed, ..
+            }) => (achieved.as_ref(), executed.as_ref()),
+            _ => (None, None),
+        };
+        let deviation_mm = run.and_then(|part| {
+            let (samples, _) = check::read::<RigSample>(&part.sidecar, &part.trial);
+            let deviations = deviations(&part.trial, &samples)?;
+            deviations
+                .into_iter()
+                .map(|(_, mm)| mm.abs())
+                .reduce(f64::max)
+        });
+        let energies: Vec<u32> = parts
+            .iter()
+            .filter_map(|part| match &part.trial.action {
+                Action::Actuation { record, .. } => Some(record.as_ref()?.energy_mj),
+                Action::Run { .. } | Action::Move { .. } => None,
+            })
+            .collect();
+        let motion = motion_of(parts, planned.purpose);
+        let pass = match motion.map(|part| &part.trial.action) {
+            Some(Action::Move { accepted, .. }) => accepted.as_ref(),
+            _ => None,
+        };
+        let telemetry = motion.map(|part| part.sidecar.with_file_name(&part.trial.telemetry));
+        TrialRow {
+            trial: planned.trial,
+            block: planned.block,
+            purpose: planned.purpose,
+            lubrication: planned.lubrication,
+            indentation: planned.indentation.clone(),
+            shape: planned.shape,
+            repeat: planned.repeat,
+            counts: reason.is_none(),
+            reason,
+            has_defect,
+            attempts: state.attempts.len(),
+            attempt: attempt.map(|attempt| attempt.number),
+            indentation_mm: attempt.and_then(|attempt| attempt.indentation_mm),
+            displacement_mm: displacement.map(|displacement| displacement.value),
+            source: displacement.map(|displacement| displacement.source),
+            strokes_mm: StrokesMm(
+                (self.campaign.plan)
+                    .strokes_of(planned.purpose, planned.shape)
+                    .and_then(|count| attempt?.all_strokes(count))
+                    .map(<[_]>::to_vec)
+                    .unwrap_or_default(),
+            ),
+            planned_steps: achieved
+                .map(|achieved| achieved.edges)
+                .or(pass.map(|pass| pass.stroke.steps.into())),
+            commanded_steps: executed.map(|executed| executed.commanded_edges),
+            counted_steps: executed.map(|executed| executed.counted_edges),
+            worst_residual_steps: executed.map(|executed| executed.worst_residual_steps),
+            greatest_deviation_mm: deviation_mm.map(Rounded),
+            late_ticks: achieved.zip(executed).map(|(achieved, executed)| {
+                executed.ticks.cast_signed() - achieved.total_ticks.cast_signed()
+            }),
+            glitches: executed.map(|executed| executed.glitches),
+            holds: executed.map(|executed| executed.holds),
+            samples: motion.map(|part| part.trial.samples),
+            lost_samples: motion.map(|part| part.trial.missed_samples),
+            energy_mj: (!energies.is_empty()).then(|| energies.iter().sum()),
+            telemetry: telemetry.as_deref().map(|file| self.within(file)),
+            telemetry_sha256: telemetry.as_deref().and_then(|file| self.hash(file)),
+            origin: self.origin,
+        }
+    }
+
+    fn machines(&mut self) {
+        for part in self.parts.iter().flatten() {
+            let device = &part.trial.device;
+            if !self.devices.contains(device) {
+                self.devices.push(device.clone());
+            }
+            if !self.tools.contains(&part.trial.tool) {
+                self.tools.push(part.trial.tool.clone());
+            }
+        }
+        for state in &self.campaign.state.trials {
+            let Some(attempt) = state.attempt() else {
+                continue;
+            };
+            let trial = state.planned.trial;
+            let folder = self.campaign.attempt_folder(trial, attempt.number);
+            if let Some(rig) = conditions(&folder)
+                && !self.rigs.contains(&rig)
+            {
+                self.rigs.push(rig);
+            }
+        }
+    }
+
+    /// Trials for a purpose that count: (a_n, displacement), mm.
+    #[must_use]
+    pub fn points(&self, purpose: Purpose, lubrication: Lubrication) -> Vec<(f64, f64)> {
+        self.trials
+            .iter()
+            .filter(|row| row.counts && row.purpose == purpose)
+            .filter(|row| row.lubrication == lubrication)
+            .filter_map(|row| Some((row.indentation_mm?.mm(), row.displacement_mm?.mm())))
+            .collect()
+    }
+
+    fn line(&self, lubrication: Lubrication) -> Option<(LineRow, Line)> {
+        let line = Line::through(&self.points(Purpose::Series, lubrication))?;
+        let row = LineRow {
+            lubrication,
+            n: line.n,
+            slope: Rounded(line.slope),
+            slope_half_95: line.half_slope().map(Rounded),
+            intercept_mm: Rounded(line.intercept),
+            r_squared: line.r_squared.map(Rounded),
+            residual_sd_mm: line.residual_sd.map(Rounded),
+            origin: self.origin,
+        };
+        Some((row, line))
+    }
+
+    fn condition_rows(&self) -> Vec<ConditionRow> {
+        let plan = &self.campaign.plan;
+        let mut groups: BTreeMap<_, (Condition, Vec<&TrialRow>)> = BTreeMap::new();
+        for (state, row) in self.campaign.state.trials.iter().zip(&self.trials) {
+            let condition = state.planned.condition();
+            let rank = plan.rank(&condition.indentation);
+            let key = (
+                condition.purpose,
+                condition.lubrication,
+                rank,
+                condition.shape,
+            );
+            let group = groups.entry(key).or_insert_with(|| (condition, vec![]));
+            group.1.push(row);
+        }
+        groups
+            .into_values()
+            .map(|(condition, rows)| {
+                let counted: Vec<&&TrialRow> = rows.iter().filter(|row| row.counts).collect();
+                // In whole micrometres, so that a mean is exact and `campaign status` rounds the same one.
+                let spread_um = |of: fn(&TrialRow) -> Option<Millimetres>| {
+                    let values = counted.iter().filter_map(|row| of(row));
+                    Spread::of(&values.map(|value| value.um as f64).collect::<Vec<_>>())
+                };
+                let displacement = spread_um(|row| row.displacement_mm);
+                let indentation = spread_um(|row| row.indentation_mm);
+                ConditionRow {
+                    purpose: condition.purpose,
+                    lubrication: condition.lubrication,
+                    indentation: condition.indentation,
+                    shape: condition.shape,
+                    planned: rows.len(),
+                    n: counted.len(),
+                    indentation_mm: indentation.map(|spread| Rounded(spread.mean / 1e3)),
+                    mean_mm: displacement.map(|spread| Rounded(spread.mean / 1e3)),
+                    sd_mm: displacement
+                        .and_then(|spread| spread.sd)
+                        .map(|sd_um| Rounded(sd_um / 1e3)),
+                    origin: self.origin,
+                }
+            })
+            .collect()
+    }
+
+    fn reading_rows(&self) -> Vec<ReadingsRow> {
+        let readings = &self.campaign.readings;
+        let sets = readings.sets.iter().filter(|set| set.accepted);
+        sets.filter_map(|set| {
+            let summary = Summary::of(&set.values)?;
+            let indentation_mm = match set.quantity {
+                Quantity::Width => None,
+                Quantity::BetweenCrests => readings.indentation_mm(set).map(Rounded),
+            };
+            Some(ReadingsRow {
+                readings_set: set.number,
+                quantity: set.quantity,
+                indentation: set.indentation.clone(),
+                n: summary.count,
+                mean_mm: Rounded(summary.mean_mm),
+                sd_mm: Rounded(summary.sd_mm),
+                spread_mm: summary.spread(),
+                indentation_mm,
+                origin: self.origin,
+            })
+        })
+        .collect()
+    }
+}
+
+/// What was kept of the rig before an attempt; none if it was not kept.
+fn conditions(folder: &Path) -> Option<[String; 3]> {
+    let text = limited::read_text(&folder.join("conditions.json"), limited::RECORD).ok()?;
+    let conditions: serde_json::Value = serde_json::from_str(&text).ok()?;
+    let rig = conditions.get("machines")?.get("rig")?;
+    let said = |name: &str| {
+        let text = rig.get(name).and_then(serde_json::Value::as_str);
+        text.unwrap_or_default().to_owned()
+    };
+    Some(["name", "image", "commissioning"].map(said))
+}
+
+fn attempt_row(state: &TrialState, attempt: &Attempt, origin: Origin) -> AttemptRow {
+    let current = state.attempt().map(|attempt| attempt.number);
+    AttemptRow {
+        trial: state.planned.trial,
+        attempt: attempt.number,
+        began_utc: attempt.began.to_string(),
+        outcome: attempt.outcome,
+        stands: current == Some(attempt.number),
+        reason: attempt
+            .given_up
+            .as_ref()
+            .map(|why| format!("given up: {why}"))
+            .or_else(|| attempt.reason.clone()),
+        camera_file: attempt.camera_file.clone(),
+        origin,
+    }
+}

@@ -1,0 +1,37 @@
+//! The paper's calculations, which need no machine: the design in numbers and drawings, the simulations as series.
+//!
+//! * [`values`]: lists and ranges of numbers, exact.
+//! * [`design`]: every number of one origami, beside the paper's requirements.
+//! * [`optimise`]: designs within limits that go farthest for their length.
+//! * [`series`]: the paper's series and free sweeps, in parallel, in order.
+//! * [`bands`]: what the bodies that agree with the paper's words do.
+//! * [`model_file`]: a model as people give it, and what it calls itself.
+//! * [`odds`]: how probable it is that the paper's sentences are met.
+//! * [`observations`]: displacements for a calibration, from folders and files.
+//! * [`posterior`]: fitted bodies in a model file.
+//! * [`virtual_displacement`]: displacements of the virtual bench.
+//! * [`trial_plan`]: which trials to make next.
+//! * [`snapshots`]: wall and body at several moments.
+//! * [`charts`]: the series as figures, beside what the paper's text says.
+//! * [`crescent`]: the crescent as a beam: forces, the least alpha, displacement over thread.
+//! * [`drawing`]: to scale, in millimetres.
+//! * [`table`]: the same numbers as CSV.
+//!
+//! The models are those of `locomotion`; `docs/science.md` says how far they can be trusted.
+
+pub mod bands;
+pub mod charts;
+pub mod crescent;
+pub mod design;
+pub mod drawing;
+pub mod model_file;
+pub mod observations;
+pub mod odds;
+pub mod optimise;
+pub mod posterior;
+pub mod series;
+pub mod snapshots;
+pub mod table;
+pub mod trial_plan;
+pub mod values;
+pub mod virtual_displacement;

@@ -1,0 +1,562 @@
+//! Displacements for a calibration: from the folder of a campaign that verifies, and from CSV files that people write.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use calibration::observation::{Kind, Lubrication, MOST_CYCLES, Observation};
+use campaign::CampaignError;
+use campaign::folder::{Campaign, TRIALS};
+use campaign::ledger::Standing;
+use campaign::manifest::{self, hex};
+use campaign::order::Form;
+use campaign::plan::{self, Purpose};
+use campaign::verify::{Finding, verify};
+use client::identity::Origin;
+use client::limited;
+use serde::Serialize;
+
+/// A file that a calibration rests on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct SourceFile {
+    /// As it was given.
+    pub path: String,
+    /// Its SHA-256.
+    pub sha256: String,
+}
+
+/// An observation, and where it stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measured {
+    /// The displacement.
+    pub observation: Observation,
+    /// `trial 7` of a campaign, `row 3` of a file.
+    pub place: String,
+}
+
+/// A displacement that is not used, and why.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct LeftOut {
+    /// `trial 7` of a campaign, `row 3` of a file.
+    pub place: String,
+    /// The reason.
+    pub why: String,
+}
+
+/// What one folder or file has.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trials {
+    /// Its path, as given.
+    pub path: PathBuf,
+    /// What can be used.
+    pub measured: Vec<Measured>,
+    /// What cannot.
+    pub left_out: Vec<LeftOut>,
+    /// Hashes of what was read.
+    pub files: Vec<SourceFile>,
+    /// Where the values come from.
+    pub origin: Origin,
+    /// Stroke of the rollers, mm, where the source says so.
+    pub stroke_mm: Option<f64>,
+    /// The uncertainty that the source states, where another one was given and taken instead, mm.
+    pub overridden_mm: Option<f64>,
+}
+
+/// Why a source cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum TrialsError {
+    /// The folder is no campaign, or cannot be read.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
+    /// The folder was changed.
+    #[error("{folder} was changed", folder = folder.display())]
+    Changed {
+        /// The folder.
+        folder: PathBuf,
+        /// What was found in it.
+        findings: Vec<Finding>,
+    },
+    /// The CSV file cannot be used.
+    #[error("{path}: {why}", path = path.display())]
+    Csv {
+        /// The file.
+        path: PathBuf,
+        /// Why, with the number of the row.
+        why: String,
+    },
+    /// The campaign's plan does not say how exact its displacements are.
+    #[error("{path} does not say how exact its displacements are", path = .0.display())]
+    NoUncertainty(PathBuf),
+}
+
+const FOLDED: &str = "folded: the folded block's model has none of the parameters that are fitted";
+
+/// Displacements of the folder or the file at a path. `uncertainty_mm` is the standard deviation of each of them: in a folder
+/// instead of what its plan states, in a file where the row does not say it.
+///
+/// # Errors
+/// What is wrong with the source first.
+pub fn read(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsError> {
+    if path.is_dir() {
+        campaign(path, uncertainty_mm)
+    } else {
+        csv_file(path, uncertainty_mm)
+    }
+}
+
+fn campaign(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsError> {
+    let verified = verify(path)?;
+    if !verified.findings.is_empty() {
+        return Err(TrialsError::Changed {
+            folder: path.to_owned(),
+            findings: verified.findings,
+        });
+    }
+    let campaign = Campaign::read(path)?;
+    let stated_mm = (campaign.plan.displacement.uncertainty_mm).map(plan::Millimetres::mm);
+    let overridden_mm = stated_mm.filter(|stated| uncertainty_mm.is_some_and(|mm| mm != *stated));
+    let uncertainty_mm = (uncertainty_mm.or(stated_mm))
+        .ok_or_else(|| TrialsError::NoUncertainty(path.to_owned()))?;
+    let (mut measured, mut left_out) = (vec![], vec![]);
+    for trial in &campaign.state.trials {
+        let place = format!("trial {}", trial.planned.trial);
+        let mut leave = |why: String| {
+            left_out.push(LeftOut {
+                place: place.clone(),
+                why,
+            });
+        };
+        // Attempts that did not count stay listed, also where a later one does.
+        for attempt in trial.attempts.iter().filter(|attempt| !attempt.stands()) {
+            let how = attempt
+                .outcome
+                .map_or("not ended", |outcome| outcome.name());
+            let why = attempt.given_up.as_deref().or(attempt.reason.as_deref());
+            let why = why.map_or(String::new(), |why| format!(": {why}"));
+            leave(format!("attempt {} {how}{why}", attempt.number));
+        }
+        let because = |why: &Option<String>| why.clone().unwrap_or_default();
+        match trial.standing() {
+            Standing::Done => {}
+            Standing::Excluded => {
+                leave(format!("excluded: {}", because(&trial.excluded)));
+                continue;
+            }
+            Standing::Skipped => {
+                leave(format!("skipped: {}", because(&trial.skipped)));
+                continue;
+            }
+            Standing::Open | Standing::UnderWay | Standing::Unmeasured => {
+                leave("not done".to_owned());
+                continue;
+            }
+        }
+        if trial.planned.shape != Form::Unfolded {
+            leave(FOLDED.to_owned());
+            continue;
+        }
+        let indentation = trial.attempt().and_then(|attempt| attempt.indentation_mm);
+        let (Some(displacement), Some(indentation)) = (trial.counted(), indentation) else {
+            leave("its indentation is not known".to_owned());
+            continue;
+        };
+        let observation = |kind, displacement_mm, uncertainty_mm| Observation {
+            kind,
+            lubrication: match trial.planned.lubrication {
+                plan::Lubrication::Dry => Lubrication::Dry,
+                plan::Lubrication::Lubricated => Lubrication::Lubricated,
+            },
+            indentation_mm: indentation.mm(),
+            displacement_mm,
+            uncertainty_mm,
+        };
+        let kind = match trial.planned.purpose {
+            Purpose::Series | Purpose::FoldTest => Kind::Net {
+                cycles: campaign.plan.run.cycles,
+            },
+            Purpose::AntegradePass => Kind::AntegradePass,
+            Purpose::ReturningPass => Kind::ReturningPass,
+        };
+        let Some(count) = (campaign.plan).strokes_of(trial.planned.purpose, trial.planned.shape)
+        else {
+            measured.push(Measured {
+                observation: observation(kind, displacement.value.mm(), uncertainty_mm),
+                place,
+            });
+            continue;
+        };
+        let after = trial
+            .attempt()
+            .and_then(|attempt| attempt.all_strokes(count));
+        if after.is_none() {
+            leave("its displacements per stroke: they were not entered".to_owned());
+        }
+        measured.push(Measured {
+            observation: observation(kind, displacement.value.mm(), uncertainty_mm),
+            place: place.clone(),
+        });
+        let mut before = 0.0;
+        for (number, after) in (1..).zip(after.unwrap_or_default()) {
+            // The body begins at its mark; after that a stroke is the difference of two readings.
+            let readings: f64 = if number == 1 { 1.0 } else { 2.0 };
+            let uncertainty_mm = uncertainty_mm * readings.sqrt();
+            measured.push(Measured {
+                observation: observation(
+                    Kind::Stroke { number },
+                    after.mm() - before,
+                    uncertainty_mm,
+                ),
+                place: format!("{place}, stroke {number}"),
+            });
+            before = after.mm();
+        }
+    }
+    let listed = path.join(manifest::NAME);
+    let files = [TRIALS.into(), manifest::NAME.to_owned()];
+    let files = files.map(|name| {
+        let file = path.join(&name);
+        let hash = manifest::hash_file(&file)
+            .map_err(|io| CampaignError::new(&listed, io, "make it readable, then again"))?;
+        Ok(SourceFile {
+            path: name,
+            sha256: hex(&hash),
+        })
+    });
+    Ok(Trials {
+        path: path.to_owned(),
+        measured,
+        left_out,
+        files: files.into_iter().collect::<Result<_, CampaignError>>()?,
+        origin: campaign.origin().unwrap_or_default(),
+        stroke_mm: Some(f64::from(campaign.plan.run.stroke_um) / 1e3),
+        overridden_mm,
+    })
+}
+
+/// The columns of a CSV file of trials. The first four are required.
+pub const COLUMNS: [&str; 10] = [
+    "kind",
+    "indentation_mm",
+    "lubrication",
+    "displacement_mm",
+    "uncertainty_mm",
+    "cycles",
+    "stroke",
+    "thread_mm",
+    "origin",
+    "excluded",
+];
+const REQUIRED: usize = 4;
+
+fn csv_file(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsError> {
+    let wrong = |why: String| TrialsError::Csv {
+        path: path.to_owned(),
+        why,
+    };
+    let bytes = limited::read(path, limited::RECORD).map_err(|io| wrong(io.to_string()))?;
+    let mut trials = parse(&bytes, uncertainty_mm).map_err(wrong)?;
+    trials.path = path.to_owned();
+    trials.files = vec![SourceFile {
+        path: path.display().to_string(),
+        sha256: hex(&hmac_sha256::Hash::hash(&bytes)),
+    }];
+    Ok(trials)
+}
+
+/// Reads the bytes of a CSV file of trials.
+///
+/// # Errors
+/// What is wrong first, with the number of the row: 1 is the one after the header.
+pub fn parse(bytes: &[u8], uncertainty_mm: Option<f64>) -> Result<Trials, String> {
+    let mut reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .from_reader(bytes);
+    let header = reader
+        .headers()
+        .map_err(|error| format!("it cannot be read: {error}"))?
+        .clone();
+    let mut columns = BTreeMap::new();
+    for (place, name) in header.iter().enumerate() {
+        let Some(known) = COLUMNS.iter().find(|known| **known == name) else {
+            return Err(format!(
+                "there is no column {name:?}: choose {}",
+                COLUMNS.join(", ")
+            ));
+        };
+        if columns.insert(*known, place).is_some() {
+            return Err(format!("the column {name} is there twice"));
+        }
+    }
+    for name in &COLUMNS[..REQUIRED] {
+        if !columns.contains_key(name) {
+            return Err(format!("the column {name} is missing"));
+        }
+    }
+    let mut trials = Trials {
+        path: PathBuf::new(),
+        measured: vec![],
+        left_out: vec![],
+        files: vec![],
+        origin: Origin::Unknown,
+        stroke_mm: None,
+        overridden_mm: None,
+    };
+    let mut origins = vec![];
+    for (number, record) in (1..).zip(reader.records()) {
+        let record = record.map_err(|error| format!("row {number}: {error}"))?;
+        let text = |name: &str| {
+            let place = columns.get(name)?;
+            record.get(*place).filter(|text| !text.is_empty())
+        };
+        let row = row(&text, uncertainty_mm).map_err(|why| format!("row {number}: {why}"))?;
+        let place = format!("row {number}");
+        origins.push(row.origin);
+        match row.used {
+            Ok(observation) => trials.measured.push(Measured { observation, place }),
+            Err(why) => trials.left_out.push(LeftOut { place, why }),
+        }
+    }
+    if let Some(first) = origins.first() {
+        if origins.iter().any(|origin| origin != first) {
+            return Err(
+                "rows of different origin: measured and simulated values are never fitted together; \
+                 put them into files of their own"
+                    .to_owned(),
+            );
+        }
+        trials.origin = *first;
+    }
+    Ok(trials)
+}
+
+struct Row {
+    used: Result<Observation, String>,
+    origin: Origin,
+}
+
+fn row<'a>(
+    text: &dyn Fn(&str) -> Option<&'a str>,
+    uncertainty_mm: Option<f64>,
+) -> Result<Row, String> {
+    let number = |name: &str| -> Result<Option<f64>, String> {
+        let Some(text) = text(name) else {
+            return Ok(None);
+        };
+        match text.parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(Some(number)),
+            _ => Err(format!(
+                "{name}: {text:?} is no number; write for example 12.5"
+            )),
+        }
+    };
+    let required = |name: &str| number(name)?.ok_or_else(|| format!("{name} is empty"));
+    let count = |name: &str, most: u16| -> Result<Option<u16>, String> {
+        let Some(text) = text(name) else {
+            return Ok(None);
+        };
+        match text.parse::<u16>() {
+            Ok(count) if (1..=most).contains(&count) => Ok(Some(count)),
+            _ => Err(format!(
+                "{name}: {text:?}; write a whole number from 1 to {most}"
+            )),
+        }
+    };
+    let (cycles, stroke) = (
+        count("cycles", MOST_CYCLES)?,
+        count("stroke", 2 * MOST_CYCLES)?,
+    );
+    let kind = match text("kind") {
+        Some("net") => Kind::Net {
+            cycles: cycles.ok_or("net: write the number of cycles of the run into `cycles`")?,
+        },
+        Some("stroke") => Kind::Stroke {
+            number: stroke.ok_or("stroke: write its number in the run, from 1, into `stroke`")?,
+        },
+        Some("antegrade_pass") => Kind::AntegradePass,
+        Some("returning_pass") => Kind::ReturningPass,
+        other => {
+            return Err(format!(
+                "kind: {:?}; write net, stroke, antegrade_pass or returning_pass",
+                other.unwrap_or_default()
+            ));
+        }
+    };
+    if cycles.is_some() && !matches!(kind, Kind::Net { .. }) {
+        return Err("`cycles` is for net only: leave it empty".to_owned());
+    }
+    if stroke.is_some() && !matches!(kind, Kind::Stroke { .. }) {
+        return Err("`stroke` is for stroke only: leave it empty".to_owned());
+    }
+    let lubrication = match text("lubrication") {
+        Some("dry") => Lubrication::Dry,
+        Some("lubricated") => Lubrication::Lubricated,
+        other => {
+            let other = other.unwrap_or_default();
+            return Err(format!("lubrication: {other:?}; write dry or lubricated"));
+        }
+    };
+    let origin = match text("origin") {
+        None | Some("unknown") => Origin::Unknown,
+        Some("board") => Origin::Board,
+        Some("virtual") => Origin::Virtual,
+        Some(other) => {
+            return Err(format!(
+                "origin: {other:?}; write board, virtual or unknown"
+            ));
+        }
+    };
+    let indentation_mm = required("indentation_mm")?;
+    if indentation_mm <= 0.0 {
+        return Err(format!(
+            "indentation_mm: {indentation_mm}; write a number above 0"
+        ));
+    }
+    let displacement_mm = required("displacement_mm")?;
+    let uncertainty_mm = number("uncertainty_mm")?.or(uncertainty_mm).ok_or(
+        "uncertainty_mm is empty: write the standard deviation of the displacement, or give --uncertainty-mm",
+    )?;
+    if uncertainty_mm <= 0.0 {
+        return Err(format!(
+            "uncertainty_mm: {uncertainty_mm}; no measurement is exact: write a number above 0"
+        ));
+    }
+    let folded = match number("thread_mm")? {
+        Some(mm) if mm < 0.0 => {
+            return Err(format!(
+                "thread_mm: {mm}; write 0 or more, the thread drawn in"
+            ));
+        }
+        Some(mm) => mm > 0.0,
+        None => false,
+    };
+    let used = match text("excluded") {
+        Some(why) => Err(format!("excluded: {why}")),
+        None if folded => Err(FOLDED.to_owned()),
+        None => Ok(Observation {
+            kind,
+            lubrication,
+            indentation_mm,
+            displacement_mm,
+            uncertainty_mm,
+        }),
+    };
+    Ok(Row { used, origin })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEADER: &str = "kind,cycles,stroke,indentation_mm,lubrication,thread_mm,displacement_mm,uncertainty_mm,origin,excluded\n";
+
+    #[test]
+    fn every_kind_is_read() {
+        let text = format!(
+            "{HEADER}net,5,,5.05,dry,,46.3,1,virtual,\n\
+             stroke,,2,1,lubricated,0,-0.1,0.2,virtual,\n\
+             antegrade_pass,,,2,dry,,4.9,,virtual,\n\
+             returning_pass,,,2,dry,,-0.5,0.2,virtual,camera fell\n\
+             net,5,,5.05,lubricated,21,-98,1,virtual,\n"
+        );
+        let trials = parse(text.as_bytes(), Some(0.3)).expect("readable");
+        let kinds: Vec<Kind> = trials
+            .measured
+            .iter()
+            .map(|one| one.observation.kind)
+            .collect();
+        assert_eq!(
+            kinds,
+            [
+                Kind::Net { cycles: 5 },
+                Kind::Stroke { number: 2 },
+                Kind::AntegradePass
+            ]
+        );
+        let uncertainties = trials
+            .measured
+            .iter()
+            .map(|one| one.observation.uncertainty_mm);
+        assert_eq!(uncertainties.collect::<Vec<_>>(), [1.0, 0.2, 0.3]);
+        assert_eq!(trials.origin, Origin::Virtual);
+        let left: Vec<_> = trials
+            .left_out
+            .iter()
+            .map(|one| (&*one.place, &*one.why))
+            .collect();
+        assert_eq!(
+            left,
+            [("row 4", "excluded: camera fell"), ("row 5", FOLDED)]
+        );
+    }
+
+    #[test]
+    fn bad_rows_are_refused_with_their_number_and_what_to_write() {
+        let good = "net,5,,5.05,dry,,46.3,1,,\n";
+        for (row, says) in [
+            (
+                "net,5,,5.05,dry,,much,1,,",
+                "row 2: displacement_mm: \"much\" is no number",
+            ),
+            (
+                "net,5,,5.05,dry,,NaN,1,,",
+                "row 2: displacement_mm: \"NaN\" is no number",
+            ),
+            ("net,5,,5.05,dry,,,1,,", "row 2: displacement_mm is empty"),
+            (
+                "net,5,,0,dry,,1,1,,",
+                "row 2: indentation_mm: 0; write a number above 0",
+            ),
+            (
+                "net,5,,1,wet,,1,1,,",
+                "row 2: lubrication: \"wet\"; write dry or lubricated",
+            ),
+            (
+                "net,,,1,dry,,1,1,,",
+                "row 2: net: write the number of cycles",
+            ),
+            (
+                "net,2.5,,1,dry,,1,1,,",
+                "row 2: cycles: \"2.5\"; write a whole number from 1",
+            ),
+            (
+                "stroke,,,1,dry,,1,1,,",
+                "row 2: stroke: write its number in the run",
+            ),
+            (
+                "antegrade_pass,5,,1,dry,,1,1,,",
+                "row 2: `cycles` is for net only",
+            ),
+            ("net,5,1,1,dry,,1,1,,", "row 2: `stroke` is for stroke only"),
+            (
+                "pass,,,1,dry,,1,1,,",
+                "row 2: kind: \"pass\"; write net, stroke, antegrade_pass",
+            ),
+            (
+                "net,5,,1,dry,,1,0,,",
+                "row 2: uncertainty_mm: 0; no measurement is exact",
+            ),
+            ("net,5,,1,dry,,1,,,", "or give --uncertainty-mm"),
+            ("net,5,,1,dry,-2,1,1,,", "row 2: thread_mm: -2"),
+            (
+                "net,5,,1,dry,,1,1,lab,",
+                "row 2: origin: \"lab\"; write board",
+            ),
+            ("net,5,,1,dry,,1,1,board,", "rows of different origin"),
+            ("net,5,,1,dry,,1", "row 2:"),
+        ] {
+            let text = format!("{HEADER}{good}{row}\n");
+            let why = parse(text.as_bytes(), None).expect_err(row);
+            assert!(why.contains(says), "{row}: {why}");
+        }
+        for (header, says) in [
+            (
+                "kind,indentation_mm,lubrication\n",
+                "the column displacement_mm is missing",
+            ),
+            ("kind,weight_g\n", "no column \"weight_g\": choose kind"),
+            ("kind,kind\n", "the column kind is there twice"),
+        ] {
+            let why = parse(header.as_bytes(), None).expect_err(header);
+            assert!(why.contains(says), "{header}: {why}");
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! Inverse design: which designs within limits go farthest for their length, and how sure that is.
+//!
+//! * [`limits`]: what a design has to keep, and what it takes.
+//! * [`bodies`]: how far a design goes, over the bodies that are possible and over places.
+//! * [`search`]: proposals from a seed, and which of several designs no other one beats.
+//!
+//! The result is as wide as what is known of the body: each design is judged with the same bodies, so that the share of
+//! them in which one beats another says how sure that ranking is.
+
+pub mod bodies;
+pub mod limits;
+pub mod search;
+
+use locomotion::range::OutOfRange;
+use serde::Serialize;
+
+use crate::science::optimise::bodies::{Bodies, Care, Per};
+use crate::science::optimise::limits::{Limits, Needs};
+use crate::science::optimise::search::Proposal;
+
+/// A design with what it takes and how far it goes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// `front`, or the name of the design that the front is compared with.
+    pub design: &'static str,
+    /// Angle of the short side from the transverse axis, degrees.
+    pub alpha_deg: f64,
+    /// Angle of the long side, degrees.
+    pub beta_deg: f64,
+    /// c/W.
+    pub core_ratio: f64,
+    /// Number m.
+    pub crescents: u8,
+    /// Overall length at rest, mm.
+    pub length_mm: f64,
+    /// Thread that folds it to the wanted width, mm.
+    pub thread_mm: f64,
+    /// Distance psi between crescents when it is folded or under the wave, mm.
+    pub spacing_mm: f64,
+    /// Force of the wave on one wing, N, by the beam model.
+    pub force_n: f64,
+    /// Mean displacement over bodies and places, mm, + headward.
+    pub displacement_mm: f64,
+    /// 5 % of the bodies that agree with the words go less far, mm.
+    pub prior_5_mm: Option<f64>,
+    /// 95 % of them go less far, mm.
+    pub prior_95_mm: Option<f64>,
+    /// The same of the bodies of a posterior, in place of the prior's.
+    pub posterior_5_mm: Option<f64>,
+    /// 95 % of them go less far, mm.
+    pub posterior_95_mm: Option<f64>,
+    /// Share of the bodies with which it goes farther than the design that it is compared with; none for that one.
+    pub beats: Option<f64>,
+    /// How many of the listed designs are no longer and go no less far.
+    pub dominated_by: usize,
+    /// The limits that it does not keep; empty for every design of the front.
+    pub breaks: String,
+    /// The bounds of the search on which it lies: there the bound decides, not the model.
+    pub at_bound: String,
+    /// Displacement with each body, in their order.
+    #[serde(skip)]
+    pub each_mm: Vec<f64>,
+}
+
+impl Row {
+    /// Of a design, judged with all bodies.
+    ///
+    /// # Errors
+    /// A design that the model does not cover.
+    pub fn of(
+        name: &'static str,
+        proposal: &Proposal,
+        limits: &Limits,
+        needs: Needs,
+        bodies: &Bodies,
+        per: Per,
+    ) -> Result<Self, OutOfRange> {
+        let design = &proposal.design;
+        let each_mm = bodies.displacements_mm(design, limits.indentation_mm, per, Care::Listed)?;
+        let mut sorted = each_mm.clone();
+        let band = locomotion::prior::Band::of(&mut sorted);
+        let of = |fitted: bool| band.filter(|_| bodies.fitted() == fitted);
+        Ok(Self {
+            design: name,
+            alpha_deg: design.tan_alpha().atan().to_degrees(),
+            beta_deg: design.tan_beta().atan().to_degrees(),
+            core_ratio: design.core_mm() / design.width_mm(),
+            crescents: design.crescents(),
+            length_mm: needs.length_mm,
+            thread_mm: needs.thread_mm,
+            spacing_mm: needs.spacing_mm,
+            force_n: needs.force_n,
+            displacement_mm: mean(&each_mm),
+            prior_5_mm: of(false).map(|band| band.low),
+            prior_95_mm: of(false).map(|band| band.high),
+            posterior_5_mm: of(true).map(|band| band.low),
+            posterior_95_mm: of(true).map(|band| band.high),
+            beats: None,
+            dominated_by: 0,
+            breaks: limits.broken(design, &needs).join(", "),
+            at_bound: proposal.at_bound.join(", "),
+            each_mm,
+        })
+    }
+
+    /// What the bodies span, mm: of the prior or of a posterior.
+    #[must_use]
+    pub fn band_mm(&self) -> (Option<f64>, Option<f64>) {
+        (
+            self.prior_5_mm.or(self.posterior_5_mm),
+            self.prior_95_mm.or(self.posterior_95_mm),
+        )
+    }
+
+    /// Share of the bodies with which this design goes farther than the other one.
+    #[must_use]
+    pub fn share_beating(&self, other: &Self) -> f64 {
+        let pairs = self.each_mm.iter().zip(&other.each_mm);
+        let better = pairs.filter(|(mine, others)| mine > others).count();
+        better as f64 / self.each_mm.len().max(1) as f64
+    }
+
+    /// No longer, no less far, and one of them better.
+    #[must_use]
+    pub fn dominates(&self, other: &Self) -> bool {
+        search::dominates(self.place(), other.place())
+    }
+
+    /// Length and displacement.
+    fn place(&self) -> (f64, f64) {
+        (self.length_mm, self.displacement_mm)
+    }
+}
+
+/// The designs that none of the others dominates, by length, and the compared one at the end, with how they stand to each
+/// other.
+#[must_use]
+pub fn ranked(candidates: Vec<Row>, compared: Row) -> Vec<Row> {
+    let places: Vec<_> = candidates.iter().map(Row::place).collect();
+    let kept = search::front(&places);
+    let mut rows: Vec<_> = kept
+        .into_iter()
+        .map(|index| candidates[index].clone())
+        .collect();
+    for row in &mut rows {
+        row.beats = Some(row.share_beating(&compared));
+    }
+    rows.push(compared);
+    let counts: Vec<_> = rows
+        .iter()
+        .map(|row| rows.iter().filter(|other| other.dominates(row)).count())
+        .collect();
+    for (row, count) in rows.iter_mut().zip(counts) {
+        row.dominated_by = count;
+    }
+    rows
+}
+
+/// The mean; of nothing, no number.
+pub fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Which of the front's designs answers "what instead of the compared one": the farthest that is no longer.
+#[must_use]
+pub fn instead_of<'a>(front: &'a [Row], compared: &Row) -> Option<&'a Row> {
+    front
+        .iter()
+        .filter(|row| row.length_mm <= compared.length_mm)
+        .max_by(|left, right| left.displacement_mm.total_cmp(&right.displacement_mm))
+}

@@ -1,0 +1,215 @@
+//! A posterior in a model file: bodies drawn by `retrograde fit`, and what they rest on.
+
+use std::fmt::Write;
+
+use calibration::prior::{OF_BODY, unknowns};
+use client::identity::Origin;
+use locomotion::model::{Model, Setting, Value};
+use serde::{Deserialize, Serialize};
+
+use crate::science::observations::{LeftOut, SourceFile};
+
+/// Version of the format.
+pub const FORMAT: u32 = 1;
+/// The section of a model file.
+pub const SECTION: &str = "posterior";
+
+/// What one source gave.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SourceRecord {
+    /// Folder or file, as given.
+    pub path: String,
+    /// Where its values come from.
+    pub origin: Origin,
+    /// SHA-256 of each file that was read.
+    pub sha256: Vec<String>,
+    /// The trials or rows that were used.
+    pub used: Vec<String>,
+    /// Those that were not, and why.
+    pub left_out: Vec<String>,
+}
+
+impl SourceRecord {
+    /// Of what was read.
+    #[must_use]
+    pub fn new(
+        path: &str,
+        origin: Origin,
+        files: &[SourceFile],
+        used: Vec<String>,
+        left_out: &[LeftOut],
+    ) -> Self {
+        let hash = |file: &SourceFile| format!("{}  {}", file.sha256, file.path);
+        let left = |one: &LeftOut| format!("{}: {}", one.place, one.why);
+        Self {
+            path: path.to_owned(),
+            origin,
+            sha256: files.iter().map(hash).collect(),
+            used,
+            left_out: left_out.iter().map(left).collect(),
+        }
+    }
+}
+
+/// A posterior as a file has it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Posterior {
+    /// [`FORMAT`].
+    pub format: u32,
+    /// Where the displacements come from.
+    pub origin: Origin,
+    /// What made it: program and versions.
+    pub made_by: String,
+    /// Seed of everything.
+    pub seed: u64,
+    /// How it was sampled.
+    pub sampler: String,
+    /// Greatest R-hat of all unknowns.
+    pub r_hat: f64,
+    /// Least bulk effective sample size.
+    pub ess: f64,
+    /// Whether R-hat, effective sample size and the accuracy of the tables are good enough to rely on it.
+    pub reliable: bool,
+    /// Number of the sample that the values of the file are, from 1: the one nearest to the medians.
+    pub point: usize,
+    /// Names of the columns of `samples`.
+    pub parameters: Vec<String>,
+    /// The bodies, evenly taken from all draws.
+    pub samples: Vec<Vec<f64>>,
+    /// What it rests on.
+    pub source: Vec<SourceRecord>,
+}
+
+impl Posterior {
+    /// Reads the section of a file.
+    ///
+    /// # Errors
+    /// What is wrong with it, for people.
+    pub fn read(item: toml::Value) -> Result<Self, String> {
+        let this: Self = item
+            .try_into()
+            .map_err(|error: toml::de::Error| error.message().to_owned())?;
+        if this.format != FORMAT {
+            return Err(format!("format {}, this tool reads {FORMAT}", this.format));
+        }
+        let names: Vec<&str> = unknowns().iter().map(|unknown| unknown.key).collect();
+        if this.parameters != names {
+            return Err(format!("its parameters have to be {}", names.join(", ")));
+        }
+        if this.samples.is_empty() {
+            return Err("it has no samples".to_owned());
+        }
+        for (number, sample) in (1..).zip(&this.samples) {
+            if sample.len() != names.len() {
+                return Err(format!(
+                    "sample {number} has to have {} numbers",
+                    names.len()
+                ));
+            }
+        }
+        if !(1..=this.samples.len()).contains(&this.point) {
+            return Err(format!("there is no sample {}", this.point));
+        }
+        for body in this.bodies(&Model::ONE) {
+            body.check().map_err(|error| format!("a sample: {error}"))?;
+        }
+        Ok(this)
+    }
+
+    /// As the section of a file.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut text = format!("\n[{SECTION}]\n");
+        let list = |items: &[String]| {
+            let items: Vec<_> = items.iter().map(|item| quoted(item)).collect();
+            format!("[{}]", items.join(", "))
+        };
+        let _ = write!(
+            text,
+            "format = {}\norigin = {}\nmade_by = {}\nseed = {}\nsampler = {}\n\
+             r_hat = {:?}\ness = {:?}\nreliable = {}\npoint = {}\nparameters = {}\nsamples = [\n",
+            self.format,
+            quoted(self.origin.name()),
+            quoted(&self.made_by),
+            self.seed,
+            quoted(&self.sampler),
+            self.r_hat,
+            self.ess,
+            self.reliable,
+            self.point,
+            list(&self.parameters),
+        );
+        for sample in &self.samples {
+            let numbers: Vec<_> = sample.iter().map(|number| format!("{number:?}")).collect();
+            let _ = writeln!(text, "    [{}],", numbers.join(", "));
+        }
+        text += "]\n";
+        for source in &self.source {
+            let _ = write!(
+                text,
+                "\n[[{SECTION}.source]]\npath = {}\norigin = {}\nsha256 = {}\nused = {}\nleft_out = {}\n",
+                quoted(&source.path),
+                quoted(source.origin.name()),
+                list(&source.sha256),
+                list(&source.used),
+                list(&source.left_out),
+            );
+        }
+        text
+    }
+
+    /// The bodies, otherwise as a model.
+    #[must_use]
+    pub fn bodies(&self, model: &Model) -> Vec<Model> {
+        let body = |sample: &Vec<f64>| {
+            let mut body = *model;
+            for (key, value) in self.parameters.iter().zip(sample).take(OF_BODY) {
+                if let Some(setting) = Setting::named(key) {
+                    // Numbers, all of them: `read` has checked the names.
+                    let _ = body.set(setting, Value::Number(*value));
+                }
+            }
+            body
+        };
+        self.samples.iter().map(body).collect()
+    }
+
+    /// The parameters of the body that it speaks about.
+    #[must_use]
+    pub fn of_body(&self) -> &[String] {
+        &self.parameters[..OF_BODY]
+    }
+
+    /// What a band of it is, in a sentence.
+    #[must_use]
+    pub fn meaning(&self) -> String {
+        format!("5 to 95 % of {}", self.what())
+    }
+
+    /// What its bodies are, for a sentence.
+    #[must_use]
+    pub fn what(&self) -> String {
+        let trials: usize = self.source.iter().map(|source| source.used.len()).sum();
+        let doubt = if self.reliable {
+            ""
+        } else {
+            "; NOT RELIABLE: its chains had not mixed, or its tables were too coarse"
+        };
+        format!(
+            "{} bodies of the posterior of {trials} displacements; their origin: {}{doubt}",
+            self.samples.len(),
+            self.origin.meaning()
+        )
+    }
+}
+
+/// As a string of TOML: what JSON escapes, TOML reads alike, and no other control character is left.
+fn quoted(text: &str) -> String {
+    let text: String = text
+        .chars()
+        .map(|char| if char.is_control() { ' ' } else { char })
+        .collect();
+    serde_json::Value::String(text).to_string()
+}

@@ -1,0 +1,234 @@
+//! The catalogue: which campaigns and trials are in some folders, by date, specimen and outcome. Reads only.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use client::identity::Origin;
+use jiff::Timestamp;
+use jiff::civil::Date;
+use jiff::tz::TimeZone;
+use serde::Serialize;
+use trials::sidecar::{heading, unreadable};
+use trials::trial::{Status, Trial};
+
+use crate::folder::{Campaign, ORDER, PLAN};
+use crate::ledger::{Outcome, Standing, TrialState};
+use crate::order::doing;
+use crate::verify;
+
+/// Folders within folders are looked through so deep.
+const DEPTH: u32 = 3;
+
+/// What is wanted; all that is given has to hold.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Wanted {
+    /// First day, UTC.
+    pub since: Option<Date>,
+    /// Last day, UTC.
+    pub until: Option<Date>,
+    /// A part of the specimen's description or of the note, in small or capital letters.
+    pub specimen: Option<String>,
+    /// An outcome, as it is listed.
+    pub outcome: Option<String>,
+}
+
+/// A campaign, or a trial.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Entry {
+    /// `campaign`, `trial`, or `campaign_trial` for one within a campaign.
+    pub kind: Kind,
+    /// Its folder or its sidecar.
+    pub path: PathBuf,
+    /// Its beginning; none if nothing has begun.
+    pub started_utc: Option<Timestamp>,
+    /// What it is.
+    pub what: String,
+    /// The specimen, or the note of a trial outside campaigns.
+    pub specimen: Option<String>,
+    /// What became of it: of a campaign `complete` or `open`.
+    pub outcome: String,
+    /// Where its data come from.
+    pub origin: Origin,
+}
+
+/// What an entry is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// A campaign.
+    Campaign,
+    /// A trial within one.
+    CampaignTrial,
+    /// A trial in an ordinary folder.
+    Trial,
+}
+
+/// What was found.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Catalogue {
+    /// The oldest first.
+    pub entries: Vec<Entry>,
+    /// What could not be read, and why.
+    pub unreadable: Vec<String>,
+}
+
+impl Wanted {
+    fn takes(&self, entry: &Entry) -> bool {
+        let day = entry
+            .started_utc
+            .map(|time| time.to_zoned(TimeZone::UTC).date());
+        let dated = self.since.is_some() || self.until.is_some();
+        let in_time = match day {
+            Some(day) => {
+                self.since.is_none_or(|since| since <= day)
+                    && self.until.is_none_or(|until| day <= until)
+            }
+            None => !dated,
+        };
+        let specimen = entry.specimen.as_deref().unwrap_or_default().to_lowercase();
+        let is_specimen = |part: &String| specimen.contains(&part.to_lowercase());
+        let is_outcome = |outcome: &String| entry.outcome.eq_ignore_ascii_case(outcome);
+        in_time
+            && self.specimen.as_ref().is_none_or(is_specimen)
+            && self.outcome.as_ref().is_none_or(is_outcome)
+    }
+}
+
+/// Looks through these folders; `trials` also lists the trials within campaigns.
+#[must_use]
+pub fn list(folders: &[PathBuf], trials: bool, wanted: &Wanted) -> Catalogue {
+    let mut catalogue = Catalogue::default();
+    for folder in folders {
+        catalogue.look(folder, DEPTH, trials);
+    }
+    catalogue.entries.retain(|entry| wanted.takes(entry));
+    catalogue
+        .entries
+        .sort_by(|a, b| (a.started_utc, &a.path, &a.what).cmp(&(b.started_utc, &b.path, &b.what)));
+    catalogue
+}
+
+impl Catalogue {
+    fn look(&mut self, folder: &Path, depth: u32, trials: bool) {
+        if folder.join(PLAN).is_file() && folder.join(ORDER).is_file() {
+            match Campaign::read(folder) {
+                Ok(campaign) => self.campaign(&campaign, trials),
+                Err(error) => self.unreadable.push(error.to_string()),
+            }
+            return;
+        }
+        let mut within: Vec<PathBuf> = match fs::read_dir(folder) {
+            Ok(entries) => entries.flatten().map(|entry| entry.path()).collect(),
+            Err(io) => {
+                self.unreadable.push(format!("{}: {io}", folder.display()));
+                return;
+            }
+        };
+        within.sort();
+        let is_json = |path: &&PathBuf| path.extension().is_some_and(|kind| kind == "json");
+        for sidecar in within.iter().filter(is_json) {
+            match Trial::read(sidecar) {
+                Ok(trial) => self.entries.push(ordinary(sidecar, &trial)),
+                // Records of other kinds are no trials; a trial that cannot be read is told.
+                Err(error) => {
+                    if let Some(why) = unreadable(sidecar, error) {
+                        self.unreadable.push(why);
+                    }
+                }
+            }
+        }
+        if depth > 0 {
+            // A link may lead in a circle.
+            let is_folder = |path: &&PathBuf| path.is_dir() && !path.is_symlink();
+            for folder in within.iter().filter(is_folder) {
+                self.look(folder, depth - 1, trials);
+            }
+        }
+    }
+
+    fn campaign(&mut self, campaign: &Campaign, trials: bool) {
+        let all = &campaign.state.trials;
+        let count = |wanted: Standing| {
+            let standing = all.iter().map(TrialState::standing);
+            standing.filter(|standing| *standing == wanted).count()
+        };
+        let closed = [Standing::Done, Standing::Excluded, Standing::Skipped];
+        let is_closed = closed.into_iter().map(count).sum::<usize>() == all.len();
+        let begun = campaign.rows.iter().map(|row| row.time_utc);
+        let read = campaign.reading_rows.iter().map(|row| row.time_utc);
+        let specimen = &campaign.plan.metadata.specimen;
+        let origin = campaign.origin().unwrap_or(Origin::Unknown);
+        let sealed = matches!(verify::manifest(&campaign.folder), Ok(Some(_)));
+        self.entries.push(Entry {
+            kind: Kind::Campaign,
+            path: campaign.folder.clone(),
+            started_utc: begun.chain(read).min(),
+            what: format!(
+                "{}: {} of {} trials done, by {}{}",
+                campaign.plan.name,
+                count(Standing::Done),
+                all.len(),
+                campaign.plan.metadata.operator,
+                if sealed { "" } else { ", without hashes" }
+            ),
+            specimen: Some(specimen.clone()),
+            outcome: if is_closed { "complete" } else { "open" }.to_owned(),
+            origin,
+        });
+        if !trials {
+            return;
+        }
+        for state in all {
+            let planned = &state.planned;
+            for attempt in &state.attempts {
+                let outcome = attempt.outcome.map_or("under_way", Outcome::name);
+                let displacement = attempt
+                    .displacement
+                    .map(|displacement| format!(", {} mm", displacement.value));
+                self.entries.push(Entry {
+                    kind: Kind::CampaignTrial,
+                    path: campaign.attempt_folder(planned.trial, attempt.number),
+                    started_utc: Some(attempt.began),
+                    what: format!(
+                        "{} trial {}, attempt {}: {}, {}, {}{}{}",
+                        campaign.plan.name,
+                        planned.trial,
+                        attempt.number,
+                        planned.lubrication.name(),
+                        planned.indentation,
+                        doing(planned.purpose, planned.shape),
+                        displacement.unwrap_or_default(),
+                        match state.standing() {
+                            Standing::Excluded => ", excluded",
+                            Standing::Skipped => ", skipped",
+                            _ => "",
+                        }
+                    ),
+                    specimen: Some(specimen.clone()),
+                    outcome: outcome.to_owned(),
+                    origin,
+                });
+            }
+        }
+    }
+}
+
+fn ordinary(sidecar: &Path, trial: &Trial) -> Entry {
+    let outcome = match trial.status {
+        Status::Running => "running",
+        Status::Complete => "complete",
+        Status::Stopped => "stopped",
+        Status::LinkLost => "link_lost",
+        Status::Faulted => "faulted",
+        Status::Unknown => "unknown",
+    };
+    Entry {
+        kind: Kind::Trial,
+        path: sidecar.to_owned(),
+        started_utc: Some(trial.started_utc),
+        what: heading(trial),
+        specimen: trial.note.clone(),
+        outcome: outcome.to_owned(),
+        origin: trial.device.origin,
+    }
+}

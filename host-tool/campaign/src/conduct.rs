@@ -1,0 +1,369 @@
+//! Carries a campaign out: readings, trials, displacements, in the order of the plan, until it is done or the operator
+//! leaves. Everything is in the folder before the next thing begins.
+
+mod displacement;
+pub mod modelled;
+mod readings;
+mod stage;
+mod strokes;
+mod trial;
+
+use client::error::ClientError;
+use client::identity::{IdentityRecord, Origin};
+use client::subject::Subject;
+use client::{Device, Homed, Observer, Pacer, Unobserved};
+use jiff::Timestamp;
+use protocol::capsule::CapsuleState;
+use protocol::rig::RigState;
+use protocol::settings::GetName;
+use protocol::system::{DeviceKind, Urgent};
+use serde_json::{Value, json};
+use trials::experiment::ExperimentError;
+use trials::trial::{RecordError, Status};
+
+use crate::CampaignError;
+use crate::conduct::modelled::DisplacementModel;
+use crate::folder::Folder;
+use crate::ledger::{Outcome, Row, Standing};
+use crate::prompts::{self, Answer, Halt, Question};
+use crate::readings::ReadingRow;
+
+/// How long the machines are kept company at a time while a question waits, us.
+const COMPANY_US: u64 = 50_000;
+
+/// Who answers, and where it is shown.
+pub trait Desk {
+    /// Shows a line.
+    fn say(&mut self, text: &str);
+    /// Waits for an answer; calls `company` at least some times a second meanwhile, which keeps the links alive.
+    ///
+    /// # Errors
+    /// [`Halt`].
+    fn answer(
+        &mut self,
+        question: &Question<'_>,
+        company: &mut dyn FnMut() -> Result<(), ClientError>,
+    ) -> Result<String, Halt>;
+    /// Somebody reads what may be answered.
+    fn is_person(&self) -> bool;
+    /// Shows the progress of a motion.
+    fn observer(&mut self) -> Box<dyn Observer + '_>;
+    /// What holds and resumes a run, if somebody can.
+    fn pacer(&mut self) -> Option<Pacer>;
+    /// The time of day.
+    fn now(&self) -> Timestamp;
+}
+
+/// How a session ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// Everything is done.
+    Through,
+    /// As many trials as were asked for are done.
+    Enough,
+    /// The operator left.
+    Left,
+}
+
+/// Why a session could not go on. What was reached is in the folder.
+#[derive(Debug, thiserror::Error)]
+pub enum Broken {
+    /// The folder.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
+    /// A machine, or a record.
+    #[error(transparent)]
+    Experiment(#[from] ExperimentError),
+    /// A motion did not end as planned.
+    #[error("{action} ended as {status:?}")]
+    Ended {
+        /// Which.
+        action: &'static str,
+        /// How.
+        status: Status,
+        /// The fault, if there was one.
+        reason: Option<String>,
+    },
+    /// A machine is in a state in which nothing can begin.
+    #[error("{why}")]
+    NotReady {
+        /// Why.
+        why: String,
+        /// What to do.
+        help: String,
+    },
+}
+
+impl From<ClientError> for Broken {
+    fn from(error: ClientError) -> Self {
+        Self::Experiment(error.into())
+    }
+}
+
+impl From<RecordError> for Broken {
+    fn from(error: RecordError) -> Self {
+        Self::Experiment(error.into())
+    }
+}
+
+impl Broken {
+    /// What it means for the attempt in which it happened.
+    fn outcome(&self) -> Outcome {
+        match self {
+            Self::Campaign(_) => Outcome::Lost,
+            Self::NotReady { .. } => Outcome::Refused,
+            Self::Ended { status, .. } => Outcome::from(*status),
+            Self::Experiment(ExperimentError::Client(error)) => match error {
+                ClientError::Refused { .. }
+                | ClientError::Rejected { .. }
+                | ClientError::Owned { .. } => Outcome::Refused,
+                ClientError::Interrupted { .. } => Outcome::Stopped,
+                ClientError::NotHomed { fault: None } => Outcome::Stopped,
+                ClientError::NotHomed { .. } | ClientError::Overdue { .. } => Outcome::Faulted,
+                _ => Outcome::Lost,
+            },
+            Self::Experiment(ExperimentError::Incomplete { status, .. }) => Outcome::from(*status),
+            // What is not on the disk cannot be looked at again.
+            Self::Experiment(ExperimentError::Record(_) | ExperimentError::Unrecorded { .. }) => {
+                Outcome::Lost
+            }
+        }
+    }
+}
+
+/// The machines, and what was found out about them once.
+pub struct Machines {
+    rig: Device,
+    capsule: Option<Device>,
+    origin: Origin,
+    known: Value,
+    /// Since when the position can be trusted, and how it was found.
+    homed: Option<(Timestamp, Homed)>,
+}
+
+impl Machines {
+    /// Asks the machines who they are and how they are set.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn new(
+        mut rig: Device,
+        mut capsule: Option<Device>,
+        commissioning: Option<String>,
+    ) -> Result<Self, ClientError> {
+        let subject = Subject::of(&mut rig)?;
+        let name = rig.call(GetName)?.name;
+        let identity = |device: &Device| {
+            let place = device.place();
+            device
+                .identity()
+                .map(|identity| IdentityRecord::new(identity, &place))
+        };
+        let mut origin = rig.origin();
+        let mut known = json!({
+            "rig": {
+                "identity": identity(&rig),
+                "name": name.as_str(),
+                "image": subject.image,
+                "settings": subject.settings,
+                "commissioning": commissioning.unwrap_or_else(|| "complete".to_owned()),
+            },
+        });
+        if let Some(capsule) = &mut capsule {
+            origin = origin.max(capsule.origin());
+            known["capsule"] = json!({ "identity": identity(capsule) });
+        }
+        Ok(Self {
+            rig,
+            capsule,
+            origin,
+            known,
+            homed: None,
+        })
+    }
+
+    /// Where the data come from: one machine that is not real makes all of them simulated.
+    #[must_use]
+    pub fn origin(&self) -> Origin {
+        self.origin
+    }
+
+    /// Stops what still moves. It belongs to an attempt that the tool has left, and is in the ledger as lost. Returns what was
+    /// stopped.
+    ///
+    /// # Errors
+    /// As [`Device::urgent`] and [`Device::call`].
+    pub fn come_to_rest(&mut self) -> Result<Vec<&'static str>, ClientError> {
+        let mut stopped = vec![];
+        let state = self.rig.rig_status()?.state;
+        if matches!(
+            state,
+            RigState::Running | RigState::Held | RigState::Homing | RigState::Moving
+        ) {
+            self.rig.urgent(Urgent::Stop)?;
+            stopped.push("rig");
+        }
+        self.rig.wait_rest()?;
+        if let Some(capsule) = &mut self.capsule
+            && matches!(
+                capsule.capsule_status()?.state,
+                CapsuleState::Referencing
+                    | CapsuleState::Checking
+                    | CapsuleState::Folding
+                    | CapsuleState::Unfolding
+            )
+        {
+            capsule.urgent(Urgent::Stop)?;
+            stopped.push("capsule");
+        }
+        Ok(stopped)
+    }
+
+    fn keep_company(&mut self) -> Result<(), ClientError> {
+        self.rig.idle(COMPANY_US, &mut Unobserved)?;
+        if let Some(capsule) = &mut self.capsule {
+            capsule.idle(0, &mut Unobserved)?;
+            capsule.keep_alive()?;
+        }
+        Ok(())
+    }
+}
+
+/// A session at a campaign.
+pub struct Conduct<'a> {
+    folder: &'a mut Folder,
+    machines: &'a mut Machines,
+    desk: &'a mut dyn Desk,
+    model: &'a dyn DisplacementModel,
+    /// A name for the camera's next file, if the operator has given one.
+    camera: Option<String>,
+    /// The rollers were clamped anew, although the block has begun.
+    clamped_anew: bool,
+    /// The block of the last homing.
+    homed_in: Option<u32>,
+}
+
+/// What comes after an answer.
+enum Then {
+    /// The trial begins, or the value is in the ledger.
+    Go,
+    /// Look again what is next.
+    Look,
+    /// The operator leaves.
+    Leave,
+}
+
+impl<'a> Conduct<'a> {
+    /// Nothing is asked and nothing moves yet.
+    pub fn new(
+        folder: &'a mut Folder,
+        machines: &'a mut Machines,
+        desk: &'a mut dyn Desk,
+        model: &'a dyn DisplacementModel,
+    ) -> Self {
+        Self {
+            folder,
+            machines,
+            desk,
+            model,
+            camera: None,
+            clamped_anew: false,
+            homed_in: None,
+        }
+    }
+
+    /// Goes on where the campaign stands, with at most so many new attempts.
+    ///
+    /// # Errors
+    /// [`Broken`].
+    pub fn carry_out(&mut self, mut attempts: Option<u32>) -> Result<Ending, Broken> {
+        loop {
+            let Some(next) = self.folder.campaign().state.next() else {
+                return Ok(Ending::Through);
+            };
+            let (planned, number) = (next.planned.clone(), next.attempts.len() as u32);
+            let then = if next.standing() == Standing::Unmeasured {
+                self.measure(&planned, number)?
+            } else {
+                if attempts == Some(0) {
+                    return Ok(Ending::Enough);
+                }
+                match self.set_up(&planned)? {
+                    Then::Go => match self.stage(&planned)? {
+                        Then::Go => match self.ask_ready(&planned, number + 1)? {
+                            // While the check-list waited, another window may have moved the rollers.
+                            Then::Go if !self.is_staged(&planned)? => {
+                                self.desk
+                                    .say("  the rollers no longer stand where they have to");
+                                Then::Look
+                            }
+                            Then::Go => {
+                                attempts = attempts.map(|left| left - 1);
+                                self.attempt(&planned, number + 1)?
+                            }
+                            then => then,
+                        },
+                        then => then,
+                    },
+                    then => then,
+                }
+            };
+            if matches!(then, Then::Leave) {
+                return Ok(Ending::Left);
+            }
+        }
+    }
+
+    // Rows.
+
+    fn row(&mut self, row: Row) -> Result<(), Broken> {
+        let (now, origin) = (self.desk.now(), self.machines.origin);
+        Ok(self.folder.append(row, now, origin)?)
+    }
+
+    fn reading_row(&mut self, row: ReadingRow) -> Result<(), Broken> {
+        let (now, origin) = (self.desk.now(), self.machines.origin);
+        Ok(self.folder.append_reading(row, now, origin)?)
+    }
+
+    // Questions.
+
+    /// Asks until the answer can be understood. None: the operator leaves.
+    fn ask(&mut self, question: &Question<'_>) -> Result<Option<Answer>, Broken> {
+        let person = self.desk.is_person();
+        if person || !matches!(question, Question::Reading { .. }) {
+            for line in question.text() {
+                self.desk.say(&line);
+            }
+        }
+        if person {
+            self.desk.say(&format!("  ({})", question.hint()));
+        }
+        loop {
+            let machines = &mut *self.machines;
+            let mut company = || machines.keep_company();
+            let text = match self.desk.answer(question, &mut company) {
+                Ok(text) => text,
+                Err(Halt::Left) => return Ok(None),
+                // The operator's stop ends the company, too.
+                Err(Halt::Client(ClientError::Interrupted { .. })) => return Ok(None),
+                Err(Halt::Client(error)) => return Err(error.into()),
+            };
+            match prompts::parse(&text) {
+                Answer::Quit => return Ok(None),
+                Answer::Unclear(why) => self.desk.say(&format!("  {why}")),
+                answer => return Ok(Some(answer)),
+            }
+        }
+    }
+}
+
+/// The kinds of machine that a plan needs.
+#[must_use]
+pub fn machines_of(needs_capsule: bool) -> &'static [DeviceKind] {
+    if needs_capsule {
+        &[DeviceKind::Rig, DeviceKind::Capsule]
+    } else {
+        &[DeviceKind::Rig]
+    }
+}

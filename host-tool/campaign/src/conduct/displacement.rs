@@ -1,0 +1,191 @@
+//! The displacement of a trial that was completed: asked for, or that of a model, and what may be answered instead.
+
+use client::identity::Origin;
+use protocol::capsule::{ActuationKind, CapsuleState};
+
+use crate::conduct::modelled::{Modelled, Wanted};
+use crate::conduct::{Broken, Conduct, Then};
+use crate::ledger::{Attempt, Event, Outcome, Row, Source};
+use crate::order::{Form, Planned};
+use crate::plan::Millimetres;
+use crate::prompts::{Answer, Question};
+
+impl Conduct<'_> {
+    /// Asks for what is missing of an attempt that was completed: the displacements after strokes first, then the net one.
+    pub(super) fn measure(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
+        let trial = planned.trial;
+        let missing = self.missing_stroke(planned);
+        let modelled = match self.machines.origin {
+            Origin::Virtual => Some(self.model(planned, attempt, missing.map(|(at, _)| at))?),
+            Origin::Board | Origin::Unknown => None,
+        };
+        if let Some(missing) = missing {
+            return self.measure_stroke(planned, attempt, missing, modelled);
+        }
+        let question = Question::Displacement {
+            planned,
+            attempt,
+            model: modelled.as_ref().map(|modelled| modelled.value),
+        };
+        let Some(answer) = self.ask(&question)? else {
+            return Ok(Then::Leave);
+        };
+        let mut row = Row::of(Event::Displacement, trial, Some(attempt));
+        match (answer, modelled) {
+            (Answer::Enter, Some(modelled)) => {
+                row.displacement_mm = Some(modelled.value);
+                row.source = Some(modelled.source);
+                self.row(row.saying(Some(modelled.text)))?;
+                return self.unfold_after(planned, attempt);
+            }
+            (Answer::Length(_), Some(_)) => self.say_virtual(),
+            (Answer::Length(value), None) => {
+                let campaign = self.folder.campaign();
+                let refusal = (campaign.plan.displacement.refusal(value))
+                    .or_else(|| campaign.disagreement(trial, value));
+                if let Some(why) = refusal {
+                    self.desk.say(&format!("  {why}"));
+                    return Ok(Then::Look);
+                }
+                row.displacement_mm = Some(value);
+                row.source = Some(Source::Measured);
+                self.row(row)?;
+                return self.unfold_after(planned, attempt);
+            }
+            (Answer::Enter | Answer::Yes | Answer::Again, None) => {
+                self.desk.say("  the displacement is needed here");
+            }
+            (answer, _) => self.instead(planned, attempt, answer)?,
+        }
+        Ok(Then::Look)
+    }
+
+    pub(super) fn say_virtual(&mut self) {
+        self.desk
+            .say("  nothing can be measured on the virtual bench: Enter takes the model's value");
+    }
+
+    /// What may be answered instead of a value.
+    pub(super) fn instead(
+        &mut self,
+        planned: &Planned,
+        attempt: u32,
+        answer: Answer,
+    ) -> Result<(), Broken> {
+        let trial = planned.trial;
+        match answer {
+            Answer::Undo => {
+                let campaign = self.folder.campaign();
+                let here = campaign
+                    .state
+                    .trial(trial)
+                    .and_then(|state| state.attempt());
+                if here.is_some_and(|here| here.strokes_left_out || !here.strokes.is_empty()) {
+                    self.row(Row::of(Event::Undone, trial, Some(attempt)))?;
+                    self.desk
+                        .say("  what was said of the last stroke is taken back");
+                    return Ok(());
+                }
+                match campaign.state.last_measured(&campaign.rows) {
+                    None => self.desk.say("  no displacement was entered yet"),
+                    Some((last, of)) => {
+                        self.row(Row::of(Event::Undone, last, Some(of)))?;
+                        self.desk
+                            .say(&format!("  the displacement of trial {last} is taken back"));
+                    }
+                }
+            }
+            Answer::Repeat(reason) => {
+                let row = Row::of(Event::Repeated, trial, Some(attempt)).saying(Some(reason));
+                self.row(row)?;
+                self.desk.say(&format!(
+                    "  attempt {attempt} does not count; the trial is done again"
+                ));
+            }
+            Answer::Skip(reason) => {
+                self.row(Row::of(Event::Skipped, trial, None).saying(Some(reason)))?;
+                self.desk.say(&format!("  trial {trial} is skipped"));
+            }
+            Answer::Exclude(reason) => {
+                let row = Row::of(Event::Excluded, trial, Some(attempt)).saying(Some(reason));
+                self.row(row)?;
+                self.desk.say(&format!("  trial {trial} is excluded"));
+            }
+            Answer::Note(text) => {
+                self.row(Row::of(Event::Note, trial, None).saying(Some(text)))?;
+            }
+            Answer::Camera(_) | Answer::Clamp => {
+                self.desk.say("  that is for the next trial");
+            }
+            Answer::Enter
+            | Answer::Length(_)
+            | Answer::Yes
+            | Answer::Again
+            | Answer::Quit
+            | Answer::Unclear(_) => self.desk.say("  the displacement is needed here"),
+        }
+        Ok(())
+    }
+
+    /// What the models say: after a stroke, or of the whole trial.
+    fn model(
+        &self,
+        planned: &Planned,
+        attempt: u32,
+        after_stroke: Option<usize>,
+    ) -> Result<Modelled, Broken> {
+        let campaign = self.folder.campaign();
+        let sidecar = campaign
+            .run_sidecar(planned.trial, attempt)
+            .unwrap_or_default();
+        let a_mm = campaign
+            .state
+            .trial(planned.trial)
+            .and_then(|trial| trial.attempt()?.indentation_mm)
+            .map_or(0.0, Millimetres::mm);
+        let modelled = self.model.displacement(&Wanted {
+            plan: &campaign.plan,
+            planned,
+            attempt,
+            indentation_mm: a_mm,
+            sidecar: &sidecar,
+            after_stroke,
+        });
+        modelled.map_err(|error| {
+            let folder = Attempt::folder(planned.trial, attempt);
+            Broken::NotReady {
+                why: format!("{folder} has no displacement: {error}"),
+                help: "change the plan to what the models cover, and begin another campaign"
+                    .to_owned(),
+            }
+        })
+    }
+
+    /// The body has been measured: the thread need not stay under tension.
+    fn unfold_after(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
+        let campaign = self.folder.campaign();
+        let began = |row: &&Row| row.event == Event::Began;
+        // A displacement that is entered again says nothing about what the capsule does now.
+        let is_last =
+            campaign.rows.iter().rfind(began).is_some_and(|row| {
+                (row.trial, row.attempt) == (Some(planned.trial), Some(attempt))
+            });
+        if planned.shape != Form::Unfolded
+            && is_last
+            && let Some(capsule) = &mut self.machines.capsule
+            && capsule.capsule_status()?.state == CapsuleState::Folded
+        {
+            let folder = self
+                .folder
+                .campaign()
+                .attempt_folder(planned.trial, attempt);
+            let unfolded = self.actuate(ActuationKind::Unfold, &folder);
+            self.folder.seal_attempt(planned.trial, attempt)?;
+            match unfolded {
+                Err(broken) if broken.outcome() == Outcome::Stopped => return Ok(Then::Leave),
+                unfolded => unfolded?,
+            }
+        }
+        Ok(Then::Look)
+    }
+}

@@ -1,0 +1,45 @@
+//! The displacement of a body that is not there: virtual rollers touch nothing, so a model says what it would have been.
+
+use std::error::Error;
+use std::path::Path;
+
+use crate::ledger::Source;
+use crate::order::Planned;
+use crate::plan::{Millimetres, Plan};
+
+/// A displacement that was calculated, and how.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Modelled {
+    /// The displacement, rounded to the caliper's resolution.
+    pub value: Millimetres,
+    /// With or without scatter.
+    pub source: Source,
+    /// Model and scatter in words, for the record.
+    pub text: String,
+}
+
+/// The attempt whose displacement is wanted.
+#[derive(Clone, Copy, Debug)]
+pub struct Wanted<'a> {
+    /// The campaign's plan.
+    pub plan: &'a Plan,
+    /// The trial.
+    pub planned: &'a Planned,
+    /// The number of the attempt.
+    pub attempt: u32,
+    /// Indentation of the body by the rollers, mm.
+    pub indentation_mm: f64,
+    /// The record of the run.
+    pub sidecar: &'a Path,
+    /// After this stroke, from 1, instead of after the whole trial.
+    pub after_stroke: Option<usize>,
+}
+
+/// A model of the displacement. A campaign carries none itself.
+pub trait DisplacementModel {
+    /// The displacement in this attempt, with the scatter that the plan declares.
+    ///
+    /// # Errors
+    /// The model does not cover it, or a record cannot be read.
+    fn displacement(&self, wanted: &Wanted<'_>) -> Result<Modelled, Box<dyn Error>>;
+}

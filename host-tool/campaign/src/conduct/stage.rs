@@ -1,0 +1,123 @@
+//! The rollers go to where a trial begins while the body is out of their way: in a plan with isolated passes they stand at either
+//! end after a trial, and between the ends lies the body.
+
+use client::error::ClientError;
+use protocol::error::Refusal;
+use protocol::rig::{Direction, MoveTo, RigState, RigStatus};
+use trials::experiment;
+use trials::trial::{Screw, Status};
+
+use crate::conduct::{Broken, Conduct, Then};
+use crate::order::Planned;
+use crate::prompts::{Answer, Question, clearing};
+
+/// How fast the carriage goes to where a trial begins, um/s.
+const STAGE_UM_S: u32 = 20_000;
+
+impl Conduct<'_> {
+    /// Makes sure that the rollers stand where the trial begins, before the body is laid in.
+    pub(super) fn stage(&mut self, planned: &Planned) -> Result<Then, Broken> {
+        if self.is_staged(planned)? {
+            return Ok(Then::Go);
+        }
+        let todo = clearing(planned);
+        match self.ask(&Question::Prepare { todo })? {
+            None => return Ok(Then::Leave),
+            Some(Answer::Enter | Answer::Yes) => {}
+            Some(_) => {
+                self.desk.say("  that is not for now");
+                return Ok(Then::Look);
+            }
+        }
+        let begins_um = self.begins_um(planned);
+        match self.drive_to(planned.block, begins_um) {
+            // No attempt has begun, so there is nothing to note.
+            Err(_) if self.machines.rig.interrupted().is_some() => Ok(Then::Leave),
+            Err(broken) => Err(broken),
+            Ok(()) => Ok(Then::Look),
+        }
+    }
+
+    /// The rollers stand where the trial begins, and nobody has had a hand at them since they were homed. A plan without passes asks
+    /// for nothing: its carriage goes to 0 within the attempt.
+    pub(super) fn is_staged(&mut self, planned: &Planned) -> Result<bool, Broken> {
+        if self.folder.campaign().plan.passes.is_none() {
+            return Ok(true);
+        }
+        let status = self.machines.rig.rig_status()?;
+        no_fault(&status)?;
+        let begins = Screw::from(&status).steps(self.begins_um(planned));
+        Ok(status.homed
+            && status.state == RigState::Ready
+            && self.homed_in == Some(planned.block)
+            && status.position_steps == begins)
+    }
+
+    /// Where the carriage stands when a trial begins.
+    fn begins_um(&self, planned: &Planned) -> u32 {
+        match planned.purpose.pass() {
+            Some(Direction::Home) => self.folder.campaign().plan.run.stroke_um,
+            Some(Direction::Away) | None => 0,
+        }
+    }
+
+    /// The carriage to a position. A hand at the rollers may have turned the screw, so each block and each session begins with
+    /// homing.
+    pub(super) fn drive_to(&mut self, block: u32, position_um: u32) -> Result<(), Broken> {
+        let status = self.machines.rig.rig_status()?;
+        no_fault(&status)?;
+        if !status.homed || self.homed_in != Some(block) {
+            let mut observer = self.desk.observer();
+            let homed = experiment::home(&mut self.machines.rig, &mut *observer)?;
+            drop(observer);
+            self.machines.homed = Some((self.desk.now(), homed));
+            self.homed_in = Some(block);
+            if position_um == 0 {
+                return Ok(());
+            }
+        }
+        let to = MoveTo {
+            position_um,
+            speed_um_s: STAGE_UM_S,
+        };
+        match self.machines.rig.call(to) {
+            Ok(_)
+            | Err(ClientError::Refused {
+                refusal: Refusal::AlreadyThere,
+                ..
+            }) => {}
+            Err(error) => return Err(error.into()),
+        }
+        let status = self.machines.rig.wait_rest()?;
+        let wanted = Screw::from(&status).steps(position_um);
+        if status.position_steps != wanted || status.fault.is_some() {
+            return Err(match self.machines.rig.interrupted() {
+                Some(_) => Broken::Ended {
+                    action: "the move to where the trial begins",
+                    status: Status::Stopped,
+                    reason: None,
+                },
+                None => Broken::NotReady {
+                    why: format!(
+                        "the carriage is at {} steps after the move to {wanted}",
+                        status.position_steps
+                    ),
+                    help: "`retrograde info rig` says what is wrong; then `retrograde campaign resume`"
+                        .to_owned(),
+                },
+            });
+        }
+        Ok(())
+    }
+}
+
+fn no_fault(status: &RigStatus) -> Result<(), Broken> {
+    match status.fault {
+        None => Ok(()),
+        Some(fault) => Err(Broken::NotReady {
+            why: format!("the rig has a fault: {fault}"),
+            help: "remove its cause, `retrograde ack rig`, then `retrograde campaign resume`"
+                .to_owned(),
+        }),
+    }
+}

@@ -1,0 +1,427 @@
+//! One attempt at a trial, from its check-list to its last record: everything that moves.
+
+use std::fs;
+use std::path::Path;
+
+use client::Device;
+use client::identity::Origin;
+use protocol::capsule::{ActuationKind, CapsuleState};
+use protocol::rig::{Direction, MoveTo, RigEvent};
+use protocol::system::What;
+use serde_json::json;
+use trials::coordination::{self, Recordings, Shaping};
+use trials::experiment;
+use trials::trial::{RecordError, Recording, Status, json as json_text};
+use trials::writer::replace;
+
+use crate::conduct::{Broken, Conduct, Then};
+use crate::ledger::{Event, Outcome, Row, Standing};
+use crate::order::{Form, Planned, doing};
+use crate::plan::{Millimetres, Purpose};
+use crate::prompts::{Answer, Question, camera_file, checks};
+use crate::remaining;
+
+impl Conduct<'_> {
+    pub(super) fn ask_ready(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
+        let campaign = self.folder.campaign();
+        let of = campaign.order.len();
+        let camera = self.camera_for(planned.trial, attempt);
+        let (left_s, _) = remaining::remaining_s(campaign);
+        let mut checks = checks(
+            planned,
+            attempt,
+            of,
+            camera.as_deref(),
+            campaign.plan.passes,
+        );
+        checks[0].push_str(&format!(" {}.", remaining::text(left_s)));
+        let question = Question::Ready {
+            planned,
+            attempt,
+            checks,
+        };
+        let Some(answer) = self.ask(&question)? else {
+            return Ok(Then::Leave);
+        };
+        let campaign = self.folder.campaign();
+        let last = campaign.state.last_measured(&campaign.rows);
+        match answer {
+            Answer::Enter | Answer::Yes => return Ok(Then::Go),
+            Answer::Undo => match last {
+                None => self.desk.say("  no displacement was entered yet"),
+                Some((trial, attempt)) => {
+                    self.row(Row::of(Event::Undone, trial, Some(attempt)))?;
+                    self.desk.say(&format!(
+                        "  the displacement of trial {trial} is taken back"
+                    ));
+                }
+            },
+            Answer::Exclude(reason) => match last {
+                None => self.desk.say("  no trial is done yet"),
+                Some((trial, attempt)) => {
+                    let row = Row::of(Event::Excluded, trial, Some(attempt)).saying(Some(reason));
+                    if campaign.state.trial(trial).map(|trial| trial.standing())
+                        == Some(Standing::Done)
+                    {
+                        self.row(row)?;
+                        self.desk.say(&format!(
+                            "  trial {trial} is excluded; `campaign edit` includes it again"
+                        ));
+                    } else {
+                        self.desk
+                            .say(&format!("  trial {trial} is excluded already"));
+                    }
+                }
+            },
+            Answer::Skip(reason) => {
+                self.row(Row::of(Event::Skipped, planned.trial, None).saying(Some(reason)))?;
+                self.desk
+                    .say(&format!("  trial {} is skipped", planned.trial));
+            }
+            Answer::Note(text) => {
+                self.row(Row::of(Event::Note, planned.trial, None).saying(Some(text)))?;
+            }
+            Answer::Camera(file) => self.camera = Some(file),
+            Answer::Clamp => self.clamped_anew = true,
+            Answer::Repeat(_) => {
+                self.desk.say(
+                    "  `undo` goes back to the last displacement; there `repeat` does it again",
+                );
+            }
+            Answer::Length(_) | Answer::Again | Answer::Quit | Answer::Unclear(_) => {
+                self.desk.say("  Enter begins the trial");
+            }
+        }
+        Ok(Then::Look)
+    }
+
+    fn camera_for(&self, trial: u32, attempt: u32) -> Option<String> {
+        let plan = &self.folder.campaign().plan;
+        let proposed = || camera_file(&plan.name, trial, attempt);
+        (plan.metadata.camera != "none").then(|| self.camera.clone().unwrap_or_else(proposed))
+    }
+
+    pub(super) fn attempt(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
+        let trial = planned.trial;
+        let campaign = self.folder.campaign();
+        let set = campaign.readings.clamped().cloned();
+        let a_mm = set
+            .as_ref()
+            .and_then(|set| campaign.readings.indentation_mm(set));
+        let mut row = Row::of(Event::Began, trial, Some(attempt));
+        row.readings_set = set.map(|set| set.number);
+        row.indentation_mm = a_mm.map(|a| Millimetres::from_um((a * 1_000.0).round() as i64));
+        row.camera_file = self.camera_for(trial, attempt);
+        self.row(row.clone())?;
+        self.camera = None;
+        let folder = self.folder.campaign().attempt_folder(trial, attempt);
+        let result = self.act(planned, attempt, &row, &folder);
+        let mut row = Row::of(Event::Ended, trial, Some(attempt));
+        row.outcome = Some(match &result {
+            Ok(()) => Outcome::Complete,
+            Err(broken) => broken.outcome(),
+        });
+        let reason = result.as_ref().err().map(|broken| match broken {
+            Broken::Ended {
+                reason: Some(reason),
+                ..
+            } => format!("{broken}: {reason}"),
+            broken => broken.to_string(),
+        });
+        let ended = self.row(row.saying(reason));
+        let sealed = self.folder.seal_attempt(trial, attempt);
+        // The first of several reasons is the one to tell.
+        let stopped = matches!(&result, Err(broken) if broken.outcome() == Outcome::Stopped);
+        match result {
+            Err(_) if stopped && ended.is_ok() => {
+                self.desk.say(&format!(
+                    "  stopped: attempt {attempt} of trial {trial} does not count"
+                ));
+                Ok(Then::Leave)
+            }
+            Err(broken) => Err(broken),
+            Ok(()) => {
+                ended?;
+                sealed?;
+                Ok(Then::Look)
+            }
+        }
+    }
+
+    /// Everything that moves in an attempt.
+    fn act(
+        &mut self,
+        planned: &Planned,
+        attempt: u32,
+        began: &Row,
+        folder: &Path,
+    ) -> Result<(), Broken> {
+        fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
+        if let Some(direction) = planned.purpose.pass() {
+            self.write_conditions(planned, attempt, began, folder)?;
+            return self.pass(planned, direction, folder);
+        }
+        self.drive_to(planned.block, 0)?;
+        self.write_conditions(planned, attempt, began, folder)?;
+        if planned.purpose == Purpose::FoldTest {
+            self.shape(planned.shape, folder)?;
+        }
+        let plan = &self.folder.campaign().plan;
+        let (run, fold_at) = (plan.run, plan.fold_at);
+        let recording = self.recording(folder, "run", planned);
+        if let Some(pacer) = self.desk.pacer() {
+            self.machines.rig.set_pacer(pacer);
+        }
+        let mut fold = None;
+        let trial = match fold_at {
+            Some(cue) if planned.shape == Form::Folding => {
+                let of_fold = self.recording(folder, "fold", planned);
+                let recordings = Recordings {
+                    run: &recording,
+                    actuation: &of_fold,
+                };
+                let capsule = self.machines.capsule.as_mut().ok_or_else(no_capsule)?;
+                let ran = coordination::run(
+                    (&mut self.machines.rig, capsule),
+                    run,
+                    (Shaping::Fold, cue),
+                    &recordings,
+                    &mut *self.desk.observer(),
+                )?;
+                fold = Some(ran.actuation);
+                ran.run
+            }
+            _ => {
+                let mut observer = self.desk.observer();
+                experiment::run(&mut self.machines.rig, run, &recording, &mut *observer)?
+            }
+        };
+        write_pulses(folder, &trial.trial.events, self.machines.origin)?;
+        if trial.trial.status != Status::Complete {
+            return Err(Broken::Ended {
+                action: "the run",
+                status: trial.trial.status,
+                reason: trial.trial.error,
+            });
+        }
+        if let Some(fold) = fold.transpose()?
+            && fold.trial.status != Status::Complete
+        {
+            return Err(Broken::Ended {
+                action: "the fold in the run",
+                status: fold.trial.status,
+                reason: fold.trial.error,
+            });
+        }
+        Ok(())
+    }
+
+    /// One stroke over the body that lies there. The rollers already stand where it begins.
+    fn pass(
+        &mut self,
+        planned: &Planned,
+        direction: Direction,
+        folder: &Path,
+    ) -> Result<(), Broken> {
+        let plan = &self.folder.campaign().plan;
+        let requested = MoveTo {
+            position_um: match direction {
+                Direction::Away => plan.run.stroke_um,
+                Direction::Home => 0,
+            },
+            speed_um_s: plan.passes.map_or(0, |passes| passes.speed_um_s),
+        };
+        let recording = self.recording(folder, "pass", planned);
+        // A move cannot be held; the key that stops has to work.
+        if let Some(pacer) = self.desk.pacer() {
+            self.machines.rig.set_pacer(pacer);
+        }
+        let mut observer = self.desk.observer();
+        let rig = &mut self.machines.rig;
+        let passed = experiment::move_to(rig, requested, &recording, &mut *observer)?;
+        if passed.trial.status != Status::Complete {
+            return Err(Broken::Ended {
+                action: "the pass",
+                status: passed.trial.status,
+                reason: passed.trial.error,
+            });
+        }
+        let (from, to) = (passed.accepted.from_steps, passed.accepted.to_steps);
+        let far = from.max(to);
+        let begins = if direction == Direction::Away { 0 } else { far };
+        if from != begins || from.min(to) != 0 {
+            return Err(Broken::NotReady {
+                why: format!(
+                    "the pass went from {from} to {to} steps, and not over the whole stroke"
+                ),
+                help: "did something else move the rig? Then `retrograde campaign resume`"
+                    .to_owned(),
+            });
+        }
+        Ok(())
+    }
+
+    fn recording(&self, folder: &Path, stem: &str, planned: &Planned) -> Recording {
+        Recording {
+            folder: folder.to_owned(),
+            stem: stem.to_owned(),
+            now: self.desk.now(),
+            note: Some(format!(
+                "campaign {}, trial {}: {}, {}, {}, repeat {}",
+                self.folder.campaign().plan.name,
+                planned.trial,
+                planned.indentation,
+                planned.lubrication.name(),
+                doing(planned.purpose, planned.shape),
+                planned.repeat
+            )),
+            telemetry_ms: self.folder.campaign().plan.telemetry_ms,
+        }
+    }
+
+    /// Folds or unfolds the capsule if it is not what the trial wants; recorded.
+    fn shape(&mut self, wanted: Form, folder: &Path) -> Result<(), Broken> {
+        let status = self.capsule()?.capsule_status()?;
+        let not_ready = |help: &str| {
+            Err(Broken::NotReady {
+                why: format!("the capsule is {:?}", status.state),
+                help: format!("{help}, then `retrograde campaign resume`"),
+            })
+        };
+        let mut steps = vec![];
+        match status.state {
+            CapsuleState::Unreferenced => steps.push(ActuationKind::Reference),
+            CapsuleState::Unfolded => {}
+            CapsuleState::Folded | CapsuleState::Stopped => steps.push(ActuationKind::Unfold),
+            CapsuleState::WasFolded => {
+                return not_ready("`retrograde capsule check`, `retrograde unfold`");
+            }
+            CapsuleState::Faulted => {
+                return not_ready("`retrograde info capsule`, `retrograde ack capsule`");
+            }
+            CapsuleState::Referencing
+            | CapsuleState::Folding
+            | CapsuleState::Unfolding
+            | CapsuleState::Checking => return not_ready("wait until it stands"),
+        }
+        if status.state == CapsuleState::Folded && wanted == Form::Folded {
+            // Its record of the fold is that of another attempt, and the body may have slipped in it since.
+            self.desk
+                .say("The capsule is folded still: it is unfolded, and folded anew.");
+        }
+        if wanted == Form::Folded {
+            steps.push(ActuationKind::Fold);
+        }
+        for kind in steps {
+            self.actuate(kind, folder)?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn actuate(&mut self, kind: ActuationKind, folder: &Path) -> Result<(), Broken> {
+        let (stem, action, what) = match kind {
+            ActuationKind::Reference => ("reference", "referencing", "Reference the capsule."),
+            ActuationKind::Fold => ("fold", "folding", "Fold the capsule."),
+            _ => ("unfold", "unfolding", "Unfold the capsule."),
+        };
+        self.desk.say(what);
+        let recording = Recording {
+            folder: folder.to_owned(),
+            stem: stem.to_owned(),
+            now: self.desk.now(),
+            note: None,
+            telemetry_ms: self.folder.campaign().plan.telemetry_ms,
+        };
+        let Some(capsule) = &mut self.machines.capsule else {
+            return Err(no_capsule());
+        };
+        let mut observer = self.desk.observer();
+        let trial = experiment::actuate(capsule, kind, &recording, &mut *observer)?;
+        if trial.trial.status != Status::Complete {
+            return Err(Broken::Ended {
+                action,
+                status: trial.trial.status,
+                reason: trial.trial.error,
+            });
+        }
+        Ok(())
+    }
+
+    fn capsule(&mut self) -> Result<&mut Device, Broken> {
+        self.machines.capsule.as_mut().ok_or_else(no_capsule)
+    }
+
+    /// What the records of the run do not say: under which conditions, with which machines, and how they were set.
+    fn write_conditions(
+        &self,
+        planned: &Planned,
+        attempt: u32,
+        began: &Row,
+        folder: &Path,
+    ) -> Result<(), Broken> {
+        let campaign = self.folder.campaign();
+        let homed = self.machines.homed.as_ref().map(|(when, homed)| {
+            json!({
+                "time_utc": when,
+                "repeat_steps": homed.repeat_steps,
+                "shift_steps": homed.shift_steps,
+            })
+        });
+        let conditions = json!({
+            "format": 1,
+            "origin": self.machines.origin,
+            "campaign": campaign.plan.name,
+            "planned": planned,
+            "attempt": attempt,
+            "readings_set": began.readings_set,
+            "indentation_mm": began.indentation_mm,
+            "camera_file": began.camera_file,
+            "metadata": campaign.plan.metadata,
+            "homing": homed,
+            "machines": self.machines.known,
+        });
+        let path = folder.join("conditions.json");
+        json_text(&conditions)
+            .and_then(|bytes| replace(&path, &bytes))
+            .map_err(|io| RecordError::write(&path, io).into())
+    }
+}
+
+fn no_capsule() -> Broken {
+    Broken::NotReady {
+        why: "the fold test needs the capsule".to_owned(),
+        help: "`--capsule WHERE`, then again".to_owned(),
+    }
+}
+
+/// When each stroke began, by the rig's clock: at these instants the sync pulses go to the camera.
+fn write_pulses(
+    folder: &Path,
+    events: &[protocol::system::Event],
+    origin: Origin,
+) -> Result<(), RecordError> {
+    let path = folder.join("sync.csv");
+    let mut text = String::from("stroke,time_us,origin\n");
+    // The strokes of a campaign follow each other without a pause.
+    let mut begins = events
+        .iter()
+        .filter(|event| {
+            matches!(
+                event.what,
+                What::Rig(RigEvent::RunStarted { .. } | RigEvent::StrokeDone { .. })
+            )
+        })
+        .map(|event| event.time_us)
+        .collect::<Vec<_>>();
+    let ended = events.iter().any(|event| {
+        matches!(event.what, What::Rig(RigEvent::RunEnded { outcome, .. }) if Status::from(outcome) == Status::Complete)
+    });
+    if ended {
+        // No stroke begins when the last one ends.
+        begins.pop();
+    }
+    for (stroke, time_us) in begins.iter().enumerate() {
+        text.push_str(&format!("{stroke},{time_us},{origin}\n"));
+    }
+    replace(&path, text.as_bytes()).map_err(|io| RecordError::write(&path, io))
+}

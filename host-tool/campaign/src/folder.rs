@@ -1,0 +1,581 @@
+//! The folder of a campaign: created whole, read by anybody, written by one process at a time.
+//!
+//! `trials.csv` and `readings.csv` are only ever added to, and each row is on the disk before anything depends on it. After each
+//! change `SHA256SUMS` is replaced. What a crash leaves is told by [`Folder::resume`] and taken up, if it can be nothing else.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use client::identity::Origin;
+use client::limited;
+use jiff::Timestamp;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use trials::trial::{Status, Trial};
+use trials::writer::replace;
+
+use crate::CampaignError;
+use crate::ledger::{Attempt, Event, Outcome, Row, State};
+use crate::manifest::{self, Manifest, PART};
+use crate::order::{Planned, order};
+use crate::plan::{Millimetres, Plan};
+use crate::readings::{ReadingRow, Readings};
+use crate::verify::{self, Differences};
+
+/// The plan, as it was given.
+pub const PLAN: &str = "plan.toml";
+/// The trials in their order.
+pub const ORDER: &str = "order.csv";
+/// The ledger.
+pub const TRIALS: &str = "trials.csv";
+/// The caliper's readings.
+pub const READINGS: &str = "readings.csv";
+/// Whoever writes holds its lock. It is empty, and not in the manifest.
+pub const LOCK: &str = ".lock";
+/// A folder for each attempt at a trial.
+pub const ATTEMPTS: &str = "trials";
+
+const TRIALS_HEADER: &str = "row,time_utc,event,trial,attempt,outcome,displacement_mm,source,readings_set,indentation_mm,camera_file,text,origin\n";
+const READINGS_HEADER: &str =
+    "row,time_utc,readings_set,quantity,indentation,event,reading,value_mm,text,origin\n";
+
+/// All that is known of a campaign.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Campaign {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// What is to be done.
+    pub plan: Plan,
+    /// In which order.
+    pub order: Vec<Planned>,
+    /// What happened, row by row.
+    pub rows: Vec<Row>,
+    /// What that amounts to.
+    pub state: State,
+    /// What the caliper said, row by row.
+    pub reading_rows: Vec<ReadingRow>,
+    /// What that amounts to.
+    pub readings: Readings,
+}
+
+impl Campaign {
+    /// Reads a folder and changes nothing. A last line that is not whole, because it is being written or a crash has cut it,
+    /// is left out.
+    ///
+    /// # Errors
+    /// The first file that cannot be read or contradicts the others. Hashes are not compared: [`verify::verify`] does that.
+    pub fn read(folder: &Path) -> Result<Self, CampaignError> {
+        let path = folder.join(PLAN);
+        let text =
+            limited::read_text(&path, limited::BY_HAND).map_err(|io| not_a_campaign(&path, io))?;
+        let plan = Plan::parse(&text, &path)?;
+        let order = order(&plan);
+        let path = folder.join(ORDER);
+        let found =
+            limited::read_text(&path, limited::RECORD).map_err(|io| not_a_campaign(&path, io))?;
+        if found != order_text(&order) {
+            let why = "it is not the order that the plan and its seed give";
+            return Err(CampaignError::new(&path, why, RESTORE));
+        }
+        let path = folder.join(TRIALS);
+        let rows: Vec<Row> = rows(&path, TRIALS_HEADER)?;
+        let state = State::replay(&order, &rows)
+            .map_err(|error| CampaignError::new(&path, error, RESTORE))?;
+        let path = folder.join(READINGS);
+        let reading_rows: Vec<ReadingRow> = self::rows(&path, READINGS_HEADER)?;
+        let readings = Readings::replay(&reading_rows)
+            .map_err(|error| CampaignError::new(&path, error, RESTORE))?;
+        if let (Some(one), Some(other)) = (state.sequence.origin(), readings.sequence.origin())
+            && one != other
+        {
+            let why = format!("its origin is {other}, that of {TRIALS} is {one}");
+            return Err(CampaignError::new(&path, why, RESTORE));
+        }
+        Ok(Self {
+            folder: folder.to_owned(),
+            plan,
+            order,
+            rows,
+            state,
+            reading_rows,
+            readings,
+        })
+    }
+
+    /// The folder of an attempt.
+    #[must_use]
+    pub fn attempt_folder(&self, trial: u32, attempt: u32) -> PathBuf {
+        self.folder
+            .join(ATTEMPTS)
+            .join(Attempt::folder(trial, attempt))
+    }
+
+    /// The sidecar of an attempt's run or pass; none if it was not begun.
+    #[must_use]
+    pub fn run_sidecar(&self, trial: u32, attempt: u32) -> Option<PathBuf> {
+        run_sidecar(&self.attempt_folder(trial, attempt))
+    }
+
+    /// Why this cannot be the net displacement of a trial whose displacements after strokes are all there; none if it can.
+    #[must_use]
+    pub fn disagreement(&self, trial: u32, net: Millimetres) -> Option<String> {
+        let state = self.state.trial(trial)?;
+        let count = (self.plan).strokes_of(state.planned.purpose, state.planned.shape)?;
+        let last = *state.attempt()?.all_strokes(count)?.last()?;
+        let within = self.plan.displacement.agreement();
+        ((net.um - last.um).abs() > within.um).then(|| {
+            format!(
+                "{net} mm: after the last stroke it was {last} mm, and the two may differ by {within} mm: enter it again, or `undo` takes the last stroke back"
+            )
+        })
+    }
+
+    /// Where its data come from; none before there are any.
+    #[must_use]
+    pub fn origin(&self) -> Option<Origin> {
+        (self.state.sequence.origin()).or(self.readings.sequence.origin())
+    }
+}
+
+/// The sidecar of the run or the pass in the folder of an attempt.
+fn run_sidecar(folder: &Path) -> Option<PathBuf> {
+    let mut found: Vec<_> = fs::read_dir(folder)
+        .ok()?
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            let is_motion = name.starts_with("run-") || name.starts_with("pass-");
+            is_motion && name.ends_with(".json")
+        })
+        .collect();
+    found.sort();
+    found.pop()
+}
+
+/// What to do about a file that was changed by something else than this program.
+pub(crate) const RESTORE: &str =
+    "restore the folder from a copy; `retrograde verify` names every file that was changed";
+
+fn not_a_campaign(path: &Path, why: impl ToString) -> CampaignError {
+    CampaignError::misuse(
+        path,
+        why,
+        "give the folder of a campaign, which `retrograde campaign new PLAN.toml` makes",
+    )
+}
+
+/// The text of `order.csv`.
+#[must_use]
+pub fn order_text(order: &[Planned]) -> String {
+    let mut csv = csv::Writer::from_writer(vec![]);
+    for planned in order {
+        csv.serialize(planned).expect("numbers and names");
+    }
+    let bytes = csv.into_inner().expect("memory");
+    String::from_utf8(bytes).expect("ASCII")
+}
+
+/// A row as a line.
+fn line(row: &impl Serialize) -> Vec<u8> {
+    let mut csv = csv::WriterBuilder::new()
+        .has_headers(false)
+        .from_writer(vec![]);
+    csv.serialize(row).expect("numbers and text");
+    csv.into_inner().expect("memory")
+}
+
+/// The whole lines of a file that grows, without its header.
+fn rows<T: DeserializeOwned>(path: &Path, header: &str) -> Result<Vec<T>, CampaignError> {
+    let text = limited::read_text(path, limited::RECORD).map_err(|io| not_a_campaign(path, io))?;
+    parse_rows(&text, header).map_err(|why| CampaignError::new(path, why, RESTORE))
+}
+
+fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Result<Vec<T>, String> {
+    let Some(body) = text.strip_prefix(header) else {
+        return Err("its first line is not that of this format".to_owned());
+    };
+    let whole = body.rfind('\n').map_or(0, |end| end + 1);
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .from_reader(&body.as_bytes()[..whole]);
+    let names = csv::StringRecord::from(header.trim_end().split(',').collect::<Vec<_>>());
+    let mut rows = vec![];
+    for (number, record) in (1..).zip(reader.records()) {
+        let row = record
+            .and_then(|record| record.deserialize(Some(&names)))
+            .map_err(|error| format!("row {number}: {error}"))?;
+        rows.push(row);
+    }
+    Ok(rows)
+}
+
+/// A file that grows by lines, and the hash of what it has.
+struct Growing {
+    path: PathBuf,
+    file: File,
+    hash: hmac_sha256::Hash,
+}
+
+impl Growing {
+    /// Opens it behind its last line.
+    fn open(path: PathBuf) -> Result<Self, CampaignError> {
+        let failed = |io| CampaignError::write(&path, io);
+        let mut file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .open(&path)
+            .map_err(failed)?;
+        let mut hash = hmac_sha256::Hash::new();
+        let mut piece = vec![0; 65_536];
+        loop {
+            let count = file.read(&mut piece).map_err(failed)?;
+            if count == 0 {
+                break;
+            }
+            hash.update(&piece[..count]);
+        }
+        Ok(Self { path, file, hash })
+    }
+
+    /// Adds a line; it is on the disk when this returns. If it cannot be written, nothing of it stays.
+    fn append(&mut self, line: &[u8]) -> Result<(), CampaignError> {
+        let written = (|| {
+            let end = self.file.seek(SeekFrom::End(0))?;
+            let added = self
+                .file
+                .write_all(line)
+                .and_then(|()| self.file.sync_data());
+            if added.is_err() {
+                // A part of a line would be taken for a crash, and cut off then: this only tries to be tidy.
+                let _ = self.file.set_len(end);
+            }
+            added
+        })();
+        written.map_err(|io| CampaignError::write(&self.path, io))?;
+        self.hash.update(line);
+        Ok(())
+    }
+
+    fn hash(&self) -> manifest::Hash {
+        self.hash.finalize()
+    }
+}
+
+/// A campaign that this process writes.
+pub struct Folder {
+    /// The system releases it when the process ends, however it ends.
+    _lock: File,
+    campaign: Campaign,
+    trials: Growing,
+    readings: Growing,
+    manifest: Manifest,
+}
+
+impl Folder {
+    /// Makes the folder of a new campaign; there must be nothing at its path. It appears as a whole or not at all.
+    ///
+    /// # Errors
+    /// The plan cannot be carried out, or something cannot be written.
+    pub fn create(folder: &Path, plan_text: &str, plan_path: &Path) -> Result<Self, CampaignError> {
+        let plan = Plan::parse(plan_text, plan_path)?;
+        if folder.exists() {
+            let remedy = format!(
+                "`retrograde campaign resume {}` goes on with it; `--out DIR` names another folder",
+                folder.display()
+            );
+            return Err(CampaignError::misuse(folder, "it exists already", remedy));
+        }
+        let name = folder.file_name().ok_or_else(|| {
+            CampaignError::new(folder, "it has no name", "name a new folder: `--out DIR`")
+        })?;
+        let mut part = name.to_owned();
+        part.push(PART);
+        let part = folder.with_file_name(part);
+        let made = (|| {
+            if part.exists() {
+                // Of a process that was killed while it made it.
+                fs::remove_dir_all(&part)?;
+            }
+            fs::create_dir_all(part.join(ATTEMPTS))?;
+            for (name, text) in [
+                (PLAN, plan_text),
+                (ORDER, &order_text(&order(&plan))),
+                (TRIALS, TRIALS_HEADER),
+                (READINGS, READINGS_HEADER),
+            ] {
+                let mut file = File::create_new(part.join(name))?;
+                file.write_all(text.as_bytes())?;
+                file.sync_all()?;
+            }
+            let manifest = manifest::of_folder(&part)?;
+            replace(&part.join(manifest::NAME), manifest.text().as_bytes())?;
+            fs::rename(&part, folder)
+        })();
+        made.map_err(|io: std::io::Error| {
+            CampaignError::new(
+                folder,
+                io,
+                "choose a folder that can be written, with free space: `--out DIR`",
+            )
+        })?;
+        Self::open(folder, lock(folder)?)
+    }
+
+    /// Opens a folder that is as its manifest says, for writing.
+    fn open(folder: &Path, lock: File) -> Result<Self, CampaignError> {
+        let path = folder.join(manifest::NAME);
+        let manifest = verify::manifest(folder)?
+            .ok_or_else(|| CampaignError::new(&path, "it is missing", RESTORE))?;
+        Ok(Self {
+            _lock: lock,
+            campaign: Campaign::read(folder)?,
+            trials: Growing::open(folder.join(TRIALS))?,
+            readings: Growing::open(folder.join(READINGS))?,
+            manifest,
+        })
+    }
+
+    /// Opens the folder of a campaign that was begun, and takes up what a crash has left. Also returns what that was, for the
+    /// operator.
+    ///
+    /// # Errors
+    /// Something else than a crash has changed it, or another process is writing it. Then nothing has changed.
+    pub fn resume(folder: &Path, now: Timestamp) -> Result<(Self, Vec<String>), CampaignError> {
+        if !folder.join(TRIALS).is_file() {
+            return Err(not_a_campaign(folder, "there is no campaign in it"));
+        }
+        let lock = lock(folder)?;
+        let manifest = verify::manifest(folder)?.ok_or_else(|| {
+            CampaignError::new(&folder.join(manifest::NAME), "it is missing", RESTORE)
+        })?;
+        let campaign = Campaign::read(folder)?;
+        let read = |io| CampaignError::new(folder, io, RESTORE);
+        let differences = Differences::between(folder, &manifest).map_err(read)?;
+        let left = differences.left_by_a_crash(&campaign)?;
+        let mut told = vec![];
+        for cut in &left.torn {
+            told.push(cut_off(&folder.join(cut))?);
+        }
+        for part in &left.parts {
+            let path = folder.join(part);
+            fs::remove_file(&path).map_err(|io| CampaignError::write(&path, io))?;
+            told.push(format!("{part}: removed; it was not yet whole"));
+        }
+        for (file, lines) in &left.grown {
+            told.push(format!(
+                "{file}: {lines} whole lines more than {} knew; taken up",
+                manifest::NAME
+            ));
+        }
+        for attempt in &left.attempts {
+            told.push(format!(
+                "{ATTEMPTS}/{attempt}: its files were not in {} yet; taken up",
+                manifest::NAME
+            ));
+        }
+        let mut this = Self::open(folder, lock)?;
+        this.end_lost_attempts(now, &mut told)?;
+        this.seal_all()?;
+        Ok((this, told))
+    }
+
+    /// An attempt that was going on when the tool ended is lost, unless its record says that it was completed.
+    fn end_lost_attempts(
+        &mut self,
+        now: Timestamp,
+        told: &mut Vec<String>,
+    ) -> Result<(), CampaignError> {
+        let Some(origin) = self.campaign.state.sequence.origin() else {
+            return Ok(());
+        };
+        let open: Vec<(u32, u32)> = self
+            .campaign
+            .state
+            .trials
+            .iter()
+            .filter_map(|trial| {
+                let last = trial.attempts.last()?;
+                last.outcome
+                    .is_none()
+                    .then_some((trial.planned.trial, last.number))
+            })
+            .collect();
+        for (trial, attempt) in open {
+            let sidecar = self.campaign.run_sidecar(trial, attempt);
+            let record = sidecar.and_then(|path| Trial::read(&path).ok());
+            let folder = Attempt::folder(trial, attempt);
+            let mut row = Row::of(Event::Ended, trial, Some(attempt));
+            let (outcome, text) = match record.map(|record| record.status) {
+                Some(Status::Complete) => (
+                    Outcome::Complete,
+                    "the tool ended after the motion; its record says that it was completed",
+                ),
+                _ => (Outcome::Lost, "the tool ended within it"),
+            };
+            row.outcome = Some(outcome);
+            told.push(format!("{folder}: {text}: {}", outcome.name()));
+            row = row.saying(Some(text.to_owned()));
+            self.append(row, now, origin)?;
+        }
+        Ok(())
+    }
+
+    /// All that is known.
+    #[must_use]
+    pub fn campaign(&self) -> &Campaign {
+        &self.campaign
+    }
+
+    /// Adds a row to the ledger. It is on the disk when this returns.
+    ///
+    /// # Errors
+    /// It contradicts the rows before it, or cannot be written; then the ledger is as before.
+    pub fn append(
+        &mut self,
+        mut row: Row,
+        now: Timestamp,
+        origin: Origin,
+    ) -> Result<(), CampaignError> {
+        row.row = self.campaign.state.sequence.next_row();
+        row.time_utc = now;
+        row.origin = origin;
+        self.is_of(origin)?;
+        row.text = row.text.as_deref().map(in_a_line);
+        row.camera_file = row.camera_file.as_deref().map(in_a_line);
+        let mut state = self.campaign.state.clone();
+        state.apply(&row).map_err(|error| {
+            CampaignError::misuse(
+                &self.trials.path,
+                error,
+                "`retrograde campaign status` shows how each trial stands",
+            )
+        })?;
+        self.trials.append(&line(&row))?;
+        self.campaign.state = state;
+        self.campaign.rows.push(row);
+        self.seal()
+    }
+
+    /// Adds a row to the readings. It is on the disk when this returns.
+    ///
+    /// # Errors
+    /// As [`Folder::append`].
+    pub fn append_reading(
+        &mut self,
+        mut row: ReadingRow,
+        now: Timestamp,
+        origin: Origin,
+    ) -> Result<(), CampaignError> {
+        row.row = self.campaign.readings.sequence.next_row();
+        row.time_utc = now;
+        row.origin = origin;
+        self.is_of(origin)?;
+        row.text = row.text.as_deref().map(in_a_line);
+        let mut readings = self.campaign.readings.clone();
+        readings
+            .apply(&row)
+            .map_err(|error| CampaignError::new(&self.readings.path, error, RESTORE))?;
+        self.readings.append(&line(&row))?;
+        self.campaign.readings = readings;
+        self.campaign.reading_rows.push(row);
+        self.seal()
+    }
+
+    /// Refuses rows of another origin than those before them.
+    fn is_of(&self, origin: Origin) -> Result<(), CampaignError> {
+        match self.campaign.origin() {
+            Some(has) if has != origin => Err(CampaignError::misuse(
+                &self.campaign.folder,
+                format!("it was begun with a machine of origin {has}, and this one is {origin}"),
+                "a campaign is measured or simulated, never both: begin another one with `retrograde campaign new`",
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// Adds the files of an attempt to the manifest.
+    ///
+    /// # Errors
+    /// They cannot be read, or the manifest cannot be written.
+    pub fn seal_attempt(&mut self, trial: u32, attempt: u32) -> Result<(), CampaignError> {
+        let path = self.campaign.attempt_folder(trial, attempt);
+        let within = format!("{ATTEMPTS}/{}", Attempt::folder(trial, attempt));
+        if path.exists() {
+            let files = manifest::of_folder(&path)
+                .map_err(|io| CampaignError::write(&path, io))?
+                .0;
+            for (file, hash) in files {
+                self.manifest.0.insert(format!("{within}/{file}"), hash);
+            }
+        }
+        self.seal()
+    }
+
+    /// Hashes everything anew.
+    fn seal_all(&mut self) -> Result<(), CampaignError> {
+        self.manifest = manifest::of_folder(&self.campaign.folder)
+            .map_err(|io| CampaignError::write(&self.campaign.folder, io))?;
+        self.seal()
+    }
+
+    /// Replaces the manifest.
+    fn seal(&mut self) -> Result<(), CampaignError> {
+        for growing in [(TRIALS, &self.trials), (READINGS, &self.readings)] {
+            let (name, file) = growing;
+            self.manifest.0.insert(name.to_owned(), file.hash());
+        }
+        let path = self.campaign.folder.join(manifest::NAME);
+        replace(&path, self.manifest.text().as_bytes())
+            .map_err(|io| CampaignError::write(&path, io))
+    }
+}
+
+/// A line of a CSV file that people may read line by line has to be one.
+fn in_a_line(text: &str) -> String {
+    let text: String = text
+        .chars()
+        .map(|char| if char.is_control() { ' ' } else { char })
+        .collect();
+    text.trim().to_owned()
+}
+
+/// One process writes at a time. A file of its own, because some systems let nobody read a file that is locked.
+fn lock(folder: &Path) -> Result<File, CampaignError> {
+    let path = folder.join(LOCK);
+    let file = OpenOptions::new()
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .open(&path)
+        .map_err(|io| CampaignError::write(&path, io))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(fs::TryLockError::WouldBlock) => Err(CampaignError::misuse(
+            folder,
+            "another process is writing this campaign",
+            "end the other `retrograde campaign`, then again; `campaign status` works meanwhile",
+        )),
+        Err(fs::TryLockError::Error(io)) => Err(CampaignError::write(&path, io)),
+    }
+}
+
+/// Cuts off what follows the last whole line.
+fn cut_off(path: &Path) -> Result<String, CampaignError> {
+    let failed = |io| CampaignError::write(path, io);
+    let bytes = limited::read(path, limited::RECORD).map_err(failed)?;
+    let whole = bytes
+        .iter()
+        .rposition(|byte| *byte == b'\n')
+        .map_or(0, |end| end + 1);
+    let file = OpenOptions::new().write(true).open(path).map_err(failed)?;
+    file.set_len(whole as u64)
+        .and_then(|()| file.sync_all())
+        .map_err(failed)?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    Ok(format!(
+        "{name}: its last line was not whole: {} bytes cut off",
+        bytes.len() - whole
+    ))
+}

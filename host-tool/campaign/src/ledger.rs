@@ -1,0 +1,610 @@
+//! The ledger: what happened, a row per event, only ever added to; and the state that it amounts to.
+//!
+//! A trial is done when one of its attempts was completed and has a displacement. Attempts that were refused, stopped, lost or
+//! given up stay listed and never count. Replaying the rows finds every gap, repetition and contradiction.
+
+use std::collections::BTreeMap;
+
+use client::identity::Origin;
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use trials::trial::Status;
+
+use crate::order::{Condition, Planned};
+use crate::plan::Millimetres;
+
+/// What a row tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Event {
+    /// An attempt at a trial begins; nothing has moved yet.
+    Began,
+    /// It ended, as `outcome` says.
+    Ended,
+    /// The displacement of the tail was entered. A later one of the same attempt corrects it.
+    Displacement,
+    /// The displacement after the next stroke of the run was entered, before the net one: the first of them is after stroke 1.
+    Stroke,
+    /// The displacements after strokes are left out for this attempt.
+    StrokesLeftOut,
+    /// What was entered last was taken back: the displacement, else the one after a stroke, or that they are left out.
+    Undone,
+    /// The attempt is given up, and the trial is done again.
+    Repeated,
+    /// The trial is left out.
+    Skipped,
+    /// The trial was done, and is left out of the evaluation.
+    Excluded,
+    /// The trial is no longer skipped or excluded.
+    Included,
+    /// A remark.
+    Note,
+}
+
+/// How an attempt ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// As planned.
+    Complete,
+    /// The machine did not do it.
+    Refused,
+    /// The operator stopped it.
+    Stopped,
+    /// The machine stopped by itself, because it did not hear from the tool.
+    LinkLost,
+    /// A fault ended it.
+    Faulted,
+    /// The tool ended within it, or lost the machine.
+    Lost,
+}
+
+impl Outcome {
+    /// As in the ledger.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Complete => "complete",
+            Self::Refused => "refused",
+            Self::Stopped => "stopped",
+            Self::LinkLost => "link_lost",
+            Self::Faulted => "faulted",
+            Self::Lost => "lost",
+        }
+    }
+}
+
+impl From<Status> for Outcome {
+    fn from(status: Status) -> Self {
+        match status {
+            Status::Complete => Self::Complete,
+            Status::Stopped => Self::Stopped,
+            Status::LinkLost => Self::LinkLost,
+            Status::Faulted => Self::Faulted,
+            Status::Running | Status::Unknown => Self::Lost,
+        }
+    }
+}
+
+/// Where a displacement comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Source {
+    /// A person measured it.
+    Measured,
+    /// A model calculated it.
+    Model,
+    /// A model calculated it, and the plan's scatter was added.
+    ModelWithScatter,
+}
+
+/// A row of `trials.csv`. Columns that say nothing about an event are empty.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// From 1, without gaps.
+    pub row: u32,
+    /// When, by the clock of the computer.
+    pub time_utc: Timestamp,
+    /// What.
+    pub event: Event,
+    /// The trial; empty for a note on the whole campaign.
+    pub trial: Option<u32>,
+    /// The attempt at it, from 1.
+    pub attempt: Option<u32>,
+    /// With `ended`: how.
+    pub outcome: Option<Outcome>,
+    /// With `displacement` and `stroke`: of the tail since the beginning, + headward.
+    pub displacement_mm: Option<Millimetres>,
+    /// With `displacement` and `stroke`: where it comes from.
+    pub source: Option<Source>,
+    /// With `began`: the set of readings in `readings.csv` that tells the indentation.
+    pub readings_set: Option<u32>,
+    /// With `began`: a_n by Eq. 8, from these readings.
+    pub indentation_mm: Option<Millimetres>,
+    /// With `began`: the camera's file.
+    pub camera_file: Option<String>,
+    /// A reason, a remark.
+    pub text: Option<String>,
+    /// Where all this comes from.
+    pub origin: Origin,
+}
+
+impl Row {
+    /// A row about a trial; the ledger numbers it.
+    #[must_use]
+    pub fn of(event: Event, trial: u32, attempt: Option<u32>) -> Self {
+        Self {
+            row: 0,
+            time_utc: Timestamp::UNIX_EPOCH,
+            event,
+            trial: Some(trial),
+            attempt,
+            outcome: None,
+            displacement_mm: None,
+            source: None,
+            readings_set: None,
+            indentation_mm: None,
+            camera_file: None,
+            text: None,
+            origin: Origin::Unknown,
+        }
+    }
+
+    /// With a reason or remark.
+    #[must_use]
+    pub fn saying(mut self, text: Option<String>) -> Self {
+        self.text = text.filter(|text| !text.is_empty());
+        self
+    }
+}
+
+/// Why a ledger contradicts itself.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("row {row}: {why}")]
+pub struct Contradiction {
+    /// Its number in the file, from 1.
+    pub row: u32,
+    /// What is wrong.
+    pub why: String,
+}
+
+/// A displacement, as last entered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Displacement {
+    /// Of the tail, + headward.
+    pub value: Millimetres,
+    /// Where it comes from.
+    pub source: Source,
+    /// How often it was entered: more than once if it was corrected.
+    pub entered: u32,
+}
+
+/// An attempt at a trial.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attempt {
+    /// From 1.
+    pub number: u32,
+    /// When it began.
+    pub began: Timestamp,
+    /// When it ended.
+    pub ended: Option<Timestamp>,
+    /// How it ended; none while it goes on.
+    pub outcome: Option<Outcome>,
+    /// Why it did not end as planned.
+    pub reason: Option<String>,
+    /// What was measured.
+    pub displacement: Option<Displacement>,
+    /// Of the tail since the beginning, after each stroke so far.
+    pub strokes: Vec<Millimetres>,
+    /// They are left out.
+    pub strokes_left_out: bool,
+    /// How often a displacement was entered, taken back or not.
+    pub entries: u32,
+    /// The operator gave it up, for this reason.
+    pub given_up: Option<String>,
+    /// The set of readings that its indentation comes from.
+    pub readings_set: Option<u32>,
+    /// Its indentation a_n.
+    pub indentation_mm: Option<Millimetres>,
+    /// The camera's file.
+    pub camera_file: Option<String>,
+}
+
+impl Attempt {
+    /// It was completed, and is not given up.
+    #[must_use]
+    pub fn stands(&self) -> bool {
+        self.outcome == Some(Outcome::Complete) && self.given_up.is_none()
+    }
+
+    /// The displacements after all strokes of a run that has so many; none if they are left out or not whole.
+    #[must_use]
+    pub fn all_strokes(&self, count: usize) -> Option<&[Millimetres]> {
+        (!self.strokes_left_out && self.strokes.len() == count).then_some(&*self.strokes)
+    }
+
+    /// Name of its folder.
+    #[must_use]
+    pub fn folder(trial: u32, attempt: u32) -> String {
+        format!("{trial:03}-{attempt}")
+    }
+}
+
+/// What has become of a trial.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// To be done.
+    Open,
+    /// An attempt has begun and not ended.
+    UnderWay,
+    /// Run, and the displacement is missing.
+    Unmeasured,
+    /// Counts.
+    Done,
+    /// Done, and left out of the evaluation.
+    Excluded,
+    /// Left out.
+    Skipped,
+}
+
+/// A trial with all that happened to it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrialState {
+    /// As planned.
+    pub planned: Planned,
+    /// All attempts, also those that do not count.
+    pub attempts: Vec<Attempt>,
+    /// It is skipped, for this reason.
+    pub skipped: Option<String>,
+    /// It is excluded, for this reason.
+    pub excluded: Option<String>,
+    /// Remarks.
+    pub notes: Vec<String>,
+}
+
+impl TrialState {
+    /// The attempt that stands, if one does.
+    #[must_use]
+    pub fn attempt(&self) -> Option<&Attempt> {
+        self.attempts.last().filter(|attempt| attempt.stands())
+    }
+
+    /// What has become of it.
+    #[must_use]
+    pub fn standing(&self) -> Standing {
+        if self.skipped.is_some() {
+            return Standing::Skipped;
+        }
+        match self.attempts.last() {
+            Some(last) if last.outcome.is_none() => Standing::UnderWay,
+            Some(last) if last.stands() => match (last.displacement, &self.excluded) {
+                (_, Some(_)) => Standing::Excluded,
+                (None, None) => Standing::Unmeasured,
+                (Some(_), None) => Standing::Done,
+            },
+            _ => Standing::Open,
+        }
+    }
+
+    /// The displacement, if it counts.
+    #[must_use]
+    pub fn counted(&self) -> Option<Displacement> {
+        (self.standing() == Standing::Done)
+            .then(|| self.attempt()?.displacement)
+            .flatten()
+    }
+}
+
+/// How far a condition has come.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tally {
+    /// The condition.
+    pub condition: Condition,
+    /// Trials that the plan has.
+    pub planned: u32,
+    /// Trials that count: n.
+    pub counted: Vec<(u32, Displacement)>,
+    /// Trials that were excluded.
+    pub excluded: u32,
+    /// Trials that were skipped.
+    pub skipped: u32,
+}
+
+/// What `trials.csv` and `readings.csv` have in common: rows that are numbered from 1 without gaps, all of one origin.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sequence {
+    rows: u32,
+    origin: Option<Origin>,
+}
+
+impl Sequence {
+    /// The number of the next row.
+    #[must_use]
+    pub fn next_row(&self) -> u32 {
+        self.rows + 1
+    }
+
+    /// Of all rows; none before the first one.
+    #[must_use]
+    pub fn origin(&self) -> Option<Origin> {
+        self.origin
+    }
+
+    /// Whether a row of this number and origin can be the next one, or why not.
+    pub(crate) fn check(&self, row: u32, origin: Origin) -> Result<(), String> {
+        if row != self.next_row() {
+            return Err(format!("it is numbered {row}"));
+        }
+        match self.origin {
+            Some(before) if before != origin => Err(format!(
+                "its origin is {origin}, that of the rows before it {before}"
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// The next row is there.
+    pub(crate) fn take(&mut self, origin: Origin) {
+        self.rows += 1;
+        self.origin = Some(origin);
+    }
+}
+
+/// What a ledger amounts to.
+#[derive(Clone, Debug, PartialEq)]
+pub struct State {
+    /// All trials in their order.
+    pub trials: Vec<TrialState>,
+    /// Remarks on the whole.
+    pub notes: Vec<String>,
+    /// Numbers and origin of the rows.
+    pub sequence: Sequence,
+}
+
+impl State {
+    /// Before the first row.
+    #[must_use]
+    pub fn new(order: &[Planned]) -> Self {
+        let trial = |planned: &Planned| TrialState {
+            planned: planned.clone(),
+            attempts: vec![],
+            skipped: None,
+            excluded: None,
+            notes: vec![],
+        };
+        Self {
+            trials: order.iter().map(trial).collect(),
+            notes: vec![],
+            sequence: Sequence::default(),
+        }
+    }
+
+    /// After all these rows.
+    ///
+    /// # Errors
+    /// The first row that cannot come after those before it.
+    pub fn replay(order: &[Planned], rows: &[Row]) -> Result<Self, Contradiction> {
+        let mut state = Self::new(order);
+        for row in rows {
+            state.apply(row)?;
+        }
+        Ok(state)
+    }
+
+    /// Takes one more row.
+    ///
+    /// # Errors
+    /// It cannot come now; nothing has changed.
+    pub fn apply(&mut self, row: &Row) -> Result<(), Contradiction> {
+        let number = self.sequence.next_row();
+        let wrong = |why: String| Contradiction { row: number, why };
+        self.sequence.check(row.row, row.origin).map_err(wrong)?;
+        match row.trial {
+            None if row.event == Event::Note => {
+                self.notes.push(row.text.clone().unwrap_or_default());
+            }
+            None => return Err(wrong("it names no trial".to_owned())),
+            Some(trial) => {
+                let Some(state) = (trial as usize)
+                    .checked_sub(1)
+                    .and_then(|index| self.trials.get_mut(index))
+                else {
+                    return Err(wrong(format!("there is no trial {trial}")));
+                };
+                state.apply(row).map_err(wrong)?;
+            }
+        }
+        self.sequence.take(row.origin);
+        Ok(())
+    }
+
+    /// What is to be done next: an attempt whose displacement is missing, before any new one.
+    #[must_use]
+    pub fn next(&self) -> Option<&TrialState> {
+        let with = |wanted: Standing| {
+            self.trials
+                .iter()
+                .find(move |trial| trial.standing() == wanted)
+        };
+        with(Standing::UnderWay)
+            .or_else(|| with(Standing::Unmeasured))
+            .or_else(|| with(Standing::Open))
+    }
+
+    /// A trial by its number.
+    #[must_use]
+    pub fn trial(&self, number: u32) -> Option<&TrialState> {
+        self.trials.get((number as usize).checked_sub(1)?)
+    }
+
+    /// The trial whose displacement was entered last, of those that still have one.
+    #[must_use]
+    pub fn last_measured(&self, rows: &[Row]) -> Option<(u32, u32)> {
+        rows.iter().rev().find_map(|row| {
+            let (trial, attempt) = (row.trial?, row.attempt?);
+            let last = self.trial(trial)?.attempt()?;
+            (row.event == Event::Displacement
+                && last.number == attempt
+                && last.displacement.is_some())
+            .then_some((trial, attempt))
+        })
+    }
+
+    /// All conditions in the order of purpose, lubrication and shape; indentations as they come in the plan.
+    #[must_use]
+    pub fn tallies(&self, rank: impl Fn(&str) -> usize) -> Vec<Tally> {
+        let mut tallies = BTreeMap::new();
+        for trial in &self.trials {
+            let condition = trial.planned.condition();
+            let key = (
+                condition.purpose,
+                condition.lubrication,
+                rank(&condition.indentation),
+                condition.shape,
+            );
+            let tally = tallies.entry(key).or_insert_with(|| Tally {
+                condition,
+                planned: 0,
+                counted: vec![],
+                excluded: 0,
+                skipped: 0,
+            });
+            tally.planned += 1;
+            match trial.standing() {
+                Standing::Excluded => tally.excluded += 1,
+                Standing::Skipped => tally.skipped += 1,
+                _ => tally
+                    .counted
+                    .extend(trial.counted().map(|mm| (trial.planned.trial, mm))),
+            }
+        }
+        tallies.into_values().collect()
+    }
+}
+
+impl TrialState {
+    fn apply(&mut self, row: &Row) -> Result<(), String> {
+        let number = self.planned.trial;
+        match row.event {
+            Event::Began => return self.begin(row),
+            Event::Note => {
+                self.notes.push(row.text.clone().unwrap_or_default());
+                return Ok(());
+            }
+            Event::Skipped => {
+                return match self.standing() {
+                    Standing::Open | Standing::Unmeasured => {
+                        self.skipped = Some(row.text.clone().unwrap_or_default());
+                        Ok(())
+                    }
+                    standing => Err(format!("trial {number} is {standing:?}, not to be skipped")),
+                };
+            }
+            Event::Included => {
+                let was = self.skipped.take().or(self.excluded.take());
+                return match was {
+                    Some(_) => Ok(()),
+                    None => Err(format!("trial {number} is neither skipped nor excluded")),
+                };
+            }
+            Event::Ended
+            | Event::Displacement
+            | Event::Stroke
+            | Event::StrokesLeftOut
+            | Event::Undone
+            | Event::Repeated
+            | Event::Excluded => {}
+        }
+        let standing = self.standing();
+        let attempts = self.attempts.len();
+        let Some(last) = self.attempts.last_mut() else {
+            return Err(format!("trial {number} has no attempt"));
+        };
+        if row.attempt != Some(last.number) {
+            return Err(format!("trial {number} is at attempt {attempts}"));
+        }
+        match (row.event, standing) {
+            (Event::Ended, Standing::UnderWay) => {
+                let Some(outcome) = row.outcome else {
+                    return Err("an end without an outcome".to_owned());
+                };
+                last.outcome = Some(outcome);
+                last.ended = Some(row.time_utc);
+                last.reason = row.text.clone();
+            }
+            (Event::Displacement, Standing::Unmeasured | Standing::Done | Standing::Excluded) => {
+                let (Some(value), Some(source)) = (row.displacement_mm, row.source) else {
+                    return Err("a displacement without a value or a source".to_owned());
+                };
+                last.entries += 1;
+                last.displacement = Some(Displacement {
+                    value,
+                    source,
+                    entered: last.entries,
+                });
+            }
+            (Event::Stroke, Standing::Unmeasured) if !last.strokes_left_out => {
+                let (Some(value), Some(_)) = (row.displacement_mm, row.source) else {
+                    return Err("a displacement without a value or a source".to_owned());
+                };
+                last.strokes.push(value);
+            }
+            (Event::StrokesLeftOut, Standing::Unmeasured) if !last.strokes_left_out => {
+                last.strokes_left_out = true;
+            }
+            (Event::Undone, Standing::Done) => last.displacement = None,
+            (Event::Undone, Standing::Unmeasured) if last.strokes_left_out => {
+                last.strokes_left_out = false;
+            }
+            (Event::Undone, Standing::Unmeasured) if !last.strokes.is_empty() => {
+                last.strokes.pop();
+            }
+            (Event::Repeated, Standing::Unmeasured | Standing::Done | Standing::Excluded) => {
+                last.given_up = Some(row.text.clone().unwrap_or_default());
+                self.excluded = None;
+            }
+            (Event::Excluded, Standing::Done | Standing::Unmeasured) => {
+                let Some(reason) = row.text.clone() else {
+                    return Err("excluded without a reason".to_owned());
+                };
+                self.excluded = Some(reason);
+            }
+            (event, standing) => {
+                return Err(format!(
+                    "trial {number} is {standing:?}, not to be {event:?}"
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    fn begin(&mut self, row: &Row) -> Result<(), String> {
+        let number = self.planned.trial;
+        let next = self.attempts.len() as u32 + 1;
+        if self.standing() != Standing::Open {
+            return Err(format!(
+                "trial {number} is {:?}, not to be begun",
+                self.standing()
+            ));
+        }
+        if row.attempt != Some(next) {
+            return Err(format!("attempt {next} of trial {number} comes next"));
+        }
+        self.attempts.push(Attempt {
+            number: next,
+            began: row.time_utc,
+            ended: None,
+            outcome: None,
+            reason: None,
+            displacement: None,
+            strokes: vec![],
+            strokes_left_out: false,
+            entries: 0,
+            given_up: None,
+            readings_set: row.readings_set,
+            indentation_mm: row.indentation_mm,
+            camera_file: row.camera_file.clone(),
+        });
+        Ok(())
+    }
+}

@@ -1,0 +1,74 @@
+//! Campaigns: a plan of trials that is carried out over hours or days, and loses nothing to an interruption.
+//!
+//! * [`plan`]: what is to be done, as people write it.
+//! * [`order`]: in which order.
+//! * [`ledger`]: what happened, and the state that it amounts to.
+//! * [`readings`]: what the caliper says.
+//! * [`folder`]: all that on the disk.
+//! * [`manifest`]: the hash of every file.
+//! * [`verify`]: every change of a folder, found.
+//! * [`prompts`]: what is asked, and what may be answered.
+//! * [`conduct`]: carries the trials out.
+//! * [`catalogue`]: campaigns and trials by date, specimen, outcome.
+//! * [`statistics`]: mean, deviation, and a line with its band.
+//! * [`chance`]: chance from a seed.
+//! * [`remaining`]: how much time is left.
+#![forbid(unsafe_code)]
+
+pub mod catalogue;
+pub mod chance;
+pub mod conduct;
+pub mod folder;
+pub mod ledger;
+pub mod manifest;
+pub mod order;
+pub mod plan;
+pub mod prompts;
+pub mod readings;
+pub mod remaining;
+pub mod statistics;
+pub mod verify;
+
+use std::path::{Path, PathBuf};
+
+use miette::Diagnostic;
+
+/// Why a campaign cannot be used.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+#[error("{path}: {why}", path = path.display())]
+#[diagnostic(code(retrograde::campaign), help("{remedy}"))]
+pub struct CampaignError {
+    /// The file or folder.
+    pub path: PathBuf,
+    /// The reason.
+    pub why: String,
+    /// What the user can do.
+    pub remedy: String,
+    /// What was asked for cannot be done; nothing is wrong with a campaign.
+    pub misuse: bool,
+}
+
+impl CampaignError {
+    /// A campaign that is not as it should be.
+    pub fn new(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
+        Self {
+            path: path.to_owned(),
+            why: why.to_string(),
+            remedy: remedy.to_string(),
+            misuse: false,
+        }
+    }
+
+    /// A command that does not fit the campaign.
+    pub fn misuse(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
+        Self {
+            misuse: true,
+            ..Self::new(path, why, remedy)
+        }
+    }
+
+    pub(crate) fn write(path: &Path, why: impl ToString) -> Self {
+        let remedy = "nothing that was entered before is lost: make the folder writable, with free space, and `retrograde campaign resume`";
+        Self::new(path, why, remedy)
+    }
+}

@@ -1,0 +1,135 @@
+//! The order of the trials. What a hand at the rig changes is in blocks: an indentation is set once for all its trials,
+//! and dry comes before lubricated. What is free is shuffled by the plan's seed: the blocks of equal lubrication, and the
+//! trials within a block.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use trials::experiment::Shape;
+
+use crate::chance::Chance;
+use crate::plan::{Lubrication, Plan, Purpose};
+
+/// What is equal in trials that are averaged.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Condition {
+    /// What it is for.
+    pub purpose: Purpose,
+    /// State of the walls.
+    pub lubrication: Lubrication,
+    /// Name of the indentation.
+    pub indentation: String,
+    /// Shape of the body.
+    pub shape: Form,
+}
+
+/// What the body's shape is during a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Form {
+    /// The waves carry it headward.
+    Unfolded,
+    /// The same waves carry it the other way.
+    Folded,
+    /// It is unfolded at first, and folds while the carriage runs.
+    Folding,
+}
+
+impl Form {
+    /// As in ledgers.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Unfolded => Shape::Unfolded.name(),
+            Self::Folded => Shape::Folded.name(),
+            Self::Folding => "folding",
+        }
+    }
+}
+
+/// What is done to the body in a trial, for people: a pass, or a run with a body of this shape.
+#[must_use]
+pub const fn doing(purpose: Purpose, shape: Form) -> &'static str {
+    match purpose {
+        Purpose::Series | Purpose::FoldTest => shape.name(),
+        Purpose::AntegradePass => "antegrade pass",
+        Purpose::ReturningPass => "returning pass",
+    }
+}
+
+impl From<Shape> for Form {
+    fn from(shape: Shape) -> Self {
+        match shape {
+            Shape::Unfolded => Self::Unfolded,
+            Shape::Folded => Self::Folded,
+        }
+    }
+}
+
+/// A row of `order.csv`: a trial that is to be done.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Planned {
+    /// Its number, from 1, in the order of carrying out.
+    pub trial: u32,
+    /// Its block, from 1. The rollers are clamped anew at the beginning of each block.
+    pub block: u32,
+    /// What it is for.
+    pub purpose: Purpose,
+    /// State of the walls.
+    pub lubrication: Lubrication,
+    /// Name of the indentation.
+    pub indentation: String,
+    /// Shape of the body.
+    pub shape: Form,
+    /// Which of the repeats of its condition, from 1.
+    pub repeat: u32,
+}
+
+impl Planned {
+    /// Its condition.
+    #[must_use]
+    pub fn condition(&self) -> Condition {
+        Condition {
+            purpose: self.purpose,
+            lubrication: self.lubrication,
+            indentation: self.indentation.clone(),
+            shape: self.shape,
+        }
+    }
+}
+
+/// All trials of a plan in the order that its seed gives.
+#[must_use]
+pub fn order(plan: &Plan) -> Vec<Planned> {
+    let mut chance = Chance::new(plan.seed);
+    let mut trials = vec![];
+    let mut block = 0;
+    for group in &plan.groups {
+        let mut indentations = group.indentations.clone();
+        chance.shuffle(&mut indentations);
+        for indentation in indentations {
+            block += 1;
+            let mut kinds: Vec<_> = group
+                .kinds
+                .iter()
+                .flat_map(|kind| std::iter::repeat_n(*kind, group.repeats as usize))
+                .collect();
+            chance.shuffle(&mut kinds);
+            let mut done = BTreeMap::new();
+            for (purpose, shape) in kinds {
+                let repeat = done.entry((purpose, shape)).or_insert(0);
+                *repeat += 1;
+                trials.push(Planned {
+                    trial: trials.len() as u32 + 1,
+                    block,
+                    purpose,
+                    lubrication: group.lubrication,
+                    indentation: indentation.clone(),
+                    shape,
+                    repeat: *repeat,
+                });
+            }
+        }
+    }
+    trials
+}

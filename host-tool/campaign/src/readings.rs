@@ -1,0 +1,332 @@
+//! Readings of the caliper: the intestine's width D and, after every clamping, the distance i_n between the crests of the
+//! wave. What they amount to is a_n = (D - i_n)/2, Eq. (8) of the paper.
+
+use client::identity::Origin;
+use jiff::Timestamp;
+use locomotion::kinematics::indentation_from_calipers_mm;
+use serde::{Deserialize, Serialize};
+
+use crate::ledger::{Contradiction, Sequence};
+use crate::plan::{Millimetres, Plan};
+
+/// What the caliper is held to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Quantity {
+    /// D, the distance between the walls, rollers off.
+    Width,
+    /// i_n, the distance between the crests of the wave.
+    BetweenCrests,
+}
+
+/// What a row tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// A reading.
+    Reading,
+    /// The last reading of the set was taken back.
+    Withdrawn,
+    /// The set is good.
+    Accepted,
+    /// The set is not used; it was measured again.
+    Discarded,
+}
+
+/// A row of `readings.csv`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ReadingRow {
+    /// From 1, without gaps.
+    pub row: u32,
+    /// When, by the clock of the computer.
+    pub time_utc: Timestamp,
+    /// The set of readings, from 1. Each clamping begins a new one.
+    pub readings_set: u32,
+    /// What was measured.
+    pub quantity: Quantity,
+    /// Name of the indentation; empty for the width.
+    pub indentation: Option<String>,
+    /// What this row tells.
+    pub event: Kind,
+    /// Which reading of the set, from 1.
+    pub reading: Option<u32>,
+    /// The reading.
+    pub value_mm: Option<Millimetres>,
+    /// What was questioned, and confirmed; why a set is not used.
+    pub text: Option<String>,
+    /// Where it comes from.
+    pub origin: Origin,
+}
+
+/// Some readings of one width.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Set {
+    /// Its number.
+    pub number: u32,
+    /// What was measured.
+    pub quantity: Quantity,
+    /// Name of the indentation; none for the width.
+    pub indentation: Option<String>,
+    /// The readings.
+    pub values: Vec<Millimetres>,
+    /// It is good.
+    pub accepted: bool,
+    /// It is not used.
+    pub discarded: bool,
+    /// What was questioned and confirmed, or why it is not used.
+    pub text: Option<String>,
+}
+
+/// Mean and spread of readings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Summary {
+    /// Number of readings.
+    pub count: usize,
+    /// Mean, mm.
+    pub mean_mm: f64,
+    /// Standard deviation of the sample, mm; 0 for a single reading.
+    pub sd_mm: f64,
+    /// The least.
+    pub least: Millimetres,
+    /// The greatest.
+    pub greatest: Millimetres,
+}
+
+impl Summary {
+    /// Of some readings; none of no readings.
+    #[must_use]
+    pub fn of(values: &[Millimetres]) -> Option<Self> {
+        let (least, greatest) = (*values.iter().min()?, *values.iter().max()?);
+        let count = values.len();
+        // The sum is exact: micrometres.
+        let sum: i64 = values.iter().map(|value| value.um).sum();
+        let mean_mm = sum as f64 / count as f64 / 1_000.0;
+        let squares: f64 = values
+            .iter()
+            .map(|value| (value.mm() - mean_mm).powi(2))
+            .sum();
+        let sd_mm = match count {
+            1 => 0.0,
+            _ => (squares / (count - 1) as f64).sqrt(),
+        };
+        Some(Self {
+            count,
+            mean_mm,
+            sd_mm,
+            least,
+            greatest,
+        })
+    }
+
+    /// The greatest less the least.
+    #[must_use]
+    pub fn spread(&self) -> Millimetres {
+        Millimetres::from_um(self.greatest.um - self.least.um)
+    }
+}
+
+/// All readings of a campaign.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Readings {
+    /// In the order of their numbers, from 1.
+    pub sets: Vec<Set>,
+    /// Numbers and origin of the rows.
+    pub sequence: Sequence,
+}
+
+impl Readings {
+    /// After all these rows.
+    ///
+    /// # Errors
+    /// The first row that cannot come after those before it.
+    pub fn replay(rows: &[ReadingRow]) -> Result<Self, Contradiction> {
+        let mut readings = Self::default();
+        for row in rows {
+            readings.apply(row)?;
+        }
+        Ok(readings)
+    }
+
+    /// Takes one more row.
+    ///
+    /// # Errors
+    /// It cannot come now; nothing has changed.
+    pub fn apply(&mut self, row: &ReadingRow) -> Result<(), Contradiction> {
+        let number = self.sequence.next_row();
+        let wrong = |why: String| Contradiction { row: number, why };
+        self.sequence.check(row.row, row.origin).map_err(wrong)?;
+        if (row.quantity == Quantity::BetweenCrests) != row.indentation.is_some() {
+            return Err(wrong("i_n needs an indentation, D has none".to_owned()));
+        }
+        let sets = self.sets.len() as u32;
+        if row.readings_set == sets + 1 {
+            if self
+                .sets
+                .last()
+                .is_some_and(|last| !last.accepted && !last.discarded)
+            {
+                return Err(wrong(format!("set {sets} is not complete")));
+            }
+            if row.event != Kind::Reading {
+                return Err(wrong("a set begins with a reading".to_owned()));
+            }
+            self.sets.push(Set {
+                number: sets + 1,
+                quantity: row.quantity,
+                indentation: row.indentation.clone(),
+                values: vec![],
+                accepted: false,
+                discarded: false,
+                text: None,
+            });
+        }
+        let Some(set) = self.sets.last_mut().filter(|last| {
+            row.readings_set == last.number
+                && row.quantity == last.quantity
+                && row.indentation == last.indentation
+                && !last.discarded
+        }) else {
+            return Err(wrong(format!("it belongs to set {}", row.readings_set)));
+        };
+        match row.event {
+            Kind::Reading if !set.accepted => {
+                let (Some(value), Some(reading)) = (row.value_mm, row.reading) else {
+                    return Err(wrong("a reading without a number".to_owned()));
+                };
+                if reading as usize != set.values.len() + 1 {
+                    return Err(wrong(format!("it is reading {reading}")));
+                }
+                set.values.push(value);
+            }
+            Kind::Withdrawn if !set.accepted => {
+                if set.values.pop().is_none() {
+                    return Err(wrong("there is no reading to take back".to_owned()));
+                }
+            }
+            Kind::Accepted if !set.accepted && !set.values.is_empty() => {
+                set.accepted = true;
+                set.text = row.text.clone();
+            }
+            Kind::Discarded => {
+                set.accepted = false;
+                set.discarded = true;
+                set.text = row.text.clone();
+            }
+            Kind::Reading | Kind::Withdrawn | Kind::Accepted => {
+                return Err(wrong(format!("set {} is complete", set.number)));
+            }
+        }
+        self.sequence.take(row.origin);
+        Ok(())
+    }
+
+    /// The set that has begun and is not complete.
+    #[must_use]
+    pub fn open(&self) -> Option<&Set> {
+        self.sets
+            .last()
+            .filter(|last| !last.accepted && !last.discarded)
+    }
+
+    /// The last good readings of D.
+    #[must_use]
+    pub fn width(&self) -> Option<&Set> {
+        self.sets
+            .iter()
+            .rfind(|set| set.accepted && set.quantity == Quantity::Width)
+    }
+
+    /// The last good readings of i_n of an indentation.
+    #[must_use]
+    pub fn between_crests(&self, indentation: &str) -> Option<&Set> {
+        self.sets
+            .iter()
+            .rfind(|set| set.accepted && set.indentation.as_deref() == Some(indentation))
+    }
+
+    /// The last set of i_n, which tells where the rollers are clamped.
+    #[must_use]
+    pub fn clamped(&self) -> Option<&Set> {
+        self.sets
+            .iter()
+            .rfind(|set| set.accepted && set.quantity == Quantity::BetweenCrests)
+    }
+
+    /// a_n = (D - i_n)/2 from a set of i_n and the last good D, mm. None without D, or if they contradict each other.
+    #[must_use]
+    pub fn indentation_mm(&self, set: &Set) -> Option<f64> {
+        let width = Summary::of(&self.width()?.values)?.mean_mm;
+        let between = Summary::of(&set.values)?.mean_mm;
+        indentation_from_calipers_mm(width, between)
+            .ok()
+            .filter(|a| *a > 0.0)
+    }
+}
+
+/// Why a reading is not taken; `width_mm` is the mean of D, once it is known.
+#[must_use]
+pub fn refusal(
+    quantity: Quantity,
+    value: Millimetres,
+    width_mm: Option<f64>,
+    resolution: Millimetres,
+) -> Option<String> {
+    if value.um <= 0 {
+        return Some(format!("{value} mm: a width is above 0"));
+    }
+    if value.um > 1_000_000 {
+        return Some(format!("{value} mm is beyond any caliper"));
+    }
+    if resolution.um > 0 && value.um % resolution.um != 0 {
+        return Some(format!(
+            "{value} mm: the caliper's resolution is {resolution} mm"
+        ));
+    }
+    match (quantity, width_mm) {
+        (Quantity::BetweenCrests, Some(width_mm)) if value.mm() >= width_mm => Some(format!(
+            "i = {value} mm is not below D = {width_mm:.3} mm: the rollers do not touch the wall"
+        )),
+        _ => None,
+    }
+}
+
+/// What is to be asked about a set before it is taken as good.
+#[must_use]
+pub fn questions(plan: &Plan, readings: &Readings, set: &Set) -> Vec<String> {
+    let mut questions = vec![];
+    let Some(summary) = Summary::of(&set.values) else {
+        return questions;
+    };
+    if summary.spread() > plan.readings.spread_mm {
+        questions.push(format!(
+            "the readings differ by {} mm, more than {} mm",
+            summary.spread(),
+            plan.readings.spread_mm
+        ));
+    }
+    let Some(name) = &set.indentation else {
+        return questions;
+    };
+    let (Some(own), Some(rank)) = (readings.indentation_mm(set), plan.rank(name)) else {
+        return questions;
+    };
+    for (other_rank, other) in plan.indentations.iter().enumerate() {
+        let measured = readings
+            .between_crests(&other.name)
+            .filter(|measured| measured.number != set.number)
+            .and_then(|measured| readings.indentation_mm(measured));
+        let Some(measured) = measured else { continue };
+        let name_of = &other.name;
+        if other_rank < rank && own <= measured {
+            questions.push(format!(
+                "{name} = {own:.3} mm does not rise above {name_of} = {measured:.3} mm"
+            ));
+        }
+        if other_rank > rank && own >= measured {
+            questions.push(format!(
+                "{name} = {own:.3} mm is not below {name_of} = {measured:.3} mm"
+            ));
+        }
+    }
+    questions
+}

@@ -1,0 +1,97 @@
+//! How much time a campaign will still take: an estimate from the plan and from how long the last trials took.
+
+use crate::folder::Campaign;
+use crate::ledger::{Event, Standing};
+
+/// Between the end of a run and the beginning of the next one, before anything is known, s.
+const HANDLING_S: f64 = 60.0;
+
+/// A longer pause is one in which nobody worked, s.
+const PAUSE_S: f64 = 900.0;
+
+/// How many of the last pauses count.
+const LATEST: usize = 15;
+
+/// Clamping and reading the caliper once, s.
+const CLAMPING_S: f64 = 300.0;
+
+/// The time that is left, s, and whether the pace was measured.
+#[must_use]
+pub fn remaining_s(campaign: &Campaign) -> (f64, bool) {
+    let (mut trials, mut moving_s) = (0.0, 0.0);
+    let mut blocks = vec![];
+    for trial in &campaign.state.trials {
+        if matches!(trial.standing(), Standing::Open | Standing::UnderWay) {
+            trials += 1.0;
+            moving_s += match trial.planned.purpose.pass() {
+                None => campaign.plan.run_s(),
+                // Once to where it begins, once over the body.
+                Some(_) => campaign.plan.run_s() / f64::from(campaign.plan.run.cycles.max(1)),
+            };
+            blocks.push(trial.planned.block);
+        }
+    }
+    blocks.dedup();
+    // Of a block that is under way the rollers are clamped.
+    let under_way = campaign.readings.clamped().is_some_and(|set| {
+        campaign.state.trials.iter().any(|trial| {
+            blocks.first() == Some(&trial.planned.block)
+                && trial
+                    .attempts
+                    .iter()
+                    .any(|attempt| attempt.readings_set == Some(set.number))
+        })
+    });
+    let clampings = blocks.len() - usize::from(under_way && !blocks.is_empty());
+    let pauses = pauses_s(campaign);
+    let handling = median(pauses).unwrap_or(HANDLING_S);
+    let measured = handling != HANDLING_S;
+    let clamping = if measured {
+        CLAMPING_S.min(handling * 5.0)
+    } else {
+        CLAMPING_S
+    };
+    let left = moving_s + trials * handling + clampings as f64 * clamping;
+    (left, measured)
+}
+
+/// The latest pauses between a run and the next one of its block.
+fn pauses_s(campaign: &Campaign) -> Vec<f64> {
+    let mut pauses = vec![];
+    let mut ended = None;
+    for row in &campaign.rows {
+        let block = row
+            .trial
+            .and_then(|trial| campaign.state.trial(trial))
+            .map(|trial| trial.planned.block);
+        match row.event {
+            Event::Ended => ended = Some((row.time_utc, block)),
+            Event::Began => {
+                if let Some((before, of)) = ended.take()
+                    && of == block
+                {
+                    pauses.push(row.time_utc.duration_since(before).as_secs_f64());
+                }
+            }
+            _ => {}
+        }
+    }
+    pauses.retain(|pause| (0.0..PAUSE_S).contains(pause));
+    pauses.split_off(pauses.len().saturating_sub(LATEST))
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+/// For people.
+#[must_use]
+pub fn text(seconds: f64) -> String {
+    let minutes = (seconds / 60.0).ceil() as u64;
+    match (minutes / 60, minutes % 60) {
+        (0, 0..=1) => "about a minute left".to_owned(),
+        (0, minutes) => format!("about {minutes} min left"),
+        (hours, minutes) => format!("about {hours} h {minutes} min left"),
+    }
+}

@@ -1,0 +1,493 @@
+//! The lock of a line, and where its door is.
+//!
+//! All is in one folder of the user's, by default `/tmp/retrograde-UID`: not below `XDG_RUNTIME_DIR`, which is another one in
+//! a `cron` job or after `su`, and a stop has to find the door from everywhere. A line has five files there, named by a
+//! hash of what the line really leads to: `.lock`, held locked by the owner as long as it lives; `.owner`, which says who
+//! that is; `.door`, the socket; and `.stop` and `.estop`, whose times of change tell each process that somebody has wanted
+//! a stop since it last looked.
+
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::hash::{BuildHasher, RandomState};
+use std::io;
+use std::net::{SocketAddr, ToSocketAddrs};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::SystemTime;
+
+use protocol::system::Urgent;
+use serde::{Deserialize, Serialize};
+
+use crate::door::Owner;
+use crate::door::stream::{Listener, Stream};
+use crate::link::address::Address;
+use crate::link::{OpenError, Reason};
+
+/// Names another folder for locks and doors.
+pub const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
+
+/// What the owner leaves for others.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Plate {
+    pub(crate) owner: Owner,
+    /// Of a loopback door.
+    pub(crate) port: Option<u16>,
+    /// Of a loopback door.
+    pub(crate) token: String,
+    /// The record that the owner writes: should it be killed, the next one ends it.
+    #[serde(default)]
+    pub(crate) recording: Option<PathBuf>,
+}
+
+/// Which stop and which emergency stop were the last ones on a line, whichever process wanted them. Two marks that differ
+/// say that one was wanted between them: what was ordered before it must no longer move anything.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StopMark {
+    stop: Option<SystemTime>,
+    estop: Option<SystemTime>,
+}
+
+/// Where lock and door of one line are.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Doorway {
+    folder: PathBuf,
+    key: String,
+    /// The line, as the user named it.
+    place: String,
+}
+
+/// A line that is this process's own, until it is dropped.
+#[derive(Debug)]
+pub struct Lock {
+    doorway: Doorway,
+    plate: Mutex<Plate>,
+    /// The record of an owner that was killed.
+    left: Mutex<Option<PathBuf>>,
+    // Released by the system when the file is closed, however the process ends.
+    _file: File,
+}
+
+impl StopMark {
+    /// The last stop on the line behind this doorway; where there is none, no other process can send one.
+    #[must_use]
+    pub fn of(doorway: Option<&Doorway>) -> Self {
+        doorway.map_or_else(Self::default, Doorway::stop_mark)
+    }
+
+    /// What it was at an earlier time of this computer: a stop since then is not in it. One from the future, after the
+    /// clock was set back, counts as an old one.
+    #[must_use]
+    pub fn at(self, time: SystemTime) -> Self {
+        let until_now = |stop: &SystemTime| *stop <= time || *stop > SystemTime::now();
+        Self {
+            stop: self.stop.filter(until_now),
+            estop: self.estop.filter(until_now),
+        }
+    }
+
+    /// The strongest stop between an earlier mark and this one.
+    #[must_use]
+    pub fn since(self, earlier: Self) -> Option<Urgent> {
+        if self.estop != earlier.estop {
+            return Some(Urgent::EStop);
+        }
+        (self.stop != earlier.stop).then_some(Urgent::Stop)
+    }
+}
+
+impl Doorway {
+    /// Lock and door of the line behind an address; `None` where there is no line to own.
+    ///
+    /// # Errors
+    /// The folder cannot be made, or belongs to somebody else.
+    pub fn of(address: &Address) -> Result<Option<Self>, OpenError> {
+        let Some(line) = line(address) else {
+            return Ok(None);
+        };
+        let place = address.to_string();
+        let folder = folder().map_err(|why| OpenError {
+            place: place.clone(),
+            reason: Reason::Other,
+            why,
+            remedy: format!(
+                "every process that uses a machine keeps a lock in a folder that is yours alone: mend that one, or name another with {FOLDER_VARIABLE}"
+            ),
+        })?;
+        Ok(Some(Self::new(folder, &line, place)))
+    }
+
+    /// As [`Doorway::of`], in another folder, which must be there and safe from other users.
+    #[must_use]
+    pub fn within(folder: &Path, address: &Address) -> Option<Self> {
+        Some(Self::new(
+            folder.to_owned(),
+            &line(address)?,
+            address.to_string(),
+        ))
+    }
+
+    /// The doorway of a line, with its lock in this folder.
+    pub fn new(folder: PathBuf, line: &str, place: String) -> Self {
+        // FNV-1a: the same in every build, and short, for the path of a socket has 107 bytes at most.
+        let hash = line.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3)
+        });
+        Self {
+            folder,
+            key: format!("{hash:016x}"),
+            place,
+        }
+    }
+
+    fn file(&self, what: &str) -> PathBuf {
+        self.folder.join(format!("{}.{what}", self.key))
+    }
+
+    /// The line, as the user named it.
+    #[must_use]
+    pub fn place(&self) -> &str {
+        &self.place
+    }
+
+    fn error(&self, why: impl ToString) -> OpenError {
+        OpenError {
+            place: self.place.clone(),
+            reason: Reason::Other,
+            why: format!("its lock in {}: {}", self.folder.display(), why.to_string()),
+            remedy: format!(
+                "see that the folder can be written and has free space, or name another with {FOLDER_VARIABLE}"
+            ),
+        }
+    }
+
+    /// Takes the line; `None` if another process has it.
+    ///
+    /// # Errors
+    /// The lock file cannot be made.
+    pub fn claim(&self) -> Result<Option<Lock>, OpenError> {
+        let file = OpenOptions::new()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(self.file("lock"))
+            .map_err(|why| self.error(why))?;
+        match file.try_lock() {
+            Ok(()) => {
+                // What an owner that was killed has left.
+                let left = self.plate().and_then(|plate| plate.recording);
+                let _ = fs::remove_file(self.file("door"));
+                let plate = Plate {
+                    owner: Owner::this_process(),
+                    port: None,
+                    token: String::new(),
+                    recording: left.clone(),
+                };
+                if left.is_none() {
+                    let _ = fs::remove_file(self.file("owner"));
+                }
+                Ok(Some(Lock {
+                    doorway: self.clone(),
+                    plate: Mutex::new(plate),
+                    left: Mutex::new(left),
+                    _file: file,
+                }))
+            }
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(why)) => Err(self.error(why)),
+        }
+    }
+
+    /// The last stops on the line.
+    #[must_use]
+    pub fn stop_mark(&self) -> StopMark {
+        let changed = |urgent| {
+            let found = fs::metadata(self.file(stop_file(urgent)));
+            found.and_then(|found| found.modified()).ok()
+        };
+        StopMark {
+            stop: changed(Urgent::Stop),
+            estop: changed(Urgent::EStop),
+        }
+    }
+
+    /// Tells all processes that a stop is being sent. Only the file's time changes, which a full disk allows. A stop goes
+    /// out whether or not this works.
+    ///
+    /// Whoever wants a stop calls this before the stop is sent. Called later, it would refuse what was ordered after the
+    /// stop had been confirmed.
+    pub fn mark_stop(&self, urgent: Urgent) {
+        let file = OpenOptions::new()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(self.file(stop_file(urgent)));
+        let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
+    }
+
+    /// Who owns the line, as far as it has said so.
+    pub(crate) fn plate(&self) -> Option<Plate> {
+        serde_json::from_slice(&fs::read(self.file("owner")).ok()?).ok()
+    }
+
+    /// The owner of the line, as far as it has said so.
+    #[must_use]
+    pub fn owner(&self) -> Option<Owner> {
+        self.plate().map(|plate| plate.owner)
+    }
+
+    /// The owner listens, as far as can be seen from outside: between its name and its door it sets up, or it leaves.
+    pub fn is_open(&self) -> bool {
+        if cfg!(unix) {
+            self.file("door").exists()
+        } else {
+            self.plate().is_some_and(|plate| plate.port.is_some())
+        }
+    }
+
+    /// Goes to the door. A socket is found by its own name: it needs no plate, which somebody may have cleaned away.
+    pub(crate) fn connect(&self, plate: Option<&Plate>) -> io::Result<Stream> {
+        if plate.is_none() && !cfg!(unix) {
+            return Err(io::ErrorKind::NotFound.into());
+        }
+        Stream::connect(&self.file("door"), plate.and_then(|plate| plate.port))
+    }
+}
+
+impl Lock {
+    /// Opens the door, and says who opened it.
+    pub(crate) fn listen(&self) -> Result<(Listener, Plate), OpenError> {
+        let doorway = &self.doorway;
+        #[cfg(unix)]
+        let listener = Listener::unix(&doorway.file("door"));
+        #[cfg(not(unix))]
+        let listener = Listener::loopback();
+        let listener = listener.map_err(|why| doorway.error(why))?;
+        let port = listener.port();
+        let random = || RandomState::new().hash_one(port);
+        let mut plate = self.plate();
+        plate.port = port;
+        plate.token = port.map_or(String::new(), |_| {
+            format!("{:016x}{:016x}", random(), random())
+        });
+        self.put_up(&plate)?;
+        Ok((listener, plate.clone()))
+    }
+
+    fn plate(&self) -> MutexGuard<'_, Plate> {
+        self.plate.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn put_up(&self, plate: &Plate) -> Result<(), OpenError> {
+        let doorway = &self.doorway;
+        // Whoever reads it meanwhile finds the old one or the new one.
+        let (new, file) = (doorway.file("new"), doorway.file("owner"));
+        let text = serde_json::to_vec(plate).map_err(|why| doorway.error(why))?;
+        fs::write(&new, text)
+            .and_then(|()| fs::rename(&new, &file))
+            .map_err(|why| doorway.error(why))
+    }
+
+    /// The owner records there from now on, or no longer. A full disk is told by the record itself.
+    pub(crate) fn records(&self, sidecar: Option<&Path>) {
+        let mut plate = self.plate();
+        plate.recording = sidecar.and_then(|path| std::path::absolute(path).ok());
+        let _ = self.put_up(&plate);
+        *self.left() = None;
+    }
+
+    pub(crate) fn left_record(&self) -> Option<PathBuf> {
+        self.left().clone()
+    }
+
+    fn left(&self) -> MutexGuard<'_, Option<PathBuf>> {
+        self.left.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Says who has the line before its door is open.
+    pub fn announce(&self) -> Result<(), OpenError> {
+        // The door of an owner that was killed leads nowhere.
+        let _ = fs::remove_file(self.doorway.file("door"));
+        self.put_up(&self.plate())
+    }
+
+    pub(crate) fn doorway(&self) -> &Doorway {
+        &self.doorway
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // The lock itself stays: another process may be about to take it.
+        let _ = fs::remove_file(self.doorway.file("door"));
+        // A record without an end is for the next owner.
+        if self.plate().recording.is_none() {
+            let _ = fs::remove_file(self.doorway.file("owner"));
+        }
+    }
+}
+
+fn stop_file(urgent: Urgent) -> &'static str {
+    match urgent {
+        Urgent::Stop => "stop",
+        Urgent::EStop => "estop",
+    }
+}
+
+/// What an address really leads to: two names of one line give the same.
+fn line(address: &Address) -> Option<String> {
+    match address {
+        Address::Serial(path) => {
+            let path = if cfg!(windows) {
+                PathBuf::from(path.to_uppercase())
+            } else {
+                // A port that is not there has no owner; opening it says what is wrong.
+                fs::canonicalize(path).ok()?
+            };
+            Some(format!("serial {}", path.display()))
+        }
+        Address::Tcp(place) => {
+            let at = place.to_socket_addrs().ok()?.next()?;
+            Some(format!("tcp {}", host(at)))
+        }
+        Address::Auto | Address::Virtual => None,
+    }
+}
+
+/// All names of this computer's loopback are one.
+fn host(at: SocketAddr) -> String {
+    if at.ip().is_loopback() {
+        return format!("loopback:{}", at.port());
+    }
+    at.to_string()
+}
+
+/// The folder, made if need be, and safe from other users.
+pub fn folder() -> Result<PathBuf, String> {
+    let folder = match std::env::var_os(FOLDER_VARIABLE) {
+        Some(folder) if !folder.is_empty() => PathBuf::from(folder),
+        _ => default_folder()?,
+    };
+    make(&folder).map_err(|why| format!("{}: {why}", folder.display()))?;
+    Ok(folder)
+}
+
+#[cfg(unix)]
+fn default_folder() -> Result<PathBuf, String> {
+    let user = rustix::process::geteuid().as_raw();
+    Ok(PathBuf::from(format!("/tmp/retrograde-{user}")))
+}
+
+#[cfg(not(unix))]
+fn default_folder() -> Result<PathBuf, String> {
+    std::env::var_os("LOCALAPPDATA")
+        .map(|folder| PathBuf::from(folder).join("retrograde"))
+        .ok_or_else(|| "LOCALAPPDATA is not set".to_owned())
+}
+
+#[cfg(unix)]
+fn make(folder: &Path) -> Result<(), String> {
+    use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+    match fs::DirBuilder::new().mode(0o700).create(folder) {
+        Err(why) if why.kind() != io::ErrorKind::AlreadyExists => return Err(why.to_string()),
+        _ => {}
+    }
+    // Not through a link: in /tmp anybody may have made one.
+    let found = fs::symlink_metadata(folder).map_err(|why| why.to_string())?;
+    if !found.is_dir() {
+        return Err("it is no folder".to_owned());
+    }
+    if found.uid() != rustix::process::geteuid().as_raw() {
+        return Err("it belongs to another user".to_owned());
+    }
+    if found.mode() & 0o077 != 0 {
+        return Err("other users have access to it (`chmod 700`)".to_owned());
+    }
+    Ok(())
+}
+
+#[cfg(not(unix))]
+fn make(folder: &Path) -> Result<(), String> {
+    fs::create_dir_all(folder).map_err(|why| why.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn doorway(folder: &Path, line: &str) -> Doorway {
+        Doorway::new(folder.to_owned(), line, line.to_owned())
+    }
+
+    #[test]
+    fn one_owner_at_a_time_and_another_line_is_another_lock() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let one = doorway(folder.path(), "one");
+        let owned = one.claim().expect("possible").expect("free");
+        assert!(one.claim().expect("possible").is_none());
+        let other = doorway(folder.path(), "other");
+        assert!(other.claim().expect("possible").is_some());
+        owned.announce().expect("possible");
+        let pid = one.plate().expect("announced").owner.pid;
+        assert_eq!(pid, std::process::id());
+        drop(owned);
+        assert!(one.plate().is_none());
+        assert!(one.claim().expect("possible").is_some());
+    }
+
+    #[test]
+    fn names_of_one_line_give_the_same_lock() {
+        let lines = ["tcp:127.0.0.1:7001", "tcp:[::1]:7001", "tcp:127.0.0.2:7001"];
+        for text in lines {
+            let address = text.parse().expect("an address");
+            assert_eq!(line(&address), Some("tcp loopback:7001".to_owned()));
+        }
+        for text in ["auto", "virtual", "/dev/retrograde-no-such-port"] {
+            assert_eq!(line(&text.parse().expect("an address")), None);
+        }
+    }
+
+    #[test]
+    fn every_stop_changes_the_mark_of_its_line_and_of_no_other() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (one, other) = (
+            doorway(folder.path(), "one"),
+            doorway(folder.path(), "other"),
+        );
+        let mut marks = vec![one.stop_mark()];
+        for n in 0..100 {
+            let urgent = if n % 3 == 0 {
+                Urgent::EStop
+            } else {
+                Urgent::Stop
+            };
+            one.mark_stop(urgent);
+            marks.push(one.stop_mark());
+            let [.., before, now] = marks[..] else {
+                panic!("two marks")
+            };
+            assert_eq!(now.since(before), Some(urgent));
+        }
+        assert_eq!(marks[100].since(marks[0]), Some(Urgent::EStop));
+        assert_eq!(one.stop_mark().since(marks[100]), None);
+        let now = one.stop_mark();
+        assert_eq!(
+            now.since(now.at(SystemTime::UNIX_EPOCH)),
+            Some(Urgent::EStop)
+        );
+        assert_eq!(now.since(now.at(SystemTime::now())), None);
+        assert_eq!(other.stop_mark(), StopMark::default());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_that_others_can_enter_is_refused() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("open");
+        assert_eq!(make(&path), Ok(()));
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("mine");
+        assert!(make(&path).expect_err("open").contains("chmod 700"));
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink(folder.path(), &link).expect("a link");
+        assert!(make(&link).expect_err("a link").contains("no folder"));
+    }
+}

@@ -1,0 +1,930 @@
+//! The owner's side of a door: guests, their stops, their questions, and what is passed on to them.
+
+use std::collections::{HashMap, VecDeque};
+use std::io::{self, Read, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use protocol::error::WireError;
+use protocol::frame::{Deframer, Encoded, Frame, Header, Kind, encode};
+use protocol::session::{Decision, Session, Ticket};
+use protocol::system::{Done, Identity, Urgent};
+use protocol::table::{Impact, Reply, Request, Response};
+
+use crate::door::lock::{Doorway, Plate, StopMark};
+use crate::door::stream::{Listener, Stream, read_line};
+use crate::door::{Knock, LONGEST_LINE, VERSION, Welcome, admits};
+
+/// Bytes that wait for an owner that does not read: 90 s of a full line. Beyond that new ones are lost.
+const UNREAD: usize = 1 << 20;
+
+/// A question that the owner has not taken for so long is forgotten: the guest no longer waits for it.
+const STALE: Duration = Duration::from_millis(600);
+
+/// The least time between two questions, so that guests cannot fill the line.
+const BREATH: Duration = Duration::from_millis(10);
+
+/// The most guests at a time that may look. There is no limit for those that only stop.
+pub const GUESTS: usize = 32;
+
+/// Frames that wait for a guest that does not read; beyond that it misses some.
+pub(crate) const WAITING_FRAMES: usize = 512;
+
+/// How long a guest may take to say what it is, and how long one that can only stop may be silent.
+const KNOCKING: Duration = Duration::from_secs(2);
+
+/// Stack of a guest's thread, bytes: many may come at once.
+const GUEST_STACK: usize = 256 * 1024;
+
+/// The first sequence number of guests' stops on the line, far from the owner's, which count from 0.
+const FIRST_SEQ: u16 = 0x8000;
+
+/// A guest's question to the machine, which the owner asks.
+pub struct Question {
+    /// The request. [`admits`] has let it through.
+    pub request: Request,
+    asked: Instant,
+    answer: Box<dyn FnOnce(Option<Reply>) + Send>,
+}
+
+impl Question {
+    /// The same question of several guests.
+    fn shared_with(self, others: VecDeque<Self>) -> Self {
+        let Self {
+            request,
+            asked,
+            answer,
+        } = self;
+        Self {
+            request,
+            asked,
+            answer: Box::new(move |reply| {
+                for other in others {
+                    other.answer(reply.clone());
+                }
+                answer(reply);
+            }),
+        }
+    }
+
+    /// Hands the answer to the guest; `None` if there was none.
+    pub fn answer(self, reply: Option<Reply>) {
+        (self.answer)(reply);
+    }
+}
+
+/// What owner, pump and guests share.
+pub(crate) struct Core {
+    state: Mutex<State>,
+    woken: Condvar,
+    out: Mutex<Out>,
+    closing: AtomicBool,
+    /// The owner gives the line up for whoever wants it.
+    yields: AtomicBool,
+    /// Somebody wants it.
+    wanted: AtomicBool,
+    /// Where processes tell of stops that need not come through this door.
+    doorway: Option<Doorway>,
+}
+
+#[derive(Default)]
+struct State {
+    /// From the machine, for the owner.
+    unread: VecDeque<u8>,
+    lost: Option<String>,
+    /// Something new for the owner that is no byte.
+    nudged: bool,
+    identity: Option<Identity>,
+    questions: VecDeque<Question>,
+    last_question: Option<Instant>,
+    stopped: Option<Urgent>,
+    /// Stops of guests on the line, newest last.
+    stops: VecDeque<Stop>,
+    guests: HashMap<u64, Guest>,
+    next_guest: u64,
+}
+
+impl State {
+    /// Somebody else has sent this stop.
+    fn stop(&mut self, urgent: Urgent) {
+        self.stopped = match self.stopped {
+            Some(Urgent::EStop) => Some(Urgent::EStop),
+            _ => Some(urgent),
+        };
+    }
+
+    /// What guests wanted done before a stop came: asked after it, it would undo the stop.
+    fn take_orders(&mut self) -> VecDeque<Question> {
+        let looks = |question: &Question| question.request.impact() == Impact::None;
+        let (look, orders) = self.questions.drain(..).partition(looks);
+        self.questions = look;
+        orders
+    }
+}
+
+/// A stop that a guest has sent.
+struct Stop {
+    guest: u64,
+    /// Its own header, to which the answer goes.
+    header: Header,
+    urgent: Urgent,
+    /// Its sequence on the line.
+    seq: u16,
+}
+
+struct Guest {
+    /// It sees what the machine says, and may ask.
+    looks: bool,
+    frames: SyncSender<Vec<u8>>,
+    /// Ends its connection.
+    shut: Box<dyn Fn() + Send>,
+}
+
+/// The line's way out. Whoever writes a frame holds it.
+struct Out {
+    line: Box<dyn Write + Send>,
+    next_seq: u16,
+    /// Stops of guests so far, and how many of these the owner has noticed.
+    stops: u32,
+    noticed: u32,
+    /// The last stop that the owner knows of, of all that any process has sent on this line.
+    mark: StopMark,
+}
+
+impl Core {
+    pub(crate) fn new(
+        line: Box<dyn Write + Send>,
+        yields: bool,
+        doorway: Option<Doorway>,
+    ) -> Arc<Self> {
+        Arc::new(Self {
+            state: Mutex::new(State::default()),
+            woken: Condvar::new(),
+            out: Mutex::new(Out {
+                line,
+                next_seq: FIRST_SEQ,
+                stops: 0,
+                noticed: 0,
+                mark: StopMark::of(doorway.as_ref()),
+            }),
+            closing: AtomicBool::new(false),
+            yields: AtomicBool::new(yields),
+            wanted: AtomicBool::new(false),
+            doorway,
+        })
+    }
+
+    // Nobody panics while holding these; if somebody did, a stop would have to go out all the same.
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn out(&self) -> MutexGuard<'_, Out> {
+        self.out.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn is_closing(&self) -> bool {
+        self.closing.load(Ordering::Relaxed)
+    }
+
+    /// Ends all threads that wait for guests.
+    pub(crate) fn close(&self) {
+        self.closing.store(true, Ordering::Relaxed);
+        // Threads of guests may live on for a moment, the line must not: somebody is about to open it.
+        self.out().line = Box::new(Closed);
+        for guest in self.state().guests.values() {
+            (guest.shut)();
+        }
+        self.woken.notify_all();
+    }
+
+    // The owner.
+
+    /// Writes the owner's frame. A request that comes after a stop which the owner has not noticed yet is left out: it
+    /// might start again what was stopped. The client repeats what it still wants.
+    pub(crate) fn send(&self, bytes: &[u8]) -> io::Result<()> {
+        let request = header(bytes).is_some_and(|header| header.kind == Kind::Request);
+        let mut out = self.out();
+        if request && out.stops != out.noticed {
+            return Ok(());
+        }
+        out.line.write_all(bytes)
+    }
+
+    /// What is ordered from now on was wanted at this mark: a stop since then is one that the owner has not noticed yet.
+    pub(crate) fn ordered_at(&self, mark: StopMark) {
+        self.out().mark = mark;
+    }
+
+    /// Waits for bytes until `deadline`; 0 then, and when there is something else to see to.
+    pub(crate) fn receive(&self, into: &mut [u8], deadline: Instant) -> Result<usize, String> {
+        let mut state = self.state();
+        loop {
+            if !state.unread.is_empty() {
+                let count = into.len().min(state.unread.len());
+                for (slot, byte) in into.iter_mut().zip(state.unread.drain(..count)) {
+                    *slot = byte;
+                }
+                return Ok(count);
+            }
+            if let Some(why) = &state.lost {
+                return Err(why.clone());
+            }
+            let now = Instant::now();
+            if std::mem::take(&mut state.nudged) || now >= deadline {
+                return Ok(0);
+            }
+            (state, _) = self
+                .woken
+                .wait_timeout(state, deadline - now)
+                .unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    pub(crate) fn introduce(&self, identity: &Identity) {
+        self.state().identity = Some(*identity);
+    }
+
+    /// The strongest stop that others have sent so far: guests, and processes that went past this door.
+    pub(crate) fn stopped(&self) -> Option<Urgent> {
+        let mut out = self.out();
+        out.noticed = out.stops;
+        let mark = StopMark::of(self.doorway.as_ref());
+        let elsewhere = mark.since(std::mem::replace(&mut out.mark, mark));
+        drop(out);
+        let mut state = self.state();
+        if let Some(urgent) = elsewhere {
+            state.stop(urgent);
+        }
+        state.stopped
+    }
+
+    pub(crate) fn is_line_wanted(&self) -> bool {
+        self.wanted.load(Ordering::Relaxed)
+    }
+
+    /// Offers the line to others, or does so no longer: whoever wanted it until now has to ask again.
+    pub(crate) fn offer_line(&self, offered: bool) {
+        let _state = self.state();
+        self.yields.store(offered, Ordering::Relaxed);
+        if !offered {
+            self.wanted.store(false, Ordering::Relaxed);
+        }
+    }
+
+    /// Notes that somebody wants the line; false if it is not offered.
+    fn want_line(&self) -> bool {
+        let mut state = self.state();
+        let offered = self.yields.load(Ordering::Relaxed);
+        if offered {
+            self.wanted.store(true, Ordering::Relaxed);
+            state.nudged = true;
+            self.woken.notify_all();
+        }
+        offered
+    }
+
+    /// Forgets the stops that the owner has noticed. One that it has not stays.
+    pub(crate) fn forget_stop(&self) {
+        let out = self.out();
+        if out.stops == out.noticed {
+            self.state().stopped = None;
+        }
+    }
+
+    pub(crate) fn question(&self, now: Instant) -> Option<Question> {
+        let mut state = self.state();
+        let early = |last: Instant| now.duration_since(last) < BREATH;
+        if state.questions.is_empty() || state.last_question.is_some_and(early) {
+            return None;
+        }
+        let mut stale = vec![];
+        let question = loop {
+            match state.questions.pop_front() {
+                Some(question) if now.duration_since(question.asked) > STALE => {
+                    stale.push(question);
+                }
+                question => break question,
+            }
+        };
+        state.last_question = Some(now);
+        // What several guests want to see is asked once: five of them would ask more than the line can carry, and each
+        // would wait for the others until it gives up.
+        let (same, others): (VecDeque<_>, _) = state.questions.drain(..).partition(|other| {
+            question.as_ref().is_some_and(|question| {
+                other.request.impact() == Impact::None && other.request == question.request
+            })
+        });
+        state.questions = others;
+        drop(state);
+        for question in stale {
+            question.answer(None);
+        }
+        question.map(|question| question.shared_with(same))
+    }
+
+    // The line.
+
+    /// Hands the machine's bytes to the owner.
+    pub(crate) fn arrived(&self, bytes: &[u8]) {
+        let mut state = self.state();
+        if state.unread.len() + bytes.len() <= UNREAD {
+            state.unread.extend(bytes);
+        }
+        self.woken.notify_all();
+    }
+
+    pub(crate) fn lost(&self, why: String) {
+        let mut state = self.state();
+        state.lost.get_or_insert(why);
+        // Without the line there is nothing to see here.
+        for guest in state.guests.values() {
+            (guest.shut)();
+        }
+        self.woken.notify_all();
+    }
+
+    /// Passes a frame of the machine on to whom it concerns; `wire` are its bytes.
+    pub(crate) fn passed(&self, frame: &Frame<'_>, wire: &[u8]) {
+        match frame.header.kind {
+            Kind::Telemetry | Kind::Event => {
+                for guest in self.state().guests.values().filter(|guest| guest.looks) {
+                    // One that does not read misses some, as on a bad line.
+                    let _ = guest.frames.try_send(wire.to_vec());
+                }
+            }
+            Kind::Reply => {
+                if let Some(Reply::Urgent(urgent)) = frame.decode() {
+                    self.confirmed(frame.header.seq, urgent);
+                }
+            }
+            Kind::Request | Kind::Urgent => {}
+        }
+    }
+
+    fn confirmed(&self, seq: u16, urgent: Urgent) {
+        let state = self.state();
+        let stop = state
+            .stops
+            .iter()
+            .find(|stop| stop.seq == seq && stop.urgent == urgent);
+        if let Some(stop) = stop
+            && let Some(guest) = state.guests.get(&stop.guest)
+            && let Some(frame) = reply(stop.header, &Reply::Urgent(urgent))
+        {
+            let _ = guest.frames.try_send(frame.to_vec());
+        }
+    }
+
+    // Guests.
+
+    /// Writes a guest's stop to the line at once. A repetition goes out again under the same number.
+    fn stop(&self, guest: u64, header: Header, urgent: Urgent) -> io::Result<()> {
+        let mut out = self.out();
+        let mut state = self.state();
+        let known = state
+            .stops
+            .iter()
+            .find(|stop| (stop.guest, stop.header, stop.urgent) == (guest, header, urgent));
+        let seq = match known {
+            Some(stop) => stop.seq,
+            None => {
+                let seq = out.next_seq;
+                out.next_seq = seq.checked_add(1).unwrap_or(FIRST_SEQ);
+                if state.stops.len() == GUESTS {
+                    state.stops.pop_front();
+                }
+                state.stops.push_back(Stop {
+                    guest,
+                    header,
+                    urgent,
+                    seq,
+                });
+                seq
+            }
+        };
+        state.stop(urgent);
+        let older = state.take_orders();
+        state.nudged = true;
+        drop(state);
+        out.stops = out.stops.wrapping_add(1);
+        // A stop needs no session.
+        let header = Header {
+            kind: Kind::Urgent,
+            session: 0,
+            seq,
+        };
+        let frame = encode(header, &urgent).map_err(|_| io::ErrorKind::InvalidData)?;
+        let written = out.line.write_all(&frame);
+        drop(out);
+        self.woken.notify_all();
+        for question in older {
+            question.answer(None);
+        }
+        written
+    }
+
+    fn ask(&self, question: Question) {
+        let mut state = self.state();
+        state.questions.push_back(question);
+        state.nudged = true;
+        self.woken.notify_all();
+    }
+
+    /// Lets a guest in, if only to stop; `None` if the line is gone.
+    fn admit(
+        &self,
+        shut: Box<dyn Fn() + Send>,
+        frames: SyncSender<Vec<u8>>,
+    ) -> Option<(u64, bool)> {
+        let mut state = self.state();
+        if state.lost.is_some() || self.is_closing() {
+            return None;
+        }
+        let number = state.next_guest;
+        state.next_guest += 1;
+        let looks = state.guests.values().filter(|guest| guest.looks).count() < GUESTS;
+        let guest = Guest {
+            looks,
+            frames,
+            shut,
+        };
+        state.guests.insert(number, guest);
+        Some((number, looks))
+    }
+
+    fn left(&self, guest: u64) {
+        self.state().guests.remove(&guest);
+    }
+}
+
+/// What is left of a line that was closed.
+struct Closed;
+
+impl Write for Closed {
+    fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+        Err(io::ErrorKind::NotConnected.into())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Lets guests in until the core closes.
+pub(crate) fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
+    loop {
+        let stream = listener.accept();
+        if core.is_closing() {
+            return;
+        }
+        let Ok(stream) = stream else {
+            // Too many open files, most likely: some will be closed.
+            thread::sleep(Duration::from_millis(50));
+            continue;
+        };
+        let (core, plate) = (Arc::clone(core), plate.clone());
+        let host = thread::Builder::new()
+            .name("guest".to_owned())
+            .stack_size(GUEST_STACK);
+        // Without a thread the guest finds its connection closed.
+        let _ = host.spawn(move || {
+            // A guest that leaves or breaks the rules is of no concern to anybody else.
+            let _ = receive_guest(stream, &plate, &core);
+        });
+    }
+}
+
+fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Result<()> {
+    stream.set_read_timeout(Some(KNOCKING))?;
+    stream.set_write_timeout(Some(KNOCKING))?;
+    let knock = knocked(&read_line(&mut stream, LONGEST_LINE)?, plate)?;
+    let (frames, waiting) = sync_channel::<Vec<u8>>(WAITING_FRAMES);
+    let shut = stream.try_clone()?;
+    // Before the welcome: whoever is welcome can stop the machine.
+    let Some(mut visit) = Visit::new(core, Box::new(move || shut.shut()), frames) else {
+        return Ok(());
+    };
+    stream.write_all(&visit.welcome(&knock, plate)?)?;
+    if visit.looks {
+        stream.set_read_timeout(None)?;
+    }
+    let mut to_guest = stream.try_clone()?;
+    // Ends when the last sender is gone: core, visit and open questions have one each.
+    let writer = thread::Builder::new()
+        .name("guest's frames".to_owned())
+        .stack_size(GUEST_STACK);
+    let writing = writer.spawn(move || {
+        for frame in waiting {
+            if to_guest.write_all(&frame).is_err() {
+                to_guest.shut();
+                return;
+            }
+        }
+    });
+    let result = match writing {
+        Ok(_) => visit.receive(&mut stream),
+        Err(why) => Err(why),
+    };
+    drop(visit);
+    stream.shut();
+    result
+}
+
+/// What a guest says first, if it may come in.
+pub(crate) fn knocked(line: &[u8], plate: &Plate) -> io::Result<Knock> {
+    let knock: Knock = serde_json::from_slice(line)?;
+    if knock.token != plate.token {
+        return Err(io::ErrorKind::PermissionDenied.into());
+    }
+    Ok(knock)
+}
+
+/// A guest's session with the door.
+struct Asking {
+    session: Session,
+    /// A question is with the owner.
+    pending: bool,
+    /// Sequence of the question that the owner has left without an answer. Its repetitions stay without one, too.
+    unanswered: Option<u16>,
+}
+
+/// A guest that was let in; it leaves with this value.
+pub(crate) struct Visit {
+    core: Arc<Core>,
+    number: u64,
+    /// It may do more than stop.
+    looks: bool,
+    frames: SyncSender<Vec<u8>>,
+    session: Arc<Mutex<Asking>>,
+    deframer: Deframer,
+}
+
+impl Drop for Visit {
+    fn drop(&mut self) {
+        self.core.left(self.number);
+    }
+}
+
+impl Visit {
+    /// `None` if the line is gone.
+    pub(crate) fn new(
+        core: &Arc<Core>,
+        shut: Box<dyn Fn() + Send>,
+        frames: SyncSender<Vec<u8>>,
+    ) -> Option<Self> {
+        let (number, looks) = core.admit(shut, frames.clone())?;
+        Some(Self {
+            core: Arc::clone(core),
+            number,
+            looks,
+            frames,
+            session: Arc::new(Mutex::new(Asking {
+                session: Session::new(number as u32),
+                pending: false,
+                unanswered: None,
+            })),
+            deframer: Deframer::new(),
+        })
+    }
+
+    /// What the guest is told first.
+    pub(crate) fn welcome(&self, knock: &Knock, plate: &Plate) -> io::Result<Vec<u8>> {
+        if knock.wants_line {
+            self.core.want_line();
+        }
+        let welcome = Welcome {
+            retrograde_door: VERSION,
+            owner: plate.owner.clone(),
+            yields: self.core.yields.load(Ordering::Relaxed),
+            full: !self.looks,
+        };
+        let mut line = serde_json::to_vec(&welcome)?;
+        line.push(b'\n');
+        Ok(line)
+    }
+
+    fn receive(&mut self, stream: &mut Stream) -> io::Result<()> {
+        let mut bytes = [0; 512];
+        loop {
+            let count = match stream.read(&mut bytes) {
+                Ok(0) => return Ok(()),
+                Ok(count) => count,
+                Err(why) if why.kind() == io::ErrorKind::Interrupted => continue,
+                Err(why) => return Err(why),
+            };
+            self.take(&bytes[..count], Instant::now())?;
+        }
+    }
+
+    /// Takes the guest's bytes.
+    pub(crate) fn take(&mut self, bytes: &[u8], now: Instant) -> io::Result<()> {
+        let mut deframer = std::mem::take(&mut self.deframer);
+        let frames = bytes
+            .iter()
+            .try_for_each(|byte| match deframer.push(*byte) {
+                Some(frame) => self.frame(&frame, now),
+                None => Ok(()),
+            });
+        self.deframer = deframer;
+        frames
+    }
+
+    fn frame(&self, frame: &Frame<'_>, now: Instant) -> io::Result<()> {
+        let mut asking = self.session.lock().unwrap_or_else(PoisonError::into_inner);
+        let left = asking.unanswered == Some(frame.header.seq);
+        if (asking.pending || left || !self.looks) && frame.header.kind == Kind::Request {
+            // A repetition of what the owner has not answered, or a guest that was told that it can only stop.
+            return Ok(());
+        }
+        let header = |session, seq| Header {
+            kind: Kind::Reply,
+            session,
+            seq,
+        };
+        match asking.session.receive(frame) {
+            Decision::Urgent { urgent, .. } => {
+                drop(asking);
+                return self.core.stop(self.number, frame.header, urgent);
+            }
+            // Until the owner knows who is there, the guest asks again.
+            Decision::Greet { session, seq } => {
+                let identity = self.core.state().identity;
+                if let Some(identity) = identity {
+                    let hello = Response::Hello(Identity {
+                        session,
+                        ..identity
+                    });
+                    self.say(reply(header(session, seq), &Reply::Accepted(hello)));
+                }
+            }
+            // The owner keeps the machine alive, or does not; a guest cannot.
+            Decision::Execute {
+                request: Request::KeepAlive(_),
+                ticket,
+            } => {
+                let done = Reply::Accepted(Response::KeepAlive(Done));
+                self.say(remembered(&mut asking.session, ticket, &done));
+            }
+            Decision::Execute { request, ticket } if admits(&request) => {
+                asking.pending = true;
+                drop(asking);
+                self.ask(request, ticket, now);
+            }
+            Decision::Execute { ticket, .. } => {
+                let no = Reply::Wire(WireError::Malformed);
+                self.say(remembered(&mut asking.session, ticket, &no));
+            }
+            Decision::Refuse { refusal, ticket } => {
+                let no = Reply::Refused(refusal);
+                self.say(remembered(&mut asking.session, ticket, &no));
+            }
+            Decision::Reject {
+                error,
+                session,
+                seq,
+            } => self.say(reply(header(session, seq), &Reply::Wire(error))),
+            Decision::Resend(frame) => self.say(Some(frame)),
+            Decision::Ignore => {}
+        }
+        Ok(())
+    }
+
+    fn ask(&self, request: Request, ticket: Ticket, now: Instant) {
+        let (session, frames) = (Arc::clone(&self.session), self.frames.clone());
+        self.core.ask(Question {
+            request,
+            asked: now,
+            answer: Box::new(move |answer| {
+                let mut asking = session.lock().unwrap_or_else(PoisonError::into_inner);
+                asking.pending = false;
+                asking.unanswered = answer.is_none().then_some(ticket.seq);
+                let frame =
+                    answer.and_then(|answer| remembered(&mut asking.session, ticket, &answer));
+                if let Some(frame) = frame {
+                    let _ = frames.try_send(frame.to_vec());
+                }
+            }),
+        });
+    }
+
+    fn say(&self, frame: Option<Encoded>) {
+        if let Some(frame) = frame {
+            // A guest that does not read gets no answer, and asks again.
+            let _ = self.frames.try_send(frame.to_vec());
+        }
+    }
+}
+
+fn reply(header: Header, reply: &Reply) -> Option<Encoded> {
+    let header = Header {
+        kind: Kind::Reply,
+        ..header
+    };
+    // The messages of the protocol all fit.
+    encode(header, reply).ok()
+}
+
+fn remembered(session: &mut Session, ticket: Ticket, answer: &Reply) -> Option<Encoded> {
+    let header = Header {
+        kind: Kind::Reply,
+        session: ticket.session,
+        seq: ticket.seq,
+    };
+    let frame = reply(header, answer)?;
+    session.remember(ticket, &frame);
+    Some(frame)
+}
+
+fn header(bytes: &[u8]) -> Option<Header> {
+    let mut deframer = Deframer::new();
+    bytes
+        .iter()
+        .find_map(|byte| deframer.push(*byte).map(|frame| frame.header))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::{Receiver, channel};
+
+    use protocol::rig;
+    use protocol::table::Endpoint;
+
+    use super::*;
+
+    /// A line that keeps what is written to it.
+    struct Tap(std::sync::mpsc::Sender<Vec<u8>>);
+
+    impl Write for Tap {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let _ = self.0.send(bytes.to_vec());
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    fn core() -> (Arc<Core>, Receiver<Vec<u8>>) {
+        let (tap, written) = channel();
+        (Core::new(Box::new(Tap(tap)), false, None), written)
+    }
+
+    #[test]
+    fn a_line_that_is_no_longer_offered_is_given_to_nobody() {
+        let (core, _written) = core();
+        assert!(!core.want_line() && !core.is_line_wanted());
+        core.offer_line(true);
+        assert!(core.want_line() && core.is_line_wanted());
+        // The owner begins to work: whoever wanted the line has to ask again.
+        core.offer_line(false);
+        assert!(!core.is_line_wanted() && !core.want_line());
+        assert!(!core.is_line_wanted());
+    }
+
+    fn request(seq: u16) -> Encoded {
+        let header = Header {
+            kind: Kind::Request,
+            session: 1,
+            seq,
+        };
+        encode(header, &rig::Home.into_request()).expect("fits")
+    }
+
+    const STOP: Header = Header {
+        kind: Kind::Urgent,
+        session: 3,
+        seq: 7,
+    };
+
+    #[test]
+    fn a_command_that_comes_after_a_stop_nobody_has_noticed_is_not_sent() {
+        let (core, written) = core();
+        core.send(&request(1)).expect("sent");
+        assert_eq!(written.try_iter().count(), 1);
+        core.stop(0, STOP, Urgent::Stop).expect("sent");
+        assert_eq!(written.try_iter().count(), 1);
+        core.send(&request(1)).expect("left out");
+        assert_eq!(written.try_iter().count(), 0);
+        assert_eq!(core.stopped(), Some(Urgent::Stop));
+        core.send(&request(2)).expect("sent");
+        assert_eq!(written.try_iter().count(), 1);
+        // The owner's own stop never waits.
+        core.stop(0, STOP, Urgent::EStop).expect("sent");
+        let own = encode(STOP, &Urgent::EStop).expect("fits");
+        core.send(&own).expect("sent");
+        assert_eq!(written.try_iter().count(), 2);
+        assert_eq!(core.stopped(), Some(Urgent::EStop));
+    }
+
+    #[test]
+    fn a_repeated_stop_keeps_its_number_and_another_gets_the_next() {
+        let (core, written) = core();
+        let other = Header { seq: 8, ..STOP };
+        for header in [STOP, STOP, other] {
+            core.stop(0, header, Urgent::Stop).expect("sent");
+        }
+        let numbers: Vec<_> = written
+            .try_iter()
+            .map(|frame| header(&frame).expect("a frame").seq)
+            .collect();
+        assert_eq!(numbers, [FIRST_SEQ, FIRST_SEQ, FIRST_SEQ + 1]);
+    }
+
+    #[test]
+    fn a_question_that_waited_too_long_is_not_asked() {
+        let (core, _written) = core();
+        let (answers, answered) = channel();
+        let question = |asked| {
+            let answers = answers.clone();
+            Question {
+                request: rig::Resume.into_request(),
+                asked,
+                answer: Box::new(move |reply| answers.send(reply).expect("heard")),
+            }
+        };
+        let long_ago = Instant::now() - STALE - Duration::from_millis(1);
+        core.ask(question(long_ago));
+        assert!(core.question(Instant::now()).is_none());
+        assert_eq!(answered.try_recv(), Ok(None));
+        thread::sleep(BREATH);
+        core.ask(question(Instant::now()));
+        assert!(core.question(Instant::now()).is_some());
+        // The next one has to wait, however often the owner looks.
+        core.ask(question(Instant::now()));
+        assert!(core.question(Instant::now()).is_none());
+    }
+
+    #[test]
+    fn what_many_want_to_see_is_asked_once_and_what_they_want_done_as_often_as_they_say() {
+        let (core, _written) = core();
+        let (answers, answered) = channel();
+        let ask = |guest: u32, request: Request| {
+            let answers = answers.clone();
+            core.ask(Question {
+                request,
+                asked: Instant::now(),
+                answer: Box::new(move |reply| answers.send((guest, reply)).expect("heard")),
+            });
+        };
+        let status = || rig::GetRigStatus.into_request();
+        for guest in 0..5 {
+            ask(guest, status());
+        }
+        ask(5, rig::Resume.into_request());
+        ask(6, status());
+        ask(7, rig::Resume.into_request());
+        let reply = Reply::Wire(WireError::Malformed);
+        let first = core.question(Instant::now()).expect("one");
+        assert_eq!(first.request, status());
+        first.answer(Some(reply.clone()));
+        let mut guests: Vec<_> = answered.try_iter().collect();
+        guests.sort_by_key(|(guest, _)| *guest);
+        let told = |guest| (guest, Some(reply.clone()));
+        assert_eq!(guests, [0, 1, 2, 3, 4, 6].map(told));
+        for guest in [5, 7] {
+            thread::sleep(BREATH);
+            core.question(Instant::now()).expect("another").answer(None);
+            assert_eq!(answered.try_iter().collect::<Vec<_>>(), [(guest, None)]);
+        }
+        thread::sleep(BREATH);
+        assert!(core.question(Instant::now()).is_none());
+    }
+
+    /// The door of a system without Unix sockets.
+    #[test]
+    fn at_a_loopback_door_the_token_decides() {
+        let (core, written) = core();
+        let listener = Listener::loopback().expect("a free port");
+        let plate = Plate {
+            owner: crate::door::Owner::this_process(),
+            port: listener.port(),
+            token: "secret".to_owned(),
+            recording: None,
+        };
+        let (served, shown) = (Arc::clone(&core), plate.clone());
+        thread::spawn(move || serve(&listener, &shown, &served));
+        let visit = |token: &str| {
+            let mut stream = Stream::connect("".as_ref(), plate.port).expect("open");
+            let knock = format!("{{\"retrograde_window\":1,\"token\":\"{token}\"}}\n");
+            let stop = encode(STOP, &Urgent::EStop).expect("fits");
+            // Without waiting for the welcome.
+            stream.write_all(knock.as_bytes()).expect("sent");
+            let _ = stream.write_all(&stop);
+            read_line(&mut stream, LONGEST_LINE)
+        };
+        for wrong in ["", "guess"] {
+            assert!(visit(wrong).is_err());
+            assert!(written.recv_timeout(Duration::from_millis(100)).is_err());
+        }
+        let welcome = visit("secret").expect("welcome");
+        let welcome: Welcome = serde_json::from_slice(&welcome).expect("JSON");
+        assert_eq!(welcome.owner, plate.owner);
+        let sent = written.recv_timeout(Duration::from_secs(2)).expect("sent");
+        assert_eq!(header(&sent).expect("a frame").kind, Kind::Urgent);
+        core.close();
+    }
+}

@@ -1,0 +1,112 @@
+//! A guest's side of a door: a link to the machine that another process owns.
+
+use std::io::{self, Read, Write};
+use std::time::{Duration, Instant};
+
+use crate::door::lock::Doorway;
+use crate::door::stream::{Stream, read_line};
+use crate::door::{Knock, LONGEST_LINE, Owner, VERSION, Welcome};
+use crate::link::tcp::{nothing_yet, timeout, wall_us};
+use crate::link::{Link, LinkError};
+
+/// A link through another process. Stops go out at once; reading goes between the owner's requests; what only the owner
+/// may do is refused by [`crate::device::Device`] before it is sent.
+#[derive(Debug)]
+pub struct Window {
+    place: String,
+    owner: Owner,
+    yields: bool,
+    full: bool,
+    doorway: Doorway,
+    stream: Stream,
+    start: Instant,
+}
+
+impl Window {
+    /// Goes to the door and knocks; the owner has `limit` to answer. Through one that is [full](Window::is_full) only stops
+    /// go.
+    ///
+    /// # Errors
+    /// There is no door, nobody answers, or what answers is no door.
+    pub fn open(doorway: &Doorway, limit: Duration) -> io::Result<Self> {
+        Self::knock(doorway, limit, false)
+    }
+
+    fn knock(doorway: &Doorway, limit: Duration, wants_line: bool) -> io::Result<Self> {
+        let plate = doorway.plate();
+        let mut stream = doorway.connect(plate.as_ref())?;
+        stream.set_read_timeout(Some(limit))?;
+        stream.set_write_timeout(Some(limit))?;
+        let knock = Knock {
+            retrograde_window: VERSION,
+            token: plate.map_or_else(String::new, |plate| plate.token),
+            wants_line,
+        };
+        let mut line = serde_json::to_vec(&knock)?;
+        line.push(b'\n');
+        stream.write_all(&line)?;
+        let welcome = read_line(&mut stream, LONGEST_LINE)?;
+        let welcome: Welcome = serde_json::from_slice(&welcome)?;
+        Ok(Self {
+            place: doorway.place().to_owned(),
+            owner: welcome.owner,
+            yields: welcome.yields,
+            full: welcome.full,
+            doorway: doorway.clone(),
+            stream,
+            start: Instant::now(),
+        })
+    }
+
+    /// As many processes look as may: through this window nothing but a stop goes.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        self.full
+    }
+
+    fn lost(&self) -> LinkError {
+        LinkError::OwnerGone {
+            place: self.place.clone(),
+            owner: Box::new(self.owner.clone()),
+        }
+    }
+}
+
+impl Link for Window {
+    fn place(&self) -> String {
+        self.place.clone()
+    }
+
+    fn now_us(&self) -> u64 {
+        wall_us(self.start)
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.stream.write_all(bytes).map_err(|_| self.lost())
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        let limit = timeout(self.now_us(), deadline_us);
+        self.stream
+            .set_read_timeout(Some(limit))
+            .map_err(|_| self.lost())?;
+        match self.stream.read(buffer) {
+            Ok(0) => Err(self.lost()),
+            Ok(count) => Ok(count),
+            Err(io) if nothing_yet(io.kind()) => Ok(0),
+            Err(_) => Err(self.lost()),
+        }
+    }
+
+    fn owner(&self) -> Option<&Owner> {
+        Some(&self.owner)
+    }
+
+    fn want_line(&mut self) -> bool {
+        // An owner that is gone has given it up, too.
+        if self.yields {
+            let _ = Self::knock(&self.doorway, Duration::from_secs(1), true);
+        }
+        self.yields
+    }
+}

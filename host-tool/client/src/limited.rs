@@ -1,0 +1,60 @@
+//! Files that are read whole are read up to a limit: one without an end would take all memory.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+/// Settings, and other files that people write by hand.
+pub const BY_HAND: u64 = 64 << 10;
+
+/// What this program writes for itself: sidecars, records of commissioning.
+pub const RECORD: u64 = 64 << 20;
+
+/// An image for a board of 512 KiB, with its debug information.
+pub const IMAGE: u64 = 256 << 20;
+
+/// Reads a file of at most `limit` bytes.
+///
+/// # Errors
+/// Those of the file, and [`io::ErrorKind::FileTooLarge`].
+pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = vec![];
+    // One more shows that there are more.
+    File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > limit {
+        let kib = limit >> 10;
+        let why = format!("more than {kib} KiB, which no such file has");
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
+    }
+    Ok(bytes)
+}
+
+/// As [`read`], for text.
+///
+/// # Errors
+/// As [`read`], and [`io::ErrorKind::InvalidData`] if it is not UTF-8.
+pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
+    String::from_utf8(read(path, limit)?)
+        .map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not text"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_at_its_limit_is_read_and_one_beyond_is_not() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("file");
+        std::fs::write(&path, "123").expect("written");
+        assert_eq!(read_text(&path, 3).expect("short enough"), "123");
+        let error = read_text(&path, 2).expect_err("too long");
+        assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_file_without_an_end_is_refused() {
+        assert!(read(Path::new("/dev/zero"), 1_000).is_err());
+    }
+}

@@ -1,0 +1,301 @@
+//! A link to a machine at a serial port, which this process opens exclusively.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
+
+use crate::link::shared::{Halves, READ};
+use crate::link::tcp::{nothing_yet, timeout, wall_us};
+use crate::link::{Link, LinkError, OpenError, Reason};
+use crate::named;
+
+/// Speed of both firmwares.
+pub const DEFAULT_BAUD: u32 = 115_200;
+
+/// USB vendor of the ST-LINK on every Nucleo board.
+const STMICROELECTRONICS: u16 = 0x0483;
+
+/// Time limit for a write. A frame of 170 bytes takes 15 ms, so a port that takes longer than this is stuck.
+const WRITE: Duration = Duration::from_secs(1);
+
+/// Why a port ends.
+const GONE: &str = "the port is gone";
+
+/// A serial port.
+pub struct Serial {
+    path: String,
+    port: Box<dyn SerialPort>,
+    start: Instant,
+}
+
+impl Serial {
+    /// Opens a port exclusively. Sends nothing.
+    ///
+    /// # Errors
+    /// [`OpenError`], which tells missing, forbidden and busy ports apart and says what to do.
+    pub fn open(path: &str, baud: u32) -> Result<Self, OpenError> {
+        let port = serialport::new(path, baud)
+            .timeout(WRITE)
+            .open()
+            .map_err(|error| explain(path, &error))?;
+        // Bytes from before belong to no session of this process.
+        let _ = port.clear(ClearBuffer::Input);
+        Ok(Self {
+            path: path.to_owned(),
+            port,
+            start: Instant::now(),
+        })
+    }
+
+    /// Both directions for two threads.
+    pub fn halves(mut self) -> io::Result<Halves> {
+        let mut reader = self.port.try_clone()?;
+        reader.set_timeout(READ)?;
+        self.port.set_timeout(WRITE)?;
+        Ok(Halves {
+            reader: Box::new(reader),
+            writer: Box::new(self.port),
+            end: GONE,
+        })
+    }
+
+    fn lost(&self, why: impl ToString) -> LinkError {
+        LinkError::Lost {
+            place: self.path.clone(),
+            why: why.to_string(),
+        }
+    }
+}
+
+impl Link for Serial {
+    fn place(&self) -> String {
+        self.path.clone()
+    }
+
+    fn now_us(&self) -> u64 {
+        wall_us(self.start)
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.port
+            .set_timeout(WRITE)
+            .map_err(|error| self.lost(error))?;
+        self.port.write_all(bytes).map_err(|error| self.lost(error))
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        let timeout = timeout(self.now_us(), deadline_us);
+        self.port
+            .set_timeout(timeout)
+            .map_err(|error| self.lost(error))?;
+        match self.port.read(buffer) {
+            Ok(0) => Err(self.lost(GONE)),
+            Ok(count) => Ok(count),
+            Err(io) if nothing_yet(io.kind()) => Ok(0),
+            Err(io) => Err(self.lost(io)),
+        }
+    }
+}
+
+/// A serial port of this computer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Port {
+    /// Name to open it by.
+    pub path: String,
+    /// What the system knows about it.
+    pub description: String,
+    /// It belongs to an ST-LINK, so that Hello cannot disturb some other instrument.
+    pub stlink: bool,
+}
+
+/// All serial ports, by name.
+#[must_use]
+pub fn ports() -> Vec<Port> {
+    let mut ports: Vec<Port> = serialport::available_ports()
+        .unwrap_or_default()
+        .into_iter()
+        .map(|info| match info.port_type {
+            SerialPortType::UsbPort(usb) => Port {
+                path: info.port_name,
+                description: [
+                    usb.product.unwrap_or_else(|| "USB".to_owned()),
+                    usb.serial_number.unwrap_or_default(),
+                ]
+                .join(" ")
+                .trim()
+                .to_owned(),
+                stlink: usb.vid == STMICROELECTRONICS,
+            },
+            _ => Port {
+                path: info.port_name,
+                description: "not a USB port".to_owned(),
+                stlink: false,
+            },
+        })
+        .collect();
+    ports.sort_by(|a, b| a.path.cmp(&b.path));
+    ports
+}
+
+fn explain(path: &str, error: &serialport::Error) -> OpenError {
+    let exists = Path::new(path).exists();
+    let (reason, why, remedy) = match error.kind() {
+        ErrorKind::Io(io::ErrorKind::PermissionDenied) => (
+            Reason::Permission,
+            "no permission".to_owned(),
+            match group(path) {
+                // Membership of that group is not for a user.
+                Some(group) if group == "root" => "the port belongs to the administrator alone: a udev rule that gives it to a group of yours (`dialout`), or `sudo setfacl -m u:$USER:rw` on the port until it is unplugged".to_owned(),
+                Some(group) => format!(
+                    "the port belongs to the group `{group}`: run `sudo usermod -aG {group} $USER`, then log out and in again"
+                ),
+                None => "give your user read and write access to the port".to_owned(),
+            },
+        ),
+        ErrorKind::NoDevice if exists => (
+            Reason::Busy,
+            match owner(path) {
+                Some(owner) => format!("in use by {owner}"),
+                None => "in use by another program".to_owned(),
+            },
+            "close that program (a serial monitor, another `retrograde`, ModemManager), then try again".to_owned(),
+        ),
+        _ if exists && !is_a_device(path) => (
+            Reason::NoPort,
+            "it is no serial port".to_owned(),
+            "give a serial port, such as /dev/ttyACM0; `retrograde devices` lists the ports"
+                .to_owned(),
+        ),
+        _ if !exists && cfg!(unix) => (
+            Reason::Absent,
+            "there is no such port".to_owned(),
+            match named::file().filter(|_| named::may_be_a_name(path)) {
+                Some(file) => format!(
+                    "if it is the name of a machine, {} has to say where that is; `retrograde devices` lists the ports and all names",
+                    file.display()
+                ),
+                None => "check the cable; `retrograde devices` lists the ports".to_owned(),
+            },
+        ),
+        _ => (
+            Reason::Other,
+            error.to_string(),
+            "unplug the board, plug it in again, and try `retrograde devices`".to_owned(),
+        ),
+    };
+    OpenError {
+        place: path.to_owned(),
+        reason,
+        why,
+        remedy,
+    }
+}
+
+/// Whether a path may be a port: neither a file nor a folder, nor a device without a line.
+#[cfg(unix)]
+fn is_a_device(path: &str) -> bool {
+    use std::io::IsTerminal;
+    use std::os::unix::fs::FileTypeExt;
+    let device = fs::metadata(path).is_ok_and(|found| found.file_type().is_char_device());
+    // One that cannot be opened may be anything.
+    device && fs::File::open(path).map_or(true, |file| file.is_terminal())
+}
+
+#[cfg(not(unix))]
+fn is_a_device(_path: &str) -> bool {
+    true
+}
+
+/// Name of the group that owns a file.
+#[cfg(unix)]
+fn group(path: &str) -> Option<String> {
+    use std::os::unix::fs::MetadataExt;
+    let gid = fs::metadata(path).ok()?.gid().to_string();
+    let groups = fs::read_to_string("/etc/group").ok()?;
+    groups.lines().find_map(|line| {
+        let mut fields = line.split(':');
+        let name = fields.next()?;
+        (fields.nth(1)? == gid).then(|| name.to_owned())
+    })
+}
+
+#[cfg(not(unix))]
+fn group(_path: &str) -> Option<String> {
+    None
+}
+
+/// The process that has a file open, as far as this user may see it (Linux).
+fn owner(path: &str) -> Option<String> {
+    let wanted = fs::canonicalize(path).ok()?;
+    fs::read_dir("/proc").ok()?.flatten().find_map(|process| {
+        let id = process.file_name().to_str()?.parse::<u32>().ok()?;
+        let open = fs::read_dir(process.path().join("fd"))
+            .ok()?
+            .flatten()
+            .any(|fd| fs::read_link(fd.path()).is_ok_and(|target| target == wanted));
+        if !open || id == std::process::id() {
+            return None;
+        }
+        let name = fs::read_to_string(process.path().join("comm")).ok()?;
+        Some(format!("{} (process {id})", name.trim()))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_port_is_named_and_says_where_to_look() {
+        let error = Serial::open("/dev/retrograde-no-such-port", DEFAULT_BAUD)
+            .err()
+            .expect("there is no such port");
+        assert_eq!(error.place, "/dev/retrograde-no-such-port");
+        assert!(error.remedy.contains("retrograde devices"), "{error:?}");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_port_that_is_forbidden_or_in_use_says_what_to_do_and_who_has_it() {
+        use std::io::{BufRead, BufReader, Write};
+        use std::process::{Command, Stdio};
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        let path = file.path().to_str().expect("UTF-8");
+        let explained = |kind| explain(path, &serialport::Error::new(kind, ""));
+        let forbidden = explained(ErrorKind::Io(io::ErrorKind::PermissionDenied));
+        assert_eq!(forbidden.reason, Reason::Permission);
+        assert!(!forbidden.remedy.is_empty());
+        // Another process has it open.
+        let mut other = Command::new("sh")
+            .args(["-c", "exec 3< \"$0\"; echo open; read line", path])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("a shell");
+        let mut said = String::new();
+        let out = other.stdout.take().expect("piped");
+        let _ = BufReader::new(out).read_line(&mut said).expect("a line");
+        let _ours = fs::File::open(path).expect("there");
+        let busy = explained(ErrorKind::NoDevice);
+        assert_eq!(busy.reason, Reason::Busy);
+        let who = format!("(process {})", other.id());
+        assert!(busy.why.contains(&who), "{busy}");
+        let mut input = other.stdin.take().expect("piped");
+        input.write_all(b"\n").expect("typed");
+        other.wait().expect("ended");
+        assert_eq!(
+            explained(ErrorKind::NoDevice).why,
+            "in use by another program"
+        );
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn the_group_of_a_file_has_a_name() {
+        let group = group("/dev/null").expect("there is /dev/null");
+        assert!(!group.is_empty());
+    }
+}

@@ -1,0 +1,123 @@
+//! A link to a machine behind a TCP server, which passes on the bytes of its serial port in real time.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::{Duration, Instant};
+
+use crate::link::shared::{Halves, READ};
+use crate::link::{Link, LinkError, OpenError, Reason};
+
+/// Time limit for a write: a server that reads nothing for so long is stuck.
+const WRITE: Duration = Duration::from_secs(1);
+
+/// Why a connection ends.
+const CLOSED: &str = "the other end closed the connection";
+
+/// A TCP link.
+#[derive(Debug)]
+pub struct Tcp {
+    place: String,
+    stream: TcpStream,
+    start: Instant,
+}
+
+impl Tcp {
+    /// Connects to `HOST:PORT`, giving each address of the host so much time.
+    ///
+    /// # Errors
+    /// [`OpenError`] if the name is unknown or nobody listens there.
+    pub fn open_within(host_port: &str, limit: Duration) -> Result<Self, OpenError> {
+        let place = format!("tcp:{host_port}");
+        let error = |why: String| OpenError {
+            place: place.clone(),
+            reason: Reason::Unreachable,
+            why,
+            remedy: "start the server first (`virtual-bench serve`), and check host and port"
+                .into(),
+        };
+        let mut last = "the host name has no address".to_owned();
+        let addresses = host_port
+            .to_socket_addrs()
+            .map_err(|io| error(io.to_string()))?;
+        for address in addresses {
+            match TcpStream::connect_timeout(&address, limit) {
+                Ok(stream) => {
+                    // Small frames must leave at once: a stop must not wait for more data.
+                    stream
+                        .set_nodelay(true)
+                        .map_err(|io| error(io.to_string()))?;
+                    return Ok(Self {
+                        place,
+                        stream,
+                        start: Instant::now(),
+                    });
+                }
+                Err(io) => last = io.to_string(),
+            }
+        }
+        Err(error(last))
+    }
+
+    /// Both directions for two threads.
+    pub fn halves(self) -> io::Result<Halves> {
+        self.stream.set_read_timeout(Some(READ))?;
+        self.stream.set_write_timeout(Some(WRITE))?;
+        Ok(Halves {
+            reader: Box::new(self.stream.try_clone()?),
+            writer: Box::new(self.stream),
+            end: CLOSED,
+        })
+    }
+
+    fn lost(&self, why: impl ToString) -> LinkError {
+        LinkError::Lost {
+            place: self.place.clone(),
+            why: why.to_string(),
+        }
+    }
+}
+
+impl Link for Tcp {
+    fn place(&self) -> String {
+        self.place.clone()
+    }
+
+    fn now_us(&self) -> u64 {
+        wall_us(self.start)
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.stream.write_all(bytes).map_err(|io| self.lost(io))
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        let timeout = timeout(self.now_us(), deadline_us);
+        self.stream
+            .set_read_timeout(Some(timeout))
+            .map_err(|io| self.lost(io))?;
+        match self.stream.read(buffer) {
+            Ok(0) => Err(self.lost(CLOSED)),
+            Ok(count) => Ok(count),
+            Err(io) if nothing_yet(io.kind()) => Ok(0),
+            Err(io) => Err(self.lost(io)),
+        }
+    }
+}
+
+/// Time since `start`, us.
+pub(crate) fn wall_us(start: Instant) -> u64 {
+    u64::try_from(start.elapsed().as_micros()).unwrap_or(u64::MAX)
+}
+
+/// Time to a deadline: never zero, which would mean "forever", and bounded for the operating system.
+pub(crate) fn timeout(now_us: u64, deadline_us: u64) -> Duration {
+    Duration::from_micros(deadline_us.saturating_sub(now_us).clamp(1_000, 60_000_000))
+}
+
+/// Whether a read merely ended without bytes.
+pub(crate) fn nothing_yet(kind: ErrorKind) -> bool {
+    matches!(
+        kind,
+        ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted
+    )
+}

@@ -1,0 +1,92 @@
+//! The machine that results are about, with everything that they depend on.
+
+use std::collections::BTreeMap;
+
+use protocol::rig::GetRigHealth;
+use protocol::settings::{GetSetting, SettingKey};
+use protocol::system::{DeviceKind, Identity};
+
+use crate::Device;
+use crate::diagnosis::Sign;
+use crate::error::ClientError;
+use crate::identity::{IdentityRecord, Origin, kind_name};
+
+/// The machine that results are about.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Subject {
+    /// Kind of machine.
+    pub machine: DeviceKind,
+    /// Unique number of its board.
+    pub uid: String,
+    /// Whether it is a real machine.
+    pub origin: Origin,
+    /// Fingerprint of the rig's image, 8 hex digits; of the capsule, which has none, the commit.
+    pub image: String,
+    /// Commit of the image.
+    pub firmware: String,
+    /// Protocol of the image.
+    pub protocol: String,
+    /// All settings by name; the capsule has none.
+    pub settings: BTreeMap<String, u32>,
+}
+
+impl Subject {
+    /// Asks a machine for everything that its results depend on.
+    ///
+    /// # Errors
+    /// As [`Device::call`]; [`ClientError::NoAnswer`] before [`Device::hello`].
+    pub fn of(device: &mut Device) -> Result<Self, ClientError> {
+        let Some(identity) = device.identity().copied() else {
+            let place = device.place();
+            return Err(ClientError::NoAnswer {
+                place,
+                sign: Sign::Silence,
+            });
+        };
+        let mut subject = Self::of_identity(&identity);
+        subject.origin = device.origin();
+        if identity.device == DeviceKind::Rig {
+            let hash = device.call(GetRigHealth)?.image_hash;
+            subject.image = format!("{hash:08x}");
+            for key in SettingKey::of(DeviceKind::Rig) {
+                let value = device.call(GetSetting { key })?.value;
+                subject.settings.insert(key.name().to_owned(), value);
+            }
+        }
+        Ok(subject)
+    }
+
+    /// What an identity alone says of it.
+    #[must_use]
+    pub fn of_identity(identity: &Identity) -> Self {
+        let known = IdentityRecord::new(identity, "");
+        Self {
+            machine: identity.device,
+            uid: known.uid,
+            origin: known.origin,
+            image: known.firmware.clone(),
+            firmware: known.firmware,
+            protocol: known.protocol,
+            settings: BTreeMap::new(),
+        }
+    }
+
+    /// Value of a setting.
+    #[must_use]
+    pub fn setting(&self, key: SettingKey) -> u32 {
+        let known = self.settings.get(key.name()).copied();
+        known.unwrap_or(key.range().default)
+    }
+
+    /// Name of the record's file.
+    #[must_use]
+    pub fn file_name(&self) -> String {
+        file_name(self.machine, &self.uid)
+    }
+}
+
+/// Name of the record of a board's commissioning.
+#[must_use]
+pub fn file_name(machine: DeviceKind, uid: &str) -> String {
+    format!("commissioning-{}-{uid}.json", kind_name(machine))
+}

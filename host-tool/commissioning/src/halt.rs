@@ -1,0 +1,68 @@
+//! Why a measurement ended before its end, and what faults say about a new machine.
+
+use client::error::ClientError;
+use protocol::error::Refusal;
+use protocol::rig::RigFault;
+
+/// Why a measurement ended before its end.
+#[derive(Debug)]
+pub enum Halt {
+    /// The operator left.
+    Left,
+    /// Nothing can be said, for this reason.
+    NotShown(String),
+    /// Something is wrong, and this is what.
+    Defect(String),
+    /// The machine or the link to it.
+    Client(ClientError),
+    /// The bench's hands are gone.
+    NoHands(String),
+}
+
+impl From<ClientError> for Halt {
+    fn from(error: ClientError) -> Self {
+        match error {
+            ClientError::Interrupted { .. } => Self::Left,
+            ClientError::Refused { refusal, .. } => Self::Defect(refused(&refusal)),
+            ClientError::Overdue { .. } => Self::Defect(error.to_string()),
+            error => Self::Client(error),
+        }
+    }
+}
+
+/// A refusal that nobody expected here.
+pub(super) fn refused(refusal: &Refusal) -> String {
+    match refusal {
+        Refusal::RigFaulted(fault) => fault_text(*fault),
+        refusal => format!("the machine refuses: {refusal}"),
+    }
+}
+
+/// What a fault says about a new machine.
+#[must_use]
+pub fn fault_text(fault: RigFault) -> String {
+    match fault {
+        RigFault::ReadBack { commanded, counted } => format!(
+            "the read-back does not count the steps ({} of {}): the jumper D2-A0 is missing or loose",
+            counted.unsigned_abs(),
+            commanded.unsigned_abs()
+        ),
+        RigFault::EStopLoop => {
+            "the E-stop loop opened, and nobody was asked to open it: noise on its wire, a loose contact, or the carriage on an end-of-travel switch".to_owned()
+        }
+        fault => fault.to_string(),
+    }
+}
+
+/// What an end of homing says about a new rig.
+#[must_use]
+pub fn homing_text(fault: RigFault, met_far_limit: bool) -> String {
+    if met_far_limit {
+        return "the motor is reversed: homing took the carriage to the left, to the far limit. Motor supply off, turn one motor coil around".to_owned();
+    }
+    match fault {
+        RigFault::EStopLoop => "the E-stop loop opened while homing. If the carriage stands at its left end, the motor is reversed: turn one motor coil around; at its right end, the home flag is not ahead of the end-of-travel switch".to_owned(),
+        RigFault::FlagNotFound(_) => format!("{fault}; motor supply, driver current, coupling"),
+        fault => fault_text(fault),
+    }
+}

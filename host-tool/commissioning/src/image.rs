@@ -1,0 +1,81 @@
+//! The fingerprint of an image file, as the rig calculates it over its flash.
+
+use std::path::Path;
+
+use client::limited;
+use object::read::elf::{ElfFile32, ProgramHeader as _};
+use object::{Endianness, Object as _, ObjectSymbol as _};
+
+/// Flash of the STM32F411RE.
+const MOST_BYTES: usize = 512 * 1024;
+
+/// Why a file has no fingerprint.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageError {
+    /// It cannot be read.
+    #[error("{0}")]
+    Read(#[from] std::io::Error),
+    /// It is not an ELF file of this chip.
+    #[error("{0}")]
+    Elf(#[from] object::Error),
+    /// The linker's names for the ends of the image are missing.
+    #[error("it is not an image of this firmware: no symbol {0}")]
+    NoSymbol(&'static str),
+    /// The linker's names for the ends of the image are those of no image.
+    #[error(
+        "it is not an image of this chip: its code goes from {start:#010x} to {end:#010x}, allowed are 4 to {MOST_BYTES} bytes"
+    )]
+    Extent {
+        /// Address of its first byte.
+        start: u64,
+        /// Address behind its last byte.
+        end: u64,
+    },
+}
+
+/// FNV-1a, 32 bits, over code, constants and initial values as 32-bit words: the image's own `image_hash`.
+///
+/// # Errors
+/// The file is no image.
+pub fn fingerprint(path: &Path) -> Result<u32, ImageError> {
+    let file = limited::read(path, limited::IMAGE)?;
+    let elf = ElfFile32::<Endianness>::parse(&*file)?;
+    let symbol = |name: &'static str| {
+        elf.symbol_by_name(name)
+            .map(|symbol| symbol.address())
+            .ok_or(ImageError::NoSymbol(name))
+    };
+    let start = symbol("__stext")?;
+    let data = symbol("__edata")?.saturating_sub(symbol("__sdata")?);
+    let end = symbol("__sidata")?.saturating_add(data);
+    let length = end
+        .checked_sub(start)
+        .and_then(|length| usize::try_from(length).ok())
+        .filter(|length| (4..=MOST_BYTES).contains(length))
+        .ok_or(ImageError::Extent { start, end })?;
+    // What no segment covers stays erased.
+    let mut flash = vec![0xFF; length];
+    let endian = elf.endian();
+    for segment in elf.elf_program_headers() {
+        let begins = u64::from(segment.p_paddr(endian));
+        let Ok(bytes) = segment.data(endian, &*file) else {
+            continue;
+        };
+        for (address, byte) in (begins..).zip(bytes) {
+            let cell = address
+                .checked_sub(start)
+                .and_then(|offset| usize::try_from(offset).ok())
+                .and_then(|offset| flash.get_mut(offset));
+            if let Some(cell) = cell {
+                *cell = *byte;
+            }
+        }
+    }
+    let words = flash.chunks_exact(4).map(|word| {
+        let bytes = [word[0], word[1], word[2], word[3]];
+        u32::from_le_bytes(bytes)
+    });
+    Ok(words.fold(0x811C_9DC5, |hash, word| {
+        (hash ^ word).wrapping_mul(0x0100_0193)
+    }))
+}

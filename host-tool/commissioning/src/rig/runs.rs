@@ -1,0 +1,286 @@
+//! Runs: every step counted and timed, and what ends a run.
+
+use protocol::rig::{
+    Direction, GetRigHealth, Jog, LinkLossPolicy, RigFault, RigState, RigStatus, Run, RunOutcome,
+    RunTiming,
+};
+use protocol::settings::SettingKey as Key;
+use serde_json::json;
+
+use super::depends::SCREW;
+use crate::halt::{Halt, fault_text};
+use crate::hands::Part;
+use crate::work::Work;
+use crate::work::rig::by_speed;
+
+/// The edges of so many cycles are timed: the intervals of all others are the same.
+const TIMED_CYCLES: u16 = 100;
+/// False pulses on a switch's line in a run of the last step that are too many.
+const TOO_MANY_GLITCHES: u32 = 100;
+
+/// A run with short strokes as fast as they go, within the way on which the rig does not look for its flag: without
+/// motor power the flag does not change.
+fn short_strokes(work: &Work<'_>, cycles: u16) -> Result<Run, Halt> {
+    let [lead, full, micro] = SCREW.map(|key| u64::from(work.setting(key)));
+    let steps_per_rev = (full * micro).max(1);
+    let um = |steps: u32| u64::from(steps) * lead / steps_per_rev;
+    // The lesser of the two: a way that is too long for a number of 32 bits is beyond every setting.
+    let within = |setting: u32, um: u64| u32::try_from(um).map_or(setting, |um| um.min(setting));
+    let stroke_um = work.setting(Key::StrokeUm);
+    let stroke_um = match work.setting(Key::FlagUm) {
+        0 => within(stroke_um, um(work.setting(Key::LedgerLimitSteps))),
+        flag_um => flag_um.min(stroke_um),
+    };
+    // The rig takes strokes of one step.
+    let least_um = lead.div_ceil(steps_per_rev);
+    if u64::from(stroke_um) < least_um {
+        return Err(Halt::NotShown(format!(
+            "there is no stroke without a look at the flag: flag_um, or the way of ledger_limit_steps if it is 0, has to be {least_um} um or more"
+        )));
+    }
+    let fastest = um(work.setting(Key::MaxStepHz));
+    let speed = within(work.setting(Key::MaxSpeedUmS), fastest);
+    let accel = work.setting(Key::MaxAccelUmS2);
+    Ok(by_speed(cycles, stroke_um, speed, accel))
+}
+
+pub(super) fn read_back(work: &mut Work<'_>) -> Result<(), Halt> {
+    let run = short_strokes(work, work.options.read_back_cycles)?;
+    let (accepted, record) = work.run_without_power(run)?;
+    work.whole(&accepted, &record)
+}
+
+pub(super) fn edge_timing(work: &mut Work<'_>) -> Result<(), Halt> {
+    let cycles = work.options.read_back_cycles.min(TIMED_CYCLES);
+    let run = short_strokes(work, cycles)?;
+    let (accepted, record) = work.run_without_power(run)?;
+    work.whole(&accepted, &record)?;
+    work.note("edges_timed", record.edges_timed);
+    work.note(
+        "worst_interval_error_ticks",
+        record.worst_interval_error_ticks,
+    );
+    if record.edges_timed == 0 {
+        return Err(Halt::NotShown(
+            "not timed: the second jumper, from D2 (STEP) to A1, is missing".to_owned(),
+        ));
+    }
+    if record.worst_interval_error_ticks == u32::MAX {
+        return Err(Halt::Defect(format!(
+            "{} edges were captured, more than steps were made: noise on the wire from STEP to A1",
+            record.edges_timed
+        )));
+    }
+    if record.worst_interval_error_ticks > 0 {
+        return Err(Halt::Defect(format!(
+            "an interval between two steps differs from the plan by {} ns",
+            u64::from(record.worst_interval_error_ticks) * 10
+        )));
+    }
+    if record.edges_timed != accepted.edges {
+        return Err(Halt::Defect(format!(
+            "of {} steps {} were timed",
+            accepted.edges, record.edges_timed
+        )));
+    }
+    Ok(())
+}
+
+pub(super) fn e_stop_moving(work: &mut Work<'_>) -> Result<(), Halt> {
+    work.at_home()?;
+    work.start_short_run(10)?;
+    work.under_way()?;
+    let status = work.ask(Part::EStop, true, at_rest)?;
+    let record = work.device.run_record()?;
+    work.note("counted_edges", record.counted_edges);
+    let stands = status.position_steps;
+    if record.outcome == RunOutcome::Complete {
+        return Err(Halt::NotShown(
+            "the run was over before the E-stop was pressed".to_owned(),
+        ));
+    }
+    if record.outcome != RunOutcome::Faulted(RigFault::EStopLoop) {
+        work.ask(Part::EStop, false, |status| !status.inputs.estop_loop)?;
+        return Err(Halt::Defect(format!(
+            "the E-stop did not end the run: {:?}",
+            record.outcome
+        )));
+    }
+    work.ask(Part::EStop, false, |status| !status.inputs.estop_loop)?;
+    work.pause(1_000_000)?;
+    let later = work.status()?;
+    work.note("moved_after_release_steps", later.position_steps - stands);
+    if later.position_steps != stands || later.state != RigState::Faulted {
+        return Err(Halt::Defect(
+            "releasing the E-stop moved the carriage or cleared the fault".to_owned(),
+        ));
+    }
+    work.clear()
+}
+
+pub(super) fn jumper(work: &mut Work<'_>) -> Result<(), Halt> {
+    work.at_home()?;
+    work.start_short_run(10)?;
+    work.under_way()?;
+    let status = work.ask(Part::Jumper, false, at_rest)?;
+    // Half a second is a stroke's quarter; the end of the stroke finds what the rounds before have not.
+    let status = match status.fault {
+        Some(_) => status,
+        None => work.until(3_000_000, at_rest)?,
+    };
+    work.hand(Part::Jumper, true)?;
+    work.note("position_steps", status.position_steps);
+    match status.fault {
+        Some(RigFault::ReadBack { commanded, counted }) => {
+            work.note("commanded_steps", commanded);
+            work.note("counted_steps", counted);
+            work.clear()
+        }
+        Some(fault) => Err(Halt::Defect(fault_text(fault))),
+        None if at_rest(&status) => Err(Halt::NotShown(
+            "the run was over before the jumper was pulled".to_owned(),
+        )),
+        None => Err(Halt::Defect(
+            "the run goes on without the jumper D2-A0: something else feeds the read-back"
+                .to_owned(),
+        )),
+    }
+}
+
+pub(super) fn cable(work: &mut Work<'_>) -> Result<(), Halt> {
+    work.at_home()?;
+    work.start_short_run(10)?;
+    work.under_way()?;
+    let boot = work.boot_id();
+    work.pull_the_cable()?;
+    if work.boot_id() != boot {
+        return Err(Halt::Defect(
+            "the board lost its supply with the cable and started again: feed it by E5V or VIN, see docs/rig.md".to_owned(),
+        ));
+    }
+    let status = work.until(2_000_000, at_rest)?;
+    let record = work.device.run_record()?;
+    work.note("stands_at_um", status.position_um);
+    match record.outcome {
+        RunOutcome::LinkLost => Ok(()),
+        RunOutcome::Complete => Err(Halt::NotShown(
+            "the run was over before the cable was pulled".to_owned(),
+        )),
+        RunOutcome::Faulted(fault) => Err(Halt::Defect(fault_text(fault))),
+        other => Err(Halt::Defect(format!(
+            "the run did not end with the cable: {other:?}"
+        ))),
+    }
+}
+
+fn at_rest(status: &RigStatus) -> bool {
+    !matches!(
+        status.state,
+        RigState::Running | RigState::Stopping | RigState::Moving | RigState::Homing
+    )
+}
+
+pub(super) fn hold(work: &mut Work<'_>) -> Result<(), Halt> {
+    work.at_home()?;
+    let accepted = work.start_short_run(1)?;
+    work.under_way()?;
+    work.device.call(protocol::rig::Hold)?;
+    let held = work.until(2_000_000, at_rest)?;
+    work.note("held_at_um", held.position_um);
+    if held.state != RigState::Held {
+        return Err(Halt::Defect(format!(
+            "the run was not held: {:?}",
+            held.state
+        )));
+    }
+    work.pause(500_000)?;
+    let later = work.status()?;
+    if later.position_steps != held.position_steps {
+        return Err(Halt::Defect(
+            "the carriage moved while it was held".to_owned(),
+        ));
+    }
+    work.device.call(protocol::rig::Resume)?;
+    let record = work.finish(&accepted)?;
+    work.note("holds", record.holds);
+    work.whole(&accepted, &record)
+}
+
+pub(super) fn jog(work: &mut Work<'_>) -> Result<(), Halt> {
+    work.at_home()?;
+    let speed_um_s = 5_000.min(work.setting(Key::MaxSpeedUmS));
+    work.device.call(Jog {
+        sense: Direction::Away,
+        speed_um_s,
+    })?;
+    // The host is heard all the time: it is the jog itself that is not renewed.
+    let dead_man_ms = work.setting(Key::DeadManMs);
+    let dead_man_us = u64::from(dead_man_ms) * 1_000;
+    let status = work.until(dead_man_us + 2_000_000, at_rest)?;
+    work.note("jogged_um", status.position_um);
+    let farthest = i64::from(speed_um_s) * (i64::from(dead_man_ms) + 200) / 1_000;
+    if status.state != RigState::Ready || i64::from(status.position_um) > farthest {
+        return Err(Halt::Defect(format!(
+            "a jog that was not renewed went {} um and is {:?}",
+            status.position_um, status.state
+        )));
+    }
+    // The rig takes no new motion while a repetition of the jog might be under way.
+    work.pause(dead_man_us + 50_000)?;
+    let target = work.setting(Key::StrokeUm) / 2;
+    let there = work.go_to(target)?;
+    work.note("moved_to_um", there.position_um);
+    let step = i64::from(there.lead_um.div_ceil(there.steps_per_rev.max(1)));
+    if (i64::from(there.position_um) - i64::from(target)).abs() > step {
+        return Err(Halt::Defect(format!(
+            "a move to {target} um ended at {} um",
+            there.position_um
+        )));
+    }
+    work.go_to(0).map(|_| ())
+}
+
+pub(super) fn run(work: &mut Work<'_>) -> Result<(), Halt> {
+    work.at_home()?;
+    let before = work.device.call(GetRigHealth)?;
+    let cycles = work.options.cycles;
+    let run = Run {
+        stroke_um: 130_000.min(work.setting(Key::StrokeUm)),
+        timing: RunTiming::Total {
+            total_us: u64::from(cycles) * 8_000_000,
+            accel_um_s2: 100_000.min(work.setting(Key::MaxAccelUmS2)),
+        },
+        link_loss: LinkLossPolicy::Stop,
+        ..by_speed(cycles, 0, 0, 0)
+    };
+    let accepted = work.start(run)?;
+    let record = work.finish(&accepted)?;
+    work.whole(&accepted, &record)?;
+    let after = work.device.call(GetRigHealth)?;
+    work.note("min_queue", json!(record.min_queue));
+    work.note("false_pulses", record.glitches);
+    work.note("edges_timed", record.edges_timed);
+    work.note(
+        "worst_interval_error_ticks",
+        record.worst_interval_error_ticks,
+    );
+    work.note("underruns", after.underruns.wrapping_sub(before.underruns));
+    work.note(
+        "serial_errors",
+        after.uart_errors.wrapping_sub(before.uart_errors),
+    );
+    work.note("control_late_us", after.control_late_us);
+    if record.worst_residual_steps.abs() > 1 {
+        return Err(Halt::Defect(format!(
+            "the home flag was met {} steps off: steps were lost, or screw or flag are loose",
+            record.worst_residual_steps
+        )));
+    }
+    if record.glitches > TOO_MANY_GLITCHES {
+        return Err(Halt::Defect(format!(
+            "{} false pulses on the switches: a wire runs beside the motor's",
+            record.glitches
+        )));
+    }
+    Ok(())
+}

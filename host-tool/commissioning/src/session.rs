@@ -1,0 +1,158 @@
+//! Carries the open steps out, one after the other, and writes the record after each.
+
+use std::path::Path;
+
+use client::error::ClientError;
+use jiff::Timestamp;
+use trials::trial::RecordError;
+
+use crate::halt::Halt;
+use crate::procedure::Procedure;
+use crate::record::{Commissioning, Finding, Outcome};
+use crate::step::Step;
+use crate::steps;
+use crate::work::Work;
+
+/// How a session ended.
+#[derive(Debug)]
+pub enum Ending {
+    /// At the last step.
+    Through,
+    /// With a step that failed: its name, and the defect.
+    Defect(&'static str, String),
+    /// The operator left; the step that was going on has no result.
+    Left(Option<&'static str>),
+}
+
+/// Why a session could not go on.
+#[derive(Debug)]
+pub enum Broken {
+    /// The machine or the link to it.
+    Client(ClientError),
+    /// The record could not be written.
+    Record(RecordError),
+    /// The bench's hands are gone.
+    NoHands(String),
+}
+
+/// Width of the screen that everything fits into.
+const COLUMNS: usize = 78;
+
+/// Carries out what does not hold yet. A step that fails ends the session: what comes after it may rest on it.
+///
+/// # Errors
+/// [`Broken`]; the results so far are in the file.
+pub fn carry_out(
+    work: &mut Work<'_>,
+    record: &mut Commissioning,
+    path: &Path,
+    now: &dyn Fn() -> Timestamp,
+) -> Result<Ending, Broken> {
+    let all = steps::of(work.subject.machine);
+    let mut procedure = Procedure::new(all);
+    while let Some((number, step)) = procedure.next(record, &work.subject) {
+        announce(work, number, all.len(), step);
+        let finding = match begin(work, step) {
+            Ok(()) => Finding {
+                outcome: Outcome::Passed,
+                reason: None,
+                measured: work.take_measured(),
+            },
+            Err(Halt::Defect(why)) => found(work, Outcome::Failed, why),
+            Err(Halt::NotShown(why)) => found(work, Outcome::NotShown, why),
+            Err(Halt::Left) => return Ok(Ending::Left(Some(step.name))),
+            Err(Halt::Client(error)) => return Err(Broken::Client(error)),
+            Err(Halt::NoHands(why)) => return Err(Broken::NoHands(why)),
+        };
+        tell(work, &finding);
+        let (outcome, reason) = (finding.outcome, finding.reason.clone());
+        procedure.enter(record, step, finding, &work.subject, now());
+        record.write(path).map_err(Broken::Record)?;
+        if outcome == Outcome::Failed {
+            return Ok(Ending::Defect(step.name, reason.unwrap_or_default()));
+        }
+        if work.unless_left().is_err() {
+            return Ok(Ending::Left(None));
+        }
+    }
+    Ok(Ending::Through)
+}
+
+fn begin(work: &mut Work<'_>, step: &Step) -> Result<(), Halt> {
+    work.take_measured();
+    // Also notices an operator who has left.
+    work.pause(0)?;
+    if step.needs_hands && !work.has_hands() {
+        return Err(Halt::NotShown("needs a person at the machine".to_owned()));
+    }
+    (step.check)(work)
+}
+
+fn found(work: &mut Work<'_>, outcome: Outcome, why: String) -> Finding {
+    Finding {
+        outcome,
+        reason: Some(why),
+        measured: work.take_measured(),
+    }
+}
+
+fn announce(work: &mut Work<'_>, number: usize, count: usize, step: &Step) {
+    say_wrapped(
+        work,
+        &format!("[{number}/{count}] {}: {}", step.name, step.shows),
+        "  ",
+    );
+    if !step.look.is_empty() {
+        say_wrapped(work, &format!("  look: {}", step.look), "        ");
+    }
+}
+
+fn tell(work: &mut Work<'_>, finding: &Finding) {
+    let numbers: Vec<_> = finding
+        .measured
+        .iter()
+        .map(|(name, value)| match value.as_str() {
+            Some(text) => format!("{name} {text}"),
+            None => format!("{name} {value}"),
+        })
+        .collect();
+    let outcome = match finding.outcome {
+        Outcome::Passed => "passed",
+        Outcome::Failed => "FAILED",
+        Outcome::NotShown => "not shown",
+    };
+    if !numbers.is_empty() {
+        say_wrapped(work, &format!("  {}", numbers.join(", ")), "  ");
+    }
+    match &finding.reason {
+        None => work.say(&format!("  {outcome}")),
+        Some(reason) => say_wrapped(work, &format!("  {outcome}: {reason}"), "    "),
+    }
+}
+
+fn say_wrapped(work: &mut Work<'_>, text: &str, indent: &str) {
+    for line in wrapped(text, indent) {
+        work.say(&line);
+    }
+}
+
+/// Breaks a text into lines for the screen; those after the first are indented.
+#[must_use]
+pub fn wrapped(text: &str, indent: &str) -> Vec<String> {
+    let start = text.len() - text.trim_start().len();
+    let mut lines = vec![text[..start].to_owned()];
+    for word in text.split_whitespace() {
+        if let Some(line) = lines.last_mut() {
+            let blank = line.trim().is_empty();
+            if blank || line.chars().count() + 1 + word.chars().count() <= COLUMNS {
+                if !blank {
+                    line.push(' ');
+                }
+                line.push_str(word);
+                continue;
+            }
+        }
+        lines.push(format!("{indent}{word}"));
+    }
+    lines
+}

@@ -1,0 +1,400 @@
+//! A fold or an unfolding that begins at a place of a run, and when it did by the clocks of both machines.
+//!
+//! The rig tells the host by an event or a sample, the host tells the capsule. Nothing waits for the capsule meanwhile: the rig
+//! must hear the host in time, whatever becomes of the other link.
+
+use std::path::Path;
+
+use client::error::ClientError;
+use client::identity::IdentityRecord;
+use client::{Begun, Both, Clock, Device, KEEP_ALIVE_US, Observer};
+use protocol::capsule::{
+    ActuationAccepted, ActuationKind, ActuationRecord, CapsuleEvent, Fold, GetCapsuleStatus, Unfold,
+};
+use protocol::rig::{RigEvent, Run};
+use protocol::system::{DeviceKind, Event, What};
+use protocol::table::{Endpoint, Telemetry};
+use serde::{Deserialize, Serialize};
+
+use crate::cue::{Coordination, Cue};
+use crate::experiment::{self, ActuationTrial, ExperimentError, RunTrial, after_stops};
+use crate::trial::{Action, Ending, Recorder, Recording, Screw, Trial};
+
+/// Which of the two.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Shaping {
+    /// The origami is unfolded until then.
+    Fold,
+    /// The origami is folded until then.
+    Unfold,
+}
+
+impl From<Shaping> for ActuationKind {
+    fn from(shaping: Shaping) -> Self {
+        match shaping {
+            Shaping::Fold => Self::Fold,
+            Shaping::Unfold => Self::Unfold,
+        }
+    }
+}
+
+/// A run and the actuation that was tied to it.
+pub struct Coordinated {
+    /// The run.
+    pub run: RunTrial,
+    /// The actuation; an error if it did not begin, or was lost.
+    pub actuation: Result<ActuationTrial, ExperimentError>,
+    /// When it began.
+    pub coordination: Coordination,
+}
+
+/// Where both are recorded.
+pub struct Recordings<'a> {
+    /// Of the run.
+    pub run: &'a Recording,
+    /// Of the actuation.
+    pub actuation: &'a Recording,
+}
+
+/// Executes a run, and an actuation that begins at its cue. The run goes on whatever becomes of the actuation.
+///
+/// # Errors
+/// The rig refused or was lost, or a record could not be written; the actuation's record is complete all the same. All files
+/// exist before anything moves.
+pub fn run(
+    (rig, capsule): (&mut Device, &mut Device),
+    run: Run,
+    (shaping, cue): (Shaping, Cue),
+    recordings: &Recordings<'_>,
+    observer: &mut dyn Observer,
+) -> Result<Coordinated, ExperimentError> {
+    let action = Action::Actuation {
+        actuation: shaping.into(),
+        accepted: None,
+        record: None,
+    };
+    let screw = Screw::from(&rig.rig_status()?);
+    let device = IdentityRecord::new(
+        &experiment::identity(capsule, DeviceKind::Capsule)?,
+        &capsule.place(),
+    );
+    let recorder = Recorder::create(
+        Trial::new(action, device, recordings.actuation),
+        recordings.actuation,
+    )?;
+    capsule.records(Some(recorder.sidecar()));
+    capsule.set_telemetry(recordings.actuation.telemetry_ms)?;
+    capsule.take_telemetry();
+    let mut partner = Partner {
+        together_us: (rig.now_us(), capsule.now_us()),
+        told_us: capsule.now_us(),
+        capsule,
+        shaping,
+        cue,
+        dwell_us: run.home_dwell_us.into(),
+        screw,
+        stroke_um: run.stroke_um,
+        recorder,
+        began_us: None,
+        before: None,
+        phase: Phase::Waiting,
+    };
+    let ran = experiment::run(rig, run, recordings.run, &mut Both(&mut partner, observer));
+    let (actuation, coordination) = partner.end(ran.as_ref().ok().map(|run| &*run.sidecar));
+    Ok(Coordinated {
+        run: ran?,
+        actuation,
+        coordination,
+    })
+}
+
+/// How long an answer is waited for in one piece, us.
+const SHORT_US: u64 = 5_000;
+
+/// How far the actuation has come.
+enum Phase {
+    Waiting,
+    /// The carriage was there at a time of the rig's clock; due at a time of the rig's link, once that is known.
+    Cued {
+        cue_us: u64,
+        clock: Option<Clock>,
+        due_us: Option<u64>,
+        asked: bool,
+    },
+    Accepted {
+        cue_us: u64,
+        clock: Option<Clock>,
+        accepted: ActuationAccepted,
+    },
+    Failed(ClientError),
+}
+
+/// The capsule, looked after in the turns of the rig's wait.
+struct Partner<'a> {
+    capsule: &'a mut Device,
+    shaping: Shaping,
+    cue: Cue,
+    dwell_us: u64,
+    recorder: Recorder,
+    /// Time of the rig's link and of the capsule's at one instant.
+    together_us: (u64, u64),
+    /// When the capsule has last heard something.
+    told_us: u64,
+    /// When the actuation began, by the capsule's clock.
+    began_us: Option<u64>,
+    screw: Screw,
+    stroke_um: u32,
+    /// The rig's last sample before the place: its time in us and position in nm.
+    before: Option<(u64, i64)>,
+    phase: Phase,
+}
+
+/// Keeps the capsule's records, and notes when the actuation begins.
+struct Noting<'a> {
+    recorder: &'a mut Recorder,
+    began_us: &'a mut Option<u64>,
+}
+
+impl Observer for Noting<'_> {
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.recorder.telemetry(sample, missed);
+    }
+    fn event(&mut self, event: &Event) {
+        if matches!(event.what, What::Capsule(CapsuleEvent::Started { .. })) {
+            *self.began_us = Some(event.time_us);
+        }
+        self.recorder.event(event);
+    }
+}
+
+impl Partner<'_> {
+    fn cued(&mut self, cue_us: u64) {
+        self.phase = Phase::Cued {
+            cue_us,
+            clock: None,
+            due_us: None,
+            asked: false,
+        };
+    }
+
+    /// The carriage is there at this time, with its position in nm, on its way to or past the place.
+    fn passed(&mut self, now: (u64, i64), at_um: u32) {
+        let place_nm = i64::from(at_um) * 1_000;
+        if now.1 < place_nm {
+            self.before = Some(now);
+            return;
+        }
+        // Between two samples it moves all but evenly.
+        let cue_us = match self.before {
+            Some((time_us, before_nm)) => {
+                let (way, part) = (now.1 - before_nm, place_nm - before_nm);
+                let took = i128::from(now.0.saturating_sub(time_us));
+                time_us + (took * i128::from(part) / i128::from(way.max(1))) as u64
+            }
+            None => now.0,
+        };
+        self.dwell_us = 0;
+        self.cued(cue_us);
+    }
+
+    /// Lets the capsule's link come to the same instant, and asks what is due.
+    fn attend(&mut self, now_us: u64, clock: Option<Clock>) -> Result<(), ClientError> {
+        let (rig_us, capsule_us) = self.together_us;
+        let until_us = capsule_us + now_us.saturating_sub(rig_us);
+        let mut noting = Noting {
+            recorder: &mut self.recorder,
+            began_us: &mut self.began_us,
+        };
+        let answer = self.capsule.attend(until_us, &mut noting)?;
+        if let Phase::Cued {
+            cue_us,
+            clock: known,
+            due_us,
+            asked,
+        } = &mut self.phase
+        {
+            // By the clocks as they stand when it happens.
+            *known = known.or(clock);
+            let due_us = *due_us.get_or_insert(now_us + self.dwell_us);
+            let accepted = match self.shaping {
+                Shaping::Fold => answer.and_then(Fold::from_response),
+                Shaping::Unfold => answer.and_then(Unfold::from_response),
+            };
+            if let Some(accepted) = accepted {
+                self.phase = Phase::Accepted {
+                    cue_us: *cue_us,
+                    clock: *known,
+                    accepted,
+                };
+                self.recorder.begun(&Begun::Actuation(accepted));
+            } else if !*asked && now_us >= due_us && !self.capsule.is_posted() {
+                *asked = true;
+                self.told_us = until_us;
+                return match self.shaping {
+                    Shaping::Fold => self.capsule.post(Fold),
+                    Shaping::Unfold => self.capsule.post(Unfold),
+                };
+            }
+        }
+        if !self.capsule.is_posted() && until_us >= self.told_us + KEEP_ALIVE_US {
+            self.told_us = until_us;
+            self.capsule.post(GetCapsuleStatus)?;
+        }
+        Ok(())
+    }
+
+    /// Waits for the end of the actuation, if it has begun, and completes its record.
+    fn end(
+        mut self,
+        run: Option<&Path>,
+    ) -> (Result<ActuationTrial, ExperimentError>, Coordination) {
+        // The run may have ended between the command and its answer; then the capsule moves all the same.
+        while self.capsule.is_posted() && !matches!(self.phase, Phase::Failed(_)) {
+            let (rig_us, capsule_us) = self.together_us;
+            let on_us = self.capsule.now_us() - capsule_us + SHORT_US;
+            self.turn(rig_us + on_us, None);
+        }
+        let mut cue_time = None;
+        let outcome: Result<ActuationRecord, String> = match &self.phase {
+            Phase::Waiting => Err(format!(
+                "the run ended before cycle {} came to its place",
+                self.cue.cycle
+            )),
+            Phase::Cued { asked: false, .. } => Err("the run ended in the dwell before it".into()),
+            Phase::Cued {
+                cue_us,
+                clock,
+                asked: true,
+                ..
+            } => {
+                cue_time = Some((*cue_us, *clock));
+                Err("the run ended before the capsule answered".into())
+            }
+            Phase::Failed(error) => Err(error.to_string()),
+            Phase::Accepted {
+                cue_us,
+                clock,
+                accepted,
+            } => {
+                cue_time = Some((*cue_us, *clock));
+                let mut noting = Noting {
+                    recorder: &mut self.recorder,
+                    began_us: &mut self.began_us,
+                };
+                let ended = self.capsule.wait_actuation(accepted, &mut noting);
+                ended.map_err(|error| error.to_string())
+            }
+        };
+        let coordination = self.coordination(run, cue_time);
+        let (csv, sidecar) = (
+            self.recorder.csv().to_owned(),
+            self.recorder.sidecar().to_owned(),
+        );
+        self.recorder.coordinated(coordination.clone());
+        let lost = self.capsule.lost_events();
+        if let Ok(record) = &outcome {
+            let ending = Ending::Actuation(*record);
+            self.recorder.latched(after_stops(self.capsule, &ending));
+        }
+        let finished = match &outcome {
+            Ok(record) => self.recorder.finish(Ending::Actuation(*record), lost),
+            Err(why) => self.recorder.finish(Ending::Lost(why.clone()), lost),
+        };
+        // What it still sends is thrown away.
+        let _ = self.capsule.set_telemetry(0);
+        self.capsule.records(None);
+        let trial = match (finished, outcome) {
+            (Err(error), _) => Err(error.into()),
+            (Ok(trial), Ok(record)) => Ok(ActuationTrial {
+                record,
+                trial,
+                csv,
+                sidecar,
+            }),
+            (Ok(trial), Err(why)) => Err(ExperimentError::Incomplete {
+                step: match self.shaping {
+                    Shaping::Fold => "folding",
+                    Shaping::Unfold => "unfolding",
+                },
+                status: trial.status,
+                reason: Some(why),
+                sidecar,
+            }),
+        };
+        (trial, coordination)
+    }
+
+    fn coordination(&self, run: Option<&Path>, cue: Option<(u64, Option<Clock>)>) -> Coordination {
+        let clocks = cue.and_then(|(_, rig)| Some((rig?.ahead_us, self.capsule.clock()?.ahead_us)));
+        let (rig_us, capsule_us) = self.together_us;
+        let apart_us = capsule_us.cast_signed() - rig_us.cast_signed();
+        let ahead = clocks.map(|(rig, capsule)| {
+            let least = apart_us - capsule.1 + rig.0;
+            let most = apart_us - capsule.0 + rig.1;
+            (least, most)
+        });
+        let apart = cue
+            .zip(self.began_us)
+            .map(|((cue_us, _), began_us)| began_us.cast_signed() - cue_us.cast_signed());
+        Coordination {
+            run: run
+                .and_then(Path::file_name)
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned(),
+            cue: self.cue,
+            cue_time_us: cue.map(|(cue_us, _)| cue_us),
+            began_time_us: self.began_us,
+            capsule_ahead_us: ahead,
+            latency_us: apart
+                .zip(ahead)
+                .map(|(apart, (least, most))| (apart - most, apart - least)),
+        }
+    }
+}
+
+impl Observer for Partner<'_> {
+    fn event(&mut self, event: &Event) {
+        if !matches!(self.phase, Phase::Waiting) {
+            return;
+        }
+        let away = self.cue.stroke();
+        match (event.what, self.cue.at_um) {
+            (What::Rig(RigEvent::RunStarted { .. }), None) if away == 0 => {
+                // The dwell is between cycles.
+                self.dwell_us = 0;
+                self.cued(event.time_us);
+            }
+            (What::Rig(RigEvent::StrokeDone { stroke, .. }), None)
+                if stroke.checked_add(1) == Some(away) =>
+            {
+                self.cued(event.time_us + self.dwell_us);
+            }
+            // Where the carriage turns, no sample may show it beyond.
+            (What::Rig(RigEvent::StrokeDone { stroke, .. }), Some(at_um)) if stroke == away => {
+                self.passed((event.time_us, i64::from(self.stroke_um) * 1_000), at_um);
+            }
+            _ => {}
+        }
+    }
+
+    fn telemetry(&mut self, sample: &Telemetry, _: u16) {
+        if let (Phase::Waiting, Some(at_um), Telemetry::Rig(rig)) =
+            (&self.phase, self.cue.at_um, sample)
+            && rig.stroke == self.cue.stroke()
+        {
+            let at_nm = self.screw.nm(rig.position_steps.into());
+            self.passed((rig.time_us, at_nm), at_um);
+        }
+    }
+
+    fn turn(&mut self, now_us: u64, clock: Option<Clock>) {
+        if matches!(self.phase, Phase::Failed(_)) {
+            return;
+        }
+        if let Err(error) = self.attend(now_us, clock) {
+            self.phase = Phase::Failed(error);
+        }
+    }
+}

@@ -1,0 +1,663 @@
+//! Recorded actions, and the paper's experiment, which is a sequence of them.
+
+use std::path::PathBuf;
+
+use client::decimal;
+use client::diagnosis::Sign;
+use client::error::ClientError;
+use client::identity::IdentityRecord;
+use client::{Begun, Both, Clock, Device, Homed, Observer, Pace, Progress};
+use jiff::Timestamp;
+use miette::Diagnostic;
+use protocol::capsule::{
+    ActuationKind, ActuationOutcome, ActuationRecord, Calibrate, CheckFolded, FoldTo,
+};
+use protocol::error::Refusal;
+use protocol::rig::{
+    LinkLossPolicy, MoveAccepted, MoveTo, Run, RunAccepted, RunOutcome, RunRecord, RunTiming,
+};
+use protocol::system::{DeviceKind, Event, Identity};
+use protocol::table::Telemetry;
+
+use crate::trial::{Action, Ending, Moved, RecordError, Recorder, Recording, Screw, Status, Trial};
+
+/// The paper's run: 5 cycles of 130 mm in 40 s.
+pub const PAPER_RUN: Run = Run {
+    cycles: 5,
+    stroke_um: 130_000,
+    timing: RunTiming::Total {
+        total_us: 40_000_000,
+        accel_um_s2: DEFAULT_ACCEL_UM_S2,
+    },
+    far_dwell_us: 0,
+    home_dwell_us: 0,
+    start_delay_us: 0,
+    link_loss: LinkLossPolicy::Stop,
+};
+
+/// Default acceleration of a run, um/s2.
+pub const DEFAULT_ACCEL_UM_S2: u32 = 100_000;
+
+/// Default telemetry interval, ms: 100 Hz take a third of 115200 baud.
+pub const DEFAULT_TELEMETRY_MS: u16 = 10;
+
+/// Why a recorded action failed.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+pub enum ExperimentError {
+    /// The device or the link to it.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Client(#[from] ClientError),
+    /// The record could not be written.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Record(#[from] RecordError),
+    /// The action ended, but its record is not whole.
+    #[error("{ended}; but {record}")]
+    #[diagnostic(
+        code(retrograde::record),
+        help(
+            "the machine is well, what it did is said above; what was recorded until then is kept. Free space, or choose another folder: `--out DIR`"
+        )
+    )]
+    Unrecorded {
+        /// What the device says of the action.
+        ended: String,
+        /// Why the record is not whole.
+        record: RecordError,
+    },
+    /// A step of the experiment did not end as planned, so the remaining steps were not begun.
+    #[error("{step} ended as {status:?}{}", reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
+    #[diagnostic(
+        code(retrograde::incomplete),
+        help("the data so far is in {}", sidecar.display())
+    )]
+    Incomplete {
+        /// Name of the step.
+        step: &'static str,
+        /// How it ended.
+        status: Status,
+        /// The fault, if there was one.
+        reason: Option<String>,
+        /// Its record.
+        sidecar: PathBuf,
+    },
+}
+
+/// A recorded run.
+#[derive(Clone, Debug)]
+pub struct RunTrial {
+    /// As planned by the rig.
+    pub accepted: RunAccepted,
+    /// As executed.
+    pub record: RunRecord,
+    /// Contents of the sidecar.
+    pub trial: Trial,
+    /// Path of the telemetry.
+    pub csv: PathBuf,
+    /// Path of the sidecar.
+    pub sidecar: PathBuf,
+}
+
+/// A recorded move.
+#[derive(Clone, Debug)]
+pub struct MoveTrial {
+    /// As planned by the rig.
+    pub accepted: MoveAccepted,
+    /// As it ended.
+    pub moved: Moved,
+    /// Contents of the sidecar.
+    pub trial: Trial,
+    /// Path of the telemetry.
+    pub csv: PathBuf,
+    /// Path of the sidecar.
+    pub sidecar: PathBuf,
+}
+
+/// A recorded actuation.
+#[derive(Clone, Debug)]
+pub struct ActuationTrial {
+    /// As executed.
+    pub record: ActuationRecord,
+    /// Contents of the sidecar.
+    pub trial: Trial,
+    /// Path of the telemetry.
+    pub csv: PathBuf,
+    /// Path of the sidecar.
+    pub sidecar: PathBuf,
+}
+
+/// Executes one run and records it, however it ends.
+///
+/// # Errors
+/// The rig refused or was lost, or the record could not be written. Both files exist before anything moves.
+pub fn run(
+    rig: &mut Device,
+    run: Run,
+    recording: &Recording,
+    observer: &mut dyn Observer,
+) -> Result<RunTrial, ExperimentError> {
+    let device = IdentityRecord::new(&identity(rig, DeviceKind::Rig)?, &rig.place());
+    let action = Action::Run {
+        screw: Screw::from(&rig.rig_status()?),
+        requested: run,
+        achieved: None,
+        executed: None,
+    };
+    let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
+    let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    rig.records(Some(&sidecar));
+    let outcome = (|| {
+        rig.set_telemetry(recording.telemetry_ms)?;
+        rig.take_telemetry();
+        let accepted = rig.run(run)?;
+        let record = rig.wait_run(
+            &accepted,
+            &mut Recorded {
+                recorder: &mut recorder,
+                observer,
+            },
+        )?;
+        Ok((accepted, record))
+    })();
+    let (trial, (accepted, record)) = end(rig, recorder, observer, outcome, |(_, record)| {
+        Ending::Run(*record)
+    })?;
+    Ok(RunTrial {
+        accepted,
+        record,
+        trial,
+        csv,
+        sidecar,
+    })
+}
+
+/// Moves the carriage once and records it, however it ends.
+///
+/// # Errors
+/// The rig refused or was lost, or the record could not be written. Both files exist before anything moves.
+pub fn move_to(
+    rig: &mut Device,
+    requested: MoveTo,
+    recording: &Recording,
+    observer: &mut dyn Observer,
+) -> Result<MoveTrial, ExperimentError> {
+    let device = IdentityRecord::new(&identity(rig, DeviceKind::Rig)?, &rig.place());
+    let action = Action::Move {
+        screw: Screw::from(&rig.rig_status()?),
+        requested,
+        accepted: None,
+        moved: None,
+    };
+    let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
+    let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    rig.records(Some(&sidecar));
+    let outcome = (|| {
+        rig.set_telemetry(recording.telemetry_ms)?;
+        // What a move before this one has left is not of this one.
+        rig.take_telemetry();
+        rig.take_events()?;
+        let accepted = rig.call(requested)?;
+        let (outcome, status) = rig.wait_move(
+            &accepted,
+            &mut Recorded {
+                recorder: &mut recorder,
+                observer,
+            },
+        )?;
+        let position_steps = status.position_steps;
+        Ok((
+            accepted,
+            Moved {
+                outcome,
+                position_steps,
+            },
+        ))
+    })();
+    let (trial, (accepted, moved)) = end(rig, recorder, observer, outcome, |(_, moved)| {
+        Ending::Move(*moved)
+    })?;
+    Ok(MoveTrial {
+        accepted,
+        moved,
+        trial,
+        csv,
+        sidecar,
+    })
+}
+
+/// What the capsule is to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Motion {
+    /// Kind of actuation.
+    pub kind: ActuationKind,
+    /// Thread at which a partial fold stops; the others have ends of their own.
+    pub target_um: i32,
+}
+
+impl From<ActuationKind> for Motion {
+    fn from(kind: ActuationKind) -> Self {
+        Self { kind, target_um: 0 }
+    }
+}
+
+impl Motion {
+    /// A fold or an unfolding that stops with so much thread on the spool.
+    #[must_use]
+    pub const fn fold_to(target_um: i32) -> Self {
+        Self {
+            kind: ActuationKind::FoldTo,
+            target_um,
+        }
+    }
+}
+
+/// An actuation as its files are called.
+#[must_use]
+pub const fn stem(kind: ActuationKind) -> &'static str {
+    match kind {
+        ActuationKind::Reference => "reference",
+        ActuationKind::Calibrate => "calibrate",
+        ActuationKind::CheckFolded => "check-folded",
+        ActuationKind::Fold => "fold",
+        ActuationKind::Unfold => "unfold",
+        ActuationKind::FoldTo => "fold-to",
+    }
+}
+
+/// What the capsule does meanwhile.
+#[must_use]
+pub const fn doing(kind: ActuationKind) -> &'static str {
+    match kind {
+        ActuationKind::Reference => "referencing",
+        ActuationKind::Calibrate => "calibrating",
+        ActuationKind::CheckFolded => "checking",
+        ActuationKind::Fold => "folding",
+        ActuationKind::Unfold => "unfolding",
+        ActuationKind::FoldTo => "folding partly",
+    }
+}
+
+/// Executes one actuation and records it, however it ends.
+///
+/// # Errors
+/// The capsule refused or was lost, or the record could not be written. Both files exist before anything moves.
+pub fn actuate(
+    capsule: &mut Device,
+    motion: impl Into<Motion>,
+    recording: &Recording,
+    observer: &mut dyn Observer,
+) -> Result<ActuationTrial, ExperimentError> {
+    let Motion { kind, target_um } = motion.into();
+    let device = IdentityRecord::new(&identity(capsule, DeviceKind::Capsule)?, &capsule.place());
+    let action = Action::Actuation {
+        actuation: kind,
+        accepted: None,
+        record: None,
+    };
+    let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
+    let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    capsule.records(Some(&sidecar));
+    let outcome = (|| {
+        capsule.set_telemetry(recording.telemetry_ms)?;
+        capsule.take_telemetry();
+        let accepted = match kind {
+            ActuationKind::Reference => capsule.reference()?,
+            ActuationKind::Calibrate => capsule.call(Calibrate)?,
+            ActuationKind::CheckFolded => capsule.call(CheckFolded)?,
+            ActuationKind::Fold => capsule.fold()?,
+            ActuationKind::Unfold => capsule.unfold()?,
+            ActuationKind::FoldTo => capsule.call(FoldTo {
+                thread_um: target_um,
+            })?,
+        };
+        capsule.wait_actuation(
+            &accepted,
+            &mut Recorded {
+                recorder: &mut recorder,
+                observer,
+            },
+        )
+    })();
+    let (trial, record) = end(capsule, recorder, observer, outcome, |record| {
+        Ending::Actuation(*record)
+    })?;
+    Ok(ActuationTrial {
+        record,
+        trial,
+        csv,
+        sidecar,
+    })
+}
+
+/// Passes everything to the record and to the observer, who also hears what becomes of the record.
+struct Recorded<'a> {
+    recorder: &'a mut Recorder,
+    observer: &'a mut dyn Observer,
+}
+
+impl Recorded<'_> {
+    fn both(&mut self) -> Both<'_> {
+        Both(self.recorder, self.observer)
+    }
+
+    fn tell(&mut self) {
+        if let Some(error) = self.recorder.news() {
+            self.observer.unrecorded(&error.to_string());
+        }
+    }
+}
+
+impl Observer for Recorded<'_> {
+    fn begun(&mut self, begun: &Begun) {
+        self.both().begun(begun);
+    }
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.both().telemetry(sample, missed);
+        self.tell();
+    }
+    fn event(&mut self, event: &Event) {
+        self.both().event(event);
+    }
+    fn progress(&mut self, progress: &Progress) {
+        self.both().progress(progress);
+        self.tell();
+    }
+    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
+        self.both().refused(pace, refusal);
+    }
+    fn turn(&mut self, now_us: u64, clock: Option<Clock>) {
+        self.both().turn(now_us, clock);
+    }
+}
+
+/// What the device says of an action, in a sentence.
+fn verdict(ending: &Ending) -> String {
+    match ending {
+        Ending::Run(record) => format!(
+            "the run ended as {:?} after {} strokes and {} steps",
+            record.outcome, record.strokes, record.counted_edges
+        ),
+        Ending::Actuation(record) => format!(
+            "the actuation ended as {:?} with {} mm of thread after {} s",
+            record.outcome,
+            decimal::fixed(record.thread_um.into(), 3),
+            decimal::fixed(record.duration_ms.into(), 3)
+        ),
+        Ending::Move(moved) => format!(
+            "the move ended as {:?} at {} steps",
+            moved.outcome, moved.position_steps
+        ),
+        Ending::Lost(why) => why.clone(),
+    }
+}
+
+/// The fault after the stops that ended an action or came right behind its end. One that cannot be asked for any more is
+/// not in the record.
+pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String> {
+    let is_stopped = match ending {
+        Ending::Run(record) => record.outcome == RunOutcome::Stopped,
+        Ending::Actuation(record) => record.outcome == ActuationOutcome::Stopped,
+        Ending::Move(moved) => moved.outcome == RunOutcome::Stopped,
+        Ending::Lost(_) => false,
+    };
+    if !is_stopped && device.interrupted().is_none() {
+        return None;
+    }
+    device.latched_fault().ok().flatten()
+}
+
+/// Writes the end of a trial, then stops the telemetry. A record that could not be written hides neither what the device
+/// did nor how it was lost.
+fn end<T>(
+    device: &mut Device,
+    recorder: Recorder,
+    observer: &mut dyn Observer,
+    outcome: Result<T, ClientError>,
+    ending: impl FnOnce(&T) -> Ending,
+) -> Result<(Trial, T), ExperimentError> {
+    let lost_events = device.lost_events();
+    let ended = finish(device, recorder, observer, outcome, ending, lost_events);
+    device.records(None);
+    ended
+}
+
+fn finish<T>(
+    device: &mut Device,
+    mut recorder: Recorder,
+    observer: &mut dyn Observer,
+    outcome: Result<T, ClientError>,
+    ending: impl FnOnce(&T) -> Ending,
+    lost_events: u32,
+) -> Result<(Trial, T), ExperimentError> {
+    match outcome {
+        Ok(value) => {
+            let ending = ending(&value);
+            let ended = verdict(&ending);
+            recorder.latched(after_stops(device, &ending));
+            let finished = recorder.finish(ending, lost_events);
+            // The action has ended and is recorded. A device that does not answer now is found by whoever needs it next.
+            let _ = device.set_telemetry(0);
+            match finished {
+                Ok(trial) => Ok((trial, value)),
+                Err(record) => Err(ExperimentError::Unrecorded { ended, record }),
+            }
+        }
+        Err(error) => {
+            let lost = Ending::Lost(error.to_string());
+            if let Err(record) = recorder.finish(lost, lost_events) {
+                observer.unrecorded(&record.to_string());
+            }
+            Err(error.into())
+        }
+    }
+}
+
+pub(crate) fn identity(device: &Device, wanted: DeviceKind) -> Result<Identity, ClientError> {
+    device.require(wanted)?;
+    device
+        .identity()
+        .copied()
+        .ok_or_else(|| ClientError::NoAnswer {
+            sign: Sign::Silence,
+            place: device.place(),
+        })
+}
+
+/// Homes the rig.
+///
+/// # Errors
+/// As [`Device::home`] and [`Device::wait_homing`].
+pub fn home(rig: &mut Device, observer: &mut dyn Observer) -> Result<Homed, ClientError> {
+    // The end of a homing that another host has begun must not be taken for the end of this one.
+    rig.take_events()?;
+    let accepted = rig.home()?;
+    rig.wait_homing(&accepted, observer)
+}
+
+/// Shape of the capsule's origami during a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// The waves carry it forward.
+    Unfolded,
+    /// The same waves carry it the other way.
+    Folded,
+}
+
+impl Shape {
+    /// `unfolded` or `folded`, as in records.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Unfolded => "unfolded",
+            Self::Folded => "folded",
+        }
+    }
+}
+
+/// Sees the experiment's steps and their results. By default every method but [`Hooks::observer`] does nothing.
+pub trait Hooks {
+    /// A step is about to begin.
+    fn begins(&mut self, step: &str) {
+        let _ = step;
+    }
+    /// The observer of the present step.
+    fn observer(&mut self) -> &mut dyn Observer;
+    /// Both machines have identified themselves.
+    fn identified(&mut self, rig: &Identity, capsule: &Identity) {
+        let _ = (rig, capsule);
+    }
+    /// The capsule found its zero.
+    fn referenced(&mut self, trial: &ActuationTrial) {
+        let _ = trial;
+    }
+    /// The rig found its zero.
+    fn homed(&mut self, homed: &Homed) {
+        let _ = homed;
+    }
+    /// A run is complete. Its verdict and the body's displacement can be determined here.
+    fn ran(&mut self, shape: Shape, trial: &RunTrial) {
+        let _ = (shape, trial);
+    }
+    /// The capsule is folded.
+    fn folded(&mut self, trial: &ActuationTrial) {
+        let _ = trial;
+    }
+    /// The capsule is unfolded.
+    fn unfolded(&mut self, trial: &ActuationTrial) {
+        let _ = trial;
+    }
+}
+
+/// What the experiment does and where it is recorded.
+#[derive(Clone, Debug)]
+pub struct Procedure {
+    /// The run, carried out once unfolded and once folded.
+    pub run: Run,
+    /// Folder of all records.
+    pub folder: PathBuf,
+    /// Interval of telemetry, 5..=1000 ms.
+    pub telemetry_ms: u16,
+}
+
+/// The experiment's records, in the order of the steps.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    /// Search for the thread's zero.
+    pub reference: ActuationTrial,
+    /// Result of homing the rig.
+    pub homed: Homed,
+    /// The run with the capsule unfolded.
+    pub unfolded_run: RunTrial,
+    /// Folding.
+    pub fold: ActuationTrial,
+    /// The same run with the capsule folded.
+    pub folded_run: RunTrial,
+    /// Unfolding.
+    pub unfold: ActuationTrial,
+}
+
+impl Experiment {
+    /// The sidecars, in the order of the steps.
+    #[must_use]
+    pub fn sidecars(&self) -> Vec<PathBuf> {
+        vec![
+            self.reference.sidecar.clone(),
+            self.unfolded_run.sidecar.clone(),
+            self.fold.sidecar.clone(),
+            self.folded_run.sidecar.clone(),
+            self.unfold.sidecar.clone(),
+        ]
+    }
+}
+
+/// The paper's experiment: identities; reference and home; run unfolded; fold; the same run folded; unfold. Each step
+/// begins only if the one before is complete. `now` is called once per record.
+///
+/// # Errors
+/// The first step that was refused, lost, or did not end as planned.
+pub fn paper(
+    rig: &mut Device,
+    capsule: &mut Device,
+    procedure: &Procedure,
+    now: &dyn Fn() -> Timestamp,
+    hooks: &mut dyn Hooks,
+) -> Result<Experiment, ExperimentError> {
+    let recording = |stem: &str, note: Option<Shape>| Recording {
+        folder: procedure.folder.clone(),
+        stem: stem.to_owned(),
+        now: now(),
+        note: note.map(|shape| format!("capsule {}", shape.name())),
+        telemetry_ms: procedure.telemetry_ms,
+    };
+    hooks.identified(
+        &identity(rig, DeviceKind::Rig)?,
+        &identity(capsule, DeviceKind::Capsule)?,
+    );
+
+    let mut actuated = |begins: &'static str, kind: ActuationKind, hooks: &mut dyn Hooks| {
+        hooks.begins(begins);
+        let trial = actuate(
+            capsule,
+            kind,
+            &recording(stem(kind), None),
+            hooks.observer(),
+        )?;
+        complete(doing(kind), &trial.trial, &trial.sidecar)?;
+        Ok::<_, ExperimentError>(trial)
+    };
+    let ran = |rig: &mut Device, shape: Shape, hooks: &mut dyn Hooks| {
+        hooks.begins(match shape {
+            Shape::Unfolded => "run, capsule unfolded",
+            Shape::Folded => "run, capsule folded",
+        });
+        let recording = recording(&format!("run-{}", shape.name()), Some(shape));
+        let trial = run(rig, procedure.run, &recording, hooks.observer())?;
+        complete("the run", &trial.trial, &trial.sidecar)?;
+        hooks.ran(shape, &trial);
+        Ok::<_, ExperimentError>(trial)
+    };
+
+    let reference = actuated("reference the capsule", ActuationKind::Reference, hooks)?;
+    hooks.referenced(&reference);
+
+    hooks.begins("home the rig");
+    let homed = home(rig, hooks.observer())?;
+    hooks.homed(&homed);
+
+    let unfolded_run = ran(rig, Shape::Unfolded, hooks)?;
+
+    let fold = actuated("fold the capsule", ActuationKind::Fold, hooks)?;
+    hooks.folded(&fold);
+
+    let folded_run = ran(rig, Shape::Folded, hooks)?;
+
+    let unfold = actuated("unfold the capsule", ActuationKind::Unfold, hooks)?;
+    hooks.unfolded(&unfold);
+
+    Ok(Experiment {
+        reference,
+        homed,
+        unfolded_run,
+        fold,
+        folded_run,
+        unfold,
+    })
+}
+
+/// Fails unless a step is complete.
+fn complete(
+    step: &'static str,
+    trial: &Trial,
+    sidecar: &std::path::Path,
+) -> Result<(), ExperimentError> {
+    if trial.status == Status::Complete {
+        return Ok(());
+    }
+    Err(ExperimentError::Incomplete {
+        step,
+        status: trial.status,
+        reason: trial.error.clone(),
+        sidecar: sidecar.to_owned(),
+    })
+}

@@ -1,0 +1,167 @@
+//! What a machine itself still knows of its last action: after a host that died, or a run that the start button began.
+//!
+//! There is no telemetry in it, and no plan: the machine keeps neither.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use client::Device;
+use client::error::ClientError;
+use client::identity::{IdentityRecord, Origin, kind_name};
+use client::subject::Subject;
+use jiff::Timestamp;
+use protocol::capsule::{ActuationOutcome, ActuationRecord};
+use protocol::rig::RunOutcome;
+use protocol::system::{DeviceKind, Event};
+use serde::Serialize;
+
+use crate::trial::{Executed, RecordError, Status, json};
+use crate::writer::create;
+
+/// Version of the format; incremented when a field changes its meaning.
+pub const FORMAT: u32 = 1;
+
+/// The record of an action as the machine keeps it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kept {
+    /// A run of the rig.
+    Run {
+        /// Its number since the start of the rig.
+        number: u32,
+        /// Its record.
+        executed: Box<Executed>,
+    },
+    /// An actuation of the capsule.
+    Actuation(ActuationRecord),
+}
+
+/// Everything that was asked for.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Fetched {
+    /// [`FORMAT`].
+    pub format: u32,
+    /// What this file is.
+    pub kind: &'static str,
+    /// Whether a real machine says this.
+    pub origin: Origin,
+    /// When it was asked for, by this computer.
+    pub fetched_utc: Timestamp,
+    /// The same instant by the machine's clock, us since its start: the events below are on that clock.
+    pub fetched_device_us: u64,
+    /// The machine.
+    pub device: IdentityRecord,
+    /// Its image and its settings, as they are now.
+    pub image: String,
+    /// Settings by name; the capsule has none.
+    pub settings: std::collections::BTreeMap<String, u32>,
+    /// How the action ended.
+    pub status: Status,
+    /// Its record.
+    pub record: Kept,
+    /// Events since the start of the machine, the oldest of which may be lost.
+    pub events: Vec<Event>,
+    /// So many events before these are lost.
+    pub lost_events: u32,
+}
+
+/// Why there is nothing to fetch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Nothing {
+    /// No action since the machine was started.
+    Yet,
+    /// The action goes on.
+    Running,
+}
+
+/// Asks a machine for its last action. Changes nothing.
+///
+/// # Errors
+/// As [`Device::call`].
+pub fn fetch(device: &mut Device, now: Timestamp) -> Result<Result<Fetched, Nothing>, ClientError> {
+    let subject = Subject::of(device)?;
+    let place = device.place();
+    let (device_us, status, record) = match subject.machine {
+        DeviceKind::Rig => {
+            let record = device.run_record()?;
+            match record.outcome {
+                RunOutcome::None => return Ok(Err(Nothing::Yet)),
+                RunOutcome::Running => return Ok(Err(Nothing::Running)),
+                _ => {}
+            }
+            let kept = Kept::Run {
+                number: record.run,
+                executed: Box::new(Executed::from(&record)),
+            };
+            (device.rig_status()?.time_us, record.outcome.into(), kept)
+        }
+        DeviceKind::Capsule => {
+            let record = device.actuation_record()?;
+            match record.outcome {
+                ActuationOutcome::None => return Ok(Err(Nothing::Yet)),
+                ActuationOutcome::Running => return Ok(Err(Nothing::Running)),
+                _ => {}
+            }
+            let time_us = device.capsule_status()?.time_us;
+            (time_us, record.outcome.into(), Kept::Actuation(record))
+        }
+    };
+    let (mut events, mut lost_events) = (vec![], None);
+    loop {
+        let from = events.last().map_or(0, |event: &Event| event.index + 1);
+        let piece = device.events(from)?;
+        lost_events.get_or_insert(piece.oldest);
+        events.extend(piece.events.iter().copied());
+        if piece.events.is_empty() || events.last().is_some_and(|e| e.index + 1 >= piece.next) {
+            break;
+        }
+    }
+    let identity = device.identity().copied();
+    let Some(identity) = identity else {
+        unreachable!("`Subject::of` has asked for it");
+    };
+    Ok(Ok(Fetched {
+        format: FORMAT,
+        kind: "fetched",
+        origin: device.origin(),
+        fetched_utc: now,
+        fetched_device_us: device_us,
+        device: IdentityRecord::new(&identity, &place),
+        image: subject.image,
+        settings: subject.settings,
+        status,
+        record,
+        events,
+        lost_events: lost_events.unwrap_or(0),
+    }))
+}
+
+impl Fetched {
+    /// Writes it into a new file in `folder`, which is made if it is missing. Overwrites nothing.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn write(&self, folder: &Path) -> Result<PathBuf, RecordError> {
+        let failed = |io: io::Error| RecordError::write(folder, io);
+        std::fs::create_dir_all(folder).map_err(failed)?;
+        let bytes = json(self).map_err(failed)?;
+        let stamp = self.fetched_utc.strftime("%Y%m%dT%H%M%SZ");
+        let machine = match self.record {
+            Kept::Run { .. } => kind_name(DeviceKind::Rig),
+            Kept::Actuation(_) => kind_name(DeviceKind::Capsule),
+        };
+        for number in 1.. {
+            let suffix = match number {
+                1 => String::new(),
+                number => format!("-{number}"),
+            };
+            let path = folder.join(format!("fetched-{machine}-{stamp}{suffix}.json"));
+            match create(&path, &bytes) {
+                Ok(()) => return Ok(path),
+                Err(io) if io.kind() == io::ErrorKind::AlreadyExists => {}
+                Err(io) => return Err(RecordError::write(&path, io)),
+            }
+        }
+        unreachable!("some number is free")
+    }
+}

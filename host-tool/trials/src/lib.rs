@@ -1,0 +1,27 @@
+//! What is done once and recorded.
+//!
+//! * [`trial`]: the record of an action: telemetry CSV and JSON sidecar.
+//! * [`writer`]: files that are written on a thread of their own, or replaced as a whole.
+//! * [`sidecar`]: the heading of a record, and JSON files that are no trial.
+//! * [`experiment`]: recorded actions, and the paper's experiment.
+//! * [`coordination`]: an actuation that begins at a place of a run, its [`cue`].
+//! * [`plan`]: a run, calculated before it is sent.
+//! * [`progress`]: progress for people, as a bar or as lines.
+//! * [`fetched`]: a machine's own memory of its last action.
+//! * [`endurance`]: folds and unfoldings in turn, and what drifts.
+//! * [`force`]: force against thread from a recording.
+//! * [`identify`]: a capsule's parameters, from its recordings.
+#![forbid(unsafe_code)]
+
+pub mod coordination;
+pub mod cue;
+pub mod endurance;
+pub mod experiment;
+pub mod fetched;
+pub mod force;
+pub mod identify;
+pub mod plan;
+pub mod progress;
+pub mod sidecar;
+pub mod trial;
+pub mod writer;

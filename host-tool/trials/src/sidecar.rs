@@ -1,0 +1,55 @@
+//! The JSON file of a record: its heading in a list, and what another JSON file may be.
+
+use std::path::Path;
+
+use client::decimal;
+use client::limited;
+use protocol::capsule::ActuationKind;
+use serde_json::Value;
+
+use crate::trial::{Action, RecordError, Trial};
+
+/// The action in a few words.
+#[must_use]
+pub fn heading(trial: &Trial) -> String {
+    match &trial.action {
+        Action::Move { requested, .. } => format!(
+            "Move to {} mm",
+            decimal::write(requested.position_um.into(), 3)
+        ),
+        Action::Run { requested, .. } => format!(
+            "Run, {} cycles of {} mm",
+            requested.cycles,
+            decimal::write(requested.stroke_um.into(), 3)
+        ),
+        Action::Actuation { actuation, .. } => match actuation {
+            ActuationKind::Reference => "Reference of the thread".to_owned(),
+            ActuationKind::Calibrate => "Calibration of the thread".to_owned(),
+            ActuationKind::CheckFolded => "Check that it is folded".to_owned(),
+            ActuationKind::Fold => "Fold".to_owned(),
+            ActuationKind::Unfold => "Unfold".to_owned(),
+            ActuationKind::FoldTo => "Partial fold".to_owned(),
+        },
+    }
+}
+
+/// What else a JSON file of this program may be.
+pub fn other(file: &Path) -> Option<String> {
+    let text = limited::read_text(file, limited::RECORD).ok()?;
+    let value: Value = serde_json::from_str(&text).ok()?;
+    let what = if value.get("drift").is_some() && value.get("asked").is_some() {
+        "an endurance run"
+    } else if value.get("board_uid").is_some() && value.get("steps").is_some() {
+        "a commissioning"
+    } else {
+        return None;
+    };
+    Some(format!("the record of {what}, which is no trial"))
+}
+
+/// What to tell of a JSON file that is no trial; nothing of records of other kinds and of files that are not beside telemetry.
+#[must_use]
+pub fn unreadable(file: &Path, error: RecordError) -> Option<String> {
+    let told = file.with_extension("csv").exists() && other(file).is_none();
+    told.then(|| error.to_string())
+}
