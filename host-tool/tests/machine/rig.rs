@@ -98,6 +98,15 @@ impl control::Rig for At<Board> {
     }
 
     fn set_switch_filter(&mut self, _: u32) {}
+
+    /// Its clock is always there.
+    fn clock_has_come(&self) -> bool {
+        false
+    }
+
+    fn start_again(&mut self, _: &Retained, _: ResetCause) {
+        unreachable!("no clock is missing");
+    }
 }
 
 impl Rig {
