@@ -367,8 +367,8 @@ fn program(message: &str) -> Option<Job> {
     let (_, target) = message.split_once(r#""target":{"#)?;
     let kind = text(target, r#""kind":["#)?;
     let folder = manifest.parent()?;
-    // A package of ours has the name of its folder.
-    let package = folder.strip_prefix(root()).ok()?;
+    // A package of ours has the name of its folder, wherever that is.
+    let package = folder.strip_prefix(root()).ok()?.file_name()?;
     Some(Job::Program(Program {
         package: package.to_str()?.to_owned(),
         name: text(target, r#""name":"#)?,
