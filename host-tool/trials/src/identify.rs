@@ -293,8 +293,16 @@ fn circuit(folding: &[Block], unfolding: &[Block]) -> Result<(Estimate, Estimate
     };
     let folded = folding.iter().map(|block| row(block, 1.0));
     let unfolded = unfolding.iter().map(|block| row(block, 0.0));
-    let rows: Vec<_> = folded.chain(unfolded).collect();
-    let fit = fit(&rows).ok_or(IdentifyError::NoFit("speed and current change together"))?;
+    let mut rows: Vec<_> = folded.chain(unfolded).collect();
+    let together = IdentifyError::NoFit("speed and current change together");
+    let unbound = fit(&rows).ok_or(together)?;
+    // A capsule that turns at one speed nearly all the time does not tell its back-EMF from the offsets, and the noise of
+    // its speed pulls the constant down. How large an offset can be is known: that is a reading, too.
+    let noise_mv = (unbound.squares / rows.len() as f64).sqrt();
+    let weight = noise_mv / (OFFSET_MA / COVERAGE * unbound.values[0].abs());
+    rows.push(([0.0, 0.0, weight, 0.0], 0.0));
+    rows.push(([0.0, 0.0, 0.0, weight], 0.0));
+    let fit = fit(&rows).ok_or(together)?;
     let [ohm, constant, ..] = fit.values;
     let ohm = ohm + cell_ohm;
     if ohm <= 0.0 || constant <= 0.0 {
