@@ -1,7 +1,7 @@
 //! The 8 MHz from the ST-LINK come late, never, or stop: what a rig on an outer supply meets with every power-on.
 
 use crate::common::{LIMIT_NS, RigRun, exact, execute, paper, quickly_homed, start};
-use host_tool::{client::Device, error::ClientError};
+use client::{Device, error::ClientError};
 use protocol::{
     error::Refusal,
     rig::{RigFault, RigState},

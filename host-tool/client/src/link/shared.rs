@@ -19,7 +19,7 @@ use crate::link::{Link, LinkError, OpenError, Reason};
 /// a read.
 pub(crate) const READ: Duration = Duration::from_millis(if cfg!(windows) { 2 } else { 10 });
 
-/// Both directions of a line, each usable by a thread of its own. A read ends after [`READ`].
+/// Both directions of a line, each usable by a thread of its own. A read ends after ten milliseconds or less, with or without a byte.
 pub struct Halves {
     pub(crate) reader: Box<dyn Read + Send>,
     pub(crate) writer: Box<dyn Write + Send>,
