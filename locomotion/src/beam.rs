@@ -1,11 +1,11 @@
-//! Beam model of a crescent: an elastic wing between core and wall, and what a thread through the core does to it.
+//! Beam model of a crescent: an elastic wing between core and wall, and how a thread through the core changes it.
 //!
 //! * [`rod`]: the planar rod, inextensible, with any rotation, loaded at its tip or by a wall with friction.
 //! * [`crescent`]: the wing under a wall or a roller: force against indentation, the least alpha, the lever.
 //! * [`thread`]: displacement of the body against the thread drawn in, without a switch between two models.
 //! * [`band`]: the same curve over uncertain inputs, declared and seeded.
 //!
-//! The rod is checked against closed forms. What follows from it is not: every result carries [`Validation`].
+//! Tests check the rod against closed forms, but not the results derived from it: each carries its [`Validation`].
 
 use core::fmt;
 
@@ -16,7 +16,7 @@ pub mod crescent;
 pub mod rod;
 pub mod thread;
 
-/// How far a result was compared with something that is not this model.
+/// How far a result was validated against something other than this model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Validation {
     /// The solver meets closed forms; no rig was compared with the result.
@@ -31,12 +31,12 @@ impl fmt::Display for Validation {
     }
 }
 
-/// A result of the beam model with its [`Validation`], which goes wherever the number goes.
+/// A result of the beam model together with its [`Validation`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Modelled<T> {
     /// The result.
     pub value: T,
-    /// What stands behind it.
+    /// How far it was validated.
     pub validation: Validation,
 }
 
@@ -56,9 +56,9 @@ pub enum NoAnswer {
     OutOfRange(OutOfRange),
     /// No equilibrium was found near the one before.
     NoEquilibrium {
-        /// What was asked for: the load or the indentation that the last step aimed at.
+        /// The load or the indentation that the last step aimed at.
         at: f64,
-        /// What is left of the equilibrium, relative.
+        /// Remaining imbalance, relative.
         residual: f64,
     },
     /// The body did not come to rest at one place of the roller.

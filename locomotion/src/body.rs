@@ -7,20 +7,20 @@
 //!    `sum mu w_i [ (S + delta_i)^+ + r (-(S + delta_i))^+ ]`, `w_i = preload + mean a_i`,
 //!    where + is headward, the wings' easy direction. `S` is a weighted quantile of `-delta_i`.
 //!
-//! The friction coefficient mu multiplies every weight alike and therefore changes `S` only through r. With a fixed r
-//! it cancels: that independence is put in with the fixed r and is no evidence for the paper's finding. With
-//! [`FrictionRatio::Facets`] it does not cancel.
+//! The friction coefficient mu multiplies every weight by the same factor, so it changes `S` only through r. With a
+//! fixed r it cancels. That independence is an assumption of the model (the fixed r), not evidence for the paper's
+//! finding. With [`FrictionRatio::Facets`] it does not cancel.
 
 use crate::kinematics::{Design, MAX_CRESCENTS};
 use crate::range::{Ends, OutOfRange, check};
 
-/// Room for the links of any design.
+/// Capacity of the arrays: links of the largest design.
 pub(crate) const LINKS: usize = MAX_CRESCENTS as usize;
 
 /// r: friction against the wings over friction with them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FrictionRatio {
-    /// The same at every friction coefficient, `>= 1`: a fit.
+    /// The same at every friction coefficient, `>= 1`; fitted.
     Fixed(f64),
     /// Coulomb friction on facets that stand at beta: `(1 + mu tan beta)/(1 - mu tan beta)`.
     Facets,
@@ -60,7 +60,7 @@ impl FrictionRatio {
     }
 }
 
-/// Properties of the body. Named sets of them: [`crate::model`].
+/// Properties of the body. [`crate::model`] has named sets of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
     /// Its geometry.
@@ -72,13 +72,13 @@ pub struct Params {
     pub friction: f64,
     /// r: friction in the hard direction over that in the easy one.
     pub friction_ratio: FrictionRatio,
-    /// delta0, mm: indentation that holds a crescent even where the wave does not touch it, `>= 0`.
+    /// delta0, mm: indentation that every crescent feels even where the wave does not touch it, `>= 0`.
     pub preload_mm: f64,
-    /// Where the rearmost wing's tip lies at the start, mm from the intestine's left mark.
+    /// Where the tip of the rearmost wing lies at the start, mm from the intestine's left mark.
     pub tail_mm: f64,
 }
 
-/// The body and its place.
+/// The body and its position.
 #[derive(Clone, Debug)]
 pub struct Chain {
     params: Params,
@@ -156,7 +156,7 @@ impl Chain {
     /// Applies the next shape of the wall: its inward indentation in mm as a function of the place x in mm.
     ///
     /// # Errors
-    /// A shape that is negative, NaN or would push a crescent past its core; the body then stays as it was.
+    /// A shape that is negative, NaN or would push a crescent past its core; the body then stays unchanged.
     pub fn step(&mut self, wall_mm: impl Fn(f64) -> f64) -> Result<(), OutOfRange> {
         let m = self.m();
         let mut indentation_mm = [0.0; LINKS];
@@ -193,22 +193,22 @@ impl Chain {
         Ok(())
     }
 
-    /// How far the tail has moved since the start, mm; + is headward (retrograde).
+    /// Displacement of the tail since the start, mm; + is headward (retrograde).
     pub fn displacement_mm(&self) -> f64 {
         self.core_tail_mm - self.start_mm
     }
 
-    /// How far the head has moved since the start, mm. Less than the tail while the body is squeezed.
+    /// Displacement of the head since the start, mm. Less than that of the tail while the body is squeezed.
     pub fn head_displacement_mm(&self) -> f64 {
         self.head_mm() - self.start_mm - self.relaxed_mm
     }
 
-    /// Place of the core's tail end, mm.
+    /// Position of the core's tail end, mm.
     pub fn core_tail_mm(&self) -> f64 {
         self.core_tail_mm
     }
 
-    /// Place of the core's head end, mm.
+    /// Position of the core's head end, mm.
     pub fn head_mm(&self) -> f64 {
         self.core_tail_mm + self.core_mm()
     }
@@ -241,10 +241,10 @@ pub(crate) fn middles(links_mm: &[f64]) -> [f64; LINKS] {
 
 /// The `S` that minimises `sum w [ (S+delta)^+ + r (-(S+delta))^+ ]` over pairs `(delta, w)`.
 ///
-/// The sum is convex in `S` and its slope changes only at `S = -delta`. The slope begins at `-r sum(w)`, and each of
-/// these points adds `(1+r) w`; the minimum is where the slope stops being negative. Sorts the pairs by falling delta.
+/// The sum is convex in `S` and its slope changes only at `S = -delta`. The slope begins at `-r sum(w)` and grows by
+/// `(1+r) w` at each of these points; the minimum is where it stops being negative. Sorts the pairs by falling delta.
 fn least_work_shift(pairs: &mut [(f64, f64)], ratio: f64) -> f64 {
-    // Insertion sort: few pairs, nearly sorted by the geometry, and it is stable.
+    // Insertion sort: the pairs are few and nearly sorted by the geometry, and it is stable.
     for i in 1..pairs.len() {
         let (before, rest) = pairs.split_at_mut(i);
         let moved = rest[0];
@@ -297,7 +297,7 @@ mod tests {
             }
         }
 
-        /// A body that is squeezed evenly and released regains its length, wherever it went.
+        /// A body that is squeezed evenly and released regains its length, wherever it has moved.
         #[test]
         fn a_released_body_is_relaxed(a in 0.01..9.0f64) {
             let params = crate::roller::Params::PAPER.body;

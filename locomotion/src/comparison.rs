@@ -1,7 +1,7 @@
 //! Each sentence of the paper's sections II and III that states a number or a trend, beside a model's result.
 //!
-//! The rows are data for reports; [`Table`] prints them as the Markdown table of `docs/science.md`. What a sentence asks is
-//! a [`Condition`]; [`odds`] says how many of several bodies meet it.
+//! The rows are data for reports; [`Table`] prints them as the Markdown table of `docs/science.md`. A [`Condition`]
+//! says what a sentence requires of the value; [`odds`] counts how many of several bodies meet it.
 
 mod condition;
 mod odds;
@@ -23,7 +23,7 @@ use crate::{folded, roller, trend, tube};
 
 use runs::{RigRuns, TubeRuns};
 
-/// What it proves if a model agrees with a sentence.
+/// What agreement between the model and a sentence proves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Evidence {
     /// The paper's number is an input of the model; the value only shows that.
@@ -50,12 +50,12 @@ impl fmt::Display for Evidence {
     }
 }
 
-/// How a sentence takes part in choosing the bodies that agree with the words ([`crate::prior::agrees`]).
+/// How a sentence selects the bodies that agree with the words ([`crate::prior::agrees`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Chosen {
-    /// A body that does not meet the row is not kept.
+    /// A body that misses the row's condition is rejected.
     Wholly,
-    /// A weaker form of the row's condition is asked.
+    /// A body has to meet only a weaker form of the row's condition.
     Partly,
 }
 
@@ -74,14 +74,14 @@ pub struct Row {
     pub model: Option<f64>,
     /// Unit of both values; empty for a pure number.
     pub unit: &'static str,
-    /// What the sentence asks of the value; none if it states neither number nor trend.
+    /// What the sentence requires of the value; none if it states neither number nor trend.
     pub condition: Option<Condition>,
-    /// The world whose runs give the value; none if it takes no run of the unfolded body.
+    /// The world whose runs give the value; none if it needs no run of the unfolded body.
     pub world: Option<Words>,
-    /// Whether the bodies that agree with the words are chosen by this sentence: then it is met by them, or more often, and
-    /// that is no evidence.
+    /// Whether this sentence selects the bodies that agree with the words. Those bodies then meet it always, or more
+    /// often, and that is no evidence.
     pub chosen: Option<Chosen>,
-    /// What it proves if both values agree.
+    /// What agreement of both values proves.
     pub evidence: Evidence,
     /// Comment; may be empty.
     pub remark: &'static str,
@@ -90,7 +90,7 @@ pub struct Row {
 /// Number of rows.
 pub const ROWS: usize = 90;
 
-/// So many draws of the prior are asked how probable a row is, unless somebody wants more: a share is known to 0.07 then.
+/// Default number of prior draws behind each probability: enough to know a share to 0.07.
 pub const BODIES: u16 = 200;
 
 /// The friction coefficients of section II.B: 0.08, 0.085 ... 0.20.
@@ -106,20 +106,21 @@ pub fn pressures_pa() -> impl ExactSizeIterator<Item = f64> + Clone {
 /// The indentations of the roller series, mm. The paper gives only the largest, a_5; the others are assumed.
 pub const INDENTATIONS_MM: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.05];
 
-/// "About 14 mm" and "about 15 mm": so many millimetres to either side [assumed].
+/// Tolerance of "about 14 mm" and "about 15 mm", to either side [assumed].
 const ABOUT_MM: f64 = 1.0;
-/// "Not very different", "no obvious correlation", "hardly" of a stroke: so many millimetres [assumed].
+/// Largest difference that counts as "not very different", "no obvious correlation" or "hardly" of a stroke
+/// [assumed].
 const LITTLE_MM: f64 = 1.0;
-/// At an optimum the displacement of a crescent changes by less than this for each radian [assumed].
+/// At an optimum the displacement of a crescent changes by less than this per radian [assumed].
 const OPTIMUM_MM: f64 = 0.5;
-/// "Slightly" indented: at most this part of the way to the core [assumed].
+/// "Slightly" indented: at most this share of the distance to the core [assumed].
 const SLIGHTLY: f64 = 0.1;
-/// "Severely shrunk": at least this part of the way to the core [assumed].
+/// "Severely shrunk": at least this share of the distance to the core [assumed].
 const SEVERELY: f64 = 0.25;
 
 /// The rows, section by section: `sentence: quantity, paper's value, unit, evidence on world = model's value, wants
-/// condition, chosen how, remark;`. World, model's value, condition, choice and remark may be left out. A value is worked out only
-/// if it is asked for.
+/// condition, chosen how, remark;`. World, model's value, condition, choice and remark are optional. A value is
+/// computed only if the question wants it.
 macro_rules! table {
     ($asked:ident; $($section:literal { $(
         $sentence:literal: $quantity:literal, $paper:literal, $unit:literal,
@@ -147,7 +148,7 @@ macro_rules! table {
     };
 }
 
-/// Displacement in 40 s at the deepest indentation over the draws that agree with the words on the rig.
+/// Displacement in 40 s at the deepest indentation, over the draws that agree with the words on the rig.
 fn band_on_rig(model: &Model) -> Result<Band, OutOfRange> {
     let mut values = [0.0; prior::DRAWS as usize];
     let mut count = 0;
@@ -168,11 +169,11 @@ fn band_on_rig(model: &Model) -> Result<Band, OutOfRange> {
     })
 }
 
-/// Step of the roller in the band, mm: its error of at most 0.3 mm does not show there.
+/// Step of the roller in the band, mm: its error of at most 0.3 mm is invisible there.
 const BAND_STEP_MM: f64 = 0.25;
 
-/// Every sentence of sections II and III with a number or a trend, and two of section I, in the paper's order, beside
-/// what a model gives.
+/// Every sentence of sections II and III with a number or a trend, and two of section I, in the paper's order, each
+/// with the model's value.
 ///
 /// # Errors
 /// A model with a value outside its range.
@@ -180,17 +181,17 @@ pub fn rows(model: &Model) -> Result<[Row; ROWS], OutOfRange> {
     Ok(Sheet::new(model)?.rows)
 }
 
-/// The rows of a model, and what it takes to ask other bodies the same.
+/// The rows of one model, kept with the values that are needed to evaluate other bodies.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sheet {
     /// The rows.
     pub rows: [Row; ROWS],
-    /// What the rows share whichever body is asked.
+    /// Values that do not depend on the body.
     common: Common,
 }
 
 impl Sheet {
-    /// Of a model.
+    /// Evaluates every row for a model.
     ///
     /// # Errors
     /// A model with a value outside its range.
@@ -207,8 +208,8 @@ impl Sheet {
         Ok(Self { rows, common })
     }
 
-    /// The values that another body gives to the rows with a condition, in these worlds, as roughly as the bodies that agree
-    /// with the words were chosen.
+    /// Values of another body for the rows with a condition, in these worlds. Computed with the same coarse steps as
+    /// the selection of the bodies that agree with the words.
     ///
     /// # Errors
     /// A model with a value outside its range.
@@ -221,19 +222,19 @@ impl Sheet {
     }
 }
 
-/// What does not change with the body that is asked.
+/// Values of the rows that do not depend on the body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Common {
-    /// Least and greatest displacement over the frictions at 7000 Pa with a friction ratio that follows from the friction:
-    /// the body `tube`.
+    /// Least and greatest displacement over the frictions at 7000 Pa, for the body `tube`, whose friction ratio
+    /// follows from the friction.
     facets_mm: (f64, f64),
     /// Prior band on the rig.
     band: Band,
 }
 
-/// Which rows are worked out.
+/// Which rows to compute.
 struct Questions<'a> {
-    /// Rows of these worlds, and those that belong to none.
+    /// Rows of these worlds, and rows that belong to no world.
     worlds: &'a [Words],
     /// With coarse steps, and only the rows with a condition.
     roughly: bool,
@@ -296,7 +297,7 @@ fn evaluate(
         params.body.design = design;
         roller::run(params, deepest_mm)
     };
-    // At 45 deg, as many crescents as come nearest to the length of the core.
+    // At 45 deg, take the number of crescents that comes nearest to the length of the core.
     let steep = other(1.0, 1)?;
     let as_long = libm::round(body.core_length_mm(0.0)? / steep.spacing_mm());
     let steep = other(1.0, as_long.clamp(1.0, 32.0) as u8)?;
@@ -628,8 +629,8 @@ fn evaluate(
     })
 }
 
-/// Buckling pressure of a free elastic ring under outer pressure, Pa: `E t^3 / (4 (1-nu^2) R^3)`, R to the middle of
-/// the wall.
+/// Buckling pressure of a free elastic ring under outer pressure, Pa: `E t^3 / (4 (1-nu^2) R^3)`, with R to the
+/// middle of the wall.
 fn ring_buckling_pa(params: &tube::Params) -> f64 {
     let ratio = params.thickness_mm / (params.radius_mm + params.thickness_mm / 2.0);
     params.modulus_pa * ratio * ratio * ratio / (4.0 * (1.0 - params.poisson * params.poisson))

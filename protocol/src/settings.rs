@@ -1,4 +1,4 @@
-//! Settings of rig and capsule: key, whose it is, unit, range and default, in one table for device, host and manual.
+//! Settings of rig and capsule: key, owner, unit, range and default, in one table for device, host and manual.
 
 use crate::system::DeviceKind;
 use postcard_schema::Schema;
@@ -95,7 +95,7 @@ settings! {
     UnfoldTimeoutMs of Capsule: "unfold_timeout_ms", "ms", 2_000..=20_000, 4_000, "An unfolding that takes longer is a fault.";
 }
 
-/// Which machine has a setting or a rule.
+/// The machine that has a setting or a rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Owner {
     Rig,
@@ -125,7 +125,7 @@ pub struct Range {
 }
 
 impl SettingKey {
-    /// A machine of this kind has the setting; the other one refuses its key.
+    /// Whether a machine of this kind has the setting; the other kind refuses its key.
     #[must_use]
     pub const fn is_of(self, kind: DeviceKind) -> bool {
         Self::OWNERS[self as usize].is(kind)

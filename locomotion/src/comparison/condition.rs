@@ -1,8 +1,8 @@
-//! What a sentence of the paper asks of a number: data that a program can judge.
+//! What a sentence of the paper requires of a number, as data that a program can check.
 
 use core::fmt;
 
-/// What a sentence asks of a quantity.
+/// Requirement of a sentence on a quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Condition {
     /// Between two values, both included.
@@ -18,17 +18,17 @@ pub enum Condition {
 }
 
 impl Condition {
-    /// This number and nothing else: counts, and what is zero but for rounding.
+    /// Exactly this number: for counts, and for values that are zero except for rounding.
     pub const fn exactly(value: f64) -> Self {
         Self::about(value, EXACT)
     }
 
-    /// A value and what it may be off to either side: half a unit of its last digit, or a declared tolerance.
+    /// A value with a tolerance to either side: half a unit of its last digit, or a declared one.
     pub const fn about(value: f64, tolerance: f64) -> Self {
         Self::Within(value - tolerance, value + tolerance)
     }
 
-    /// Whether a value meets it; what is no number meets nothing.
+    /// Whether a value meets the condition; NaN meets none.
     pub fn met(self, value: f64) -> bool {
         match self {
             Self::Within(low, high) => (low..=high).contains(&value),
@@ -40,7 +40,7 @@ impl Condition {
     }
 }
 
-/// What a number that is meant exactly may be off: rounding of the last bits.
+/// Tolerance of an exact value: rounding of the last bits.
 pub(crate) const EXACT: f64 = 1e-9;
 
 impl fmt::Display for Condition {
@@ -58,7 +58,7 @@ impl fmt::Display for Condition {
     }
 }
 
-/// A bound in as few decimals as it was written with, three at most.
+/// Prints a bound with the decimals it was written with, three at most.
 struct Short(f64);
 
 impl fmt::Display for Short {

@@ -1,24 +1,24 @@
-//! How probable it is that a sentence is met: the share of bodies that meet its condition, if the body decides.
+//! How probable it is that a sentence is met: the share of bodies that meet its condition, where the body matters.
 
 use crate::comparison::{ROWS, Row};
 use crate::prior::Words;
 
-/// The value of each row with one body; none where the row was not asked, has no condition, or no value.
+/// The value of each row for one body; none if the row was skipped, has no condition, or has no value.
 pub type Values = [Option<f64>; ROWS];
 
-/// How many of several bodies meet a condition, and how well that tells the probability.
+/// How many of several bodies meet a condition, and the uncertainty of that share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Share {
     /// Bodies that meet it.
     pub met: usize,
-    /// Bodies that were asked; at least one.
+    /// Bodies that were evaluated; at least one.
     pub bodies: usize,
     /// 95 % interval of the probability, after Wilson.
     pub interval: (f64, f64),
 }
 
 impl Share {
-    /// Of so many bodies, worth so many independent ones: draws of a chain are worth less than their number.
+    /// From `met` of `bodies`. `independent` is their effective number: draws of a chain are correlated.
     pub fn of(met: usize, bodies: usize, independent: f64) -> Self {
         let part = met as f64 / bodies as f64;
         Self {
@@ -34,9 +34,10 @@ impl Share {
     }
 }
 
-/// Wilson's 95 % interval of a share of `count`: it stays within 0 to 1, and none and all of them leave room.
+/// Wilson's 95 % interval of a share among `count` bodies. It stays within 0 to 1 and has a width even at shares 0
+/// and 1.
 fn wilson(part: f64, count: f64) -> (f64, f64) {
-    /// Standard deviations to either side that hold 95 % of a normal distribution.
+    /// Quantile of the normal distribution: plus or minus this holds 95 % of it.
     const Z: f64 = 1.959_963_984_540_054;
     let scale = 1.0 + Z * Z / count;
     let centre = (part + Z * Z / (2.0 * count)) / scale;
@@ -44,25 +45,25 @@ fn wilson(part: f64, count: f64) -> (f64, f64) {
     ((centre - half).max(0.0), (centre + half).min(1.0))
 }
 
-/// How probable it is that one row is met.
+/// Probability that one row is met.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Odds {
     /// The row has no condition.
     Unstated,
-    /// Every body gives the same value: it is met, or not, with certainty.
+    /// Every body gives the same value, so the row is always met or never.
     AnyBody(bool),
-    /// The body decides.
+    /// The value depends on the body.
     Shares {
-        /// Of the bodies of the prior, before any sentence was read.
+        /// Among bodies of the prior, before any sentence was read.
         prior: Option<Share>,
-        /// Of those that agree with the words of the row's world.
+        /// Among bodies that agree with the words of the row's world.
         words: Option<Share>,
-        /// Of those of a posterior. Trials on the rig do not speak about the tube.
+        /// Among draws of a posterior. Trials on the rig say nothing about the tube.
         posterior: Option<Share>,
     },
 }
 
-/// Bodies that were asked, each by the values of its rows.
+/// Evaluated bodies: for each, the values of its rows.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Asked<'a> {
     /// Draws of the prior, on the rig and in the tube.
@@ -73,11 +74,12 @@ pub struct Asked<'a> {
     pub tube: &'a [Values],
     /// Draws of a posterior.
     pub posterior: &'a [Values],
-    /// How many independent ones those of the posterior are worth.
+    /// Effective number of independent draws of the posterior.
     pub independent: f64,
 }
 
-/// The odds of each row. `own` are the values with the model itself, as roughly as those of the bodies.
+/// The odds of each row. `own` are the values of the model itself, computed with the same coarse steps as the
+/// bodies'.
 pub fn odds(rows: &[Row; ROWS], own: &Values, asked: &Asked<'_>) -> [Odds; ROWS] {
     core::array::from_fn(|place| {
         let Some(condition) = rows[place].condition else {
@@ -112,7 +114,7 @@ pub fn odds(rows: &[Row; ROWS], own: &Values, asked: &Asked<'_>) -> [Odds; ROWS]
     })
 }
 
-/// Equal but for rounding; what is no number is never equal.
+/// Whether two values are equal except for rounding; NaN never is.
 fn same(one: f64, other: f64) -> bool {
     libm::fabs(one - other) <= super::condition::EXACT * (1.0 + libm::fabs(one))
 }
@@ -136,7 +138,7 @@ mod tests {
         }
     }
 
-    /// Draws that resemble each other tell less; more than there are tell no more.
+    /// Correlated draws tell less. An effective number above their count tells no more.
     #[test]
     fn dependent_draws_are_worth_less() {
         let width = |independent| {

@@ -10,22 +10,22 @@ use crate::prior;
 pub struct Table<'a> {
     /// The rows.
     pub rows: &'a [Row; ROWS],
-    /// How probable it is that each is met.
+    /// The probability that each row is met.
     pub odds: &'a [Odds; ROWS],
-    /// How many bodies were asked.
+    /// Number of bodies evaluated.
     pub bodies: Bodies,
 }
 
-/// How many bodies were asked.
+/// Number of bodies evaluated, by origin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bodies {
-    /// Of the prior.
+    /// Draws of the prior.
     pub prior: usize,
-    /// That agree with the words on the rig.
+    /// Draws that agree with the words on the rig.
     pub rig: usize,
-    /// That agree with the words on the tube.
+    /// Draws that agree with the words on the tube.
     pub tube: usize,
-    /// Of a posterior; 0 if there is none.
+    /// Draws of a posterior; 0 if there is none.
     pub posterior: usize,
 }
 
@@ -125,8 +125,8 @@ impl fmt::Display for Cell {
     }
 }
 
-/// Prints a whole number as such. An input is printed with three decimals, a result with about three digits: none of
-/// them is known better.
+/// Prints a whole number as such, an input with three decimals, a result with about three digits: no result is known
+/// better.
 struct Rounded(f64, Evidence);
 
 impl fmt::Display for Rounded {

@@ -1,4 +1,4 @@
-//! The runs that the rows of the comparison draw on, of one body on the rig and in the tube.
+//! The runs of one body, on the rig and in the tube, that the rows of the comparison share.
 
 use crate::body::FrictionRatio;
 use crate::comparison::{INDENTATIONS_MM, frictions, pressures_pa};
@@ -16,7 +16,7 @@ pub(super) struct RigRuns {
 }
 
 impl RigRuns {
-    /// In place of runs that nobody asked for: a row that draws on them all the same shows it.
+    /// Stands for runs that were not requested: NaN shows in any row that uses them nevertheless.
     pub(super) const NOT_ASKED: Self = Self {
         roller_mm: [f64::NAN; 5],
         lubrication_mm: f64::NAN,
@@ -26,7 +26,7 @@ impl RigRuns {
         }; 5],
     };
 
-    /// `roughly`: with a fixed friction ratio, the frictions are compared at the least and the greatest indentation only.
+    /// `roughly`: with a fixed friction ratio, compares the frictions at the least and the greatest indentation only.
     pub(super) fn new(rig: roller::Params, roughly: bool) -> Result<Self, OutOfRange> {
         let fixed = rig.body.friction_ratio != FrictionRatio::Facets;
         let (mut wet, mut dry) = (rig, rig);
@@ -52,8 +52,8 @@ impl RigRuns {
         trend::linearity([(0.0, 0.0)].into_iter().take(origin.into()).chain(points))
     }
 
-    /// Greatest share of an antegrade pass that a return pass moves the body, over the indentations. It is infinite if an
-    /// antegrade pass does not move it headward: then nothing is hardly anything beside it.
+    /// Displacement by a return pass as a share of the antegrade pass: the greatest over the indentations. Infinite
+    /// if an antegrade pass does not move the body headward, because no return is small beside nothing.
     pub(super) fn worst_return(&self) -> f64 {
         self.passes
             .iter()
@@ -79,7 +79,7 @@ pub(super) struct TubeRuns {
 }
 
 impl TubeRuns {
-    /// In place of runs that nobody asked for.
+    /// Stands for runs that were not requested.
     pub(super) const NOT_ASKED: Self = Self {
         pressure: [tube::Averaged {
             tail_mm: f64::NAN,
@@ -90,12 +90,12 @@ impl TubeRuns {
         difference_mm: f64::NAN,
     };
 
-    /// `roughly`: with a fixed friction ratio, the frictions are compared at the lowest and the highest pressure only.
+    /// `roughly`: with a fixed friction ratio, compares the frictions at the lowest and the highest pressure only.
     pub(super) fn new(pipe: tube::Params, roughly: bool) -> Result<Self, OutOfRange> {
         let mut this = Self::NOT_ASKED;
         this.difference_mm = 0.0;
         let fixed = pipe.body.friction_ratio != FrictionRatio::Facets;
-        // With a fixed ratio a friction cancels to the last bit; one place shows it.
+        // With a fixed ratio the friction cancels to the last bit, so one placement is enough.
         let few = tube::Params {
             placements: if fixed { 1 } else { pipe.placements },
             ..pipe
@@ -118,13 +118,13 @@ impl TubeRuns {
         self.pressure.map(|averaged| averaged.tail_mm)
     }
 
-    /// Mean slope of the pressure series between two of its members, mm/kPa.
+    /// Mean slope of the pressure series between two of its points, mm/kPa.
     pub(super) fn slope_per_kpa(&self, from: usize, to: usize) -> f64 {
         let mm = self.pressure_mm();
         (mm[to] - mm[from]) / ((to - from) as f64 * 0.4)
     }
 
-    /// The slope above 5800 Pa over the one below: infinite if only the upper one rises, no number if neither does.
+    /// The slope above 5800 Pa over the one below. Infinite if only the upper one rises, NaN if neither does.
     pub(super) fn faster(&self) -> f64 {
         let (below, above) = (self.slope_per_kpa(0, 7), self.slope_per_kpa(7, 10));
         if below > 0.0 {
@@ -141,7 +141,7 @@ impl TubeRuns {
 pub(super) fn over_frictions(params: tube::Params) -> Result<(f64, f64), OutOfRange> {
     let mut range = (f64::INFINITY, f64::NEG_INFINITY);
     let slipping = params.body.friction_ratio == FrictionRatio::Facets;
-    // Of a fixed ratio the ends show that a friction cancels.
+    // With a fixed ratio the two ends are enough to show that the friction cancels.
     for friction in frictions().step_by(if slipping { 1 } else { 24 }) {
         let mm = tube::averaged(with_friction(params, friction), 7000.0)?.tail_mm;
         range = (range.0.min(mm), range.1.max(mm));
@@ -158,7 +158,7 @@ fn with_friction(mut params: tube::Params, friction: f64) -> tube::Params {
 mod tests {
     use super::*;
 
-    /// A body that no antegrade pass moves does not pass for one that a return pass hardly moves.
+    /// A body that no antegrade pass moves must not count as one that a return pass hardly moves.
     #[test]
     fn a_return_pass_is_not_small_beside_nothing() {
         for antegrade_mm in [0.0, -1.0, f64::NAN] {
@@ -171,7 +171,7 @@ mod tests {
         }
     }
 
-    /// A body that falls back at all pressures is not called faster because it falls back more.
+    /// A body that moves backward at all pressures must not count as faster because it falls back more.
     #[test]
     fn what_falls_is_not_faster() {
         let faster = |below_mm: f64, above_mm: f64| {
