@@ -19,7 +19,7 @@ pub struct Params {
     pub length_mm: f64,
     /// Friction coefficient between wall and body.
     pub friction: f64,
-    /// Where the body's tail lies at the start, mm from the intestine's left mark.
+    /// Where the tail of the body lies at the start, mm from the intestine's left mark.
     pub tail_mm: f64,
     /// Travel of the carriage, mm.
     pub stroke_mm: f64,
@@ -30,8 +30,8 @@ pub struct Params {
 }
 
 impl Params {
-    /// The paper's fold experiment; the settings of [`crate::model`] say where each value comes from. Width and length are those of
-    /// [`Params::folded_by`] with 21 mm of thread, to three decimals.
+    /// The paper's fold experiment; the settings of [`crate::model`] say where each value comes from. Width and
+    /// length are those of [`Params::folded_by`] with 21 mm of thread, to three decimals.
     pub const PAPER: Self = Self {
         intestine_mm: 24.40,
         width_mm: 15.771,
@@ -182,7 +182,7 @@ impl FoldedBody {
         )?;
         let roller_mm = self.params.stroke_mm - carriage_mm;
         if let Contact::Pushed { ahead_mm, .. } = self.contact {
-            // The body lies to the left of a roller that pushes, so only a move to the left can reach it.
+            // The body lies to the left of a roller that pushes, so only a move to the left reaches it.
             let free_tail_mm = roller_mm - ahead_mm - self.params.length_mm;
             if free_tail_mm < self.tail_mm {
                 self.tail_mm = free_tail_mm;
@@ -200,12 +200,12 @@ impl FoldedBody {
         self.carriage_to(0.0)
     }
 
-    /// How far the body has moved since the start, mm; + is headward. Pushed by the antegrade wave it is negative.
+    /// Displacement of the body since the start, mm; + is headward. Negative if the antegrade wave pushes the body.
     pub fn displacement_mm(&self) -> f64 {
         self.tail_mm - self.params.tail_mm
     }
 
-    /// Place of the body's tail, mm.
+    /// Position of the body's tail, mm.
     pub fn tail_mm(&self) -> f64 {
         self.tail_mm
     }

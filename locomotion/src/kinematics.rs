@@ -255,7 +255,7 @@ impl<T: Real> Design<T> {
     pub const fn core_mm(&self) -> T {
         self.core_mm
     }
-    /// `h = (W-c)/2`, mm: from the core to the wall at rest, which is also the largest indentation.
+    /// `h = (W-c)/2`, mm: distance from the core to the wall at rest, and the largest indentation.
     pub const fn half_gap_mm(&self) -> T {
         self.half_gap_mm
     }
@@ -301,7 +301,7 @@ impl<T: Real> Design<T> {
         Ok(self.d0(&self.squeezed(a_mm)?))
     }
 
-    /// Eq. (7): shortening `d = m d0` of the core, mm. The thread that folds the structure travels as far.
+    /// Eq. (7): shortening `d = m d0` of the core, mm. The thread that folds the structure travels the same distance.
     ///
     /// # Errors
     /// `a` outside `0..=h`, or NaN.
@@ -328,8 +328,8 @@ impl<T: Real> Design<T> {
         Ok(self.m() * self.squeezed(a_mm)?.psi)
     }
 
-    /// Overall length `L(a) = m psi(a) + s2(a)`, mm: the core and the last wing behind it (not in the paper).
-    /// It shortens less than the core, because the wing folds back.
+    /// Overall length `L(a) = m psi(a) + s2(a)`, mm: the core and the last wing behind it (not in the paper). It
+    /// shortens less than the core, because the wing folds back.
     ///
     /// # Errors
     /// `a` outside `0..=h`, or NaN.
@@ -355,8 +355,8 @@ impl<T: Real> Design<T> {
         Ok((self.half_gap_mm - a_mm) * s.psi / (s.s1 * s.s2))
     }
 
-    /// `d d0 / d alpha`, mm per radian, which Eq. (6) should have been: `h sec^2(alpha) [h tan(alpha)/s2 - 1]`.
-    /// Negative for every `a > 0`: d0 has no maximum within the range of alpha.
+    /// `d d0 / d alpha`, mm per radian: `h sec^2(alpha) [h tan(alpha)/s2 - 1]`. Eq. (6) should have been this.
+    /// Negative for every `a > 0`, so d0 has no maximum within the range of alpha.
     ///
     /// # Errors
     /// `a` outside `0..=h`, or NaN.
@@ -374,7 +374,8 @@ impl<T: Real> Design<T> {
         Ok(self.slope_by_angle(self.tan_beta, s.s1, s.q))
     }
 
-    /// The indentation at which the core has lost `thread_mm`: the inverse of Eq. (7), by bisection to the last bit.
+    /// The indentation at which the core has shortened by `thread_mm`: the inverse of Eq. (7), by bisection to the
+    /// last bit.
     ///
     /// # Errors
     /// `thread_mm` outside `0..=d(h)`, or NaN.
@@ -488,7 +489,7 @@ pub fn indentation_from_calipers_mm<T: Real>(
     Ok((width_mm - between_crests_mm) / T::from(2))
 }
 
-/// The answer of [`best_alpha`].
+/// Result of [`best_alpha`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BestAlpha {
     /// The admissible alpha with the largest d0, degrees.
@@ -540,8 +541,8 @@ pub fn best_alpha(
 /// Eq. (6) as printed, left side minus right side, with `k = 2/(W-c)`:
 /// `sec^2(alpha) [1 - (2 - sec^2(alpha))^2 tan^2(alpha)] - k^2 (k - a)^2`.
 ///
-/// Kept to show that it is unusable: the right side subtracts millimetres from reciprocal millimetres, and neither this
-/// form nor the repaired one ([`repaired_eq6_residual`]) has a root near the paper's 12.53 degrees.
+/// Kept to show that it is unusable. The right side subtracts millimetres from reciprocal millimetres, and neither
+/// this form nor the repaired one ([`repaired_eq6_residual`]) has a root near the paper's 12.53 degrees.
 pub fn printed_eq6_residual(design: &Design<f64>, a_mm: f64) -> f64 {
     let k = 1.0 / design.half_gap_mm;
     let (k_squared, rest) = (k * k, k - a_mm);
@@ -551,7 +552,7 @@ pub fn printed_eq6_residual(design: &Design<f64>, a_mm: f64) -> f64 {
 /// Eq. (6) with the right side repaired to the pure number `((h-a)/h)^2`, left side minus right side.
 ///
 /// With `t = tan^2(alpha)` the left side is `1 + t^2 + t^3 - t^4`, which is above 1 until t reaches the golden ratio.
-/// So for `0 <= a <= h` every root lies at alpha >= 51.827 degrees.
+/// Therefore every root for `0 <= a <= h` lies at alpha >= 51.827 degrees.
 pub fn repaired_eq6_residual(design: &Design<f64>, a_mm: f64) -> f64 {
     let rest = (design.half_gap_mm - a_mm) / design.half_gap_mm;
     eq6_left(design.tan_alpha * design.tan_alpha) - rest * rest
@@ -563,7 +564,7 @@ fn eq6_left(t: f64) -> f64 {
     sec_squared * (1.0 - rest * rest * t)
 }
 
-/// A design requirement of section II.A: a target, and what goes wrong below and above it.
+/// A design requirement of section II.A: a target, and the drawback of smaller and larger values.
 #[derive(Clone, Copy, Debug)]
 pub struct Rule {
     /// Name of the quantity.
@@ -576,7 +577,7 @@ pub struct Rule {
     pub too_small: &'static str,
     /// The paper's objection to larger values.
     pub too_large: &'static str,
-    /// Value of the quantity for a design.
+    /// Computes the quantity for a design.
     pub of: fn(&Design<f64>) -> f64,
 }
 

@@ -1,9 +1,10 @@
 //! The paper's mathematics: the origami's kinematics, its body in a travelling wave, the roller rig, the pressurised
 //! tube and the folded body.
 //!
-//! No clock, no randomness but the seeded stream of [`prior`]; the steps use only `+ - * /` and square roots, so that a
-//! run gives the same bits every time. Only [`beam`] allocates and takes angles. Lengths are in millimetres, pressures in pascals; the load of a wave on the body is expressed as
-//! the indentation of the wall in millimetres.
+//! No clock, and no randomness except for the seeded stream of [`prior`]. The steps use only `+ - * /` and square
+//! roots, so that a run gives the same bits every time. Only [`beam`] allocates and takes angles. Lengths are in
+//! millimetres, pressures in pascals. The load of a wave on the body is given as the indentation of the wall in
+//! millimetres.
 //!
 //! # Axes and signs
 //! The intestine lies along x. Its marked left end is x = 0, the right end of the roller's travel x = 130 mm. The body

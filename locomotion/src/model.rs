@@ -1,7 +1,7 @@
-//! The models with all their parameters: named bodies, and one table of what can be set, with its source.
+//! The models: named bodies, and one table of all parameters with their sources.
 //!
-//! A model is one body in two worlds: under the rig's rollers and in the paper's tube. Its name says to what its free
-//! parameters were fitted, and a change of any parameter is part of what it calls itself ([`Model::changes`]).
+//! A model is one body in two worlds: under the rig's rollers and in the paper's tube. Its name says what its free
+//! parameters were fitted to. A model with changed parameters lists them ([`Model::changes`]).
 
 use crate::body::FrictionRatio;
 use crate::kinematics::Design;
@@ -12,16 +12,16 @@ use crate::{folded, roller, tube};
 /// All parameters of all models.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Model {
-    /// Name of the body that it began as.
+    /// Name of the body that it started from.
     pub name: &'static str,
-    /// What the free parameters of that body were fitted to.
+    /// Observations that the free parameters of that body were fitted to.
     pub calibrated_to: &'static str,
     width_mm: f64,
     core_ratio: f64,
     tan_alpha: f64,
     tan_beta: f64,
     crescents: f64,
-    /// Body, rig and rollers. Its design is the one above only after [`Model::rig`].
+    /// Body, rig and rollers. Its design is set only by [`Model::rig`], from the fields above.
     rig: roller::Params,
     tube: tube::Params,
     folded: folded::Params,
@@ -29,7 +29,7 @@ pub struct Model {
 }
 
 impl Model {
-    /// One body for rig and tube: the default. A fit, made by hand: no number in the paper's text tests it.
+    /// One body for rig and tube: the default. It was fitted by hand, so no number in the paper's text tests it.
     pub const ONE: Self = Self::of(
         "one",
         "words on the rig (III, III.A) and on the tube (II.C), one body for both",
@@ -42,7 +42,7 @@ impl Model {
         },
     );
 
-    /// The older body of the rig. In the tube, to which it was not fitted, its wall is that of `one`.
+    /// The older body of the rig. It was not fitted to the tube; there it has the wall of `one`.
     pub const RIG: Self = Self::of(
         "rig",
         "words on the rig (III, III.A) only",
@@ -55,7 +55,7 @@ impl Model {
         },
     );
 
-    /// The older body of the tube: rigid facets, whose friction ratio follows from the friction coefficient.
+    /// The older body of the tube: rigid facets, so its friction ratio follows from the friction coefficient.
     pub const TUBE: Self = Self::of(
         "tube",
         "words on the tube (II.C) only",
@@ -108,7 +108,7 @@ impl Model {
     }
 
     fn design_as_wide_as(&self, width_mm: f64) -> Result<Design<f64>, OutOfRange> {
-        // Whole numbers are checked where they are set; what does not fit into a byte is no number of crescents.
+        // `set` checks that the number is whole; a number that does not fit into a byte counts as zero crescents.
         let crescents = if self.crescents >= 0.0 && self.crescents <= 255.0 {
             self.crescents as u8
         } else {
@@ -148,7 +148,7 @@ impl Model {
         Ok(params)
     }
 
-    /// The folded body under the rollers, with as much thread drawn in as the model says or as is given here, mm.
+    /// The folded body under the rollers, with `thread_mm` of thread drawn in; `None` takes the model's own value.
     ///
     /// # Errors
     /// The first value outside its range.
@@ -163,8 +163,8 @@ impl Model {
         Ok(params)
     }
 
-    /// Refuses a model with a value outside its range, in either world. The default thread of the folded body counts only
-    /// where it is used: a short body has less to draw in, and its other runs need none.
+    /// Refuses a model with a value outside its range, in either world. Checks the folded body's default thread only
+    /// where it is used: a short body has less thread to draw in, and its other runs need none.
     ///
     /// # Errors
     /// The first value outside its range.
@@ -177,7 +177,7 @@ impl Model {
         Ok(())
     }
 
-    /// Every parameter with its value and its source. What differs from the named body is labelled as given.
+    /// Every parameter with its value and its source. Those that differ from the named body are labelled as given.
     pub fn parameters(&self) -> impl Iterator<Item = Parameter> + use<> {
         let (model, base) = (*self, Self::named(self.name).unwrap_or(Self::ONE));
         SETTINGS.iter().map(move |setting| {
@@ -248,10 +248,10 @@ struct Body {
     buckling_mm: f64,
 }
 
-/// The word for [`FrictionRatio::Facets`].
+/// The word for [`FrictionRatio::Facets`] in model files.
 pub const FACETS: &str = "facets";
 
-/// A value as a person gives it.
+/// A value as written by a person.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Value<'a> {
     /// A number.
@@ -260,7 +260,7 @@ pub enum Value<'a> {
     Word(&'a str),
 }
 
-/// Why a value cannot be one of this parameter, whatever the others are.
+/// Why a parameter cannot take a value, whatever the other parameters are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Unsuitable {
     /// It has to be a number.
@@ -292,7 +292,7 @@ impl core::fmt::Display for Unsuitable {
     }
 }
 
-/// How a parameter is read and set.
+/// How to read and to set a parameter.
 #[derive(Clone, Copy, Debug)]
 enum Access {
     Number(fn(&Model) -> f64, fn(&mut Model, f64)),
@@ -312,13 +312,13 @@ pub struct Setting {
     label: Label,
     /// Where the default comes from.
     source: &'static str,
-    /// What it is, for help texts.
+    /// Description for help texts.
     pub meaning: &'static str,
     access: Access,
 }
 
 impl Setting {
-    /// Every key that can be given.
+    /// Every key that a model file may set.
     pub fn all() -> impl Iterator<Item = &'static Self> {
         SETTINGS.iter().chain(&ANGLES)
     }
@@ -328,7 +328,7 @@ impl Setting {
         Self::all().find(|setting| setting.key == key)
     }
 
-    /// The key that sets the same parameter in another way, if there is one.
+    /// The other key for the same parameter, if there is one.
     pub fn other_key(&self) -> Option<&'static str> {
         let pairs = [
             ("design.alpha_deg", "design.tan_alpha"),
@@ -343,7 +343,7 @@ impl Setting {
         })
     }
 
-    /// Its value in a model; of a friction ratio that follows from the friction, the value at that friction.
+    /// Its value in a model. For a friction ratio that follows from the friction, the value at that friction.
     pub fn value(&self, model: &Model) -> f64 {
         match self.access {
             Access::Number(get, _) | Access::Whole(get, _) => get(model),
@@ -357,7 +357,7 @@ impl Setting {
         }
     }
 
-    /// The word that stands for its value in a model, if it is set by one.
+    /// The word that sets it in a model, if a word does.
     pub fn word(&self, model: &Model) -> Option<&'static str> {
         let by_word = matches!(self.access, Access::Ratio)
             && model.rig.body.friction_ratio == FrictionRatio::Facets;
@@ -478,7 +478,7 @@ pub static SETTINGS: [Setting; 34] = settings! {
         "Fig. 8's start is not in the text: middle of the stroke";
 };
 
-/// Other ways to give parameters of [`SETTINGS`]: the angles themselves.
+/// Other keys for parameters of [`SETTINGS`]: the angles themselves.
 pub static ANGLES: [Setting; 2] = [
     Setting {
         key: "design.alpha_deg",

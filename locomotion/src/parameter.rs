@@ -32,11 +32,11 @@ impl fmt::Display for Label {
 /// One parameter of a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameter {
-    /// Section and name, as in a model file; of the beam, the field with its path.
+    /// Section and name, as in a model file; for the beam, the field with its path.
     pub name: &'static str,
     /// Value in `unit`.
     pub value: f64,
-    /// The word by which it was set, if it was: the value follows from others then.
+    /// The word that set it, if a word did; the value then follows from other parameters.
     pub word: Option<&'static str>,
     /// Unit; empty for a pure number.
     pub unit: &'static str,

@@ -1,9 +1,10 @@
-//! What the paper's words leave open: bodies drawn from declared priors, kept if they agree with its sentences.
+//! The range that the paper's words leave: bodies drawn from declared priors, kept if they agree with its sentences.
 //!
-//! The paper's text gives no millimetres of the rig's displacement. The band of all bodies that agree with its words says
-//! how little a single number means. This is rejection sampling: [`draws`] come from [`PRIORS`] by one seeded stream,
-//! and [`agrees`] is the test. Its outcome is kept as lists of numbers of draws, because it takes seconds; a test repeats
-//! it. Rig and tube are asked apart: that one body serves both is an assumption of ours, not a sentence of the paper.
+//! The paper's text gives no millimetres for the rig's displacement. The band of all bodies that agree with its words
+//! shows how little a single number means. This is rejection sampling: one seeded stream makes [`draws`] from
+//! [`PRIORS`], and [`agrees`] is the test. The outcome takes seconds to compute, so it is stored as lists of draw
+//! numbers; a test repeats the computation. Rig and tube are judged separately: that one body serves both is our
+//! assumption, not a sentence of the paper.
 
 mod kept;
 
@@ -20,7 +21,7 @@ pub const SEED: u64 = 2022;
 /// Number of draws.
 pub const DRAWS: u16 = 4000;
 
-/// What is assumed of one parameter before any sentence is read.
+/// Assumption about one parameter before any sentence is read.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
     /// The parameter, as in a model file.
@@ -29,7 +30,7 @@ pub struct Prior {
     pub low: f64,
     /// Greatest value.
     pub high: f64,
-    /// Even in the logarithm; otherwise even in the value.
+    /// Uniform in the logarithm; otherwise uniform in the value.
     pub logarithmic: bool,
     /// Reason for the range.
     pub because: &'static str,
@@ -89,17 +90,18 @@ pub const HARDLY: f64 = 0.2;
 pub const LINEAR: f64 = 0.95;
 /// "About 1 mm" at 3000 Pa.
 pub const ABOUT_1_MM: (f64, f64) = (0.5, 1.5);
-/// "About 14 mm" and "about 15 mm" at 7000 Pa: the paper has both for one case.
+/// "About 14 mm" and "about 15 mm" at 7000 Pa: the paper gives both for one case.
 pub const ABOUT_15_MM: (f64, f64) = (13.0, 16.0);
 /// "Faster" from about 6000 Pa: slope above 5800 Pa over the slope below.
 pub const FASTER: f64 = 1.5;
 
-/// Steps of the models when a draw is tested: coarse, for speed. The errors, at most 0.3 mm, are small beside the bands.
+/// Steps of the models when a draw is tested: coarse, for speed. The errors, at most 0.3 mm, are small against the
+/// bands.
 const ROLLER_STEP_MM: f64 = 0.25;
 const WALL_STEP_MM: f64 = 0.08;
 const PLACEMENTS: u32 = 4;
 
-/// The rig, with the step for many bodies.
+/// The rig with the coarse step for many bodies.
 pub(crate) const fn rough_rig(params: roller::Params) -> roller::Params {
     roller::Params {
         step_mm: ROLLER_STEP_MM,
@@ -107,7 +109,7 @@ pub(crate) const fn rough_rig(params: roller::Params) -> roller::Params {
     }
 }
 
-/// The tube, with the steps for many bodies.
+/// The tube with the coarse steps for many bodies.
 pub(crate) const fn rough_tube(params: tube::Params) -> tube::Params {
     tube::Params {
         wall_step_mm: WALL_STEP_MM,
@@ -131,7 +133,7 @@ impl Draw {
         let mut drawn = *model;
         for (prior, value) in PRIORS.iter().zip(self.values) {
             if let Some(setting) = Setting::named(prior.key) {
-                // All of them take numbers; the test `every_prior_is_a_parameter` holds that.
+                // Cannot fail: all of them take numbers, as the test `every_prior_is_a_parameter` checks.
                 let _ = drawn.set(setting, Value::Number(value));
             }
         }
@@ -145,7 +147,7 @@ pub fn draws() -> impl Iterator<Item = Draw> {
     (0..DRAWS).map(move |index| Draw {
         index,
         values: PRIORS.map(|prior| {
-            // 53 bits, evenly from 0 to 1.
+            // 53 random bits, uniform from 0 to 1.
             let part = (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
             if prior.logarithmic {
                 prior.low * libm::exp(part * libm::log(prior.high / prior.low))
@@ -162,7 +164,7 @@ pub fn agreeing(words: Words) -> impl Iterator<Item = Draw> {
     draws().filter(move |draw| kept.next_if_eq(&draw.index).is_some())
 }
 
-/// Their numbers.
+/// Numbers of the draws that agree with the words.
 pub fn kept(words: Words) -> &'static [u16] {
     match words {
         Words::Rig => &kept::RIG,
@@ -183,7 +185,7 @@ pub fn agrees(words: Words, model: &Model) -> Result<bool, OutOfRange> {
 
 fn agrees_on_rig(model: &Model) -> Result<bool, OutOfRange> {
     let params = rough_rig(model.rig()?);
-    // The deepest first: it refuses most.
+    // Begin with the deepest: it rejects most draws.
     for a in INDENTATIONS_MM.into_iter().rev() {
         let pass = roller::isolated_pass(params, a)?;
         if pass.antegrade_mm <= 0.0 || libm::fabs(pass.returning_mm) > HARDLY * pass.antegrade_mm {
@@ -219,28 +221,28 @@ fn agrees_on_tube(model: &Model) -> Result<bool, OutOfRange> {
     series[10] = last;
     let below = (series[7] - series[0]) / 2800.0;
     let above = (series[10] - series[7]) / 1200.0;
-    // Positive curvature as a trend: nine tips leave a ripple on the single bends.
+    // Test curvature as a trend of the whole series: nine tips leave a ripple on the single bends.
     let curved = series[10] - series[5] > series[5] - series[0];
     Ok(trend::rising(&series) == 10 && curved && above >= FASTER * below)
 }
 
-/// What a quantity spans over the draws that agree: from 5 to 95 % of them.
+/// Range of a quantity over the draws that agree: from 5 to 95 % of them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Band {
     /// 5 % of the draws lie below.
     pub low: f64,
-    /// Half of them do.
+    /// Median.
     pub median: f64,
-    /// 95 % of them do.
+    /// 95 % of the draws lie below.
     pub high: f64,
     /// Least and greatest value.
     pub range: (f64, f64),
-    /// How many draws there are.
+    /// Number of draws.
     pub sets: usize,
 }
 
 impl Band {
-    /// Of these values, which it sorts; none without any.
+    /// The band of these values, which it sorts; none without values.
     pub fn of(values: &mut [f64]) -> Option<Self> {
         values.sort_unstable_by(f64::total_cmp);
         let last = values.len().checked_sub(1)?;

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-/// A value outside the range for which an equation or a model holds. Values are never clamped.
+/// A value outside the range in which an equation or a model holds. Values are never clamped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutOfRange {
     /// Name of the value.

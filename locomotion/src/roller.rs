@@ -1,14 +1,14 @@
 //! The paper's rig (section III): a pair of rollers drawn along a silicone intestine, and the unfolded body in it.
 //!
-//! The model has no clock. It follows any sequence of carriage positions: it takes a step whenever the carriage reaches
-//! another multiple of `step_mm`, however finely or coarsely the positions are given. A stop in mid-stroke leaves the
+//! The model has no clock. It follows any sequence of carriage positions: it takes a step whenever the carriage
+//! reaches another multiple of `step_mm`, however finely the positions are given. A stop in mid-stroke leaves the
 //! roller's wave on the body, and a reversal continues from there.
 
 use crate::body::{self, Chain, FrictionRatio};
 use crate::kinematics::Design;
 use crate::range::{Ends, OutOfRange, check};
 
-/// The rig, the intestine and the body on it.
+/// The rig, the intestine and the body in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Params {
     /// The unfolded body.
@@ -77,10 +77,10 @@ impl UnfoldedBody {
         Self::laid_in(params, indentation_mm, 0.0)
     }
 
-    /// The body laid in at its place, with the carriage at `carriage_mm`: for a pass that begins at the far end.
+    /// The body at its start, with the carriage at `carriage_mm`: for a pass that begins at the far end.
     ///
     /// # Errors
-    /// As [`UnfoldedBody::new`]; a carriage that is not within the stroke.
+    /// As [`UnfoldedBody::new`]; a carriage outside the stroke.
     pub fn laid_in(
         params: Params,
         indentation_mm: f64,
@@ -132,15 +132,14 @@ impl UnfoldedBody {
             chain: Chain::new(params.body)?,
             at: 0,
         };
-        // At most 1000 mm in steps of 0.001 mm.
+        // Fits into i32: at most 1000 mm in steps of 0.001 mm.
         body.evaluate(libm::round(carriage_mm / params.step_mm) as i32)?;
         Ok(body)
     }
 
     /// Moves the carriage to `carriage_mm`: 0 = home = right end, positive to the left.
     ///
-    /// Between two calls the carriage moves straight. The result does not depend on the number of calls that a stroke
-    /// is divided into.
+    /// Between two calls the carriage moves straight. The result does not depend on how many calls make up a stroke.
     ///
     /// # Errors
     /// A position that is NaN or more than 100 mm outside the stroke.
@@ -179,12 +178,12 @@ impl UnfoldedBody {
         self.carriage_to(0.0)
     }
 
-    /// How far the tail has moved since the start, mm; + is headward (retrograde).
+    /// Displacement of the tail since the start, mm; + is headward (retrograde).
     pub fn displacement_mm(&self) -> f64 {
         self.chain.displacement_mm()
     }
 
-    /// How far the head has moved since the start, mm. Less than the tail while the rollers squeeze the body.
+    /// Displacement of the head since the start, mm. Less than that of the tail while the rollers squeeze the body.
     pub fn head_displacement_mm(&self) -> f64 {
         self.chain.head_displacement_mm()
     }
@@ -207,16 +206,16 @@ pub fn run(params: Params, indentation_mm: f64) -> Result<f64, OutOfRange> {
     Ok(body.displacement_mm())
 }
 
-/// What one roller pass in each direction does to a body that it meets relaxed and leaves relaxed.
+/// Effect of one roller pass in each direction on a body that is relaxed before and after it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IsolatedPass {
     /// Displacement by the pass from head to tail, mm, + headward.
     pub antegrade_mm: f64,
-    /// Displacement by the pass from tail to head, mm, + headward. About as large as the ripple of the model.
+    /// Displacement by the pass from tail to head, mm, + headward. Of the size of the model's ripple.
     pub returning_mm: f64,
 }
 
-/// Two isolated passes over fresh bodies, from clear of one end to clear of the other.
+/// Simulates two isolated passes over fresh bodies, from clear of one end to clear of the other.
 ///
 /// # Errors
 /// As [`UnfoldedBody::new`].
@@ -224,7 +223,7 @@ pub fn isolated_pass(params: Params, indentation_mm: f64) -> Result<IsolatedPass
     let clear_mm = params.stroke_mm + 2.0 * params.radius_mm;
     let mut antegrade = UnfoldedBody::new(params, indentation_mm)?;
     antegrade.carriage_to(clear_mm)?;
-    // The same way back over a fresh body: the roller gets behind it without touching it.
+    // Return over a fresh body: the roller first gets behind it without touching it.
     let mut returning = UnfoldedBody::new(params, 0.0)?;
     returning.carriage_to(clear_mm)?;
     returning.indentation_mm = indentation_mm;

@@ -1,11 +1,11 @@
 //! Trends of short series, as the paper's sentences name them: rising, convex, a straight line.
 
-/// How many steps rise.
+/// Number of steps that rise.
 pub(crate) fn rising(series: &[f64]) -> usize {
     series.windows(2).filter(|w| w[1] > w[0]).count()
 }
 
-/// How many bends turn upward.
+/// Number of bends that turn upward.
 pub(crate) fn convex(series: &[f64]) -> usize {
     series
         .windows(3)
@@ -13,7 +13,7 @@ pub(crate) fn convex(series: &[f64]) -> usize {
         .count()
 }
 
-/// R^2 of the straight line of least squares through points (x, y).
+/// R^2 of the least-squares line through points (x, y).
 pub(crate) fn linearity(points: impl Iterator<Item = (f64, f64)> + Clone) -> f64 {
     let n = points.clone().count() as f64;
     let (sum_x, sum_y) = points
@@ -47,7 +47,7 @@ mod tests {
         }
     }
 
-    /// By hand: through (0, 0), (1, 1), (2, 1) the line explains three quarters.
+    /// By hand: through (0, 0), (1, 1), (2, 1) the line explains three quarters of the variance.
     #[test]
     fn a_line_explains_what_it_explains() {
         let points = [(0.0, 0.0), (1.0, 1.0), (2.0, 1.0)];

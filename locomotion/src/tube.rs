@@ -8,7 +8,7 @@ use crate::body::{self, Chain, FrictionRatio};
 use crate::kinematics::Design;
 use crate::range::{Ends, OutOfRange, check};
 
-/// Most parts of a time step: a wall that collapses at once would ask for more than helps.
+/// Most parts of a time step. A wall that collapses at once would ask for more, without gain in accuracy.
 const MOST_PARTS: f64 = 1e4;
 
 /// Most segments that a tube may have.
@@ -37,18 +37,18 @@ pub struct Params {
     pub buckling_mm: f64,
     /// Duration of a pulse, from zero to its peak and back, s.
     pub pulse_s: f64,
-    /// Delay of each segment against its right neighbour, s.
+    /// Delay of each segment after its right neighbour, s.
     pub delay_s: f64,
     /// Time between two pulses of a segment, s.
     pub period_s: f64,
     /// Duration of a run, s.
     pub duration_s: f64,
-    /// Time between two rows of a course, s.
+    /// Time between two rows of a recorded course, s.
     pub step_s: f64,
-    /// A wall moves by about this at most between two evaluations of the body, mm: a time step in which it moves
-    /// farther is divided.
+    /// Largest movement of a wall between two evaluations of the body, mm, approximately: a time step in which a wall
+    /// moves farther is divided.
     pub wall_step_mm: f64,
-    /// Starting places of the tail, evenly over one segment, that [`averaged`] takes the mean of.
+    /// Number of starting places of the tail, evenly spread over one segment, that [`averaged`] takes the mean of.
     pub placements: u32,
 }
 
@@ -86,7 +86,7 @@ impl Params {
             / (self.modulus_pa * self.thickness_mm)
     }
 
-    /// Inward indentation of a segment's wall under a pressure, mm: `C_H p + w0 q/(1-q)` with `q = p/p_c`, at most to
+    /// Inward indentation of a segment's wall under a pressure, mm: `C_H p + w0 q/(1-q)` with `q = p/p_c`, limited by
     /// the core. From p_c on the wall lies against the core.
     pub fn wall_mm(&self, pressure_pa: f64) -> f64 {
         let core_mm = self.body.design.half_gap_mm();
@@ -98,7 +98,7 @@ impl Params {
         if free_mm < core_mm { free_mm } else { core_mm }
     }
 
-    /// Pressure of a segment, counted from the right, at a time after the start, as a fraction of the peak.
+    /// Pressure of a segment, counted from the right, at a time since the start, as a fraction of the peak.
     fn pulse(&self, from_right: u32, time_s: f64) -> f64 {
         let since_s = time_s - f64::from(from_right) * self.delay_s;
         if since_s < 0.0 {
@@ -201,7 +201,7 @@ impl Tube {
         })
     }
 
-    /// Advances by one time step, in as many parts as [`Params::wall_step_mm`] asks for.
+    /// Advances by one time step, divided into parts as [`Params::wall_step_mm`] requires.
     ///
     /// # Errors
     /// None after a successful [`Tube::new`].
@@ -225,7 +225,7 @@ impl Tube {
         self.squeeze()
     }
 
-    /// Gives each segment its wall at a time.
+    /// Sets each segment's wall for a time.
     fn press(&mut self, time_s: f64) {
         let count = self.params.segments as usize;
         for (from_right, wall) in (0..).zip(self.wall_mm[..count].iter_mut().rev()) {
@@ -235,7 +235,7 @@ impl Tube {
         }
     }
 
-    /// Lets the body answer the walls.
+    /// Moves the body according to the walls.
     fn squeeze(&mut self) -> Result<(), OutOfRange> {
         let count = self.params.segments as usize;
         let (walls, segment_mm) = (&self.wall_mm[..count], self.params.segment_mm);
@@ -258,12 +258,12 @@ impl Tube {
         between_middles(self.walls_mm(), x_mm / self.params.segment_mm - 0.5)
     }
 
-    /// How far the tail has moved since the start, mm; + is headward (retrograde).
+    /// Displacement of the tail since the start, mm; + is headward (retrograde).
     pub fn displacement_mm(&self) -> f64 {
         self.chain.displacement_mm()
     }
 
-    /// How far the head has moved since the start, mm.
+    /// Displacement of the head since the start, mm.
     pub fn head_displacement_mm(&self) -> f64 {
         self.chain.head_displacement_mm()
     }
@@ -274,8 +274,8 @@ impl Tube {
     }
 }
 
-/// Wall at a place that is counted in segments from the middle of the leftmost one: straight between two middles, level
-/// beyond the outer ones.
+/// Indentation of the wall at a place in segments from the middle of the leftmost one: linear between two middles,
+/// constant beyond the outer ones.
 fn between_middles(walls: &[f64], place: f64) -> f64 {
     let last = walls.len() - 1;
     if place <= 0.0 {
@@ -307,7 +307,7 @@ pub fn run(params: Params, pressure_pa: f64) -> Result<f64, OutOfRange> {
 }
 
 /// The starting places over which [`averaged`] takes the mean: the middles of equal parts of one segment, from
-/// `params.body.tail_mm` on. Where against the segments the body lay is not in the paper.
+/// `params.body.tail_mm` on. The paper does not say where the body lay relative to the segments.
 pub fn placed(params: Params) -> impl ExactSizeIterator<Item = Params> + Clone {
     (0..params.placements).map(move |place| {
         let part = (f64::from(place) + 0.5) / f64::from(params.placements);
@@ -322,7 +322,8 @@ pub fn placed(params: Params) -> impl ExactSizeIterator<Item = Params> + Clone {
 pub struct Averaged {
     /// Mean displacement of the tail, mm, + headward.
     pub tail_mm: f64,
-    /// Mean displacement of the head, mm. What a body that is still squeezed at the end has lost, the head lacks.
+    /// Mean displacement of the head, mm. Less than that of the tail by the shortening of a body still squeezed at
+    /// the end.
     pub head_mm: f64,
     /// Least and greatest displacement of the tail.
     pub range_mm: (f64, f64),
@@ -333,7 +334,7 @@ pub struct Averaged {
 /// # Errors
 /// As [`Tube::new`].
 pub fn averaged(params: Params, pressure_pa: f64) -> Result<Averaged, OutOfRange> {
-    Tube::new(params, pressure_pa)?; // what is refused is refused even without a placement
+    Tube::new(params, pressure_pa)?; // refuse bad parameters even without a placement
     let mut mean = Averaged {
         tail_mm: 0.0,
         head_mm: 0.0,

@@ -1,8 +1,8 @@
 //! Displacement against thread over uncertain inputs: declared ranges, a seed, and the paper's words as a condition.
 //!
-//! A draw is kept if the unfolded body moves headward and if its returning strokes hardly move it (section III). What
-//! the folded body does is no condition, so that its reversal is a result. Which draws are kept says how little the
-//! inputs are known, not how likely a rig is to do the same.
+//! A draw is kept if the unfolded body moves headward and its returning strokes hardly move it (section III). The
+//! behaviour of the folded body is not part of the condition, so its reversal is a result. The kept draws show how
+//! little the inputs are known, not how likely a rig is to behave the same.
 
 use alloc::vec::Vec;
 
@@ -86,12 +86,12 @@ pub const INPUTS: [Uncertain; 7] = [
     },
 ];
 
-/// The returning strokes "hardly" move the unfolded body if they do at most this share of the antegrade ones.
+/// The returning strokes "hardly" move the unfolded body if they move it by at most this share of the antegrade ones.
 pub const HARDLY: f64 = 0.2;
 
-/// One draw of [`INPUTS`], in their order, put into `base`. The same seed and index give the same draw.
+/// One draw of [`INPUTS`], in their order, applied to `base`. The same seed and index give the same draw.
 pub fn draw(base: Params, seed: u64, index: u64) -> Params {
-    // SplitMix64: each draw begins its own stream.
+    // SplitMix64: each draw has its own stream.
     let mut state = seed ^ index.wrapping_mul(0xD6E8_FEB8_6659_FD93);
     let mut values = INPUTS.iter().map(|input| {
         state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
@@ -118,7 +118,7 @@ pub fn draw(base: Params, seed: u64, index: u64) -> Params {
     params
 }
 
-/// Whether the unfolded body does what the paper says of it: it moves headward, and hardly by the returning strokes.
+/// Whether the unfolded body behaves as in the paper: it moves headward, and hardly by the returning strokes.
 ///
 /// # Errors
 /// As [`ThreadedBody::new`]; a body that does not come to rest.
@@ -136,7 +136,7 @@ pub fn does_as_the_paper_says(params: Params, indentation_mm: f64) -> Result<boo
     Ok(antegrade > 0.0 && returning.abs() <= HARDLY * antegrade)
 }
 
-/// Displacement of one draw at each length of thread, mm; `None` if the draw does not do as the paper says.
+/// Displacement of one draw at each length of thread, mm; `None` if the draw does not behave as in the paper.
 ///
 /// # Errors
 /// A thread out of the design's travel; a body that does not come to rest.
@@ -170,7 +170,7 @@ pub struct Row {
     pub reversed: f64,
 }
 
-/// The band of the curves that were kept, one for each draw, with a value for each length of thread. No row without a curve.
+/// The band of the kept curves. Each curve is one draw, with a value for each length of thread. Empty without curves.
 pub fn band(threads_mm: &[f64], curves: &[Vec<f64>]) -> Modelled<Vec<Row>> {
     let rows = threads_mm.iter().enumerate().filter_map(|(i, thread_mm)| {
         let mut values: Vec<f64> = curves.iter().map(|curve| curve[i]).collect();

@@ -2,12 +2,12 @@
 //!
 //! The wing is the short side, clamped to the core at its angle from the transverse axis. The thread turns the
 //! creases, so a wing that `thread` has drawn in by `a_t` starts straight at `acos((h - a_t)/l2)` (assumed). The long
-//! side ties the tip of the wing to the next root; how it stiffens the tip is left out.
+//! side ties the tip of the wing to the next root; the model ignores that this stiffens the tip.
 //!
 //! # The lever
-//! A tip that the wall presses inward with V, and drags along the axis with X, bends its root by
-//! `V y - X x`: with the lever `T = y/x`, `V = V0 T/(T - X/V)` for the same indentation. Dragged tailward the wing closes
-//! and V falls, dragged headward it opens and V rises, without limit where `X/V` reaches T: there it locks, like a pawl.
+//! A wall that presses the tip inward with V and drags it along the axis with X bends the root by `V y - X x`. With
+//! the lever `T = y/x`, `V = V0 T/(T - X/V)` for the same indentation. Dragged tailward, the wing closes and V falls.
+//! Dragged headward, it opens and V rises without limit as `X/V` approaches T: there it locks like a pawl.
 
 use alloc::vec::Vec;
 
@@ -67,7 +67,7 @@ impl Wing {
         Ok(self.modulus_mpa * self.width_mm * cube / 12.0)
     }
 
-    /// Angle of the wing from the transverse axis when the thread has drawn it in by `drawn_mm`, radians.
+    /// Angle of the wing from the transverse axis after the thread has drawn it in by `drawn_mm`, radians.
     ///
     /// # Errors
     /// `drawn_mm` outside `0..=h`.
@@ -87,7 +87,7 @@ impl Wing {
         })
     }
 
-    /// Presses a wall of this shape `indentation_mm` deep over the tip of a wing that is drawn in by `drawn_mm`.
+    /// Presses a wall of this shape `indentation_mm` deep onto the tip of a wing that is drawn in by `drawn_mm`.
     ///
     /// # Errors
     /// Values outside their ranges; a wing that would reach into its core; no equilibrium.
@@ -174,14 +174,14 @@ impl Wing {
         Ok(law)
     }
 
-    /// The least alpha: below it the wall, pressed against the tip of the short side, turns the wing backward
-    /// (headward) or finds it stuck, because the friction that opposes its sliding tailward weighs more than its slant.
+    /// The least alpha. Below it, the wall pressed against the tip of the short side turns the wing backward
+    /// (headward) or finds it stuck, because the friction that opposes the tip's tailward slide outweighs its slant.
     ///
     /// `slope` is that of the wall, positive where it helps: on the side from which an antegrade wave comes.
-    /// `imperfection_mm` is how far the tip may lie headward of where it should be.
+    /// `imperfection_mm` is how far the tip may lie headward of its nominal place.
     ///
     /// # Errors
-    /// Friction or imperfection outside their ranges; a wing that does not slide tailward at 80 deg either.
+    /// Friction or imperfection outside their ranges; a wing that does not slide tailward even at 80 deg.
     pub fn least_alpha_deg(
         &self,
         friction: f64,
@@ -219,7 +219,7 @@ impl Wing {
             let tip = rod.tip_mm();
             let x_mm = tip[0] - slope * tip[1] - FIRST_TOUCH_MM;
             let pressed = rod.press(Wall::Plane { x_mm, slope }, -friction);
-            // Where friction weighs more there is no equilibrium, one that bends headward, or one that pulls.
+            // Where friction outweighs the slant, there is no equilibrium, or one that bends headward or pulls.
             Ok(pressed.is_ok() && rod.root_moment_n_mm() > 0.0 && rod.force_n()[0] < 0.0)
         };
         let (mut low, mut high) = (0.01, 80.0);
@@ -243,7 +243,7 @@ impl Wing {
     }
 }
 
-/// Refuses a wing of which a node lies beyond the core's surface.
+/// Refuses a wing with a node below the core's surface.
 fn clear_of_core(nodes_mm: &[Vector]) -> Result<(), NoAnswer> {
     let lowest = nodes_mm
         .iter()
@@ -258,10 +258,10 @@ fn clear_of_core(nodes_mm: &[Vector]) -> Result<(), NoAnswer> {
     )?)
 }
 
-/// Friction with which the lever is probed: small, and tailward, where there is always an equilibrium.
+/// Friction that probes the lever: small, and tailward, where an equilibrium always exists.
 const PROBE: f64 = 0.02;
 
-/// Indentation at which the first touch is judged, mm.
+/// Indentation at which the first touch is evaluated, mm.
 const FIRST_TOUCH_MM: f64 = 1e-3;
 
 /// Shape of the wall over the tip.
@@ -311,7 +311,7 @@ impl Shape {
     }
 }
 
-/// A wing under a wall.
+/// A wing in equilibrium under a wall.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Squeezed {
     /// Force of the wall on the wing towards the axis, N.
@@ -352,7 +352,7 @@ impl Law {
         self.stiffness_n_mm
     }
 
-    /// Force along the axis at which a locked wing buckles, N: the strut's, clamped and pinned.
+    /// Axial force at which a locked wing buckles, N: that of a clamped and pinned strut.
     pub fn lock_n(&self) -> f64 {
         self.lock_n
     }

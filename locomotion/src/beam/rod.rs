@@ -1,9 +1,10 @@
-//! The planar rod: inextensible, clamped at its root, of any rotation; discrete angles, Newton with line search.
+//! The planar rod: inextensible, clamped at its root, with any rotation; discrete angles, Newton with line search.
 //!
-//! The rod is divided into N segments of equal length `ds` with the angles `theta_j`. Bending is held in the joints
-//! between them, `B (theta_(j+1) - theta_j)^2 / (2 ds)`, and between clamp and first segment, which is half as long:
-//! `B (theta_1 - theta_0)^2 / ds`. Both rules are of the midpoint kind, so the error falls with 1/N^2. A force at a node
-//! makes the stiffness tridiagonal, plus its diagonal; contact adds a border of two unknowns, the force's components.
+//! The rod is divided into N segments of equal length `ds` with the angles `theta_j`. Each joint between two segments
+//! stores the bending energy `B (theta_(j+1) - theta_j)^2 / (2 ds)`. The joint between clamp and first segment is
+//! half as long and stores `B (theta_1 - theta_0)^2 / ds`. Both rules are of the midpoint kind, so the error falls
+//! with 1/N^2. A force at a node makes the stiffness tridiagonal plus a diagonal; contact adds a border of two
+//! unknowns, the force's components.
 
 use alloc::vec;
 use alloc::vec::Vec;
@@ -17,10 +18,10 @@ pub type Vector = [f64; 2];
 /// Largest number of segments.
 pub const MOST_ELEMENTS: u16 = 2000;
 
-/// Equilibrium is reached when the residual is this part of the rod's own forces.
+/// Largest residual in equilibrium, relative to the rod's own forces.
 const TOLERANCE: f64 = 1e-10;
 const MOST_ITERATIONS: usize = 25;
-/// A load that does not converge is divided, down to this part of itself.
+/// A load that does not converge is divided, down to this share of itself.
 const SMALLEST_STEP: f64 = 1.0 / 4096.0;
 
 /// Properties of a rod.
@@ -34,18 +35,18 @@ pub struct Properties {
     pub root_rad: f64,
     /// Number of segments, 2 to 2000.
     pub elements: u16,
-    /// Angle of a guided tip, which may shift and not turn, radians; `None` for a free one.
+    /// Angle of a guided tip, which may move but not turn, radians; `None` for a free tip.
     pub guided_tip_rad: Option<f64>,
 }
 
-/// What presses against a node of the rod.
+/// An obstacle that presses against a node of the rod.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Wall {
     /// A plane at the distance `x_mm` from the root: the rod stays below it.
     Plane {
         /// Distance from the root, mm.
         x_mm: f64,
-        /// Slope of the plane, dx/dy: a positive one lets the room grow towards +y.
+        /// Slope of the plane, dx/dy: with a positive slope the room grows towards +y.
         slope: f64,
     },
     /// The outside of a roller: the rod stays out of its circle.
@@ -102,14 +103,14 @@ impl Wall {
     }
 }
 
-/// A rod in equilibrium with what loads it.
+/// A rod in equilibrium with its load.
 #[derive(Clone, Debug)]
 pub struct Rod {
     properties: Properties,
     segment_mm: f64,
     /// Angles of the segments, radians.
     angles_rad: Vec<f64>,
-    /// The force that acts, N, and the point it acts on, in segments from the root.
+    /// The acting force, N, and the point it acts on, in segments from the root.
     force_n: Vector,
     loaded_at: f64,
     /// Moment at the tip, N mm.
@@ -175,7 +176,7 @@ impl Rod {
         })
     }
 
-    /// Loads the tip with a dead force and a moment, in as many steps as it takes.
+    /// Loads the tip with a dead force and a moment, in as many steps as needed.
     ///
     /// # Errors
     /// A load that is not finite, or no equilibrium on the way.
@@ -203,11 +204,11 @@ impl Rod {
         })
     }
 
-    /// Presses the wall against the rod, from where they are clear to `wall`; `friction` is the signed ratio of
-    /// tangential to normal force: positive if the wall drags the rod towards +y, negative towards -y.
+    /// Presses the wall against the rod, from clear of it to `wall`. `friction` is the signed ratio of tangential to
+    /// normal force: positive if the wall drags the rod towards +y, negative towards -y.
     ///
-    /// The node of the contact is that which lies deepest in the wall, at first the tip. A wall that does not reach
-    /// the rod leaves it unloaded.
+    /// The contact is at the node deepest inside the wall, at first the tip. A wall that does not reach the rod
+    /// leaves it unloaded.
     ///
     /// # Errors
     /// A friction beyond 10, or no equilibrium on the way.
@@ -228,7 +229,7 @@ impl Rod {
             return Ok(());
         }
         self.loaded_at = deepest as f64;
-        // Moved outward by this much along x, the wall just touches the straight rod.
+        // Bisect the shift along x at which the wall just touches the straight rod.
         let (mut low, mut high) = (0.0, 2.0 * self.properties.length_mm);
         for _ in 0..60 {
             let middle = (low + high) / 2.0;
@@ -241,7 +242,7 @@ impl Rod {
         self.press_on(wall, high, friction)
     }
 
-    /// Presses on from an equilibrium with the same wall `by_mm` farther out.
+    /// Presses on from an equilibrium, with the same wall moved `by_mm` outward.
     ///
     /// # Errors
     /// No equilibrium on the way.
@@ -256,7 +257,7 @@ impl Rod {
         })
     }
 
-    /// Equilibrium with a wall that touches the rod where it lies deepest in it. The error is the residual.
+    /// Finds the equilibrium with a wall that touches the rod at its deepest node. The error is the residual.
     fn touch(&mut self, wall: Wall, friction: f64) -> Result<(), f64> {
         let clear = -1e-9 * self.properties.length_mm;
         let mut outward = None;
@@ -272,7 +273,7 @@ impl Rod {
             if gap > clear || deepest as f64 == self.loaded_at {
                 return Ok(());
             }
-            // One node at a time: a contact that jumps lets the rod snap through the wall behind it.
+            // Move one node at a time: if the contact jumped, the rod would snap through the wall behind it.
             let further = deepest as f64 > self.loaded_at;
             let node = libm::floor(self.loaded_at);
             let whole = node == self.loaded_at;
@@ -290,11 +291,12 @@ impl Rod {
         Err(1.0)
     }
 
-    /// The wall touches the segment behind this node: finds the point at which both of its ends are equally far away.
+    /// The wall touches the segment behind this node: finds the contact point at which both ends are equally far from
+    /// it.
     fn lie_on(&mut self, wall: Wall, friction: f64, node: usize) -> Result<(), f64> {
         let nodes = [node as f64, (node + 1) as f64];
-        // A contact that is nearer to the deeper end lifts it out, so the difference of the gaps has one zero:
-        // regula falsi, with the halved weight that keeps either end from sticking (the Illinois rule).
+        // A contact nearer to the deeper end lifts that end out, so the difference of the gaps has one zero. Find it
+        // by regula falsi with the halved weight that keeps either end from sticking (the Illinois rule).
         let mut ends: [Option<f64>; 2] = [None, None];
         let [mut low, mut high] = nodes;
         for _ in 0..40 {
@@ -319,7 +321,7 @@ impl Rod {
         Ok(())
     }
 
-    /// Goes from part 0 to part 1 of a load; a step that fails is repeated with half the width.
+    /// Goes from share 0 to share 1 of a load; a failed step is repeated with half the width.
     fn in_steps(
         &mut self,
         at: f64,
@@ -349,7 +351,7 @@ impl Rod {
         Ok(())
     }
 
-    /// Place of a point that lies `at` segments from the root, mm.
+    /// Position of a point that lies `at` segments from the root, mm.
     fn point(&self, at: f64) -> Vector {
         let (mut x, mut y) = (0.0, 0.0);
         for (j, angle) in self.angles_rad.iter().enumerate() {
@@ -367,7 +369,7 @@ impl Rod {
             .collect()
     }
 
-    /// Place of the tip, mm.
+    /// Position of the tip, mm.
     pub fn tip_mm(&self) -> Vector {
         self.point(self.angles_rad.len() as f64)
     }
@@ -406,8 +408,8 @@ impl Rod {
         stiffness * (first * first + joints + last * last)
     }
 
-    /// Whether the equilibrium is stable against small changes while the force keeps size and direction: the pivots
-    /// of the stiffness are all positive.
+    /// Whether the equilibrium is stable against small changes while the force keeps size and direction: all pivots
+    /// of the stiffness are positive.
     pub fn is_stable_under_dead_load(&self) -> bool {
         let mut pivot = f64::INFINITY;
         let off = -self.properties.bending_n_mm2 / self.segment_mm;
@@ -417,7 +419,7 @@ impl Rod {
         })
     }
 
-    /// The node that lies deepest in the wall, and its gap, mm.
+    /// The node deepest inside the wall, and its gap, mm.
     fn deepest(&self, wall: &Wall) -> (usize, f64) {
         let (mut x, mut y) = (0.0, 0.0);
         let mut found = (self.angles_rad.len(), f64::INFINITY);
@@ -432,7 +434,7 @@ impl Rod {
         found
     }
 
-    /// Gradient of the energy less the work of the load.
+    /// Gradient of the energy minus the work of the load.
     fn imbalance(&self) -> Vec<f64> {
         let n = self.angles_rad.len();
         let stiffness = self.properties.bending_n_mm2 / self.segment_mm;
@@ -474,7 +476,7 @@ impl Rod {
         diagonal
     }
 
-    /// Newton with a line search on the residual. The error is the residual that was left.
+    /// Newton's method with a line search on the residual. The error is the remaining residual.
     fn newton(&mut self, contact: Option<(Wall, f64)>) -> Result<(), f64> {
         let mut residual = self.residual(contact);
         for _ in 0..MOST_ITERATIONS {
@@ -504,13 +506,13 @@ impl Rod {
         Err(residual)
     }
 
-    /// The rod's own moment, with room for the rounding of the joints, which are N times as stiff.
+    /// Scale of the rod's own moment. Allows for the rounding in the joints, which are N times as stiff.
     fn scale_n_mm(&self) -> f64 {
         let fine = f64::from(self.properties.elements).max(16.0) / 16.0;
         fine * self.properties.bending_n_mm2 / self.properties.length_mm
     }
 
-    /// Greatest imbalance over the rod's own moment `B/L`, with that of the contact.
+    /// Greatest imbalance, that of the contact included, relative to the rod's own moment `B/L`.
     fn residual(&self, contact: Option<(Wall, f64)>) -> f64 {
         let scale = self.scale_n_mm();
         let turn = self
@@ -536,7 +538,7 @@ impl Rod {
         let Some((wall, friction)) = contact else {
             return Some((free, [0.0; 2]));
         };
-        // Rows of the node's place by the angles.
+        // Derivatives of the node's position by the angles.
         let n = self.angles_rad.len();
         let mut rows = [vec![0.0; n], vec![0.0; n]];
         for (j, angle) in self.angles_rad.iter().enumerate() {
@@ -558,7 +560,7 @@ impl Rod {
         let place = self.point(self.loaded_at);
         let (gap, normal) = wall.gap(place);
         let edge = across(normal, friction);
-        // Along the tangent the normal turns by the curvature, and the edge of the cone with it.
+        // Along the tangent the normal turns by the curvature, and so does the edge of the friction cone.
         let tangent = [-normal[1], normal[0]];
         let turned = across(tangent, friction);
         let swing =
@@ -595,14 +597,14 @@ impl Rod {
     }
 }
 
-/// Share of segment `j` that lies between the root and a point `at` segments from it.
+/// Share of segment `j` between the root and a point `at` segments from it.
 fn part(at: f64, j: usize) -> f64 {
     (at - j as f64).clamp(0.0, 1.0)
 }
 
-/// Perpendicular to the force that a normal and a signed friction make: no force has a component along it.
+/// Perpendicular to the force of a normal and a signed friction: the force has no component along it.
 fn across(normal: Vector, friction: f64) -> Vector {
-    // A wall whose normal points inward, (-1, 0), drags towards +y with positive friction.
+    // A wall whose normal points inward, (-1, 0), drags the rod towards +y if the friction is positive.
     let tangent = [normal[1], -normal[0]];
     [
         tangent[0] - friction * normal[0],

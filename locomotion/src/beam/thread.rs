@@ -1,21 +1,22 @@
-//! Displacement of the body against the thread drawn in: one chain from unfolded to folded, without a switch.
+//! Displacement of the body against the thread drawn in: one model from unfolded to folded, without a switch.
 //!
-//! The thread draws every wing in by the same `a_t`, Eq. (7) backward. A wall that comes `e` deeper than the tips
-//! shares `e` with the wing: `V0(f) = k_w g (1 + g T/2t)`, `g = e - f`, with the wing's law and a wall that yields in
-//! proportion, everywhere by itself, to the edge t and to the flank of a wing of the slope T. The link is then psi(a_t + f), and the tip lies on a wall of the slope `f/e` times the roller's. From this follow, for each
-//! crescent, the axial force that it takes to move the body either way, by the lever of [`crate::beam::crescent`]:
+//! The thread draws every wing in by the same `a_t`, the inverse of Eq. (7). A wall that comes `e` deeper than the
+//! tips shares `e` with the wing: `V0(f) = k_w g (1 + g T/2t)`, `g = e - f`. The left side is the wing's law. On the
+//! right the wall yields locally and in proportion, to the edge t and to the flank of a wing of the slope T. The link
+//! is then psi(a_t + f), and the tip lies on a wall with `f/e` times the roller's slope. This gives, for each
+//! crescent, the axial force that moves the body either way, by the lever of [`crate::beam::crescent`]:
 //!
 //! ```text
 //! X(w) = V0 T w/(T - w),   w = tan(+-atan mu - slope's angle)
 //! ```
 //!
-//! * An upright wing has a small T: hard to drag tailward, easy headward, and stiff, so that it dents the wall and
-//!   feels little of its slope. It is squeezed and let go: retrograde motion.
-//! * A wing that is drawn back has a large T: about as hard either way, and soft, so that it takes the wall's slope.
-//!   Only the roller touches it, and pushes it along.
+//! * An upright wing has a small T. It is hard to drag tailward, easy headward, and stiff, so that it dents the wall
+//!   and feels little of its slope. It is squeezed and released: retrograde motion.
+//! * A wing that is drawn back has a large T. It is about equally hard either way, and soft, so that it takes the
+//!   wall's slope. Only the roller touches it, and pushes it along.
 //!
-//! The body moves by the shift that costs the least work, as in [`crate::body`]; where the wall pushes harder than
-//! friction holds it drifts until it holds.
+//! The body makes the shift that costs the least work, as in [`crate::body`]. Where the wall pushes harder than
+//! friction holds, the body drifts until it holds.
 
 use alloc::vec::Vec;
 
@@ -35,11 +36,11 @@ pub struct Params {
     pub friction: f64,
     /// Stiffness of the wall against one tip, per width of the wing, N/mm^2.
     pub wall_n_mm2: f64,
-    /// Share of the roller's slope that reaches a tip through the dent that it makes in the sheet, 0 to 1.
+    /// Share of the roller's slope that reaches a tip through its dent in the sheet, 0 to 1.
     pub backed: f64,
-    /// How far the wall at rest reaches over the tips of the unfolded body, mm; negative for a gap.
+    /// How far the wall at rest overlaps the tips of the unfolded body, mm; negative for a gap.
     pub preload_mm: f64,
-    /// Weight of the body, N: held by friction wherever nothing else holds it.
+    /// Weight of the body, N: its friction holds the body wherever nothing else does.
     pub weight_n: f64,
     /// Where the body's core begins, mm from the intestine's left mark.
     pub core_tail_mm: f64,
@@ -70,7 +71,7 @@ impl Params {
     };
 }
 
-/// Each parameter of [`Params::PAPER`] that is not the roller's or the design's, its label and its source.
+/// Each parameter of [`Params::PAPER`], except for those of the roller and the design, with its label and its source.
 pub const PARAMETERS: [Parameter; 10] = {
     use Label::{Assumed, Paper};
     let p = Params::PAPER;
@@ -151,11 +152,11 @@ pub const PARAMETERS: [Parameter; 10] = {
 /// Largest drift between two evaluations, mm.
 const DRIFT_MM: f64 = 0.1;
 const MOST_DRIFTS: usize = 4000;
-/// Points of a law, and of the share between wing and wall.
+/// Points of a law, and of the table that shares a depth between wing and wall.
 const LAW_STEPS: u8 = 10;
 const SHARES: usize = 24;
 
-/// What a crescent does at one depth of the wall over its tip.
+/// State of a crescent for one depth of the wall over its tip.
 #[derive(Clone, Copy, Debug, Default)]
 struct Touch {
     /// Indentation of the wing, mm.
@@ -317,7 +318,7 @@ impl ThreadedBody {
         self.roll_to(self.params.stroke_mm)
     }
 
-    /// How far the core's tail end has moved since the start, mm; + is headward (retrograde).
+    /// Displacement of the core's tail end since the start, mm; + is headward (retrograde).
     pub fn displacement_mm(&self) -> f64 {
         self.core_tail_mm - self.params.core_tail_mm
     }
@@ -326,7 +327,7 @@ impl ThreadedBody {
         self.params.wing.design.crescents().into()
     }
 
-    /// What the wall does to a crescent at x: its touch and the slope that it feels, positive if it pushes tailward.
+    /// The wall's effect on a crescent at x: its touch and the slope that it feels, positive if it pushes tailward.
     fn touch_at(&self, x_mm: f64) -> (Touch, f64) {
         let Params {
             radius_mm,
@@ -354,19 +355,19 @@ impl ThreadedBody {
         } else {
             0.0
         };
-        // What is left of the slope in the dent, and what the roller behind the sheet adds.
+        // The dent passes on a share of the slope; the roller behind the sheet adds to it.
         let dent = touch.felt_mm / depth_mm;
         let backed = self.params.backed;
         (touch, slope * (backed + (1.0 - backed) * dent))
     }
 
-    /// The axial forces, N, headward positive, that a crescent puts on a body that moves tailward and headward.
+    /// Axial forces, N, headward positive, of a crescent on a body that moves tailward (first) or headward (second).
     fn holds(&self, touch: Touch, slope: f64) -> (f64, f64) {
         let friction = self.params.friction;
         let weight_n = friction * self.params.weight_n / self.m() as f64;
         let force = |drag: f64| {
             let pull = (drag - slope) / (1.0 + drag * slope);
-            // Beyond its lever the wing stands like a pawl, and holds until it buckles.
+            // Beyond its lever the wing locks like a pawl, and holds until it buckles.
             let open = touch.lever - pull;
             if touch.force_n == 0.0 {
                 0.0
@@ -379,7 +380,7 @@ impl ThreadedBody {
         (force(friction) + weight_n, force(-friction) - weight_n)
     }
 
-    /// Follows the wall to its present place, until the body holds.
+    /// Follows the wall to its present position, until the body holds.
     fn settle(&mut self) -> Result<(), NoAnswer> {
         let m = self.m();
         let design = self.params.wing.design;
@@ -418,13 +419,13 @@ impl ThreadedBody {
     }
 }
 
-/// Shares a depth between wing and wall.
+/// Divides a depth between the indentation of the wing and the dent in the wall.
 fn touch(law: &Law, wall_n_mm: f64, thickness_mm: f64, depth_mm: f64) -> Touch {
     let (mut low, mut high) = (0.0, depth_mm);
     for _ in 0..60 {
         let middle = (low + high) / 2.0;
         let dent_mm = depth_mm - middle;
-        // An upright wing dents the wall with its edge, a slanted one with its flank, too.
+        // An upright wing dents the wall with its edge, a slanted one with its flank as well.
         let wide = 1.0 + dent_mm * law.lever(middle) / (2.0 * thickness_mm);
         if law.force_n(middle) < wall_n_mm * dent_mm * wide {
             low = middle;
@@ -439,15 +440,16 @@ fn touch(law: &Law, wall_n_mm: f64, thickness_mm: f64, depth_mm: f64) -> Touch {
     }
 }
 
-/// Where a body goes for which each point gives (its shift, the force if it moves tailward, that if headward).
+/// Movement of a body, as [`least_work_shift`] finds it.
 enum Shift {
     To(f64),
     Tailward,
     Headward,
 }
 
-/// The shift S of least work: where the sum of the forces, tailward ones of points with `S + delta < 0` and headward
-/// ones of the others, changes its sign. It falls as S rises.
+/// The shift S of least work. Each point is its own shift, the force if it moves tailward, and that if it moves
+/// headward. The sum takes the tailward force of points with `S + delta < 0` and the headward force of the others; it
+/// falls as S rises, and the result is where it changes its sign.
 fn least_work_shift(points: &mut [(f64, f64, f64)]) -> Shift {
     points.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
     let mut force_n: f64 = points.iter().map(|point| point.1).sum();
