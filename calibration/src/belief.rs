@@ -1,21 +1,21 @@
-//! What is held of the unknowns before a trial: the prior, or the samples of a posterior, smoothed.
+//! Knowledge of the unknowns before a trial: the prior, or the smoothed samples of a posterior.
 //!
-//! Samples alone are no belief to plan from: a trial that tells them all apart would seem to tell everything, and no more
-//! than the logarithm of their number. So a normal kernel stands for each, shrunk towards their mean so
-//! that mean and covariance stay those of the samples (West, Journal of the Royal Statistical Society B 55, 1993).
+//! Planning needs more than bare samples. A trial that tells all samples apart would seem to tell everything, and
+//! never more than the logarithm of their number. So each sample becomes a normal kernel, shrunk towards their mean
+//! to keep the mean and the covariance of the samples (West, Journal of the Royal Statistical Society B 55, 1993).
 
 use rand::Rng;
 
 use crate::chance::{normal, unit};
 use crate::prior::{self, Point, UNKNOWNS};
 
-/// Least number of samples that are smoothed.
+/// Fewest samples that are smoothed.
 pub const LEAST_SAMPLES: usize = 50;
 
-/// A distribution of the unknowns that can be drawn from and evaluated.
+/// A distribution of the unknowns that can be sampled and evaluated.
 #[derive(Clone, Debug)]
 pub enum Belief {
-    /// Nothing but the prior.
+    /// The prior alone.
     Prior,
     /// Samples of a posterior.
     Smoothed(Smoothed),
@@ -24,14 +24,15 @@ pub enum Belief {
 /// Samples, each with a normal kernel of the same shape.
 #[derive(Clone, Debug)]
 pub struct Smoothed {
-    /// Lower triangle: from a standard normal to a kernel.
+    /// Lower triangular matrix that maps a standard normal to a kernel.
     kernel: [Point; UNKNOWNS],
     /// Centres of the kernels, in coordinates in which each is a standard normal.
     centres: Vec<Point>,
 }
 
 impl Belief {
-    /// Samples of a posterior, smoothed; none if they are fewer than [`LEAST_SAMPLES`], no numbers, or all alike in a direction.
+    /// Smooths samples of a posterior. None for fewer than [`LEAST_SAMPLES`], for NaN or infinity among them, and if
+    /// they have no extent in some direction.
     #[must_use]
     pub fn smoothed(samples: &[Point]) -> Option<Self> {
         if samples.len() < LEAST_SAMPLES || samples.iter().flatten().any(|z| !z.is_finite()) {
@@ -39,7 +40,7 @@ impl Belief {
         }
         let count = samples.len() as f64;
         let dimensions = UNKNOWNS as f64;
-        // Silverman's rule for a normal density in so many dimensions.
+        // Silverman's rule for a normal density in `dimensions` dimensions.
         let width = libm::pow(4.0 / ((dimensions + 2.0) * count), 1.0 / (dimensions + 4.0));
         let shrink = libm::sqrt(1.0 - width * width);
         let mean: Point = core::array::from_fn(|axis| {
@@ -57,7 +58,7 @@ impl Belief {
         }))
     }
 
-    /// A point drawn from it.
+    /// A random point of the distribution.
     pub fn draw(&self, random: &mut impl Rng) -> Point {
         match self {
             Self::Prior => prior::draw(random),
@@ -70,7 +71,7 @@ impl Belief {
         }
     }
 
-    /// Logarithm of its density at a point, but for a constant.
+    /// Logarithm of the density at a point, up to a constant.
     #[must_use]
     pub fn log_density(&self, point: &Point) -> f64 {
         match self {
@@ -92,7 +93,7 @@ impl Belief {
     }
 }
 
-/// Cholesky factor of the samples' covariance, times a width; none where it has no extent.
+/// Cholesky factor of the samples' covariance, times a width; none if some direction has no extent.
 fn triangle(samples: &[Point], mean: &Point, width: f64) -> Option<[Point; UNKNOWNS]> {
     let covariance = |one: usize, other: usize| {
         let product = |point: &Point| (point[one] - mean[one]) * (point[other] - mean[other]);
@@ -111,7 +112,7 @@ fn triangle(samples: &[Point], mean: &Point, width: f64) -> Option<[Point; UNKNO
                 left / factor[column][column]
             };
         }
-        // A NaN is refused, too.
+        // Refuse NaN as well.
         if factor[row][row].partial_cmp(&1e-9) != Some(core::cmp::Ordering::Greater) {
             return None;
         }

@@ -1,12 +1,12 @@
-//! Streams of chance: one seed, and as many independent streams as there are uses for them.
+//! Random numbers: one seed, and an independent stream for each use.
 
 use rand::rngs::ChaCha8Rng;
 use rand::{Rng, SeedableRng};
 
-/// The generator. Its algorithm is part of what a seed means.
+/// The generator. A seed gives the same numbers only with this algorithm.
 pub type Random = ChaCha8Rng;
 
-/// A stream of a seed. Streams of different numbers have nothing in common.
+/// A stream of a seed. Streams with different numbers are independent.
 #[must_use]
 pub fn stream(seed: u64, number: u64) -> Random {
     let mut random = Random::seed_from_u64(seed);
@@ -14,7 +14,7 @@ pub fn stream(seed: u64, number: u64) -> Random {
     random
 }
 
-/// A number from 0 to 1, neither of them included: 53 bits.
+/// A number between 0 and 1, both excluded, from 53 random bits.
 pub fn unit(random: &mut impl Rng) -> f64 {
     ((random.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64
 }

@@ -1,8 +1,8 @@
-//! Which trials to make: their expected information gain on the body, by many histories that they may have.
+//! Which trials to make: their expected information gain on the body, over many possible histories.
 //!
-//! The gain of a trial after others is the mean, over histories of these others, of the information in its result. Gains of
-//! a sequence add up to the joint gain of all of it, because each is conditional on those before. A standard error is
-//! that of the mean over the histories: it has all that is random, draws as well as truths and results.
+//! The gain of a trial after others is the information in its result, averaged over histories of those others. Each
+//! gain is conditional on the trials before, so the gains of a sequence add up to its joint gain. A standard error is
+//! that of the mean over the histories: it includes every random source, draws as well as truths and results.
 
 use rayon::prelude::*;
 
@@ -12,17 +12,17 @@ use crate::history::{History, Response, Trial};
 use crate::information::Information;
 use crate::prior::{UNKNOWNS, unknowns};
 
-/// How exactly gains are estimated.
+/// Accuracy of the estimated gains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Effort {
-    /// Histories.
+    /// Number of histories.
     pub histories: usize,
-    /// Draws in each of them.
+    /// Draws in each history.
     pub draws: usize,
 }
 
 impl Effort {
-    /// For an answer.
+    /// Effort for a final answer.
     pub const FULL: Self = Self {
         histories: 128,
         draws: 512,
@@ -38,11 +38,11 @@ pub struct Estimate {
     pub error: f64,
 }
 
-/// Difference from which on two estimates differ, in standard errors of the difference.
+/// Two estimates differ if they are more than this many standard errors of the difference apart.
 pub const TELLING: f64 = 2.0;
 
 impl Estimate {
-    /// Of values that are independent of each other, at least two.
+    /// From at least two independent values.
     #[must_use]
     pub fn of(values: &[f64]) -> Self {
         let count = values.len() as f64;
@@ -54,30 +54,30 @@ impl Estimate {
         }
     }
 
-    /// Whether it is above 0 by more than chance.
+    /// Whether it is significantly above 0.
     #[must_use]
     pub fn is_above_zero(&self) -> bool {
         self.mean > TELLING * self.error
     }
 }
 
-/// One step of a choice.
+/// One step of a selection.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Step {
     /// The chosen candidate.
     pub chosen: usize,
     /// Gain of each candidate after the steps before, nats.
     pub gains: Vec<Estimate>,
-    /// Candidates whose gain does not differ from that of the chosen one by more than chance.
+    /// Candidates whose gain does not differ significantly from that of the chosen one.
     pub ties: Vec<usize>,
 }
 
-/// What a sequence of trials is worth.
+/// The value of a sequence of trials.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Judged {
     /// Gain of each trial after those before, nats.
     pub gains: Vec<Estimate>,
-    /// Joint gain of each and all before, nats.
+    /// Joint gain of each trial and all before it, nats.
     pub sums: Vec<Estimate>,
     /// Greatest mean correction of a gain for the finite number of draws, nats.
     pub correction: f64,
@@ -87,7 +87,7 @@ pub struct Judged {
     pub after: [Estimate; UNKNOWNS],
 }
 
-/// What one history has shown of a sequence.
+/// Results of a sequence in one history.
 struct Course {
     gains: Vec<Information>,
     before: [f64; UNKNOWNS],
@@ -106,8 +106,8 @@ fn histories<'a>(
         .collect()
 }
 
-/// Chooses so many trials, each the one that tells most after those before. A candidate may be chosen again. None if belief
-/// and model hardly overlap.
+/// Chooses `count` trials, each the one that tells most after those before. May choose a candidate more than once.
+/// None if belief and model hardly overlap.
 #[must_use]
 pub fn choose(
     belief: &Belief,
@@ -154,8 +154,8 @@ pub fn choose(
     Some(steps)
 }
 
-/// What a sequence of trials is worth. Histories of the same seed have the same truths, whatever the trials. None if
-/// belief and model hardly overlap.
+/// Values a sequence of trials. Histories of the same seed have the same truths, whatever the trials. None if belief
+/// and model hardly overlap.
 #[must_use]
 pub fn judge(
     belief: &Belief,

@@ -1,26 +1,26 @@
 //! Whether chains have mixed: rank-normalised split R-hat and bulk effective sample size (Vehtari, Gelman, Simpson,
 //! Carpenter and Bürkner, Bayesian Analysis 16, 2021), also for ensembles of walkers.
 //!
-//! An ensemble is one chain whose draws come in rows, one of each walker. R-hat asks for means and variances of chains
-//! only, so all walkers of an ensemble count as one chain. The walkers help each other and are not independent over time,
-//! so the effective size is worked out from the row's means: their own effective number, times how many draws
-//! each of them is worth.
+//! An ensemble is one chain whose draws come in rows, one draw of each walker. R-hat needs only means and variances
+//! of chains, so all walkers of an ensemble count as one chain. The walkers influence each other and are not
+//! independent over time. So the effective sample size is that of the row means, times the number of draws that each
+//! row mean is worth.
 
 use statrs::function::erf::erf_inv;
 
-/// Largest R-hat at which chains count as mixed.
+/// Largest R-hat of chains that count as mixed.
 pub const GREATEST_R_HAT: f64 = 1.01;
-/// Least bulk effective sample size with which quantiles are worth printing.
+/// Least bulk effective sample size for quantiles that are worth printing.
 pub const LEAST_ESS: f64 = 400.0;
 
-/// Chains that are split into halves: each of rows of as many draws as there are walkers.
+/// Chains split into halves; each half consists of rows with one draw of each walker.
 struct Split {
     walkers: usize,
     halves: Vec<Vec<f64>>,
 }
 
 impl Split {
-    /// None if there is nothing to compare.
+    /// None if the chains are too short to compare.
     fn of(chains: &[Vec<f64>], walkers: usize) -> Option<Self> {
         let rows = chains
             .iter()
@@ -30,7 +30,7 @@ impl Split {
         if half < 4 || walkers == 0 {
             return None;
         }
-        // An odd row in the middle is left out.
+        // Leave out the middle row of an odd number.
         let halves = chains.iter().flat_map(|chain| {
             let second = (rows - half) * walkers;
             [
@@ -54,7 +54,7 @@ impl Split {
         }
     }
 
-    /// Each value replaced by the normal quantile of its rank among all.
+    /// Replaces each value by the normal quantile of its rank among all.
     fn rank_normalised(&self) -> Self {
         let all: Vec<f64> = self.halves.concat();
         let mut order: Vec<usize> = (0..all.len()).collect();
@@ -81,7 +81,7 @@ impl Split {
         }
     }
 
-    /// How far each value is from the median of all.
+    /// Distance of each value from the median of all.
     fn folded(&self) -> Self {
         let median = median(&self.halves.concat());
         self.map(|value| (value - median).abs())
@@ -146,7 +146,7 @@ fn effective(chains: &[Vec<f64>]) -> f64 {
         return f64::NAN;
     }
     let means: Vec<f64> = chains.iter().map(|chain| mean(chain)).collect();
-    // Covariance at a lag, mean over the chains; over the length, not over the number of pairs.
+    // Covariance at a lag, averaged over the chains. Divided by the length, not by the number of pairs.
     let covariance = |lag: usize| {
         let of = |(chain, mean): (&Vec<f64>, &f64)| {
             let pairs = chain.iter().zip(&chain[lag..]);
@@ -158,25 +158,25 @@ fn effective(chains: &[Vec<f64>]) -> f64 {
         chains.iter().zip(&means).map(of).sum::<f64>() / chains.len() as f64
     };
     let correlation = |lag: usize| 1.0 - (within - covariance(lag)) / total;
-    // Pairs of neighbours, from lag 0 on, as long as their sums are not negative.
+    // Sum neighbouring lags in pairs from lag 0 on, while the sums are not negative.
     let mut pairs = vec![(1.0, correlation(1))];
     let mut next = 2;
     let mut beyond = 0.0;
     while pairs[pairs.len() - 1].0 + pairs[pairs.len() - 1].1 > 0.0 && next + 2 < length {
         let pair = (correlation(next), correlation(next + 1));
         if pair.0 + pair.1 < 0.0 {
-            // The even member of the first pair that does not count still counts once, if it is positive.
+            // Count the even member of the first rejected pair once, if it is positive.
             beyond = pair.0.max(0.0);
             break;
         }
         pairs.push(pair);
         next += 2;
     }
-    // Where the chain ends before its correlation does, the last pair is treated as the first that does not count.
+    // If the chain ends before its correlation does, treat the last pair as the first rejected one.
     if next + 2 >= length && pairs.len() > 1 {
         beyond = pairs.pop().map_or(0.0, |pair| pair.0.max(0.0));
     }
-    // The sums may not rise again: what does is chance.
+    // The sums must not rise again: any rise is noise.
     let mut time = -1.0 + beyond;
     let mut least = f64::INFINITY;
     for (even, odd) in pairs {
@@ -187,8 +187,8 @@ fn effective(chains: &[Vec<f64>]) -> f64 {
     all / time
 }
 
-/// Rank-normalised split R-hat: the larger of those of the values and of their distances from the median. `walkers` is
-/// 1 for plain chains. NaN for chains that are too short or do not move.
+/// Rank-normalised split R-hat: the larger of that of the values and that of their distances from the median.
+/// `walkers` is 1 for plain chains. NaN for chains that are too short or do not move.
 #[must_use]
 pub fn r_hat(chains: &[Vec<f64>], walkers: usize) -> f64 {
     let Some(split) = Split::of(chains, walkers) else {
@@ -196,7 +196,7 @@ pub fn r_hat(chains: &[Vec<f64>], walkers: usize) -> f64 {
     };
     let bulk = split.rank_normalised().r_hat();
     let tail = split.folded().rank_normalised().r_hat();
-    // `max` would pass over a NaN.
+    // `max` would ignore a NaN.
     if tail.is_nan() { tail } else { bulk.max(tail) }
 }
 

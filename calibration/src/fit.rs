@@ -1,8 +1,9 @@
-//! A calibration from observations to a posterior that says how far it can be relied on.
+//! The calibration: from observations to a posterior, with a measure of its reliability.
 //!
-//! The model is tabulated three times: coarsely over the whole prior, then over the box in which the posterior of the
-//! table before lies, each time finer. What a table is wrong by, found by running the model itself, counts as a
-//! further error, so that a coarse table does not cut off what it cannot see.
+//! The model is tabulated at least three times: coarsely over the whole prior, then ever finer over the box that holds
+//! the posterior of the previous table. A fourth table follows if the third is not accurate enough. The table's error,
+//! found by running the model itself, counts as an additional error, so that a coarse table does not exclude what it
+//! cannot resolve.
 
 use locomotion::model::Model;
 use locomotion::range::OutOfRange;
@@ -16,40 +17,40 @@ use crate::sampler::{Draws, Effort, Mixing, sample_from};
 use crate::table::{Region, Table, distinct};
 use crate::target::{Target, deviation_mm};
 
-/// Step of the rollers with which the model is converged, mm: what every table is compared with.
+/// Step of the rollers at which the model has converged, mm: the reference for every table.
 pub const CONVERGED_STEP_MM: f64 = 0.05;
-/// Greatest error of the last table with which a fit can be relied on: root of the mean square over the posterior, in
-/// standard deviations of a condition's mean. Half of one widens its variance by a quarter.
+/// Greatest error of the last table in a reliable fit: root of the mean square over the posterior, in standard
+/// deviations of a condition's mean. An error of one half widens the variance by a quarter.
 pub const GREATEST_TABLE_ERROR: f64 = 0.5;
-/// A finer table is made for a larger error than this.
+/// Table error above which a finer table is made.
 pub const WANTED_TABLE_ERROR: f64 = 0.25;
-/// Steps that a table may be made with, mm, the coarsest first: a run costs in proportion to their number.
+/// Available steps of a table, mm, the coarsest first: the cost of a run is proportional to the number of steps.
 pub const STEPS_MM: [f64; 3] = [0.25, 0.1, CONVERGED_STEP_MM];
-/// Greatest error of the step of the last tables, measured as that of the table is.
+/// Greatest error from the step of the last tables, measured like the error of the table.
 pub const GREATEST_STEP_ERROR: f64 = 0.1;
 /// Step of the first table, mm.
 const FIRST_STEP_MM: f64 = 0.5;
 
-/// Nodes of the tables, from coarse to fine. The last is made only if the one before is not good enough.
+/// Nodes of the tables, from coarse to fine. The last is made only if the one before is not accurate enough.
 const LEVELS: [[usize; OF_BODY]; 4] = [[16, 14, 8], [12, 10, 8], [16, 14, 12], [32, 28, 24]];
-/// The first level at which the table may be the last.
+/// First level whose table may be the last.
 const GOOD_ENOUGH: usize = 2;
-/// Bodies on which a table is tried.
+/// Number of bodies on which a table is checked.
 const TRIED: usize = 48;
-/// How much wider than the draws the next box is, to each side.
+/// Margin of the next box around the draws, to each side, as a share of its width.
 const MARGIN: f64 = 0.15;
 
-/// How a calibration is to be made.
+/// How to make a calibration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Seed of everything.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// How much is sampled.
+    /// Amount of sampling.
     pub effort: Effort,
 }
 
 impl Settings {
-    /// For an answer, with this seed.
+    /// For a final answer, with this seed.
     #[must_use]
     pub const fn full(seed: u64) -> Self {
         Self {
@@ -68,7 +69,7 @@ pub enum Unfit {
     /// The model does not cover an observation.
     #[error(transparent)]
     Range(#[from] OutOfRange),
-    /// No body explains them, not even with the discrepancy.
+    /// No body explains them, even with the discrepancy.
     #[error(
         "no body of the prior comes near these displacements: are signs, units and uncertainties right? \
          + is headward, all in millimetres"
@@ -76,10 +77,10 @@ pub enum Unfit {
     Nowhere,
 }
 
-/// A posterior.
+/// A posterior and its diagnostics.
 #[derive(Clone, Debug)]
 pub struct Fit {
-    /// What was fitted.
+    /// The conditions that were fitted.
     pub conditions: Vec<Condition>,
     /// The draws.
     pub draws: Draws,
@@ -87,14 +88,14 @@ pub struct Fit {
     pub mixing: [Mixing; UNKNOWNS],
     /// Step of the rollers in the last table, mm.
     pub step_mm: f64,
-    /// Error of the last table over the posterior: the worst condition's root of the mean square, in standard deviations of the
-    /// condition's mean. See [`GREATEST_TABLE_ERROR`].
+    /// Error of the last table over the posterior, for the worst condition: root of the mean square, in standard
+    /// deviations of the condition's mean. See [`GREATEST_TABLE_ERROR`].
     pub table_error: f64,
-    /// Nodes of the last table that were worked out.
+    /// Number of nodes computed in the last table.
     pub nodes: usize,
 }
 
-/// What is read at some bodies, less what the converged model says there, mm: body by body and case by case.
+/// Error of `read` against the converged model, mm: body by body and case by case.
 fn errors_mm(
     read: impl Fn(&Parts) -> Result<Vec<f64>, OutOfRange> + Sync,
     converged: &Predictor,
@@ -111,7 +112,7 @@ fn errors_mm(
     bodies.par_iter().map(one).collect()
 }
 
-/// Of errors over points of the posterior: the worst condition's root of the mean square, in standard deviations of the
+/// The worst condition's root mean square of errors over points of the posterior, in standard deviations of the
 /// condition's mean.
 fn worst(
     errors_mm: &[Vec<f64>],
@@ -134,7 +135,7 @@ fn worst(
         .sqrt()
 }
 
-/// Calibrates the body of a model; its design, rig and rollers are taken as known.
+/// Calibrates the body of a model; takes its design, rig and rollers as known.
 ///
 /// # Errors
 /// Observations that cannot be used, or that the model does not cover or come near.
@@ -154,7 +155,7 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
         let table = Table::new(converged.with_step(step_mm), region, LEVELS[level]);
         let last = level >= GOOD_ENOUGH;
         let read = |body: &Parts| {
-            // What a table cannot tell shows as an error without end, and the fit as unreliable.
+            // A body outside the table counts as an infinite error, which marks the fit as unreliable.
             let nothing = || vec![f64::INFINITY; cases.len()];
             Ok(table.displacements_mm(body).unwrap_or_else(nothing))
         };

@@ -1,8 +1,9 @@
-//! One course that a series of trials may take: a truth, what it gives, and draws of what is believed after it.
+//! One possible course of a series of trials: a true body, its results, and draws of the posterior after each result.
 //!
-//! After each result the draws are moved to the new posterior: the likelihood is brought in by stages, each as large as half of the
-//! draws survive; then draws are resampled and moved by differential evolution, which keeps the posterior of the stage
-//! (a sequential Monte Carlo sampler, Del Moral, Doucet and Jasra, Journal of the Royal Statistical Society B 68, 2006).
+//! After each result the draws move to the new posterior. The likelihood enters in stages, each as large as possible
+//! while half of the draws survive. After each stage the draws are resampled, then moved by differential evolution,
+//! which leaves the posterior of the stage unchanged (a sequential Monte Carlo sampler, Del Moral, Doucet and Jasra,
+//! Journal of the Royal Statistical Society B 68, 2006).
 
 use std::collections::BTreeMap;
 
@@ -11,23 +12,23 @@ use crate::chance::{Random, normal, stream, unit};
 use crate::information::{Information, Normal, concentric_entropy, entropy, information};
 use crate::prior::{OF_BODY, Point, UNKNOWNS, discrepancy_mm};
 
-/// What the model says of all displacements at a point, mm; none where it says nothing.
+/// The model: all displacements at a point, mm; none where the model gives no answer.
 pub type Response<'a> = dyn Fn(&Point) -> Option<Vec<f64>> + Sync + 'a;
 
-/// A trial that could be made: the mean of some repeats under one condition.
+/// A possible trial: the mean of some repeats under one condition.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trial {
-    /// Its condition. Trials of one condition share what the model gets wrong there.
+    /// Its condition. Trials of one condition share the model's error there.
     pub condition: usize,
-    /// Which of the response's displacements it measures.
+    /// Index of the measured displacement in the response.
     pub place: usize,
-    /// How far the model's discrepancy reaches into it: [`crate::observation::Kind::discrepancies`].
+    /// Number of the model's discrepancies that it contains: [`crate::observation::Kind::discrepancies`].
     pub discrepancies: f64,
     /// Standard deviation of the measurement error of its mean, mm.
     pub error_mm: f64,
 }
 
-/// All results of a condition taken together.
+/// Combined results of one condition.
 #[derive(Clone, Copy, Debug)]
 struct Outcome {
     place: usize,
@@ -38,7 +39,7 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// With one more.
+    /// Adds one more result.
     fn with(before: Option<Self>, trial: &Trial, found_mm: f64) -> Self {
         let precision = 1.0 / (trial.error_mm * trial.error_mm);
         let (known, mean_mm) = before.map_or((0.0, 0.0), |one| (one.precision, one.mean_mm));
@@ -50,7 +51,7 @@ impl Outcome {
         }
     }
 
-    /// As [`crate::target`] has it, but for a constant.
+    /// The same likelihood as in [`crate::target`], up to a constant.
     fn log_likelihood(&self, draw: &Draw) -> f64 {
         let reach_mm = self.discrepancies * draw.tau_mm;
         let variance = 1.0 / self.precision + reach_mm * reach_mm;
@@ -59,15 +60,15 @@ impl Outcome {
     }
 }
 
-/// A draw, and what follows from it.
+/// A draw and values derived from it.
 #[derive(Clone, Debug)]
 struct Draw {
     point: Point,
     tau_mm: f64,
     found_mm: Vec<f64>,
-    /// Belief and all results that stay, at this point.
+    /// Log density of the belief and of all results that stay, at this point.
     settled: f64,
-    /// The condition that is being brought in: before, and after.
+    /// Log likelihood of the condition that is changing: before and after the new result.
     moving: [f64; 2],
 }
 
@@ -94,36 +95,37 @@ impl Draw {
 
 /// Sweeps of moves after each stage.
 const SWEEPS: usize = 8;
-/// Share of the draws that have to survive a stage.
+/// Share of the draws that has to survive a stage.
 const SURVIVING: f64 = 0.5;
-/// Least part of the likelihood that a stage brings in: ends what cannot end otherwise.
+/// Smallest part of the likelihood that a stage brings in: guarantees an end.
 const LEAST_STAGE: f64 = 1e-4;
-/// Scales of a move, as shares of the step that is best for a normal.
+/// Scales of a move, relative to the optimal step for a normal posterior.
 const SCALES: [f64; 3] = [1.0, 0.4, 0.1];
-/// The entropy that is left once the body is known is worked out for one in so many draws.
+/// Compute the entropy that remains once the body is known for one draw in this many.
 const THINNED: usize = 8;
-/// Steps of tau's coordinate to each side of its prior's median, and their width. A posterior of tau is never as narrow as a step.
+/// Grid of tau's coordinate: steps to each side of its prior's median, and their width. A posterior of tau is never
+/// narrower than a step.
 const TAU_PLACES: usize = 18;
 const TAU_STEP: f64 = 0.3;
-/// Values of tau that are less likely than the likeliest by this much in the logarithm are left out.
+/// Ignore values of tau whose log density is this much below the greatest.
 const TAU_LEAST: f64 = 9.0;
-/// Tries for a draw that the model covers.
+/// Attempts to find a draw that the model covers.
 const TRIES: usize = 1_000;
 
-/// One course.
+/// One history: true body, results and draws.
 pub struct History<'a> {
     belief: &'a Belief,
     response: &'a Response<'a>,
     random: Random,
     truth: Draw,
-    /// What the model gets wrong in each condition, as a multiple of its deviation there.
+    /// The model's error in each condition, in multiples of its standard deviation there.
     wrong: BTreeMap<usize, f64>,
     results: BTreeMap<usize, Outcome>,
     draws: Vec<Draw>,
 }
 
 impl<'a> History<'a> {
-    /// Before any trial. None if belief and model hardly overlap.
+    /// A history before any trial. None if belief and model hardly overlap.
     pub fn new(
         belief: &'a Belief,
         response: &'a Response<'a>,
@@ -146,15 +148,15 @@ impl<'a> History<'a> {
         })
     }
 
-    /// How much each of some trials tells of the body after what was measured. The discrepancy is an unknown that nobody asks for: what a
-    /// trial would tell of it does not count.
+    /// Information of each trial about the body, given the results so far. Information about the discrepancy does not
+    /// count: it is a nuisance parameter.
     #[must_use]
     pub fn information(&self, trials: &[Trial]) -> Vec<Information> {
         let asked: Vec<&Draw> = self.draws.iter().step_by(THINNED).collect();
         let taus: Vec<Vec<(f64, f64)>> = asked.iter().map(|draw| self.taus(draw)).collect();
-        // Where nothing was measured the entropy does not depend on the displacement, and many trials share it.
+        // Without earlier results the entropy does not depend on the displacement, so many trials share it.
         let mut fresh: Vec<((f64, f64), f64)> = vec![];
-        // Two walls of which nothing was measured tell the same.
+        // Without earlier results the state of the wall makes no difference.
         let mut told: Vec<((usize, f64, f64), Information)> = vec![];
         let mut one = |trial: &Trial| {
             let known = self.results.get(&trial.condition);
@@ -194,7 +196,7 @@ impl<'a> History<'a> {
         trials.iter().map(&mut one).collect()
     }
 
-    /// What the discrepancy may be if the body is that of a draw: weights, and values in mm.
+    /// Posterior of the discrepancy if the body is that of a draw: weights, and values in mm.
     fn taus(&self, draw: &Draw) -> Vec<(f64, f64)> {
         let mut draw = draw.clone();
         let mut all = vec![];
@@ -213,7 +215,7 @@ impl<'a> History<'a> {
             .collect()
     }
 
-    /// Makes a trial, and moves the draws to what is believed then.
+    /// Makes a trial and moves the draws to the new posterior.
     pub fn measure(&mut self, trial: &Trial) {
         let random = &mut self.random;
         let wrong = *(self.wrong.entry(trial.condition)).or_insert_with(|| normal(random));
@@ -226,7 +228,7 @@ impl<'a> History<'a> {
         self.results.insert(trial.condition, after);
     }
 
-    /// The draw with its density: `self.results` stay, the condition of `before` and `after` moves.
+    /// Updates the draw's densities: `self.results` stay, and the condition changes from `before` to `after`.
     fn weigh(&self, draw: &mut Draw, before: Option<Outcome>, after: Outcome) {
         draw.settled = self.belief.log_density(&draw.point);
         for result in self.results.values() {
@@ -259,7 +261,7 @@ impl<'a> History<'a> {
         self.draws = draws;
     }
 
-    /// Proposes to move each draw once, along the difference of two others.
+    /// Proposes one move of each draw, along the difference of two others.
     fn sweep(&mut self, draws: &mut [Draw], before: Option<Outcome>, after: Outcome, part: f64) {
         let stand: Vec<Point> = draws.iter().map(|draw| draw.point).collect();
         let best = 2.38 / libm::sqrt(2.0 * UNKNOWNS as f64);
@@ -292,12 +294,12 @@ impl<'a> History<'a> {
     }
 }
 
-/// What a trial gives with a body that goes so far, after the results of its condition.
+/// Predicted result of a trial with a body of displacement `model_mm`, after the results of its condition.
 fn predicted(trial: &Trial, known: Option<&Outcome>, model_mm: f64, tau_mm: f64) -> Normal {
     let reach_mm = trial.discrepancies * tau_mm;
     let wrong = reach_mm * reach_mm;
     let (precision, mean_mm) = known.map_or((0.0, model_mm), |one| (one.precision, one.mean_mm));
-    // How much of what was off in this condition is the discrepancy.
+    // Share of this condition's error so far that is due to the discrepancy.
     let share = wrong * precision / (1.0 + wrong * precision);
     Normal {
         weight: 1.0,
@@ -329,7 +331,7 @@ fn stage(draws: &[Draw], left: f64) -> f64 {
     low.max(LEAST_STAGE).min(left)
 }
 
-/// Weights of draws when so much more of the likelihood comes in; the greatest is 1.
+/// Weights of the draws if `part` more of the likelihood comes in; the greatest is 1.
 fn weights(draws: &[Draw], part: f64) -> Vec<f64> {
     let greatest = draws
         .iter()
@@ -339,7 +341,7 @@ fn weights(draws: &[Draw], part: f64) -> Vec<f64> {
     draws.iter().map(weight).collect()
 }
 
-/// As many draws, each as often as its weight asks: systematic resampling.
+/// The same number of draws, each repeated in proportion to its weight: systematic resampling.
 fn resampled(draws: &[Draw], part: f64, offset: f64) -> Vec<Draw> {
     let weights = weights(draws, part);
     let each = weights.iter().sum::<f64>() / draws.len() as f64;

@@ -1,11 +1,13 @@
-//! How much one number that is still to be measured tells, in nats, of what some equally likely draws are draws of.
+//! Information, in nats, of one future measurement about which of several equally likely draws is true.
 //!
-//! Each draw predicts the number as a normal. The information is the entropy of their mixture less the mean entropy that is left
-//! once the draw is known. The number is one-dimensional, so an entropy is an integral over a grid and not a second random sample:
-//! of the two nested samples of a nested Monte Carlo estimate only the draws remain.
+//! Each draw predicts the measurement as a normal. The information is the entropy of their mixture minus the mean
+//! entropy that remains once the draw is known. The measurement is one-dimensional, so each entropy is an integral
+//! over a grid and needs no second random sample: of the two nested samples of a nested Monte Carlo estimate only the
+//! draws remain.
 //!
-//! A finite sample of draws has too little entropy, by an amount in proportion to the inverse of their number. Two halves
-//! have twice as much of it, which is taken off (Richardson); [`Information::correction`] says how much that was.
+//! A finite sample of draws has too little entropy, by an amount inversely proportional to its size. For half of the
+//! draws the error is twice as large, so the halves serve to remove it (Richardson); [`Information::correction`] is
+//! the amount removed.
 
 /// A normal with a weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,17 +25,17 @@ pub struct Normal {
 pub struct Information {
     /// The information, nats, corrected.
     pub nats: f64,
-    /// How much the correction was, nats. Not small beside `nats`: there are too few draws.
+    /// Size of the correction, nats. There are too few draws if it is not small against `nats`.
     pub correction: f64,
 }
 
-/// Points of the grid for each standard deviation of the narrowest normal: the error of the sum is below 1e-13 then.
+/// Grid points per standard deviation of the narrowest normal: the error of the sum is then below 1e-13.
 const POINTS: f64 = 2.0;
-/// How far a normal reaches, in standard deviations.
+/// Half-width of a normal on the grid, in standard deviations.
 const REACH: f64 = 6.5;
 
-/// The information in a number of which draws predict this, one normal each, if knowing the draw leaves an entropy of
-/// `left`. The halves are the first and the second one: draws that came from the same place have to stand together.
+/// Information of a measurement that draws predict as `predictions`, one normal each. `left` is the entropy that
+/// remains once the draw is known. Compares the first half with the second: keep draws of the same origin together.
 #[must_use]
 pub fn information(predictions: &[Normal], left: f64) -> Information {
     let (first, second) = predictions.split_at(predictions.len() / 2);
@@ -78,8 +80,8 @@ pub fn entropy(mixture: &[Normal]) -> f64 {
     density.into_iter().map(plain).sum::<f64>() * step
 }
 
-/// Entropy of a mixture of normals of one mean, nats, whatever their means are said to be. The grid widens with the distance from
-/// the middle, so that widths of different orders cost nothing.
+/// Entropy of a mixture of normals with the same mean, nats; ignores their `mean_mm`. The grid widens with the
+/// distance from the middle, so that very different widths cost nothing.
 #[must_use]
 pub fn concentric_entropy(mixture: &[Normal]) -> f64 {
     const STEP: f64 = 0.1;
@@ -103,7 +105,7 @@ pub fn concentric_entropy(mixture: &[Normal]) -> f64 {
     (0..=places).map(plain).sum()
 }
 
-/// Adds a normal to a grid. From its middle outwards each value follows from the one before, without an exponential.
+/// Adds a normal to a grid. Computes each value outward from the previous one, without an exponential.
 fn add(grid: &mut [f64], one: &Normal, low: f64, step: f64) {
     let deviation = libm::sqrt(one.variance_mm2);
     let centre = (((one.mean_mm - low) / step) as usize).min(grid.len() - 1);
@@ -173,7 +175,7 @@ mod tests {
         assert!((concentric_entropy(&mixture[..1]) - own()).abs() < 1e-9);
     }
 
-    /// Against a sum over 400,000 places, worked out apart from the grid.
+    /// Against a sum over 400,000 points, computed without the grid.
     #[test]
     fn weights_and_widths_count() {
         let both = [(0.75, 0.0, 1.0), (0.25, 0.5, 25.0)];

@@ -1,24 +1,24 @@
-//! Bayesian calibration of the locomotion model's body from displacements that were measured on the rig. No files, no
-//! clock; all chance comes from a seed.
+//! Bayesian calibration of the locomotion model's body from displacements measured on the rig. No files, no clock;
+//! all random numbers come from a seed.
 //!
-//! * [`observation`]: what was measured, and its repeats.
-//! * [`prior`]: what is unknown, and what is assumed of it.
-//! * [`prediction`]: what the model says.
-//! * [`table`]: the same, worked out beforehand.
+//! * [`observation`]: measurements and their repeats.
+//! * [`prior`]: the unknowns and their priors.
+//! * [`prediction`]: displacements by the model.
+//! * [`table`]: the model tabulated.
 //! * [`target`]: prior times likelihood.
-//! * [`sampler`]: draws from it.
-//! * [`diagnostics`]: whether the draws can be relied on.
-//! * [`fit`]: all that together.
-//! * [`predictive`]: what the posterior says of trials, beside what they gave.
+//! * [`sampler`]: draws from the posterior.
+//! * [`diagnostics`]: whether the draws are reliable.
+//! * [`fit`]: the whole calibration.
+//! * [`predictive`]: predictions of the posterior beside the measurements.
 //! * [`synthetic`]: trials of a known body.
-//! * [`belief`]: what is held of the unknowns before a trial.
-//! * [`information`]: how much one number tells.
-//! * [`tabulated`]: the model worked out beforehand for a belief.
-//! * [`history`]: one course that a series of trials may take.
+//! * [`belief`]: knowledge of the unknowns before a trial.
+//! * [`information`]: information of one measurement.
+//! * [`tabulated`]: the model tabulated for a belief.
+//! * [`history`]: one possible course of a series of trials.
 //! * [`design`]: which trials tell most.
-//! * [`chance`]: streams of a seed.
+//! * [`chance`]: random streams of a seed.
 //!
-//! `docs/science.md` says what is assumed and what the tests have shown.
+//! `docs/science.md` states the assumptions and the results of the tests.
 #![forbid(unsafe_code)]
 
 pub mod belief;

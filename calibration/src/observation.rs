@@ -1,4 +1,4 @@
-//! What was measured: one displacement under stated conditions, and the repeats of a condition taken together.
+//! Measurements: displacements under stated conditions, and the combined repeats of a condition.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -21,15 +21,15 @@ impl fmt::Display for Lubrication {
     }
 }
 
-/// Which displacement it is.
+/// Kinds of displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
-    /// Of a whole run of so many back-and-forth cycles.
+    /// Of a whole run of several back-and-forth cycles.
     Net {
         /// Its cycles.
         cycles: u16,
     },
-    /// Of one stroke of a run: 1 is the first antegrade one, 2 the first way back.
+    /// Of one stroke of a run: 1 is the first antegrade stroke, 2 the first way back.
     Stroke {
         /// Its number in the run, from 1.
         number: u16,
@@ -41,10 +41,10 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// How far the model's discrepancy of one pass reaches into this displacement.
+    /// Standard deviation of the model's error in this displacement, in multiples of that of one pass.
     ///
-    /// What the model gets wrong in a pass it gets wrong in each pass of that direction: the errors of n cycles add up,
-    /// those of the two directions are independent.
+    /// The model makes the same error in each pass of one direction, so the errors of n cycles add up. The errors of
+    /// the two directions are independent.
     #[must_use]
     pub fn discrepancies(self) -> f64 {
         match self {
@@ -66,11 +66,11 @@ impl fmt::Display for Kind {
     }
 }
 
-/// What the model's prediction depends on: kind and indentation. Lubrication is not among it: it reaches the model
-/// through the friction ratio only, which is one unknown for both.
+/// The inputs of a prediction: kind and indentation. Lubrication is not among them: it enters the model only through
+/// the friction ratio, which is one unknown for both states.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
-    /// Which displacement.
+    /// Kind of displacement.
     pub kind: Kind,
     /// Indentation of the rollers, mm.
     pub indentation_mm: f64,
@@ -79,7 +79,7 @@ pub struct Case {
 /// One measured displacement of the unfolded body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// Which displacement.
+    /// Kind of displacement.
     pub kind: Kind,
     /// State of the wall.
     pub lubrication: Lubrication,
@@ -87,14 +87,14 @@ pub struct Observation {
     pub indentation_mm: f64,
     /// The displacement of the tail, mm, + headward.
     pub displacement_mm: f64,
-    /// Standard deviation of its measurement error, mm: reading and repetition.
+    /// Standard deviation of its measurement error, mm: from reading and repetition.
     pub uncertainty_mm: f64,
 }
 
 /// The repeats of one condition.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Condition {
-    /// What the prediction depends on.
+    /// Inputs of the prediction.
     pub case: Case,
     /// State of the wall.
     pub lubrication: Lubrication,
@@ -104,8 +104,8 @@ pub struct Condition {
     pub mean_mm: f64,
     /// Standard deviation of the measurement error of that mean, mm.
     pub uncertainty_mm: f64,
-    /// Sum of the squares of the repeats about their mean, each over the square of its uncertainty: chi-square
-    /// with `repeats - 1` degrees of freedom if the stated uncertainties are true.
+    /// Sum of the squared deviations of the repeats from their mean, each over the square of its uncertainty. If the
+    /// stated uncertainties are true, this is chi-square with `repeats - 1` degrees of freedom.
     pub scatter: f64,
 }
 
@@ -115,7 +115,7 @@ pub enum Unusable {
     /// There are none.
     #[error("there is nothing to fit: no displacement of the unfolded body counts")]
     Nothing,
-    /// A number that is none.
+    /// A number that is invalid.
     #[error("observation {number}: {quantity} = {value} mm is not usable: {why}")]
     Number {
         /// Its place, from 1.
@@ -124,10 +124,10 @@ pub enum Unusable {
         quantity: &'static str,
         /// The number.
         value: f64,
-        /// What it has to be.
+        /// What is required of it.
         why: &'static str,
     },
-    /// A count that is none.
+    /// An invalid count.
     #[error("observation {number}: {what}")]
     Count {
         /// Its place, from 1.
@@ -137,10 +137,10 @@ pub enum Unusable {
     },
 }
 
-/// Most cycles or strokes of a run that are followed.
+/// Most cycles or strokes of a run that the model simulates.
 pub const MOST_CYCLES: u16 = 1_000;
 
-/// Refuses an observation that no likelihood can be worked out for.
+/// Refuses an observation that has no likelihood.
 fn check(number: usize, observation: &Observation) -> Result<(), Unusable> {
     let refuse = |quantity, value, why| Unusable::Number {
         number,
@@ -182,7 +182,7 @@ fn check(number: usize, observation: &Observation) -> Result<(), Unusable> {
 /// # Errors
 /// The first observation that cannot be used; none at all.
 pub fn conditions(observations: &[Observation]) -> Result<Vec<Condition>, Unusable> {
-    // Positive floats sort like their bits.
+    // Sort by the bits of the floats: positive ones have the same order.
     let mut groups: BTreeMap<(Kind, Lubrication, u64), Vec<Observation>> = BTreeMap::new();
     for (number, observation) in (1..).zip(observations) {
         check(number, observation)?;

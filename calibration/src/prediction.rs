@@ -1,4 +1,4 @@
-//! What the model of `locomotion` says of each case: one run per indentation gives all its nets and strokes.
+//! Predictions of the `locomotion` model: one run per indentation gives all its nets and strokes.
 
 use locomotion::model::Model;
 use locomotion::range::OutOfRange;
@@ -17,7 +17,7 @@ pub struct Predictor {
     passes: Vec<Passes>,
 }
 
-/// A run at one indentation, and what of it is asked for.
+/// A run at one indentation, and the displacements that it has to give.
 #[derive(Clone, Debug)]
 struct Run {
     indentation_mm: f64,
@@ -25,7 +25,7 @@ struct Run {
     asked: Vec<(usize, Kind)>,
 }
 
-/// Isolated passes at one indentation, and where their displacements go.
+/// Isolated passes at one indentation, and the indices of the cases that they give.
 #[derive(Clone, Debug)]
 struct Passes {
     indentation_mm: f64,
@@ -33,7 +33,7 @@ struct Passes {
     returning: Vec<usize>,
 }
 
-/// How many strokes it takes until a kind is known; none: it is an isolated pass.
+/// Strokes to simulate for this kind; none for an isolated pass.
 fn strokes(kind: Kind) -> Option<usize> {
     match kind {
         Kind::Net { cycles } => Some(2 * usize::from(cycles)),
@@ -43,8 +43,7 @@ fn strokes(kind: Kind) -> Option<usize> {
 }
 
 impl Predictor {
-    /// Of these cases, with rig, rollers and design of a model, and so many millimetres of the rollers between two
-    /// evaluations.
+    /// Prepares the runs for these cases, with rig, rollers and design of a model, and a roller step of `step_mm`.
     ///
     /// # Errors
     /// A case that the model does not cover.

@@ -1,4 +1,4 @@
-//! What the posterior says of trials, beside what they gave.
+//! Predictions of the posterior beside the measured results.
 
 use locomotion::model::Model;
 use locomotion::range::OutOfRange;
@@ -13,19 +13,19 @@ use crate::prior::{Parts, Point, discrepancy_mm, parts};
 use crate::table::distinct;
 use crate::target::deviation_mm;
 
-/// Where a distribution lies.
+/// Quantiles of a distribution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Span {
     /// 5 % lie below.
     pub low: f64,
-    /// Half of them do.
+    /// Median.
     pub median: f64,
-    /// 95 % do.
+    /// 95 % lie below.
     pub high: f64,
 }
 
 impl Span {
-    /// Of values, which it sorts.
+    /// Of these values.
     #[must_use]
     pub fn of(mut values: Vec<f64>) -> Self {
         values.sort_by(f64::total_cmp);
@@ -37,32 +37,32 @@ impl Span {
     }
 }
 
-/// A condition beside what the posterior says of its mean.
+/// A condition beside the posterior's prediction of its mean.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Check {
     /// The condition.
     pub condition: Condition,
-    /// Means that the same trials would give again: with discrepancy and measurement error.
+    /// Means that a repetition of the same trials would give: with discrepancy and measurement error.
     pub replicated_mm: Span,
-    /// Share of the replicated means that lie as far from the middle as the measured one, to either side. Small: the
-    /// model does not explain this condition.
+    /// Probability that a replicated mean lies at least as far from the middle as the measured one, to either side.
+    /// If it is small, the model does not explain this condition.
     pub p_mean: f64,
-    /// Probability that repeats scatter as much or more if the stated uncertainty is true; none of a single trial. Small:
-    /// the uncertainty was stated too small.
+    /// Probability of at least this much scatter between repeats if the stated uncertainty is true; none for a single
+    /// trial. If it is small, the stated uncertainty is too small.
     pub p_scatter: Option<f64>,
 }
 
-/// How often a fit of a true model with truly stated uncertainties has a suspicious check, by chance.
+/// Probability of a suspicious check by chance, in a fit of a true model with true uncertainties.
 const BY_CHANCE: f64 = 0.05;
 
-/// Below this the check of one of so many conditions is worth a sentence (Bonferroni): among many conditions some are rare by
-/// chance.
+/// Probability below which a check is reported, for this number of conditions (Bonferroni): among many conditions
+/// some are rare by chance.
 #[must_use]
 pub fn suspicious(conditions: usize) -> f64 {
     BY_CHANCE / conditions.max(1) as f64
 }
 
-/// Replicated means of each body: rare ones have to be seen among as many conditions as a campaign has.
+/// Replicated means per body: enough to resolve rare ones among the many conditions of a campaign.
 const REPLICATES: usize = 50;
 
 /// Displacements of cases, mm, body by body.
@@ -78,7 +78,7 @@ fn found(
     bodies.par_iter().map(one).collect()
 }
 
-/// Every condition beside what the posterior says of it, by the model itself.
+/// Compares every condition with the posterior's prediction, using the model itself.
 ///
 /// # Errors
 /// A condition that the model does not cover.
@@ -119,7 +119,7 @@ fn scatter(condition: &Condition) -> Option<f64> {
     Some(chi_square.sf(condition.scatter))
 }
 
-/// What bodies do in cases.
+/// Displacements of many bodies in one case.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Band {
     /// The case.
@@ -130,7 +130,7 @@ pub struct Band {
     pub with_discrepancy_mm: Span,
 }
 
-/// What bodies do in cases.
+/// The band of each case over these bodies.
 ///
 /// # Errors
 /// A case or a body that the model does not cover.

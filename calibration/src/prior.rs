@@ -1,8 +1,8 @@
-//! What is unknown, and what is assumed of it before any trial is read.
+//! The unknowns and their priors.
 //!
-//! The sampler works on standard normal coordinates: each unknown is the quantile of its prior at the probability of its
-//! coordinate. So the prior is the same round shape in every direction, no range has an edge that a walker could run
-//! into, and a draw from the prior is a draw of normal numbers.
+//! The sampler works on standard normal coordinates: each unknown is the quantile of its prior at the probability of
+//! its coordinate. So the prior is equally round in every direction, no range has an edge for a walker to run into,
+//! and a draw from the prior is a draw of normal numbers.
 
 use locomotion::model::{Model, Setting, Value};
 use locomotion::prior::PRIORS;
@@ -13,7 +13,7 @@ use crate::chance;
 
 /// Number of unknowns.
 pub const UNKNOWNS: usize = 4;
-/// Number of them that are parameters of the body.
+/// Number of unknowns that are parameters of the body.
 pub const OF_BODY: usize = 3;
 
 /// Standard normal coordinates of one set of unknowns.
@@ -22,12 +22,12 @@ pub type Point = [f64; UNKNOWNS];
 /// A body as probabilities of its priors, from 0 to 1 each.
 pub type Parts = [f64; OF_BODY];
 
-/// Probability of a standard normal below z.
+/// Probability that a standard normal is below z.
 fn probability(z: f64) -> f64 {
     0.5 * libm::erfc(-z / core::f64::consts::SQRT_2)
 }
 
-/// The coordinate of a standard normal below which so much of it lies.
+/// Quantile of the standard normal.
 fn normal(part: f64) -> f64 {
     core::f64::consts::SQRT_2 * erf_inv(2.0 * part - 1.0)
 }
@@ -35,13 +35,13 @@ fn normal(part: f64) -> f64 {
 /// The shape of a prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
-    /// Even from the first to the second value.
+    /// Uniform from the first to the second value.
     Even(f64, f64),
-    /// Even in the logarithm from the first to the second value.
+    /// Uniform in the logarithm from the first to the second value.
     EvenInLogarithm(f64, f64),
-    /// Its logarithm is normal.
+    /// Normal in the logarithm.
     LogNormal {
-        /// Half of the probability lies below.
+        /// Median.
         median: f64,
         /// Standard deviation of the natural logarithm.
         spread: f64,
@@ -49,12 +49,12 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// The value below which so much of the probability lies, `0..=1`.
+    /// Quantile of the prior at a probability, `0..=1`.
     #[must_use]
     pub fn quantile(self, part: f64) -> f64 {
         match self {
             Self::Even(low, high) => low + part * (high - low),
-            // Rounding must not lead beyond the ends: the model refuses what lies there.
+            // Clamp: rounding could lead beyond the ends, where the model refuses values.
             Self::EvenInLogarithm(low, high) => {
                 (low * libm::exp(part * libm::log(high / low))).clamp(low, high)
             }
@@ -62,7 +62,7 @@ impl Shape {
         }
     }
 
-    /// The value at the coordinate of a standard normal.
+    /// Value at a standard normal coordinate.
     #[must_use]
     pub fn value(self, z: f64) -> f64 {
         match self {
@@ -71,7 +71,7 @@ impl Shape {
         }
     }
 
-    /// The coordinate of a value; infinite at the ends of an even prior and beyond them.
+    /// Standard normal coordinate of a value; infinite at the ends of a uniform prior and beyond them.
     #[must_use]
     pub fn coordinate(self, value: f64) -> f64 {
         match self {
@@ -91,16 +91,16 @@ pub struct Unknown {
     pub key: &'static str,
     /// Its unit; empty for a pure number.
     pub unit: &'static str,
-    /// What is assumed of it.
+    /// Its prior.
     pub shape: Shape,
-    /// Why.
+    /// Reason for the prior.
     pub because: &'static str,
 }
 
 /// The key of the model's discrepancy.
 pub const DISCREPANCY: &str = "fit.discrepancy_mm";
 
-/// The model's discrepancy tau: standard deviation of what the model gets wrong in one pass of the rollers.
+/// The model's discrepancy tau: standard deviation of the model's error in one pass of the rollers.
 const TAU: Unknown = Unknown {
     key: DISCREPANCY,
     unit: "mm",
@@ -111,8 +111,9 @@ const TAU: Unknown = Unknown {
     because: "a hundredth of an antegrade pass at 5.05 mm; 0.02 to 0.5 mm are not surprising",
 };
 
-/// All unknowns: those of the body that trials on the rig can speak about, with the priors of [`locomotion::prior`],
-/// and the model's discrepancy. The tube's wall is not among them: no trial on the rig has one.
+/// All unknowns: the parameters of the body that trials on the rig can determine, with the priors of
+/// [`locomotion::prior`], and the model's discrepancy. The tube's wall is missing, because no trial on the rig has
+/// one.
 #[must_use]
 pub fn unknowns() -> [Unknown; UNKNOWNS] {
     let mut all = [TAU; UNKNOWNS];
@@ -137,7 +138,7 @@ pub fn unknowns() -> [Unknown; UNKNOWNS] {
 pub struct Values(pub [f64; UNKNOWNS]);
 
 impl Values {
-    /// At a point.
+    /// Values at a point.
     #[must_use]
     pub fn at(point: &Point) -> Self {
         let mut values = *point;
@@ -147,7 +148,7 @@ impl Values {
         Self(values)
     }
 
-    /// Their point.
+    /// The point of these values.
     #[must_use]
     pub fn point(&self) -> Point {
         let mut point = self.0;
@@ -181,13 +182,13 @@ pub fn parts(point: &Point) -> Parts {
     core::array::from_fn(|axis| probability(point[axis]))
 }
 
-/// A model with a body in place of its own.
+/// Replaces the body of a model.
 #[must_use]
 pub fn with_body(model: &Model, body: &Parts) -> Model {
     let mut changed = *model;
     for (unknown, part) in unknowns().iter().zip(body) {
         if let Some(setting) = Setting::named(unknown.key) {
-            // All of them take numbers; the test `every_unknown_is_a_parameter_or_the_discrepancy` holds that.
+            // Cannot fail: all take numbers, as the test `every_unknown_is_a_parameter_or_the_discrepancy` checks.
             let _ = changed.set(setting, Value::Number(unknown.shape.quantile(*part)));
         }
     }
@@ -199,7 +200,7 @@ pub fn draw(random: &mut impl Rng) -> Point {
     core::array::from_fn(|_| chance::normal(random))
 }
 
-/// Logarithm of the prior's density at a point, but for a constant.
+/// Logarithm of the prior's density at a point, up to a constant.
 #[must_use]
 pub fn log_density(point: &Point) -> f64 {
     -0.5 * point.iter().map(|z| z * z).sum::<f64>()

@@ -1,11 +1,11 @@
 //! Draws from the posterior: independent ensembles of walkers under affine-invariant moves.
 //!
 //! The model has kinks where contacts switch, so there are no gradients to follow. The moves are Goodman and Weare's
-//! stretch and differential evolution (ter Braak), as `hammer-and-sample` makes them: they need no tuning, because the
-//! other walkers show scale and direction. Each ensemble begins by itself: points drawn from the prior, weighted by the
-//! likelihood to a small power, then the power is raised to 1 in stages. So a narrow posterior is found from
-//! everywhere, and ensembles that end in different places show in R-hat. With a finer table of the same model an ensemble
-//! begins from its own draws with the coarser one.
+//! stretch and differential evolution (ter Braak), from `hammer-and-sample`. They need no tuning, because the other
+//! walkers show scale and direction. Each ensemble starts on its own: it draws points from the prior, weights them by
+//! the likelihood to a small power, and raises the power to 1 in stages. This finds a narrow posterior from
+//! everywhere, and R-hat reveals ensembles that end in different places. With a finer table of the same model, an
+//! ensemble starts from its own draws with the coarser one.
 
 use hammer_and_sample::{DifferentialEvolution, MinChainLen, Mixture, Serial, Stretch, sample};
 use rayon::prelude::*;
@@ -15,29 +15,29 @@ use crate::diagnostics::{GREATEST_R_HAT, LEAST_ESS, bulk_ess, r_hat};
 use crate::prior::{Point, UNKNOWNS, draw, unknowns};
 use crate::target::{Target, Tempered};
 
-/// How much is sampled.
+/// Amount of sampling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Effort {
     /// Independent ensembles.
     pub ensembles: usize,
     /// Walkers of each; even, and at least twice the unknowns.
     pub walkers: usize,
-    /// Points of the prior that an ensemble begins from.
+    /// Points of the prior from which an ensemble starts.
     pub starts: usize,
-    /// Stages in which the likelihood comes in.
+    /// Stages in which the likelihood enters.
     pub stages: usize,
     /// Steps of each walker in a stage.
     pub stage_steps: usize,
-    /// Steps of each walker at full likelihood that are thrown away.
+    /// Steps of each walker at full likelihood that are discarded.
     pub warm_up: usize,
-    /// Steps of each walker that are kept, at first.
+    /// Steps of each walker that are kept, before any doubling.
     pub steps: usize,
-    /// Kept steps are doubled until the chains have mixed, this many times at most.
+    /// The kept steps are doubled until the chains have mixed, at most this many times.
     pub doublings: usize,
 }
 
 impl Effort {
-    /// For an answer.
+    /// For a final answer.
     pub const FULL: Self = Self {
         ensembles: 4,
         walkers: 24,
@@ -49,7 +49,7 @@ impl Effort {
         doublings: 5,
     };
 
-    /// For finding where the posterior lies.
+    /// For locating the posterior.
     #[must_use]
     pub const fn quick(self) -> Self {
         Self {
@@ -59,7 +59,7 @@ impl Effort {
         }
     }
 
-    /// What it is, for a record.
+    /// Description for a record.
     #[must_use]
     pub fn text(&self) -> String {
         format!(
@@ -70,14 +70,14 @@ impl Effort {
     }
 }
 
-/// The kept draws: of each ensemble, step by step, a point of each walker.
+/// The kept draws: for each ensemble, step by step, one point of each walker.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Draws {
     /// Walkers of an ensemble.
     pub walkers: usize,
     /// Points of each ensemble.
     pub ensembles: Vec<Vec<Point>>,
-    /// Share of the proposals that were accepted.
+    /// Share of accepted proposals.
     pub accepted: f64,
 }
 
@@ -91,7 +91,7 @@ pub struct Mixing {
 }
 
 impl Mixing {
-    /// Whether quantiles can be relied on. A NaN cannot.
+    /// Whether quantiles are reliable. NaN means no.
     #[must_use]
     pub fn is_enough(&self) -> bool {
         self.r_hat <= GREATEST_R_HAT && self.ess >= LEAST_ESS
@@ -118,7 +118,7 @@ impl Draws {
         })
     }
 
-    /// So many draws or fewer, evenly spread over ensembles and time.
+    /// At most `count` draws, evenly spread over ensembles and time.
     #[must_use]
     pub fn thinned(&self, count: usize) -> Vec<Point> {
         let all: Vec<&Point> = self.ensembles.iter().flatten().collect();
@@ -139,12 +139,12 @@ impl Draws {
     }
 }
 
-/// Streams of a seed: each ensemble has its own, each round of it, each walker in it.
+/// Number of a random stream: each ensemble, each round of it and each walker in it has its own.
 fn number(ensemble: usize, round: usize, walker: usize) -> u64 {
     (ensemble as u64) << 40 | (round as u64) << 20 | walker as u64
 }
 
-/// Round of the points that an ensemble begins from; stages and kept rounds come after it.
+/// Round of an ensemble's starting points; stages and kept rounds follow.
 const START: usize = 0;
 
 fn advance(
@@ -155,7 +155,8 @@ fn advance(
     from: &[Point],
     steps: usize,
 ) -> (Vec<Point>, usize) {
-    // Best for a round posterior of so many unknowns; now and then a whole difference, which leads from mode to mode.
+    // Optimal for a round posterior of this many unknowns. Use the whole difference now and then: it leads from mode
+    // to mode.
     let best = 2.38 / libm::sqrt(2.0 * UNKNOWNS as f64);
     let moves = Mixture::from((
         (Stretch::default(), 3u32),
@@ -180,12 +181,12 @@ fn advance(
     (chain, accepted)
 }
 
-/// The walkers after the last of these steps.
+/// The walkers after the last step.
 fn last(chain: &[Point], walkers: usize) -> Vec<Point> {
     chain[chain.len() - walkers..].to_vec()
 }
 
-/// Effective number of weights.
+/// Effective number of weighted points.
 fn worth(weights: &[f64]) -> f64 {
     let sum: f64 = weights.iter().sum();
     let squares: f64 = weights.iter().map(|weight| weight * weight).sum();
@@ -199,17 +200,17 @@ fn weights(logs: &[f64], power: f64) -> Vec<f64> {
         .collect()
 }
 
-/// How ensembles come to a posterior.
+/// Moves ensembles from their start to the posterior.
 struct WarmUp<'a> {
     target: &'a Target<'a>,
     effort: &'a Effort,
     seed: u64,
-    /// What they found with another table of the same model.
+    /// Their draws with another table of the same model.
     before: Option<&'a Draws>,
 }
 
 impl WarmUp<'_> {
-    /// Points that an ensemble begins from: draws of the prior, or of what the same ensemble found before.
+    /// Starting points of an ensemble: draws of the prior, or its own draws with the previous table.
     fn starts(&self, ensemble: usize) -> Vec<Point> {
         let mut random = stream(self.seed, number(ensemble, START, 0));
         let effort = self.effort;
@@ -221,8 +222,8 @@ impl WarmUp<'_> {
         }
     }
 
-    /// Walkers of one ensemble among points, and the power of the likelihood by which they were chosen: the largest at
-    /// which as many points as walkers still count.
+    /// Chooses the walkers of an ensemble among its starting points. Returns the power of the likelihood used: the
+    /// largest at which the effective number of points is at least the number of walkers.
     fn begin(&self, ensemble: usize) -> Option<(Vec<Point>, f64)> {
         let points = self.starts(ensemble);
         let mut random = stream(self.seed, number(ensemble, START, 1));
@@ -264,7 +265,7 @@ impl WarmUp<'_> {
                 place += 1;
                 reached += weights[place];
             }
-            // Walkers must not stand in one place: moves along differences would not leave it.
+            // Spread the walkers: from one common place, moves along differences could not leave it.
             let mut point = points[place];
             for (z, spread) in point.iter_mut().zip(spreads) {
                 *z += 0.01 * spread * chance::normal(&mut random);
@@ -274,7 +275,7 @@ impl WarmUp<'_> {
         Some((chosen, low))
     }
 
-    /// Brings an ensemble to the posterior.
+    /// Moves an ensemble to the posterior.
     fn walkers(&self, ensemble: usize) -> Option<Vec<Point>> {
         let Self {
             target,
@@ -296,8 +297,8 @@ impl WarmUp<'_> {
     }
 }
 
-/// Samples, from the prior or from where each ensemble was before, until the chains have mixed or the effort is spent; none
-/// if no point of the prior has a likelihood. The result does not depend on the number of threads.
+/// Samples until the chains have mixed or the effort is spent. Starts from the prior, or from each ensemble's earlier
+/// draws. None if no point of the prior has a likelihood. The result does not depend on the number of threads.
 #[must_use]
 pub fn sample_from(
     target: &Target<'_>,
@@ -332,7 +333,7 @@ pub fn sample_from(
             draws.ensembles[ensemble].extend(chain);
             accepted += count;
         }
-        // Each round is as long as all before it.
+        // Each round is as long as all rounds before it.
         if doubling > 0 {
             steps *= 2;
         }

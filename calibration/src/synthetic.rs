@@ -1,4 +1,4 @@
-//! Trials of a body whose parameters are known: what the tests of the calibration are made of.
+//! Trials of a body with known parameters, for tests of the calibration.
 
 use locomotion::model::Model;
 use locomotion::range::OutOfRange;
@@ -10,14 +10,14 @@ use crate::observation::{Case, Kind, Lubrication, Observation};
 use crate::prediction::Predictor;
 use crate::prior::{Point, discrepancy_mm, parts};
 
-/// Trials of one condition that are to be made.
+/// Planned trials of one condition.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Planned {
-    /// What is measured.
+    /// Kind and indentation.
     pub case: Case,
     /// State of the wall.
     pub lubrication: Lubrication,
-    /// How often.
+    /// Number of repeats.
     pub repeats: usize,
     /// Standard deviation of the measurement error, mm.
     pub uncertainty_mm: f64,
@@ -39,8 +39,8 @@ impl Planned {
     }
 }
 
-/// What these trials give with this body: the model's displacement, a discrepancy of each condition, and a
-/// measurement error of each trial.
+/// Simulated results of these trials with this body: the model's displacement, plus a discrepancy per condition, plus
+/// a measurement error per trial.
 ///
 /// # Errors
 /// A case or a body that the model does not cover.
@@ -55,7 +55,7 @@ pub fn observations(
     Ok(observed(&exact, truth, planned, random))
 }
 
-/// As [`observations`], around displacements that are known.
+/// As [`observations`], from displacements that are already known.
 pub fn observed(
     exact_mm: &[f64],
     truth: &Point,

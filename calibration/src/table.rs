@@ -1,8 +1,8 @@
-//! The model worked out beforehand: its displacements at the nodes of a grid of bodies, between which they run straight.
+//! The tabulated model: displacements at the nodes of a grid of bodies, with linear interpolation between them.
 //!
-//! A run with a converged step takes milliseconds and a posterior takes some hundred thousand of them; a table is read in
-//! less than a microsecond. A node is worked out when it is first needed: a posterior is thin, and most nodes of
-//! the box around it never are. What that costs in accuracy is measured against the model itself ([`crate::fit`]).
+//! A run with a converged step takes milliseconds, and a posterior takes some hundred thousand runs; reading a table
+//! takes less than a microsecond. A node is computed when it is first needed: a posterior is thin and never needs
+//! most nodes of the box around it. [`crate::fit`] measures the loss of accuracy against the model itself.
 
 use std::sync::OnceLock;
 
@@ -31,8 +31,8 @@ impl Region {
         high: [1.0; OF_BODY],
     };
 
-    /// The box around bodies along the Cholesky factor of their covariance, so that it follows a ridge; wider by a share
-    /// of its width to each side. None without bodies.
+    /// The box around bodies along the Cholesky factor of their covariance, so that it follows a ridge, with a margin
+    /// to each side as a share of its width. None without bodies.
     #[must_use]
     pub fn around(bodies: &[Parts], margin: f64) -> Option<Self> {
         let count = bodies.len() as f64;
@@ -88,7 +88,7 @@ impl Region {
         at
     }
 
-    /// The body at shares of the widths. Beyond the end of a prior there is none: its last body stands for it.
+    /// The body at these shares of the widths. Beyond the end of a prior, the body at that end.
     fn body(&self, shares: Parts) -> Parts {
         let at: Parts = core::array::from_fn(|axis| {
             self.low[axis] + shares[axis] * (self.high[axis] - self.low[axis])
@@ -108,15 +108,15 @@ pub struct Table {
     region: Region,
     nodes: [usize; OF_BODY],
     predictor: Predictor,
-    /// None: the model does not cover the body.
+    /// Inner `None`: the model does not cover the body.
     found_mm: Vec<OnceLock<Option<Vec<f64>>>>,
 }
 
 impl Table {
-    /// Of a predictor's cases over a region, with so many nodes for each parameter.
+    /// Tabulates a predictor's cases over a region, with `nodes` nodes for each parameter. Computes nothing yet.
     ///
     /// # Panics
-    /// With fewer than two nodes for a parameter: a table runs from one to the other.
+    /// With fewer than two nodes for a parameter: interpolation needs two.
     #[must_use]
     pub fn new(predictor: Predictor, region: Region, nodes: [usize; OF_BODY]) -> Self {
         assert!(nodes.iter().all(|count| *count >= 2), "{nodes:?}");
@@ -142,7 +142,7 @@ impl Table {
         self.found_mm[index].get_or_init(work).as_deref()
     }
 
-    /// Displacements of all cases, mm; none outside the region, and where the model covers no body.
+    /// Displacements of all cases, mm; none outside the region, and near bodies that the model does not cover.
     #[must_use]
     pub fn displacements_mm(&self, body: &Parts) -> Option<Vec<f64>> {
         let at = self.region.coordinates(body);
@@ -177,7 +177,7 @@ impl Table {
         Some(found)
     }
 
-    /// How many nodes were worked out, and how many there are.
+    /// Number of nodes computed so far, and number of all nodes.
     #[must_use]
     pub fn worked_out(&self) -> (usize, usize) {
         let done = self.found_mm.iter().filter(|node| node.get().is_some());
@@ -185,7 +185,7 @@ impl Table {
     }
 }
 
-/// The different cases among these, and the place of each of them there.
+/// The distinct cases among these, and for each given case its index there.
 #[must_use]
 pub fn distinct(all: impl IntoIterator<Item = Case>) -> (Vec<Case>, Vec<usize>) {
     let mut cases: Vec<Case> = vec![];

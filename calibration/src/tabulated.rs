@@ -1,4 +1,4 @@
-//! The model tabulated over all bodies of a belief, and how far the table is from the model.
+//! The model tabulated over all bodies of a belief, and the table's error.
 
 use locomotion::model::Model;
 use locomotion::range::OutOfRange;
@@ -12,27 +12,27 @@ use crate::prediction::Predictor;
 use crate::prior::{OF_BODY, Parts, Point, parts};
 use crate::table::{Region, Table};
 
-/// Step of the rollers, mm. A plan has to know how displacements differ between bodies, and not each to a hundredth.
+/// Step of the rollers, mm. A plan needs the differences between bodies, not each displacement to a hundredth.
 pub const STEP_MM: f64 = 0.25;
 /// Nodes of the table.
 const NODES: [usize; OF_BODY] = [20, 18, 10];
-/// Draws of a posterior around which its table lies.
+/// Number of posterior draws that the table has to enclose.
 const AROUND: usize = 2_000;
-/// How much wider than these the table is, to each side.
+/// Margin of the table around these, to each side, as a share of its width.
 const MARGIN: f64 = 0.05;
-/// Bodies on which the table is tried.
+/// Number of bodies on which the table is checked.
 const TRIED: usize = 64;
 
-/// A table, and what it is wrong by.
+/// A table and its error.
 #[derive(Debug)]
 pub struct Tabulated {
     table: Table,
-    /// Of each case: root of the mean square over bodies of the belief, mm, against the converged model.
+    /// For each case: root of the mean squared error over bodies of the belief, mm, against the converged model.
     pub errors_mm: Vec<f64>,
 }
 
 impl Tabulated {
-    /// Of these cases over a belief.
+    /// Tabulates these cases over a belief.
     ///
     /// # Errors
     /// A case or a body that the model does not cover.

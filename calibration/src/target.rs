@@ -1,9 +1,9 @@
-//! The density that is sampled: prior times likelihood.
+//! The sampled density: prior times likelihood.
 //!
-//! The mean of a condition's repeats is the model's displacement, plus the model's discrepancy in this condition, plus
-//! measurement error. Both are normal, so the discrepancy is integrated out: the variance of the mean is
-//! `u^2 + (g tau)^2` with u the standard error of the mean and g of [`crate::observation::Kind::discrepancies`]. More
-//! repeats make u smaller and leave tau: they do not make a wrong model right.
+//! The mean of a condition's repeats is the model's displacement, plus the model's discrepancy in this condition,
+//! plus the measurement error. Both errors are normal, so the discrepancy is integrated out: the variance of the mean
+//! is `u^2 + (g tau)^2`, with u the standard error of the mean and g of [`crate::observation::Kind::discrepancies`].
+//! More repeats reduce u but not tau: they do not make a wrong model right.
 
 use crate::observation::Condition;
 use crate::prior::{Point, UNKNOWNS, discrepancy_mm, log_density, parts};
@@ -12,13 +12,13 @@ use crate::table::Table;
 /// Prior times likelihood of some conditions, by a table of the model.
 #[derive(Clone, Copy, Debug)]
 pub struct Target<'a> {
-    /// What was measured.
+    /// The measured conditions.
     pub conditions: &'a [Condition],
-    /// Which of the table's cases each condition is.
+    /// Index of each condition's case in the table.
     pub places: &'a [usize],
-    /// What the model says.
+    /// The tabulated model.
     pub table: &'a Table,
-    /// What the table may be wrong by in each of its cases, mm: counts as a further error.
+    /// The table's error in each of its cases, mm: counts as an additional error.
     pub table_errors_mm: &'a [f64],
 }
 
@@ -32,7 +32,7 @@ pub fn deviation_mm(condition: &Condition, discrepancy_mm: f64) -> f64 {
 }
 
 impl Target<'_> {
-    /// Logarithm of the likelihood, but for a constant; minus infinity outside the table.
+    /// Logarithm of the likelihood, up to a constant; minus infinity outside the table.
     #[must_use]
     pub fn log_likelihood(&self, point: &Point) -> f64 {
         let Some(found) = self.table.displacements_mm(&parts(point)) else {
@@ -60,7 +60,7 @@ impl hammer_and_sample::Model for Tempered<'_> {
 
     fn log_prob(&self, point: &[f64; UNKNOWNS]) -> f64 {
         let log = self.target.log_likelihood(point);
-        // Outside the table, and where a coordinate is no number, there is no density.
+        // Outside the table, and where a coordinate is NaN, the density is zero.
         if log.is_finite() {
             log_density(point) + self.power * log
         } else {
