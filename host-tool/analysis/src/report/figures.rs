@@ -1,7 +1,7 @@
-//! Figures as SVG and PDF: each has a title, and says in words and in its description where its values come from.
+//! Figures as SVG and PDF: each has a title, and states the origin of its values in words and in its description.
 //!
-//! A chart is drawn so large that its letters are 12 px high on a telephone 390 px wide, and two fit beside each other on a
-//! desk.
+//! The size of a chart makes its letters 12 px high on a telephone 390 px wide, and lets two charts fit beside each
+//! other on a desktop screen.
 
 use client::identity::Origin;
 use plotters::prelude::*;
@@ -11,12 +11,12 @@ use trials::trial::{Achieved, CapsuleSample, RigSample, Screw};
 
 use crate::report::pdf::{Drawn, Page};
 
-/// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large and
-/// displayed small.
+/// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large
+/// and displayed small.
 const SIZE: (u32, u32) = (1_200, 760);
 /// Height of the title and of the line below it.
 const HEAD: u32 = 116;
-/// Height of letters to the drawing library, which writes 1 / 1.24 of it: a telephone shows the 1,200 units on 358 px.
+/// Font size for the drawing library, which writes 1 / 1.24 of it: a telephone shows the 1,200 units on 358 px.
 const LETTERS: i32 = 50;
 /// Mean width of a letter.
 const LETTER_WIDTH: i32 = 22;
@@ -36,19 +36,19 @@ const RAMP_POINTS: u32 = 24;
 #[error("a figure could not be drawn: {0}")]
 pub struct FigureError(String);
 
-/// Where a figure's values come from.
+/// Origin of a figure's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
     /// From records of this origin.
     Records(Origin),
     /// Calculated by a model.
     Model,
-    /// Calculated: what a rig is to do.
+    /// Calculated from a plan for a rig.
     Plan,
 }
 
 impl Source {
-    /// For people, in the figure.
+    /// The origin in words, for the figure.
     #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
@@ -66,28 +66,28 @@ impl Source {
     }
 }
 
-/// What a figure says of itself.
+/// Title of a figure and origin of its values.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Heading {
     /// Its title.
     pub title: String,
     /// Where its values come from.
     pub source: Source,
-    /// Of a model's figure: which model.
+    /// For a model's figure: which model.
     pub model: Option<ModelName>,
 }
 
-/// Which model a figure shows.
+/// Name of the model in a figure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModelName {
     /// For the line below the title: at most about 55 letters.
     pub short: String,
-    /// For the description of the file, as long as it has to be.
+    /// For the description of the file, at any length.
     pub full: String,
 }
 
 impl Heading {
-    /// Of a figure of a model's values.
+    /// Heading for a figure of a model's values.
     pub fn of_model(title: impl Into<String>, model: ModelName) -> Self {
         Self {
             title: title.into(),
@@ -96,7 +96,7 @@ impl Heading {
         }
     }
 
-    /// The origin of the values for people, in the figure.
+    /// The origin of the values in words, for the figure.
     fn line(&self) -> &str {
         match &self.model {
             Some(model) => &model.short,
@@ -112,7 +112,7 @@ impl Heading {
         }
     }
 
-    /// Of a figure with this title.
+    /// Heading with this title.
     pub fn new(title: impl Into<String>, source: Source) -> Self {
         Self {
             title: title.into(),
@@ -129,9 +129,9 @@ pub(crate) enum Mark {
     Line(u32),
     /// Dots of this radius.
     Dots(i32),
-    /// Each two points are the ends of a line of this width.
+    /// Each pair of points is a line of this width.
     Segments(u32),
-    /// The points go round a pale area.
+    /// The points are the outline of a pale area.
     Area,
 }
 
@@ -175,7 +175,7 @@ pub fn planned(screw: &Screw, run: &Run, achieved: &Achieved) -> Planned {
         stroke(&mut planned, screw, &achieved.forward, start, false);
         start += seconds(achieved.forward.duration_ticks) + far;
         if cycle + 1 == run.cycles {
-            // The last dwell takes up what the division of the total left over.
+            // The last dwell absorbs the remainder from the division of the total.
             start = seconds(achieved.total_ticks) - seconds(achieved.back.duration_ticks);
         }
         stroke(&mut planned, screw, &achieved.back, start, true);
@@ -184,7 +184,7 @@ pub fn planned(screw: &Screw, run: &Run, achieved: &Achieved) -> Planned {
     planned
 }
 
-/// The exact position of a plan so many seconds after the run's start, mm.
+/// The exact position of a plan at `time_s` after the run's start, mm.
 #[must_use]
 pub fn position_at(screw: &Screw, run: &Run, achieved: &Achieved, time_s: f64) -> f64 {
     let seconds = |ticks: u64| ticks as f64 * 1e-8;
@@ -210,7 +210,7 @@ pub fn position_at(screw: &Screw, run: &Run, achieved: &Achieved, time_s: f64) -
     0.0
 }
 
-/// The way since the beginning of a stroke, mm: rest before it and after it.
+/// Distance since the beginning of a stroke, mm; constant before and after it.
 fn way(screw: &Screw, stroke: &Stroke, time_s: f64) -> f64 {
     let (t, r) = (
         stroke.duration_ticks as f64 * 1e-8,
@@ -227,7 +227,8 @@ fn way(screw: &Screw, stroke: &Stroke, time_s: f64) -> f64 {
     }
 }
 
-/// Of each of so many stretches of time the points with the least and the greatest value: a curve of them looks the same.
+/// Keeps, for each of `stretches` equal stretches, the points with the least and the greatest value: the curve looks
+/// the same.
 pub(crate) fn thinned(points: &[(f64, f64)], stretches: usize) -> Vec<(f64, f64)> {
     if points.len() <= stretches * 2 {
         return points.to_vec();
@@ -375,7 +376,7 @@ fn plan_curve(points: Vec<(f64, f64)>) -> Curve {
     }
 }
 
-/// What a machine's samples are: what a simulated one sends was not measured.
+/// Label of a machine's samples: those of a simulated one are not measured.
 pub(crate) const fn sampled(origin: Origin) -> &'static str {
     match origin {
         Origin::Board => "measured",
@@ -409,7 +410,7 @@ fn over_time(heading: &Heading, y_label: &str, curves: Vec<Curve>) -> Result<Str
     figure(heading, vec![chart])
 }
 
-/// Charts one below the other, as one SVG.
+/// Draws charts one below the other, as one SVG.
 ///
 /// # Errors
 /// If the drawing library fails.
@@ -417,7 +418,7 @@ pub(crate) fn figure(heading: &Heading, charts: Vec<Chart>) -> Result<String, Fi
     Figure::new(heading.clone(), charts).svg()
 }
 
-/// A figure that is drawn as a file of its own: charts one below the other.
+/// A figure in a file of its own: charts one below the other.
 pub struct Figure {
     heading: Heading,
     charts: Vec<Chart>,
@@ -433,7 +434,7 @@ impl Figure {
         (width, HEAD + height * self.charts.len() as u32)
     }
 
-    /// For a page, and for drawing programs.
+    /// Draws it as SVG, for a page and for drawing programs.
     ///
     /// # Errors
     /// If the drawing library fails.
@@ -445,7 +446,7 @@ impl Figure {
             .ok_or_else(|| FigureError("the drawing is no SVG".to_owned()))
     }
 
-    /// For a manuscript.
+    /// Draws it as PDF, for a manuscript.
     ///
     /// # Errors
     /// If the drawing library fails.
@@ -461,14 +462,14 @@ impl Figure {
     }
 }
 
-/// With title and description for those who hear it, and for whoever gets the file alone.
+/// Adds title and description, for screen readers and for a file that is passed on alone.
 fn described(svg: &str, heading: &Heading) -> Option<String> {
     let body = svg.find("<svg")?;
     let (opening, rest) = svg[body..].split_once('>')?;
     let title = escaped(&heading.title);
     let source = escaped(heading.description());
-    // A model's figure is a file of its own: on a dark page its dark letters need their paper with them. A report's page
-    // brings its own.
+    // A model's figure is a file of its own. On a dark page its dark letters need a white background; a report's page
+    // has its own.
     let paper = match heading.model {
         Some(_) => "\n<rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>",
         None => "",
@@ -478,7 +479,7 @@ fn described(svg: &str, heading: &Heading) -> Option<String> {
     ))
 }
 
-/// Text between tags.
+/// Escapes text between tags.
 pub(crate) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
@@ -526,7 +527,7 @@ where
         curves,
     } = chart;
     let all = || curves.iter().flat_map(|curve| &curve.points);
-    // Dots and bars at the ends need room beside them.
+    // Leave room for dots and bars at the ends.
     let wide = |curve: &Curve| matches!(curve.mark, Mark::Dots(_) | Mark::Segments(_));
     let x_margin = if curves.iter().any(wide) { 0.03 } else { 0.0 };
     let (x_low, x_high) = span(all().map(|point| point.0), x_margin);
@@ -555,7 +556,7 @@ where
         .x_desc(*x_label)
         .y_desc(y_label)
         .draw()?;
-    // The legend goes above the plot, where no curve runs.
+    // Put the legend above the plot, where no curve runs.
     let mut entry = 0;
     for Curve {
         label,
@@ -609,7 +610,7 @@ where
     Ok(())
 }
 
-/// Where the legend begins.
+/// Left edge of the legend, units of the drawing.
 const LEFT: i32 = 60;
 
 /// Layout of a legend: rows of entries above the plot.

@@ -1,4 +1,5 @@
-//! Figures as PDF: what the drawing library draws, as lines, areas and text on one page, in a font that every reader has.
+//! Figures as PDF: converts the drawing library's output to lines, areas and text on one page, in a font that every
+//! reader has.
 
 use std::collections::BTreeSet;
 use std::convert::Infallible;
@@ -13,15 +14,15 @@ use plotters_backend::{
 /// Width of a page, pt: 180 mm.
 const WIDTH_PT: f32 = 510.236;
 const FONT: Name<'_> = Name(b"F");
-/// Letters are so much smaller than the drawing library is told; its SVG does the same.
+/// The drawing library's font sizes are divided by this, as in its SVG output.
 const LETTERS: f64 = 1.24;
-/// Half the height of a small letter and the height of a capital, of the font's size.
+/// Half the height of a small letter, and the height of a capital, relative to the font size.
 const HALF_X: f32 = 0.26;
 const CAPITAL: f32 = 0.76;
-/// How far the ends of the curves that make a quarter of a circle lead, of its radius.
+/// Length of the control lines of a quarter circle, relative to its radius.
 const QUARTER: f32 = 0.552_285;
 
-/// Widths of Helvetica's letters from the space to the tilde, thousandths of the size (Adobe's font metrics).
+/// Widths of Helvetica's letters from the space to the tilde, in thousandths of the font size (Adobe's font metrics).
 const WIDTHS: [u16; 95] = [
     278, 278, 355, 556, 556, 889, 667, 191, 333, 333, 389, 584, 278, 333, 278, 278, 556, 556, 556,
     556, 556, 556, 556, 556, 556, 556, 278, 278, 584, 584, 584, 556, 1015, 667, 667, 722, 722, 667,
@@ -30,7 +31,7 @@ const WIDTHS: [u16; 95] = [
     222, 833, 556, 556, 556, 556, 333, 500, 278, 556, 500, 722, 500, 500, 500, 334, 260, 334, 584,
 ];
 
-/// What was drawn.
+/// Content of a page while it is drawn.
 pub(crate) struct Drawn {
     content: Content,
     /// Opacities in use, percent.
@@ -45,7 +46,7 @@ impl Drawn {
         }
     }
 
-    /// The file, with a page of this many units of the drawing.
+    /// The file, with a page of `size` units of the drawing.
     pub(crate) fn into_pdf(self, size: (u32, u32), title: &str, subject: &str) -> Vec<u8> {
         let mut next = 0;
         let mut id = || {
@@ -86,7 +87,7 @@ impl Drawn {
         let mut about = pdf.document_info(info);
         about.title(TextStr(title)).subject(TextStr(subject));
         about.finish();
-        // As on a screen, y goes down.
+        // Let y point down, as on a screen.
         let mut whole = Content::new();
         whole.transform([scale, 0.0, 0.0, -scale, 0.0, height_pt]);
         let mut bytes = whole.finish().to_vec();
@@ -131,13 +132,13 @@ fn place((x, y): BackendCoord) -> (f32, f32) {
     (x as f32, y as f32)
 }
 
-/// In the font's own encoding, which is Latin-1 for all that figures say.
+/// Text in the font's own encoding: Latin-1 for all text in figures.
 fn encoded(text: &str) -> Vec<u8> {
     let byte = |letter: char| u8::try_from(u32::from(letter)).unwrap_or(b'?');
     text.chars().map(byte).collect()
 }
 
-/// Width of encoded text, of the font's size.
+/// Width of encoded text, relative to the font size.
 fn width(text: &[u8]) -> f32 {
     let of = |byte: &u8| WIDTHS.get(usize::from(byte.wrapping_sub(b' ')));
     let thousandths = text.iter().map(|byte| *of(byte).unwrap_or(&556));
@@ -146,7 +147,7 @@ fn width(text: &[u8]) -> f32 {
 
 type Done = Result<(), DrawingErrorKind<Infallible>>;
 
-/// A page for the drawing library.
+/// A page for the drawing library to draw on.
 pub(crate) struct Page<'a> {
     pub(crate) drawn: &'a mut Drawn,
     pub(crate) size: (u32, u32),
