@@ -1,4 +1,4 @@
-//! Finds every change of a folder since this program wrote it: by the manifest, and by what its files say of each other.
+//! Finds every change of a folder since this program wrote it: compares the manifest, and the files with each other.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -13,17 +13,17 @@ use crate::folder::{ATTEMPTS, Campaign, ORDER, PLAN, READINGS, TRIALS};
 use crate::ledger::{Attempt, Outcome};
 use crate::manifest::{self, Hash, Manifest, PART, contents, hash_file};
 
-/// The files that grow by lines.
+/// Files that grow line by line.
 const GROWING: [&str; 2] = [READINGS, TRIALS];
 
-/// Something that is not as it was written.
+/// Something that has changed since it was written.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Finding {
     /// The file, relative to the folder.
     pub path: String,
     /// What is wrong with it.
     pub what: String,
-    /// What to do.
+    /// Advice.
     pub remedy: String,
 }
 
@@ -43,16 +43,16 @@ impl std::fmt::Display for Finding {
     }
 }
 
-/// What a verification has looked at, and found.
+/// Result of a verification.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Verified {
-    /// It is the folder of a campaign.
+    /// Whether it is the folder of a campaign.
     pub campaign: bool,
-    /// Files whose hashes were compared.
+    /// Number of files whose hashes were compared.
     pub files: usize,
-    /// Records of trials whose contents were checked.
+    /// Number of trial records whose contents were checked.
     pub records: usize,
-    /// Everything that is wrong.
+    /// All findings.
     pub findings: Vec<Finding>,
 }
 
@@ -62,7 +62,7 @@ const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
 /// Reads the manifest of a folder; none if there is none.
 ///
 /// # Errors
-/// It is not one.
+/// It is unreadable or malformed.
 pub fn manifest(folder: &Path) -> Result<Option<Manifest>, CampaignError> {
     let path = folder.join(manifest::NAME);
     let text = match limited::read_text(&path, limited::RECORD) {
@@ -75,33 +75,33 @@ pub fn manifest(folder: &Path) -> Result<Option<Manifest>, CampaignError> {
         .map_err(|why| CampaignError::new(&path, why, COPY))
 }
 
-/// What differs between a folder and its manifest.
+/// Differences between a folder and its manifest.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Differences {
-    /// Files that the manifest does not know, with their hashes.
+    /// Files that are not in the manifest, with their hashes.
     pub added: BTreeMap<String, Hash>,
-    /// Files that are gone, with the hashes that they had.
+    /// Missing files, with their hashes in the manifest.
     pub missing: BTreeMap<String, Hash>,
-    /// Files with other contents, with the hashes that they have.
+    /// Files with changed content, with their present hashes.
     pub changed: BTreeMap<String, Hash>,
-    /// Files that have grown by so many whole lines, and whether a part of a line follows.
+    /// Grown files: number of complete new lines, and whether an incomplete one follows.
     pub grown: BTreeMap<String, (usize, bool)>,
-    /// What is neither a file nor a folder.
+    /// Anything that is neither a file nor a folder.
     pub strange: Vec<String>,
-    /// Files that were compared.
+    /// Number of files compared.
     pub compared: usize,
 }
 
-/// What a crash can have left.
+/// Traces of a crash.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Left {
-    /// Files that have grown, by so many lines.
+    /// Grown files, with the number of new lines.
     pub(crate) grown: Vec<(String, usize)>,
-    /// Files whose last line is not whole.
+    /// Files whose last line is incomplete.
     pub(crate) torn: Vec<String>,
     /// Files that were about to replace others.
     pub(crate) parts: Vec<String>,
-    /// Folders of attempts that are not in the manifest yet.
+    /// Folders of attempts that are missing in the manifest.
     pub(crate) attempts: Vec<String>,
 }
 
@@ -145,7 +145,7 @@ impl Differences {
         Ok(differences)
     }
 
-    /// For people. `listed` is the manifest that was compared.
+    /// The differences in words. `listed` is the manifest that was compared.
     #[must_use]
     pub fn findings(&self, listed: &Manifest) -> Vec<Finding> {
         let mut findings = vec![];
@@ -202,10 +202,10 @@ impl Differences {
         findings
     }
 
-    /// What a crash can have left, if that is all there is.
+    /// The traces of a crash, if they explain all differences.
     ///
     /// # Errors
-    /// The first thing that a crash cannot have left.
+    /// The first difference that a crash cannot have caused.
     pub(crate) fn left_by_a_crash(&self, campaign: &Campaign) -> Result<Left, CampaignError> {
         let mut left = Left::default();
         let other = |path: &str, what: &str| {
@@ -255,7 +255,7 @@ impl Differences {
     }
 }
 
-/// Only the attempt that was made last can have files that the manifest does not know.
+/// Whether this is the latest attempt: no other one may have files that the manifest lacks.
 fn is_new(attempt: &str, campaign: &Campaign) -> bool {
     let began = campaign.rows.iter().rev().find_map(|row| {
         (row.event == crate::ledger::Event::Began)
@@ -264,8 +264,8 @@ fn is_new(attempt: &str, campaign: &Campaign) -> bool {
     began.as_deref() == Some(attempt)
 }
 
-/// By how many whole lines a file has grown since it had this hash, and whether a part of a line follows; none if its beginning
-/// was changed.
+/// Compares a file with the hash that it had. Returns the number of complete new lines and whether an incomplete one
+/// follows; none if its beginning was changed.
 fn grown(path: &Path, listed: &Hash) -> io::Result<Option<(usize, bool)>> {
     let bytes = limited::read(path, limited::RECORD)?;
     let mut hash = hmac_sha256::Hash::new();
@@ -289,7 +289,7 @@ fn grown(path: &Path, listed: &Hash) -> io::Result<Option<(usize, bool)>> {
     Ok(None)
 }
 
-/// Looks through a folder and changes nothing.
+/// Verifies a folder and changes nothing.
 ///
 /// # Errors
 /// The folder cannot be read, or holds neither a campaign nor records nor a manifest.
@@ -341,14 +341,14 @@ pub fn verify(folder: &Path) -> Result<Verified, CampaignError> {
     Ok(verified)
 }
 
-/// What the files of a campaign say of each other.
+/// Adds findings on contradictions between the files of a campaign.
 fn contradictions(folder: &Path, verified: &mut Verified) {
     let campaign = match Campaign::read(folder) {
         Ok(campaign) => campaign,
         Err(error) => {
             let path = error.path.strip_prefix(folder).unwrap_or(&error.path);
             let path = path.to_string_lossy().into_owned();
-            // The manifest says that it was changed; this says what that does.
+            // The manifest reports the change; this adds its consequence.
             verified
                 .findings
                 .push(Finding::new(&path, error.why, &error.remedy));
@@ -414,7 +414,7 @@ fn list(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Checks the record of a trial, if the path is that of one.
+/// Checks a trial's record; none if the path is not one.
 fn check_record(folder: &Path, path: &str, verified: &mut Verified) -> Option<Trial> {
     let full = folder.join(path);
     if !path.ends_with(".json") || !full.with_extension("csv").exists() {
@@ -429,7 +429,7 @@ fn check_record(folder: &Path, path: &str, verified: &mut Verified) -> Option<Tr
             }
             Some(trial)
         }
-        // Summaries of other kinds lie beside CSV files, too.
+        // Summaries of other kinds also lie beside CSV files.
         Err(_) if !is_trial(path) => None,
         Err(error) => {
             verified.findings.push(Finding::new(path, error.why, COPY));
@@ -438,7 +438,7 @@ fn check_record(folder: &Path, path: &str, verified: &mut Verified) -> Option<Tr
     }
 }
 
-/// Names that `run`, `fold` and so on give.
+/// Whether the name is one that `run`, `fold` and similar commands give.
 fn is_trial(path: &str) -> bool {
     let name = path.rsplit('/').next().unwrap_or(path);
     let stems = [
@@ -453,7 +453,7 @@ fn is_trial(path: &str) -> bool {
     stems.iter().any(|stem| name.starts_with(stem))
 }
 
-/// What the telemetry beside a sidecar contradicts; none if it is whole and in order.
+/// A contradiction between sidecar and telemetry; none if the telemetry is complete and in order.
 fn telemetry(trial: &Trial, sidecar: &Path) -> Option<String> {
     let beside = sidecar.with_extension("csv");
     if beside
@@ -480,7 +480,7 @@ fn telemetry(trial: &Trial, sidecar: &Path) -> Option<String> {
     if !times.is_sorted_by(|before, after| before < after) {
         return Some("its rows are not in the order of time".to_owned());
     }
-    // The count is written at the end; before it the file grows.
+    // The number of samples is written at the end; until then the file grows.
     if trial.status != Status::Running && times.len() as u64 != trial.samples {
         return Some(format!(
             "it has {} rows, the record says {}",
