@@ -1,8 +1,7 @@
 //! The steps of `cargo xtask test`, `lint` and `ci`.
 //!
-//! Everything is compiled as rarely as possible: once for the host tests, the bench and the demo, in the
-//! dev profile, in which the emulator is optimised; once as metadata for the linter and the documentation;
-//! once for the chip.
+//! Everything is compiled as rarely as possible: once for the host tests, the bench and the demo, in the dev profile
+//! with an optimised emulator; once as metadata for the linter and the documentation; once for the chip.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -116,7 +115,7 @@ fn host_tests() -> Tests {
 
 fn long_tests() -> Tests {
     programs::test(Selection {
-        // As the host tests, so that nothing is built again.
+        // The same build as for the host tests, so that nothing is built again.
         cargo: host_cargo("test"),
         program: &["--ignored"],
         only: &[
@@ -195,7 +194,7 @@ fn demo() -> Result<()> {
     Ok(())
 }
 
-/// Files below a folder that are not empty and were written since an instant.
+/// Non-empty files below a folder that were written after `start`.
 fn written_since(start: SystemTime, folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {

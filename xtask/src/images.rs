@@ -7,17 +7,17 @@ use crate::layout::{Budget, Layout, Memory, STM32F411RE, STM32L412TB};
 use crate::process::{Failure, Result, root, run};
 use crate::toolchain::{self, TARGET, Toolchain};
 
-/// An image, where it goes, and the memory it may take.
+/// An image, its chip, and the memory that it may take.
 struct Image {
     name: &'static str,
-    /// The chip as `probe-rs` calls it.
+    /// Name of the chip for `probe-rs`.
     chip: &'static str,
     memory: &'static Memory,
     budget: Budget,
 }
 
 /// Budgets are far below the 512 KiB of flash and 128 KiB of RAM of the STM32F411, to leave room for features. The
-/// rest of the RAM is stack.
+/// stack gets the rest of the RAM.
 const IMAGES: [Image; 3] = [
     Image {
         name: "firmware-rig",
@@ -32,7 +32,8 @@ const IMAGES: [Image; 3] = [
         name: "firmware-capsule",
         chip: "STM32F411RETx",
         memory: &STM32F411RE,
-        // What tells a capsule's own changes from a fault takes code, and the cell pays for none of it.
+        // A larger flash budget: telling a capsule's own changes from a fault takes code, and flash costs the cell
+        // nothing.
         budget: Budget {
             flash_bytes: 96 * 1024,
             ram_bytes: 32 * 1024,
@@ -42,8 +43,8 @@ const IMAGES: [Image; 3] = [
         name: "firmware-capsule-stm32l412tb",
         chip: "STM32L412TBYx",
         memory: &STM32L412TB,
-        // All that this chip has beside the settings' log: 16 KiB below it, for the constants, and 64 KiB above. Of the RAM the
-        // stack keeps 12 KiB.
+        // All flash of this chip except for the settings' log: 16 KiB below it, for the constants, and 64 KiB above.
+        // The stack keeps 12 KiB of the RAM.
         budget: Budget {
             flash_bytes: 80 * 1024,
             ram_bytes: 27 * 1024,
@@ -51,7 +52,7 @@ const IMAGES: [Image; 3] = [
     },
 ];
 
-/// What is built at once: a package's features hold for all that it is built with, so each chip has its own call of cargo.
+/// Packages that one call of cargo builds. Features apply to the whole call, so each chip has its own.
 const BUILDS: [&[&str]; 2] = [
     &["--package", "firmware-rig", "--package", "firmware-capsule"],
     &[
@@ -66,7 +67,7 @@ const BUILDS: [&[&str]; 2] = [
 /// Builds all images, then [`check`]s them.
 ///
 /// # Errors
-/// No compiler, a compile error, or an image that may not be flashed.
+/// No compiler, a compile error, or an image that must not be flashed.
 pub(crate) fn build() -> Result<()> {
     let toolchain = toolchain::find()?;
     println!("Images: {toolchain}.");
@@ -77,11 +78,11 @@ pub(crate) fn build() -> Result<()> {
     check()
 }
 
-/// A reset stays a reset while the log is open. By default `probe-rs run` halts the core at each one and at each processor fault:
-/// the reset button, a panic and the watchdog would then leave the machine standing.
+/// Options that let a reset be a reset while the log is open. By default `probe-rs run` halts the core at each reset
+/// and processor fault: the reset button, a panic and the watchdog would then leave the machine standing.
 const KEEP_RESETS: [&str; 2] = ["--no-catch-reset", "--no-catch-hardfault"];
 
-/// Builds all images and flashes one of them: the same file that the bench tests.
+/// Builds all images and flashes one of them, the same file that the bench tests.
 ///
 /// # Errors
 /// As [`build`]; no such machine, no `probe-rs`, or no board.
@@ -132,8 +133,8 @@ pub(crate) fn lint() -> Result<()> {
     Ok(())
 }
 
-/// Selects what is built, and the workspace's own target folder, where the bench and `probe-rs` look,
-/// whatever the caller's environment says.
+/// A cargo command for `build`, in the workspace's own target folder, whatever the environment says: the bench and
+/// `probe-rs` look there.
 fn command(toolchain: &Toolchain, subcommand: &str, build: &[&str]) -> Command {
     let mut cargo = toolchain.cargo(subcommand);
     cargo.args(build);
@@ -196,7 +197,7 @@ fn path_of(image: &Image) -> PathBuf {
 mod tests {
     use super::*;
 
-    /// `cargo run` on an image flashes it the same way.
+    /// `cargo run` on an image has to flash it with the same options.
     #[test]
     fn the_runner_keeps_resets_too() {
         let config = include_str!("../../.cargo/config.toml");

@@ -1,4 +1,4 @@
-//! Where an image lies in the chip's memory and how much it takes.
+//! Checks where an image lies in the chip's memory and how much of it it takes.
 //!
 //! A successful link can still produce an image that bricks a board: without a linker script there is no
 //! vector table, and without `_stext` the code lies in the sectors that are erased for the settings.
@@ -10,7 +10,8 @@ use object::endian::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _, SectionHeader as _};
 use object::{Object as _, ObjectSection as _};
 
-/// Memory of a chip. Its `chip.x` (in a folder of its name below `device/memory`) defines the settings' sectors and the start of the code.
+/// Memory of a chip. Its `chip.x`, in a folder of its name below `device/memory`, defines the settings' sectors and
+/// the start of the code.
 #[derive(Debug)]
 pub(crate) struct Memory {
     flash: Range<u32>,
@@ -36,16 +37,16 @@ pub(crate) static STM32L412TB: Memory = Memory {
     ram: 0x2000_0400..0x2000_A000,
 };
 
-/// The most memory an image may take.
+/// The most memory that an image may take.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Budget {
     /// Vector table, code, constants and initial values.
     pub(crate) flash_bytes: u32,
-    /// Statics: `.data`, `.bss`, `.uninit`; the stack takes what is left of the chip's RAM.
+    /// Statics: `.data`, `.bss`, `.uninit`. The stack takes the rest of the chip's RAM.
     pub(crate) ram_bytes: u32,
 }
 
-/// What an image occupies.
+/// Addresses and sizes of an image.
 #[derive(Debug)]
 pub(crate) struct Layout {
     memory: &'static Memory,
@@ -53,7 +54,7 @@ pub(crate) struct Layout {
     pub(crate) ram_bytes: u32,
     /// Load addresses of everything that is programmed.
     programmed: Vec<Range<u32>>,
-    /// Addresses of the sections that hold code.
+    /// Addresses of the sections with code.
     text: Vec<Range<u32>>,
     /// Address of the vector table, its first word (stack pointer) and its second (reset).
     vectors: Option<(u32, u32, u32)>,
@@ -112,7 +113,7 @@ impl Layout {
         Ok(layout)
     }
 
-    /// Reasons why this image must not be flashed; empty if there are none.
+    /// Reasons not to flash this image; empty if there are none.
     pub(crate) fn objections(&self, budget: Budget) -> Vec<String> {
         let mut found = Vec::new();
         let Memory {
@@ -131,7 +132,7 @@ impl Layout {
                 if !(ram.start < stack && stack <= ram.end) {
                     found.push(format!("the stack starts at {stack:#010x}, outside of RAM"));
                 }
-                // Bit 0 of a vector says "Thumb".
+                // Bit 0 of a vector marks Thumb code.
                 let entry = reset & !1;
                 if !self.text.iter().any(|range| range.contains(&entry)) {
                     found.push(format!(
@@ -177,7 +178,7 @@ impl Layout {
     }
 }
 
-/// The tests check made-up layouts: each objection must be raised by the one change that causes it.
+/// The tests check made-up layouts: one change must cause each objection.
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -251,7 +252,7 @@ mod tests {
         assert!(Layout::read(&this_program, &STM32F411RE).is_err());
     }
 
-    /// The same image on a chip with less memory.
+    /// An image that fits one chip is refused for a chip with less memory.
     #[test]
     fn what_fits_one_chip_is_refused_for_a_smaller_one() {
         let mut layout = sound();
@@ -265,7 +266,7 @@ mod tests {
         assert!(found.contains("outside of flash"), "{found}");
     }
 
-    /// The addresses above are those of the linker scripts.
+    /// The addresses above must equal those of the linker scripts.
     #[test]
     fn addresses_agree_with_chip_x() {
         for (chip, memory) in [("stm32f411re", &STM32F411RE), ("stm32l412tb", &STM32L412TB)] {
@@ -295,7 +296,7 @@ mod tests {
                 value("_settings_start")..value("_settings_end"),
                 memory.settings
             );
-            // The KiB that survives a reset is next to that RAM, at one end.
+            // The KiB that survives a reset adjoins that RAM at one end.
             let kept = value("_last_words_start")..value("_last_words_end");
             assert_eq!(kept.end - kept.start, 1024);
             assert!(kept.start == memory.ram.end || kept.end == memory.ram.start);

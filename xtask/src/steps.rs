@@ -1,4 +1,4 @@
-//! Named steps: each says in one line what it does, is timed, and is listed in a table at the end.
+//! Named steps: each describes itself in one line, is timed, and appears in a table at the end.
 
 use std::fmt;
 use std::process::ExitCode;
@@ -6,21 +6,21 @@ use std::time::{Duration, Instant};
 
 use crate::process::{Failure, Result, installed};
 
-/// What a step does.
+/// The function of a step.
 enum Act {
     Check(fn() -> Result<()>),
     Test(fn() -> Tests),
 }
 
-/// One thing to do.
+/// One step.
 pub(crate) struct Step {
     name: &'static str,
-    /// What it does, in a line.
+    /// Description in one line.
     does: &'static str,
     act: Act,
     /// The name of an earlier step that has to pass before this one can run.
     after: Option<&'static str>,
-    /// The cargo subcommand that it runs, if that has to be installed by hand.
+    /// The cargo subcommand that it needs, if the user has to install it.
     needs: Option<&'static str>,
 }
 
@@ -67,7 +67,7 @@ impl Step {
     }
 }
 
-/// How many tests passed, failed and were left out.
+/// Number of tests that passed, failed and were ignored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
     pub(crate) passed: u32,
@@ -104,7 +104,7 @@ pub(crate) struct Ran {
     pub(crate) took: Duration,
 }
 
-/// What came of tests.
+/// Result of tests.
 pub(crate) struct Tests {
     pub(crate) counts: Counts,
     pub(crate) programs: Vec<Ran>,
@@ -122,7 +122,7 @@ impl Default for Tests {
 }
 
 impl Tests {
-    /// None were run, for this reason.
+    /// No test was run, for this reason.
     pub(crate) fn failed(failure: Failure) -> Self {
         Self {
             outcome: Err(failure),
@@ -135,9 +135,9 @@ impl Tests {
 enum Outcome {
     Passed,
     Failed,
-    /// The step it depends on did not pass; counts as failed.
+    /// A step that it depends on did not pass; counts as failed.
     NotRun,
-    /// This cargo subcommand, which it needs, is not installed; counts neither as passed nor as failed.
+    /// The cargo subcommand that it needs is not installed; counts neither as passed nor as failed.
     Skipped(&'static str),
 }
 
@@ -152,18 +152,18 @@ impl fmt::Display for Outcome {
     }
 }
 
-/// A step that is over.
+/// A finished step.
 struct Done {
     name: &'static str,
     outcome: Outcome,
     took: Duration,
-    /// None if it counts no tests.
+    /// None if the step counts no tests.
     counts: Option<Counts>,
     programs: Vec<Ran>,
 }
 
-/// Runs all steps, also after a failure, so that one run shows everything that is wrong. Prints a table
-/// and a line of totals at the end.
+/// Runs all steps, even after a failure, so that one run shows everything that is wrong. Prints a table and a line of
+/// totals at the end.
 pub(crate) fn run(steps: &[Step]) -> ExitCode {
     let start = Instant::now();
     let mut done: Vec<Done> = Vec::new();
@@ -200,11 +200,11 @@ pub(crate) fn run(steps: &[Step]) -> ExitCode {
     }
 }
 
-/// So many of the slowest programs are listed.
+/// Number of slowest programs in the table.
 const SLOWEST: usize = 10;
 
-/// Each step with its tests and its time, and the slowest test programs. Of single tests the stable compiler's harness
-/// does not tell the time.
+/// Table of the steps with their tests and times, and of the slowest test programs. The stable test harness does not
+/// report the time of single tests.
 fn table(done: &[Done], all: Duration) -> String {
     let seconds = |time: Duration| format!("{:.1}", time.as_secs_f64());
     let mut lines = vec![format!(
