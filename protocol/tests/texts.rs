@@ -1,4 +1,4 @@
-//! The texts of faults and refusals: each says something of its own.
+//! The texts of faults and refusals all differ.
 
 #[allow(missing_docs, dead_code, unreachable_pub)]
 mod exemplars;
@@ -12,7 +12,7 @@ use protocol::{
 };
 use std::{collections::BTreeSet, fmt::Display};
 
-/// The texts, which must all differ.
+/// The texts; asserts that they all differ.
 fn distinct<T: Display>(values: impl IntoIterator<Item = T>) -> Vec<String> {
     let texts: Vec<_> = values.into_iter().map(|value| value.to_string()).collect();
     let different: BTreeSet<_> = texts.iter().collect();
@@ -142,7 +142,7 @@ fn each_field_has_its_own_name() {
     }
 }
 
-/// A rule uses the names that the operator types.
+/// A rule names settings as the operator types them.
 #[test]
 fn each_rule_names_a_setting() {
     for text in distinct(SettingRule::ALL.map(SettingRule::text)) {

@@ -39,7 +39,7 @@ fn golden_bytes_of_every_message() {
     );
 }
 
-/// The exemplars cover the table: no row without golden bytes for its request and its response.
+/// The exemplars cover the table: every row has golden bytes for its request and its response.
 #[test]
 fn every_row_has_exemplars() {
     for name in Request::NAMES {
@@ -61,7 +61,7 @@ fn every_message_fits() {
         .max()
         .unwrap();
     assert!(longest <= MAX_BODY, "{longest}");
-    // The bound is tight enough to notice a message that grows.
+    // The bound is tight enough to reveal a message that grows.
     assert!(longest + 40 > MAX_BODY, "{longest}");
 }
 

@@ -19,7 +19,7 @@ fn frame<T: Serialize>(kind: Kind, body: &T) -> Encoded {
     .expect("every message fits")
 }
 
-/// Name without its fields: `Rig(Homed { .. })` becomes `Rig.Homed`.
+/// Name of a value without its fields: `Rig(Homed { .. })` becomes `Rig.Homed`.
 pub fn name(value: &impl Debug) -> String {
     let text = format!("{value:?}");
     let mut name = String::new();

@@ -1,4 +1,4 @@
-//! One exemplar of every message, with every field away from its default.
+//! One exemplar of every message; no field has its default value.
 
 pub mod frames;
 
@@ -70,7 +70,7 @@ pub fn requests() -> std::vec::Vec<Request> {
     ]
 }
 
-/// Values that need the most bytes.
+/// Values with the longest encoding.
 const TRACE_POINT: TracePoint = TracePoint {
     thread_um: -21_000_000,
     current_ma: u16::MAX,
