@@ -1,4 +1,4 @@
-//! The gain of trials against closed forms: a stand-in for the model that is linear, so that everything is normal.
+//! The gain of trials against closed forms, with a linear stand-in for the model, so that everything is normal.
 
 use calibration::belief::Belief;
 use calibration::chance::{normal, stream};
@@ -10,20 +10,20 @@ const EFFORT: Effort = Effort {
     histories: 96,
     draws: 512,
 };
-/// Standard errors within which an estimate has to lie; beyond four of them by chance once in 16,000 times.
+/// Standard errors within which an estimate has to lie; chance exceeds four of them once in 16,000 times.
 const ERRORS: f64 = 4.0;
-/// What the correction for the finite number of draws may leave, nats.
+/// Error that the correction for the finite number of draws may leave, nats.
 const BIAS: f64 = 0.01;
 
 const STRONG: f64 = 3.0;
 const MIXED: f64 = 1.0;
 
-/// Displacements: of the first unknown, of the first two together, of nothing.
+/// Displacements: of the first unknown, of the first two together, and a constant.
 fn linear(point: &Point) -> Option<Vec<f64>> {
     Some(vec![STRONG * point[0], MIXED * (point[0] + point[1]), 7.0])
 }
 
-/// A trial of a displacement, in a condition of its own, without a discrepancy.
+/// A trial of one displacement, in its own condition, without a discrepancy.
 fn trial(place: usize, error_mm: f64) -> Trial {
     Trial {
         condition: place,
@@ -45,7 +45,7 @@ fn close(found: Estimate, exact: f64) {
     );
 }
 
-/// 1/2 ln(1 + s^2/v) of one trial, and 1/2 ln det of two.
+/// The gain is 1/2 ln(1 + s^2/v) for one trial, and 1/2 ln det for two.
 #[test]
 fn a_linear_model_gives_the_closed_form() {
     for error_mm in [0.1, 1.0, 10.0] {
@@ -66,7 +66,7 @@ fn a_linear_model_gives_the_closed_form() {
     }
 }
 
-/// Repeats narrow the measurement error, and not what the model gets wrong: after many of them the next one tells nothing.
+/// Repeats reduce the measurement error but not the model's error: after many repeats the next one tells nothing.
 #[test]
 fn repeats_of_a_condition_tell_less_each_time() {
     let trials = [trial(0, 1.0); 2];
@@ -114,7 +114,7 @@ fn what_is_the_same_for_all_bodies_tells_nothing_and_no_gain_is_negative() {
     }
 }
 
-/// The scatter of a trial about a body tells of the discrepancy, which is no part of the body.
+/// The scatter of a trial about a body shows the discrepancy, which is not part of the body.
 #[test]
 fn what_only_the_discrepancy_shows_in_tells_nothing_of_the_body() {
     let nothing = |condition: usize| Trial {
@@ -127,20 +127,21 @@ fn what_only_the_discrepancy_shows_in_tells_nothing_of_the_body() {
     for gain in &judged.gains {
         close(*gain, 0.0);
     }
-    // Tau is found all the same.
+    // Tau is determined nevertheless.
     assert!(
         judged.after[3].mean < 0.8 * judged.before[3].mean,
         "{judged:?}"
     );
 }
 
-/// The widths are those of a normal posterior: a 90 % interval of tau, whose logarithm is the fourth coordinate, is exp(2 x 1.645) wide.
+/// The widths are those of a normal posterior. The logarithm of tau is the fourth coordinate, so its 90 % interval is
+/// exp(2 x 1.645) wide.
 #[test]
 fn a_width_is_that_of_the_posterior() {
     let sees = |point: &Point| Some(vec![point[3]]);
     let judged = judge(&Belief::Prior, &sees, &[trial(0, 0.5)], &EFFORT, 5).expect("covered");
     let (before, after) = (2.0 * 1.6449, 2.0 * 1.6449 / (1.0f64 + 4.0).sqrt());
-    // Quantiles of 512 draws lie a little inside.
+    // Quantiles of 512 draws lie slightly inside.
     assert!(
         (judged.before[3].mean / before - 1.0).abs() < 0.02,
         "{judged:?}"
@@ -151,7 +152,7 @@ fn a_width_is_that_of_the_posterior() {
     );
 }
 
-/// The strong trial first, since the other one tells less; then the other one, since the first is used up.
+/// The strong trial comes first, because it tells more; then the other one, because repeating the first tells little.
 #[test]
 fn the_choice_is_joint_and_names_ties() {
     let candidates = [
@@ -169,11 +170,11 @@ fn the_choice_is_joint_and_names_ties() {
     assert_eq!((steps[1].chosen, &*steps[1].ties), (1, &[][..]));
 }
 
-/// 200 samples of a normal belief, smoothed, give its closed form but for what 200 samples do not know of it.
+/// 200 samples of a normal belief, smoothed, give its closed form up to the uncertainty of 200 samples.
 #[test]
 fn smoothed_samples_stand_for_their_posterior() {
     let mut random = stream(7, 7);
-    // Narrow in the first coordinate, and the second depends on it.
+    // The first coordinate is narrow, and the second depends on it.
     let samples: Vec<Point> = (0..200)
         .map(|_| {
             let [a, b, c, d]: Point = std::array::from_fn(|_| normal(&mut random));
@@ -194,7 +195,7 @@ fn smoothed_samples_stand_for_their_posterior() {
     let (a, b, c) = (1.0 + s * s / v, s * t / v, 1.0 + (t * t + u * u) / v);
     let (first, both) = (0.5 * a.ln(), 0.5 * (a * c - b * b).ln());
     eprintln!("{judged:?} {first} {both}");
-    // The variance of 200 samples is known within a tenth: half of that in each gain.
+    // The variance of 200 samples is known to a tenth, which is half of that in each gain.
     assert!(
         (judged.gains[0].mean - first).abs() < 0.1,
         "{judged:?} {first}"
@@ -217,7 +218,7 @@ fn what_is_no_belief_is_refused() {
     assert!(Belief::smoothed(&samples).is_none());
 }
 
-/// The same seed gives the same bits on any number of threads, another one other bits.
+/// The same seed gives the same bits on any number of threads; another seed gives others.
 #[test]
 fn a_seed_is_an_answer() {
     let few = Effort {

@@ -1,5 +1,5 @@
-//! A plan against what it promises: bodies are calibrated by the sampler of `fit` after recommended trials, and after as
-//! many of the paper's. 200 bodies with `RETROGRADE_CAMPAIGN=full`, else the first of them.
+//! A plan keeps its promise: the sampler of `fit` calibrates bodies after the recommended trials, and after the same
+//! number of the paper's. 200 bodies with `RETROGRADE_CAMPAIGN=full`, otherwise the first of them.
 //!
 //! The model is a table over the whole prior, for plan, data and calibration alike.
 
@@ -70,8 +70,8 @@ fn judged(trials: &[Trial]) -> Judged {
     judge(&Belief::Prior, &response, trials, &EFFORT, 1).expect("covered")
 }
 
-/// The independent calculation found 22 to 90 from net displacements within 1 mm, 31 to 44 with passes within 0.2 mm.
-/// Bodies of the whole prior, with a discrepancy, keep the order.
+/// An independent calculation found 22 to 90 for the friction ratio from net displacements within 1 mm, 31 to 44 with
+/// passes within 0.2 mm. For bodies of the whole prior, with a discrepancy, the order is the same.
 #[test]
 fn passes_tell_more_of_the_friction_ratio_than_net_displacements() {
     let even = 3f64.sqrt();
@@ -86,7 +86,7 @@ fn passes_tell_more_of_the_friction_ratio_than_net_displacements() {
     assert!(wide.mean < nets.before[RATIO].mean, "{nets:?}");
 }
 
-/// Sum over the body of ln(q95/q5) after trials of a truth.
+/// Sum of ln(q95/q5) over the body's unknowns, after trials of a true body.
 fn log_width(truth: &Point, planned: &[Planned], number: u64) -> f64 {
     let all = cases();
     let place = |case: &Case| {
@@ -142,7 +142,7 @@ fn recommended_trials_leave_less_open_than_as_many_of_the_papers() {
             kind,
             indentation_mm,
         } = all[step.chosen];
-        // Repeats share their discrepancy.
+        // Repeats of a condition share their discrepancy.
         match recommended
             .iter_mut()
             .find(|one| one.case == all[step.chosen])
@@ -169,7 +169,7 @@ fn recommended_trials_leave_less_open_than_as_many_of_the_papers() {
         "{count} bodies, sum of ln(q95/q5): paper {of_paper:.3?}, plan {of_plan:.3?}, difference {narrower:.3?}"
     );
     assert!(narrower.is_above_zero(), "{narrower:?}");
-    // What was promised before anything was measured, by the same histories for both.
+    // The promise before any measurement, from the same histories for both.
     let chosen: Vec<Trial> = steps.iter().map(|step| candidates[step.chosen]).collect();
     let promised = |trials: &[Trial]| -> f64 {
         judged(trials).after[..OF_BODY]

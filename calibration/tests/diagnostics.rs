@@ -1,9 +1,10 @@
-//! R-hat and effective sample size against another program's values, and for what each of them must not overlook.
+//! R-hat and effective sample size against another program's values, and against defects that each of them must
+//! reveal.
 
 use calibration::chance::{normal, stream};
 use calibration::diagnostics::{bulk_ess, r_hat};
 
-/// Chains that any program can make: a linear congruential generator drives an autoregression.
+/// Chains that any program can reproduce: a linear congruential generator drives an autoregression.
 fn chains(seed: u64, count: usize, length: usize, memory: f64, shift: f64) -> Vec<Vec<f64>> {
     let mut state = seed;
     let chain = |number: usize| {
@@ -85,7 +86,7 @@ fn as_another_program_has_it() {
     }
 }
 
-/// One chain elsewhere, or one that is wider, shows.
+/// R-hat reveals one chain in another place, and one that is wider.
 #[test]
 fn chains_that_differ_show() {
     let good = chains(7, 4, 1_000, 0.3, 0.0);
@@ -107,7 +108,7 @@ fn what_cannot_be_judged_is_no_number() {
     assert!(r_hat(&still, 1).is_nan() && bulk_ess(&still, 1).is_nan());
 }
 
-/// Walkers that all follow one path are worth one walker; independent ones are worth all.
+/// Walkers that all follow one path are worth one walker; independent ones count in full.
 #[test]
 fn walkers_count_for_what_they_are_worth() {
     let (walkers, steps) = (10, 500);

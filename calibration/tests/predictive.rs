@@ -1,4 +1,5 @@
-//! The checks of a fit: a wrong condition and a scatter too large are named also among many conditions, chance is not.
+//! The checks of a fit name a wrong condition and a scatter that is too large, even among many conditions, but not
+//! chance.
 
 use calibration::chance::stream;
 use calibration::observation::{Kind, Lubrication, Observation, conditions};
@@ -36,7 +37,7 @@ fn checked(trials: &[Observation]) -> Vec<Check> {
     checks(&Model::ONE, &conditions, &[truth(); 40], 1).expect("covered")
 }
 
-/// Numbers of the conditions that are hardly explained, and of those that scatter too much.
+/// Number of conditions that are hardly explained, and of those that scatter too much.
 fn named(checked: &[Check]) -> (usize, usize) {
     let rare = suspicious(checked.len());
     let off = checked.iter().filter(|check| check.p_mean < rare).count();
@@ -46,7 +47,8 @@ fn named(checked: &[Check]) -> (usize, usize) {
     (off, scattered.count())
 }
 
-/// 20 campaigns of 24 conditions each; with a threshold of 0.01 for every condition, two of three would have been named.
+/// 20 campaigns of 24 conditions each. A threshold of 0.01 for every condition would name conditions in two of three
+/// campaigns.
 #[test]
 fn what_is_rare_once_in_a_hundred_times_is_not_named_among_many_conditions() {
     let (mut campaigns_named, mut rare_alone) = (0, 0);
@@ -60,7 +62,7 @@ fn what_is_rare_once_in_a_hundred_times_is_not_named_among_many_conditions() {
             .count();
     }
     assert!(rare_alone > 3, "{rare_alone}");
-    // Two kinds of checks, each by chance once in 20 campaigns.
+    // Two kinds of checks, each of which fails by chance in one campaign of 20.
     assert!(campaigns_named <= 5, "{campaigns_named}");
 }
 

@@ -1,4 +1,4 @@
-//! Priors: their quantiles, their draws, and what they are priors of.
+//! Priors: their quantiles, their draws, and their unknowns.
 
 use calibration::chance::stream;
 use calibration::fit::quantile;
@@ -46,7 +46,7 @@ fn a_value_has_its_coordinate_back() {
     assert_eq!(Shape::Even(7.0, 9.0).coordinate(9.5), f64::INFINITY);
 }
 
-/// The ends of the priors are bodies, too, to the last bit: tables have nodes there.
+/// The model accepts the ends of the priors, to the last bit: tables have nodes there.
 #[test]
 fn the_ends_of_the_priors_are_covered() {
     for part in [0.0, 1.0] {

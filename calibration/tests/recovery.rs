@@ -1,5 +1,5 @@
-//! Bodies that are known are found again, as exactly as the trials allow and no more exactly. All of the series with
-//! `RETROGRADE_CAMPAIGN=full`, else a slice.
+//! A fit recovers known bodies as accurately as the trials allow, and claims no more. The whole series with
+//! `RETROGRADE_CAMPAIGN=full`, otherwise a slice.
 
 use calibration::chance::{stream, unit};
 use calibration::fit::{Fit, Settings, Unfit, fit};
@@ -14,12 +14,12 @@ const DEPTHS_MM: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.05];
 const COUPLING: usize = 0;
 const RATIO: usize = 1;
 
-/// Whether the whole series is asked for, or its slice.
+/// Whether the whole series is requested.
 fn full() -> bool {
     std::env::var("RETROGRADE_CAMPAIGN").is_ok_and(|what| what == "full")
 }
 
-/// The default body, and next to no discrepancy.
+/// The default body with hardly any discrepancy.
 fn one() -> Point {
     Values([0.15, 40.0, 0.0007, 1e-6]).point()
 }
@@ -36,7 +36,7 @@ fn passes(depths_mm: &[f64], repeats: usize, uncertainty_mm: f64) -> Vec<Planned
     depths_mm.iter().flat_map(at).collect()
 }
 
-/// Trials without errors of their own, of stated uncertainty: what is wide then is wide because of it.
+/// Trials without actual errors but with a stated uncertainty: the width of a posterior then comes from that alone.
 fn exact(planned: &[Planned]) -> Vec<Observation> {
     let silent: Vec<Planned> = (planned.iter())
         .map(|one| Planned {
@@ -54,7 +54,7 @@ fn exact(planned: &[Planned]) -> Vec<Observation> {
     all
 }
 
-/// As much as tests need.
+/// Settings with the effort that tests need.
 fn settings(seed: u64) -> Settings {
     Settings {
         seed,
@@ -75,9 +75,9 @@ fn span(fit: &Fit, unknown: usize) -> (f64, f64) {
     (low, high)
 }
 
-/// Net displacements to 1 mm say little about the friction ratio. A posterior narrower than this claims what is not known.
-/// An independent calculation, which accepted bodies within 1 mm of all five, found 22 to 90. All five with
-/// `RETROGRADE_CAMPAIGN=full`, else three: they leave more open, and the prior's ends are as far.
+/// Net displacements to 1 mm say little about the friction ratio: a narrower posterior than this would claim too
+/// much. An independent calculation, which accepted bodies within 1 mm of all five, found 22 to 90. All five with
+/// `RETROGRADE_CAMPAIGN=full`, otherwise three: they leave more open, and reach the prior's ends as well.
 #[test]
 fn net_displacement_alone_leaves_the_friction_ratio_open() {
     let depths_mm: &[f64] = if full() {
@@ -93,8 +93,8 @@ fn net_displacement_alone_leaves_the_friction_ratio_open() {
     assert!(low < 0.13 && high > 0.17, "{low} to {high}");
 }
 
-/// Isolated passes both ways tell the two directions apart. Within 0.2 mm, evenly, is a standard deviation of 0.115 mm; the
-/// independent calculation found 31 to 44, and the coupling within 3 %, without a discrepancy.
+/// Isolated passes both ways separate the two directions. A uniform error within 0.2 mm has a standard deviation of
+/// 0.115 mm. The independent calculation found 31 to 44, and the coupling within 3 %, without a discrepancy.
 #[test]
 fn isolated_passes_narrow_it() {
     let even = 0.2 / 3f64.sqrt();
@@ -109,9 +109,9 @@ fn isolated_passes_narrow_it() {
     assert!(fit.is_accurate(), "{}", fit.table_error);
 }
 
-/// The same question without likelihood and sampler: bodies of the prior that agree with each net displacement within 1 mm
-/// and with each pass within 0.2 mm. Of 30,000 draws 245 do: 31 to 62 in all, 35 to 54 from 5 to 95 %. The posterior has to
-/// lie about there; the independent calculation's upper end, 44, is not found again.
+/// The same question without likelihood and sampler: bodies of the prior that agree with each net displacement within
+/// 1 mm and with each pass within 0.2 mm. Of 30,000 draws 245 do: 31 to 62 in all, 35 to 54 from 5 to 95 %. The
+/// posterior has to lie in about the same range. It does not reproduce the independent calculation's upper end, 44.
 #[test]
 fn bodies_within_hard_bounds_lie_where_the_posterior_does() {
     let asked = |planned: &[Planned]| {
@@ -135,7 +135,7 @@ fn bodies_within_hard_bounds_lie_where_the_posterior_does() {
     let mut random = stream(2_022, 0);
     let mut logarithm = |low: f64, high: f64| low * (high / low).powf(unit(&mut random));
     let mut ratios = vec![];
-    // The coupling is known within 3 %: farther away nothing agrees.
+    // The coupling is known within 3 %, so no body farther away agrees.
     for _ in 0..4_000 {
         let ratio = logarithm(15.0, 120.0);
         let values = [logarithm(0.14, 0.16), ratio, logarithm(1e-4, 0.2), 0.1];
@@ -152,8 +152,8 @@ fn bodies_within_hard_bounds_lie_where_the_posterior_does() {
     assert!(median > 38.0 && median < 48.0, "{median}");
 }
 
-/// Bodies here and there in the prior, with measurement errors and discrepancy: each value lies in its 99 % interval. All
-/// with `RETROGRADE_CAMPAIGN=full`, else the first.
+/// Bodies from several parts of the prior, with measurement errors and discrepancy: each value lies in its 99 %
+/// interval. All of them with `RETROGRADE_CAMPAIGN=full`, otherwise the first.
 #[test]
 fn bodies_are_found_again() {
     for (number, body) in [
@@ -182,7 +182,8 @@ fn bodies_are_found_again() {
     }
 }
 
-/// The same seed gives the same bits, on any number of threads; another seed another posterior of the same place.
+/// The same seed gives the same bits on any number of threads; another seed gives another posterior of the same
+/// place.
 #[test]
 fn a_seed_is_an_answer() {
     let trials = exact(&passes(&[5.0], 2, 0.2));

@@ -1,5 +1,5 @@
-//! Simulation-based calibration (Talts et al. 2018): if truths come from the prior, their ranks among draws of their
-//! posteriors are uniform. 500 data sets with `RETROGRADE_CAMPAIGN=full`, else the first of them.
+//! Simulation-based calibration (Talts et al. 2018): if the true bodies come from the prior, their ranks among draws
+//! of their posteriors are uniform. 500 data sets with `RETROGRADE_CAMPAIGN=full`, otherwise the first of them.
 
 mod population;
 
@@ -8,7 +8,8 @@ use population::{chi_squares, coverage, judged};
 
 /// Seed of the data sets.
 const SEED: u64 = 2_022;
-/// Chi-square with 15 degrees of freedom that uniform ranks exceed once in 4,000 times: for four unknowns, once in 1,000.
+/// Chi-square with 15 degrees of freedom that uniform ranks exceed once in 4,000 times; for one of four unknowns,
+/// once in 1,000.
 const GREATEST: f64 = 41.3;
 
 #[test]
@@ -32,7 +33,7 @@ fn ranks_are_uniform_and_intervals_cover() {
     for chi_square in chi_squares {
         assert!(chi_square < GREATEST, "{chi_squares:?}");
     }
-    // Of 60 intervals so few or so many cover by chance once in 1,000 times.
+    // For 60 intervals, chance leads outside this range once in 1,000 times.
     let usual = if full { 0.85..=0.95 } else { 0.77..=1.0 };
     for share in coverage {
         assert!(usual.contains(&share), "{coverage:?}");

@@ -1,7 +1,7 @@
-//! Many synthetic data sets whose truths come from the prior, and what the posterior says of each truth.
+//! Many synthetic data sets with true bodies from the prior, and the posterior's judgement of each.
 //!
-//! The model here is a table over the whole prior, for the data as for the fits: what is tried is prior, likelihood and
-//! sampler. What a table costs in accuracy is tried elsewhere.
+//! The model here is a table over the whole prior, for the data as well as for the fits: this tests prior, likelihood
+//! and sampler. Other tests check the accuracy of a table.
 
 use calibration::chance::stream;
 use calibration::observation::{Case, Kind, conditions};
@@ -14,7 +14,7 @@ use calibration::target::Target;
 use locomotion::model::Model;
 use rayon::prelude::*;
 
-/// Of one data set: the rank of each unknown's truth, as the share of the draws that lie below it.
+/// For one data set and each unknown: the share of the draws below the true value.
 #[derive(Clone, Debug)]
 pub struct Judged(pub [f64; UNKNOWNS]);
 
@@ -25,7 +25,7 @@ fn plan() -> Vec<Planned> {
     [1.5, 3.0, 5.05].into_iter().flat_map(at).collect()
 }
 
-/// Judges data sets `0..count` of a seed. Chains that end before they have mixed make ranks less even than the posterior is.
+/// Judges data sets `0..count` of a seed. Chains that end before they have mixed make the ranks less uniform.
 pub fn judged(seed: u64, count: u64, effort: Effort) -> Vec<Judged> {
     let planned = plan();
     let cases: Vec<Case> = planned.iter().map(|one| one.case).collect();
@@ -40,7 +40,7 @@ pub fn judged(seed: u64, count: u64, effort: Effort) -> Vec<Judged> {
         let trials = observed(&exact_mm, &truth, &planned, &mut random);
         let conditions = conditions(&trials).expect("usable");
         let (sorted, places) = distinct(conditions.iter().map(|one| one.case));
-        // The conditions are sorted, the table's cases are as planned.
+        // The conditions are sorted, but the table's cases are in the planned order.
         let places: Vec<usize> = (places.iter())
             .map(|place| {
                 cases
@@ -69,7 +69,7 @@ pub fn judged(seed: u64, count: u64, effort: Effort) -> Vec<Judged> {
     (0..count).into_par_iter().map(judge).collect()
 }
 
-/// Chi-square of ranks in sixteen equal bins, for each unknown.
+/// Chi-square of the ranks in sixteen equal bins, for each unknown.
 pub fn chi_squares(judged: &[Judged]) -> [f64; UNKNOWNS] {
     const BINS: usize = 16;
     std::array::from_fn(|unknown| {
@@ -84,7 +84,7 @@ pub fn chi_squares(judged: &[Judged]) -> [f64; UNKNOWNS] {
     })
 }
 
-/// Share of the data sets whose 90 % interval holds the truth, for each unknown.
+/// Share of the data sets whose 90 % interval contains the true value, for each unknown.
 pub fn coverage(judged: &[Judged]) -> [f64; UNKNOWNS] {
     std::array::from_fn(|unknown| {
         let covered = judged
