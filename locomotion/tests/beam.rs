@@ -1,4 +1,4 @@
-//! The beam model against closed forms and published solutions; what follows from it, against its own limits.
+//! The beam model against closed forms and published solutions; its results against the model's own limits.
 
 use locomotion::beam::band::{INPUTS, band, does_as_the_paper_says, draw};
 use locomotion::beam::crescent::{Shape, Wing};
@@ -36,7 +36,7 @@ fn integral(from: f64, to: f64, f: impl Fn(f64) -> f64) -> f64 {
 }
 
 /// The elastica of a cantilever with a dead force across its tip, by elliptic integrals, for a rotation of the tip:
-/// (P L^2/B, deflection over L, place of the tip along the unbent rod over L).
+/// (P L^2/B, deflection over L, position of the tip along the unbent rod over L).
 fn elastica(tip_rad: f64) -> (f64, f64, f64) {
     let k2 = (1.0 + tip_rad.sin()) / 2.0;
     let from = (1.0 / (2.0 * k2).sqrt()).asin();
@@ -63,7 +63,7 @@ fn an_end_moment_bends_the_rod_to_a_circle() {
             (y - radius * (1.0 - turn.cos())).abs() < 0.002 * LENGTH_MM,
             "{y}"
         );
-        // Work of a moment that rises with the turn.
+        // Work of a moment that grows in proportion to the turn.
         let work = BENDING * turn * turn / LENGTH_MM / 2.0;
         assert!((rod.energy_n_mm() - work).abs() < 1e-7 * work);
     }
@@ -129,7 +129,7 @@ fn the_error_falls_with_the_square_of_the_elements() {
     assert!(errors[1] < 0.01 && errors[5] < 3e-5, "{errors:?}");
 }
 
-/// The largest compression that a straight rod stands.
+/// The greatest compression at which a straight rod is stable.
 fn buckling_n(mut stands: impl FnMut(f64) -> bool) -> f64 {
     let (mut low, mut high) = (0.0, 100.0);
     while high - low > 1e-9 {
@@ -146,7 +146,7 @@ fn buckling_n(mut stands: impl FnMut(f64) -> bool) -> f64 {
 #[test]
 fn struts_buckle_at_eulers_loads() {
     let unit = std::f64::consts::PI.powi(2) * BENDING / LENGTH_MM.powi(2);
-    // Clamped and guided is half of a strut of twice the length with both ends clamped: 4 pi^2 B/(2L)^2.
+    // A clamped and guided strut is half of one of twice the length with both ends clamped: 4 pi^2 B/(2L)^2.
     for (guide, euler) in [(None, unit / 4.0), (Some(0.0), unit)] {
         let found = buckling_n(|force| {
             let mut rod = rod_of(100, guide);
@@ -159,10 +159,11 @@ fn struts_buckle_at_eulers_loads() {
 
 #[test]
 fn a_buckled_strut_follows_the_elastica() {
-    // Timoshenko and Gere, Theory of Elastic Stability, 2.7: at 60 deg of the tip a cantilever strut carries 1.152 P_E.
+    // Timoshenko and Gere, Theory of Elastic Stability, 2.7: a cantilever strut whose tip has turned by 60 deg
+    // carries 1.152 P_E.
     let euler = std::f64::consts::PI.powi(2) * BENDING / LENGTH_MM.powi(2) / 4.0;
     let mut rod = rod(200);
-    // A force across leads to one side, and is then taken away.
+    // A transverse force selects a side; then it is removed.
     rod.load_tip([0.0, 0.2 * euler], 0.0).unwrap();
     rod.load_tip([-1.1517 * euler, 0.2 * euler], 0.0).unwrap();
     rod.load_tip([-1.1517 * euler, 0.0], 0.0).unwrap();
@@ -184,7 +185,7 @@ fn a_wall_does_the_work_that_the_wing_stores() {
         let deepest = 5.05;
         let mut work = 0.0;
         let mut before = 0.0;
-        // Fine where the force rises fast.
+        // Use a fine spacing where the force rises fast.
         let at = |i: usize| deepest * (i as f64 / N as f64).powi(3);
         for i in 1..=N {
             let force = wing.squeezed(0.0, at(i), shape, 0.0).unwrap().value;
@@ -308,7 +309,7 @@ fn what_the_beam_cannot_do_is_refused() {
         Err(NoAnswer::OutOfRange(_))
     ));
     assert!(wing.squeezed(0.0, f64::NAN, Shape::Flat, 0.0).is_err());
-    // More friction than slant: the wing stands like a pawl.
+    // Friction outweighs the slant: the wing locks like a pawl.
     let locked = wing.squeezed(0.0, 0.5, Shape::Flat, -0.5).unwrap_err();
     assert!(locked.to_string().contains("jams"), "{locked}");
     for bad in [0.0, -1.0, f64::NAN] {
@@ -321,7 +322,7 @@ fn what_the_beam_cannot_do_is_refused() {
     }
 }
 
-/// A body whose wall takes up the thrust of the roller: what the paper says of the unfolded one.
+/// A body with a wall that takes the thrust of the roller: it behaves as the paper says of the unfolded one.
 fn soft() -> Params {
     Params {
         friction: 0.19,

@@ -1,4 +1,4 @@
-//! The chain of crescents: the indentation of each and the movement of the whole.
+//! The chain of crescents: the indentation of each crescent and the movement of the whole body.
 
 use locomotion::body::{Chain, Params};
 use locomotion::roller;
@@ -19,7 +19,7 @@ fn a_relaxed_body_lies_with_its_rearmost_tip_at_the_tail() {
     }
 }
 
-/// Under a sloping wall each crescent takes its share of the indentation at the previous middle of its link.
+/// Under a sloping wall, each crescent takes its share of the indentation at the previous middle of its link.
 #[test]
 fn each_crescent_feels_the_wall_at_its_place() {
     let mut chain = Chain::new(PARAMS).unwrap();
@@ -44,7 +44,7 @@ fn each_crescent_feels_the_wall_at_its_place() {
     }
 }
 
-/// Squeezed at the head only, the body holds there and draws its tail up.
+/// Squeezed at the head only, the body holds there and pulls its tail up.
 #[test]
 fn the_squeezed_end_holds() {
     let mut chain = Chain::new(PARAMS).unwrap();

@@ -1,4 +1,4 @@
-//! The comparison table: it is complete, and the manual holds what the code prints.
+//! The comparison table is complete, and the manual contains what the code prints.
 
 use std::sync::OnceLock;
 
@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 const BOTH: [Words; 2] = [Words::Rig, Words::Tube];
 
-/// The default model's sheet and what the bodies give, worked out once.
+/// The default model's sheet and the values of the bodies, computed once.
 struct Judged {
     sheet: Sheet,
     own: Values,
@@ -95,7 +95,7 @@ fn the_manual_holds_this_table() {
     );
 }
 
-/// The conditions are the sentences' own: what is named in the paper's column, or one of our thresholds.
+/// The conditions are those of the sentences: values in the paper's column, or our named thresholds.
 #[test]
 fn a_condition_is_what_the_papers_column_says() {
     for row in rows() {
@@ -119,7 +119,7 @@ fn a_condition_is_what_the_papers_column_says() {
                 assert_eq!(asked, number.map(|number| number.to_string()), "{row:?}");
                 continue;
             }
-            // Nothing is asked of what the text has no word for, and of a model without a value.
+            // No condition where the text has no number, or for a row without a model value.
             "-" => {
                 assert_eq!(asked, None, "{row:?}");
                 continue;
@@ -141,7 +141,7 @@ fn a_condition_is_what_the_papers_column_says() {
     }
 }
 
-/// A remark begins with "missed" where the model's value does not meet the condition, and nowhere else.
+/// A remark begins with "missed" if and only if the model's value does not meet the condition.
 #[test]
 fn a_sentence_is_met_or_called_missed() {
     for row in rows() {
@@ -157,7 +157,7 @@ fn a_sentence_is_met_or_called_missed() {
     }
 }
 
-/// Counted again, one body at a time.
+/// Counts again, one body at a time.
 #[test]
 fn shares_are_counts() {
     let judged = judged();
@@ -228,8 +228,8 @@ fn shares_are_counts() {
     assert!(decided > 15, "{decided}");
 }
 
-/// Kinematics and inputs hold for any body, which is measured; the rows of the rig do not depend on the tube's wall, nor those
-/// of the tube on anything that only the rig has.
+/// Kinematics and inputs hold for any body, as this measures. The rows of the rig do not depend on the tube's wall,
+/// nor those of the tube on parameters that only the rig has.
 #[test]
 fn what_the_body_decides_is_measured() {
     let judged = judged();
@@ -265,7 +265,7 @@ fn what_the_body_decides_is_measured() {
     }
 }
 
-/// Asked in one world alone, a row has the value that it has in both, or none.
+/// Evaluated in one world alone, a row has the same value as in both, or none.
 #[test]
 fn a_world_is_asked_alone() {
     let judged = judged();
@@ -285,7 +285,8 @@ fn a_world_is_asked_alone() {
     }
 }
 
-/// A row by which the bodies were chosen says nothing afterwards: all of them meet it. Before, some did not, of most rows.
+/// All selected bodies meet a row that selected them, so it is no evidence. Before the selection, most rows were
+/// missed by some.
 #[test]
 fn what_chose_the_bodies_is_met_by_all_of_them() {
     let judged = judged();
@@ -319,7 +320,7 @@ fn what_chose_the_bodies_is_met_by_all_of_them() {
     assert!(wholly >= 7 && decided >= 5, "{wholly} {decided}");
 }
 
-/// Bodies of another kind have other odds; a posterior of one body is as sure as that body.
+/// Bodies of another kind have other odds. A posterior of one body is as certain as that body.
 #[test]
 fn a_posterior_decides_its_own_column() {
     let judged = judged();
@@ -347,7 +348,7 @@ fn a_posterior_decides_its_own_column() {
     };
     let (slippery, hooked) = (of(1.3), of(40.0));
     assert_eq!((share(&slippery).met, share(&hooked).met), (0, 50));
-    // Fifty draws that are worth twenty: the interval of none of twenty.
+    // Fifty draws with an effective number of twenty: the interval for none of twenty.
     assert!((share(&slippery).interval.1 - 0.161).abs() < 1e-3);
     for (row, odds) in judged.sheet.rows.iter().zip(hooked) {
         if let Odds::Shares { posterior, .. } = odds {
@@ -386,7 +387,7 @@ fn each_row_has_a_value_or_lies_outside() {
     }
 }
 
-/// Section II to III.A, in the paper's order, none left out.
+/// Sections II to III.A in the paper's order, complete.
 #[test]
 fn every_section_with_numbers_is_there() {
     let mut sections: Vec<_> = rows().iter().map(|row| row.section).collect();
@@ -422,7 +423,7 @@ fn value(quantity: &str) -> f64 {
     row.model.unwrap()
 }
 
-/// What was put in is not called a result.
+/// An input of the model is not labelled as a result.
 #[test]
 fn nothing_that_was_put_in_is_a_result() {
     for row in rows() {
@@ -431,8 +432,8 @@ fn nothing_that_was_put_in_is_a_result() {
     }
 }
 
-/// Without a length that tips the scales: at as long a core steep wings go less far, and a long body gains less per
-/// crescent.
+/// Compared without the effect of length: at the same core length steep wings move less far, and a long body gains
+/// less per crescent.
 #[test]
 fn beta_and_m_are_compared_fairly() {
     assert!(
@@ -453,7 +454,7 @@ fn a_line_through_the_origin_fits_worse() {
     assert!(five > 0.99 && six < five, "{five} {six}");
 }
 
-/// Another body gives other values, and a bad one none.
+/// Another body gives other values, and an invalid one gives none.
 #[test]
 fn the_rows_are_those_of_the_model_that_is_asked() {
     let short = |mut model: Model| {

@@ -54,7 +54,7 @@ fn a_flat_contact_is_ridden_over() {
     let Contact::Pushed { slope, .. } = FoldedBody::new(at(14.744), 5.05).unwrap().contact() else {
         panic!("it is pushed");
     };
-    // A slope that equals the friction does not push.
+    // A slope equal to the friction does not push.
     let just_held = Params {
         friction: slope,
         ..at(14.744)
@@ -112,7 +112,8 @@ fn refusals() {
 }
 
 proptest! {
-    /// Never headward, never past the wave's foot, and only the leftmost place of the carriage counts.
+    /// The body moves neither headward nor past the wave's foot, and only the leftmost position of the carriage
+    /// counts.
     #[test]
     fn only_the_farthest_place_counts(
         turns in prop::collection::vec(0.0..130.0f64, 1..20),
@@ -131,7 +132,7 @@ proptest! {
     }
 }
 
-/// Where the roller's arc meets the body it is indented by the gap, and its slope is the one stated.
+/// Where the roller's arc meets the body, the indentation equals the gap and the slope equals the stated one.
 #[test]
 fn a_pushed_body_touches_the_rollers_arc() {
     for a in [4.6, 5.05, 6.0, 9.0] {
@@ -163,7 +164,7 @@ fn the_tail_is_where_the_body_went() {
     assert!((body.tail_mm() - 65.0 - body.displacement_mm()).abs() < 1e-12);
 }
 
-/// At home the roller just touches a body that lies as far to the right as it may.
+/// With the carriage at home, the roller just touches a body at the rightmost allowed position.
 #[test]
 fn a_body_is_laid_down_clear_of_the_roller() {
     let Contact::Pushed { ahead_mm, .. } = FoldedBody::new(Params::PAPER, 5.05).unwrap().contact()

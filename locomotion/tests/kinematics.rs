@@ -141,7 +141,7 @@ fn table_holds<T: Real>(relative: f64) {
 
 #[test]
 fn reference_values_in_f64() {
-    // The references carry 15 digits.
+    // The reference values have 15 digits.
     table_holds::<f64>(1e-12);
 }
 
@@ -316,7 +316,7 @@ fn an_error_says_what_to_do() {
     );
 }
 
-/// Width, core, tangents and m of any design that can be built, as f32 so that both precisions see the same numbers.
+/// Width, core, tangents and m of any valid design, as f32 so that both precisions get the same numbers.
 fn designs() -> impl Strategy<Value = (f32, f32, f32, f32, u8)> {
     (
         5.0..60.0f32,
@@ -352,7 +352,7 @@ proptest! {
         prop_assert!(d0[parts as usize] < design.spacing_mm());
     }
 
-    /// The stable forms are the printed ones, and psi + d0 = phi.
+    /// The stable forms equal the printed ones, and psi + d0 = phi.
     #[test]
     fn stable_and_printed_forms_agree((w, c, ta, tb, m) in designs(), part in 0.0..=1.0f64) {
         let design = Design::with_slopes(f64::from(w), f64::from(c), f64::from(ta), f64::from(tb), m).unwrap();
@@ -374,7 +374,7 @@ proptest! {
         prop_assert!(error <= 9e-7 * exact, "{error} of {exact}");
     }
 
-    /// The derivatives are those of d0: central differences.
+    /// The derivatives equal central differences of d0.
     #[test]
     fn derivatives_are_slopes((w, c, ta, tb, m) in designs(), part in 0.05..0.95f64) {
         let (w, c, alpha, beta) = (f64::from(w), f64::from(c), f64::from(ta).atan().to_degrees(), f64::from(tb).atan().to_degrees());

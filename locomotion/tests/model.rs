@@ -9,7 +9,7 @@ fn set(model: &mut Model, key: &str, value: f64) {
     model.set(setting, Value::Number(value)).expect(key);
 }
 
-/// The default is what the worlds call the paper's, bit by bit.
+/// The default model equals the parameters that rig and tube call the paper's, bit by bit.
 #[test]
 fn the_default_is_the_papers_rig_and_tube() {
     assert_eq!(Model::ONE.rig().unwrap(), roller::Params::PAPER);
@@ -36,7 +36,7 @@ fn bodies_have_names() {
     assert_eq!(Model::ALL[0], Model::ONE);
 }
 
-/// Each key is unique, has a meaning and a source, and sets what it reads and nothing else.
+/// Each key is unique, has a meaning and a source, and sets the value that it reads and nothing else.
 #[test]
 fn each_parameter_sets_itself_and_no_other() {
     let mut keys: Vec<_> = Setting::all().map(|setting| setting.key).collect();
@@ -47,7 +47,7 @@ fn each_parameter_sets_itself_and_no_other() {
         assert!(!setting.meaning.is_empty());
         let mut model = Model::ONE;
         let before = setting.value(&model);
-        // Whole numbers stay whole.
+        // Whole numbers must stay whole.
         let wanted = before.mul_add(2.0, 1.0);
         set(&mut model, setting.key, wanted);
         assert_eq!(setting.value(&model), wanted, "{}", setting.key);
@@ -67,7 +67,8 @@ fn each_parameter_sets_itself_and_no_other() {
     assert_eq!(Model::ONE.parameters().count(), SETTINGS.len());
 }
 
-/// No parameter is a name only: each is refused out of its range, or changes what a world is made of.
+/// Every parameter has an effect: it is refused out of its range, or changes the parameters of rig, tube or folded
+/// body.
 #[test]
 fn each_parameter_reaches_its_world() {
     for setting in &SETTINGS {
@@ -88,7 +89,7 @@ fn each_parameter_reaches_its_world() {
     }
 }
 
-/// What is out of range is refused with its name, its range and its unit.
+/// A value out of range is refused with its name, its range and its unit.
 #[test]
 fn a_value_out_of_range_is_refused() {
     for (key, value, says) in [
@@ -132,7 +133,7 @@ fn a_value_out_of_range_is_refused() {
     }
 }
 
-/// A short body cannot draw 21 mm of thread in; that is said where it would have to.
+/// A short body has less than 21 mm of thread to draw in; only the run that needs the thread refuses it.
 #[test]
 fn a_short_body_is_a_model() {
     let mut model = Model::ONE;
@@ -184,7 +185,7 @@ fn an_angle_is_another_way_to_give_its_tangent() {
     assert_eq!(Setting::named("body.coupling").unwrap().other_key(), None);
 }
 
-/// The friction ratio of the facets is read at the friction that is set, and called by its word.
+/// The friction ratio of the facets is read at the present friction, and is shown by its word.
 #[test]
 fn facets_follow_the_friction() {
     let ratio = Setting::named("body.friction_ratio").unwrap();

@@ -1,4 +1,4 @@
-//! The draws: declared, seeded, and kept by the paper's sentences only.
+//! The draws: declared, seeded, and selected by the paper's sentences only.
 
 use std::fmt::Write;
 
@@ -25,7 +25,7 @@ fn every_prior_is_a_parameter() {
     }
 }
 
-/// Each parameter fills its range evenly: no tenth of it has more than a quarter too many or too few draws.
+/// Each parameter fills its range evenly: no tenth of it has a quarter too many or too few draws.
 #[test]
 fn the_draws_fill_their_ranges() {
     for (place, prior) in PRIORS.iter().enumerate() {
@@ -48,8 +48,8 @@ fn the_draws_fill_their_ranges() {
     }
 }
 
-/// The stored numbers are those that the sentences keep: of every eighth draw, of all with `RETROGRADE_CAMPAIGN=full`.
-/// `BLESS=1` writes them anew.
+/// The stored numbers are the draws that the sentences keep. Checks every eighth draw, or all with
+/// `RETROGRADE_CAMPAIGN=full`. `BLESS=1` writes the numbers again.
 #[test]
 fn the_sentences_keep_these_draws() {
     let bless = std::env::var_os("BLESS").is_some();
@@ -91,12 +91,13 @@ fn the_sentences_keep_these_draws() {
     }
 }
 
-/// The default body agrees with both; the older ones do not agree with what they were not fitted to.
+/// The default body agrees with both sets of words; the older ones do not agree with all of those they were not
+/// fitted to.
 #[test]
 fn which_named_body_agrees_with_which_words() {
     for (model, rig, tube) in [
         (Model::ONE, true, true),
-        // A returning roller moves it by a third of an antegrade pass at 1 mm.
+        // At 1 mm a returning roller moves it by a third of an antegrade pass.
         (Model::RIG, false, true),
         (Model::TUBE, false, true),
     ] {
@@ -110,7 +111,7 @@ fn which_named_body_agrees_with_which_words() {
     }
 }
 
-/// The words leave the displacement on the rig open by more than a factor of four: a single number is no prediction.
+/// The words leave more than a factor of four in the displacement on the rig: a single number is no prediction.
 #[test]
 fn the_band_on_the_rig_is_wide() {
     let mut values: Vec<f64> = agreeing(Words::Rig)

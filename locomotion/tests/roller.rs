@@ -1,11 +1,11 @@
-//! The roller rig: the reference series, any movement of the carriage, and what must not matter.
+//! The roller rig: the reference series, any movement of the carriage, and inputs that must have no effect.
 
 use locomotion::body::FrictionRatio;
 use locomotion::model::Model;
 use locomotion::roller::{IsolatedPass, Params, UnfoldedBody, isolated_pass, run, wall_mm};
 use proptest::prelude::*;
 
-/// The default body, to the digits that the step of 0.05 mm deserves.
+/// The default body, with as many digits as the step of 0.05 mm supports.
 const SERIES: [(f64, &str); 5] = [
     (1.0, "13.0"),
     (2.0, "22.0"),
@@ -25,7 +25,7 @@ fn the_series_reproduces_to_the_printed_digits() {
     }
 }
 
-/// The model itself is what it was: with the older body and its step of 0.5 mm the older values come out.
+/// The model has not changed: the older body with its step of 0.5 mm gives the older values.
 #[test]
 fn the_older_body_gives_its_older_values() {
     let older = Params {
@@ -50,7 +50,7 @@ fn the_older_body_gives_its_older_values() {
     assert_eq!(format!("{:.3}", pass.returning_mm), "-0.021");
 }
 
-/// A fifth of the step changes no member of the series by 0.05 mm.
+/// A fifth of the step changes no value of the series by 0.05 mm.
 #[test]
 fn the_series_is_converged_in_the_step() {
     for (a, _) in SERIES {
@@ -63,7 +63,8 @@ fn the_series_is_converged_in_the_step() {
     }
 }
 
-/// "Hardly": a return pass is at most an eighth of an antegrade one; of the older body it is a third at 1 mm.
+/// "Hardly": a return pass moves the body by at most an eighth of an antegrade one; for the older body it is a third
+/// at 1 mm.
 #[test]
 fn a_returning_roller_hardly_moves_the_default_body() {
     let worst = |params: Params| {
@@ -78,7 +79,7 @@ fn a_returning_roller_hardly_moves_the_default_body() {
     assert!((0.33..0.35).contains(&older[0]), "{older:?}");
 }
 
-/// While the rollers are on the body, its head lags behind the tail by what the core has lost.
+/// While the rollers are on the body, its head lags behind the tail by the shortening of the core.
 #[test]
 fn head_and_tail_move_apart_and_meet_again() {
     let mut body = UnfoldedBody::new(Params::PAPER, 5.05).unwrap();
@@ -93,7 +94,7 @@ fn head_and_tail_move_apart_and_meet_again() {
     assert!(apart.abs() < 1e-12, "{apart}");
 }
 
-/// Through the facets the friction acts: more of it holds better against the returning roller.
+/// With facets the friction matters: more friction holds better against the returning roller.
 #[test]
 fn friction_matters_where_the_ratio_follows_from_it() {
     let at = |friction| {
@@ -111,7 +112,7 @@ fn friction_matters_where_the_ratio_follows_from_it() {
         net_mm(rough) - net_mm(slippery) > 0.3,
         "{rough:?} {slippery:?}"
     );
-    // 1/tan(beta) = 1.5: from there on the facets lock.
+    // 1/tan(beta) = 1.5: from this friction on the facets lock.
     assert!(UnfoldedBody::new(at(1.499), 5.05).is_ok());
     let error = UnfoldedBody::new(at(1.5), 5.05).unwrap_err();
     assert_eq!((error.value, error.max), (1.5, 1.5));
@@ -191,7 +192,7 @@ fn refusals() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever the turning points, neither more calls on the way nor a repeated run changes a bit.
+    /// For any turning points, neither more calls on the way nor a repeated run changes a bit.
     #[test]
     fn only_the_way_counts_not_the_calls(
         turns in prop::collection::vec(0.0..130.0f64, 1..8),

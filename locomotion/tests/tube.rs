@@ -1,10 +1,10 @@
-//! The pressurised tube: the reference series and what must not matter.
+//! The pressurised tube: the reference series, and inputs that must have no effect.
 
 use locomotion::body::FrictionRatio;
 use locomotion::model::Model;
 use locomotion::tube::{Params, Tube, averaged, placed, run};
 
-/// The default body: tail and head, mean over the placements, to the digits that the tolerance deserves.
+/// The default body: tail and head, averaged over the placements, with as many digits as the tolerance supports.
 const SERIES: [(f64, &str, &str); 5] = [
     (3000.0, "1.0", "0.9"),
     (4200.0, "1.5", "1.4"),
@@ -22,7 +22,8 @@ fn the_series_reproduces_to_the_printed_digits() {
     }
 }
 
-/// The model itself is what it was: the older body at its one place, with its undivided steps of 0.05 s.
+/// The model has not changed: the older body at its one starting place, with undivided steps of 0.05 s, gives the
+/// older values.
 #[test]
 fn the_older_body_gives_its_older_values() {
     let mut older = Model::TUBE.tube().unwrap();
@@ -78,7 +79,7 @@ fn the_mean_is_converged() {
     }
 }
 
-/// How the time is divided does not matter either: the wall step decides.
+/// The length of a time step has no effect: the wall step decides.
 #[test]
 fn the_time_step_is_only_how_often_one_looks() {
     for step_s in [0.1, 0.01] {
@@ -97,7 +98,7 @@ fn the_time_step_is_only_how_often_one_looks() {
     }
 }
 
-/// The spread is that of the places, not that of the steps: a tenth of the step leaves it.
+/// The spread comes from the starting places, not from the steps: a tenth of the step leaves it unchanged.
 #[test]
 fn the_spread_is_not_the_noise_of_the_steps() {
     let params = Model::TUBE.tube().unwrap();
@@ -140,7 +141,7 @@ fn the_places_cover_one_segment() {
     assert_eq!(mean.range_mm, (single, single));
 }
 
-/// Friction acts where the ratio follows from it: about 10 to 15 mm in place of "about 14 mm" throughout.
+/// Friction matters where the ratio follows from it: about 10 to 15 mm, where the paper has "about 14 mm" throughout.
 #[test]
 fn friction_matters_where_the_ratio_follows_from_it() {
     let at = |friction: f64| {
@@ -187,7 +188,7 @@ fn the_wall_never_passes_the_core_and_rises_with_pressure() {
     assert_eq!(last, Params::PAPER.body.design.half_gap_mm());
 }
 
-/// The pulses as the paper words them: 3 s long, from the right, 1 s apart. And at another delay.
+/// The pulses as the paper describes them: 3 s long, from the right, 1 s apart; and with another delay.
 #[test]
 fn pulses_walk_from_right_to_left() {
     for delay_s in [1.0, 0.5] {
@@ -282,7 +283,7 @@ fn refusals() {
     );
 }
 
-/// Straight between the middles of two segments, level beyond the outer ones.
+/// Linear between the middles of two segments, constant beyond the outer ones.
 #[test]
 fn the_wall_between_the_middles_is_straight() {
     let mut tube = Tube::new(Params::PAPER, 7000.0).unwrap();
