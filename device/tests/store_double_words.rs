@@ -1,5 +1,5 @@
-//! The settings' log in a flash of double words with a check code, as the STM32L412's, through the adapter that the image uses. No such
-//! chip has been tried: this is what its reference manual says it does.
+//! The settings' log in the STM32L412's flash of double words with a check code, through the adapter that the image
+//! uses. It was not tried on such a chip: the model follows the reference manual.
 
 #[path = "chip/double_words.rs"]
 mod chip;
@@ -12,7 +12,7 @@ use embedded_storage_async::nor_flash::{NorFlash, ReadNorFlash};
 use log::{KEPT, start, young};
 use protocol::settings::SettingKey;
 
-/// A page wears by erasing.
+/// Erasing wears a page.
 #[test]
 fn a_blank_sector_is_not_erased() {
     let flash = Flash::blank();
@@ -26,7 +26,7 @@ fn a_blank_sector_is_not_erased() {
     );
 }
 
-/// The cuts of the other tests do leave such double words: what was written before them is there, and so is what comes behind them.
+/// The cuts of the other tests do leave unreadable double words. Records before and behind them remain readable.
 #[test]
 fn what_a_cut_made_unreadable_is_stepped_over() {
     let mut unreadable = 0;
@@ -48,12 +48,12 @@ fn what_a_cut_made_unreadable_is_stepped_over() {
     assert!(unreadable > 20, "{unreadable}");
 }
 
-/// Else the log would find it free each time, and nothing could be stored any more.
+/// Otherwise the log would take it for free each time, and could never store anything again.
 #[test]
 fn a_double_word_that_cannot_be_programmed_costs_one_record() {
     for place in 0..2 {
         let flash = Flash::holding(young());
-        // The head of the next record, or its content.
+        // The head of the next record (0) or its content (1).
         let head = flash.operations().len();
         start(&flash).set(SettingKey::FlagUm, 1_000).unwrap();
         let Operation::Write { offset, .. } = flash.operations()[head] else {
@@ -70,7 +70,7 @@ fn a_double_word_that_cannot_be_programmed_costs_one_record() {
     }
 }
 
-/// From any place, any number of bytes.
+/// Any number of bytes from any place.
 #[test]
 fn bytes_are_read_across_double_words() {
     let content: Vec<u8> = (0..SECTORS.end).map(|at| (at % 251) as u8).collect();
@@ -85,7 +85,7 @@ fn bytes_are_read_across_double_words() {
     }
 }
 
-/// Eight pages are a sector, and all of them.
+/// A sector is eight pages: all of them are erased.
 #[test]
 fn a_sector_is_erased_page_by_page() {
     let mut flash = Flash::holding(vec![0; SECTORS.end as usize]);

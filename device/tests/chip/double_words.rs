@@ -1,6 +1,7 @@
-//! A flash in memory as the STM32L412's: double words with a check code, pages, and a supply that can fail in between.
+//! A model in memory of the STM32L412's flash: double words with a check code, pages, and a supply that can fail
+//! meanwhile.
 
-// Each test file uses a part of it.
+// Each test file uses only a part of it.
 #![allow(dead_code)]
 
 #[path = "mod.rs"]
@@ -17,15 +18,15 @@ use std::{
 };
 pub use words::{Cut, Error, Operation, Random, Supply};
 
-/// What a double word is.
+/// State of a double word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 enum State {
     Blank,
     Programmed,
-    /// Its check code does not fit.
+    /// Its check code is wrong.
     Unreadable,
-    /// It reads as blank, and cannot be programmed but with zeros.
+    /// Reads as blank, but accepts nothing except zeros.
     Stuck,
 }
 
@@ -40,11 +41,11 @@ struct Array {
     supply: Supply,
 }
 
-/// Its double words; clones are the same ones.
+/// The double words of a flash; clones share them.
 #[derive(Clone, Debug)]
 struct Cells(Arc<Mutex<Array>>);
 
-/// The flash as the store sees it; clones are the same one.
+/// The flash as the store sees it; clones share its content.
 #[derive(Clone, Debug)]
 pub struct Flash(Sectors<Cells>);
 
@@ -55,7 +56,7 @@ impl Flash {
         Self::holding(vec![0xFF; SIZE])
     }
 
-    /// After a start, with this content: bytes alone, or with the states that [`Flash::bytes`] puts behind them.
+    /// A flash after a start, with this content: bytes alone, or followed by the states as from [`Flash::bytes`].
     pub fn holding(mut bytes: Vec<u8>) -> Self {
         let states = bytes.split_off(SIZE);
         assert!([0, SIZE / DOUBLE_WORD].contains(&states.len()));
@@ -85,19 +86,19 @@ impl Flash {
         self.0.0.0.lock().unwrap()
     }
 
-    /// The content, and the state of each double word behind it.
+    /// The content, followed by the state of each double word.
     pub fn bytes(&self) -> Vec<u8> {
         let array = self.array();
         let states = array.states.iter().map(|state| *state as u8);
         array.bytes.iter().copied().chain(states).collect()
     }
 
-    /// Programmed double words and erased pages since the start.
+    /// Writes and page erasures since the start.
     pub fn operations(&self) -> Vec<Operation> {
         self.array().supply.operations.clone()
     }
 
-    /// The supply fails in the operation after so many more.
+    /// Makes the supply fail in the operation after `after` more.
     pub fn cut(&self, after: usize, cut: Cut, seed: u64) {
         self.array().supply.cut(after, cut, seed);
     }
@@ -106,12 +107,12 @@ impl Flash {
         self.fail(0..usize::MAX);
     }
 
-    /// Of the operations from now on, these fail.
+    /// Makes these operations fail, counted from now on.
     pub fn fail(&self, failing: Range<usize>) {
         self.array().supply.fail(failing);
     }
 
-    /// The first blank double word behind `from` cannot be programmed, which reading does not tell.
+    /// Makes the first blank double word behind `from` impossible to program; reading does not show that.
     pub fn stick(&self, from: u32) {
         let mut array = self.array();
         let from = from as usize / DOUBLE_WORD;
@@ -120,7 +121,7 @@ impl Flash {
         array.states[index] = State::Stuck;
     }
 
-    /// How many double words are unreadable.
+    /// Number of unreadable double words.
     pub fn unreadable(&self) -> usize {
         let unreadable = |state: &&State| **state == State::Unreadable;
         self.array().states.iter().filter(unreadable).count()
@@ -138,7 +139,8 @@ impl Array {
         bytes.try_into().unwrap()
     }
 
-    /// What a double word is in the middle of an operation: anything between `bytes` and blank, with a check code that fits or does
+    /// Leaves a double word as an interrupted operation might: anything between `bytes` and blank, with a check code
+    /// that is right or wrong.
     /// not.
     fn leave_torn(&mut self, index: usize, bytes: [u8; DOUBLE_WORD]) {
         let noise = self.supply.noise.next().to_le_bytes();

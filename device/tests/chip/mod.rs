@@ -1,6 +1,7 @@
-//! A flash in memory as the STM32F411's: words are programmed, sectors erased, and the supply can fail in between.
+//! A model in memory of the STM32F411's flash: words are programmed, sectors erased, and the supply can fail
+//! meanwhile.
 
-// Each test file uses a part of it.
+// Each test file uses only a part of it.
 #![allow(dead_code)]
 
 use device::store::{SECTOR, SECTORS};
@@ -30,17 +31,18 @@ impl Random {
     }
 }
 
-/// Where the supply fails in an operation.
+/// Where in an operation the supply fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cut {
     Before,
-    /// So many words of a write are there, or so many quarters of a sector are blank. The rest of an erasure, and
-    /// with `torn` one word more of a write, is neither old nor new.
+    /// After `done` words of a write, or `done` quarters of an erasure. The rest of an erasure, and with `torn` one
+    /// more word of a write, is neither old nor new.
     Within {
         done: usize,
         torn: bool,
     },
-    /// First and last word of the sector are blank, what lies between is not. A write is cut after its first word.
+    /// The first and last word of the sector are blank, but not everything between. A write is cut after its first
+    /// word.
     BlankAtBothEnds,
     After,
 }
@@ -67,22 +69,22 @@ impl Cut {
     }
 }
 
-/// What happened to the flash.
+/// An operation on the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operation {
     Write { offset: u32, words: usize },
     Erase { sector: u32 },
 }
 
-/// What writes and erasures need, and how they end when it fails.
+/// The supply of the flash, and the operations that fail with it.
 #[derive(Debug)]
 pub struct Supply {
-    /// What was done since the start.
+    /// Operations since the start.
     pub operations: Vec<Operation>,
-    /// It fails in this operation from now on.
+    /// The operation in which it fails, counted from the start, and where.
     cut: Option<(usize, Cut)>,
     powered: bool,
-    /// Operations that were asked for since the start, and those of them that fail.
+    /// Number of operations requested since `fail`, and those of them that fail.
     asked: usize,
     failing: Range<usize>,
     pub noise: Random,
@@ -100,18 +102,18 @@ impl Supply {
         }
     }
 
-    /// Fails in the operation after so many more.
+    /// Fails in the operation after `after` more.
     pub fn cut(&mut self, after: usize, cut: Cut, seed: u64) {
         self.cut = Some((self.operations.len() + after, cut));
         self.noise = Random(seed);
     }
 
-    /// Of the operations from now on, these fail.
+    /// Makes these operations fail, counted from now on.
     pub fn fail(&mut self, failing: Range<usize>) {
         (self.asked, self.failing) = (0, failing);
     }
 
-    /// How the next operation ends.
+    /// Begins an operation; returns where it is cut.
     pub fn begin(&mut self, operation: Operation) -> Result<Cut, Error> {
         self.end()?;
         self.asked += 1;
@@ -128,7 +130,7 @@ impl Supply {
         }
     }
 
-    /// Whether the operation came to its end.
+    /// Whether the operation was completed.
     pub fn end(&self) -> Result<(), Error> {
         if self.powered {
             Ok(())
@@ -144,13 +146,13 @@ struct Array {
     supply: Supply,
 }
 
-/// The flash; clones are the same one.
+/// The flash; clones share its content.
 #[derive(Clone, Debug)]
 pub struct Flash(Arc<Mutex<Array>>);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Error {
-    /// There is no supply.
+    /// The supply is off.
     Off,
     Worn,
 }
@@ -166,7 +168,7 @@ impl Flash {
         Self::holding(vec![0xFF; SECTORS.end as usize])
     }
 
-    /// After a start, with this content.
+    /// A flash after a start, with this content.
     pub fn holding(bytes: Vec<u8>) -> Self {
         assert_eq!(bytes.len(), SECTORS.end as usize);
         Self(Arc::new(Mutex::new(Array {
@@ -188,7 +190,7 @@ impl Flash {
         self.array().supply.operations.clone()
     }
 
-    /// The supply fails in the operation after so many more.
+    /// Makes the supply fail in the operation after `after` more.
     pub fn cut(&self, after: usize, cut: Cut, seed: u64) {
         self.array().supply.cut(after, cut, seed);
     }
@@ -197,7 +199,7 @@ impl Flash {
         self.fail(0..usize::MAX);
     }
 
-    /// Of the writes and erasures from now on, these fail.
+    /// Makes these operations fail, counted from now on.
     pub fn fail(&self, failing: Range<usize>) {
         self.array().supply.fail(failing);
     }
@@ -213,13 +215,13 @@ impl Array {
             Cut::After => (words, false),
         };
         let target = &mut self.bytes[offset as usize..][..bytes.len()];
-        // Bits can only be cleared. Clearing all of them again is how the log marks a sector.
+        // Programming can only clear bits. The log marks a sector by clearing a whole word again.
         let blank = target.iter().all(|byte| *byte == 0xFF);
         let mark = bytes == [0; 4];
         assert!(blank || mark, "a word is programmed twice at {offset:#x}");
         target[..4 * done].copy_from_slice(&bytes[..4 * done]);
         if torn && done < words {
-            // Some of its bits are 0 already.
+            // Some of its bits are already 0.
             for index in 4 * done..4 * done + 4 {
                 target[index] = bytes[index] | self.supply.noise.next() as u8;
             }
@@ -235,7 +237,7 @@ impl Array {
         match cut {
             Cut::Before => {}
             Cut::After => bytes.fill(0xFF),
-            // Some of the bits are 1 already.
+            // Some of the bits are already 1.
             Cut::BlankAtBothEnds => {
                 bytes.fill_with(|| noise.next() as u8);
                 bytes[..4].fill(0xFF);
