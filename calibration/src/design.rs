@@ -1,4 +1,4 @@
-//! Which trials to make: their expected information gain on the body, over many possible histories.
+//! Selects the next trials: their expected information gain on the body, over many possible histories.
 //!
 //! The gain of a trial after others is the information in its result, averaged over histories of those others. Each
 //! gain is conditional on the trials before, so the gains of a sequence add up to its joint gain. A standard error is

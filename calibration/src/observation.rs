@@ -120,11 +120,11 @@ pub enum Unusable {
     Number {
         /// Its place, from 1.
         number: usize,
-        /// Which number.
+        /// Name of the number.
         quantity: &'static str,
         /// The number.
         value: f64,
-        /// What is required of it.
+        /// The requirement that it misses.
         why: &'static str,
     },
     /// An invalid count.
@@ -132,7 +132,7 @@ pub enum Unusable {
     Count {
         /// Its place, from 1.
         number: usize,
-        /// What is wrong.
+        /// The defect.
         what: &'static str,
     },
 }

@@ -24,7 +24,7 @@ use crate::script::steps;
 /// Most steps of a script that are tried.
 const MOST_STEPS: usize = 64;
 
-/// What the host does, and how the device begins.
+/// The host's actions, and the beginning of the device's.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Plan {
     /// Whether the device is a capsule.

@@ -16,7 +16,7 @@ pub struct Good {
     pub session: u8,
     /// Sequence number.
     pub seq: u16,
-    /// What it carries.
+    /// Its body, decoded from COBS and without the CRC.
     pub body: Vec<u8>,
 }
 

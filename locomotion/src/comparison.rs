@@ -23,7 +23,7 @@ use crate::{folded, roller, trend, tube};
 
 use runs::{RigRuns, TubeRuns};
 
-/// What agreement between the model and a sentence proves.
+/// The value of an agreement between model and sentence as evidence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Evidence {
     /// The paper's number is an input of the model; the value only shows that.
@@ -74,14 +74,14 @@ pub struct Row {
     pub model: Option<f64>,
     /// Unit of both values; empty for a pure number.
     pub unit: &'static str,
-    /// What the sentence requires of the value; none if it states neither number nor trend.
+    /// The condition that the sentence puts on the value; none if it states neither number nor trend.
     pub condition: Option<Condition>,
     /// The world whose runs give the value; none if it needs no run of the unfolded body.
     pub world: Option<Words>,
     /// Whether this sentence selects the bodies that agree with the words. Those bodies then meet it always, or more
     /// often, and that is no evidence.
     pub chosen: Option<Chosen>,
-    /// What agreement of both values proves.
+    /// Value of an agreement as evidence.
     pub evidence: Evidence,
     /// Comment; may be empty.
     pub remark: &'static str,
@@ -232,7 +232,7 @@ struct Common {
     band: Band,
 }
 
-/// Which rows to compute.
+/// The rows to compute.
 struct Questions<'a> {
     /// Rows of these worlds, and rows that belong to no world.
     worlds: &'a [Words],

@@ -47,7 +47,7 @@ impl fmt::Display for OutOfRange {
 
 impl core::error::Error for OutOfRange {}
 
-/// Which ends of a range belong to it.
+/// The ends of a range that belong to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ends {
     /// `min <= value <= max`

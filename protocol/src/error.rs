@@ -52,8 +52,8 @@ pub enum Refusal {
         requested_us: u64,
         /// Shortest possible with the requested acceleration, within the limits of speed and step rate.
         min_us: u64,
-        /// Least acceleration with which the same run would be accepted in the requested time; `u64::MAX`: there is none
-        /// within the limits, delay and dwells counted in.
+        /// Least acceleration with which the same run would be accepted in the requested time; `u64::MAX`: there is
+        /// none within the limits, delay and dwells counted in.
         min_accel_um_s2: u64,
     },
     /// The plan needs a speed that the axis must not reach.

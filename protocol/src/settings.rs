@@ -218,7 +218,8 @@ pub struct GetName;
 /// Longest name, bytes.
 pub const MAX_NAME: usize = 24;
 
-/// The machine's name; empty = none. As a request it changes the name; as the answer to both requests it says what it is.
+/// The machine's name; empty = none. As a request it changes the name; as the answer to both requests it says what it
+/// is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Name {

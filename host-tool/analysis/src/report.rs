@@ -108,7 +108,7 @@ pub struct Found {
     pub left_out: Vec<LeftOut>,
 }
 
-/// What to do if the report already exists.
+/// Handling of a report that already exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
     /// Keep it, and write nothing.
@@ -122,7 +122,7 @@ pub enum Existing {
 pub struct Damaged {
     /// Its sidecar.
     pub sidecar: PathBuf,
-    /// What is wrong with it.
+    /// Its defects.
     pub defects: Vec<String>,
 }
 

@@ -89,7 +89,7 @@ pub enum Broken {
     NotReady {
         /// The reason.
         why: String,
-        /// What to do.
+        /// Advice.
         help: String,
     },
 }
@@ -243,7 +243,7 @@ pub struct Conduct<'a> {
     homed_in: Option<u32>,
 }
 
-/// What to do after an answer.
+/// The step after an answer.
 enum Then {
     /// Begin the trial; or the value is in the ledger.
     Go,

@@ -166,7 +166,7 @@ impl Row {
 pub struct Contradiction {
     /// Number of the row in the file, from 1.
     pub row: u32,
-    /// What is wrong.
+    /// The contradiction.
     pub why: String,
 }
 

@@ -42,7 +42,7 @@ pub struct CampaignError {
     pub path: PathBuf,
     /// The reason.
     pub why: String,
-    /// What the user can do.
+    /// Advice for the user.
     pub remedy: String,
     /// Whether only the command is wrong, not the campaign.
     pub misuse: bool,

@@ -71,7 +71,7 @@ impl Manifest {
     /// Parses a manifest, which has to be exactly as [`Manifest::text`] writes it.
     ///
     /// # Errors
-    /// What is wrong, with the number of the line.
+    /// The first defect, with the number of the line.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut entries = BTreeMap::new();
         let mut before = None;

@@ -162,7 +162,7 @@ impl Purpose {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Metadata {
-    /// Who carries it out.
+    /// The person who carries it out.
     pub operator: String,
     /// The body: origami, width, crescents.
     pub specimen: String,

@@ -1,4 +1,5 @@
-//! Statistics of repeated measurements: mean and standard deviation, and a straight line with its confidence band. Pure.
+//! Statistics of repeated measurements: mean and standard deviation, and a straight line with its confidence band.
+//! Pure.
 
 use std::f64::consts::FRAC_2_PI;
 

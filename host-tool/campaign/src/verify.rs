@@ -21,7 +21,7 @@ const GROWING: [&str; 2] = [READINGS, TRIALS];
 pub struct Finding {
     /// The file, relative to the folder.
     pub path: String,
-    /// What is wrong with it.
+    /// The defect.
     pub what: String,
     /// Advice.
     pub remedy: String,

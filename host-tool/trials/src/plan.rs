@@ -34,7 +34,7 @@ const WIDEST_LIMITS: Limits = Limits {
 /// limits.
 ///
 /// # Errors
-/// What is wrong with the request, and what to do about it.
+/// The defect of the request, with advice.
 pub fn check(run: &Run) -> Result<(), RunError> {
     match planning::solve(run, &Axis::REFERENCE, &WIDEST_LIMITS) {
         Err(

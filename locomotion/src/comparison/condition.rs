@@ -1,4 +1,4 @@
-//! What a sentence of the paper requires of a number, as data that a program can check.
+//! The condition that a sentence of the paper puts on a number, as data that a program can check.
 
 use core::fmt;
 

@@ -196,7 +196,7 @@ pub struct AttemptRow {
 pub struct ReadingsRow {
     /// Number of the set.
     pub readings_set: u32,
-    /// What was measured.
+    /// Measured quantity.
     pub quantity: Quantity,
     /// Name of the indentation; empty for the width.
     pub indentation: Option<String>,

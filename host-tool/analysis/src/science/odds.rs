@@ -159,7 +159,7 @@ pub struct Judged {
     pub posterior_high: Option<f64>,
     /// Number of bodies evaluated.
     pub posterior_bodies: Option<usize>,
-    /// What agreement proves.
+    /// Value of an agreement as evidence.
     pub worth: String,
     /// Comment.
     pub remark: &'static str,

@@ -60,7 +60,7 @@ pub struct Posterior {
     pub format: u32,
     /// Where the displacements come from.
     pub origin: Origin,
-    /// What made it: program and versions.
+    /// Program and versions that made it.
     pub made_by: String,
     /// Seed of all random numbers.
     pub seed: u64,
@@ -86,7 +86,7 @@ impl Posterior {
     /// Reads the section of a file.
     ///
     /// # Errors
-    /// What is wrong with it, for people.
+    /// The first defect, for people.
     pub fn read(item: toml::Value) -> Result<Self, String> {
         let this: Self = item
             .try_into()

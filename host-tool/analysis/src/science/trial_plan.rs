@@ -1,4 +1,4 @@
-//! Which trials to make next: candidates, the paper's procedure beside them, and the expected information of each.
+//! Plans the next trials: candidates, the paper's procedure beside them, and the expected information of each.
 
 use calibration::belief::Belief;
 use calibration::design::{Effort, Estimate, Judged, Step, choose, judge};
