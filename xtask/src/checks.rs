@@ -10,7 +10,7 @@ use std::time::SystemTime;
 use crate::process::{Failure, Result, host_cargo, root, run};
 use crate::programs::Selection;
 use crate::steps::{self, Step, Tests};
-use crate::{bench, images, programs, python};
+use crate::{bench, dependencies, images, programs, python};
 
 const HOST_TESTS: Step = Step::tests(
     "host tests",
@@ -59,10 +59,9 @@ const DOCS: Step = Step::new(
 );
 const DEPENDENCIES: Step = Step::new(
     "dependencies",
-    "cargo-deny: licenses, sources and duplicates as deny.toml allows them",
-    dependencies,
-)
-.needs("deny");
+    "licences and sources of other people's crates are those allowed",
+    dependencies::check,
+);
 const DEMO: Step = Step::new(
     "demo",
     "`cargo xtask demo`, which must leave data and a report",
@@ -82,7 +81,7 @@ pub(crate) fn test_host() -> ExitCode {
 
 /// Runs the checks that execute no code of ours.
 pub(crate) fn lint() -> ExitCode {
-    steps::run(&[FORMAT, LINT_HOST, DOCS, LINT_IMAGES])
+    steps::run(&[FORMAT, DEPENDENCIES, LINT_HOST, DOCS, LINT_IMAGES])
 }
 
 /// Runs every test and every other check that has to pass before a change is merged. The host tests come
@@ -154,15 +153,6 @@ fn docs() -> Result<()> {
     run(
         cargo.env("RUSTDOCFLAGS", "-D warnings"),
         "fix what rustdoc reports above",
-    )
-}
-
-fn dependencies() -> Result<()> {
-    let mut cargo = host_cargo("deny");
-    cargo.args(["--workspace", "--locked"]);
-    run(
-        cargo.args(["check", "bans", "licenses", "sources"]),
-        "choose another crate, or argue for an exception in deny.toml",
     )
 }
 

@@ -8,6 +8,7 @@
 //! | `checks.rs` | the steps of `test`, `lint` and `ci` |
 //! | `fuzz.rs` | runs cargo-fuzz and counts what it reaches |
 //! | `mutants.rs` | runs cargo-mutants and counts what the tests notice |
+//! | `dependencies.rs` | checks licences and sources of other people's crates |
 //! | `bench.rs` | starts the virtual bench |
 //! | `images.rs` | builds the ARM images |
 //! | `layout.rs` | reads an image and checks its addresses and sizes |
@@ -25,6 +26,7 @@
 mod bench;
 mod checks;
 mod debian;
+mod dependencies;
 mod fuzz;
 mod images;
 mod layout;
@@ -50,8 +52,7 @@ cargo xtask <command>
                     (host: only what needs no image); ends with a table of steps, tests, seconds and the
                     slowest test programs
   lint              format, clippy for host and chip, documentation; no warning allowed
-  ci                everything that has to pass before a change is merged (with cargo-deny, if installed,
-                    but without its advisories, which need the net: `cargo deny check advisories`)
+  ci                everything that has to pass before a change is merged
   mutants [PACKAGE [OPTIONS]]
                     change the code with cargo-mutants and count what the tests notice, in PACKAGE or
                     in all that decide what moves (options go to cargo-mutants)

@@ -4,7 +4,7 @@ use std::fmt;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use crate::process::{Failure, Result, installed};
+use crate::process::{Failure, Result};
 
 /// The function of a step.
 enum Act {
@@ -20,8 +20,6 @@ pub(crate) struct Step {
     act: Act,
     /// The name of an earlier step that has to pass before this one can run.
     after: Option<&'static str>,
-    /// The cargo subcommand that it needs, if the user has to install it.
-    needs: Option<&'static str>,
 }
 
 impl Step {
@@ -35,7 +33,6 @@ impl Step {
             does,
             act: Act::Check(act),
             after: None,
-            needs: None,
         }
     }
 
@@ -46,7 +43,6 @@ impl Step {
             does,
             act: Act::Test(act),
             after: None,
-            needs: None,
         }
     }
 
@@ -54,14 +50,6 @@ impl Step {
     pub(crate) const fn after(self, name: &'static str) -> Self {
         Self {
             after: Some(name),
-            ..self
-        }
-    }
-
-    /// The step is skipped unless `cargo SUBCOMMAND` is installed.
-    pub(crate) const fn needs(self, subcommand: &'static str) -> Self {
-        Self {
-            needs: Some(subcommand),
             ..self
         }
     }
@@ -137,8 +125,6 @@ enum Outcome {
     Failed,
     /// A step that it depends on did not pass; counts as failed.
     NotRun,
-    /// The cargo subcommand that it needs is not installed; counts neither as passed nor as failed.
-    Skipped(&'static str),
 }
 
 impl fmt::Display for Outcome {
@@ -147,7 +133,6 @@ impl fmt::Display for Outcome {
             Self::Passed => "passed",
             Self::Failed => "FAILED",
             Self::NotRun => "not run",
-            Self::Skipped(_) => "skipped",
         })
     }
 }
@@ -184,15 +169,8 @@ pub(crate) fn run(steps: &[Step]) -> ExitCode {
     let passed = (done.iter())
         .filter(|step| step.outcome == Outcome::Passed)
         .count();
-    let skipped = (done.iter())
-        .filter(|step| matches!(step.outcome, Outcome::Skipped(_)))
-        .count();
-    let failed = done.len() - passed - skipped;
-    print!("\n{passed} passed, {failed} failed");
-    match skipped {
-        0 => println!(),
-        _ => println!(", {skipped} skipped"),
-    }
+    let failed = done.len() - passed;
+    println!("\n{passed} passed, {failed} failed");
     if failed == 0 {
         ExitCode::SUCCESS
     } else {
@@ -220,9 +198,6 @@ fn table(done: &[Done], all: Duration) -> String {
             tests.map_or("-".to_owned(), |tests| tests.to_string()),
             seconds(step.took)
         );
-        if let Outcome::Skipped(subcommand) = step.outcome {
-            line += &format!("  cargo-{subcommand} is not installed");
-        }
         if let Some(counts) = step.counts.filter(|counts| counts.failed > 0) {
             line += &format!("  {} of them failed", counts.failed);
         }
@@ -265,13 +240,6 @@ fn carry_out(step: &Step, done: &[Done]) -> Done {
             println!("error: this needs the step `{before}`, which did not pass");
             return over(Outcome::NotRun, Duration::ZERO);
         }
-    }
-    if let Some(subcommand) = step.needs
-        && !installed(subcommand)
-    {
-        println!("skipped: cargo-{subcommand} is not installed");
-        println!("to install it: `cargo install cargo-{subcommand} --locked`");
-        return over(Outcome::Skipped(subcommand), Duration::ZERO);
     }
     let start = Instant::now();
     let (ended, counts, programs) = match step.act {
@@ -342,10 +310,9 @@ mod tests {
     #[test]
     fn a_step_runs_only_after_the_one_it_needs() {
         let failed = images(Outcome::Failed);
-        let skipped = images(Outcome::Skipped("deny"));
         let passed = images(Outcome::Passed);
         let must_not_run = Step::new("bench", DOES, panics).after("images");
-        for done in [&failed[..], &skipped[..], &[]] {
+        for done in [&failed[..], &[]] {
             assert_eq!(outcome(&must_not_run, done), Outcome::NotRun);
         }
         let bench = Step::new("bench", DOES, passes).after("images");
@@ -355,25 +322,11 @@ mod tests {
     }
 
     #[test]
-    fn a_step_is_skipped_without_the_subcommand_it_needs() {
-        let without = Step::new("without", DOES, panics).needs("no-such-subcommand");
-        assert_eq!(
-            outcome(&without, &[]),
-            Outcome::Skipped("no-such-subcommand")
-        );
-        let with = Step::new("with", DOES, passes).needs("build");
-        assert_eq!(outcome(&with, &[]), Outcome::Passed);
-    }
-
-    #[test]
-    fn one_failure_fails_the_whole_and_a_skipped_step_does_not() {
+    fn one_failure_fails_the_whole() {
         let good = || Step::new("good", DOES, passes);
-        let skipped = || Step::new("skipped", DOES, panics).needs("no-such-subcommand");
-        assert_eq!(run(&[good(), skipped(), good()]), ExitCode::SUCCESS);
+        assert_eq!(run(&[good(), good()]), ExitCode::SUCCESS);
         let bad = Step::new("bad", DOES, fails);
         assert_eq!(run(&[good(), bad, good()]), ExitCode::FAILURE);
-        let late = Step::new("late", DOES, panics).after("skipped");
-        assert_eq!(run(&[skipped(), late]), ExitCode::FAILURE);
     }
 
     #[test]
@@ -394,11 +347,9 @@ mod tests {
         };
         let bad = carry_out(&Step::tests("host", DOES, tests), &[]);
         assert_eq!(bad.outcome, Outcome::Failed);
-        let skipped = carry_out(&Step::new("deny", DOES, panics).needs("no-such"), &[]);
-        let table = table(&[bad, skipped], Duration::from_secs(99));
+        let table = table(&[bad], Duration::from_secs(99));
         for line in [
             "host           FAILED        42       0.0  2 of them failed",
-            "deny           skipped        -       0.0  cargo-no-such is not installed",
             "all                          42      99.0  1 min 39 s",
             "     12.0  program 12 (host)",
             "      3.0  program 3 (host)",
