@@ -70,7 +70,7 @@ fn rows() -> Vec<Row> {
 
 #[test]
 fn the_manual_holds_this_table() {
-    let manual = include_str!("../../docs/science.md").replace("\r\n", "\n");
+    let manual = include_str!("../../../docs/science.md").replace("\r\n", "\n");
     let (_, rest) = manual.split_once("<!-- comparison: begin -->\n").unwrap();
     let (table, _) = rest.split_once("<!-- comparison: end -->").unwrap();
     let judged = judged();
@@ -86,7 +86,7 @@ fn the_manual_holds_this_table() {
     }
     .to_string();
     if std::env::var_os("BLESS").is_some() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/science.md");
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/science.md");
         std::fs::write(path, manual.replace(table, &rows)).unwrap();
     }
     assert_eq!(
