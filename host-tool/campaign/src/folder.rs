@@ -24,7 +24,7 @@ use crate::readings::{ReadingRow, Readings};
 use crate::verify::{self, Differences};
 
 /// The plan, as it was given.
-pub const PLAN: &str = "plan.toml";
+pub const PLAN: &str = trials::trial::CAMPAIGN_PLAN;
 /// The trials in their order.
 pub const ORDER: &str = "order.csv";
 /// The ledger.

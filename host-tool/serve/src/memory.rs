@@ -14,8 +14,8 @@ use axum::Router;
 use axum::body::{Body, to_bytes};
 use axum::extract::Request;
 use axum::http::header::CONTENT_TYPE;
-use clap::Parser;
 use client::link::address::Address;
+use client::link::serial::DEFAULT_BAUD;
 use client::link::{Link, LinkError, OpenError};
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
@@ -23,15 +23,15 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::sync::Semaphore;
 use tower_service::Service as _;
 
-use crate::cli::args::Cli;
-use crate::cli::finding::Finder;
-use crate::connector::{Candidate, Connector, Purpose};
-use crate::serve::ORDERS;
-use crate::serve::access::{Access, Peer};
-use crate::serve::board::{Board, Machine};
-use crate::serve::errands::{self, Errand};
-use crate::serve::http::{self, App};
-use crate::serve::keeper::Keeper;
+use crate::ORDERS;
+use crate::access::{Access, Peer};
+use crate::board::{Board, Machine};
+use crate::errands::{self, Errand};
+use crate::http::{self, App};
+use crate::keeper::Keeper;
+use operations::connector::{Candidate, Connector, Purpose};
+use operations::names::Names;
+use operations::places::Places;
 
 /// The instance of this server: what keys of its commands begin with.
 pub const INSTANCE: &str = "i";
@@ -69,7 +69,7 @@ pub struct Asked<'a> {
 pub struct Server<'a> {
     router: Router,
     board: &'a Board,
-    finder: &'a Finder<'a>,
+    places: &'a Places<'a>,
     keepers: Vec<Keeper<'a>>,
     errands: Receiver<Errand>,
     leaving: &'a AtomicBool,
@@ -176,8 +176,11 @@ pub fn with<R>(
         board: Arc::clone(&board),
         leaving: Arc::clone(&leaving),
     };
-    let finder = Finder {
-        cli: cli(),
+    let places = Places {
+        rig: Some(Address::Auto),
+        capsule: Some(Address::Auto),
+        names: Names::default(),
+        baud: DEFAULT_BAUD,
         connector: &connector,
     };
     let (sender, errands) = channel();
@@ -186,7 +189,7 @@ pub fn with<R>(
         .iter()
         .zip(orders)
         .map(|(machine, orders)| Keeper {
-            finder: &finder,
+            places: &places,
             board: &board,
             machine,
             orders,
@@ -202,18 +205,12 @@ pub fn with<R>(
             planning: Semaphore::new(1),
         })),
         board: &board,
-        finder: &finder,
+        places: &places,
         keepers: keepers.collect(),
         errands,
         leaving: &leaving,
     };
     act(&mut server)
-}
-
-/// As `retrograde serve` without options has it.
-fn cli() -> &'static Cli {
-    static CLI: OnceLock<Cli> = OnceLock::new();
-    CLI.get_or_init(|| Cli::parse_from(["retrograde", "--rig=auto", "--capsule=auto", "serve"]))
 }
 
 /// What waiting and files of the requests need.
@@ -284,11 +281,11 @@ impl Server<'_> {
                     wait,
                 } => {
                     if let Some(machine) = self.board.machine(machine) {
-                        errands::stop(self.finder, self.board, machine, urgent, vec![wait]);
+                        errands::stop(self.places, self.board, machine, urgent, vec![wait]);
                     }
                 }
                 Errand::Ask { question, reply } => {
-                    let _ = reply.send(errands::ask(self.finder, self.board, question));
+                    let _ = reply.send(errands::ask(self.places, self.board, question));
                 }
                 Errand::End => {}
             }

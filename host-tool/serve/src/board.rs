@@ -17,12 +17,12 @@ use protocol::table::Telemetry;
 use serde_json::{Map, Value, json};
 use tokio::sync::Notify;
 
-use crate::cli::failure::Failure;
-use crate::cli::watch::panel::{Contact, Notice, Panel, event_text, in_run};
-use crate::serve::actions::{Action, Actions};
-use crate::serve::orders::Work;
-use crate::serve::stream::Stream;
-use crate::stops::{Ask, Stops, stronger};
+use crate::actions::{Action, Actions};
+use crate::orders::Work;
+use crate::stream::Stream;
+use operations::failure::Failure;
+use operations::panel::{Contact, Notice, Panel, event_text, in_run};
+use operations::stops::{Ask, Stops, stronger};
 
 /// Samples are told in portions of this time.
 const PORTION: Duration = Duration::from_millis(50);
@@ -237,7 +237,7 @@ impl Board {
     /// The machine has accepted an action.
     pub(crate) fn accepted(&self, number: u64, accepted: Value) {
         let action = self.actions.update(number, |action| {
-            action.standing = crate::serve::actions::Standing::UnderWay;
+            action.standing = crate::actions::Standing::UnderWay;
             action.accepted = accepted;
         });
         self.tell_action(action);

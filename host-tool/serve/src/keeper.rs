@@ -20,15 +20,15 @@ use serde_json::{Value, json};
 use trials::experiment::{self, Motion};
 use trials::trial::{Achieved, Recording, Status, Trial};
 
-use crate::cli::args::{DATA_FOLDER, RecordArgs};
-use crate::cli::failure::{Failure, NO_DEVICE, UNKNOWN};
-use crate::cli::finding::Finder;
-use crate::cli::watch::panel::{self, Contact, MOVES_ALREADY, Notice};
-use crate::cli::{already, motion};
-use crate::connector::Purpose;
-use crate::left;
-use crate::serve::board::{Board, Lease, Machine, Order};
-use crate::serve::orders::Work;
+use crate::board::{Board, Lease, Machine, Order};
+use crate::orders::Work;
+use operations::arguments::{DATA_FOLDER, RecordArgs};
+use operations::connector::Purpose;
+use operations::failure::{Failure, NO_DEVICE, UNKNOWN};
+use operations::left;
+use operations::panel::{self, Contact, MOVES_ALREADY, Notice};
+use operations::places::Places;
+use operations::{ending, reached};
 
 /// Interval of telemetry while nothing is recorded, ms.
 const TELEMETRY_MS: u16 = 50;
@@ -75,7 +75,7 @@ impl From<Value> for Outcome {
 type Pacing = Arc<Mutex<Option<(u64, Pace, bool)>>>;
 
 pub(crate) struct Keeper<'a> {
-    pub(crate) finder: &'a Finder<'a>,
+    pub(crate) places: &'a Places<'a>,
     pub(crate) board: &'a Board,
     pub(crate) machine: &'a Machine,
     pub(crate) orders: Receiver<Order>,
@@ -152,21 +152,19 @@ impl Keeper<'_> {
 
     /// Connects, and keeps the machine until the connection is lost, the server ends, or somebody else needs the line.
     fn connection(&self, waiting: &mut Option<Order>) -> Result<(), Failure> {
-        let (finder, machine) = (self.finder, self.machine);
-        machine.is_behind(finder.connector.doorway(&machine.address));
-        let link = finder.connector.open(
-            machine.kind,
-            &machine.address,
-            finder.cli.baud,
-            Purpose::Watch,
-        )?;
-        let nonce = finder.connector.nonce();
+        let (places, machine) = (self.places, self.machine);
+        machine.is_behind(places.connector.doorway(&machine.address));
+        let link =
+            places
+                .connector
+                .open(machine.kind, &machine.address, places.baud, Purpose::Watch)?;
+        let nonce = places.connector.nonce();
         let mut device = Device::new(link, nonce);
         device.expect_haste();
         device.set_interrupt(machine.interrupt(Arc::clone(&self.pressed)));
         device.hello(nonce)?;
         device.require(machine.kind)?;
-        finder.require_name(&mut device)?;
+        places.require_name(&mut device)?;
         machine.meet(device.identity(), device.place());
         let owned = device.owner().is_none();
         if owned {
@@ -384,7 +382,7 @@ impl Keeper<'_> {
                 result
             }
             Work::Hold => {
-                let status = motion::held(device)?;
+                let status = ending::held(device)?;
                 Ok(json!({ "position_um": status.position_um }).into())
             }
             Work::Resume => {
@@ -403,7 +401,7 @@ impl Keeper<'_> {
         Recording {
             folder: self.board.out.clone(),
             stem: stem.to_owned(),
-            now: self.finder.connector.now(),
+            now: self.places.connector.now(),
             note: args.note.clone(),
             telemetry_ms: args.telemetry_ms,
         }
@@ -459,7 +457,7 @@ impl Keeper<'_> {
         mut busy: Busy<'_>,
     ) -> Result<Outcome, Failure> {
         let kind = motion.kind;
-        if let Some((status, _)) = already::reached(kind, capsule)? {
+        if let Some((status, _)) = reached::reached(kind, capsule)? {
             return Ok(json!({ "already": true, "thread_um": status.thread_um }).into());
         }
         let recording = self.recording(experiment::stem(kind), record);
@@ -484,7 +482,7 @@ impl Keeper<'_> {
         busy: &mut Busy<'_>,
     ) -> Result<Outcome, Failure> {
         let accepted = match rig.call(to) {
-            Err(error) if already::is_there(&error) => {
+            Err(error) if reached::is_there(&error) => {
                 let status = rig.rig_status()?;
                 let mut result = place(&status);
                 result["already"] = json!(true);
@@ -498,7 +496,7 @@ impl Keeper<'_> {
             return Ok(Outcome {
                 result: place(&status),
                 files: Value::Null,
-                failure: Some(motion::cut_short("the move", rig, &status)),
+                failure: Some(ending::cut_short("the move", rig, &status)),
             });
         }
         Ok(place(&status).into())
@@ -588,7 +586,7 @@ impl Keeper<'_> {
             result: place(&status),
             files: Value::Null,
             failure: (status.fault.is_some() || emergency)
-                .then(|| motion::cut_short("the jog", rig, &status)),
+                .then(|| ending::cut_short("the jog", rig, &status)),
         })
     }
 }

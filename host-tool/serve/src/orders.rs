@@ -9,9 +9,9 @@ use serde_json::{Map, Value, json};
 use trials::experiment::Motion;
 use trials::plan;
 
-use crate::cli::args::{JogArgs, MoveArgs, PartialArgs, RecordArgs, RunArgs};
-use crate::cli::failure::{self, Failure};
-use crate::cli::partial;
+use operations::arguments::{JogArgs, MoveArgs, PartialArgs, RecordArgs, RunArgs};
+use operations::failure::{self, Failure};
+use operations::folding;
 
 /// What is to be done by a machine.
 #[derive(Debug)]
@@ -87,7 +87,7 @@ impl Work {
             (_, "ack") => alone(Self::Acknowledge),
             (DeviceKind::Capsule, "fold") => {
                 parse(&FOLD, None, body).and_then(|args: PartialArgs| {
-                    Ok(Self::Actuate(partial::motion(&args)?, args.fold.record))
+                    Ok(Self::Actuate(folding::motion(&args)?, args.fold.record))
                 })
             }
             (DeviceKind::Capsule, "unfold") => actuation(ActuationKind::Unfold),

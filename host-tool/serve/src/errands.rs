@@ -14,13 +14,13 @@ use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
-use crate::cli::failure::Failure;
-use crate::cli::finding::{Finder, Target, past_owners};
-use crate::cli::stops::{DO_NOW, Delivery, Told};
-use crate::cli::watch::panel::Notice;
-use crate::connector::Purpose;
-use crate::serve::board::{Board, Machine, stop_name};
-use crate::stops::Ask;
+use crate::board::{Board, Machine, stop_name};
+use operations::connector::Purpose;
+use operations::delivery::{DO_NOW, Delivery, Told};
+use operations::failure::Failure;
+use operations::panel::Notice;
+use operations::places::{Places, Target, past_owners};
+use operations::stops::Ask;
 
 /// Questions on their way at a time.
 const QUESTIONS: usize = 4;
@@ -93,7 +93,7 @@ impl Drop for Counted<'_> {
 /// Sends errands off until the server ends.
 pub(crate) fn run<'scope>(
     scope: &'scope Scope<'scope, '_>,
-    finder: &'scope Finder<'scope>,
+    places: &'scope Places<'scope>,
     board: &'scope Board,
     questions: &'scope Questions,
     errands: &Receiver<Errand>,
@@ -107,7 +107,7 @@ pub(crate) fn run<'scope>(
             scope.spawn(move || {
                 while let Ok(first) = waiting.recv() {
                     let all = std::iter::once(first).chain(waiting.try_iter()).collect();
-                    stop(finder, board, machine, urgent, all);
+                    stop(places, board, machine, urgent, all);
                 }
             });
         }
@@ -136,7 +136,7 @@ pub(crate) fn run<'scope>(
                 }
                 Some(counted) => {
                     scope.spawn(move || {
-                        let answer = ask(finder, board, question);
+                        let answer = ask(places, board, question);
                         drop(counted);
                         let _ = reply.send(answer);
                     });
@@ -149,7 +149,7 @@ pub(crate) fn run<'scope>(
 /// Stops a machine once for all who wait for it: through the door of its owner, which is the keeper's more often than not, or
 /// over a line of its own; and if that fails, waits for the keeper, which sends it, too.
 pub(crate) fn stop(
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     board: &Board,
     machine: &Machine,
     urgent: Urgent,
@@ -162,7 +162,7 @@ pub(crate) fn stop(
     let stops = &machine.stops;
     // Whoever waits has asked by now.
     let asked = stops.asked();
-    let told = Told::new(&target, finder.urgent(&target, urgent));
+    let told = target.told(places.urgent(&target, urgent));
     if told.delivery == Delivery::Stopped {
         stops.confirm(urgent, asked);
     } else {
@@ -190,7 +190,7 @@ pub(crate) fn stop(
 }
 
 pub(crate) fn ask(
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     board: &Board,
     question: Question,
 ) -> Result<Value, Failure> {
@@ -202,13 +202,11 @@ pub(crate) fn ask(
         });
     };
     past_owners(|| {
-        let link = finder.connector.open(
-            machine.kind,
-            &machine.address,
-            finder.cli.baud,
-            Purpose::Look,
-        )?;
-        let nonce = finder.connector.nonce();
+        let link =
+            places
+                .connector
+                .open(machine.kind, &machine.address, places.baud, Purpose::Look)?;
+        let nonce = places.connector.nonce();
         let mut device = Device::new(link, nonce);
         device.hello(nonce)?;
         device.require(machine.kind)?;

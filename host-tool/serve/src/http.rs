@@ -34,15 +34,15 @@ use tokio::time::timeout;
 use tower_service::Service as _;
 use trials::plan::{self, REFERENCE_LIMITS};
 
-use crate::cli::failure::{self, Failure};
-use crate::cli::stops::{Delivery, Told};
-use crate::serve::access::{Access, Demand, Denied, Peer, demand};
-use crate::serve::actions::{Action, Arrival, Command, Standing};
-use crate::serve::board::{Board, Machine, Order};
-use crate::serve::connections::{Connections, Doing};
-use crate::serve::errands::{Errand, Question, Wait};
-use crate::serve::orders::{self, Work};
+use crate::access::{Access, Demand, Denied, Peer, demand};
+use crate::actions::{Action, Arrival, Command, Standing};
+use crate::board::{Board, Machine, Order};
+use crate::connections::{Connections, Doing};
+use crate::errands::{Errand, Question, Wait};
+use crate::orders::{self, Work};
 use campaign::catalogue::{self, Kind, Wanted};
+use operations::delivery::{Delivery, Told};
+use operations::failure::{self, Failure};
 
 /// What programs read.
 pub const OPENAPI: &str = include_str!("../../../docs/openapi.json");
@@ -388,7 +388,7 @@ async fn bytes(body: Body) -> Result<Bytes, Instead> {
 // To look.
 
 async fn page() -> Response {
-    let nonce = crate::serve::access::new_token();
+    let nonce = crate::access::new_token();
     let mut response = Response::new(Body::from(PAGE.replace(NONCE, &nonce)));
     let headers = response.headers_mut();
     headers.insert(

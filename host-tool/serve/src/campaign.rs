@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use crate::cli::args::CAMPAIGNS_FOLDER;
 use campaign::catalogue::{self, Kind, Wanted};
 use campaign::folder::Campaign;
 use campaign::ledger::Standing;
 use campaign::order::doing;
 use campaign::remaining;
+use operations::arguments::CAMPAIGNS_FOLDER;
 
 /// The newest campaign that is not complete.
 pub(crate) fn newest() -> Option<PathBuf> {

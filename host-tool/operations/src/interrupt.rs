@@ -13,7 +13,7 @@ const STOPPING: &str = "stopping; Ctrl-C now for the emergency stop";
 static PRESSED: OnceLock<Arc<AtomicU8>> = OnceLock::new();
 
 /// Installs the handler on the first call; returns what the operator wants stopped.
-pub(crate) fn install() -> Interrupt {
+pub fn install() -> Interrupt {
     let pressed = PRESSED
         .get_or_init(|| {
             let pressed = Arc::new(AtomicU8::new(0));
@@ -39,7 +39,7 @@ pub(crate) fn install() -> Interrupt {
 }
 
 /// Stops in a controlled way, as the first Ctrl-C does. Once more it changes nothing: a key that repeats is no emergency.
-pub(crate) fn press() {
+pub fn press() {
     if let Some(pressed) = PRESSED.get()
         && pressed.fetch_max(1, Ordering::Relaxed) == 0
     {
@@ -48,7 +48,7 @@ pub(crate) fn press() {
 }
 
 /// Tells a person something while a progress bar may stand in the line.
-pub(crate) fn tell(text: &str) {
+pub fn tell(text: &str) {
     let clear = if io::stderr().is_terminal() {
         "\r\x1b[2K"
     } else {

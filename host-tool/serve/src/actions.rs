@@ -9,7 +9,7 @@ use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
-use crate::cli::failure::{FAULT, Failure, NO_DEVICE, REFUSED, STOPPED, UNKNOWN};
+use operations::failure::{FAULT, Failure, NO_DEVICE, REFUSED, STOPPED, UNKNOWN};
 
 /// Actions that are remembered.
 pub const KEPT: usize = 512;

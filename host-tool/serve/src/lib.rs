@@ -52,13 +52,13 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::sync::Semaphore;
 use tokio::time::{interval, sleep, timeout};
 
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
-use crate::serve::access::{Access, LEAST_TOKEN, new_token};
-use crate::serve::board::{Board, Machine};
-use crate::serve::errands::{Errand, Questions};
-use crate::serve::http::App;
-use crate::serve::keeper::Keeper;
+use crate::access::{Access, LEAST_TOKEN, new_token};
+use crate::board::{Board, Machine};
+use crate::errands::{Errand, Questions};
+use crate::http::App;
+use crate::keeper::Keeper;
+use operations::failure::Failure;
+use operations::places::Places;
 
 /// Orders that wait for a keeper.
 const ORDERS: usize = 8;
@@ -75,22 +75,28 @@ const LOOK: Duration = Duration::from_millis(20);
 
 /// What is served, and where.
 #[derive(Debug)]
-pub(crate) struct Options {
-    pub(crate) listen: SocketAddr,
-    pub(crate) token_file: Option<PathBuf>,
-    pub(crate) hosts: Vec<String>,
-    pub(crate) out: PathBuf,
-    pub(crate) campaign: Option<PathBuf>,
-    pub(crate) machines: Vec<(DeviceKind, Address)>,
+pub struct Options {
+    /// Where to listen.
+    pub listen: SocketAddr,
+    /// The file of the token; without it each start has a new one.
+    pub token_file: Option<PathBuf>,
+    /// Names by which browsers call this computer.
+    pub hosts: Vec<String>,
+    /// Folder of the records.
+    pub out: PathBuf,
+    /// The campaign whose next step is shown, instead of the newest one.
+    pub campaign: Option<PathBuf>,
+    /// The machines.
+    pub machines: Vec<(DeviceKind, Address)>,
 }
 
 /// Serves until the operator ends it; returns the address.
 ///
 /// # Errors
 /// Nothing can be served there, or the token's file cannot be used.
-pub(crate) fn serve(
+pub fn serve(
     options: Options,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     pressed: &Interrupt,
     say: &mut dyn FnMut(&str),
 ) -> Result<String, Failure> {
@@ -145,7 +151,7 @@ pub(crate) fn serve(
         let leave = Leave(&leaving, errands);
         for (machine, orders) in board.machines.iter().zip(orders) {
             let keeper = Keeper {
-                finder,
+                places,
                 board: &board,
                 machine,
                 orders,
@@ -155,7 +161,7 @@ pub(crate) fn serve(
             scope.spawn(move || keeper.keep());
         }
         let (board, questions) = (&*board, &questions);
-        scope.spawn(move || errands::run(scope, finder, board, questions, &to_do));
+        scope.spawn(move || errands::run(scope, places, board, questions, &to_do));
         runtime.spawn(http::listen(listener, http::router(Arc::clone(&app))));
         runtime.spawn(tell_states(Arc::clone(&app)));
         runtime.spawn(look_at_campaign(Arc::clone(&app), options.campaign));

@@ -8,10 +8,8 @@ use client::error::ClientError;
 use client::identity::IdentityRecord;
 use protocol::capsule::ActuationOutcome;
 use protocol::rig::{RigState, RunOutcome};
-use trials::trial::{Action, Ending, Moved, RecordError, Status, Trial, json};
+use trials::trial::{Action, CAMPAIGN_PLAN, Ending, Moved, RecordError, Status, Trial, json};
 use trials::writer::replace;
-
-use campaign::folder::PLAN;
 
 /// Ends the record that was left on the line of `device`, if there is one and nothing moves any more. Returns what there
 /// is to say.
@@ -23,7 +21,7 @@ pub fn end_record(device: &mut Device) -> Result<Option<String>, ClientError> {
         return Ok(None);
     };
     // A campaign ends its own records when it is resumed.
-    let is_campaign = |folder: &Path| folder.join(PLAN).exists();
+    let is_campaign = |folder: &Path| folder.join(CAMPAIGN_PLAN).exists();
     let trial = Trial::read(&sidecar).ok();
     let trial = trial.filter(|trial| trial.status == Status::Running);
     let Some(mut trial) = trial.filter(|_| !sidecar.ancestors().skip(1).take(3).any(is_campaign))

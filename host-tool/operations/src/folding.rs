@@ -1,40 +1,18 @@
-//! `retrograde fold`, to the end or partly: a target by length of thread, or by the indentation that would fold as far.
+//! What `fold` is asked for: the end, a length of thread, or the indentation that would fold as far.
 
 use client::decimal;
 use locomotion::kinematics::Design;
 use protocol::capsule::ActuationKind;
-use serde_json::Value;
 use trials::experiment::Motion;
 
-use crate::cli::args::PartialArgs;
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
-use crate::cli::machines;
-use crate::cli::screen::Screen;
-
-pub(crate) fn fold(
-    args: &PartialArgs,
-    finder: &Finder<'_>,
-    screen: &mut Screen<'_>,
-) -> Result<Value, Failure> {
-    let motion = motion(args)?;
-    if let (Some(indentation), slack) = (args.indentation_mm, args.slack_mm) {
-        screen.say(&format!(
-            "An indentation of {} mm is {} mm of thread by the paper's Eq. (7), with {} mm of slack.",
-            decimal::write(indentation.0.into(), 3),
-            decimal::fixed(motion.target_um.into(), 3),
-            decimal::write(slack.0.into(), 3)
-        ));
-    }
-    let trace = args.fold.trace.as_deref();
-    machines::actuate(motion, &args.fold.record, trace, finder, screen)
-}
+use crate::arguments::PartialArgs;
+use crate::failure::Failure;
 
 /// What is wanted of the capsule.
 ///
 /// # Errors
 /// No origami and no thread is that long.
-pub(crate) fn motion(args: &PartialArgs) -> Result<Motion, Failure> {
+pub fn motion(args: &PartialArgs) -> Result<Motion, Failure> {
     Ok(match (args.thread_mm, args.indentation_mm) {
         (Some(thread), _) => Motion::fold_to(target_um(thread.0.into())?),
         (None, Some(indentation)) => {

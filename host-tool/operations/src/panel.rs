@@ -96,7 +96,7 @@ pub struct Panel {
 }
 
 /// What somebody is told who takes a line over while the machine moves.
-pub(crate) const MOVES_ALREADY: &str = "SOMETHING MOVES that no process here has begun: the one that did has ended, or it was the start button. It stops by itself within 1 s, except a run that was to finish without its host; a stop works as ever";
+pub const MOVES_ALREADY: &str = "SOMETHING MOVES that no process here has begun: the one that did has ended, or it was the start button. It stops by itself within 1 s, except a run that was to finish without its host; a stop works as ever";
 
 impl Panel {
     /// Before the first connection.
@@ -190,7 +190,7 @@ impl Panel {
     }
 
     /// The state has changed since the last call, so that it is time for a question.
-    pub(crate) fn take_changed(&mut self) -> bool {
+    pub fn take_changed(&mut self) -> bool {
         std::mem::take(&mut self.changed)
     }
 
@@ -376,7 +376,7 @@ fn rig_text(event: RigEvent) -> String {
 ///
 /// # Errors
 /// No answer.
-pub(crate) fn ask<'a>(
+pub fn ask<'a>(
     device: &mut Device,
     panel: impl Fn() -> MutexGuard<'a, Panel>,
 ) -> Result<(), ClientError> {
