@@ -7,15 +7,15 @@ use client::link::address::Address;
 use client::link::memory::Peer;
 use client::link::{Link, LinkError, OpenError, Reason};
 use client::{Device, Observer, Progress};
-use host_tool::connector::{Candidate, Connector, Purpose};
-use host_tool::serve::memory::{self, INSTANCE, Server};
 use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Purpose};
 use protocol::frame::Kind;
 use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Event, Urgent};
 use protocol::table::{Reply, Telemetry};
 use serde::{Deserialize, Serialize};
+use serve::memory::{self, INSTANCE, Server};
 
 use crate::exemplary::{Asked, Exemplary};
 use crate::model::{self, Good};

@@ -9,13 +9,13 @@ use std::sync::OnceLock;
 use client::link::address::Address;
 use client::link::memory::Memory;
 use client::link::{Link, OpenError};
-use host_tool::connector::{Candidate, Connector, Purpose};
-use host_tool::serve::http::ROUTES;
-use host_tool::serve::memory::{self, Answer, INSTANCE, Server};
 use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Purpose};
 use protocol::system::DeviceKind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use serve::http::ROUTES;
+use serve::memory::{self, Answer, INSTANCE, Server};
 use tempfile::TempDir;
 
 use crate::exemplary::{Asked, Exemplary};

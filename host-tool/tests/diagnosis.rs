@@ -8,7 +8,7 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use host_tool::cli::run_on;
-use host_tool::connector::Ports;
+use operations::connector::Ports;
 use others::{echo, instrument, other_baud, server, silent, ssh, web};
 
 #[test]

@@ -12,10 +12,10 @@ use std::time::{Duration, Instant};
 
 use bench::Bench;
 use host_tool::cli::run_on;
-use host_tool::connector::Ports;
 use machine::Script;
 use machine::signal::{Signal, kill};
 use machine::tool::{Memory, ready};
+use operations::connector::Ports;
 use others::{deaf, echo, instrument, other_baud, server, silent, ssh, web};
 use protocol::system::DeviceKind;
 use serde_json::Value;

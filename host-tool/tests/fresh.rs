@@ -7,9 +7,9 @@ use std::sync::{Arc, Mutex};
 use client::link::address::Address;
 use client::link::{Link, OpenError};
 use host_tool::cli::run_on;
-use host_tool::connector::{Candidate, Connector, Purpose};
 use jiff::Timestamp;
 use machine::{Log, Script, link};
+use operations::connector::{Candidate, Connector, Purpose};
 use protocol::system::DeviceKind;
 
 /// New machines at every address.

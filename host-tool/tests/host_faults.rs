@@ -23,11 +23,11 @@ use client::link::address::Address;
 use client::link::memory::{Memory, Peer};
 use client::link::{Link, LinkError, OpenError};
 use host_tool::cli::run_at;
-use host_tool::connector::{Candidate, Connector, Purpose};
 use jiff::{SignedDuration, Timestamp};
 use machine::plan::{ONE_CONDITION, PAPER, changed};
 use machine::signal::{Signal, kill};
 use machine::{Machine, Script, Shared, VIRTUAL_UID};
+use operations::connector::{Candidate, Connector, Purpose};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 

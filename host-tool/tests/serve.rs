@@ -15,10 +15,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bench::Bench;
-use host_tool::serve::http::{OPENAPI, ROUTES};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
+use serve::http::{OPENAPI, ROUTES};
 
 const SOON: Duration = Duration::from_secs(30);
 

@@ -12,10 +12,10 @@ use std::time::{Duration, Instant};
 
 use client::link::memory::Peer;
 use host_tool::cli::run_at;
-use host_tool::connector::Ports;
 use machine::pace::{MOST_LATE_US, Pace, TURN_US};
 use machine::signal::{Signal, kill};
 use machine::{Log, Machine, Script};
+use operations::connector::Ports;
 use protocol::system::{DeviceKind, Urgent};
 
 /// Serves one connection at wall-clock pace.

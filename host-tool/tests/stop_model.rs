@@ -1,5 +1,5 @@
 //! A model of stopping, explored exhaustively: a server's requests, courier and keeper around the real
-//! [`host_tool::stops::Book`], another process that begins a run and dies, one that takes its line over, and a rig. All
+//! [`operations::stops::Book`], another process that begins a run and dies, one that takes its line over, and a rig. All
 //! interleavings of their steps to a bounded depth.
 //!
 //! What the model leaves out: a frame is at the rig as soon as it is written (in earnest within a millisecond), and a
@@ -7,7 +7,7 @@
 
 use std::collections::HashSet;
 
-use host_tool::stops::{Ask, Book};
+use operations::stops::{Ask, Book};
 use protocol::system::Urgent;
 
 /// The longest path that is followed.

@@ -10,10 +10,10 @@ use std::time::{Duration, Instant};
 use client::link::address::Address;
 use client::link::{Link, LinkError, OpenError, Reason};
 use host_tool::cli::run_on;
-use host_tool::connector::{Candidate, Connector, Ports, Purpose};
 use jiff::Timestamp;
 use machine::tool::{Memory, ready};
 use machine::{Script, link};
+use operations::connector::{Candidate, Connector, Ports, Purpose};
 use protocol::system::DeviceKind;
 use serde_json::Value;
 

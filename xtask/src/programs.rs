@@ -401,7 +401,7 @@ mod tests {
     use super::*;
 
     fn message(profile: &str, executable: &str) -> String {
-        let manifest = root().join("calibration/Cargo.toml");
+        let manifest = root().join("models/calibration/Cargo.toml");
         format!(
             r#"{{"reason":"compiler-artifact","package_id":"x","manifest_path":"{}","target":{{"kind":["test"],"crate_types":["bin"],"name":"recovery","src_path":"/a","edition":"2024","doc":false,"doctest":false,"test":true}},"profile":{{"opt_level":"3","debuginfo":1,"debug_assertions":true,"overflow_checks":true,{profile}}},"features":[],"filenames":["/t"],"executable":{executable},"fresh":true}}"#,
             manifest.display()
@@ -417,7 +417,7 @@ mod tests {
             panic!("{job:?}")
         };
         assert_eq!(found.executable, Path::new(r#"/a "b"/t"#));
-        assert_eq!(found.manifest, root().join("calibration/Cargo.toml"));
+        assert_eq!(found.manifest, root().join("models/calibration/Cargo.toml"));
         assert_eq!(job.place_in(&[("motion", "recovery")]), None);
         assert_eq!(
             job.place_in(&[("motion", "x"), ("calibration", "recovery")]),

@@ -25,7 +25,7 @@ use crate::readings::{ReadingRow, Readings};
 use crate::verify::{self, Differences};
 
 /// The plan as given.
-pub const PLAN: &str = "plan.toml";
+pub const PLAN: &str = trials::trial::CAMPAIGN_PLAN;
 /// The trials in the order of execution.
 pub const ORDER: &str = "order.csv";
 /// The ledger.

@@ -16,10 +16,11 @@ use clap::{Args, ValueEnum};
 use locomotion::beam::Validation;
 use locomotion::kinematics::Design;
 use locomotion::model::Model;
+use operations::failure::Failure;
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Calculation;
-use crate::cli::failure::Failure;
+use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
 
 /// What the displacement is counted for.
@@ -208,7 +209,9 @@ pub(crate) fn optimise(
     };
     work.file(
         "optimise.svg",
-        charts::designs(figure, per, &rows)?.as_bytes(),
+        charts::designs(figure, per, &rows)
+            .map_err(Own::from)?
+            .as_bytes(),
     )?;
     let files = work.say_files();
     Ok(json!({ "origin": origin, "designs": rows, "verdict": verdict, "files": files }))

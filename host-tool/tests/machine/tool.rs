@@ -4,9 +4,10 @@ use std::sync::{Arc, Mutex};
 
 use client::link::address::Address;
 use client::link::{Link, OpenError};
-use host_tool::cli::{Keyboard, run_at};
-use host_tool::connector::{Candidate, Connector, Purpose};
+use host_tool::cli::run_at;
+use host_tool::cli::screen::Keyboard;
 use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Purpose};
 use protocol::system::DeviceKind;
 
 use super::{Log, Script, link};

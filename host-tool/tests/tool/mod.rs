@@ -1,7 +1,7 @@
 //! The command line in this process, with nobody at the terminal.
 
 use host_tool::cli::run_on;
-use host_tool::connector::Ports;
+use operations::connector::Ports;
 
 /// Exit code, standard output and standard error of `retrograde` with these arguments.
 pub fn retrograde(args: &[&str]) -> (u8, String, String) {

@@ -25,6 +25,9 @@ use serde::{Deserialize, Serialize};
 use crate::cue::Coordination;
 use crate::writer::{Appender, Writer, replace};
 
+/// A folder with this file is that of a campaign, which ends its own records.
+pub const CAMPAIGN_PLAN: &str = "plan.toml";
+
 /// Version of the sidecar's format; incremented when a field changes its meaning.
 pub const FORMAT: u32 = 1;
 

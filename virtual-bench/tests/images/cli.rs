@@ -6,8 +6,8 @@ use client::link::{Link, OpenError};
 
 use crate::common::RigRun;
 use host_tool::cli;
-use host_tool::connector::{Candidate, Connector, Ports, Purpose};
 use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Ports, Purpose};
 use protocol::system::DeviceKind;
 use virtual_bench::bench::Bench;
 use virtual_bench::boards::rig::RigBoard;
