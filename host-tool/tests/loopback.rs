@@ -7,9 +7,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use client::error::ClientError;
 use client::link::Link;
+use client::link::memory::{Memory, Peer};
 use client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
 use machine::capsule::FOLDED_UM;
-use machine::{Script, World, link};
+use machine::{Machine, Script, World, link};
 use protocol::capsule::ActuationOutcome;
 use protocol::error::Refusal;
 use protocol::rig::{RigEvent, RigFault, RigState, Run, RunOutcome, RunTiming};
@@ -592,6 +593,46 @@ fn a_held_run_is_stopped_by_the_operator() {
     let record = rig.wait_run(&accepted, &mut Unobserved).expect("ends");
     assert_eq!(record.outcome, RunOutcome::Stopped);
     assert!(rig.now_us() - begin_us < 20_500_000);
+}
+
+/// A machine whose clock is slower than the link's by a factor, as that of an emulator on a busy computer.
+struct Slowed<P>(P, u64);
+
+impl<P: Peer> Peer for Slowed<P> {
+    fn take(&mut self, bytes: &[u8], now_us: u64) {
+        self.0.take(bytes, now_us / self.1);
+    }
+    fn give(&mut self, now_us: u64) -> Vec<u8> {
+        self.0.give(now_us / self.1)
+    }
+    fn next_us(&self) -> u64 {
+        self.0.next_us().saturating_mul(self.1)
+    }
+}
+
+#[test]
+fn a_run_is_overdue_by_the_clock_of_the_machine() {
+    let of = |factor, world| {
+        let mut script = Script::new(DeviceKind::Rig);
+        script.world = world;
+        let (machine, log) = Machine::new(script);
+        let link = Memory::new("memory", Slowed(machine, factor));
+        let mut rig = Device::connect(Box::new(link), DeviceKind::Rig, 11).expect("a rig");
+        let accepted = rig.home().expect("accepted");
+        rig.wait_homing(&accepted, &mut Unobserved).expect("homed");
+        let accepted = rig.run(SHORT_RUN).expect("accepted");
+        let ended = rig.wait_run(&accepted, &mut Unobserved);
+        let urgent = log.lock().expect("log").urgent.len();
+        (ended, urgent)
+    };
+    let (ended, urgent) = of(8, vec![]);
+    assert_eq!(ended.expect("ends").outcome, RunOutcome::Complete);
+    assert_eq!(urgent, 0);
+    // Slow, and its motion does not end.
+    let (ended, urgent) = of(8, vec![(3_500_000, World::TimerStands)]);
+    let error = ended.expect_err("overdue");
+    assert!(matches!(error, ClientError::Overdue { .. }), "{error:?}");
+    assert_eq!(urgent, 1);
 }
 
 #[test]

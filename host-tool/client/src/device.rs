@@ -51,6 +51,8 @@ const OWNER_PATIENCE_US: u64 = 3_000_000;
 
 /// How much later than announced an action may end before it is stopped as overdue, us.
 const OVERDUE_US: u64 = 3_000_000;
+/// Factor by which a device's clock may be slower than the link's: an emulator on a busy computer, not a time base that stands.
+const SLOWEST: u64 = 20;
 
 /// Returns the stop that the operator wants; polled at least every 20 ms of link time. It is a level, not an edge: once
 /// it has returned a stop it keeps doing so, and may only escalate to an emergency stop.
@@ -177,6 +179,12 @@ impl Clock {
         Self {
             ahead_us: (ahead(asked_us), ahead(answered_us)),
         }
+    }
+
+    /// Time that has passed on the link but not for the device since it was `then`, us, at least.
+    fn behind_us(self, then: Self) -> u64 {
+        let behind_us = self.ahead_us.0.saturating_sub(then.ahead_us.1);
+        u64::try_from(behind_us).unwrap_or(0)
     }
 }
 
@@ -1033,6 +1041,7 @@ impl Device {
         mut state: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<C, ClientError>,
     ) -> Result<(), ClientError> {
         let start_us = self.now_us();
+        let mut start_clock = self.clock;
         let mut limit_us = at_most_us.saturating_add(OVERDUE_US);
         let mut asked_us = start_us;
         let mut over = false;
@@ -1067,7 +1076,8 @@ impl Device {
                     ActionState::Running | ActionState::Extended(_) => {}
                 }
                 asked_us = now_us;
-                if now_us - start_us > limit_us {
+                start_clock = start_clock.or(self.clock);
+                if self.passed_us(start_us, start_clock) > limit_us {
                     self.urgent(Urgent::Stop)?;
                     return Err(ClientError::Overdue {
                         place: self.place(),
@@ -1078,6 +1088,16 @@ impl Device {
             }
             self.step(asked_us.saturating_add(self.keep_alive_us))?;
         }
+    }
+
+    /// Time since the link's clock was at `start_us` and the device's at `start_clock`, us. The device's clock counts, so
+    /// that an emulated device that cannot keep up is not overdue; a clock slower than [`SLOWEST`] is broken.
+    fn passed_us(&self, start_us: u64, start_clock: Option<Clock>) -> u64 {
+        let passed_us = self.now_us() - start_us;
+        let behind_us = start_clock
+            .zip(self.clock)
+            .map_or(0, |(then, now)| now.behind_us(then));
+        passed_us.saturating_sub(behind_us).max(passed_us / SLOWEST)
     }
 
     /// Sends what the pacer returns. After a stop it no longer matters that this is not sent.
