@@ -2,7 +2,6 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use client::link::memory::Peer;
 use device::identity::identity;
 use device::service::{Inbound, Incoming, Service};
 use protocol::capsule::CapsuleState;
@@ -10,8 +9,9 @@ use protocol::error::Refusal;
 use protocol::rig::RigState;
 use protocol::system::{DeviceKind, Identity, ResetCause, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
+use simulated_machines::link::Peer;
 
-use crate::exemplars;
+use exemplars;
 
 /// What machines were asked; clones are the same one.
 #[derive(Clone, Debug, Default)]
@@ -148,7 +148,7 @@ fn response(request: &Request) -> Response {
 mod tests {
     use client::Device;
     use client::error::ClientError;
-    use client::link::memory::Memory;
+    use simulated_machines::link::Memory;
 
     use super::*;
 

@@ -16,8 +16,8 @@ use tempfile::TempDir;
 use trials::experiment;
 use trials::trial::{Action, CapsuleSample, Recording, RigSample, Trial};
 
-use crate::machine::{Script, link};
 use crate::script::steps;
+use simulated_machines::machine::{Script, link};
 
 /// The longest script.
 const MOST_STEPS: usize = 8;

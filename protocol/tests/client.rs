@@ -1,7 +1,5 @@
 //! The host's client alone: which frames it accepts, when it sends, what it counts.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
 #[allow(dead_code, unreachable_pub)]
 mod parties;
 

@@ -2,9 +2,6 @@
 //! doc comments and from the exemplars: `BLESS=1 cargo test -p protocol --test document` writes them. What a person has to
 //! write (ranges, refusals, what a request does) is compared name by name, and the failure says which row is missing.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
-
 use postcard_schema::{
     Schema,
     schema::{DataModelType, DataModelVariant, NamedType, NamedValue},

@@ -1,7 +1,5 @@
 //! What a bad line can do: corrupt, repeat, delay, and resets on top. The real client against the real session.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
 #[allow(dead_code, unreachable_pub)]
 mod parties;
 

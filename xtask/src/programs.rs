@@ -17,38 +17,27 @@ use crate::steps::{Clock, Counts, Ran, Tests};
 
 /// Package and name of what takes longest, longest first: it begins early, so that the end is short. The order of
 /// everything else does not matter.
-const LONG: [(&str, &str); 12] = [
+const LONG: [(&str, &str); 8] = [
     ("calibration", "recovery"),
-    ("host-tool", "science"),
-    ("host-tool", "plan_experiment"),
+    ("host-tool", "models"),
     ("calibration", "simulation_based"),
     ("calibration", "closed_loop"),
     ("firmware-rig", "sequences"),
     ("firmware-capsule", "scenarios"),
     ("locomotion", "comparison"),
-    ("calibration", "closed_forms"),
-    ("host-tool", "fit"),
     ("fuzz", "bounded"),
-    ("host-tool", "crescent"),
 ];
 
 /// These wait for a line in real time and compute little: they run beside those that compute.
-const WAITING: [(&str, &str); 12] = [
-    ("host-tool", "door"),
-    ("host-tool", "host_faults"),
-    ("host-tool", "serve"),
-    ("host-tool", "stopping"),
-    ("host-tool", "stops"),
-    ("host-tool", "keys"),
+const WAITING: [(&str, &str); 5] = [
+    ("host-tool", "faults"),
+    ("host-tool", "lines"),
+    ("host-tool", "server"),
+    ("host-tool", "terminals"),
     ("host-tool", "signals"),
-    ("host-tool", "campaign_process"),
-    ("host-tool", "watch"),
-    ("host-tool", "named"),
-    ("host-tool", "flash"),
-    ("host-tool", "doctor"),
 ];
 
-/// So many of those that wait run at a time.
+/// Programs that wait and run at a time.
 const WAITING_LANES: usize = 2;
 
 /// Whoever waits is told so often what is still running.

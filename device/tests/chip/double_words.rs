@@ -3,19 +3,16 @@
 // Each test file uses a part of it.
 #![allow(dead_code)]
 
-#[path = "mod.rs"]
-mod words;
-
 use device::{
     double_words::{DOUBLE_WORD, DoubleWords, PAGE, Sectors},
     store::SECTORS,
 };
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+pub use simulated_machines::chip::{Cut, Error, Operation, Random, Supply};
 use std::{
     ops::Range,
     sync::{Arc, Mutex, MutexGuard},
 };
-pub use words::{Cut, Error, Operation, Random, Supply};
 
 /// What a double word is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
