@@ -1,12 +1,11 @@
 //! The settings' log in the STM32F411's flash, and its write operations.
 
-mod chip;
 #[path = "store/log.rs"]
 mod log;
 
-use chip::{Flash, Operation};
 use log::{KEPT, start, young};
 use protocol::settings::SettingKey;
+use simulated_machines::chip::{self, Flash, Operation};
 
 /// An erasure takes half a second, and wears the flash.
 #[test]

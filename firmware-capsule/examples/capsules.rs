@@ -3,12 +3,8 @@
 //! `cargo run --release -p firmware-capsule --example capsules [CASES PER FAULT]`, 500 unless told.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
-#[allow(dead_code)] // the tests use all of it
-#[path = "../tests/plant/mod.rs"]
-mod plant;
-
 use capsule_plant::{Defect, Parameters, cases::Kind, verdict};
-use plant::cases::{self, Figures};
+use simulated_machines::plant::cases::{self, Figures};
 use std::collections::BTreeMap;
 
 fn share(part: usize, whole: usize) -> f64 {

@@ -1,9 +1,5 @@
 //! Control as the board runs it: readings and questions in; drive, replies and events out.
 
-#[path = "../../device/tests/chip/mod.rs"]
-mod chip;
-
-use chip::Flash;
 use device::{
     common::Surroundings,
     last_words::LastWords,
@@ -30,6 +26,7 @@ use protocol::{
     },
     table::{Reply, Request, Response},
 };
+use simulated_machines::chip::Flash;
 
 /// A motor without a load, and a note of everything that control says.
 #[derive(Default)]

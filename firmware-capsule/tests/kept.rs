@@ -1,9 +1,5 @@
 //! What a capsule keeps in flash, also when the power is cut while it is written.
 
-#[path = "../../device/tests/chip/mod.rs"]
-mod chip;
-
-use chip::{Cut, Flash, Random};
 use device::{settings::SettingsStore, store::StorageFailed};
 use firmware_capsule::{
     calibration::Calibration,
@@ -15,6 +11,7 @@ use protocol::{
     settings::{MAX_NAME, SettingKey as Key},
     system::DeviceKind,
 };
+use simulated_machines::chip::{Cut, Flash, Random};
 
 type Store = SettingsStore<Flash, Kept>;
 

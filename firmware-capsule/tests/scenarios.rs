@@ -1,19 +1,16 @@
 //! The machine in closed loop with the model of its mechanics: what a person would try on the bench.
 
-#[allow(dead_code)] // each test file uses a part of it
-mod plant;
-
 use capsule_plant::{Defect, Parameters, cases::Kind};
 use firmware_capsule::{
     calibration::Calibration,
     fold::{Capsule, Command, Drive, Event},
     settings::Settings,
 };
-use plant::{Simulation, cases};
 use protocol::{
     capsule::{ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState},
     error::Refusal,
 };
+use simulated_machines::plant::{Simulation, cases};
 
 fn nominal() -> Simulation {
     Simulation::calibrated(Parameters::nominal(), 0)

@@ -3,7 +3,6 @@
 
 use std::sync::{Arc, OnceLock};
 
-use client::link::memory::{Memory, Peer};
 use client::{Device, Unobserved};
 use protocol::capsule::{Calibrate, Fold};
 use protocol::error::Refusal;
@@ -13,10 +12,11 @@ use protocol::settings::{Setting, SettingKey};
 use protocol::system::{DeviceKind, Hello, KeepAlive, Urgent};
 use protocol::table::{Reply, Request, Response, SCHEMA_KEY};
 use serde::{Deserialize, Serialize};
+use simulated_machines::link::{Memory, Peer};
 
-use crate::machine::{Left, Machine, Script, World};
 use crate::model::{self, Good, Once};
 use crate::script::steps;
+use simulated_machines::machine::{Left, Machine, Script, World};
 
 /// Time to wait for the answer to a frame, us.
 const UNDER_WAY_US: u64 = 2_000;
@@ -316,7 +316,7 @@ fn request(sensible: Sensible) -> Request {
 fn folded() -> Left {
     let machine = Machine::new(Script::new(DeviceKind::Capsule)).0;
     let shared = Arc::new(std::sync::Mutex::new(machine));
-    let line = crate::machine::Shared(Arc::clone(&shared));
+    let line = simulated_machines::machine::Shared(Arc::clone(&shared));
     let mut host = Device::connect(Box::new(Memory::new("bench", line)), DeviceKind::Capsule, 1)
         .expect("a capsule");
     let reference = host.reference().expect("accepted");

@@ -3,7 +3,6 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use client::link::memory::Peer;
 use device::identity::identity;
 use device::service::{Inbound, Incoming, Service};
 use protocol::capsule::CapsuleState;
@@ -11,8 +10,9 @@ use protocol::error::Refusal;
 use protocol::rig::RigState;
 use protocol::system::{DeviceKind, Identity, ResetCause, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
+use simulated_machines::link::Peer;
 
-use crate::exemplars;
+use exemplars;
 
 /// A log of executed requests; clones share it.
 #[derive(Clone, Debug, Default)]
@@ -149,7 +149,7 @@ fn response(request: &Request) -> Response {
 mod tests {
     use client::Device;
     use client::error::ClientError;
-    use client::link::memory::Memory;
+    use simulated_machines::link::Memory;
 
     use super::*;
 

@@ -2,9 +2,9 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use crate::server::{self, INSTANCE, Server};
 use client::error::ClientError;
 use client::link::address::Address;
-use client::link::memory::Peer;
 use client::link::{Link, LinkError, OpenError, Reason};
 use client::{Device, Observer, Progress};
 use jiff::Timestamp;
@@ -15,7 +15,7 @@ use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Event, Urgent};
 use protocol::table::{Reply, Telemetry};
 use serde::{Deserialize, Serialize};
-use serve::memory::{self, INSTANCE, Server};
+use simulated_machines::link::Peer;
 
 use crate::exemplary::{Asked, Exemplary};
 use crate::model::{self, Good};
@@ -376,7 +376,7 @@ fn server(line: Line, kind: DeviceKind, number: u8) {
     const TOKEN: &str = "0123456789abcdef";
     let places = [(kind, Address::Serial("bench".to_owned()))];
     let folder = std::env::temp_dir();
-    memory::with(
+    server::with(
         &Once(Mutex::new(Some(line))),
         &places,
         TOKEN,
@@ -397,7 +397,7 @@ fn server(line: Line, kind: DeviceKind, number: u8) {
                 ("content-type", b"application/json"),
             ];
             let ask = |server: &mut Server<'_>, method, uri| {
-                let answer = server.ask(memory::Asked {
+                let answer = server.ask(server::Asked {
                     here: true,
                     method,
                     uri,

@@ -6,8 +6,8 @@ use std::fs;
 use std::path::Path;
 use std::sync::OnceLock;
 
+use crate::server::{self, Answer, INSTANCE, Server};
 use client::link::address::Address;
-use client::link::memory::Memory;
 use client::link::{Link, OpenError};
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};
@@ -15,7 +15,7 @@ use protocol::system::DeviceKind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use serve::http::ROUTES;
-use serve::memory::{self, Answer, INSTANCE, Server};
+use simulated_machines::link::Memory;
 use tempfile::TempDir;
 
 use crate::exemplary::{Asked, Exemplary};
@@ -209,7 +209,7 @@ pub fn target(data: &[u8]) {
         asked: Asked::default(),
         willing: machines.willing,
     };
-    memory::with(&here, &places, TOKEN, out, |server| {
+    server::with(&here, &places, TOKEN, out, |server| {
         let mut keys = BTreeSet::new();
         for step in steps::<Step>(data).take(MOST_STEPS) {
             ask(server, &here.asked, &step, &mut keys);
@@ -238,7 +238,7 @@ fn ask(server: &mut Server<'_>, asked: &Asked, step: &Step, keys: &mut BTreeSet<
         .collect();
     let body = body(&step.body);
     let before = asked.notes().clone();
-    let answer = server.ask(memory::Asked {
+    let answer = server.ask(server::Asked {
         here: step.here,
         method: &method,
         uri: &uri,
@@ -310,7 +310,7 @@ fn judge(answer: &Answer, method: &str, uri: &str) {
 /// Checks that a stop from this computer still reaches the machine, without a token.
 fn still_serves(server: &mut Server<'_>, asked: &Asked) {
     let before = asked.notes().stops.len();
-    let answer = server.ask(memory::Asked {
+    let answer = server.ask(server::Asked {
         here: true,
         method: "POST",
         uri: "/api/v1/estop",

@@ -11,17 +11,14 @@
 #![forbid(unsafe_code)]
 
 pub mod bodies;
-#[allow(dead_code, missing_docs, unreachable_pub)]
-#[path = "../../protocol/tests/exemplars/mod.rs"]
-mod exemplars;
+mod door;
 mod exemplary;
 pub mod host;
 pub mod http;
-#[path = "../../host-tool/tests/machine/mod.rs"]
-mod machine;
 pub mod model;
 pub mod records;
 pub mod script;
+mod server;
 pub mod sidedoor;
 pub mod stream;
 

@@ -17,8 +17,8 @@ use tempfile::TempDir;
 use trials::experiment;
 use trials::trial::{Action, CapsuleSample, Recording, RigSample, Trial};
 
-use crate::machine::{Script, link};
 use crate::script::steps;
+use simulated_machines::machine::{Script, link};
 
 /// Most steps of a script that are tried.
 const MOST_STEPS: usize = 8;

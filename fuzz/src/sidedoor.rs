@@ -3,17 +3,17 @@
 
 use std::sync::OnceLock;
 
+use crate::door::{Door, Guest};
 use client::door::VERSION;
-use client::door::memory::{Door, Guest};
 use protocol::frame::Kind;
 use protocol::rig::{GetRigStatus, Home};
 use protocol::system::{DeviceKind, Done, Hello, Identity, ResetCause, Urgent};
 use protocol::table::{Endpoint, Impact, Reply, Request, Response, SCHEMA_KEY};
 use serde::{Deserialize, Serialize};
 
-use crate::exemplars;
 use crate::model::{self, Good, Once};
 use crate::script::steps;
+use exemplars;
 
 const TOKEN: &str = "secret";
 /// Most steps of a script that are tried.

@@ -1,7 +1,5 @@
 //! The host's client alone: the frames it accepts, the times it sends, and its counters.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
 #[allow(dead_code, unreachable_pub)]
 mod parties;
 

@@ -3,9 +3,6 @@
 //! written by hand (ranges, refusals, effects of a request) are compared name by name, and the failure names the
 //! missing row.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
-
 use postcard_schema::{
     Schema,
     schema::{DataModelType, DataModelVariant, NamedType, NamedValue},

@@ -2,8 +2,6 @@
 //!
 //! The long tests run in `cargo xtask ci`, or with `cargo test -p protocol -- --ignored`.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
 #[allow(dead_code, unreachable_pub)]
 mod parties;
 

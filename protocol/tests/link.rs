@@ -1,8 +1,6 @@
 //! The real client against the real session over a bad line that corrupts, repeats and delays, with resets of the
 //! device.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
 #[allow(dead_code, unreachable_pub)]
 mod parties;
 

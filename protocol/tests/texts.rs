@@ -1,8 +1,5 @@
 //! The texts of faults and refusals all differ.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
-
 use protocol::{
     capsule::CapsuleFault,
     error::Field,

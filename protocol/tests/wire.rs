@@ -1,9 +1,6 @@
 //! The bytes on the wire. A change here is a change of the protocol: raise the version, then regenerate with
 //! `BLESS=1 cargo test -p protocol --test wire`.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
-
 use protocol::{
     frame::{Deframer, Kind, MAX_BODY, encode},
     system::{Event, Urgent},

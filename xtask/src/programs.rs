@@ -17,35 +17,24 @@ use crate::steps::{Clock, Counts, Ran, Tests};
 
 /// Package and name of the slowest programs, longest first: they start early, so that none is left at the end. The
 /// order of the others does not matter.
-const LONG: [(&str, &str); 12] = [
+const LONG: [(&str, &str); 8] = [
     ("calibration", "recovery"),
-    ("host-tool", "science"),
-    ("host-tool", "plan_experiment"),
+    ("host-tool", "models"),
     ("calibration", "simulation_based"),
     ("calibration", "closed_loop"),
     ("firmware-rig", "sequences"),
     ("firmware-capsule", "scenarios"),
     ("locomotion", "comparison"),
-    ("calibration", "closed_forms"),
-    ("host-tool", "fit"),
     ("fuzz", "bounded"),
-    ("host-tool", "crescent"),
 ];
 
 /// Programs that wait for a line in real time and compute little: they run beside those that compute.
-const WAITING: [(&str, &str); 12] = [
-    ("host-tool", "door"),
-    ("host-tool", "host_faults"),
-    ("host-tool", "serve"),
-    ("host-tool", "stopping"),
-    ("host-tool", "stops"),
-    ("host-tool", "keys"),
+const WAITING: [(&str, &str); 5] = [
+    ("host-tool", "faults"),
+    ("host-tool", "lines"),
+    ("host-tool", "server"),
+    ("host-tool", "terminals"),
     ("host-tool", "signals"),
-    ("host-tool", "campaign_process"),
-    ("host-tool", "watch"),
-    ("host-tool", "named"),
-    ("host-tool", "flash"),
-    ("host-tool", "doctor"),
 ];
 
 /// Number of waiting programs that run at a time.

@@ -4,19 +4,16 @@
 // Each test file uses only a part of it.
 #![allow(dead_code)]
 
-#[path = "mod.rs"]
-mod words;
-
 use device::{
     double_words::{DOUBLE_WORD, DoubleWords, PAGE, Sectors},
     store::SECTORS,
 };
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+pub use simulated_machines::chip::{Cut, Error, Operation, Random, Supply};
 use std::{
     ops::Range,
     sync::{Arc, Mutex, MutexGuard},
 };
-pub use words::{Cut, Error, Operation, Random, Supply};
 
 /// State of a double word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -27,9 +27,9 @@
 //! A version only ever adds fields to the two lines. Stops work between all versions.
 
 pub mod lock;
-pub mod memory;
 pub mod server;
-pub(crate) mod stream;
+#[doc(hidden)]
+pub mod stream;
 pub mod window;
 
 use std::fmt;
@@ -42,7 +42,7 @@ use serde::{Deserialize, Serialize};
 pub const VERSION: u32 = 1;
 
 /// The longest first line of either side, bytes.
-pub(crate) const LONGEST_LINE: usize = 2_048;
+pub const LONGEST_LINE: usize = 2_048;
 
 /// The longest command that is shown, in characters.
 const LONGEST_COMMAND: usize = 200;

@@ -4,7 +4,6 @@
 //! against the virtual bench in virtual time.
 
 pub mod address;
-pub mod memory;
 pub mod serial;
 pub mod shared;
 pub mod tcp;

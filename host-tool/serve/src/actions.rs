@@ -16,7 +16,7 @@ pub const KEPT: usize = 512;
 
 /// How far an action has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Standing {
+pub enum Standing {
     /// The machine has not answered yet.
     Starting,
     /// The machine has accepted it.
@@ -38,7 +38,7 @@ pub(crate) enum Standing {
 }
 
 impl Standing {
-    pub(crate) fn is_over(self) -> bool {
+    pub fn is_over(self) -> bool {
         !matches!(self, Self::Starting | Self::UnderWay)
     }
 
@@ -78,28 +78,28 @@ impl Standing {
 
 /// A command and what has become of it.
 #[derive(Clone, Debug)]
-pub(crate) struct Action {
-    pub(crate) number: u64,
+pub struct Action {
+    pub number: u64,
     key: String,
     /// Of the request, so that its key is not used for another one.
     print: [u8; 32],
-    pub(crate) machine: DeviceKind,
-    pub(crate) kind: &'static str,
-    pub(crate) standing: Standing,
-    pub(crate) requested: Value,
-    pub(crate) accepted: Value,
-    pub(crate) progress: Value,
-    pub(crate) result: Value,
+    pub machine: DeviceKind,
+    pub kind: &'static str,
+    pub standing: Standing,
+    pub requested: Value,
+    pub accepted: Value,
+    pub progress: Value,
+    pub result: Value,
     /// The failure as with `--json`, and its exit code.
-    pub(crate) failure: Option<(u8, Value)>,
-    pub(crate) files: Value,
+    pub failure: Option<(u8, Value)>,
+    pub files: Value,
     started: Timestamp,
     ended: Option<Timestamp>,
 }
 
 /// What a request is at its arrival.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Arrival {
+pub enum Arrival {
     /// To be executed, under this number.
     New(u64),
     /// Here before, under this number.
@@ -109,24 +109,24 @@ pub(crate) enum Arrival {
 }
 
 /// What is to be done.
-pub(crate) struct Command {
-    pub(crate) key: String,
-    pub(crate) print: [u8; 32],
-    pub(crate) machine: DeviceKind,
-    pub(crate) kind: &'static str,
-    pub(crate) requested: Value,
+pub struct Command {
+    pub key: String,
+    pub print: [u8; 32],
+    pub machine: DeviceKind,
+    pub kind: &'static str,
+    pub requested: Value,
 }
 
 /// All actions of this server.
 #[derive(Debug)]
-pub(crate) struct Actions {
+pub struct Actions {
     instance: String,
     list: Mutex<VecDeque<Action>>,
     changes: watch::Sender<u64>,
 }
 
 impl Actions {
-    pub(crate) fn new(instance: String) -> Self {
+    pub fn new(instance: String) -> Self {
         Self {
             instance,
             list: Mutex::default(),
@@ -139,7 +139,7 @@ impl Actions {
     }
 
     /// Notes a request; the same one again is no new action.
-    pub(crate) fn arrive(&self, command: Command, now: Timestamp) -> Arrival {
+    pub fn arrive(&self, command: Command, now: Timestamp) -> Arrival {
         let mut list = self.list();
         if let Some(known) = list.iter().find(|action| action.key == command.key) {
             return match known.print == command.print {
@@ -170,19 +170,19 @@ impl Actions {
         Arrival::New(number)
     }
 
-    pub(crate) fn get(&self, number: u64) -> Option<Action> {
+    pub fn get(&self, number: u64) -> Option<Action> {
         let list = self.list();
         list.iter().find(|action| action.number == number).cloned()
     }
 
     /// The number behind an `id`.
-    pub(crate) fn number(&self, id: &str) -> Option<u64> {
+    pub fn number(&self, id: &str) -> Option<u64> {
         let (instance, number) = id.rsplit_once('-')?;
         (instance == self.instance).then(|| number.parse().ok())?
     }
 
     /// Changes an action, and wakes who waits for that.
-    pub(crate) fn update(&self, number: u64, change: impl FnOnce(&mut Action)) -> Option<Action> {
+    pub fn update(&self, number: u64, change: impl FnOnce(&mut Action)) -> Option<Action> {
         let mut list = self.list();
         let action = list.iter_mut().find(|action| action.number == number)?;
         change(action);
@@ -193,7 +193,7 @@ impl Actions {
     }
 
     /// Notes the end of an action.
-    pub(crate) fn end(
+    pub fn end(
         &self,
         number: u64,
         result: Value,
@@ -215,17 +215,17 @@ impl Actions {
     }
 
     /// None of this machine goes on.
-    pub(crate) fn are_over(&self, machine: DeviceKind) -> bool {
+    pub fn are_over(&self, machine: DeviceKind) -> bool {
         let list = self.list();
         let mut ours = list.iter().filter(|action| action.machine == machine);
         ours.all(|action| action.standing.is_over())
     }
 
-    pub(crate) fn changes(&self) -> watch::Receiver<u64> {
+    pub fn changes(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
     }
 
-    pub(crate) fn json(&self, action: &Action) -> Value {
+    pub fn json(&self, action: &Action) -> Value {
         json!({
             "id": format!("{}-{}", self.instance, action.number),
             "machine": kind_name(action.machine),
@@ -243,13 +243,13 @@ impl Actions {
     }
 
     /// All that are remembered, the oldest first.
-    pub(crate) fn all(&self) -> Vec<Value> {
+    pub fn all(&self) -> Vec<Value> {
         let list = self.list().clone();
         list.iter().map(|action| self.json(action)).collect()
     }
 
     /// The one of this machine that is under way, or its latest.
-    pub(crate) fn latest(&self, machine: DeviceKind) -> Value {
+    pub fn latest(&self, machine: DeviceKind) -> Value {
         let list = self.list();
         let ours = || list.iter().rev().filter(|action| action.machine == machine);
         let under_way = ours().find(|action| action.standing == Standing::UnderWay);

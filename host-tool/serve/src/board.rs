@@ -34,40 +34,40 @@ const WAITING_SAMPLES: usize = 64;
 const SHOWN_EVENTS: usize = 12;
 
 /// What a keeper is to do.
-pub(crate) struct Order {
-    pub(crate) action: u64,
-    pub(crate) work: Work,
-    pub(crate) at: Instant,
+pub struct Order {
+    pub action: u64,
+    pub work: Work,
+    pub at: Instant,
     /// The last stop before it: of this server, and of any process.
-    pub(crate) after: (u64, StopMark),
+    pub after: (u64, StopMark),
 }
 
 /// A jog that goes on as long as it is renewed.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Lease {
-    pub(crate) action: u64,
+pub struct Lease {
+    pub action: u64,
     /// Renewals so far.
-    pub(crate) n: u64,
-    pub(crate) renewed: Instant,
+    pub n: u64,
+    pub renewed: Instant,
     /// The time within which the next renewal has to come.
-    pub(crate) within: Duration,
+    pub within: Duration,
     /// The latest renewal was not passed on yet.
-    pub(crate) due: bool,
+    pub due: bool,
 }
 
 /// One machine.
-pub(crate) struct Machine {
-    pub(crate) kind: DeviceKind,
-    pub(crate) address: Address,
+pub struct Machine {
+    pub kind: DeviceKind,
+    pub address: Address,
     panel: Mutex<Panel>,
     identity: Mutex<Option<(Identity, String)>>,
-    pub(crate) stops: Arc<Stops>,
+    pub stops: Arc<Stops>,
     /// Lock and door of its line, since there was one.
     doorway: Mutex<Option<Doorway>>,
     /// This server moves it.
-    pub(crate) acting: Arc<AtomicBool>,
-    pub(crate) orders: SyncSender<Order>,
-    pub(crate) lease: Mutex<Option<Lease>>,
+    pub acting: Arc<AtomicBool>,
+    pub orders: SyncSender<Order>,
+    pub lease: Mutex<Option<Lease>>,
     samples: Mutex<(Vec<Value>, Instant)>,
 }
 
@@ -76,7 +76,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-pub(crate) fn stop_name(urgent: Urgent) -> &'static str {
+pub fn stop_name(urgent: Urgent) -> &'static str {
     match urgent {
         Urgent::Stop => "stop",
         Urgent::EStop => "EMERGENCY STOP",
@@ -84,7 +84,7 @@ pub(crate) fn stop_name(urgent: Urgent) -> &'static str {
 }
 
 impl Machine {
-    pub(crate) fn new(kind: DeviceKind, address: Address, orders: SyncSender<Order>) -> Self {
+    pub fn new(kind: DeviceKind, address: Address, orders: SyncSender<Order>) -> Self {
         Self {
             kind,
             panel: Mutex::new(Panel::new(kind, address.to_string())),
@@ -99,27 +99,27 @@ impl Machine {
         }
     }
 
-    pub(crate) fn panel(&self) -> MutexGuard<'_, Panel> {
+    pub fn panel(&self) -> MutexGuard<'_, Panel> {
         lock(&self.panel)
     }
 
-    pub(crate) fn lease(&self) -> MutexGuard<'_, Option<Lease>> {
+    pub fn lease(&self) -> MutexGuard<'_, Option<Lease>> {
         lock(&self.lease)
     }
 
-    pub(crate) fn meet(&self, identity: Option<&Identity>, place: String) {
+    pub fn meet(&self, identity: Option<&Identity>, place: String) {
         *lock(&self.identity) = identity.map(|identity| (*identity, place));
     }
 
     // Stops.
 
     /// From now on this is the line that the machine is at.
-    pub(crate) fn is_behind(&self, doorway: Option<Doorway>) {
+    pub fn is_behind(&self, doorway: Option<Doorway>) {
         *lock(&self.doorway) = doorway;
     }
 
     /// Somebody wants a stop. The keeper sends it as soon as it sees this, within 20 ms if there is a connection.
-    pub(crate) fn stop(&self, urgent: Urgent) -> Ask {
+    pub fn stop(&self, urgent: Urgent) -> Ask {
         if let Some(doorway) = &*lock(&self.doorway) {
             doorway.mark_stop(urgent);
         }
@@ -127,7 +127,7 @@ impl Machine {
     }
 
     /// What comes now is newer than this.
-    pub(crate) fn last_stop(&self) -> (u64, StopMark) {
+    pub fn last_stop(&self) -> (u64, StopMark) {
         (
             self.stops.asked(),
             StopMark::of(lock(&self.doorway).as_ref()),
@@ -135,7 +135,7 @@ impl Machine {
     }
 
     /// What stops the machine: a request, and Ctrl-C if this server moves it.
-    pub(crate) fn interrupt(&self, pressed: Interrupt) -> Interrupt {
+    pub fn interrupt(&self, pressed: Interrupt) -> Interrupt {
         let (stops, acting) = (Arc::clone(&self.stops), Arc::clone(&self.acting));
         Arc::new(move || {
             let pressed = match acting.load(Ordering::SeqCst) {
@@ -149,20 +149,20 @@ impl Machine {
 }
 
 /// Everything that is known.
-pub(crate) struct Board {
-    pub(crate) instance: String,
-    pub(crate) machines: Vec<Machine>,
-    pub(crate) actions: Actions,
-    pub(crate) stream: Arc<Stream>,
+pub struct Board {
+    pub instance: String,
+    pub machines: Vec<Machine>,
+    pub actions: Actions,
+    pub stream: Arc<Stream>,
     /// Something has changed that readers should see soon.
-    pub(crate) changed: Notify,
+    pub changed: Notify,
     /// Folder of the records.
-    pub(crate) out: PathBuf,
+    pub out: PathBuf,
     campaign: Mutex<Value>,
 }
 
 impl Board {
-    pub(crate) fn new(instance: String, machines: Vec<Machine>, out: PathBuf) -> Self {
+    pub fn new(instance: String, machines: Vec<Machine>, out: PathBuf) -> Self {
         Self {
             actions: Actions::new(instance.clone()),
             instance,
@@ -174,26 +174,26 @@ impl Board {
         }
     }
 
-    pub(crate) fn machine(&self, kind: DeviceKind) -> Option<&Machine> {
+    pub fn machine(&self, kind: DeviceKind) -> Option<&Machine> {
         self.machines.iter().find(|machine| machine.kind == kind)
     }
 
-    pub(crate) fn show_campaign(&self, campaign: Value) {
+    pub fn show_campaign(&self, campaign: Value) {
         *lock(&self.campaign) = campaign;
     }
 
-    pub(crate) fn notice(&self, machine: &Machine, notice: Notice) {
+    pub fn notice(&self, machine: &Machine, notice: Notice) {
         machine.panel().notice = Some(notice);
         self.changed.notify_one();
     }
 
-    pub(crate) fn contact(&self, machine: &Machine, contact: Contact) {
+    pub fn contact(&self, machine: &Machine, contact: Contact) {
         machine.panel().contact = contact;
         self.changed.notify_one();
     }
 
     /// Takes a sample; it is told with others of the same portion.
-    pub(crate) fn sample(&self, machine: &Machine, sample: &Telemetry, missed: u16) {
+    pub fn sample(&self, machine: &Machine, sample: &Telemetry, missed: u16) {
         let shown = {
             let mut panel = machine.panel();
             panel.sample(sample, missed, Instant::now());
@@ -210,7 +210,7 @@ impl Board {
     }
 
     /// Tells the samples of a portion that is over.
-    pub(crate) fn flush(&self, machine: &Machine, now: bool) {
+    pub fn flush(&self, machine: &Machine, now: bool) {
         let mut samples = lock(&machine.samples);
         if samples.0.is_empty() || (!now && samples.1.elapsed() < PORTION) {
             return;
@@ -221,7 +221,7 @@ impl Board {
         self.stream.tell_samples(machine.kind, portion);
     }
 
-    pub(crate) fn event(&self, machine: &Machine, event: &Event) {
+    pub fn event(&self, machine: &Machine, event: &Event) {
         machine.panel().event(event);
         let data = json!({
             "machine": kind_name(machine.kind),
@@ -235,7 +235,7 @@ impl Board {
     }
 
     /// The machine has accepted an action.
-    pub(crate) fn accepted(&self, number: u64, accepted: Value) {
+    pub fn accepted(&self, number: u64, accepted: Value) {
         let action = self.actions.update(number, |action| {
             action.standing = crate::actions::Standing::UnderWay;
             action.accepted = accepted;
@@ -243,7 +243,7 @@ impl Board {
         self.tell_action(action);
     }
 
-    pub(crate) fn ended(&self, number: u64, result: Value, failure: Option<&Failure>) {
+    pub fn ended(&self, number: u64, result: Value, failure: Option<&Failure>) {
         let action = self.actions.end(number, result, failure, Timestamp::now());
         self.tell_action(action);
     }
@@ -256,14 +256,14 @@ impl Board {
     }
 
     /// Tells readers the state.
-    pub(crate) fn tell_state(&self) {
+    pub fn tell_state(&self) {
         if self.stream.is_read() {
             self.stream.tell("state", &self.json());
         }
     }
 
     /// The state.
-    pub(crate) fn json(&self) -> Value {
+    pub fn json(&self) -> Value {
         let mut machines = Map::new();
         for machine in &self.machines {
             machines.insert(

@@ -12,7 +12,7 @@ use campaign::remaining;
 use operations::arguments::CAMPAIGNS_FOLDER;
 
 /// The newest campaign that is not complete.
-pub(crate) fn newest() -> Option<PathBuf> {
+pub fn newest() -> Option<PathBuf> {
     let wanted = Wanted {
         outcome: Some("open".to_owned()),
         ..Wanted::default()
@@ -25,7 +25,7 @@ pub(crate) fn newest() -> Option<PathBuf> {
 }
 
 /// Its name, how far it has come, and what is next; why not, if it cannot be read.
-pub(crate) fn json(folder: &Path) -> Value {
+pub fn json(folder: &Path) -> Value {
     let campaign = match Campaign::read(folder) {
         Ok(campaign) => campaign,
         Err(error) => return json!({ "folder": folder, "error": error.to_string() }),

@@ -12,7 +12,7 @@ const FOR_STOPS: usize = 64;
 
 /// What a connection does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Doing {
+pub enum Doing {
     /// It waits for its first or next request.
     Nothing,
     /// A reader of the stream follows it, or has ceased to read.
@@ -47,15 +47,15 @@ struct Table {
 
 /// All connections.
 #[derive(Debug, Default)]
-pub(crate) struct Connections(Mutex<Table>);
+pub struct Connections(Mutex<Table>);
 
 /// The place of one connection, until it is dropped.
 #[derive(Debug)]
-pub(crate) struct Place {
+pub struct Place {
     all: Arc<Connections>,
     number: u64,
     /// Beyond the most: only a stop is answered.
-    pub(crate) is_for_stops: bool,
+    pub is_for_stops: bool,
 }
 
 impl Table {
@@ -104,7 +104,7 @@ impl Connections {
     }
 
     /// A place for one more connection. `None` if so many stops are being answered that there is none for another.
-    pub(crate) fn enter(self: &Arc<Self>, here: bool) -> Option<Place> {
+    pub fn enter(self: &Arc<Self>, here: bool) -> Option<Place> {
         let (number, is_for_stops) = self.table().enter(here)?;
         Some(Place {
             all: Arc::clone(self),
@@ -114,7 +114,7 @@ impl Connections {
     }
 
     /// How the connection of this place is ended when there is no other room.
-    pub(crate) fn ended_by(&self, number: u64, end: AbortHandle) {
+    pub fn ended_by(&self, number: u64, end: AbortHandle) {
         let mut table = self.table();
         let entry = table
             .entries
@@ -127,12 +127,12 @@ impl Connections {
 }
 
 impl Place {
-    pub(crate) fn number(&self) -> u64 {
+    pub fn number(&self) -> u64 {
         self.number
     }
 
     /// From now on it does this.
-    pub(crate) fn does(&self, doing: Doing) {
+    pub fn does(&self, doing: Doing) {
         let mut table = self.all.table();
         let found = table
             .entries

@@ -30,7 +30,7 @@ const KEEPERS: Duration = Duration::from_secs(1);
 
 /// A question about a machine.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Question {
+pub enum Question {
     /// Of the rig.
     Health,
     /// Of this machine.
@@ -47,13 +47,13 @@ impl Question {
 }
 
 /// Somebody who waits for a stop.
-pub(crate) struct Wait {
-    pub(crate) ask: Ask,
-    pub(crate) reply: oneshot::Sender<Told>,
+pub struct Wait {
+    pub ask: Ask,
+    pub reply: oneshot::Sender<Told>,
 }
 
 /// What is to be done.
-pub(crate) enum Errand {
+pub enum Errand {
     Stop {
         machine: DeviceKind,
         urgent: Urgent,
@@ -69,7 +69,7 @@ pub(crate) enum Errand {
 
 /// Questions on their way.
 #[derive(Debug, Default)]
-pub(crate) struct Questions(AtomicUsize);
+pub struct Questions(AtomicUsize);
 
 /// One more question on its way, as long as it lives.
 struct Counted<'a>(&'a AtomicUsize);
@@ -91,7 +91,7 @@ impl Drop for Counted<'_> {
 }
 
 /// Sends errands off until the server ends.
-pub(crate) fn run<'scope>(
+pub fn run<'scope>(
     scope: &'scope Scope<'scope, '_>,
     places: &'scope Places<'scope>,
     board: &'scope Board,
@@ -148,7 +148,7 @@ pub(crate) fn run<'scope>(
 
 /// Stops a machine once for all who wait for it: through the door of its owner, which is the keeper's more often than not, or
 /// over a line of its own; and if that fails, waits for the keeper, which sends it, too.
-pub(crate) fn stop(
+pub fn stop(
     places: &Places<'_>,
     board: &Board,
     machine: &Machine,
@@ -189,11 +189,7 @@ pub(crate) fn stop(
     }
 }
 
-pub(crate) fn ask(
-    places: &Places<'_>,
-    board: &Board,
-    question: Question,
-) -> Result<Value, Failure> {
+pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Value, Failure> {
     let Some(machine) = board.machine(question.about()) else {
         let name = kind_name(question.about());
         return Err(Failure::Input {

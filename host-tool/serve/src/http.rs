@@ -99,14 +99,17 @@ const LONGEST_WAIT_S: u64 = 60;
 const STOPPING: Duration = Duration::from_secs(10);
 
 /// What requests need.
-pub(crate) struct App {
-    pub(crate) board: Arc<Board>,
-    pub(crate) access: Access,
-    pub(crate) errands: Sender<Errand>,
+pub struct App {
+    /// What is known of the machines.
+    pub board: Arc<Board>,
+    /// Who may do what.
+    pub access: Access,
+    /// Stops and questions.
+    pub errands: Sender<Errand>,
     /// One list of records at a time.
-    pub(crate) listing: Semaphore,
+    pub listing: Semaphore,
     /// One plan at a time, beside the threads that answer.
-    pub(crate) planning: Semaphore,
+    pub planning: Semaphore,
 }
 
 type Shared = State<Arc<App>>;
@@ -115,7 +118,7 @@ type Shared = State<Arc<App>>;
 type Instead = Box<Response>;
 
 /// The requests.
-pub(crate) fn router(app: Arc<App>) -> Router {
+pub fn router(app: Arc<App>) -> Router {
     Router::new()
         .route("/", get(page))
         .route("/openapi.json", get(openapi))
@@ -140,7 +143,7 @@ pub(crate) fn router(app: Arc<App>) -> Router {
 }
 
 /// Serves connections until the task ends.
-pub(crate) async fn listen(listener: TcpListener, router: Router) {
+pub async fn listen(listener: TcpListener, router: Router) {
     let connections = Arc::<Connections>::default();
     loop {
         let Ok((stream, peer)) = listener.accept().await else {

@@ -74,19 +74,19 @@ impl From<Value> for Outcome {
 /// A hold or a resume that waits for its end within a run.
 type Pacing = Arc<Mutex<Option<(u64, Pace, bool)>>>;
 
-pub(crate) struct Keeper<'a> {
-    pub(crate) places: &'a Places<'a>,
-    pub(crate) board: &'a Board,
-    pub(crate) machine: &'a Machine,
-    pub(crate) orders: Receiver<Order>,
+pub struct Keeper<'a> {
+    pub places: &'a Places<'a>,
+    pub board: &'a Board,
+    pub machine: &'a Machine,
+    pub orders: Receiver<Order>,
     /// The server ends.
-    pub(crate) leaving: &'a AtomicBool,
-    pub(crate) pressed: Interrupt,
+    pub leaving: &'a AtomicBool,
+    pub pressed: Interrupt,
 }
 
 impl Keeper<'_> {
     /// Keeps the machine until the server ends, whatever becomes of the line.
-    pub(crate) fn keep(&self) {
+    pub fn keep(&self) {
         // An order that waits for the line.
         let mut waiting = None;
         while !self.is_leaving() {

@@ -17,18 +17,23 @@
 //! * `board`: what all of them share, and how it is shown.
 //! * `stream`: what is told to all readers.
 //! * `campaign`: the next step of a campaign that goes on elsewhere.
-//! * [`memory`]: all that without sockets, for tests.
+//!
+//! Fuzzing drives board, keeper and errands without sockets; that is why they are public.
 
 pub mod access;
-mod actions;
-mod board;
+#[doc(hidden)]
+pub mod actions;
+#[doc(hidden)]
+pub mod board;
 mod campaign;
 mod connections;
-mod errands;
+#[doc(hidden)]
+pub mod errands;
 pub mod http;
-mod keeper;
-pub mod memory;
-mod orders;
+#[doc(hidden)]
+pub mod keeper;
+#[doc(hidden)]
+pub mod orders;
 pub mod stream;
 
 use std::fs::{self, OpenOptions};
@@ -61,7 +66,7 @@ use operations::failure::Failure;
 use operations::places::Places;
 
 /// Orders that wait for a keeper.
-const ORDERS: usize = 8;
+pub const ORDERS: usize = 8;
 /// What the system keeps for a reader that does not read, bytes.
 const SEND_BUFFER: u32 = 64 * 1024;
 /// Connections that wait to be accepted.

@@ -15,7 +15,7 @@ use operations::folding;
 
 /// What is to be done by a machine.
 #[derive(Debug)]
-pub(crate) enum Work {
+pub enum Work {
     Home,
     Run(Run, RecordArgs),
     Move(MoveTo),
@@ -54,7 +54,7 @@ const RUN: [&str; 14] = [
 
 impl Work {
     /// Reads the body of `POST /api/v1/MACHINE/NAME`; `None` if there is no such command.
-    pub(crate) fn read(
+    pub fn read(
         machine: DeviceKind,
         name: &str,
         body: &Map<String, Value>,
@@ -99,7 +99,7 @@ impl Work {
     }
 
     /// Its name, as in the path of its request.
-    pub(crate) fn kind(&self) -> &'static str {
+    pub fn kind(&self) -> &'static str {
         match self {
             Self::Home => "home",
             Self::Run(..) => "run",
@@ -119,7 +119,7 @@ impl Work {
     }
 
     /// What is asked of the machine.
-    pub(crate) fn requested(&self) -> Value {
+    pub fn requested(&self) -> Value {
         match self {
             Self::Run(run, _) => json!(run),
             Self::Move(to) => json!(to),
@@ -132,18 +132,18 @@ impl Work {
     }
 
     /// Only the owner of the line may ask for it.
-    pub(crate) fn is_for_owner(&self) -> bool {
+    pub fn is_for_owner(&self) -> bool {
         !matches!(self, Self::Hold | Self::Resume | Self::Acknowledge)
     }
 
     /// Its end is soon, so that the answer waits for it.
-    pub(crate) fn is_short(&self) -> bool {
+    pub fn is_short(&self) -> bool {
         !self.is_for_owner()
     }
 }
 
 /// A run as `POST /api/v1/plan` has it.
-pub(crate) fn run(body: &Map<String, Value>) -> Result<Run, Failure> {
+pub fn run(body: &Map<String, Value>) -> Result<Run, Failure> {
     waves(body).map(|(run, _)| run)
 }
 

@@ -50,7 +50,7 @@ struct Message {
 
 /// The ring.
 #[derive(Debug)]
-pub(crate) struct Stream {
+pub struct Stream {
     told: Mutex<Told>,
     ring: broadcast::Sender<Arc<Message>>,
     readers: Mutex<usize>,
@@ -59,7 +59,8 @@ pub(crate) struct Stream {
 }
 
 impl Stream {
-    pub(crate) fn new() -> Self {
+    /// A stream that has told nothing yet.
+    pub fn new() -> Self {
         Self {
             told: Mutex::default(),
             ring: broadcast::Sender::new(RING),
@@ -69,17 +70,17 @@ impl Stream {
     }
 
     /// Somebody reads.
-    pub(crate) fn is_read(&self) -> bool {
+    pub fn is_read(&self) -> bool {
         self.ring.receiver_count() > 0
     }
 
     /// Tells all readers; waits for none.
-    pub(crate) fn tell(&self, event: &str, data: &Value) {
+    pub fn tell(&self, event: &str, data: &Value) {
         self.send(event, data, None);
     }
 
     /// Tells samples of telemetry, which are counted.
-    pub(crate) fn tell_samples(&self, machine: DeviceKind, samples: Vec<Value>) {
+    pub fn tell_samples(&self, machine: DeviceKind, samples: Vec<Value>) {
         let event = client::identity::kind_name(machine);
         self.send(event, &Value::Array(samples), Some(machine));
     }
@@ -105,12 +106,13 @@ impl Stream {
         let _ = self.ring.send(Arc::new(message));
     }
 
-    pub(crate) fn close(&self) {
+    /// Ends all readers.
+    pub fn close(&self) {
         let _ = self.closed.send(true);
     }
 
     /// The body of an answer that goes on until its reader leaves; `first` is its first event. `None` if there are too many.
-    pub(crate) fn body(self: &Arc<Self>, first: &Value) -> Option<Body> {
+    pub fn body(self: &Arc<Self>, first: &Value) -> Option<Body> {
         let place = Place::take(self)?;
         let told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
         let reader = Reader {

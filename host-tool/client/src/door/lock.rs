@@ -27,15 +27,16 @@ pub const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
 
 /// What the owner leaves for others.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Plate {
-    pub(crate) owner: Owner,
+pub struct Plate {
+    /// Who owns the line.
+    pub owner: Owner,
     /// Of a loopback door.
-    pub(crate) port: Option<u16>,
+    pub port: Option<u16>,
     /// Of a loopback door.
-    pub(crate) token: String,
+    pub token: String,
     /// The record that the owner writes: should it be killed, the next one ends it.
     #[serde(default)]
-    pub(crate) recording: Option<PathBuf>,
+    pub recording: Option<PathBuf>,
 }
 
 /// Which stop and which emergency stop were the last ones on a line, whichever process wanted them. Two marks that differ
@@ -224,7 +225,7 @@ impl Doorway {
     }
 
     /// Who owns the line, as far as it has said so.
-    pub(crate) fn plate(&self) -> Option<Plate> {
+    pub fn plate(&self) -> Option<Plate> {
         serde_json::from_slice(&fs::read(self.file("owner")).ok()?).ok()
     }
 
@@ -244,7 +245,7 @@ impl Doorway {
     }
 
     /// Goes to the door. A socket is found by its own name: it needs no plate, which somebody may have cleaned away.
-    pub(crate) fn connect(&self, plate: Option<&Plate>) -> io::Result<Stream> {
+    pub fn connect(&self, plate: Option<&Plate>) -> io::Result<Stream> {
         if plate.is_none() && !cfg!(unix) {
             return Err(io::ErrorKind::NotFound.into());
         }
@@ -254,7 +255,7 @@ impl Doorway {
 
 impl Lock {
     /// Opens the door, and says who opened it.
-    pub(crate) fn listen(&self) -> Result<(Listener, Plate), OpenError> {
+    pub fn listen(&self) -> Result<(Listener, Plate), OpenError> {
         let doorway = &self.doorway;
         #[cfg(unix)]
         let listener = Listener::unix(&doorway.file("door"));
@@ -287,14 +288,15 @@ impl Lock {
     }
 
     /// The owner records there from now on, or no longer. A full disk is told by the record itself.
-    pub(crate) fn records(&self, sidecar: Option<&Path>) {
+    pub fn records(&self, sidecar: Option<&Path>) {
         let mut plate = self.plate();
         plate.recording = sidecar.and_then(|path| std::path::absolute(path).ok());
         let _ = self.put_up(&plate);
         *self.left() = None;
     }
 
-    pub(crate) fn left_record(&self) -> Option<PathBuf> {
+    /// The record that the last owner left unfinished.
+    pub fn left_record(&self) -> Option<PathBuf> {
         self.left().clone()
     }
 
@@ -309,7 +311,8 @@ impl Lock {
         self.put_up(&self.plate())
     }
 
-    pub(crate) fn doorway(&self) -> &Doorway {
+    /// Lock and door of the line.
+    pub fn doorway(&self) -> &Doorway {
         &self.doorway
     }
 }

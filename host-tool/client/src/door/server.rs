@@ -31,7 +31,7 @@ const BREATH: Duration = Duration::from_millis(10);
 pub const GUESTS: usize = 32;
 
 /// Frames that wait for a guest that does not read; beyond that it misses some.
-pub(crate) const WAITING_FRAMES: usize = 512;
+pub const WAITING_FRAMES: usize = 512;
 
 /// How long a guest may take to say what it is, and how long one that can only stop may be silent.
 const KNOCKING: Duration = Duration::from_secs(2);
@@ -77,7 +77,7 @@ impl Question {
 }
 
 /// What owner, pump and guests share.
-pub(crate) struct Core {
+pub struct Core {
     state: Mutex<State>,
     woken: Condvar,
     out: Mutex<Out>,
@@ -155,11 +155,8 @@ struct Out {
 }
 
 impl Core {
-    pub(crate) fn new(
-        line: Box<dyn Write + Send>,
-        yields: bool,
-        doorway: Option<Doorway>,
-    ) -> Arc<Self> {
+    /// The owner's side of the line that `line` writes to; with `yields` it gives the line up when somebody wants it.
+    pub fn new(line: Box<dyn Write + Send>, yields: bool, doorway: Option<Doorway>) -> Arc<Self> {
         Arc::new(Self {
             state: Mutex::new(State::default()),
             woken: Condvar::new(),
@@ -186,12 +183,13 @@ impl Core {
         self.out.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(crate) fn is_closing(&self) -> bool {
+    /// The owner is leaving.
+    pub fn is_closing(&self) -> bool {
         self.closing.load(Ordering::Relaxed)
     }
 
     /// Ends all threads that wait for guests.
-    pub(crate) fn close(&self) {
+    pub fn close(&self) {
         self.closing.store(true, Ordering::Relaxed);
         // Threads of guests may live on for a moment, the line must not: somebody is about to open it.
         self.out().line = Box::new(Closed);
@@ -205,7 +203,7 @@ impl Core {
 
     /// Writes the owner's frame. A request that comes after a stop which the owner has not noticed yet is left out: it
     /// might start again what was stopped. The client repeats what it still wants.
-    pub(crate) fn send(&self, bytes: &[u8]) -> io::Result<()> {
+    pub fn send(&self, bytes: &[u8]) -> io::Result<()> {
         let request = header(bytes).is_some_and(|header| header.kind == Kind::Request);
         let mut out = self.out();
         if request && out.stops != out.noticed {
@@ -215,12 +213,12 @@ impl Core {
     }
 
     /// What is ordered from now on was wanted at this mark: a stop since then is one that the owner has not noticed yet.
-    pub(crate) fn ordered_at(&self, mark: StopMark) {
+    pub fn ordered_at(&self, mark: StopMark) {
         self.out().mark = mark;
     }
 
     /// Waits for bytes until `deadline`; 0 then, and when there is something else to see to.
-    pub(crate) fn receive(&self, into: &mut [u8], deadline: Instant) -> Result<usize, String> {
+    pub fn receive(&self, into: &mut [u8], deadline: Instant) -> Result<usize, String> {
         let mut state = self.state();
         loop {
             if !state.unread.is_empty() {
@@ -244,12 +242,13 @@ impl Core {
         }
     }
 
-    pub(crate) fn introduce(&self, identity: &Identity) {
+    /// The owner has met the machine.
+    pub fn introduce(&self, identity: &Identity) {
         self.state().identity = Some(*identity);
     }
 
     /// The strongest stop that others have sent so far: guests, and processes that went past this door.
-    pub(crate) fn stopped(&self) -> Option<Urgent> {
+    pub fn stopped(&self) -> Option<Urgent> {
         let mut out = self.out();
         out.noticed = out.stops;
         let mark = StopMark::of(self.doorway.as_ref());
@@ -262,12 +261,13 @@ impl Core {
         state.stopped
     }
 
-    pub(crate) fn is_line_wanted(&self) -> bool {
+    /// A guest wants the line.
+    pub fn is_line_wanted(&self) -> bool {
         self.wanted.load(Ordering::Relaxed)
     }
 
     /// Offers the line to others, or does so no longer: whoever wanted it until now has to ask again.
-    pub(crate) fn offer_line(&self, offered: bool) {
+    pub fn offer_line(&self, offered: bool) {
         let _state = self.state();
         self.yields.store(offered, Ordering::Relaxed);
         if !offered {
@@ -288,14 +288,15 @@ impl Core {
     }
 
     /// Forgets the stops that the owner has noticed. One that it has not stays.
-    pub(crate) fn forget_stop(&self) {
+    pub fn forget_stop(&self) {
         let out = self.out();
         if out.stops == out.noticed {
             self.state().stopped = None;
         }
     }
 
-    pub(crate) fn question(&self, now: Instant) -> Option<Question> {
+    /// The next question of a guest for the machine.
+    pub fn question(&self, now: Instant) -> Option<Question> {
         let mut state = self.state();
         let early = |last: Instant| now.duration_since(last) < BREATH;
         if state.questions.is_empty() || state.last_question.is_some_and(early) {
@@ -329,7 +330,7 @@ impl Core {
     // The line.
 
     /// Hands the machine's bytes to the owner.
-    pub(crate) fn arrived(&self, bytes: &[u8]) {
+    pub fn arrived(&self, bytes: &[u8]) {
         let mut state = self.state();
         if state.unread.len() + bytes.len() <= UNREAD {
             state.unread.extend(bytes);
@@ -337,7 +338,8 @@ impl Core {
         self.woken.notify_all();
     }
 
-    pub(crate) fn lost(&self, why: String) {
+    /// Ends all guests: the line is lost.
+    pub fn lost(&self, why: String) {
         let mut state = self.state();
         state.lost.get_or_insert(why);
         // Without the line there is nothing to see here.
@@ -348,7 +350,7 @@ impl Core {
     }
 
     /// Passes a frame of the machine on to whom it concerns; `wire` are its bytes.
-    pub(crate) fn passed(&self, frame: &Frame<'_>, wire: &[u8]) {
+    pub fn passed(&self, frame: &Frame<'_>, wire: &[u8]) {
         match frame.header.kind {
             Kind::Telemetry | Kind::Event => {
                 for guest in self.state().guests.values().filter(|guest| guest.looks) {
@@ -475,7 +477,7 @@ impl Write for Closed {
 }
 
 /// Lets guests in until the core closes.
-pub(crate) fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
+pub fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
     loop {
         let stream = listener.accept();
         if core.is_closing() {
@@ -535,7 +537,7 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
 }
 
 /// What a guest says first, if it may come in.
-pub(crate) fn knocked(line: &[u8], plate: &Plate) -> io::Result<Knock> {
+pub fn knocked(line: &[u8], plate: &Plate) -> io::Result<Knock> {
     let knock: Knock = serde_json::from_slice(line)?;
     if knock.token != plate.token {
         return Err(io::ErrorKind::PermissionDenied.into());
@@ -553,7 +555,7 @@ struct Asking {
 }
 
 /// A guest that was let in; it leaves with this value.
-pub(crate) struct Visit {
+pub struct Visit {
     core: Arc<Core>,
     number: u64,
     /// It may do more than stop.
@@ -571,7 +573,7 @@ impl Drop for Visit {
 
 impl Visit {
     /// `None` if the line is gone.
-    pub(crate) fn new(
+    pub fn new(
         core: &Arc<Core>,
         shut: Box<dyn Fn() + Send>,
         frames: SyncSender<Vec<u8>>,
@@ -592,7 +594,7 @@ impl Visit {
     }
 
     /// What the guest is told first.
-    pub(crate) fn welcome(&self, knock: &Knock, plate: &Plate) -> io::Result<Vec<u8>> {
+    pub fn welcome(&self, knock: &Knock, plate: &Plate) -> io::Result<Vec<u8>> {
         if knock.wants_line {
             self.core.want_line();
         }
@@ -621,7 +623,7 @@ impl Visit {
     }
 
     /// Takes the guest's bytes.
-    pub(crate) fn take(&mut self, bytes: &[u8], now: Instant) -> io::Result<()> {
+    pub fn take(&mut self, bytes: &[u8], now: Instant) -> io::Result<()> {
         let mut deframer = std::mem::take(&mut self.deframer);
         let frames = bytes
             .iter()

@@ -17,14 +17,16 @@ use crate::link::{Link, LinkError, OpenError, Reason};
 
 /// How long a read of the line waits: it ends so much later than the link. On Windows a write to a serial port waits for
 /// a read.
-pub(crate) const READ: Duration = Duration::from_millis(if cfg!(windows) { 2 } else { 10 });
+pub const READ: Duration = Duration::from_millis(if cfg!(windows) { 2 } else { 10 });
 
 /// Both directions of a line, each usable by a thread of its own. A read ends after ten milliseconds or less, with or without a byte.
 pub struct Halves {
-    pub(crate) reader: Box<dyn Read + Send>,
-    pub(crate) writer: Box<dyn Write + Send>,
+    /// Reads from the line.
+    pub reader: Box<dyn Read + Send>,
+    /// Writes to the line.
+    pub writer: Box<dyn Write + Send>,
     /// Why no bytes will come any more when a read returns none.
-    pub(crate) end: &'static str,
+    pub end: &'static str,
 }
 
 /// A link with a door.
@@ -151,13 +153,14 @@ impl Link for Shared {
 
 /// Hands what the machine says to the owner and, frame by frame, to its guests.
 #[derive(Default)]
-pub(crate) struct Pump {
+pub struct Pump {
     deframer: Deframer,
     block: Vec<u8>,
 }
 
 impl Pump {
-    pub(crate) fn take(&mut self, core: &Core, bytes: &[u8]) {
+    /// Hands on what the machine has said.
+    pub fn take(&mut self, core: &Core, bytes: &[u8]) {
         core.arrived(bytes);
         for byte in bytes {
             if self.block.len() < MAX_FRAME {
