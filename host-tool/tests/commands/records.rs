@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -11,7 +12,7 @@ use client::{Begun, Device, Homed, Observer, Progress, Unobserved};
 use jiff::Timestamp;
 use protocol::capsule::ActuationKind;
 use protocol::rig::{Run, RunTiming};
-use protocol::system::{DeviceKind, Identity};
+use protocol::system::{DeviceKind, Identity, Urgent};
 use simulated_machines::machine::capsule::FOLDED_UM;
 use simulated_machines::machine::{Script, link};
 use trials::experiment::{
@@ -207,6 +208,44 @@ fn a_crash_leaves_readable_data_that_nobody_takes_for_complete() {
     assert!(run.trial.samples::<RigSample>(&run.sidecar).is_err());
 }
 
+/// Asked for while the telemetry is switched off: it reaches the rig, and costs the position.
+#[test]
+fn an_emergency_stop_behind_the_end_is_in_the_record() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut script = Script::new(DeviceKind::Rig);
+    script.ready = true;
+    let (link, log) = link(script);
+    let mut rig = Device::connect(link, DeviceKind::Rig, 5).expect("there");
+    let stop_us = Mutex::new(None);
+    let seen = Arc::clone(&log);
+    rig.set_interrupt(Arc::new(move || {
+        let log = seen.lock().expect("log");
+        let count = |name: &str| log.executed.iter().filter(|one| **one == name).count();
+        if count("Run") == 0 {
+            return None;
+        }
+        let mut stop_us = stop_us.lock().expect("free");
+        let stop_us = *stop_us.get_or_insert(log.now_us + 500_000);
+        match count("SetTelemetry") {
+            2.. => Some(Urgent::EStop),
+            _ => (log.now_us >= stop_us).then_some(Urgent::Stop),
+        }
+    }));
+    let run = experiment::run(
+        &mut rig,
+        SHORT_RUN,
+        &recording(folder.path()),
+        &mut Unobserved,
+    )
+    .expect("recorded");
+    let urgent: Vec<_> = (log.lock().expect("log").urgent.iter())
+        .map(|(urgent, _)| *urgent)
+        .collect();
+    assert_eq!(urgent, [Urgent::Stop, Urgent::EStop]);
+    let told = Trial::read(&run.sidecar).expect("sidecar");
+    assert_eq!(told.status, Status::Faulted, "{:?}", told.error);
+}
+
 #[test]
 fn a_refused_run_leaves_a_record_that_says_so() {
     let folder = tempfile::tempdir().expect("folder");
@@ -375,7 +414,7 @@ fn the_experiment_ends_at_the_first_step_that_is_not_complete() {
     let asked = std::sync::atomic::AtomicU32::new(0);
     rig.set_interrupt(std::sync::Arc::new(move || {
         let asked = asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-        (asked > 400).then_some(protocol::system::Urgent::Stop)
+        (asked > 400).then_some(Urgent::Stop)
     }));
     let mut steps = Steps::default();
     let error = paper(&mut rig, &mut capsule, folder.path(), &mut steps).expect_err("stopped");

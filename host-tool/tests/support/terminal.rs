@@ -150,10 +150,7 @@ impl Terminal {
             assert!(begin.elapsed() < SOON, "does not end:\n{}", self.text());
             thread::sleep(Duration::from_millis(5));
         };
-        let begin = Instant::now();
-        while begin.elapsed() < ON_ITS_WAY && !self.is_as_before() {
-            thread::sleep(Duration::from_millis(5));
-        }
+        self.read_to_the_end();
         let after = tcgetattr(&self.slave).expect("a terminal");
         let modes = |termios: &Termios| {
             let Termios {
@@ -168,6 +165,24 @@ impl Terminal {
         assert_eq!(modes(&after), modes(&self.before));
         assert!(self.is_as_before(), "{}", self.text());
         status.code()
+    }
+
+    /// Waits until all that the program wrote has been read: a terminal keeps the order, so a mark comes last.
+    fn read_to_the_end(&self) {
+        const MARK: &[u8] = b"\x1b]2;end\x07";
+        (&self.slave).write_all(MARK).expect("a terminal");
+        let begin = Instant::now();
+        loop {
+            let mut bytes = self.bytes.lock().expect("free");
+            if bytes.ends_with(MARK) {
+                let all = bytes.len() - MARK.len();
+                bytes.truncate(all);
+                return;
+            }
+            drop(bytes);
+            assert!(begin.elapsed() < SOON, "the terminal is not read");
+            thread::sleep(Duration::from_millis(5));
+        }
     }
 
     /// The normal screen, with its cursor and colours.

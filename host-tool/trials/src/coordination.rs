@@ -293,6 +293,9 @@ impl Partner<'_> {
         );
         self.recorder.coordinated(coordination.clone());
         let lost = self.capsule.lost_events();
+        // Discard what it still sends.
+        let _ = self.capsule.set_telemetry(0);
+        // The last exchange: an emergency stop goes out with any before it, and has to be in the record.
         if let Ok(record) = &outcome {
             let ending = Ending::Actuation(*record);
             self.recorder.latched(after_stops(self.capsule, &ending));
@@ -301,8 +304,6 @@ impl Partner<'_> {
             Ok(record) => self.recorder.finish(Ending::Actuation(*record), lost),
             Err(why) => self.recorder.finish(Ending::Lost(why.clone()), lost),
         };
-        // Discard what it still sends.
-        let _ = self.capsule.set_telemetry(0);
         self.capsule.records(None);
         let trial = match (finished, outcome) {
             (Err(error), _) => Err(error.into()),

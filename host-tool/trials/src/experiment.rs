@@ -407,7 +407,7 @@ pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String
     device.latched_fault().ok().flatten()
 }
 
-/// Writes the end of a trial, then stops the telemetry. A failed record hides neither what the device did nor how it
+/// Stops the telemetry, then writes the end of a trial. A failed record hides neither what the device did nor how it
 /// was lost.
 fn end<T>(
     device: &mut Device,
@@ -434,12 +434,11 @@ fn finish<T>(
         Ok(value) => {
             let ending = ending(&value);
             let ended = verdict(&ending);
-            recorder.latched(after_stops(device, &ending));
-            let finished = recorder.finish(ending, lost_events);
-            // Ignore the error: the action has ended and is recorded. The next request will notice a device that does
-            // not answer.
+            // Ignore the error: the action has ended. The next request will notice a device that does not answer.
             let _ = device.set_telemetry(0);
-            match finished {
+            // The last exchange: an emergency stop goes out with any before it, and has to be in the record.
+            recorder.latched(after_stops(device, &ending));
+            match recorder.finish(ending, lost_events) {
                 Ok(trial) => Ok((trial, value)),
                 Err(record) => Err(ExperimentError::Unrecorded { ended, record }),
             }
