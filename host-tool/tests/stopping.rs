@@ -19,6 +19,7 @@ use bench::{Bench, ready};
 use client::door::lock::Doorway;
 use client::door::window::Window;
 use machine::signal::kill;
+use protocol::frame::{Deframer, Kind};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use rustix::process::Signal;
@@ -30,6 +31,11 @@ const SOON: Duration = Duration::from_secs(60);
 const CARRIED: u8 = 0;
 const SWALLOWED: u8 = 1;
 const DEAD: u8 = 2;
+/// The next stop is the last that the machine hears, and its answer is held back.
+const LAST: u8 = 3;
+const HELD: u8 = 4;
+/// The machine's bytes arrive, nothing that the tool sends does.
+const LATE: u8 = 5;
 
 /// A line between tool and machine that can fall silent or break.
 fn breakable(bench: &mut Bench) -> Arc<AtomicU8> {
@@ -47,31 +53,54 @@ fn breakable(bench: &mut Bench) -> Arc<AtomicU8> {
             };
             tool.set_nonblocking(false).expect("set");
             let machine = TcpStream::connect(&to).expect("a machine");
-            for (from, to) in [(&tool, &machine), (&machine, &tool)] {
-                let (mut from, mut to) = (
-                    from.try_clone().expect("mine"),
-                    to.try_clone().expect("mine"),
-                );
-                from.set_read_timeout(Some(Duration::from_millis(5)))
-                    .expect("set");
-                to.set_nodelay(true).expect("set");
-                let line = Arc::clone(&line);
-                thread::spawn(move || {
-                    let mut bytes = [0; 512];
-                    loop {
-                        let count = from.read(&mut bytes);
-                        match (line.load(Ordering::SeqCst), count) {
-                            (DEAD, _) | (_, Ok(0)) => break,
-                            (CARRIED, Ok(count)) if to.write_all(&bytes[..count]).is_err() => break,
-                            _ => {}
-                        }
-                    }
-                    let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
-                });
-            }
+            let (tool_too, machine_too) = (
+                tool.try_clone().expect("mine"),
+                machine.try_clone().expect("mine"),
+            );
+            let to_machine = Arc::clone(&line);
+            thread::spawn(move || carry(tool, machine, &to_machine, true));
+            let to_tool = Arc::clone(&line);
+            thread::spawn(move || carry(machine_too, tool_too, &to_tool, false));
         }
     });
     state
+}
+
+/// One direction of that line, until it breaks.
+fn carry(mut from: TcpStream, mut to: TcpStream, line: &AtomicU8, to_machine: bool) {
+    from.set_read_timeout(Some(Duration::from_millis(5)))
+        .expect("set");
+    to.set_nodelay(true).expect("set");
+    let (mut bytes, mut held, mut deframer) = ([0; 512], vec![], Deframer::new());
+    loop {
+        let count = from.read(&mut bytes);
+        let state = line.load(Ordering::SeqCst);
+        let count = match (state, count) {
+            (DEAD, _) | (_, Ok(0)) => break,
+            (_, count) => count.unwrap_or(0),
+        };
+        held.extend(&bytes[..count]);
+        let mut frames = bytes[..count].iter();
+        let mut is_stop = |byte: &u8| {
+            let frame = deframer.push(*byte);
+            frame.is_some_and(|frame| frame.header.kind == Kind::Urgent)
+        };
+        let passes = match state {
+            CARRIED => true,
+            LAST if to_machine && frames.any(&mut is_stop) => line
+                .compare_exchange(LAST, HELD, Ordering::SeqCst, Ordering::SeqCst)
+                .is_ok(),
+            LAST => true,
+            LATE => !to_machine,
+            HELD if !to_machine => continue,
+            _ => false,
+        };
+        if passes && to.write_all(&held).is_err() {
+            break;
+        }
+        held.clear();
+    }
+    let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
 }
 
 /// A server; it ends with this value.
@@ -222,6 +251,33 @@ fn no_press_at_a_machine_that_does_not_answer_is_told_that_it_stands() {
         }
         assert_eq!(bench.urgent(), []);
     }
+}
+
+/// An answer to an earlier stop says nothing about a later one, which the machine has not heard.
+#[test]
+fn a_late_answer_confirms_no_later_press() {
+    let mut bench = Bench::on_tcp(DeviceKind::Rig);
+    let line = breakable(&mut bench);
+    let server = Server::start(&bench);
+    line.store(LAST, Ordering::SeqCst);
+    thread::scope(|scope| {
+        let first = scope.spawn(|| server.stop("stop"));
+        let begin = Instant::now();
+        while bench.urgent().is_empty() {
+            assert!(begin.elapsed() < SOON, "no stop");
+            thread::sleep(Duration::from_millis(1));
+        }
+        let later = ["stop", "estop"].map(|kind| scope.spawn(|| server.stop(kind)));
+        thread::sleep(Duration::from_millis(50));
+        line.store(LATE, Ordering::SeqCst);
+        let (status, text) = first.join().expect("answered");
+        assert!(matches!(status, 200 | 502 | 504), "{text}");
+        for press in later {
+            let (status, text) = press.join().expect("answered");
+            assert!(matches!(status, 502 | 504), "{text}");
+        }
+    });
+    assert_eq!(bench.urgent(), [Urgent::Stop]);
 }
 
 /// A move that waited in the server's queue ran after the stop had been confirmed.
