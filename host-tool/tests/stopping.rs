@@ -103,6 +103,20 @@ fn carry(mut from: TcpStream, mut to: TcpStream, line: &AtomicU8, to_machine: bo
     let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
 }
 
+/// Status and text of the answer.
+fn answer(mut stream: TcpStream) -> (u16, String) {
+    let mut text = String::new();
+    stream.read_to_string(&mut text).expect("an answer");
+    let status = text.split(' ').nth(1).and_then(|code| code.parse().ok());
+    (status.unwrap_or(0), text)
+}
+
+fn stop_of(kind: &str) -> String {
+    format!(
+        "POST /api/v1/{kind} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+    )
+}
+
 /// A server; it ends with this value.
 struct Server {
     child: Child,
@@ -167,17 +181,26 @@ impl Server {
         stream
     }
 
-    fn send(&self, request: &str) -> (u16, String) {
+    fn ask(&self, request: &str) -> TcpStream {
         let mut stream = self.connect();
         stream.write_all(request.as_bytes()).expect("sent");
-        let mut text = String::new();
-        stream.read_to_string(&mut text).expect("an answer");
-        let status = text.split(' ').nth(1).and_then(|code| code.parse().ok());
-        (status.unwrap_or(0), text)
+        stream
+    }
+
+    fn send(&self, request: &str) -> (u16, String) {
+        answer(self.ask(request))
     }
 
     fn stop(&self, kind: &str) -> (u16, String) {
-        self.send(&format!("POST /api/v1/{kind} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"))
+        self.send(&stop_of(kind))
+    }
+
+    /// These requests at once: the server finds all of them when it goes on.
+    fn flood<'a>(&self, requests: impl Iterator<Item = &'a str>) -> Vec<TcpStream> {
+        kill(Signal::STOP, self.child.id());
+        let asked = requests.map(|request| self.ask(request)).collect();
+        kill(Signal::CONT, self.child.id());
+        asked
     }
 
     /// Orders a motion. The server asks for the body when it knows the order, and how many stops came before it: only what is
@@ -493,15 +516,35 @@ fn a_stop_does_not_wait_for_its_body() {
 fn a_flood_of_stops_is_answered_and_sent_a_few_times() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let server = Server::start(&bench);
-    thread::scope(|scope| {
-        for _ in 0..200 {
-            scope.spawn(|| {
-                let (status, text) = server.stop("stop");
-                assert_eq!(status, 200, "{text}");
-            });
-        }
-    });
-    assert!(!bench.urgent().is_empty());
+    let stop = stop_of("stop");
+    for stream in server.flood([stop.as_str(); 200].into_iter()) {
+        let (status, text) = answer(stream);
+        assert_eq!(status, 200, "{text}");
+    }
+    let count = bench.urgent().len();
+    assert!((1..100).contains(&count), "{count} stops");
+}
+
+/// Two hundred came before it. It is answered before they are.
+#[test]
+fn a_stop_does_not_wait_for_plans() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let server = Server::start(&bench);
+    let plan = format!(
+        "POST /api/v1/plan HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {}\r\nContent-Type: application/json\r\nContent-Length: 2\r\n\r\n{{}}",
+        server.token,
+    );
+    let stop = stop_of("estop");
+    let requests = [plan.as_str(); 200].into_iter().chain([stop.as_str()]);
+    let mut plans = server.flood(requests);
+    let (status, text) = answer(plans.pop().expect("the stop"));
+    assert_eq!(status, 200, "{text}");
+    let is_answered = |plan: &&TcpStream| {
+        plan.set_nonblocking(true).expect("set");
+        plan.peek(&mut [0]).is_ok()
+    };
+    let planned = plans.iter().filter(is_answered).count();
+    assert!(planned < 150, "after {planned} plans");
 }
 
 /// Deterministic choices.

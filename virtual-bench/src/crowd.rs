@@ -41,7 +41,7 @@ impl Crowd {
     /// At the server at this address, whose token is this.
     pub(crate) fn gather(at: &str, token: &str) -> Self {
         let (over, plans) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
-        for client in 1..=std::env::var("XPLAN").map_or(PLANNING, |t| t.parse().unwrap()) {
+        for client in 1..=PLANNING {
             let (at, over, plans) = (at.to_owned(), Arc::clone(&over), Arc::clone(&plans));
             let body = format!("{{\"cycles\": {client}}}");
             let request = format!(
@@ -72,7 +72,7 @@ impl Crowd {
     /// Fills the server with new connections and the door with guests, until there is no room for one more.
     pub(crate) fn press(&mut self, rig: &Rig) -> Result<(), DoorError> {
         self.idle.clear();
-        for _ in 0..std::env::var("XIDLE").map_or(IDLE, |t| t.parse().unwrap()) {
+        for _ in 0..IDLE {
             self.idle.push(TcpStream::connect(&self.at)?);
         }
         // All of them were let in before this one.
