@@ -390,5 +390,5 @@ fn the_table_of_the_manual_names_tests_that_exist() {
         );
         count += 1;
     }
-    assert_eq!(count, 11);
+    assert_eq!(count, 13);
 }

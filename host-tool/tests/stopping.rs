@@ -442,21 +442,25 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
     drop(guests);
 }
 
-/// Cleaners of `/tmp` take old files away.
+/// Cleaners of `/tmp` take old files away: the owner's name, or the lock, of which a later command made a new one for itself
+/// and then took the door away. A port has no second way.
 #[test]
 fn a_stop_finds_the_door_without_its_plate() {
-    let bench = Bench::on_tcp(DeviceKind::Rig);
-    let mut run = bench.run(&[]);
-    for entry in std::fs::read_dir(bench.locks()).expect("locks") {
-        let path = entry.expect("an entry").path();
-        if path.extension().is_some_and(|kind| kind == "owner") {
-            std::fs::remove_file(path).expect("mine");
+    for gone in ["owner", "lock"] {
+        let bench = Bench::at_a_port(DeviceKind::Rig);
+        let mut run = bench.run(&[]);
+        for entry in std::fs::read_dir(bench.locks()).expect("locks") {
+            let path = entry.expect("an entry").path();
+            if path.extension().is_some_and(|kind| kind == gone) {
+                std::fs::remove_file(path).expect("mine");
+            }
         }
+        let (code, out, err) = bench.retrograde(&["info"]);
+        assert_eq!(code, Some(0), "without .{gone}: {out}{err}");
+        let (code, out, err) = bench.retrograde(&["estop"]);
+        assert_eq!(code, Some(0), "without .{gone}: {out}{err}");
+        assert_eq!(run.wait().expect("ended").code(), Some(6));
     }
-    let (code, out, err) = bench.retrograde(&["estop"]);
-    assert_eq!(code, Some(0), "{out}{err}");
-    assert_eq!(bench.connections(), 1);
-    assert_eq!(run.wait().expect("ended").code(), Some(6));
 }
 
 #[test]
@@ -525,7 +529,7 @@ fn a_flood_of_stops_is_answered_and_sent_a_few_times() {
     assert!((1..100).contains(&count), "{count} stops");
 }
 
-/// Two hundred came before it. It is answered before they are.
+/// A hundred came before it and a hundred come after it. If they were made by the threads that answer, a hundred were made first.
 #[test]
 fn a_stop_does_not_wait_for_plans() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
@@ -535,16 +539,17 @@ fn a_stop_does_not_wait_for_plans() {
         server.token,
     );
     let stop = stop_of("estop");
-    let requests = [plan.as_str(); 200].into_iter().chain([stop.as_str()]);
-    let mut plans = server.flood(requests);
-    let (status, text) = answer(plans.pop().expect("the stop"));
+    let mut requests = [plan.as_str(); 201];
+    requests[100] = stop.as_str();
+    let mut plans = server.flood(requests.into_iter());
+    let (status, text) = answer(plans.remove(100));
     assert_eq!(status, 200, "{text}");
     let is_answered = |plan: &&TcpStream| {
         plan.set_nonblocking(true).expect("set");
         plan.peek(&mut [0]).is_ok()
     };
     let planned = plans.iter().filter(is_answered).count();
-    assert!(planned < 150, "after {planned} plans");
+    assert!(planned < 50, "after {planned} plans");
 }
 
 /// Deterministic choices.
