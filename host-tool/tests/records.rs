@@ -422,9 +422,9 @@ fn the_experiment_ends_at_the_first_step_that_is_not_complete() {
     let mut capsule = ready(DeviceKind::Capsule);
     // The operator stops the rig at the first stroke of the first run.
     let asked = std::sync::atomic::AtomicU32::new(0);
-    rig.set_interrupt(std::sync::Arc::new(move || {
+    rig.set_interrupt(Arc::new(move || {
         let asked = asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-        (asked > 400).then_some(protocol::system::Urgent::Stop)
+        (asked > 400).then_some(Urgent::Stop)
     }));
     let mut steps = Steps::default();
     let error = paper(&mut rig, &mut capsule, folder.path(), &mut steps).expect_err("stopped");
