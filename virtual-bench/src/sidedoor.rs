@@ -272,16 +272,17 @@ pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
         let at = edges + 200 + (number as usize * 37) % 1_500;
         rig.wait("motion", |seen| seen.edges > at)?;
         crowd.press(&rig)?;
-        let begin = Instant::now();
+        let (begin, lost_us) = (Instant::now(), rig.seen().lost_us);
         let stop = rig.spawn(&["estop"])?;
         ends(stop, &["estop"], 0)?;
         let told = Instant::now();
         ends(run, &args, 6)?;
         crowd.guests_left();
-        let last = rig.seen().last.unwrap_or(begin);
+        let seen = rig.seen();
+        let last = seen.last.unwrap_or(begin);
         stood(told, last)?;
         if number > 0 {
-            took.push(last.duration_since(begin));
+            took.push((last.duration_since(begin), seen.lost_us - lost_us));
         }
         rig.retrograde(&["ack"], 0)?;
     }
@@ -306,20 +307,25 @@ pub(crate) fn stood(told: Instant, last: Instant) -> Result<(), DoorError> {
     Ok(())
 }
 
-/// Says how long stops have taken; one that came too late is an error.
+/// Says how long stops have taken, of which each knows by how many microseconds the emulator fell behind meanwhile; one that
+/// came too late is an error.
 pub(crate) fn judge(
     what: &str,
-    mut took: Vec<Duration>,
+    mut took: Vec<(Duration, u64)>,
     say: &mut dyn FnMut(String),
 ) -> Result<(), DoorError> {
     let late: Vec<String> = (1..)
         .zip(&took)
-        .filter(|(_, took)| **took > LIMIT)
-        .map(|(number, took)| format!("{number} ({:.1} ms)", took.as_secs_f64() * 1e3))
+        .filter(|(_, (took, _))| *took > LIMIT)
+        .map(|(number, (took, lost_us))| {
+            let took_ms = took.as_secs_f64() * 1e3;
+            let lost_ms = lost_us / 1_000;
+            format!("{number} ({took_ms:.1} ms, the emulator lost {lost_ms} ms)")
+        })
         .collect();
     took.sort();
     let (median, most) = (took.get(took.len() / 2), took.last());
-    if let (Some(median), Some(most)) = (median, most) {
+    if let (Some((median, _)), Some((most, _))) = (median, most) {
         say(format!(
             "{what}: {} of {} within {} ms; median {:.1} ms, latest {:.1} ms",
             took.len() - late.len(),

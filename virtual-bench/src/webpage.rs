@@ -278,12 +278,14 @@ pub fn run(stops: u32, by: &By, say: &mut dyn FnMut(String)) -> Result<(), DoorE
         let at = edges + 200 + (number as usize * 37) % 1_500;
         rig.wait("motion", |seen| seen.edges > at)?;
         crowd.press(&rig)?;
+        let lost_us = rig.seen().lost_us;
         let (begin, told) = hand.stop(number, &server)?;
         server.end(&running, "faulted")?;
-        let last = rig.seen().last.unwrap_or(begin);
+        let seen = rig.seen();
+        let last = seen.last.unwrap_or(begin);
         stood(told.unwrap_or(last), last)?;
         if number > 0 {
-            took.push(last.duration_since(begin));
+            took.push((last.duration_since(begin), seen.lost_us - lost_us));
         }
         server.begin("ack", &json!({}))?;
     }
