@@ -229,8 +229,8 @@ fn a_refused_run_leaves_a_record_that_says_so() {
     assert!(trial.error.expect("why").contains("home first"));
 }
 
-/// Ready, with an operator who stops it under way, and presses the emergency stop when it stands and has been asked how the
-/// action ended.
+/// Ready, with an operator who stops it under way, and presses the emergency stop when it stands and has been asked
+/// how the action ended.
 fn stopped_twice(kind: DeviceKind) -> Device {
     let mut script = Script::new(kind);
     script.ready = true;

@@ -442,8 +442,8 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
     drop(guests);
 }
 
-/// Cleaners of `/tmp` take old files away: the owner's name, or the lock, of which a later command made a new one for itself
-/// and then took the door away. A port has no second way.
+/// Cleaners of `/tmp` take old files away: the owner's name, or the lock, of which a later command made a new one for
+/// itself and then took the door away. A port has no second way.
 #[test]
 fn a_stop_finds_the_door_without_its_plate() {
     for gone in ["owner", "lock"] {
@@ -529,13 +529,15 @@ fn a_flood_of_stops_is_answered_and_sent_a_few_times() {
     assert!((1..100).contains(&count), "{count} stops");
 }
 
-/// A hundred came before it and a hundred come after it. If they were made by the threads that answer, a hundred were made first.
+/// A hundred came before it and a hundred come after it. If they were made by the threads that answer, a hundred were
+/// made first.
 #[test]
 fn a_stop_does_not_wait_for_plans() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let server = Server::start(&bench);
     let plan = format!(
-        "POST /api/v1/plan HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {}\r\nContent-Type: application/json\r\nContent-Length: 2\r\n\r\n{{}}",
+        "POST /api/v1/plan HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {}\r\n\
+         Content-Type: application/json\r\nContent-Length: 2\r\n\r\n{{}}",
         server.token,
     );
     let stop = stop_of("estop");
@@ -593,7 +595,8 @@ impl Drop for Processes {
     }
 }
 
-/// Waits until a command knows how old it is: it then goes to the line or its door. Elsewhere than on Linux it is given time.
+/// Waits until a command knows how old it is: it then goes to the line or its door. Elsewhere than on Linux it is
+/// given time.
 fn has_begun(child: &mut Child) {
     let fds = format!("/proc/{}/fd", child.id());
     let is_connected = |fd: std::fs::DirEntry| {
@@ -649,9 +652,9 @@ fn press(seed: u64, bench: &Bench, server: Option<&Server>, dice: &mut Dice) -> 
     first_us
 }
 
-/// Orders, then stops at any distance from them, among processes that die, freeze and crowd. Nothing is ordered after the
-/// stops, so nothing may move once one of them is confirmed, even if all that was frozen goes on. Whether the machine had
-/// moved, and whether a stop was confirmed.
+/// Orders, then stops at any distance from them, among processes that die, freeze and crowd. Nothing is ordered after
+/// the stops, so nothing may move once one of them is confirmed, even if all that was frozen goes on. Whether the
+/// machine had moved, and whether a stop was confirmed.
 fn scenario(seed: u64) -> (bool, bool) {
     let mut dice = Dice::new(seed);
     let mut script = ready(DeviceKind::Rig);

@@ -1,5 +1,5 @@
-//! Everybody else while a stop is timed: connections that idle at a server, clients that have it plan, and guests that stay
-//! at the door of whoever owns the line.
+//! Everybody else while a stop is timed: connections that idle at a server, clients that have it plan, and guests
+//! that stay at the door of whoever owns the line.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -45,7 +45,8 @@ impl Crowd {
             let (at, over, plans) = (at.to_owned(), Arc::clone(&over), Arc::clone(&plans));
             let body = format!("{{\"cycles\": {client}}}");
             let request = format!(
-                "POST /api/v1/plan HTTP/1.1\r\nHost: {at}\r\nConnection: close\r\nAuthorization: Bearer {token}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
+                "POST /api/v1/plan HTTP/1.1\r\nHost: {at}\r\nConnection: close\r\nAuthorization: Bearer {token}\r\n\
+                 Content-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
                 body.len()
             );
             thread::spawn(move || {

@@ -242,8 +242,8 @@ fn hear(mut line: File, ear: &Ear<RigBoard>) {
     }
 }
 
-/// Emergency stops by a second process while a run is at work and a crowd is there, then a run with windows; prints what
-/// was measured.
+/// Emergency stops by a second process while a run is at work and a crowd is there, then a run with windows; prints
+/// what was measured.
 ///
 /// # Errors
 /// [`DoorError`]; a stop that came too late is one.
@@ -307,8 +307,8 @@ pub(crate) fn stood(told: Instant, last: Instant) -> Result<(), DoorError> {
     Ok(())
 }
 
-/// Says how long stops have taken, of which each knows by how many microseconds the emulator fell behind meanwhile; one that
-/// came too late is an error.
+/// Says how long stops have taken, of which each knows by how many microseconds the emulator fell behind meanwhile;
+/// one that came too late is an error.
 pub(crate) fn judge(
     what: &str,
     mut took: Vec<(Duration, u64)>,
