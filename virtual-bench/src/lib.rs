@@ -15,6 +15,8 @@ mod browser;
 pub mod budget;
 pub mod bus;
 pub mod connector;
+#[cfg(unix)]
+mod crowd;
 pub mod demo;
 pub mod emulator;
 pub mod faults;

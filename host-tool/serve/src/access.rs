@@ -257,6 +257,9 @@ mod tests {
                 assert_eq!(check(peer, demand, &[host, wrong]), without, "{wrong:?}");
             }
         }
+        for name in ["x-real-ip", "via"] {
+            assert!(PASSED_ON.contains(&name), "all that such a proxy sends");
+        }
         for name in PASSED_ON {
             let passed_on = (name, "10.0.0.9");
             let denied = check(HERE, Demand::Stop, &[host, passed_on]);

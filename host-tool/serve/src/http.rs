@@ -83,6 +83,9 @@ pub const ROUTES: [(&str, &str); 28] = [
     ("post", "/api/v1/capsule/unfold"),
 ];
 
+/// Priority of plans, as of `nice`: below everything else that the server does.
+#[cfg(target_os = "linux")]
+const LAST: i32 = 15;
 /// The longest body, bytes.
 const LONGEST_BODY: usize = 16 * 1024;
 /// How long a body may take.
@@ -539,6 +542,9 @@ async fn plan_run(State(app): Shared, headers: HeaderMap, body: Body) -> Respons
 }
 
 fn planned(body: &Map<String, Value>) -> Result<Value, Failure> {
+    // On Linux that is the priority of this thread: where all cores are busy, a stop goes first.
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::setpriority_process(None, LAST);
     let run = orders::run(body)?;
     let axis = Axis::REFERENCE;
     let plan = planning::solve(&run, &axis, &REFERENCE_LIMITS)?;

@@ -69,8 +69,9 @@ use operations::places::Places;
 pub const ORDERS: usize = 8;
 /// What the system keeps for a reader that does not read, bytes.
 const SEND_BUFFER: u32 = 64 * 1024;
-/// Connections that wait to be accepted.
-const BACKLOG: u32 = 128;
+/// Connections that wait to be accepted. A burst of more would cost a stop a second: the system then drops the first
+/// packet of its connection, and sends it again after that time.
+const BACKLOG: u32 = 1_024;
 /// Interval between two states.
 const STATE: Duration = Duration::from_millis(250);
 /// Interval between two looks at the campaign, and at which is the newest.

@@ -426,6 +426,19 @@ fn silence_is_reported_as_what_it_means() {
     rig.rig_status().expect("everything else still works");
 }
 
+/// "SetTelemetry changes nothing, so nothing was done" was once all that was said, with the carriage on its way.
+#[test]
+fn a_request_that_is_not_answered_says_what_is_known_of_the_motion() {
+    let mut script = Script::new(DeviceKind::Rig);
+    script.deaf_to = vec![("SetTelemetry", 99)];
+    let (mut rig, _) = homed_rig(script);
+    let error = rig.set_telemetry(20).expect_err("not heard");
+    assert!(matches!(error, ClientError::NoReply { .. }), "{error:?}");
+    rig.run(SHORT_RUN).expect("accepted");
+    let error = rig.set_telemetry(20).expect_err("not heard");
+    assert!(error.to_string().contains("MAY BE MOVING"), "{error}");
+}
+
 #[test]
 fn silence_while_something_moves_says_that_it_may_be_moving() {
     let mut script = Script::new(DeviceKind::Rig);

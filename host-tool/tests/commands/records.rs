@@ -7,11 +7,12 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use analysis::report::{self, Found, Remark};
+use campaign::catalogue::{self, Wanted};
 use client::identity::{IdentityRecord, Origin};
 use client::{Begun, Device, Homed, Observer, Progress, Unobserved};
 use jiff::Timestamp;
-use protocol::capsule::ActuationKind;
-use protocol::rig::{Run, RunTiming};
+use protocol::capsule::{ActuationKind, ActuationOutcome};
+use protocol::rig::{Run, RunOutcome, RunTiming};
 use protocol::system::{DeviceKind, Identity, Urgent};
 use simulated_machines::machine::capsule::FOLDED_UM;
 use simulated_machines::machine::{Script, link};
@@ -264,6 +265,51 @@ fn a_refused_run_leaves_a_record_that_says_so() {
     assert!(trial.error.expect("why").contains("home first"));
 }
 
+/// Ready, with an operator who stops it under way, and presses the emergency stop when it stands and has been asked
+/// how the action ended.
+fn stopped_twice(kind: DeviceKind) -> Device {
+    let mut script = Script::new(kind);
+    script.ready = true;
+    let (link, log) = link(script);
+    let mut device = Device::connect(link, kind, 5).expect("there");
+    device.set_interrupt(Arc::new(move || {
+        let log = log.lock().expect("log");
+        let asked_last = log.executed.last().copied().unwrap_or_default();
+        match log.urgent.is_empty() {
+            true => (log.driven_us > 500_000).then_some(Urgent::Stop),
+            false if asked_last.ends_with("Record") => Some(Urgent::EStop),
+            false => Some(Urgent::Stop),
+        }
+    }));
+    device
+}
+
+/// The device's record of the action ends before the emergency stop, which costs the position all the same.
+#[test]
+fn an_emergency_stop_behind_the_stop_is_in_the_record() {
+    let folder = tempfile::tempdir().expect("folder");
+    let recording = recording(folder.path());
+    let mut rig = stopped_twice(DeviceKind::Rig);
+    let run = experiment::run(&mut rig, SHORT_RUN, &recording, &mut Unobserved).expect("recorded");
+    assert_eq!(run.record.outcome, RunOutcome::Stopped);
+    let mut capsule = stopped_twice(DeviceKind::Capsule);
+    let kind = ActuationKind::Fold;
+    let fold = experiment::actuate(&mut capsule, kind, &recording, &mut Unobserved);
+    let fold = fold.expect("recorded");
+    assert_eq!(fold.record.outcome, ActuationOutcome::Stopped);
+    for sidecar in [run.sidecar, fold.sidecar] {
+        let trial = Trial::read(&sidecar).expect("sidecar");
+        assert_eq!(trial.status, Status::Faulted, "{trial:?}");
+        let why = trial.error.expect("a reason");
+        assert!(why.contains("emergency stop"), "{why}");
+    }
+    // As `serve` and a campaign list them.
+    let folders = [folder.path().to_owned()];
+    let found = catalogue::list(&folders, false, &Wanted::default());
+    let outcomes: Vec<_> = found.entries.iter().map(|entry| &entry.outcome).collect();
+    assert_eq!(outcomes, ["faulted", "faulted"]);
+}
+
 #[test]
 fn nothing_moves_if_the_record_cannot_be_written() {
     let folder = tempfile::tempdir().expect("folder");
@@ -412,7 +458,7 @@ fn the_experiment_ends_at_the_first_step_that_is_not_complete() {
     let mut capsule = ready(DeviceKind::Capsule);
     // The operator stops the rig at the first stroke of the first run.
     let asked = std::sync::atomic::AtomicU32::new(0);
-    rig.set_interrupt(std::sync::Arc::new(move || {
+    rig.set_interrupt(Arc::new(move || {
         let asked = asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
         (asked > 400).then_some(Urgent::Stop)
     }));

@@ -3,14 +3,18 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
+use std::panic::catch_unwind;
 use std::process::{Child, Stdio};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::support::bench::{Bench, ready};
 use crate::support::signal::kill;
+use client::door::lock::Doorway;
+use client::door::window::Window;
+use protocol::frame::{Deframer, Kind};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use rustix::process::Signal;
@@ -22,6 +26,11 @@ const SOON: Duration = Duration::from_secs(60);
 const CARRIED: u8 = 0;
 const SWALLOWED: u8 = 1;
 const DEAD: u8 = 2;
+/// The next stop is the last that the machine hears, and its answer is held back.
+const LAST: u8 = 3;
+const HELD: u8 = 4;
+/// The machine's bytes arrive, nothing that the tool sends does.
+const LATE: u8 = 5;
 
 /// A line between tool and machine that can fall silent or break.
 fn breakable(bench: &mut Bench) -> Arc<AtomicU8> {
@@ -39,31 +48,68 @@ fn breakable(bench: &mut Bench) -> Arc<AtomicU8> {
             };
             tool.set_nonblocking(false).expect("set");
             let machine = TcpStream::connect(&to).expect("a machine");
-            for (from, to) in [(&tool, &machine), (&machine, &tool)] {
-                let (mut from, mut to) = (
-                    from.try_clone().expect("mine"),
-                    to.try_clone().expect("mine"),
-                );
-                from.set_read_timeout(Some(Duration::from_millis(5)))
-                    .expect("set");
-                to.set_nodelay(true).expect("set");
-                let line = Arc::clone(&line);
-                thread::spawn(move || {
-                    let mut bytes = [0; 512];
-                    loop {
-                        let count = from.read(&mut bytes);
-                        match (line.load(Ordering::SeqCst), count) {
-                            (DEAD, _) | (_, Ok(0)) => break,
-                            (CARRIED, Ok(count)) if to.write_all(&bytes[..count]).is_err() => break,
-                            _ => {}
-                        }
-                    }
-                    let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
-                });
-            }
+            let (tool_too, machine_too) = (
+                tool.try_clone().expect("mine"),
+                machine.try_clone().expect("mine"),
+            );
+            let to_machine = Arc::clone(&line);
+            thread::spawn(move || carry(tool, machine, &to_machine, true));
+            let to_tool = Arc::clone(&line);
+            thread::spawn(move || carry(machine_too, tool_too, &to_tool, false));
         }
     });
     state
+}
+
+/// One direction of that line, until it breaks.
+fn carry(mut from: TcpStream, mut to: TcpStream, line: &AtomicU8, to_machine: bool) {
+    from.set_read_timeout(Some(Duration::from_millis(5)))
+        .expect("set");
+    to.set_nodelay(true).expect("set");
+    let (mut bytes, mut held, mut deframer) = ([0; 512], vec![], Deframer::new());
+    loop {
+        let count = from.read(&mut bytes);
+        let state = line.load(Ordering::SeqCst);
+        let count = match (state, count) {
+            (DEAD, _) | (_, Ok(0)) => break,
+            (_, count) => count.unwrap_or(0),
+        };
+        held.extend(&bytes[..count]);
+        let mut frames = bytes[..count].iter();
+        let mut is_stop = |byte: &u8| {
+            let frame = deframer.push(*byte);
+            frame.is_some_and(|frame| frame.header.kind == Kind::Urgent)
+        };
+        let passes = match state {
+            CARRIED => true,
+            LAST if to_machine && frames.any(&mut is_stop) => line
+                .compare_exchange(LAST, HELD, Ordering::SeqCst, Ordering::SeqCst)
+                .is_ok(),
+            LAST => true,
+            LATE => !to_machine,
+            HELD if !to_machine => continue,
+            _ => false,
+        };
+        if passes && to.write_all(&held).is_err() {
+            break;
+        }
+        held.clear();
+    }
+    let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
+}
+
+/// Status and text of the answer.
+fn answer(mut stream: TcpStream) -> (u16, String) {
+    let mut text = String::new();
+    stream.read_to_string(&mut text).expect("an answer");
+    let status = text.split(' ').nth(1).and_then(|code| code.parse().ok());
+    (status.unwrap_or(0), text)
+}
+
+fn stop_of(kind: &str) -> String {
+    format!(
+        "POST /api/v1/{kind} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+    )
 }
 
 /// A server; it ends with this value.
@@ -88,12 +134,12 @@ struct Order {
 }
 
 impl Order {
-    /// Sends the body; gives the answer.
-    fn finish(mut self) -> String {
-        self.stream.write_all(self.body.as_bytes()).expect("sent");
+    /// Sends the body; gives the answer. A server that is killed gives none.
+    fn finish(mut self) -> std::io::Result<String> {
+        self.stream.write_all(self.body.as_bytes())?;
         let mut text = String::new();
-        self.stream.read_to_string(&mut text).expect("an answer");
-        text
+        self.stream.read_to_string(&mut text)?;
+        Ok(text)
     }
 }
 
@@ -130,17 +176,26 @@ impl Server {
         stream
     }
 
-    fn send(&self, request: &str) -> (u16, String) {
+    fn ask(&self, request: &str) -> TcpStream {
         let mut stream = self.connect();
         stream.write_all(request.as_bytes()).expect("sent");
-        let mut text = String::new();
-        stream.read_to_string(&mut text).expect("an answer");
-        let status = text.split(' ').nth(1).and_then(|code| code.parse().ok());
-        (status.unwrap_or(0), text)
+        stream
+    }
+
+    fn send(&self, request: &str) -> (u16, String) {
+        answer(self.ask(request))
     }
 
     fn stop(&self, kind: &str) -> (u16, String) {
-        self.send(&format!("POST /api/v1/{kind} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"))
+        self.send(&stop_of(kind))
+    }
+
+    /// These requests at once: the server finds all of them when it goes on.
+    fn flood<'a>(&self, requests: impl Iterator<Item = &'a str>) -> Vec<TcpStream> {
+        kill(Signal::STOP, self.child.id());
+        let asked = requests.map(|request| self.ask(request)).collect();
+        kill(Signal::CONT, self.child.id());
+        asked
     }
 
     /// Orders a motion. The server asks for the body when it knows the order, and how many stops came before it: only what is
@@ -216,6 +271,33 @@ fn no_press_at_a_machine_that_does_not_answer_is_told_that_it_stands() {
     }
 }
 
+/// An answer to an earlier stop says nothing about a later one, which the machine has not heard.
+#[test]
+fn a_late_answer_confirms_no_later_press() {
+    let mut bench = Bench::on_tcp(DeviceKind::Rig);
+    let line = breakable(&mut bench);
+    let server = Server::start(&bench);
+    line.store(LAST, Ordering::SeqCst);
+    thread::scope(|scope| {
+        let first = scope.spawn(|| server.stop("stop"));
+        let begin = Instant::now();
+        while bench.urgent().is_empty() {
+            assert!(begin.elapsed() < SOON, "no stop");
+            thread::sleep(Duration::from_millis(1));
+        }
+        let later = ["stop", "estop"].map(|kind| scope.spawn(|| server.stop(kind)));
+        thread::sleep(Duration::from_millis(50));
+        line.store(LATE, Ordering::SeqCst);
+        let (status, text) = first.join().expect("answered");
+        assert!(matches!(status, 200 | 502 | 504), "{text}");
+        for press in later {
+            let (status, text) = press.join().expect("answered");
+            assert!(matches!(status, 502 | 504), "{text}");
+        }
+    });
+    assert_eq!(bench.urgent(), [Urgent::Stop]);
+}
+
 /// A move that waited in the server's queue ran after the stop had been confirmed.
 #[test]
 fn what_was_ordered_before_a_stop_does_not_begin_after_it() {
@@ -236,7 +318,7 @@ fn what_was_ordered_before_a_stop_does_not_begin_after_it() {
             assert_eq!(status, 200, "{text}");
             let begun = bench.count("MoveTo");
             thread::sleep(Duration::from_millis(60));
-            let answer = ending.join().expect("answered");
+            let answer = ending.join().expect("ended").expect("an answer");
             // All that had not begun by then never does.
             assert_eq!(bench.count("MoveTo"), begun, "round {round}: {answer}");
         });
@@ -251,11 +333,11 @@ fn a_command_that_waits_for_the_line_is_older_than_a_stop_that_comes_meanwhile()
     let mut watch = bench.command(&["watch"]).spawn().expect("starts");
     bench.wait_for("GetRigStatus");
     kill(Signal::STOP, watch.id());
-    let waiting = bench
+    let mut waiting = bench
         .command(&["move", "60", "--speed-mm-s", "20"])
         .spawn()
         .expect("starts");
-    thread::sleep(Duration::from_millis(300));
+    has_begun(&mut waiting);
     let (code, out, err) = bench.retrograde(&["stop"]);
     assert_eq!(code, Some(0), "{out}{err}");
     kill(Signal::CONT, watch.id());
@@ -355,21 +437,25 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
     drop(guests);
 }
 
-/// Cleaners of `/tmp` take old files away.
+/// Cleaners of `/tmp` take old files away: the owner's name, or the lock, of which a later command made a new one for
+/// itself and then took the door away. A port has no second way.
 #[test]
 fn a_stop_finds_the_door_without_its_plate() {
-    let bench = Bench::on_tcp(DeviceKind::Rig);
-    let mut run = bench.run(&[]);
-    for entry in std::fs::read_dir(bench.locks()).expect("locks") {
-        let path = entry.expect("an entry").path();
-        if path.extension().is_some_and(|kind| kind == "owner") {
-            std::fs::remove_file(path).expect("mine");
+    for gone in ["owner", "lock"] {
+        let bench = Bench::at_a_port(DeviceKind::Rig);
+        let mut run = bench.run(&[]);
+        for entry in std::fs::read_dir(bench.locks()).expect("locks") {
+            let path = entry.expect("an entry").path();
+            if path.extension().is_some_and(|kind| kind == gone) {
+                std::fs::remove_file(path).expect("mine");
+            }
         }
+        let (code, out, err) = bench.retrograde(&["info"]);
+        assert_eq!(code, Some(0), "without .{gone}: {out}{err}");
+        let (code, out, err) = bench.retrograde(&["estop"]);
+        assert_eq!(code, Some(0), "without .{gone}: {out}{err}");
+        assert_eq!(run.wait().expect("ended").code(), Some(6));
     }
-    let (code, out, err) = bench.retrograde(&["estop"]);
-    assert_eq!(code, Some(0), "{out}{err}");
-    assert_eq!(bench.connections(), 1);
-    assert_eq!(run.wait().expect("ended").code(), Some(6));
 }
 
 #[test]
@@ -429,21 +515,52 @@ fn a_stop_does_not_wait_for_its_body() {
 fn a_flood_of_stops_is_answered_and_sent_a_few_times() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let server = Server::start(&bench);
-    thread::scope(|scope| {
-        for _ in 0..200 {
-            scope.spawn(|| {
-                let (status, text) = server.stop("stop");
-                assert_eq!(status, 200, "{text}");
-            });
-        }
-    });
-    assert!(!bench.urgent().is_empty());
+    let stop = stop_of("stop");
+    for stream in server.flood([stop.as_str(); 200].into_iter()) {
+        let (status, text) = answer(stream);
+        assert_eq!(status, 200, "{text}");
+    }
+    let count = bench.urgent().len();
+    assert!((1..100).contains(&count), "{count} stops");
+}
+
+/// A hundred came before it and a hundred come after it. If they were made by the threads that answer, a hundred were
+/// made first.
+#[test]
+fn a_stop_does_not_wait_for_plans() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let server = Server::start(&bench);
+    let plan = format!(
+        "POST /api/v1/plan HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {}\r\n\
+         Content-Type: application/json\r\nContent-Length: 2\r\n\r\n{{}}",
+        server.token,
+    );
+    let stop = stop_of("estop");
+    let mut requests = [plan.as_str(); 201];
+    requests[100] = stop.as_str();
+    let mut plans = server.flood(requests.into_iter());
+    let (status, text) = answer(plans.remove(100));
+    assert_eq!(status, 200, "{text}");
+    let is_answered = |plan: &&TcpStream| {
+        plan.set_nonblocking(true).expect("set");
+        plan.peek(&mut [0]).is_ok()
+    };
+    let planned = plans.iter().filter(is_answered).count();
+    assert!(planned < 50, "after {planned} plans");
 }
 
 /// Deterministic choices.
 struct Dice(u64);
 
 impl Dice {
+    fn new(seed: u64) -> Self {
+        let mut dice = Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
+        for _ in 0..8 {
+            let _ = dice.roll(2);
+        }
+        dice
+    }
+
     fn roll(&mut self, below: u64) -> u64 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
@@ -451,125 +568,218 @@ impl Dice {
         (self.0 >> 16) % below
     }
 
+    fn one_in(&mut self, count: u64) -> bool {
+        self.roll(count) == 0
+    }
+
     fn wait(&mut self, below_ms: u64) {
         thread::sleep(Duration::from_millis(self.roll(below_ms)));
     }
 }
 
-/// Orders, then stops at any distance from them, among processes that die, freeze and crowd. Nothing is ordered after the
-/// stops, so nothing may move once one of them is confirmed.
-fn scenario(seed: u64) {
-    let mut dice = Dice(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
-    for _ in 0..8 {
-        let _ = dice.roll(2);
+/// The processes of a scenario; they end with this value.
+#[derive(Default)]
+struct Processes(Vec<Child>);
+
+impl Drop for Processes {
+    fn drop(&mut self) {
+        for child in &mut self.0 {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
     }
+}
+
+/// Waits until a command knows how old it is: it then goes to the line or its door. Elsewhere than on Linux it is
+/// given time.
+fn has_begun(child: &mut Child) {
+    let fds = format!("/proc/{}/fd", child.id());
+    let is_connected = |fd: std::fs::DirEntry| {
+        std::fs::read_link(fd.path()).is_ok_and(|to| to.to_string_lossy().starts_with("socket:"))
+    };
+    let begin = Instant::now();
+    while child.try_wait().expect("mine").is_none() {
+        match std::fs::read_dir(&fds) {
+            Ok(all) => match all.flatten().any(is_connected) {
+                true => return,
+                false => thread::sleep(Duration::from_millis(2)),
+            },
+            Err(_) => return thread::sleep(Duration::from_millis(300)),
+        }
+        assert!(begin.elapsed() < SOON, "it goes nowhere");
+    }
+}
+
+/// Presses stop a few times, in any way that is left; gives the machine's time when the first of them was confirmed.
+fn press(seed: u64, bench: &Bench, server: Option<&Server>, dice: &mut Dice) -> Option<u64> {
+    let now_us = || bench.log.lock().expect("log").now_us;
+    let mut first_us = None;
+    for _ in 0..1 + dice.roll(3) {
+        let (kind, wanted) =
+            [("stop", Urgent::Stop), ("estop", Urgent::EStop)][dice.roll(2) as usize];
+        let asked_us = now_us();
+        let confirmed = match (dice.roll(3), server) {
+            (1.., Some(server)) => server.stop(kind).0 == 200,
+            _ => bench.retrograde(&[kind]).0 == Some(0),
+        };
+        if !confirmed {
+            continue;
+        }
+        let answered_us = now_us();
+        let seen = bench
+            .log
+            .lock()
+            .expect("log")
+            .urgent
+            .iter()
+            .any(|(urgent, at_us)| {
+                // An emergency stop is a stop as well.
+                (*urgent == wanted || *urgent == Urgent::EStop)
+                    && (asked_us..=answered_us).contains(at_us)
+            });
+        assert!(
+            seen,
+            "seed {seed}: told a {kind} that the machine has not seen"
+        );
+        first_us = first_us.or(Some(answered_us));
+        dice.wait(100);
+    }
+    first_us
+}
+
+/// Orders, then stops at any distance from them, among processes that die, freeze and crowd. Nothing is ordered after
+/// the stops, so nothing may move once one of them is confirmed, even if all that was frozen goes on. Whether the
+/// machine had moved, and whether a stop was confirmed.
+fn scenario(seed: u64) -> (bool, bool) {
+    let mut dice = Dice::new(seed);
     let mut script = ready(DeviceKind::Rig);
     script.settings = vec![(SettingKey::LinkTimeoutMs, 1_000)];
     let bench = Bench::on_tcp_as(&script, 1);
     let now_us = || bench.log.lock().expect("log").now_us;
-    let mut children = vec![];
     let spawn = |args: &[&str]| bench.command(args).spawn().expect("starts");
     // Who has the line.
-    let owner = dice.roll(4);
-    match owner {
-        0 => children.push(bench.run(&["--duration-s", "40"])),
+    let mut all = Processes::default();
+    match dice.roll(4) {
+        0 => all.0.push(bench.run(&["--duration-s", "40"])),
         1 => {
-            children.push(spawn(&["watch"]));
+            all.0.push(spawn(&["watch"]));
             bench.wait_for("GetRigStatus");
         }
         _ => {}
     }
     let server = Server::start(&bench);
-    let guests = if dice.roll(4) == 0 { dice.roll(40) } else { 0 };
-    let guests: Vec<_> = (0..guests).map(|_| spawn(&["watch"])).collect::<Vec<_>>();
+    if dice.one_in(3) {
+        // It gets the line of a watch or of the server, or finds that it cannot.
+        let mut child = spawn(&["move", "90", "--speed-mm-s", "10"]);
+        has_begun(&mut child);
+        all.0.push(child);
+    }
+    let mut watches = Processes::default();
+    let mut windows = vec![];
+    if dice.one_in(4) {
+        watches.0.push(spawn(&["watch"]));
+        let address = bench.address.parse().expect("an address");
+        let doorway = Doorway::within(&bench.locks(), &address).expect("a line");
+        // Beyond the most that may look; one that comes while the line changes hands is out of luck.
+        let more = (0..dice.roll(40)).map(|_| Window::open(&doorway, Duration::from_secs(1)));
+        windows.extend(more);
+    }
     let idle: Vec<_> = (0..[0, 0, 100, 400][dice.roll(4) as usize])
         .map(|_| server.connect())
         .collect();
-    // What is ordered, and what happens to whoever ordered it.
     thread::scope(|scope| {
+        let mut orders = vec![];
         for key in 0..1 + dice.roll(3) as u32 {
             let to = 10 + dice.roll(100);
-            // Not by commands: one whose process has not begun when the stop comes is newer than that.
             let body = format!("{{\"position_mm\": {to}, \"speed_mm_s\": 10}}");
             let order = server.order(&body, key);
             let held_ms = dice.roll(4) * dice.roll(30);
-            scope.spawn(move || {
+            orders.push(scope.spawn(move || {
                 thread::sleep(Duration::from_millis(held_ms));
                 order.finish()
-            });
+            }));
             dice.wait(30);
         }
-        if dice.roll(3) == 0
-            && let Some(child) = children.first_mut()
+        // What happens to those who have begun something.
+        let mut frozen = vec![];
+        let mut blow = |child: &Child, dice: &mut Dice| {
+            let signal = [Signal::KILL, Signal::STOP][dice.roll(2) as usize];
+            kill(signal, child.id());
+            if signal == Signal::STOP {
+                frozen.push(child.id());
+            }
+        };
+        if dice.one_in(3)
+            && let Some(child) = all.0.first()
         {
-            let blow = [Signal::KILL, Signal::STOP][dice.roll(2) as usize];
-            kill(blow, child.id());
+            blow(child, &mut dice);
         }
-        let far = if dice.roll(5) == 0 { 3_000 } else { 40 };
-        dice.wait(far);
-        for _ in 0..1 + dice.roll(3) {
-            let kind = ["stop", "estop"][dice.roll(2) as usize];
-            let asked_us = now_us();
-            let confirmed = match dice.roll(3) {
-                0 => bench.retrograde(&[kind]).0 == Some(0),
-                _ => server.stop(kind).0 == 200,
-            };
-            let answered_us = now_us();
-            if !confirmed {
-                continue;
-            }
-            let seen = {
-                let log = bench.log.lock().expect("log");
-                log.urgent
-                    .iter()
-                    .any(|(_, at_us)| (asked_us..=answered_us).contains(at_us))
-            };
-            assert!(
-                seen,
-                "seed {seed}: told a stop that the machine has not seen"
-            );
-            // Braking takes less than 0.2 s.
-            while now_us() < answered_us + 700_000 {
-                thread::sleep(Duration::from_millis(5));
-            }
-            let driven_us = bench.log.lock().expect("log").driven_us;
-            assert!(
-                driven_us < answered_us + 400_000,
-                "seed {seed}: it moves {} ms after a confirmed stop",
-                (driven_us - answered_us) / 1_000
-            );
+        let is_served = !dice.one_in(5);
+        if !is_served {
+            blow(&server.child, &mut dice);
         }
-    });
-    for child in &mut children {
-        let _ = child.kill();
-        let _ = child.wait();
-    }
-    for mut guest in guests {
-        let _ = guest.kill();
-        let _ = guest.wait();
-    }
-    drop(idle);
+        let far_ms = if dice.one_in(5) { 3_000 } else { 40 };
+        dice.wait(far_ms);
+        let confirmed_us = press(seed, &bench, is_served.then_some(&server), &mut dice);
+        for pid in frozen {
+            kill(Signal::CONT, pid);
+        }
+        let answers: Vec<_> = orders.into_iter().map(|order| order.join()).collect();
+        let answered_us = now_us();
+        let moved = bench.log.lock().expect("log").driven_us > 0;
+        let Some(confirmed_us) = confirmed_us else {
+            return (moved, false);
+        };
+        // Braking takes less than 0.2 s.
+        while now_us() < (confirmed_us + 700_000).max(answered_us + 300_000) {
+            thread::sleep(Duration::from_millis(5));
+        }
+        let driven_us = bench.log.lock().expect("log").driven_us;
+        assert!(
+            driven_us < confirmed_us + 400_000,
+            "seed {seed}: it moves {} ms after a confirmed stop: {answers:?}",
+            (driven_us - confirmed_us) / 1_000
+        );
+        drop((idle, windows));
+        (moved, true)
+    })
 }
 
-/// A few of the seeds; all thousand where RETROGRADE_CAMPAIGN is set.
+/// A few of the seeds; all thousand where RETROGRADE_CAMPAIGN is set. RETROGRADE_SEED repeats a single one.
 #[test]
 fn no_scenario_moves_after_a_confirmed_stop() {
-    let seeds = match std::env::var_os("RETROGRADE_CAMPAIGN") {
-        Some(_) => 1_000,
-        None => 8,
+    let one = std::env::var("RETROGRADE_SEED").ok();
+    let one = one.map(|text| text.parse::<u64>().expect("a number"));
+    let seeds = match (one, std::env::var_os("RETROGRADE_CAMPAIGN")) {
+        (Some(seed), _) => seed..=seed,
+        (None, Some(_)) => 1..=1_000,
+        (None, None) => 1..=24,
     };
-    let next = std::sync::atomic::AtomicU64::new(1);
+    let next = Mutex::new(seeds.clone());
+    let (failed, judged) = (Mutex::new(vec![]), Mutex::new(vec![]));
     thread::scope(|scope| {
         for _ in 0..4 {
             scope.spawn(|| {
                 loop {
-                    let seed = next.fetch_add(1, Ordering::SeqCst);
-                    if seed > seeds {
+                    let seed = next.lock().expect("free").next();
+                    let Some(seed) = seed else {
                         break;
+                    };
+                    match catch_unwind(|| scenario(seed)) {
+                        Ok(how) => judged.lock().expect("free").push(how),
+                        Err(_) => failed.lock().expect("free").push(seed),
                     }
-                    scenario(seed);
                 }
             });
         }
     });
+    let failed = failed.into_inner().expect("free");
+    let judged = judged.into_inner().expect("free");
+    let count = |how| judged.iter().filter(|other| **other == how).count();
+    let counts = [(true, true), (false, true), (true, false), (false, false)].map(count);
+    eprintln!(
+        "{seeds:?}: {} failed; moved and confirmed, rest and confirmed, the others: {counts:?}",
+        failed.len()
+    );
+    assert!(failed.is_empty(), "of {seeds:?} failed: {failed:?}");
 }
