@@ -3,7 +3,9 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use analysis::report::{self, Existing, Found, Remark, ReportError};
+use analysis::report;
+use analysis::report::remark::Remark;
+use analysis::report::{Existing, Found, ReportError};
 use client::decimal;
 use client::error::ClientError;
 use client::identity;

@@ -11,7 +11,7 @@ use std::time::SystemTime;
 use crate::process::{Failure, Result, host_cargo, root, run};
 use crate::programs::Selection;
 use crate::steps::{self, Step, Tests};
-use crate::{bench, images, programs, python};
+use crate::{bench, images, programs, python, structure};
 
 const HOST_TESTS: Step = Step::tests(
     "host tests",
@@ -43,6 +43,11 @@ const PYTHON: Step = Step::tests(
 .after("images");
 
 const FORMAT: Step = Step::new("format", "every file is formatted by rustfmt", format);
+const STRUCTURE: Step = Step::new(
+    "structure",
+    "no imports in circles or upwards, no crate and no file too large",
+    structure::check,
+);
 const LINT_HOST: Step = Step::new(
     "lint host",
     "clippy on every package and target of the host, no warning allowed",
@@ -83,7 +88,7 @@ pub(crate) fn test_host() -> ExitCode {
 
 /// Runs the checks that execute no code of ours.
 pub(crate) fn lint() -> ExitCode {
-    steps::run(&[FORMAT, LINT_HOST, DOCS, LINT_IMAGES])
+    steps::run(&[FORMAT, STRUCTURE, LINT_HOST, DOCS, LINT_IMAGES])
 }
 
 /// Runs every test and every other check that has to pass before a change is merged. The host tests come
@@ -91,6 +96,7 @@ pub(crate) fn lint() -> ExitCode {
 pub(crate) fn ci() -> ExitCode {
     steps::run(&[
         FORMAT,
+        STRUCTURE,
         HOST_TESTS,
         LINT_HOST,
         DOCS,

@@ -4,9 +4,9 @@
 //! * [`order`]: in which order.
 //! * [`ledger`]: what happened, and the state that it amounts to.
 //! * [`readings`]: what the caliper says.
-//! * [`folder`]: all that on the disk.
+//! * [`files`], [`contents`], [`folder`]: all that on the disk, as it is named, read and written.
 //! * [`manifest`]: the hash of every file.
-//! * [`verify`]: every change of a folder, found.
+//! * [`differences`], [`verify`]: every change of a folder, found.
 //! * [`prompts`]: what is asked, and what may be answered.
 //! * [`conduct`]: carries the trials out.
 //! * [`catalogue`]: campaigns and trials by date, specimen, outcome.
@@ -18,6 +18,9 @@
 pub mod catalogue;
 pub mod chance;
 pub mod conduct;
+pub mod contents;
+pub mod differences;
+pub mod files;
 pub mod folder;
 pub mod ledger;
 pub mod manifest;

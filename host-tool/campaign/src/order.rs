@@ -5,10 +5,9 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use trials::experiment::Shape;
 
 use crate::chance::Chance;
-use crate::plan::{Lubrication, Plan, Purpose};
+use crate::plan::{Form, Lubrication, Plan, Purpose};
 
 /// What is equal in trials that are averaged.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -23,30 +22,6 @@ pub struct Condition {
     pub shape: Form,
 }
 
-/// What the body's shape is during a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Form {
-    /// The waves carry it headward.
-    Unfolded,
-    /// The same waves carry it the other way.
-    Folded,
-    /// It is unfolded at first, and folds while the carriage runs.
-    Folding,
-}
-
-impl Form {
-    /// As in ledgers.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Unfolded => Shape::Unfolded.name(),
-            Self::Folded => Shape::Folded.name(),
-            Self::Folding => "folding",
-        }
-    }
-}
-
 /// What is done to the body in a trial, for people: a pass, or a run with a body of this shape.
 #[must_use]
 pub const fn doing(purpose: Purpose, shape: Form) -> &'static str {
@@ -54,15 +29,6 @@ pub const fn doing(purpose: Purpose, shape: Form) -> &'static str {
         Purpose::Series | Purpose::FoldTest => shape.name(),
         Purpose::AntegradePass => "antegrade pass",
         Purpose::ReturningPass => "returning pass",
-    }
-}
-
-impl From<Shape> for Form {
-    fn from(shape: Shape) -> Self {
-        match shape {
-            Shape::Unfolded => Self::Unfolded,
-            Shape::Folded => Self::Folded,
-        }
     }
 }
 

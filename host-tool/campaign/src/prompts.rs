@@ -5,7 +5,8 @@ use client::error::ClientError;
 use protocol::rig::Direction;
 
 use crate::ledger::Attempt;
-use crate::order::{Form, Planned, doing};
+use crate::order::{Planned, doing};
+use crate::plan::Form;
 use crate::plan::{Lubrication, Millimetres, Passes, Purpose};
 use crate::readings::Quantity;
 

@@ -1,6 +1,6 @@
 //! How much time a campaign will still take: an estimate from the plan and from how long the last trials took.
 
-use crate::folder::Campaign;
+use crate::contents::Campaign;
 use crate::ledger::{Event, Standing};
 
 /// Between the end of a run and the beginning of the next one, before anything is known, s.

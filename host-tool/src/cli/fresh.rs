@@ -2,7 +2,7 @@
 //! needs that does it first, in the same command. A real machine is never moved without having been told.
 
 use client::Device;
-use client::link::address::Address;
+use client::address::Address;
 use operations::failure::Failure;
 use operations::places::Places;
 use protocol::system::DeviceKind;

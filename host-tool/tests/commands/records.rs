@@ -5,7 +5,9 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use analysis::report::{self, Found, Remark};
+use analysis::report;
+use analysis::report::Found;
+use analysis::report::remark::Remark;
 use client::identity::{IdentityRecord, Origin};
 use client::{Begun, Device, Homed, Observer, Progress, Unobserved};
 use jiff::Timestamp;

@@ -1,6 +1,6 @@
 //! The model's band behind the displacements of a campaign: what the paper's words, or a calibration, leave open.
 
-use campaign::folder::TRIALS;
+use campaign::files::TRIALS;
 use campaign::manifest::hex;
 use campaign::plan::{Lubrication, Purpose};
 use locomotion::model::{Model, Setting, Value};

@@ -6,7 +6,8 @@ use protocol::capsule::{ActuationKind, CapsuleState};
 use crate::conduct::modelled::{Modelled, Wanted};
 use crate::conduct::{Broken, Conduct, Then};
 use crate::ledger::{Attempt, Event, Outcome, Row, Source};
-use crate::order::{Form, Planned};
+use crate::order::Planned;
+use crate::plan::Form;
 use crate::plan::Millimetres;
 use crate::prompts::{Answer, Question};
 

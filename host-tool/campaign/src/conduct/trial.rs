@@ -16,7 +16,8 @@ use trials::writer::replace;
 
 use crate::conduct::{Broken, Conduct, Then};
 use crate::ledger::{Event, Outcome, Row, Standing};
-use crate::order::{Form, Planned, doing};
+use crate::order::{Planned, doing};
+use crate::plan::Form;
 use crate::plan::{Millimetres, Purpose};
 use crate::prompts::{Answer, Question, camera_file, checks};
 use crate::remaining;
