@@ -1,7 +1,7 @@
 //! Campaigns: a plan of trials that is carried out over hours or days, and loses nothing to an interruption.
 //!
 //! * [`plan`]: what is to be done, as people write it.
-//! * [`order`]: in which order.
+//! * [`form`]: the shape of the body in it. [`order`]: in which order.
 //! * [`ledger`]: what happened, and the state that it amounts to.
 //! * [`readings`]: what the caliper says.
 //! * [`files`], [`contents`], [`folder`]: all that on the disk, as it is named, read and written.
@@ -22,6 +22,7 @@ pub mod contents;
 pub mod differences;
 pub mod files;
 pub mod folder;
+pub mod form;
 pub mod ledger;
 pub mod manifest;
 pub mod order;

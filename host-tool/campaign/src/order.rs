@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::chance::Chance;
-use crate::plan::{Form, Lubrication, Plan, Purpose};
+use crate::form::Form;
+use crate::plan::{Lubrication, Plan, Purpose};
 
 /// What is equal in trials that are averaged.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

@@ -13,9 +13,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 use trials::cue::Cue;
 use trials::plan;
 
-use trials::experiment::Shape;
-
 use crate::CampaignError;
+use crate::form::Form;
 
 /// Version of the format; incremented when a key changes its meaning.
 pub const FORMAT: u32 = 1;
@@ -766,37 +765,4 @@ fn check_displacement(table: &DisplacementTable, run: &Run) -> Result<Displaceme
         ));
     }
     Ok(displacement)
-}
-
-/// What the body's shape is during a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Form {
-    /// The waves carry it headward.
-    Unfolded,
-    /// The same waves carry it the other way.
-    Folded,
-    /// It is unfolded at first, and folds while the carriage runs.
-    Folding,
-}
-
-impl Form {
-    /// As in ledgers.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Unfolded => Shape::Unfolded.name(),
-            Self::Folded => Shape::Folded.name(),
-            Self::Folding => "folding",
-        }
-    }
-}
-
-impl From<Shape> for Form {
-    fn from(shape: Shape) -> Self {
-        match shape {
-            Shape::Unfolded => Self::Unfolded,
-            Shape::Folded => Self::Folded,
-        }
-    }
 }

@@ -6,8 +6,8 @@ use std::path::Path;
 
 use analysis::report::evaluation::evaluate;
 use campaign::contents::Campaign;
+use campaign::form::Form;
 use campaign::ledger::{Source, Standing};
-use campaign::plan::Form;
 use campaign::verify::verify;
 use host_tool::cli;
 use virtual_bench::connector::BenchPorts;

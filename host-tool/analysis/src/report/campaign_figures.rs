@@ -1,8 +1,8 @@
 //! The figures of a campaign: displacement against indentation (the paper's Fig. 7), folded against unfolded (its Fig. 8),
 //! and each run against its plan.
 
+use campaign::form::Form;
 use campaign::order::doing;
-use campaign::plan::Form;
 use campaign::plan::{Lubrication, Purpose};
 use plotters::style::RGBColor;
 use trials::trial::{Action, RigSample, Screw};
