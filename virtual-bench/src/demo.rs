@@ -331,7 +331,7 @@ impl Hooks for Judge<'_> {
     }
 
     fn homed(&mut self, homed: &Homed) {
-        say(&cli::machines::homed_text(homed));
+        say(&operations::ending::homed_text(homed));
         match self.rig.visit(|visit| visit.board().rig.edges().len()) {
             Ok(edges) => self.first_edge = edges,
             Err(error) => self.failures.push(error.to_string()),

@@ -12,7 +12,7 @@ use protocol::system::{DeviceKind, Urgent};
 use protocol::table::Request;
 use trials::experiment::PAPER_RUN;
 
-use crate::bench::{Bench, BenchError, BenchOptions};
+use crate::bench::{Bench, BenchOptions};
 use crate::boards::rig::{self, RigBoard};
 use crate::budget;
 use crate::faults::When;

@@ -8,8 +8,8 @@ use operations::places::Places;
 use protocol::system::DeviceKind;
 use trials::experiment;
 
-use crate::cli::home::homed_text;
 use crate::cli::screen::Screen;
+use operations::ending::homed_text;
 
 /// Homes a virtual rig, references a virtual capsule, if it is new.
 pub(crate) fn prepare(
