@@ -29,15 +29,14 @@
 mod measures;
 mod orders;
 
-use crate::{
-    calibration::Calibration,
-    detect::{Detector, Load, Sample, Spooling, Trip},
-    governor::{Effort, Governor},
-    leg::{Decision, Leg, Purpose, Rise, is_near},
-    mechanics::{Counts, FOUND_AGAIN, FOUND_BY_RISE, Thread},
-    record::Recorder,
-    settings::Settings,
-};
+use crate::calibration::Calibration;
+use crate::detect::{Detector, Load, Trip};
+use crate::governor::{Effort, Governor};
+use crate::leg::{Decision, Leg, Purpose, Rise, is_near};
+use crate::mechanics::{Counts, FOUND_AGAIN, FOUND_BY_RISE, Thread};
+use crate::record::Recorder;
+use crate::sample::{Sample, Spooling};
+use crate::settings::Settings;
 use measures::{Drift, FRICTION_FORCE, Mean, drawn_ma};
 use protocol::{
     capsule::{

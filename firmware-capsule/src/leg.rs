@@ -30,13 +30,12 @@
 //! 2 mm reaches 20.8 N, at 12.9 mm/s 19.6 N. Paying out is bounded by what the motor would coast if the power were
 //! cut: it must stand before zero without a brake.
 
-use crate::{
-    calibration::Calibration,
-    detect::{Load, Spooling},
-    governor::Aim,
-    mechanics::{BACK_OFF, BACK_OFFS, COASTING_CPS2_PER_MA, Counts, LEAST_RISE, Thread},
-    settings::Settings,
-};
+use crate::calibration::Calibration;
+use crate::detect::Load;
+use crate::governor::Aim;
+use crate::mechanics::{BACK_OFF, BACK_OFFS, COASTING_CPS2_PER_MA, Counts, LEAST_RISE, Thread};
+use crate::sample::Spooling;
+use crate::settings::Settings;
 use protocol::capsule::CapsuleFault;
 
 /// Above the no-load current: from this pull on, a fold becomes slower, so that pull and momentum together do not grow. It

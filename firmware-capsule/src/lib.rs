@@ -13,6 +13,7 @@ pub mod kept;
 pub mod leg;
 pub mod mechanics;
 mod record;
+pub mod sample;
 pub mod sense;
 pub mod settings;
 pub mod trace;

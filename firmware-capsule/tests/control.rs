@@ -6,12 +6,11 @@ use device::{
     retained::{EStop, Retained},
     service::{Answers, Inbound},
 };
-use firmware_capsule::{
-    control::{self, Control},
-    detect::Sample,
-    fold::Drive,
-    mechanics::Counts,
-};
+use firmware_capsule::control;
+use firmware_capsule::control::Control;
+use firmware_capsule::fold::Drive;
+use firmware_capsule::mechanics::Counts;
+use firmware_capsule::sample::Sample;
 use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, Calibrate, CapsuleEvent, CapsuleFault, CapsuleState,

@@ -1,13 +1,11 @@
 //! Whatever the machine is fed, it never drives past zero or the soft maximum, at rest or in a fault. Every motion
 //! ends in its time, and is reported once when it starts and once when it ends.
 
-use firmware_capsule::{
-    calibration::Calibration,
-    detect::Sample,
-    fold::{Actions, BRAKE_US, Capsule, Command, Drive, Event},
-    mechanics::{BACK_OFF, BACK_OFFS, Counts, Thread},
-    settings::Settings,
-};
+use firmware_capsule::calibration::Calibration;
+use firmware_capsule::fold::{Actions, BRAKE_US, Capsule, Command, Drive, Event};
+use firmware_capsule::mechanics::{BACK_OFF, BACK_OFFS, Counts, Thread};
+use firmware_capsule::sample::Sample;
+use firmware_capsule::settings::Settings;
 use proptest::prelude::*;
 use protocol::capsule::{
     ActuationKind, ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState,

@@ -9,11 +9,13 @@ use std::time::{Duration, Instant};
 use jiff::Timestamp;
 use protocol::system::{Identity, Urgent};
 
+use client::door::LONGEST_LINE;
 use client::door::lock::Plate;
-use client::door::server::{Core, Question, Visit, WAITING_FRAMES, knocked};
+use client::door::server::{Core, Visit, WAITING_FRAMES, knocked};
+use client::door::shared::Pump;
 use client::door::stream::read_line;
-use client::door::{LONGEST_LINE, Owner};
-use client::link::shared::Pump;
+use client::link::owner::Owner;
+use client::link::owner::Question;
 
 /// What was written to the line.
 #[derive(Clone, Default)]

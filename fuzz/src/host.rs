@@ -3,8 +3,8 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::server::{self, INSTANCE, Server};
+use client::address::Address;
 use client::error::ClientError;
-use client::link::address::Address;
 use client::link::{Link, LinkError, OpenError, Reason};
 use client::{Device, Observer, Progress};
 use jiff::Timestamp;

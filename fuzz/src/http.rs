@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use crate::server::{self, Answer, INSTANCE, Server};
-use client::link::address::Address;
+use client::address::Address;
 use client::link::{Link, OpenError};
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};

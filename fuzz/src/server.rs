@@ -14,7 +14,7 @@ use axum::Router;
 use axum::body::{Body, to_bytes};
 use axum::extract::Request;
 use axum::http::header::CONTENT_TYPE;
-use client::link::address::Address;
+use client::address::Address;
 use client::link::serial::DEFAULT_BAUD;
 use client::link::{Link, LinkError, OpenError};
 use jiff::Timestamp;

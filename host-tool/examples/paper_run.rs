@@ -15,9 +15,9 @@
 use std::io;
 
 use client::Device;
+use client::address::Address;
 use client::decimal;
 use client::identity;
-use client::link::address::Address;
 use client::link::serial::DEFAULT_BAUD;
 use miette::{IntoDiagnostic, Result, miette};
 use operations::connector::{Connector, Ports, Purpose};

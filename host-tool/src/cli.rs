@@ -56,7 +56,7 @@ use std::sync::LazyLock;
 use clap::builder::{OsStr, Resettable};
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
-use client::link::address::Address;
+use client::address::Address;
 use client::link::serial::DEFAULT_BAUD;
 use operations::arguments::{
     FoldArgs, JogArgs, MachineKind, MoveArgs, PartialArgs, RunArgs, Which,

@@ -32,7 +32,14 @@ const SOURCES: [(&str, &str, &str); 6] = [
         "What a frame carries",
         include_str!("../src/table.rs"),
     ),
-    ("system", "Both machines", include_str!("../src/system.rs")),
+    (
+        "system",
+        "Both machines",
+        concat!(
+            include_str!("../src/kind.rs"),
+            include_str!("../src/system.rs")
+        ),
+    ),
     ("rig", "The rig", include_str!("../src/rig.rs")),
     (
         "settings",

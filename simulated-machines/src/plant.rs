@@ -6,12 +6,10 @@ pub mod cases;
 use board::{Board, PERIODS_PER_MS};
 use capsule_plant::Parameters;
 use core::ops::{Deref, DerefMut};
-use firmware_capsule::{
-    calibration::Calibration,
-    detect::Sample,
-    fold::{Actions, Capsule, Command, Drive, Event},
-    settings::Settings,
-};
+use firmware_capsule::calibration::Calibration;
+use firmware_capsule::fold::{Actions, Capsule, Command, Drive, Event};
+use firmware_capsule::sample::Sample;
+use firmware_capsule::settings::Settings;
 use protocol::capsule::CapsuleEvent;
 
 /// From a reading to the duty that follows from it, as the image takes for it (`virtual-bench bench`). Without it a jam pulls

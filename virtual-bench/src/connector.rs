@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use client::link::address::Address;
+use client::address::Address;
 use client::link::{Link, OpenError, Reason};
 use commissioning::hands::Hands;
 use jiff::Timestamp;

@@ -12,26 +12,14 @@ use protocol::system::{DeviceKind, Urgent};
 use protocol::table::Request;
 use trials::experiment::PAPER_RUN;
 
-use crate::bench::{Bench, BenchError, BenchOptions};
+use crate::bench::{Bench, BenchOptions};
 use crate::boards::rig::{self, RigBoard};
 use crate::budget;
 use crate::faults::When;
 use crate::link::VirtualLink;
 use crate::plants::rig::{Action, Rig, RigOptions, Switch};
+use crate::unmeasured::FigureError;
 use crate::verdicts::{Run, Verdict};
-
-/// Why a figure could not be measured.
-#[derive(Debug, thiserror::Error, miette::Diagnostic)]
-pub enum FigureError {
-    /// The bench.
-    #[error(transparent)]
-    #[diagnostic(code(bench::failed))]
-    Bench(#[from] BenchError),
-    /// The device or the link to it.
-    #[error(transparent)]
-    #[diagnostic(transparent)]
-    Client(#[from] ClientError),
-}
 
 /// One cycle of the paper's run.
 const ONE_CYCLE: RunRequest = RunRequest {

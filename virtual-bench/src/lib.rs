@@ -33,6 +33,7 @@ pub mod serial;
 pub mod serve;
 #[cfg(unix)]
 pub mod sidedoor;
+pub mod unmeasured;
 pub mod verdicts;
 #[cfg(unix)]
 pub mod webpage;

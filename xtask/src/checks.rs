@@ -10,7 +10,7 @@ use std::time::SystemTime;
 use crate::process::{Failure, Result, host_cargo, root, run};
 use crate::programs::Selection;
 use crate::steps::{self, Step, Tests};
-use crate::{bench, dependencies, images, programs, python};
+use crate::{bench, dependencies, images, programs, python, structure};
 
 const HOST_TESTS: Step = Step::tests(
     "host tests",
@@ -42,6 +42,11 @@ const PYTHON: Step = Step::tests(
 .after("images");
 
 const FORMAT: Step = Step::new("format", "every file is formatted by rustfmt", format);
+const STRUCTURE: Step = Step::new(
+    "structure",
+    "no imports in circles or upwards, no crate and no file too large",
+    structure::check,
+);
 const LINT_HOST: Step = Step::new(
     "lint host",
     "clippy on every package and target of the host, no warning allowed",
@@ -81,7 +86,14 @@ pub(crate) fn test_host() -> ExitCode {
 
 /// Runs the checks that execute no code of ours.
 pub(crate) fn lint() -> ExitCode {
-    steps::run(&[FORMAT, DEPENDENCIES, LINT_HOST, DOCS, LINT_IMAGES])
+    steps::run(&[
+        FORMAT,
+        STRUCTURE,
+        DEPENDENCIES,
+        LINT_HOST,
+        DOCS,
+        LINT_IMAGES,
+    ])
 }
 
 /// Runs every test and every other check that has to pass before a change is merged. The host tests come
@@ -89,6 +101,7 @@ pub(crate) fn lint() -> ExitCode {
 pub(crate) fn ci() -> ExitCode {
     steps::run(&[
         FORMAT,
+        STRUCTURE,
         HOST_TESTS,
         LINT_HOST,
         DOCS,

@@ -6,6 +6,7 @@
 //! | `steps.rs` | runs named steps, times them, prints the totals |
 //! | `programs.rs` | builds test programs and runs them side by side |
 //! | `checks.rs` | the steps of `test`, `lint` and `ci` |
+//! | `structure.rs` | what crates and files may import, and how large they may be |
 //! | `fuzz.rs` | runs cargo-fuzz and counts what it reaches |
 //! | `mutants.rs` | runs cargo-mutants and counts what the tests notice |
 //! | `dependencies.rs` | checks licences and sources of other people's crates |
@@ -36,6 +37,7 @@ mod process;
 mod programs;
 mod python;
 mod steps;
+mod structure;
 mod toolchain;
 mod version;
 
@@ -51,7 +53,8 @@ cargo xtask <command>
   test [host]       build the images, run the host tests, long ones too, and the tests of the images
                     (host: only what needs no image); ends with a table of steps, tests, seconds and the
                     slowest test programs
-  lint              format, clippy for host and chip, documentation; no warning allowed
+  lint [structure]  format, structure, licences, clippy for host and chip, documentation; no warning allowed
+                    (structure: only that, in a second)
   ci                everything that has to pass before a change is merged
   mutants [PACKAGE [OPTIONS]]
                     change the code with cargo-mutants and count what the tests notice, in PACKAGE or
@@ -87,6 +90,7 @@ fn main() -> ExitCode {
         ("test", []) => return checks::test(),
         ("test", [which]) if which == "host" => return checks::test_host(),
         ("lint", []) => return checks::lint(),
+        ("lint", [which]) if which == "structure" => structure::check(),
         ("ci", []) => return checks::ci(),
         ("mutants", arguments) => mutants::run(arguments),
         ("fuzz", arguments) => fuzz::run(arguments),

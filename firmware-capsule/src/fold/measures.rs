@@ -1,12 +1,11 @@
 //! Measured under way: the current without load, the pull of the thread, the friction of the worm, where folds end.
 
 use super::{Actions, Capsule, Mode};
-use crate::{
-    calibration::Calibration,
-    detect::{Load, Spooling},
-    leg::Leg,
-    mechanics::{MOST_NO_LOAD_MA, Thread},
-};
+use crate::calibration::Calibration;
+use crate::detect::Load;
+use crate::leg::Leg;
+use crate::mechanics::{MOST_NO_LOAD_MA, Thread};
+use crate::sample::Spooling;
 use protocol::capsule::{ActuationKind, CapsuleEvent, CapsuleFault};
 
 /// Sum and number of some currents.

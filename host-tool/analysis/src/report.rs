@@ -7,9 +7,8 @@ pub mod campaign_band;
 mod campaign_figures;
 pub mod check;
 pub mod evaluation;
-pub mod figures;
 mod page;
-mod pdf;
+pub mod remark;
 pub mod section;
 
 use std::fs;
@@ -22,7 +21,8 @@ use trials::sidecar::{heading, other};
 use trials::trial::{RecordError, Trial};
 use trials::writer;
 
-use crate::report::figures::FigureError;
+use crate::figures::FigureError;
+use crate::report::remark::Remark;
 use crate::report::section::{in_short, reasons, remark_table, section, status};
 
 /// Why the report was not written.
@@ -74,17 +74,6 @@ pub enum ReportError {
 fn besides(left_out: &[LeftOut]) -> String {
     let lines = left_out.iter().map(|left| format!("\n  {left}"));
     lines.collect()
-}
-
-/// Results that are not in the records, such as a verdict from the pins or a modelled displacement, as a table.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Remark {
-    /// Sidecar of the trial it belongs to; none for a remark on the whole report.
-    pub sidecar: Option<PathBuf>,
-    /// Heading.
-    pub title: String,
-    /// Names and values.
-    pub rows: Vec<(String, String)>,
 }
 
 /// A file that is not in the report.

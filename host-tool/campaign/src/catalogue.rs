@@ -11,10 +11,11 @@ use serde::Serialize;
 use trials::sidecar::{heading, unreadable};
 use trials::trial::{Status, Trial};
 
-use crate::folder::{Campaign, ORDER, PLAN};
+use crate::contents::Campaign;
+use crate::differences::read_manifest;
+use crate::files::{ORDER, PLAN};
 use crate::ledger::{Outcome, Standing, TrialState};
 use crate::order::doing;
-use crate::verify;
 
 /// Greatest depth of nested folders that are searched.
 const DEPTH: u32 = 3;
@@ -158,7 +159,7 @@ impl Catalogue {
         let read = campaign.reading_rows.iter().map(|row| row.time_utc);
         let specimen = &campaign.plan.metadata.specimen;
         let origin = campaign.origin().unwrap_or(Origin::Unknown);
-        let sealed = matches!(verify::manifest(&campaign.folder), Ok(Some(_)));
+        let sealed = matches!(read_manifest(&campaign.folder), Ok(Some(_)));
         self.entries.push(Entry {
             kind: Kind::Campaign,
             path: campaign.folder.clone(),

@@ -12,172 +12,20 @@ use client::identity::Origin;
 use client::limited;
 use jiff::Timestamp;
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use trials::trial::{Status, Trial};
 use trials::writer::replace;
 
 use crate::CampaignError;
-use crate::ledger::{Attempt, Event, Outcome, Row, State};
+use crate::contents::{
+    Campaign, READINGS_HEADER, RESTORE, TRIALS_HEADER, not_a_campaign, order_text,
+};
+use crate::differences::{Differences, read_manifest};
+use crate::files::{ATTEMPTS, LOCK, ORDER, PLAN, READINGS, TRIALS};
+use crate::ledger::{Attempt, Event, Outcome, Row};
 use crate::manifest::{self, Manifest, PART};
-use crate::order::{Planned, order};
-use crate::plan::{Millimetres, Plan};
-use crate::readings::{ReadingRow, Readings};
-use crate::verify::{self, Differences};
-
-/// The plan as given.
-pub const PLAN: &str = trials::trial::CAMPAIGN_PLAN;
-/// The trials in the order of execution.
-pub const ORDER: &str = "order.csv";
-/// The ledger.
-pub const TRIALS: &str = "trials.csv";
-/// The caliper's readings.
-pub const READINGS: &str = "readings.csv";
-/// The writing process holds a lock on this file. It is empty, and not in the manifest.
-pub const LOCK: &str = ".lock";
-/// Parent of the folders of all attempts.
-pub const ATTEMPTS: &str = "trials";
-
-const TRIALS_HEADER: &str = "row,time_utc,event,trial,attempt,outcome,displacement_mm,source,readings_set,indentation_mm,camera_file,text,origin\n";
-const READINGS_HEADER: &str =
-    "row,time_utc,readings_set,quantity,indentation,event,reading,value_mm,text,origin\n";
-
-/// Everything in the folder of a campaign.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Campaign {
-    /// Its folder.
-    pub folder: PathBuf,
-    /// The plan.
-    pub plan: Plan,
-    /// The trials in the order of execution.
-    pub order: Vec<Planned>,
-    /// The rows of the ledger.
-    pub rows: Vec<Row>,
-    /// The state that follows from them.
-    pub state: State,
-    /// The rows of the readings.
-    pub reading_rows: Vec<ReadingRow>,
-    /// The sets that follow from them.
-    pub readings: Readings,
-}
-
-impl Campaign {
-    /// Reads a folder and changes nothing. Ignores an incomplete last line: it is being written, or a crash has cut
-    /// it.
-    ///
-    /// # Errors
-    /// The first file that is unreadable or contradicts the others. Does not compare hashes; [`verify::verify`] does.
-    pub fn read(folder: &Path) -> Result<Self, CampaignError> {
-        let path = folder.join(PLAN);
-        let text =
-            limited::read_text(&path, limited::BY_HAND).map_err(|io| not_a_campaign(&path, io))?;
-        let plan = Plan::parse(&text, &path)?;
-        let order = order(&plan);
-        let path = folder.join(ORDER);
-        let found =
-            limited::read_text(&path, limited::RECORD).map_err(|io| not_a_campaign(&path, io))?;
-        if found != order_text(&order) {
-            let why = "it is not the order that the plan and its seed give";
-            return Err(CampaignError::new(&path, why, RESTORE));
-        }
-        let path = folder.join(TRIALS);
-        let rows: Vec<Row> = rows(&path, TRIALS_HEADER)?;
-        let state = State::replay(&order, &rows)
-            .map_err(|error| CampaignError::new(&path, error, RESTORE))?;
-        let path = folder.join(READINGS);
-        let reading_rows: Vec<ReadingRow> = self::rows(&path, READINGS_HEADER)?;
-        let readings = Readings::replay(&reading_rows)
-            .map_err(|error| CampaignError::new(&path, error, RESTORE))?;
-        if let (Some(one), Some(other)) = (state.sequence.origin(), readings.sequence.origin())
-            && one != other
-        {
-            let why = format!("its origin is {other}, that of {TRIALS} is {one}");
-            return Err(CampaignError::new(&path, why, RESTORE));
-        }
-        Ok(Self {
-            folder: folder.to_owned(),
-            plan,
-            order,
-            rows,
-            state,
-            reading_rows,
-            readings,
-        })
-    }
-
-    /// The folder of an attempt.
-    #[must_use]
-    pub fn attempt_folder(&self, trial: u32, attempt: u32) -> PathBuf {
-        self.folder
-            .join(ATTEMPTS)
-            .join(Attempt::folder(trial, attempt))
-    }
-
-    /// The sidecar of an attempt's run or pass; none if neither has begun.
-    #[must_use]
-    pub fn run_sidecar(&self, trial: u32, attempt: u32) -> Option<PathBuf> {
-        run_sidecar(&self.attempt_folder(trial, attempt))
-    }
-
-    /// Why a value cannot be the net displacement of a trial, given all its displacements after strokes; none if it
-    /// can.
-    #[must_use]
-    pub fn disagreement(&self, trial: u32, net: Millimetres) -> Option<String> {
-        let state = self.state.trial(trial)?;
-        let count = (self.plan).strokes_of(state.planned.purpose, state.planned.shape)?;
-        let last = *state.attempt()?.all_strokes(count)?.last()?;
-        let within = self.plan.displacement.agreement();
-        ((net.um - last.um).abs() > within.um).then(|| {
-            format!(
-                "{net} mm: after the last stroke it was {last} mm, and the two may differ by {within} mm: enter it again, or `undo` takes the last stroke back"
-            )
-        })
-    }
-
-    /// Origin of its data; none while there are no data.
-    #[must_use]
-    pub fn origin(&self) -> Option<Origin> {
-        (self.state.sequence.origin()).or(self.readings.sequence.origin())
-    }
-}
-
-/// The sidecar of the run or the pass in the folder of an attempt.
-fn run_sidecar(folder: &Path) -> Option<PathBuf> {
-    let mut found: Vec<_> = fs::read_dir(folder)
-        .ok()?
-        .flatten()
-        .map(|entry| entry.path())
-        .filter(|path| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            let is_motion = name.starts_with("run-") || name.starts_with("pass-");
-            is_motion && name.ends_with(".json")
-        })
-        .collect();
-    found.sort();
-    found.pop()
-}
-
-/// Advice for a file that another program has changed.
-pub(crate) const RESTORE: &str =
-    "restore the folder from a copy; `retrograde verify` names every file that was changed";
-
-fn not_a_campaign(path: &Path, why: impl ToString) -> CampaignError {
-    CampaignError::misuse(
-        path,
-        why,
-        "give the folder of a campaign, which `retrograde campaign new PLAN.toml` makes",
-    )
-}
-
-/// Content of `order.csv`.
-#[must_use]
-pub fn order_text(order: &[Planned]) -> String {
-    let mut csv = csv::Writer::from_writer(vec![]);
-    for planned in order {
-        csv.serialize(planned).expect("numbers and names");
-    }
-    let bytes = csv.into_inner().expect("memory");
-    String::from_utf8(bytes).expect("ASCII")
-}
+use crate::order::order;
+use crate::plan::Plan;
+use crate::readings::ReadingRow;
 
 /// Formats a row as a line.
 fn line(row: &impl Serialize) -> Vec<u8> {
@@ -188,32 +36,7 @@ fn line(row: &impl Serialize) -> Vec<u8> {
     csv.into_inner().expect("memory")
 }
 
-/// The complete lines of a growing file, without its header.
-fn rows<T: DeserializeOwned>(path: &Path, header: &str) -> Result<Vec<T>, CampaignError> {
-    let text = limited::read_text(path, limited::RECORD).map_err(|io| not_a_campaign(path, io))?;
-    parse_rows(&text, header).map_err(|why| CampaignError::new(path, why, RESTORE))
-}
-
-fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Result<Vec<T>, String> {
-    let Some(body) = text.strip_prefix(header) else {
-        return Err("its first line is not that of this format".to_owned());
-    };
-    let whole = body.rfind('\n').map_or(0, |end| end + 1);
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .from_reader(&body.as_bytes()[..whole]);
-    let names = csv::StringRecord::from(header.trim_end().split(',').collect::<Vec<_>>());
-    let mut rows = vec![];
-    for (number, record) in (1..).zip(reader.records()) {
-        let row = record
-            .and_then(|record| record.deserialize(Some(&names)))
-            .map_err(|error| format!("row {number}: {error}"))?;
-        rows.push(row);
-    }
-    Ok(rows)
-}
-
-/// A file that grows line by line, and the hash of its content.
+/// A file that grows by lines, and the hash of what it has.
 struct Growing {
     path: PathBuf,
     file: File,
@@ -328,7 +151,7 @@ impl Folder {
     /// Opens a folder for writing; it must match its manifest.
     fn open(folder: &Path, lock: File) -> Result<Self, CampaignError> {
         let path = folder.join(manifest::NAME);
-        let manifest = verify::manifest(folder)?
+        let manifest = read_manifest(folder)?
             .ok_or_else(|| CampaignError::new(&path, "it is missing", RESTORE))?;
         Ok(Self {
             _lock: lock,
@@ -349,7 +172,7 @@ impl Folder {
             return Err(not_a_campaign(folder, "there is no campaign in it"));
         }
         let lock = lock(folder)?;
-        let manifest = verify::manifest(folder)?.ok_or_else(|| {
+        let manifest = read_manifest(folder)?.ok_or_else(|| {
             CampaignError::new(&folder.join(manifest::NAME), "it is missing", RESTORE)
         })?;
         let campaign = Campaign::read(folder)?;

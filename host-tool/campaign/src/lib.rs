@@ -1,14 +1,14 @@
 //! Campaigns: a plan of trials that is carried out over hours or days, and loses nothing to an interruption.
 //!
-//! * [`plan`]: the plan in TOML.
-//! * [`order`]: the order of the trials.
-//! * [`ledger`]: the events, and the state that follows from them.
-//! * [`readings`]: the caliper's readings.
-//! * [`folder`]: the files of a campaign.
+//! * [`plan`]: what is to be done, as people write it.
+//! * [`form`]: the shape of the body in it. [`order`]: in which order.
+//! * [`ledger`]: what happened, and the state that it amounts to.
+//! * [`readings`]: what the caliper says.
+//! * [`files`], [`contents`], [`folder`]: all that on the disk, as it is named, read and written.
 //! * [`manifest`]: the hash of every file.
-//! * [`verify`]: finds every change of a folder.
-//! * [`prompts`]: the questions and the possible answers.
-//! * [`conduct`]: carries out the trials.
+//! * [`differences`], [`verify`]: every change of a folder, found.
+//! * [`prompts`]: what is asked, and what may be answered.
+//! * [`conduct`]: carries the trials out.
 //! * [`catalogue`]: campaigns and trials by date, specimen, outcome.
 //! * [`statistics`]: mean, deviation, and a line with its band.
 //! * [`chance`]: random numbers from a seed.
@@ -18,7 +18,11 @@
 pub mod catalogue;
 pub mod chance;
 pub mod conduct;
+pub mod contents;
+pub mod differences;
+pub mod files;
 pub mod folder;
+pub mod form;
 pub mod ledger;
 pub mod manifest;
 pub mod order;

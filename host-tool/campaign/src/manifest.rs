@@ -7,7 +7,7 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::Path;
 
-use crate::folder::LOCK;
+use crate::files::LOCK;
 
 /// File name of the manifest.
 pub const NAME: &str = "SHA256SUMS";

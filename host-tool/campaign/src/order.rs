@@ -5,9 +5,9 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use trials::experiment::Shape;
 
 use crate::chance::Chance;
+use crate::form::Form;
 use crate::plan::{Lubrication, Plan, Purpose};
 
 /// The conditions that averaged trials share.
@@ -23,31 +23,7 @@ pub struct Condition {
     pub shape: Form,
 }
 
-/// Shape of the body during a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Form {
-    /// The waves carry it headward.
-    Unfolded,
-    /// The same waves carry it the other way.
-    Folded,
-    /// Unfolded at first; folds while the carriage runs.
-    Folding,
-}
-
-impl Form {
-    /// Name in the ledger.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Unfolded => Shape::Unfolded.name(),
-            Self::Folded => Shape::Folded.name(),
-            Self::Folding => "folding",
-        }
-    }
-}
-
-/// The treatment of the body in a trial, in words: a pass, or a run with a body of this shape.
+/// What is done to the body in a trial, for people: a pass, or a run with a body of this shape.
 #[must_use]
 pub const fn doing(purpose: Purpose, shape: Form) -> &'static str {
     match purpose {
@@ -57,16 +33,7 @@ pub const fn doing(purpose: Purpose, shape: Form) -> &'static str {
     }
 }
 
-impl From<Shape> for Form {
-    fn from(shape: Shape) -> Self {
-        match shape {
-            Shape::Unfolded => Self::Unfolded,
-            Shape::Folded => Self::Folded,
-        }
-    }
-}
-
-/// A row of `order.csv`: a planned trial.
+/// A row of `order.csv`: a trial that is to be done.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Planned {
     /// Its number, from 1, in the order of execution.

@@ -14,7 +14,7 @@ use trials::cue::Cue;
 use trials::plan;
 
 use crate::CampaignError;
-use crate::order::Form;
+use crate::form::Form;
 
 /// Version of the format; incremented when a key changes its meaning.
 pub const FORMAT: u32 = 1;

@@ -5,8 +5,9 @@ use client::decimal::DecimalError;
 use client::error::ClientError;
 use protocol::rig::Direction;
 
+use crate::form::Form;
 use crate::ledger::Attempt;
-use crate::order::{Form, Planned, doing};
+use crate::order::{Planned, doing};
 use crate::plan::{Lubrication, Millimetres, Passes, Purpose};
 use crate::readings::Quantity;
 

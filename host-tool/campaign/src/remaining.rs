@@ -1,6 +1,6 @@
 //! Estimates the remaining time of a campaign from the plan and the pace of the last trials.
 
-use crate::folder::Campaign;
+use crate::contents::Campaign;
 use crate::ledger::{Event, Standing};
 
 /// Assumed time from the end of a run to the start of the next one, until it is measured, s.

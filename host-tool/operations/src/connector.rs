@@ -5,12 +5,13 @@ use std::hash::{BuildHasher, RandomState};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::address::Address;
 use client::door::lock::Doorway;
 use client::door::server::GUESTS;
+use client::door::shared::Shared;
 use client::door::window::Window;
-use client::link::address::Address;
+use client::link::halves::Halves;
 use client::link::serial::{self, Serial};
-use client::link::shared::{Halves, Shared};
 use client::link::tcp::Tcp;
 use client::link::{Link, OpenError, Reason};
 use commissioning::hands::Hands;

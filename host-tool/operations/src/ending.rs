@@ -1,4 +1,4 @@
-//! How a motion of the rig that was held or cut short has ended.
+//! How a motion of the rig has ended.
 
 use client::Device;
 use client::decimal;
@@ -75,4 +75,15 @@ fn ended(
 #[must_use]
 pub fn millimetres(status: &RigStatus) -> String {
     decimal::write_signed(status.position_um.into(), 3)
+}
+
+/// The result of homing in one line.
+#[must_use]
+pub fn homed_text(homed: &client::Homed) -> String {
+    format!(
+        "Homed in {} s; the two passes differ by {} steps, the reference moved by {} steps.",
+        decimal::write(homed.duration_us / 1_000, 3),
+        homed.repeat_steps,
+        homed.shift_steps
+    )
 }

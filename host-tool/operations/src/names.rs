@@ -1,6 +1,6 @@
 //! Machines by the names that the user's file gives them.
 
-use client::link::address::Address;
+use client::address::Address;
 use client::named::{self, Named, NamedError};
 use protocol::system::DeviceKind;
 

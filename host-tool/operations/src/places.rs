@@ -5,11 +5,11 @@ use std::sync::{Arc, LazyLock};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
-use client::door::lock::{Doorway, StopMark};
+use client::address::Address;
+use client::door::lock::Doorway;
 use client::error::ClientError;
 use client::identity;
 use client::link::LinkError;
-use client::link::address::Address;
 use client::{Device, Interrupt, matches};
 use protocol::settings::GetName;
 use protocol::system::{DeviceKind, Identity, Urgent};
@@ -208,7 +208,7 @@ impl Places<'_> {
         let address = self.resolve(kind)?;
         // Before the line is waited for: a stop that comes meanwhile is meant for this command, too.
         let doorway = self.connector.doorway(&address);
-        let now = StopMark::of(doorway.as_ref());
+        let now = Doorway::last_stops(doorway.as_ref());
         // The search for the machine may have taken seconds. Whoever connects again goes on after a stop that was told.
         let again =
             CONNECTED[usize::from(kind == DeviceKind::Capsule)].swap(true, Ordering::Relaxed);

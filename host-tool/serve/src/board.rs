@@ -7,9 +7,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use client::Interrupt;
-use client::door::lock::{Doorway, StopMark};
+use client::address::Address;
+use client::door::lock::Doorway;
 use client::identity::{self, IdentityRecord, Origin, kind_name};
-use client::link::address::Address;
+use client::link::owner::StopMark;
 use jiff::Timestamp;
 use protocol::rig::RigStatus;
 use protocol::system::{DeviceKind, Event, Identity, Urgent};
@@ -130,7 +131,7 @@ impl Machine {
     pub fn last_stop(&self) -> (u64, StopMark) {
         (
             self.stops.asked(),
-            StopMark::of(lock(&self.doorway).as_ref()),
+            Doorway::last_stops(lock(&self.doorway).as_ref()),
         )
     }
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 
 use campaign::catalogue::{self, Kind, Wanted};
-use campaign::folder::Campaign;
+use campaign::contents::Campaign;
 use campaign::ledger::Standing;
 use campaign::order::doing;
 use campaign::remaining;

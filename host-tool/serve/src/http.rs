@@ -3,7 +3,6 @@
 use std::convert::Infallible;
 use std::io::Read;
 use std::net::SocketAddr;
-use std::path::{Path as FilePath, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{Sender, TrySendError};
 use std::time::{Duration, Instant};
@@ -12,8 +11,8 @@ use axum::Router;
 use axum::body::{Body, Bytes, to_bytes};
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::header::{
-    CACHE_CONTROL, CONNECTION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue,
-    REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
+    X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
 use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
@@ -26,6 +25,8 @@ use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use jiff::Timestamp;
 use motion::axis::Axis;
+use operations::delivery::{Delivery, Told};
+use operations::failure::Failure;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Map, Value, json};
 use tokio::net::TcpListener;
@@ -36,13 +37,13 @@ use trials::plan::{self, REFERENCE_LIMITS};
 
 use crate::access::{Access, Demand, Denied, Peer, demand};
 use crate::actions::{Action, Arrival, Command, Standing};
+use crate::answers::{Instead, answer, bad, boxed, closing, failed, good, status};
 use crate::board::{Board, Machine, Order};
+use crate::bodies::{LONGEST_BODY, object};
 use crate::connections::{Connections, Doing};
 use crate::errands::{Errand, Question, Wait};
 use crate::orders::{self, Work};
-use campaign::catalogue::{self, Kind, Wanted};
-use operations::delivery::{Delivery, Told};
-use operations::failure::{self, Failure};
+use crate::records::{is_record, list, open};
 
 /// What programs read.
 pub const OPENAPI: &str = include_str!("../../../docs/openapi.json");
@@ -86,10 +87,6 @@ pub const ROUTES: [(&str, &str); 28] = [
 /// Priority of plans, as of `nice`: below everything else that the server does.
 #[cfg(target_os = "linux")]
 const LAST: i32 = 15;
-/// The longest body, bytes.
-const LONGEST_BODY: usize = 16 * 1024;
-/// How long a body may take.
-const BODY: Duration = Duration::from_secs(5);
 /// How long a stop waits for a body that says which machine: nobody waits for the rest of a request to stop a machine.
 const STOP_BODY: Duration = Duration::from_millis(20);
 /// How long the head of a request may take, and how long a connection may wait for its next request.
@@ -116,9 +113,6 @@ pub struct App {
 }
 
 type Shared = State<Arc<App>>;
-
-/// An answer that comes instead of what was asked for.
-type Instead = Box<Response>;
 
 /// The requests.
 pub fn router(app: Arc<App>) -> Router {
@@ -216,69 +210,10 @@ fn full() -> Response {
     closing(response)
 }
 
-/// The connection ends with this answer: whoever is refused keeps no place.
-fn closing(mut response: Response) -> Response {
-    let headers = response.headers_mut();
-    headers.insert(CONNECTION, HeaderValue::from_static("close"));
-    response
-}
-
 /// The other end is on this computer.
 fn is_here(peer: SocketAddr, local: Option<SocketAddr>) -> bool {
     let ip = peer.ip().to_canonical();
     ip.is_loopback() || local.is_some_and(|local| local.ip().to_canonical() == ip)
-}
-
-// Answers.
-
-fn answer(status: StatusCode, value: &Value) -> Response {
-    let mut response = Response::new(Body::from(format!("{value}\n")));
-    *response.status_mut() = status;
-    let json = HeaderValue::from_static("application/json");
-    response.headers_mut().insert(CONTENT_TYPE, json);
-    response
-}
-
-fn good(mut value: Value) -> Response {
-    if let Some(object) = value.as_object_mut() {
-        object.insert("ok".to_owned(), Value::Bool(true));
-    }
-    answer(StatusCode::OK, &value)
-}
-
-fn bad(status: StatusCode, why: &str, help: &str) -> Response {
-    let code = if status == StatusCode::UNAUTHORIZED || status == StatusCode::FORBIDDEN {
-        "retrograde::denied"
-    } else {
-        "retrograde::request"
-    };
-    let value = json!({
-        "ok": false,
-        "exit_code": failure::USAGE,
-        "error": { "code": code, "message": why, "help": help },
-    });
-    answer(status, &value)
-}
-
-fn boxed(status: StatusCode, why: &str, help: &str) -> Instead {
-    Box::new(bad(status, why, help))
-}
-
-/// The status of an answer that tells a failure with this exit code.
-fn status(exit_code: u8) -> StatusCode {
-    match exit_code {
-        failure::DONE => StatusCode::OK,
-        failure::USAGE => StatusCode::BAD_REQUEST,
-        failure::REFUSED | failure::FAULT | failure::STOPPED => StatusCode::CONFLICT,
-        failure::NO_DEVICE => StatusCode::SERVICE_UNAVAILABLE,
-        failure::MISMATCH | failure::NOT_DELIVERED => StatusCode::BAD_GATEWAY,
-        failure::UNKNOWN => StatusCode::GATEWAY_TIMEOUT,
-        _ => StatusCode::INTERNAL_SERVER_ERROR,
-    }
-}
-
-fn failed(failure: &Failure) -> Response {
-    answer(status(failure.exit_code()), &failure.json())
 }
 
 /// Lets a request in, or not, and says to browsers what the answer may be used for.
@@ -340,55 +275,6 @@ async fn wrong_method(request: Request) -> Response {
         &why,
         "docs/serve.md and /openapi.json list all requests",
     )
-}
-
-/// A body that is a JSON object, or empty.
-async fn object(headers: &HeaderMap, body: Body) -> Result<Map<String, Value>, Instead> {
-    let bytes = bytes(body).await?;
-    if bytes.iter().all(u8::is_ascii_whitespace) {
-        return Ok(Map::new());
-    }
-    let kind = headers
-        .get(CONTENT_TYPE)
-        .and_then(|value| value.to_str().ok())
-        .unwrap_or_default();
-    let kind = kind.split(';').next().unwrap_or_default().trim();
-    if !kind.eq_ignore_ascii_case("application/json") {
-        return Err(boxed(
-            StatusCode::UNSUPPORTED_MEDIA_TYPE,
-            "the body is not said to be JSON; nothing was done",
-            "send `Content-Type: application/json`",
-        ));
-    }
-    match serde_json::from_slice(&bytes) {
-        Ok(Value::Object(object)) => Ok(object),
-        Ok(_) => Err(boxed(
-            StatusCode::BAD_REQUEST,
-            "the body is no JSON object; nothing was done",
-            "send for example {\"cycles\": 5}",
-        )),
-        Err(why) => Err(boxed(
-            StatusCode::BAD_REQUEST,
-            &format!("the body is no JSON: {why}; nothing was done"),
-            "send for example {\"cycles\": 5}",
-        )),
-    }
-}
-
-async fn bytes(body: Body) -> Result<Bytes, Instead> {
-    match timeout(BODY, to_bytes(body, LONGEST_BODY)).await {
-        Ok(Ok(bytes)) => Ok(bytes),
-        Ok(Err(_)) => Err(boxed(
-            StatusCode::PAYLOAD_TOO_LARGE,
-            "the body is longer than 16 KiB, or was cut off; nothing was done",
-            "send less",
-        )),
-        Err(_) => Err(boxed(
-            StatusCode::REQUEST_TIMEOUT,
-            "the body did not come within 5 s; nothing was done",
-            "send it at once",
-        )),
-    }
 }
 
 // To look.
@@ -562,42 +448,6 @@ async fn records(State(app): Shared) -> Response {
     }
 }
 
-fn list(folder: &FilePath) -> Value {
-    let folders = [folder.to_owned()];
-    let found = catalogue::list(&folders, false, &Wanted::default());
-    let name = |path: &FilePath| {
-        path.file_name()
-            .map(|name| name.to_string_lossy().into_owned())
-    };
-    let records: Vec<_> = found
-        .entries
-        .iter()
-        .filter(|entry| entry.kind == Kind::Trial && entry.path.parent() == Some(folder))
-        .map(|entry| {
-            let csv = entry.path.with_extension("csv");
-            json!({
-                "name": name(&entry.path),
-                "kind": "trial",
-                "started_utc": entry.started_utc,
-                "what": entry.what,
-                "note": entry.specimen,
-                "outcome": entry.outcome,
-                "origin": entry.origin,
-                "csv": csv.is_file().then(|| name(&csv)),
-            })
-        })
-        .collect();
-    json!({ "records": records, "unreadable": found.unreadable })
-}
-
-/// A name that this program gives to a record.
-fn is_record(name: &str) -> bool {
-    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    !name.starts_with('.')
-        && name.chars().all(plain)
-        && (name.ends_with(".csv") || name.ends_with(".json"))
-}
-
 async fn record(State(app): Shared, Path(name): Path<String>) -> Response {
     let kind = if name.ends_with(".csv") {
         "text/csv"
@@ -635,15 +485,6 @@ async fn record(State(app): Shared, Path(name): Path<String>) -> Response {
     let kind = HeaderValue::from_static(kind);
     response.headers_mut().insert(CONTENT_TYPE, kind);
     response
-}
-
-async fn open(path: PathBuf) -> Option<std::fs::File> {
-    let opened = tokio::task::spawn_blocking(move || {
-        // Not through a link that leads elsewhere.
-        let found = std::fs::symlink_metadata(&path).ok()?;
-        found.is_file().then(|| std::fs::File::open(&path).ok())?
-    });
-    opened.await.ok()?
 }
 
 // To stop.

@@ -11,6 +11,12 @@ use client::error::ClientError;
 use client::link::LinkError;
 use client::{Begun, Device, Interrupt, Observer, Pace, Progress, while_moving};
 use commissioning::warning;
+use operations::arguments::{DATA_FOLDER, RecordArgs};
+use operations::connector::Purpose;
+use operations::failure::{Failure, NO_DEVICE, UNKNOWN};
+use operations::panel::{self, Contact, MOVES_ALREADY, Notice};
+use operations::places::Places;
+use operations::{ending, left, reached};
 use protocol::error::Refusal;
 use protocol::rig::{self, RigEvent, RigState, RigStatus};
 use protocol::settings::{GetSetting, SettingKey};
@@ -18,17 +24,12 @@ use protocol::system::{Event, Urgent, What};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
 use trials::experiment::{self, Motion};
-use trials::trial::{Achieved, Recording, Status, Trial};
+use trials::trial::{Achieved, Recording};
 
 use crate::board::{Board, Lease, Machine, Order};
 use crate::orders::Work;
-use operations::arguments::{DATA_FOLDER, RecordArgs};
-use operations::connector::Purpose;
-use operations::failure::{Failure, NO_DEVICE, UNKNOWN};
-use operations::left;
-use operations::panel::{self, Contact, MOVES_ALREADY, Notice};
-use operations::places::Places;
-use operations::{ending, reached};
+use crate::results::server_ends;
+use crate::results::{ended, files, lost, overtaken, place};
 
 /// Interval of telemetry while nothing is recorded, ms.
 const TELEMETRY_MS: u16 = 50;
@@ -125,7 +126,7 @@ impl Keeper<'_> {
         }
         self.board.flush(self.machine, true);
         while let Ok(order) = self.orders.try_recv() {
-            self.refuse(&order, &ending());
+            self.refuse(&order, &server_ends());
         }
     }
 
@@ -340,7 +341,7 @@ impl Keeper<'_> {
         self.board.notice(self.machine, notice);
         settled?;
         if lost {
-            return Err(outcome.failure.unwrap_or_else(ending));
+            return Err(outcome.failure.unwrap_or_else(server_ends));
         }
         if acting {
             device.offer_line(true);
@@ -593,49 +594,6 @@ impl Keeper<'_> {
 
 fn held(pacing: &Pacing) -> MutexGuard<'_, Option<(u64, Pace, bool)>> {
     pacing.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn place(status: &RigStatus) -> Value {
-    json!({ "position_um": status.position_um, "position_steps": status.position_steps })
-}
-
-fn files(csv: &std::path::Path, sidecar: &std::path::Path) -> Value {
-    let name = |path: &std::path::Path| {
-        path.file_name()
-            .map(|name| name.to_string_lossy().into_owned())
-    };
-    json!({ "csv": name(csv), "sidecar": name(sidecar) })
-}
-
-fn ended(action: &'static str, trial: &Trial, help: String) -> Option<Failure> {
-    (trial.status != Status::Complete).then(|| Failure::Ended {
-        action,
-        status: trial.status,
-        reason: trial.error.clone(),
-        help,
-    })
-}
-
-/// What an order finds without a connection.
-fn lost(failure: &Failure) -> Failure {
-    Failure::NothingFound {
-        there: format!("nothing was sent: {}", failure.in_one_line()),
-    }
-}
-
-/// What an order finds that is older than a stop.
-fn overtaken() -> Failure {
-    Failure::Refused {
-        why: "a stop came after this order".to_owned(),
-        help: "nothing was moved; look at the machine, then order it again".to_owned(),
-    }
-}
-
-fn ending() -> Failure {
-    Failure::Refused {
-        why: "the server ends".to_owned(),
-        help: "nothing was moved; start it again".to_owned(),
-    }
 }
 
 /// Sees what happens while nothing is ordered.

@@ -8,11 +8,12 @@
 //! ```
 //!
 //! * [`access`]: who may do what.
-//! * `http`: the requests.
+//! * `http`: the requests; `bodies`, `answers`, and `records` that are handed out.
 //! * `connections`: which are served, and which one goes when there are too many.
 //! * `orders`: from the body of a request to what is to be done, by way of the command line.
 //! * `actions`: commands and what has become of them; each is executed once.
 //! * `keeper`: one machine: connection, orders, telemetry.
+//! * `results`: what has become of an order.
 //! * `errands`: stops and questions, which do not pass through a keeper.
 //! * `board`: what all of them share, and how it is shown.
 //! * `stream`: what is told to all readers.
@@ -23,8 +24,10 @@
 pub mod access;
 #[doc(hidden)]
 pub mod actions;
+mod answers;
 #[doc(hidden)]
 pub mod board;
+mod bodies;
 mod campaign;
 mod connections;
 #[doc(hidden)]
@@ -34,6 +37,8 @@ pub mod http;
 pub mod keeper;
 #[doc(hidden)]
 pub mod orders;
+mod records;
+mod results;
 pub mod stream;
 
 use std::fs::{self, OpenOptions};
@@ -47,9 +52,9 @@ use std::thread;
 use std::time::Duration;
 
 use client::Interrupt;
+use client::address::Address;
 use client::door::lock;
 use client::identity::kind_name;
-use client::link::address::Address;
 use protocol::system::DeviceKind;
 use serde_json::json;
 use tokio::net::{TcpListener, TcpSocket};

@@ -3,8 +3,8 @@
 use std::panic::resume_unwind;
 use std::thread;
 
+use client::address::Address;
 use client::identity::{self, IdentityRecord};
-use client::link::address::Address;
 use client::named::{Named, NamedError};
 use client::{Device, matches};
 use operations::connector::Purpose;

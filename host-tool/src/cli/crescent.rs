@@ -2,7 +2,7 @@
 
 use analysis::science::{charts, crescent, table};
 use locomotion::beam::{NoAnswer, Validation, band, thread};
-use locomotion::comparison::INDENTATIONS_MM;
+use locomotion::paper::INDENTATIONS_MM;
 use operations::failure::Failure;
 use serde_json::{Value, json};
 

@@ -4,9 +4,9 @@
 use std::panic::resume_unwind;
 use std::thread;
 
+use client::address::Address;
 use client::diagnosis::Sign;
 use client::error::ClientError;
-use client::link::address::Address;
 use client::link::{OpenError, Reason};
 use client::{Device, identity};
 use miette::Diagnostic;

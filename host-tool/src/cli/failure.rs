@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
+use analysis::figures::FigureError;
 use analysis::report::ReportError;
 use analysis::report::campaign::CampaignReportError;
-use analysis::report::figures::FigureError;
 use campaign::CampaignError;
-use campaign::verify::Finding;
+use campaign::differences::Finding;
 use client::error::ClientError;
 use miette::Diagnostic;
 use operations::failure::{

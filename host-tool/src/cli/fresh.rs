@@ -2,14 +2,14 @@
 //! needs that does it first, in the same command. A real machine is never moved without having been told.
 
 use client::Device;
-use client::link::address::Address;
+use client::address::Address;
 use operations::failure::Failure;
 use operations::places::Places;
 use protocol::system::DeviceKind;
 use trials::experiment;
 
-use crate::cli::home::homed_text;
 use crate::cli::screen::Screen;
+use operations::ending::homed_text;
 
 /// Homes a virtual rig, references a virtual capsule, if it is new.
 pub(crate) fn prepare(

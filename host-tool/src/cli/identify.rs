@@ -1,6 +1,7 @@
 //! `capsule identify`: the constants of motor, friction and spring from two recordings.
 
 use std::path::PathBuf;
+use trials::recorded::write_recorded;
 
 use client::{Device, Recorded};
 use operations::arguments::RecordArgs;
@@ -9,8 +10,8 @@ use operations::places::{Need, Places};
 use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
+use trials::experiment;
 use trials::identify::{self, Estimate, Identified};
-use trials::{experiment, trial};
 
 use crate::cli::ended::{completed, recording};
 use crate::cli::fresh;
@@ -82,7 +83,7 @@ fn motion(
     completed(action, trial.trial.status, trial.trial.error.as_ref(), help)?;
     let (recorded, _) = fetch(capsule, &trial.record)?;
     Ok(Motion {
-        csv: trial::write_recorded(
+        csv: write_recorded(
             &args.out,
             places.connector.now(),
             &recorded,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use analysis::report::figures::ModelName;
+use analysis::figures::ModelName;
 use analysis::science::design::{CAPSULE_MM, LEAST_ALPHA_DEG, PAPER_INDENTATION_MM};
 use analysis::science::optimise::bodies::{Bodies, Care, Per};
 use analysis::science::optimise::limits::Limits;

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use analysis::report::figures;
+use analysis::figures;
 use clap::Args;
 use client::decimal::{self, Milli};
 use motion::axis::{Axis, MAX_STROKE};

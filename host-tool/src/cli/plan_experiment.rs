@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use analysis::report::figures::ModelName;
+use analysis::figures::ModelName;
 use analysis::science::charts::trial_plan::trial_plan;
 use analysis::science::posterior::Posterior;
 use analysis::science::trial_plan::{self, Asked, Plan, Series};
@@ -13,7 +13,7 @@ use calibration::observation::{Kind, Lubrication};
 use calibration::prior::{Point, Values, unknowns};
 use calibration::tabulated::STEP_MM;
 use clap::{Args, ValueEnum};
-use locomotion::comparison::INDENTATIONS_MM;
+use locomotion::paper::INDENTATIONS_MM;
 use operations::failure::Failure;
 use serde_json::{Value, json};
 

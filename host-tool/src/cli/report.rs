@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use analysis::report::campaign_band::BandSource;
 use analysis::report::{self, Existing, campaign as campaign_report};
-use campaign::folder::{ORDER, PLAN};
+use campaign::files::{ORDER, PLAN};
 use clap::Args;
 use operations::failure::Failure;
 use serde_json::{Value, json};

@@ -2,16 +2,17 @@
 
 use std::path::PathBuf;
 
-use analysis::report::figures::ModelName;
+use analysis::figures::ModelName;
 use analysis::science::bands::{self, Bands};
 use analysis::science::posterior::Posterior;
 use analysis::science::series::{self, TubeCase, TubeRow, TubeRun};
 use analysis::science::values::Values;
 use analysis::science::{charts, model_file, snapshots, table};
 use clap::{Args, Subcommand};
-use locomotion::comparison::{self, INDENTATIONS_MM};
+use locomotion::comparison;
 use locomotion::folded::Contact;
 use locomotion::model::Model;
+use locomotion::paper::INDENTATIONS_MM;
 use locomotion::parameter::Label;
 use locomotion::prior::Words;
 use operations::failure::Failure;
@@ -261,7 +262,7 @@ impl Session<'_, '_> {
             .iter()
             .flat_map(|(_, friction)| series::pressure_cases(*friction))
             .collect();
-        let tube_bands = self.tube_bands(&comparison::pressures_pa().collect::<Vec<_>>())?;
+        let tube_bands = self.tube_bands(&locomotion::paper::pressures_pa().collect::<Vec<_>>())?;
         let ends = self.work.map(&ends, |case| series::tube_run(pipe, case))?;
         let tube = series::tube_rows(&ends, &tube_bands, series::paper_on_pressure_mm);
         self.title(

@@ -2,6 +2,7 @@
 
 use std::fs::{self, OpenOptions};
 use std::path::{Path, PathBuf};
+use trials::recorded::write_recorded;
 
 use clap::Args;
 use client::{Device, Recorded};
@@ -12,7 +13,7 @@ use protocol::capsule::{ActuationRecord, GetCapsuleTotals};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use trials::force;
-use trials::trial::{self, RecordError};
+use trials::trial::RecordError;
 
 use crate::cli::screen::Screen;
 
@@ -35,7 +36,7 @@ pub(crate) fn trace(
         screen.say("The capsule has not moved since its start: there is no recording.");
         return Ok(json!({ "actuation": null, "readings": 0, "csv": null }));
     }
-    let csv = trial::write_recorded(
+    let csv = write_recorded(
         &args.out,
         places.connector.now(),
         &recorded,

@@ -5,10 +5,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use campaign::chance::Chance;
-use campaign::folder::{ATTEMPTS, Campaign, Folder, READINGS, TRIALS, order_text};
+use campaign::contents::{Campaign, order_text};
+use campaign::files::{ATTEMPTS, READINGS, TRIALS};
+use campaign::folder::Folder;
+use campaign::form::Form;
 use campaign::ledger::{Event, Outcome, Row, Source, Standing, State};
 use campaign::manifest::{self, Manifest};
-use campaign::order::{Form, order};
+use campaign::order::order;
 use campaign::plan::{Lubrication, Millimetres, Plan, Purpose};
 use campaign::readings::{Kind, Quantity, ReadingRow, Readings, Summary, questions, refusal};
 use campaign::verify::verify;

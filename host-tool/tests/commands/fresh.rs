@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use client::link::address::Address;
+use client::address::Address;
 use client::link::{Link, OpenError};
 use host_tool::cli::run_on;
 use jiff::Timestamp;

@@ -6,7 +6,9 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use analysis::report::{self, Found, Remark};
+use analysis::report;
+use analysis::report::Found;
+use analysis::report::remark::Remark;
 use campaign::catalogue::{self, Wanted};
 use client::identity::{IdentityRecord, Origin};
 use client::{Begun, Device, Homed, Observer, Progress, Unobserved};

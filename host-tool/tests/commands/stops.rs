@@ -6,7 +6,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::support::tool::{Memory, ready};
-use client::link::address::Address;
+use client::address::Address;
 use client::link::{Link, LinkError, OpenError, Reason};
 use host_tool::cli::run_on;
 use jiff::Timestamp;

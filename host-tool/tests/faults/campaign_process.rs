@@ -9,7 +9,7 @@ use crate::support::bench::{Bench, ready};
 use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 use crate::support::terminal::Terminal;
 use campaign::chance::Chance;
-use campaign::folder::Campaign;
+use campaign::contents::Campaign;
 use campaign::ledger::{Event, Outcome, Standing};
 use campaign::verify::verify;
 use protocol::system::DeviceKind;

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 use crate::support::bench::Bench;
 use client::Device;
-use client::link::address::Address;
+use client::address::Address;
 use host_tool::cli::run_on;
 use operations::connector::Ports;
 use operations::connector::{Connector as _, Purpose};

@@ -22,6 +22,7 @@ pub mod force;
 pub mod identify;
 pub mod plan;
 pub mod progress;
+pub mod recorded;
 pub mod sidecar;
 pub mod trial;
 pub mod writer;

@@ -16,9 +16,9 @@ mod spring;
 pub mod verdict;
 mod winding;
 
-pub use parameters::{BATTERY_DIVIDER, COUNTS_PER_REVOLUTION, Parameters, SENSE_MV_PER_MA};
+pub use parameters::{BATTERY_DIVIDER, COUNTS_PER_REVOLUTION, Parameters, SENSE_MV_PER_MA, Shunt};
 pub use random::Random;
-pub use winding::{Bridge, Shunt};
+pub use winding::Bridge;
 
 /// Winding that is short-circuited within itself, ohm (assumed).
 const SHORTED_OHM: f64 = 0.3;

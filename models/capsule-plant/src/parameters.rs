@@ -1,7 +1,19 @@
 //! Every number of the model, with its source.
 
 use crate::random::Random;
-use crate::winding::Shunt;
+
+/// Where the current is measured, and how its amplifier's output stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shunt {
+    /// Below the bridge, single supply: nothing of what circulates through the low sides, and what flows back into the cell
+    /// is cut off at 0 mV. `filtered_first` if the pulses are filtered before the amplifier cuts them off, not after.
+    Below {
+        /// The filter is ahead of the amplifier.
+        filtered_first: bool,
+    },
+    /// In series with the motor, zero at half of the amplifier's supply: the current itself, with its sign.
+    InSeries,
+}
 
 /// Counts per motor revolution: 16 lines, four edges each.
 pub const COUNTS_PER_REVOLUTION: f64 = 64.0;

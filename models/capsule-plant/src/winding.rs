@@ -3,7 +3,7 @@
 //! Speed and cell are constant between two edges, so the current is an exponential, and its charge and its square are
 //! integrated exactly. Without an inductance it follows at once, and a bridge that lets go ends it.
 
-use crate::parameters::Parameters;
+use crate::parameters::{Parameters, Shunt};
 
 /// What the bridge does to the winding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,19 +16,6 @@ pub enum Bridge {
     Reverse,
     /// Both high, both low sides conduct: the winding is shorted. As a pause between pulses this is slow decay.
     Brake,
-}
-
-/// Where the current is measured, and how its amplifier's output stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shunt {
-    /// Below the bridge, single supply: nothing of what circulates through the low sides, and what flows back into the cell
-    /// is cut off at 0 mV. `filtered_first` if the pulses are filtered before the amplifier cuts them off, not after.
-    Below {
-        /// The filter is ahead of the amplifier.
-        filtered_first: bool,
-    },
-    /// In series with the motor, zero at half of the amplifier's supply: the current itself, with its sign.
-    InSeries,
 }
 
 /// What flowed between two edges.

@@ -6,7 +6,8 @@ use std::time::Instant;
 
 use locomotion::beam::crescent::{Shape, Wing};
 use locomotion::beam::thread;
-use locomotion::comparison::{frictions, pressures_pa};
+use locomotion::comparison::frictions;
+use locomotion::paper::pressures_pa;
 use locomotion::{folded, roller, tube};
 use rayon::prelude::*;
 

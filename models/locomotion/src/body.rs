@@ -78,7 +78,19 @@ pub struct Params {
     pub tail_mm: f64,
 }
 
-/// The body and its position.
+impl Params {
+    /// The paper's body in these models: geometry of section III, the rest as `docs/science.md` says.
+    pub const PAPER: Self = Self {
+        design: Design::paper_ratios(),
+        coupling: 0.15,
+        friction: 0.15,
+        friction_ratio: FrictionRatio::Fixed(40.0),
+        preload_mm: 0.0007,
+        tail_mm: 0.0,
+    };
+}
+
+/// The body and its place.
 #[derive(Clone, Debug)]
 pub struct Chain {
     params: Params,
@@ -300,7 +312,7 @@ mod tests {
         /// A body that is squeezed evenly and released regains its length, wherever it has moved.
         #[test]
         fn a_released_body_is_relaxed(a in 0.01..9.0f64) {
-            let params = crate::roller::Params::PAPER.body;
+            let params = Params::PAPER;
             let mut chain = Chain::new(params).unwrap();
             let length = chain.head_mm() - chain.core_tail_mm();
             chain.step(|_| a).unwrap();
@@ -314,7 +326,7 @@ mod tests {
     fn a_wall_past_the_core_is_refused_and_changes_nothing() {
         let mut chain = Chain::new(Params {
             coupling: 1.0,
-            ..crate::roller::Params::PAPER.body
+            ..Params::PAPER
         })
         .unwrap();
         chain.step(|x| if x < 20.0 { 3.0 } else { 0.0 }).unwrap();

@@ -17,6 +17,7 @@ pub use print::{Bodies, Table};
 use crate::body::{Chain, FrictionRatio};
 use crate::kinematics::{Design, indentation_from_calipers_mm, repaired_eq6_residual};
 use crate::model::Model;
+use crate::paper::{INDENTATIONS_MM, pressures_pa};
 use crate::prior::{self, ABOUT_1_MM, Band, FASTER, HARDLY, LINEAR, Words};
 use crate::range::OutOfRange;
 use crate::{folded, roller, trend, tube};
@@ -98,15 +99,7 @@ pub fn frictions() -> impl ExactSizeIterator<Item = f64> + Clone {
     (0..25u8).map(|i| f64::from(80 + 5 * u16::from(i)) / 1000.0)
 }
 
-/// The pressures of section II.B, Pa: 3000, 3400 ... 7000.
-pub fn pressures_pa() -> impl ExactSizeIterator<Item = f64> + Clone {
-    (0..11u8).map(|i| f64::from(3000 + 400 * u16::from(i)))
-}
-
-/// The indentations of the roller series, mm. The paper gives only the largest, a_5; the others are assumed.
-pub const INDENTATIONS_MM: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.05];
-
-/// Tolerance of "about 14 mm" and "about 15 mm", to either side [assumed].
+/// "About 14 mm" and "about 15 mm": so many millimetres to either side [assumed].
 const ABOUT_MM: f64 = 1.0;
 /// Largest difference that counts as "not very different", "no obvious correlation" or "hardly" of a stroke
 /// [assumed].

@@ -29,6 +29,7 @@ pub mod comparison;
 pub mod folded;
 pub mod kinematics;
 pub mod model;
+pub mod paper;
 pub mod parameter;
 pub mod prior;
 pub mod range;

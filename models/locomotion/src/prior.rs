@@ -11,8 +11,8 @@ mod kept;
 use rand_core::{Rng, SeedableRng};
 use rand_xorshift::XorShiftRng;
 
-use crate::comparison::{INDENTATIONS_MM, pressures_pa};
 use crate::model::{Model, Setting, Value};
+use crate::paper::{INDENTATIONS_MM, pressures_pa};
 use crate::range::OutOfRange;
 use crate::{roller, trend, tube};
 

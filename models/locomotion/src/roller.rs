@@ -4,8 +4,7 @@
 //! reaches another multiple of `step_mm`, however finely the positions are given. A stop in mid-stroke leaves the
 //! roller's wave on the body, and a reversal continues from there.
 
-use crate::body::{self, Chain, FrictionRatio};
-use crate::kinematics::Design;
+use crate::body::{self, Chain};
 use crate::range::{Ends, OutOfRange, check};
 
 /// The rig, the intestine and the body in it.
@@ -26,14 +25,7 @@ pub struct Params {
 impl Params {
     /// The paper's experiment with the body `one` of [`crate::model`]; its settings say where each value comes from.
     pub const PAPER: Self = Self {
-        body: body::Params {
-            design: Design::paper_ratios(),
-            coupling: 0.15,
-            friction: 0.15,
-            friction_ratio: FrictionRatio::Fixed(40.0),
-            preload_mm: 0.0007,
-            tail_mm: 0.0,
-        },
+        body: body::Params::PAPER,
         stroke_mm: 130.0,
         radius_mm: 20.0,
         step_mm: 0.05,

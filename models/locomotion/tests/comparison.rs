@@ -4,9 +4,10 @@ use std::sync::OnceLock;
 
 use locomotion::comparison::{
     Asked, BODIES, Bodies, Chosen, Evidence, Odds, ROWS, Row, Share, Sheet, Table, Values,
-    frictions, odds, pressures_pa,
+    frictions, odds,
 };
 use locomotion::model::{Model, Setting, Value};
+use locomotion::paper::pressures_pa;
 use locomotion::parameter::Label;
 use locomotion::prior::{Words, agreeing, draws};
 use rayon::prelude::*;

@@ -2,12 +2,10 @@
 //! converter, the encoder's counter.
 
 use capsule_plant::{Bridge, Parameters, Plant, Random};
-use firmware_capsule::{
-    detect::Sample,
-    fold::Drive,
-    mechanics::Counts,
-    sense::{FINE, Zero},
-};
+use firmware_capsule::fold::Drive;
+use firmware_capsule::mechanics::Counts;
+use firmware_capsule::sample::Sample;
+use firmware_capsule::sense::{FINE, Zero};
 
 /// Ticks of a PWM period, and its length, as on the board.
 const PWM_TICKS: u32 = 200;

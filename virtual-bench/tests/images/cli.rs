@@ -1,7 +1,7 @@
 //! The command line against the rig's image: what cannot be done is refused with a text that helps, and no edge leaves
 //! the pin.
 
-use client::link::address::Address;
+use client::address::Address;
 use client::link::{Link, OpenError};
 
 use crate::common::RigRun;

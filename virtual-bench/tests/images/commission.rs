@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use client::Device;
-use client::link::address::Address;
+use client::address::Address;
 use client::link::{Link, OpenError};
 use client::subject::Subject;
 use commissioning::halt::Halt;

@@ -21,10 +21,10 @@ use miette::Diagnostic;
 use serde::Serialize;
 use trials::trial::RecordError;
 
+use crate::figures::Figure;
 use crate::report::campaign_band::{BandSource, ModelBand, band};
 use crate::report::campaign_figures::{carriage, figure7, figure8, passes, run_over_plan};
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, motion_of};
-use crate::report::figures::Figure;
 use crate::report::section::{reasons, status};
 use crate::report::{Existing, ReportError, page, put};
 use crate::science::table;

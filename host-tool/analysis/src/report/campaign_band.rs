@@ -1,6 +1,6 @@
 //! The model's band behind the displacements of a campaign: the range left by the paper's words or by a calibration.
 
-use campaign::folder::TRIALS;
+use campaign::files::TRIALS;
 use campaign::manifest::hex;
 use campaign::plan::{Lubrication, Purpose};
 use locomotion::model::{Model, Setting, Value};

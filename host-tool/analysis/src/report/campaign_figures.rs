@@ -1,23 +1,20 @@
 //! The figures of a campaign: displacement against indentation (the paper's Fig. 7), folded against unfolded (its
 //! Fig. 8), and each run against its plan.
 
-use campaign::order::{Form, doing};
+use campaign::form::Form;
+use campaign::order::doing;
 use campaign::plan::{Lubrication, Purpose};
 use plotters::style::RGBColor;
 use trials::trial::{Action, RigSample, Screw};
 
+use crate::figures::palette::{BAND, DRY, IN_RUN, MEASURED, MEASURED as WET, PLANNED};
+use crate::figures::{
+    Chart, Curve, Figure, FigureError, Heading, Mark, Source, figure, planned, sampled, thinned,
+};
 use crate::report::campaign_band::ModelBand;
 use crate::report::check;
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
-use crate::report::figures::{
-    Chart, Curve, Figure, FigureError, Heading, MEASURED, Mark, PLANNED, Source, figure, planned,
-    sampled, thinned,
-};
 
-const DRY: RGBColor = RGBColor(0xc0, 0x6a, 0x10);
-const WET: RGBColor = MEASURED;
-const BAND: RGBColor = RGBColor(0x4a, 0x4a, 0x4a);
-const IN_RUN: RGBColor = RGBColor(0x3a, 0x8a, 0x4c);
 /// Points of a band's edge.
 const EDGE: u32 = 48;
 /// Number of time intervals for which a run's figure shows the extremes.

@@ -6,21 +6,25 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use campaign::CampaignError;
-use campaign::folder::{ATTEMPTS, Campaign};
+use campaign::contents::Campaign;
+use campaign::differences::Finding;
+use campaign::differences::read_manifest;
+use campaign::files::ATTEMPTS;
+use campaign::form::Form;
 use campaign::ledger::{Attempt, Outcome, Source, Standing, TrialState};
 use campaign::manifest::{self, Manifest};
-use campaign::order::{Condition, Form};
+use campaign::order::Condition;
 use campaign::plan::{Lubrication, Millimetres, Purpose};
 use campaign::readings::{Quantity, Summary};
 use campaign::statistics::{Line, Spread};
-use campaign::verify::{self, Finding};
+use campaign::verify;
 use client::identity::{IdentityRecord, Origin};
 use client::limited;
 use serde::{Serialize, Serializer};
 use trials::trial::{Action, CapsuleSample, RigSample, Trial};
 
+use crate::figures::position_at;
 use crate::report::check;
-use crate::report::figures::position_at;
 
 /// A number printed with `DECIMALS` decimals, the same on the page and in the tables.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -265,7 +269,7 @@ pub struct Evaluation {
 pub fn evaluate(folder: &Path) -> Result<Evaluation, CampaignError> {
     let findings = verify::verify(folder)?.findings;
     let campaign = Campaign::read(folder)?;
-    let manifest = verify::manifest(folder)?.unwrap_or_default();
+    let manifest = read_manifest(folder)?.unwrap_or_default();
     let manifest_sha256 = manifest::hash_file(&folder.join(manifest::NAME))
         .map(|hash| manifest::hex(&hash))
         .unwrap_or_default();

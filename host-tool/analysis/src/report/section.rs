@@ -11,8 +11,9 @@ use trials::trial::{
     Achieved, Action, CapsuleSample, Executed, Moved, RigSample, Screw, Status, Trial,
 };
 
-use crate::report::figures::{FigureError, actuation_figures, planned, run_figures};
-use crate::report::{Remark, check, page};
+use crate::figures::{FigureError, actuation_figures, planned, run_figures};
+use crate::report::remark::Remark;
+use crate::report::{check, page};
 
 /// The section of a trial and the defects of its record.
 pub(crate) struct Section {

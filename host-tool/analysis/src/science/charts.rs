@@ -8,7 +8,8 @@ use calibration::predictive::{Band, Span};
 use locomotion::beam::Validation;
 use plotters::style::RGBColor;
 
-use crate::report::figures::{Chart, Curve, FigureError, Heading, Mark, ModelName, figure};
+use crate::figures::palette::{BAND, MEASURED as MODEL, PAPER, PLANNED as SECOND};
+use crate::figures::{Chart, Curve, FigureError, Heading, Mark, ModelName, figure};
 use crate::science::bands::Bands;
 use crate::science::crescent::{ForceRow, ThreadRow};
 use crate::science::design::{Curves, Maps};
@@ -19,12 +20,7 @@ use crate::science::series::{
     FRICTION_SERIES_PA, FoldTest, IsolatedRow, PAPER_ON_FRICTION_MM, RollerRow, TubeRow, TubeRun,
 };
 
-const MODEL: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
-const SECOND: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
-const BAND: RGBColor = RGBColor(0x4a, 0x4a, 0x4a);
-const PAPER: RGBColor = RGBColor(0xc2, 0x1f, 0x26);
-
-/// Most entries in the legend of a family; a larger family gets entries for its first and last curve only.
+/// Most entries in the legend of a family; of a larger family it names only the first and the last.
 const LEGEND: usize = 12;
 
 fn curve(label: &str, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> Curve {

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use locomotion::model::{Model, Setting, Unsuitable, Value};
 use toml::{Table, Value as Item};
 
-use crate::report::figures::ModelName;
+use crate::figures::ModelName;
 use crate::science::posterior::{self, Posterior};
 
 /// Why a model cannot be built from the given values.

@@ -5,12 +5,14 @@ use std::path::{Path, PathBuf};
 
 use calibration::observation::{Kind, Lubrication, MOST_CYCLES, Observation};
 use campaign::CampaignError;
-use campaign::folder::{Campaign, TRIALS};
+use campaign::contents::Campaign;
+use campaign::differences::Finding;
+use campaign::files::TRIALS;
+use campaign::form::Form;
 use campaign::ledger::Standing;
 use campaign::manifest::{self, hex};
-use campaign::order::Form;
 use campaign::plan::{self, Purpose};
-use campaign::verify::{Finding, verify};
+use campaign::verify::verify;
 use client::identity::Origin;
 use client::limited;
 use serde::Serialize;

@@ -1,8 +1,9 @@
 //! The paper's series and free sweeps. The runs are independent, so any number of threads gives the same rows in the
 //! same order, bit for bit.
 
-use locomotion::comparison::{INDENTATIONS_MM, frictions, pressures_pa};
+use locomotion::comparison::frictions;
 use locomotion::model::Model;
+use locomotion::paper::{INDENTATIONS_MM, pressures_pa};
 use locomotion::range::OutOfRange;
 use locomotion::{folded, roller, tube};
 use rayon::prelude::*;

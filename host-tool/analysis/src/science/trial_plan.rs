@@ -6,8 +6,8 @@ use calibration::history::Trial;
 use calibration::observation::{Case, Kind, Lubrication};
 use calibration::prior::Point;
 use calibration::tabulated::Tabulated;
-use locomotion::comparison::INDENTATIONS_MM;
 use locomotion::model::Model;
+use locomotion::paper::INDENTATIONS_MM;
 use locomotion::range::OutOfRange;
 use serde::Serialize;
 

@@ -7,8 +7,9 @@ use std::path::Path;
 
 use campaign::chance::Chance;
 use campaign::conduct::modelled::{DisplacementModel, Modelled, Wanted};
+use campaign::form::Form;
 use campaign::ledger::Source;
-use campaign::order::{Form, Planned};
+use campaign::order::Planned;
 use campaign::plan::{Lubrication, Millimetres, Plan};
 use locomotion::kinematics::Design;
 use locomotion::model::Model;

@@ -5,8 +5,9 @@ use protocol::capsule::{ActuationKind, CapsuleState};
 
 use crate::conduct::modelled::{Modelled, Wanted};
 use crate::conduct::{Broken, Conduct, Then};
+use crate::form::Form;
 use crate::ledger::{Attempt, Event, Outcome, Row, Source};
-use crate::order::{Form, Planned};
+use crate::order::Planned;
 use crate::plan::Millimetres;
 use crate::prompts::{Answer, Question};
 

@@ -15,8 +15,9 @@ use trials::trial::{RecordError, Recording, Status, json as json_text};
 use trials::writer::replace;
 
 use crate::conduct::{Broken, Conduct, Then};
+use crate::form::Form;
 use crate::ledger::{Event, Outcome, Row, Standing};
-use crate::order::{Form, Planned, doing};
+use crate::order::{Planned, doing};
 use crate::plan::{Millimetres, Purpose};
 use crate::prompts::{Answer, Question, camera_file, checks};
 use crate::remaining;

@@ -7,9 +7,11 @@
 //! a stop since it last looked.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::hash::{BuildHasher, RandomState};
+use std::hash::BuildHasher;
+use std::hash::RandomState;
 use std::io;
-use std::net::{SocketAddr, ToSocketAddrs};
+use std::net::SocketAddr;
+use std::net::ToSocketAddrs;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
@@ -17,9 +19,9 @@ use std::time::SystemTime;
 use protocol::system::Urgent;
 use serde::{Deserialize, Serialize};
 
-use crate::door::Owner;
+use crate::address::Address;
 use crate::door::stream::{Listener, Stream};
-use crate::link::address::Address;
+use crate::link::owner::{Owner, StopMark};
 use crate::link::{OpenError, Reason};
 
 /// Names another folder for locks and doors.
@@ -37,14 +39,6 @@ pub struct Plate {
     /// The record that the owner writes: should it be killed, the next one ends it.
     #[serde(default)]
     pub recording: Option<PathBuf>,
-}
-
-/// Which stop and which emergency stop were the last ones on a line, whichever process wanted them. Two marks that differ
-/// say that one was wanted between them: what was ordered before it must no longer move anything.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct StopMark {
-    stop: Option<SystemTime>,
-    estop: Option<SystemTime>,
 }
 
 /// Where lock and door of one line are.
@@ -67,35 +61,13 @@ pub struct Lock {
     _file: File,
 }
 
-impl StopMark {
-    /// The last stop on the line behind this doorway; where there is none, no other process can send one.
-    #[must_use]
-    pub fn of(doorway: Option<&Doorway>) -> Self {
-        doorway.map_or_else(Self::default, Doorway::stop_mark)
-    }
-
-    /// What it was at an earlier time of this computer: a stop since then is not in it. One from the future, after the
-    /// clock was set back, counts as an old one.
-    #[must_use]
-    pub fn at(self, time: SystemTime) -> Self {
-        let until_now = |stop: &SystemTime| *stop <= time || *stop > SystemTime::now();
-        Self {
-            stop: self.stop.filter(until_now),
-            estop: self.estop.filter(until_now),
-        }
-    }
-
-    /// The strongest stop between an earlier mark and this one.
-    #[must_use]
-    pub fn since(self, earlier: Self) -> Option<Urgent> {
-        if self.estop != earlier.estop {
-            return Some(Urgent::EStop);
-        }
-        (self.stop != earlier.stop).then_some(Urgent::Stop)
-    }
-}
-
 impl Doorway {
+    /// The last stops on the line behind this doorway; where there is none, no other process can send one.
+    #[must_use]
+    pub fn last_stops(doorway: Option<&Self>) -> StopMark {
+        doorway.map_or_else(StopMark::default, Self::stop_mark)
+    }
+
     /// Lock and door of the line behind an address; `None` where there is no line to own.
     ///
     /// # Errors

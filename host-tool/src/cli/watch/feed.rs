@@ -6,9 +6,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::address::Address;
 use client::error::ClientError;
 use client::link::LinkError;
-use client::link::address::Address;
 use client::{Device, Interrupt, Observer, Pace};
 use operations::connector::Purpose;
 use operations::delivery::DO_NOW;

@@ -1,7 +1,8 @@
 //! The runs of one body, on the rig and in the tube, that the rows of the comparison share.
 
 use crate::body::FrictionRatio;
-use crate::comparison::{INDENTATIONS_MM, frictions, pressures_pa};
+use crate::comparison::frictions;
+use crate::paper::{INDENTATIONS_MM, pressures_pa};
 use crate::range::OutOfRange;
 use crate::{roller, trend, tube};
 

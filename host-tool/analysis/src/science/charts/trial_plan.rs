@@ -2,7 +2,7 @@
 
 use plotters::style::RGBColor;
 
-use crate::report::figures::{Curve, FigureError, Heading, Mark, ModelName, figure};
+use crate::figures::{Curve, FigureError, Heading, Mark, ModelName, figure};
 use crate::science::charts::{BAND, MODEL, PAPER, chart, curve, family};
 use crate::science::trial_plan::{Plan, Series};
 

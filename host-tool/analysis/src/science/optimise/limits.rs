@@ -6,7 +6,12 @@ use locomotion::beam::crescent::{Shape, Wing};
 use locomotion::kinematics::Design;
 use locomotion::range::{Ends, OutOfRange, check};
 
-/// Tolerance of the least alpha, degrees: angles are printed to two decimals.
+/// Largest alpha of the search, degrees.
+pub const MOST_ALPHA_DEG: f64 = 40.0;
+/// Largest c/W of the search.
+pub const MOST_CORE_RATIO: f64 = 0.6;
+
+/// Angles are printed to two decimals: an alpha this little below the least one keeps it, degrees.
 const PRINTED_DEG: f64 = 0.005;
 
 /// The limits.
@@ -100,14 +105,14 @@ impl Limits {
             "least alpha",
             "deg",
             self.least_alpha_deg,
-            (0.0, super::search::MOST_ALPHA_DEG),
+            (0.0, MOST_ALPHA_DEG),
             "the search goes up to there",
         )?;
         over(
             "least core ratio c/W",
             "",
             self.least_core_ratio,
-            (0.0, super::search::MOST_CORE_RATIO),
+            (0.0, MOST_CORE_RATIO),
             "the search goes up to there",
         )
     }

@@ -7,16 +7,12 @@ use campaign::chance::Chance;
 use locomotion::kinematics::{Design, MAX_CRESCENTS};
 use locomotion::range::OutOfRange;
 
-use crate::science::optimise::limits::Limits;
+use crate::science::optimise::limits::{Limits, MOST_ALPHA_DEG, MOST_CORE_RATIO};
 
 /// Free numbers of a design.
 pub const FREE: usize = 4;
-/// Largest alpha of the search, degrees.
-pub const MOST_ALPHA_DEG: f64 = 40.0;
 /// Largest beta of the search, degrees.
 pub const MOST_BETA_DEG: f64 = 70.0;
-/// Largest c/W of the search.
-pub const MOST_CORE_RATIO: f64 = 0.6;
 /// Least difference of beta and alpha, degrees: below it the crescents are thinner than a printer can print.
 pub const LEAST_BETWEEN_DEG: f64 = 2.0;
 

@@ -3,13 +3,19 @@
 //! The size of a chart makes its letters 12 px high on a telephone 390 px wide, and lets two charts fit beside each
 //! other on a desktop screen.
 
+pub(crate) mod escaped;
+pub(crate) mod palette;
+mod pdf;
+
 use client::identity::Origin;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use protocol::rig::{Run, Stroke};
 use trials::trial::{Achieved, CapsuleSample, RigSample, Screw};
 
-use crate::report::pdf::{Drawn, Page};
+use crate::figures::escaped::escaped;
+use crate::figures::palette::{INK, MEASURED, PLANNED, WARNING};
+use crate::figures::pdf::{Drawn, Page};
 
 /// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large
 /// and displayed small.
@@ -20,10 +26,6 @@ const HEAD: u32 = 116;
 const LETTERS: i32 = 50;
 /// Mean width of a letter.
 const LETTER_WIDTH: i32 = 22;
-pub(crate) const MEASURED: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
-pub(crate) const PLANNED: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
-const INK: RGBColor = RGBColor(0x33, 0x33, 0x33);
-const WARNING: RGBColor = RGBColor(0xb0, 0x1c, 0x1c);
 
 /// Opacity of an area.
 const PALE: f64 = 0.16;
@@ -477,13 +479,6 @@ fn described(svg: &str, heading: &Heading) -> Option<String> {
     Some(format!(
         "{opening} role=\"img\">\n<title>{title}</title>\n<desc>Origin: {source}</desc>{paper}{rest}"
     ))
-}
-
-/// Escapes text between tags.
-pub(crate) fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
 }
 
 fn draw<B: DrawingBackend>(backend: B, figure: &Figure) -> Result<(), Box<dyn std::error::Error>>

@@ -1,7 +1,7 @@
 //! A link whose line this process owns, with a door for others. A thread of its own reads the line, so that a stop of a
 //! guest goes out and is confirmed whatever the owner is doing.
 
-use std::io::{Read, Write};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
@@ -10,24 +10,12 @@ use std::time::{Duration, Instant};
 use protocol::frame::{Deframer, MAX_FRAME};
 use protocol::system::{Identity, Urgent};
 
-use crate::door::lock::{Lock, StopMark};
-use crate::door::server::{Core, Question, serve};
+use crate::door::lock::Lock;
+use crate::door::server::{Core, serve};
+use crate::link::halves::Halves;
+use crate::link::owner::{Question, StopMark};
 use crate::link::tcp::{nothing_yet, wall_us};
 use crate::link::{Link, LinkError, OpenError, Reason};
-
-/// How long a read of the line waits: it ends so much later than the link. On Windows a write to a serial port waits for
-/// a read.
-pub const READ: Duration = Duration::from_millis(if cfg!(windows) { 2 } else { 10 });
-
-/// Both directions of a line, each usable by a thread of its own. A read ends after ten milliseconds or less, with or without a byte.
-pub struct Halves {
-    /// Reads from the line.
-    pub reader: Box<dyn Read + Send>,
-    /// Writes to the line.
-    pub writer: Box<dyn Write + Send>,
-    /// Why no bytes will come any more when a read returns none.
-    pub end: &'static str,
-}
 
 /// A link with a door.
 pub struct Shared {
