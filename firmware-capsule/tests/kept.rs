@@ -197,7 +197,7 @@ fn unreadable_after_what_is_there(flash: &Flash) -> Vec<u8> {
     let noisy = |seed| {
         let mut random = Random(seed);
         let mut bytes = bytes.clone();
-        bytes[next..next + 64].fill_with(|| random.next() as u8);
+        bytes[next..next + 64].fill_with(|| random.draw() as u8);
         bytes
     };
     let mut noises = (0..10_000).map(noisy);

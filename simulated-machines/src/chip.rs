@@ -15,7 +15,7 @@ use std::{
 pub struct Random(pub u64);
 
 impl Random {
-    pub fn next(&mut self) -> u64 {
+    pub fn draw(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -24,7 +24,7 @@ impl Random {
     }
 
     pub fn below(&mut self, n: u64) -> u64 {
-        self.next() % n
+        self.draw() % n
     }
 }
 
@@ -85,6 +85,12 @@ pub struct Supply {
     asked: usize,
     failing: Range<usize>,
     pub noise: Random,
+}
+
+impl Default for Supply {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 impl Supply {
@@ -220,7 +226,7 @@ impl Array {
         if torn && done < words {
             // Some of its bits are already 0.
             for index in 4 * done..4 * done + 4 {
-                target[index] = bytes[index] | self.supply.noise.next() as u8;
+                target[index] = bytes[index] | self.supply.noise.draw() as u8;
             }
         }
         self.supply.end()
@@ -236,17 +242,17 @@ impl Array {
             Cut::After => bytes.fill(0xFF),
             // Some of the bits are already 1.
             Cut::BlankAtBothEnds => {
-                bytes.fill_with(|| noise.next() as u8);
+                bytes.fill_with(|| noise.draw() as u8);
                 bytes[..4].fill(0xFF);
                 bytes[SECTOR as usize - 4..].fill(0xFF);
             }
             Cut::Within { done, torn } => {
                 let done = done.min(4) * quarter;
                 for byte in &mut bytes[..done] {
-                    *byte |= if torn { noise.next() as u8 } else { 0xFF };
+                    *byte |= if torn { noise.draw() as u8 } else { 0xFF };
                 }
                 for byte in &mut bytes[done..] {
-                    *byte |= noise.next() as u8 & noise.next() as u8;
+                    *byte |= noise.draw() as u8 & noise.draw() as u8;
                 }
             }
         }

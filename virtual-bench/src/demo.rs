@@ -10,7 +10,6 @@ use client::decimal;
 use client::error::ClientError;
 use client::identity;
 use client::{Device, Homed, Observer};
-use host_tool::cli;
 use jiff::Timestamp;
 use locomotion::kinematics::Design;
 use locomotion::range::OutOfRange;

@@ -24,7 +24,7 @@ const LONG_TESTS: Step = Step::tests(
 );
 const IMAGES: Step = Step::new(
     "images",
-    "builds the ARM images, that of a second board too, and checks their addresses and sizes",
+    "builds the ARM images, and checks their addresses and sizes",
     images::build,
 );
 const BENCH_TESTS: Step = Step::tests(

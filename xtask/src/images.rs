@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use crate::layout::{Budget, Layout, Memory, STM32F411RE, STM32L412TB};
+use crate::layout::{Budget, Layout, Memory, STM32F411RE};
 use crate::process::{Failure, Result, root, run};
 use crate::toolchain::{self, TARGET, Toolchain};
 
@@ -17,8 +17,8 @@ struct Image {
 }
 
 /// Budgets are far below the 512 KiB of flash and 128 KiB of RAM of the STM32F411, to leave room for features. The
-/// stack gets the rest of the RAM.
-const IMAGES: [Image; 3] = [
+/// rest of the RAM is stack.
+const IMAGES: [Image; 2] = [
     Image {
         name: "firmware-rig",
         chip: "STM32F411RETx",
@@ -39,30 +39,10 @@ const IMAGES: [Image; 3] = [
             ram_bytes: 32 * 1024,
         },
     },
-    Image {
-        name: "firmware-capsule-stm32l412tb",
-        chip: "STM32L412TBYx",
-        memory: &STM32L412TB,
-        // All flash of this chip except for the settings' log: 16 KiB below it, for the constants, and 64 KiB above.
-        // The stack keeps 12 KiB of the RAM.
-        budget: Budget {
-            flash_bytes: 80 * 1024,
-            ram_bytes: 27 * 1024,
-        },
-    },
 ];
 
-/// Packages that one call of cargo builds. Features apply to the whole call, so each chip has its own.
-const BUILDS: [&[&str]; 2] = [
-    &["--package", "firmware-rig", "--package", "firmware-capsule"],
-    &[
-        "--package",
-        "firmware-capsule",
-        "--no-default-features",
-        "--features",
-        "stm32l412tb",
-    ],
-];
+/// Packages of the images.
+const PACKAGES: [&str; 4] = ["--package", "firmware-rig", "--package", "firmware-capsule"];
 
 /// Builds all images, then [`check`]s them.
 ///
@@ -71,10 +51,8 @@ const BUILDS: [&[&str]; 2] = [
 pub(crate) fn build() -> Result<()> {
     let toolchain = toolchain::find()?;
     println!("Images: {toolchain}.");
-    for build in BUILDS {
-        let mut cargo = command(&toolchain, "build", build);
-        run(&mut cargo, "fix what the compiler reports above")?;
-    }
+    let mut cargo = command(&toolchain, "build");
+    run(&mut cargo, "fix what the compiler reports above")?;
     check()
 }
 
@@ -114,7 +92,7 @@ fn of(machine: &str) -> Result<&'static Image> {
         .ok_or_else(|| {
             Failure::new(
                 format!("there is no machine `{machine}`"),
-                "it is `rig`, `capsule` or `capsule-stm32l412tb`",
+                "it is `rig` or `capsule`",
             )
         })
 }
@@ -125,19 +103,16 @@ fn of(machine: &str) -> Result<&'static Image> {
 /// No compiler, or a warning.
 pub(crate) fn lint() -> Result<()> {
     let toolchain = toolchain::find()?;
-    for build in BUILDS {
-        let mut cargo = command(&toolchain, "clippy", build);
-        cargo.args(["--", "-D", "warnings"]);
-        run(&mut cargo, "fix what the linter reports above")?;
-    }
-    Ok(())
+    let mut cargo = command(&toolchain, "clippy");
+    cargo.args(["--", "-D", "warnings"]);
+    run(&mut cargo, "fix what the linter reports above")
 }
 
-/// A cargo command for `build`, in the workspace's own target folder, whatever the environment says: the bench and
-/// `probe-rs` look there.
-fn command(toolchain: &Toolchain, subcommand: &str, build: &[&str]) -> Command {
+/// Selects what is built, and the workspace's own target folder, where the bench and `probe-rs` look,
+/// whatever the caller's environment says.
+fn command(toolchain: &Toolchain, subcommand: &str) -> Command {
     let mut cargo = toolchain.cargo(subcommand);
-    cargo.args(build);
+    cargo.args(PACKAGES);
     cargo.arg("--target-dir").arg(root().join("target"));
     cargo
 }

@@ -1,6 +1,6 @@
 //! Panic and processor faults: outputs off, last words kept over the reset, reset.
 
-use super::{part::RAM, retained::Ram};
+use super::{retained::Ram, stm32f411re::RAM};
 use crate::{last_words::Draft, retained::keep_last_words};
 use core::{arch::asm, ptr::read_volatile};
 use cortex_m_rt::ExceptionFrame;

@@ -249,7 +249,7 @@ fn a_flash_of_noise_can_be_reset() {
         let mut random = Random(seed);
         let mut bytes = Flash::blank().bytes();
         for byte in &mut bytes[SECTORS.start as usize..SECTORS.end as usize] {
-            *byte = if seed % 2 == 0 { 0 } else { 0x5A } | random.next() as u8;
+            *byte = if seed % 2 == 0 { 0 } else { 0x5A } | random.draw() as u8;
         }
         // The marks at the start and the end of a sector by which the log recognises one in use.
         for (sector, marks) in (1..).zip([seed % 3, seed % 4, seed % 5]) {

@@ -72,6 +72,12 @@ pub struct Round {
     pub sync: bool,
 }
 
+impl Default for Slots {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Slots {
     pub fn new() -> Self {
         Self {
