@@ -11,7 +11,7 @@ use std::time::Duration;
 use client::door::server::GUESTS;
 use client::door::window::Window;
 
-use crate::sidedoor::{DoorError, Rig};
+use crate::processes::{DoorError, Rig};
 
 /// Connections that say nothing: four times as many as the server keeps.
 const IDLE: usize = 1_000;

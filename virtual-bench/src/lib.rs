@@ -28,9 +28,13 @@ mod pace;
 pub mod pins;
 pub mod plants;
 pub mod population;
+#[cfg(unix)]
+pub mod processes;
 pub mod sabotage;
 pub mod serial;
 pub mod serve;
+#[cfg(unix)]
+mod server;
 #[cfg(unix)]
 pub mod sidedoor;
 pub mod unmeasured;

@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 
 use crate::browser::Browser;
-use crate::crowd::Crowd;
-use crate::sidedoor::{DoorError, Process, Rig, judge, record, stood};
+use crate::processes::{DoorError, Rig, judge, record, stood, wrong};
+use crate::server::Server;
 
 /// Readers of the stream during a run: those that read, those that read slowly, those that do not.
 const READERS: [usize; 3] = [40, 5, 5];
@@ -22,114 +22,6 @@ const READERS: [usize; 3] = [40, 5, 5];
 const SLOW: (usize, Duration) = (1_024, Duration::from_millis(500));
 /// By how much the server may grow while it is read, KiB: what 50 connections may have waiting, and some more.
 const GROWTH_KIB: u64 = 16 * 1_024;
-/// Everything that is waited for has happened by then.
-const SOON: Duration = Duration::from_secs(120);
-
-/// A server that a program has found as programs do.
-pub(crate) struct Server {
-    process: Process,
-    at: String,
-    token: String,
-    instance: String,
-    commands: u32,
-}
-
-fn wrong(why: impl std::fmt::Display) -> DoorError {
-    DoorError::Wrong(why.to_string())
-}
-
-impl Server {
-    pub(crate) fn start(rig: &Rig) -> Result<Self, DoorError> {
-        let process = rig.spawn(&["retrograde", "serve", "--listen", "127.0.0.1:0"])?;
-        let begin = Instant::now();
-        let plate: Value = loop {
-            if let Ok(text) = std::fs::read(rig.folder.path().join("serve.json")) {
-                break serde_json::from_slice(&text).map_err(wrong)?;
-            }
-            if begin.elapsed() > SOON {
-                return Err(wrong("the server does not say where it is"));
-            }
-            thread::sleep(Duration::from_millis(10));
-        };
-        let text = |name: &str| plate[name].as_str().unwrap_or_default().to_owned();
-        let url = text("url");
-        let at = url.trim_start_matches("http://").trim_end_matches('/');
-        let server = Self {
-            process,
-            at: at.to_owned(),
-            token: text("token"),
-            instance: text("instance"),
-            commands: 0,
-        };
-        while server.get("/api/v1/state")?["machines"]["rig"]["contact"] != "owned" {
-            if begin.elapsed() > SOON {
-                return Err(wrong("the server has no line"));
-            }
-            thread::sleep(Duration::from_millis(50));
-        }
-        Ok(server)
-    }
-
-    /// A crowd at this server.
-    pub(crate) fn crowd(&self) -> Crowd {
-        Crowd::gather(&self.at, &self.token)
-    }
-
-    fn request(&self, head: &str, body: &str) -> Result<Value, DoorError> {
-        let mut stream = TcpStream::connect(&self.at)?;
-        stream.set_read_timeout(Some(SOON))?;
-        let text = format!(
-            "{head} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\nAuthorization: Bearer {}\r\nIdempotency-Key: {}-{}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
-            self.at,
-            self.token,
-            self.instance,
-            self.commands,
-            body.len()
-        );
-        stream.write_all(text.as_bytes())?;
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer)?;
-        let (_, body) = answer.split_once("\r\n\r\n").unwrap_or_default();
-        serde_json::from_str(body).map_err(|why| wrong(format!("{head}: {why}: {answer}")))
-    }
-
-    fn get(&self, path: &str) -> Result<Value, DoorError> {
-        self.request(&format!("GET {path}"), "")
-    }
-
-    /// A command from its acceptance on.
-    fn begin(&mut self, path: &str, body: &Value) -> Result<Value, DoorError> {
-        self.commands += 1;
-        let answer = self.request(&format!("POST /api/v1/rig/{path}"), &body.to_string())?;
-        match answer["ok"] == true {
-            true => Ok(answer["action"].clone()),
-            false => Err(wrong(format!("{path}: {answer}"))),
-        }
-    }
-
-    /// Its end, which must be as wanted.
-    fn end(&self, action: &Value, wanted: &str) -> Result<(), DoorError> {
-        let id = action["id"].as_str().unwrap_or_default();
-        let begin = Instant::now();
-        loop {
-            let now = &self.get(&format!("/api/v1/actions/{id}?wait_s=60"))?["action"];
-            match now["state"].as_str() {
-                Some(state) if state == wanted => return Ok(()),
-                Some("under_way" | "starting") if begin.elapsed() < SOON => {}
-                _ => return Err(wrong(format!("not {wanted}: {now}"))),
-            }
-        }
-    }
-
-    /// Memory of the process that is in use, KiB.
-    fn resident_kib(&self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.process.child.id()));
-        let status = status.unwrap_or_default();
-        let line = status.lines().find(|line| line.starts_with("VmRSS:"));
-        let number = line.and_then(|line| line.split_whitespace().nth(1));
-        number.and_then(|text| text.parse().ok()).unwrap_or(0)
-    }
-}
 
 /// By what a stop is given.
 #[derive(Clone, Debug)]
