@@ -13,7 +13,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::model::{self, Good, Once};
 use crate::script::steps;
-use exemplars;
 
 const TOKEN: &str = "secret";
 /// Most steps of a script that are tried.

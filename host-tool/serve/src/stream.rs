@@ -58,6 +58,12 @@ pub struct Stream {
     closed: watch::Sender<bool>,
 }
 
+impl Default for Stream {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Stream {
     /// A stream that has told nothing yet.
     pub fn new() -> Self {
