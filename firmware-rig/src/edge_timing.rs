@@ -1,11 +1,6 @@
 //! Compares the intervals between the edges that were captured at the pin with those that were given out, tick by tick.
 
-use crate::periods::Period;
-use heapless::Deque;
-
-/// Periods with pulses whose edges have not been compared yet: those that wait in the ring, and those that played since the
-/// last look. More than a ring and a half.
-const EXPECTED: usize = 256;
+use crate::timeline::Timeline;
 
 /// What the comparison has found on a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -16,31 +11,21 @@ pub struct Timed {
     pub worst_error_ticks: u32,
 }
 
-/// Equal steps, from the edge before them on.
-#[derive(Clone, Copy, Debug, Default)]
-struct Steps {
-    /// Ticks from the edge before to the first one.
-    first: u32,
-    /// Ticks from one to the next.
-    interval: u32,
-    /// Steps after the first one.
-    repeats: u8,
-}
-
 /// The comparison of one path.
 ///
 /// An edge that is missing, moved or added shows as a wrong interval. Those of the first and of the last step show in the number
 /// of edges instead.
 #[derive(Debug, Default)]
 pub struct EdgeTiming {
-    expected: Deque<Steps, EXPECTED>,
-    /// Ticks from the start of the last pulse that was given out to the end of the last period.
-    since_pulse: u32,
-    /// The steps in progress, whose first one was captured: as many as are still to come.
-    present: Steps,
-    /// Instant of the last edge, on the clock of the captures.
-    last: u32,
-    /// Captures or expectations were lost: nothing more can be compared on this path.
+    /// Number of the next period with pulses.
+    next: u32,
+    /// Edges still to come of the one before.
+    to_come: u32,
+    /// Ticks between them.
+    interval: u32,
+    /// When the last edge came, on the clock of the captures, and when it was planned, on that of the path.
+    last: (u32, u32),
+    /// Captures or periods were lost: nothing more can be compared on this path.
     lost: bool,
     timed: Timed,
 }
@@ -56,60 +41,49 @@ impl EdgeTiming {
         self.timed
     }
 
-    /// A period was given out.
-    pub fn expect(&mut self, period: Period) {
-        if self.lost {
-            return;
-        }
-        if !period.pulse {
-            let rounds = u32::from(period.repeats) + 1;
-            self.since_pulse = self.since_pulse.wrapping_add(period.ticks * rounds);
-            return;
-        }
-        let steps = Steps {
-            first: self.since_pulse,
-            interval: period.ticks,
-            repeats: period.repeats,
-        };
-        self.since_pulse = period.ticks;
-        // Without the jumper nobody takes them out.
-        self.lost = self.expected.push_back(steps).is_err();
-    }
-
     /// Edges were captured at these instants; the clock wraps. Once per step: a few instructions each.
-    pub fn compare(&mut self, instants: impl Iterator<Item = u32>) {
+    pub fn compare(&mut self, line: &Timeline, instants: impl Iterator<Item = u32>) {
+        // Without the jumper nobody takes the periods out.
+        let Some(mut periods) = line.with_pulses(self.next) else {
+            self.lost = true;
+            return;
+        };
         if self.lost {
             return;
         }
-        let Timed {
-            mut edges,
-            worst_error_ticks: mut worst,
-        } = self.timed;
-        let (mut present, mut last) = (self.present, self.last);
+        let (mut to_come, mut interval) = (self.to_come, self.interval);
+        let (mut last, mut last_planned) = self.last;
+        let (mut edges, mut worst) = (self.timed.edges, self.timed.worst_error_ticks);
         for at in instants {
-            let planned = if present.repeats > 0 {
-                present.repeats -= 1;
-                Some(present.interval)
-            } else if let Some(next) = self.expected.pop_front() {
-                present = next;
-                Some(next.first)
-            } else {
-                None
-            };
-            let error = match planned {
-                None => u32::MAX,
-                // Nothing is before the first edge.
-                Some(_) if edges == 0 => 0,
-                Some(planned) => {
-                    let interval = at.wrapping_sub(last);
-                    (interval.wrapping_sub(planned) as i32).unsigned_abs()
-                }
-            };
-            worst = worst.max(error);
+            let mut planned = last_planned.wrapping_add(interval);
+            let unplanned = to_come == 0 && periods == 0;
+            if to_come > 0 {
+                to_come -= 1;
+            } else if periods > 0 {
+                let pulses = line.pulses(self.next);
+                self.next = self.next.wrapping_add(1);
+                periods -= 1;
+                (planned, interval) = (pulses.first, pulses.interval());
+                to_come = pulses.repeats.into();
+            }
+            // From the edge before to this one: as it came, less as it was planned.
+            let late = at
+                .wrapping_sub(last)
+                .wrapping_sub(planned.wrapping_sub(last_planned));
+            if late != 0 || unplanned {
+                let error = match edges {
+                    _ if unplanned => u32::MAX,
+                    // Nothing is before the first edge.
+                    0 => 0,
+                    _ => (late as i32).unsigned_abs(),
+                };
+                worst = worst.max(error);
+            }
             edges = edges.wrapping_add(1);
-            last = at;
+            (last, last_planned) = (at, planned);
         }
-        (self.present, self.last) = (present, last);
+        (self.to_come, self.interval) = (to_come, interval);
+        self.last = (last, last_planned);
         self.timed = Timed {
             edges,
             worst_error_ticks: worst,

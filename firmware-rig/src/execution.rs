@@ -16,15 +16,17 @@ use motion::{
 pub const LEAD_TICKS: u32 = 800_000;
 /// Few, long periods must not let the ring run short.
 const MIN_QUEUE: u32 = 8;
-/// On a steep ramp the ring plays nearly as fast as it is filled, and a round is as long as the ramp: after so many periods
-/// the captured edges are compared, before there are too many.
-const PERIODS_PER_LOOK: u32 = 32;
-/// So many edges are compared at a time: at 250 kHz the ring plays 20 periods meanwhile.
+/// Most periods that are prepared before the first of them is shown to the ring. After each such batch the captured edges are
+/// compared: on a steep ramp the ring plays nearly as fast as it is filled, and a round is as long as the ramp.
+const BATCH: usize = 32;
+/// Least periods of a batch. Else no more are prepared at a time than half of those that wait, so that these last longer.
+const LEAST_BATCH: u32 = 2;
+/// Edges that are compared at a time.
 const EDGES_PER_LOOK: u32 = 64;
-/// So many looks take all that the captures' memory holds. Noise on the wire that goes on faster holds nothing up.
+/// Looks that take all that the captures' memory holds. Noise on the wire that goes on faster holds nothing up.
 const LOOKS: u32 = 16;
-/// With so many periods in the ring, or half the lead, there is time to compare.
-const AMPLE_QUEUE: u32 = 80;
+/// With this many periods in the ring, or half the lead, there is time to compare.
+const AMPLE_QUEUE: u32 = 64;
 
 /// The ring is too nearly dry to append a period for certain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,14 +46,14 @@ pub trait Ring {
     /// Halts, and empties the ring for a new path with step pulses of this width.
     fn clear(&mut self, pulse_ticks: u16);
 
-    /// Appends a period.
+    /// Appends periods, of which there are at least one and no more than there is room for. They come into play together.
     ///
     /// # Errors
-    /// The reader is so near that the period might not be taken as a whole.
-    fn push(&mut self, period: Period) -> Result<(), Underrun>;
+    /// The reader is so near that they might not be taken as a whole.
+    fn push(&mut self, periods: &[Period]) -> Result<(), Underrun>;
 
-    /// There is room for another period.
-    fn has_room(&self) -> bool;
+    /// How many more periods it takes.
+    fn room(&self) -> u32;
 
     /// Periods that wait, without the one that plays and the one that is prepared to play next.
     fn waiting(&self) -> u32;
@@ -399,28 +401,31 @@ impl Execution {
 
     /// Until the ring is full or something else is to be done.
     fn top_up(&mut self, ring: &mut impl Ring) -> Filling {
-        let mut unseen = 0;
+        let mut batch = [Period::default(); BATCH];
         loop {
-            let enough = ring.lead() >= LEAD_TICKS && ring.waiting() >= MIN_QUEUE;
-            if enough || !ring.has_room() {
+            let (lead, room) = (ring.lead(), ring.room());
+            if lead >= LEAD_TICKS && ring.waiting() >= MIN_QUEUE || room == 0 {
                 return Filling::Full;
             }
-            match self.periods.next_item() {
-                Item::Period(period) => {
-                    if ring.push(period).is_err() {
-                        return Filling::Failed(PathEnd::Underrun);
+            let most = room.min((ring.waiting() / 2).max(LEAST_BATCH));
+            let batch = &mut batch[..BATCH.min(most as usize)];
+            let mut count = self.periods.steps(batch, LEAD_TICKS.saturating_sub(lead));
+            if count == 0 {
+                match self.periods.next_item() {
+                    Item::Period(period) => (batch[0], count) = (period, 1),
+                    Item::StrokeEnd { stroke } => {
+                        self.ended_stroke = Some(stroke);
+                        continue;
                     }
-                    unseen += 1;
-                    if unseen == PERIODS_PER_LOOK {
-                        unseen = 0;
-                        self.time_edges(ring);
-                    }
+                    Item::Turn { next } => return Filling::Turn { next },
+                    Item::End => return Filling::Done,
+                    Item::Guard => return Filling::Failed(PathEnd::Guard),
                 }
-                Item::StrokeEnd { stroke } => self.ended_stroke = Some(stroke),
-                Item::Turn { next } => return Filling::Turn { next },
-                Item::End => return Filling::Done,
-                Item::Guard => return Filling::Failed(PathEnd::Guard),
             }
+            if ring.push(&batch[..count]).is_err() {
+                return Filling::Failed(PathEnd::Underrun);
+            }
+            self.time_edges(ring);
         }
     }
 

@@ -10,3 +10,4 @@ pub mod execution;
 pub mod machine;
 pub mod periods;
 pub mod settings;
+pub mod timeline;

@@ -8,13 +8,17 @@
 use motion::{
     axis::{Acceleration, Direction},
     run::RunPlan,
-    step_times::StepTimes,
+    step_times::{LONGEST_TAKEN, Share, StepTimes},
     trapezoid::StrokeProfile,
     units::{StepPosition, Steps, Window},
 };
 
 /// Longest period of the 16-bit step timer.
 pub const MAX_PERIOD: u32 = 65_536;
+const _: () = assert!(
+    LONGEST_TAKEN <= MAX_PERIOD,
+    "steps taken at once fit the timer"
+);
 /// A piece of a long pause is never shorter than this, so that the queue always holds some time.
 const MIN_PIECE: u64 = 32_768;
 /// Period of the last pulse of a stroke: the pulse and the hold time of DIR, 10 us.
@@ -25,7 +29,7 @@ const TAIL: u64 = 1_000;
 const LONGEST_REPETITION: u32 = 80_000;
 
 /// Equal rounds of the step timer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Period {
     /// Length of a round, 2..=[`MAX_PERIOD`].
     pub ticks: u32,
@@ -243,12 +247,10 @@ impl Periods {
                     };
                     self.position = next;
                     self.last_step = self.cursor;
-                    if !self.times.advance() {
-                        self.plan_turn();
-                    } else if !self.sync && self.times.interval().0 <= u64::from(MAX_PERIOD) {
-                        return Item::Period(self.steps());
-                    } else {
+                    if self.times.advance() {
                         self.gap = self.times.interval().0;
+                    } else {
+                        self.plan_turn();
                     }
                     self.pulse = true;
                 }
@@ -284,24 +286,41 @@ impl Periods {
         self.window.contains(next).then_some(next)
     }
 
-    /// The pulse at the cursor, with those that follow it at the same distance, inside the window.
-    fn steps(&mut self) -> Period {
-        let interval = self.times.interval().0;
-        let room = self.window.room(self.position, self.direction).0;
-        let most = (LONGEST_REPETITION / interval as u32 - 1).min(u32::from(u8::MAX));
-        let repeats = self.times.repeat(most.min(room));
-        if repeats > 0 {
+    /// The next periods that are steps of the stroke in progress and nothing else, as many as `out` holds and in no more than
+    /// `ticks` but for the last one; returns how many. For all others, that is after 0, ask [`Periods::next_item`]. It would
+    /// give the same pulses.
+    pub fn steps(&mut self, out: &mut [Period], ticks: u32) -> usize {
+        if self.gap > 0 || self.after != After::Pulse || self.sync {
+            return 0;
+        }
+        let share = Share {
+            groups: out.len() as u32,
+            steps: self.window.room(self.position, self.direction).0,
+            ticks,
+            equal: u32::from(u8::MAX) + 1,
+            equal_ticks: LONGEST_REPETITION,
+        };
+        let (before, emitted) = (self.times.tick().0, self.times.emitted().0);
+        let (mut filled, mut places) = (0, out.iter_mut());
+        self.times.batch(&share, |interval, equal| {
+            if let Some(place) = places.next() {
+                *place = Period {
+                    ticks: interval,
+                    repeats: (equal - 1) as u8,
+                    pulse: true,
+                    sync: false,
+                };
+            }
+            filled += 1;
+        });
+        if filled > 0 {
             // Inside the window, so within the range of positions.
-            self.position.0 += repeats as i32 * self.direction.sign();
-            self.last_step += u64::from(repeats) * interval;
+            let steps = self.times.emitted().0 - emitted;
+            self.position.0 += steps as i32 * self.direction.sign();
+            self.cursor += self.times.tick().0 - before;
+            self.last_step = self.cursor - self.times.interval().0;
         }
-        self.cursor = self.last_step + interval;
-        Period {
-            ticks: interval as u32,
-            repeats: repeats as u8,
-            pulse: true,
-            sync: false,
-        }
+        filled
     }
 
     /// What follows the last pulse of a stroke, which is at the cursor.

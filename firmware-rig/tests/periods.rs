@@ -64,7 +64,11 @@ impl Walk {
 
     fn next(&mut self) -> Item {
         let direction = self.periods.direction();
-        let item = self.periods.next_item();
+        let mut one = [Period::default()];
+        let item = match self.periods.steps(&mut one, 1) {
+            0 => self.periods.next_item(),
+            _ => Item::Period(one[0]),
+        };
         match item {
             Item::Period(period) => {
                 let Period {

@@ -21,8 +21,12 @@ use crate::wide::isqrt;
 /// Steps of a ramp up to this one, counted from rest, take a square root.
 const WARM_UP: u32 = 32;
 
-/// After an interval of this many ticks (655 us) or more, a step takes a square root.
-const UNHURRIED: u32 = 1 << 16;
+/// After an interval of this many ticks (640 us) or more, a step takes a square root. A step that is predicted from less is
+/// no more than [`LONGEST_TAKEN`] from the one before it.
+const UNHURRIED: u32 = 64_000;
+
+/// [`StepTimes::batch`] takes no steps that are further apart, in ticks: 655 us, all that a timer of 16 bits counts.
+pub const LONGEST_TAKEN: u32 = 1 << 16;
 
 /// A stop takes fewer ticks than this (21.5 s), however low its deceleration.
 const LONGEST_STOP: u64 = 1 << 31;
@@ -58,6 +62,29 @@ enum Phase {
     Accelerate,
     Cruise,
     Decelerate,
+}
+
+/// How much [`StepTimes::batch`] may take.
+#[derive(Clone, Copy, Debug)]
+pub struct Share {
+    /// Groups of equal steps.
+    pub groups: u32,
+    /// Steps.
+    pub steps: u32,
+    /// No further group begins once they take this many ticks together.
+    pub ticks: u32,
+    /// Steps of one group.
+    pub equal: u32,
+    /// Ticks of one group with more than one step.
+    pub equal_ticks: u32,
+}
+
+/// What was taken, and the last interval of it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Taken {
+    steps: u32,
+    ticks: u32,
+    interval: u32,
 }
 
 /// What a stop still takes.
@@ -191,20 +218,24 @@ impl StepTimes {
         true
     }
 
-    /// Takes the next steps of the cruise, `most` at most, while they are as far apart as the last
-    /// two, and returns how many. [`StepTimes::next`] would yield the same ticks. 0 in a ramp.
-    pub fn repeat(&mut self, most: u32) -> u32 {
-        if self.phase != Phase::Cruise {
-            return 0;
+    /// Takes steps that follow in this phase, and gives each group of equal ones as its interval and its number.
+    /// [`StepTimes::advance`] would yield the same ticks, one by one. Only that takes the first step of a phase, those that
+    /// need a square root, and those further apart than [`LONGEST_TAKEN`].
+    // The loops run once per step: inline, although the image is optimised for size.
+    #[inline(always)]
+    pub fn batch(&mut self, share: &Share, give: impl FnMut(u32, u32)) {
+        let most = share.steps.min(self.phase_end - self.emitted);
+        let taken = match self.phase {
+            Phase::Cruise => self.cruise.batch(share, most, give),
+            phase => self
+                .ramp
+                .batch(phase == Phase::Accelerate, share, most, give),
+        };
+        if taken.steps > 0 {
+            self.emitted += taken.steps;
+            self.tick += u64::from(taken.ticks);
+            self.interval = taken.interval;
         }
-        let ahead = self.cruise.ahead(self.interval);
-        let taken = ahead.min(most).min(self.phase_end - self.emitted);
-        if taken != 0 {
-            self.cruise.repeat(self.interval, taken);
-            self.emitted += taken;
-            self.tick = self.cruise.tick;
-        }
-        taken
     }
 
     /// Enters the next phase that has steps; `None` at rest.
@@ -299,34 +330,72 @@ impl Ramp {
         k > WARM_UP && self.interval < UNHURRIED
     }
 
-    #[inline]
     fn up(&mut self) -> u32 {
-        let before = self.tick;
-        let k = self.k + 1;
-        if self.predictable(k) {
-            let interval = shorter(self.interval, k);
-            let passed = product(interval, 2 * before + interval - 1);
-            self.settle(k, before + interval, self.square - self.times_steps(passed));
-        } else {
-            self.seed(k);
+        if self.climb().is_none() {
+            let before = self.tick;
+            self.seed(self.k + 1);
+            self.interval = self.tick - before;
         }
-        self.interval = self.tick - before;
         self.tick
     }
 
-    #[inline]
     fn down(&mut self) -> u32 {
-        let before = self.tick;
-        let k = self.k - 1;
-        if self.predictable(k) {
-            let interval = longer(self.interval, k);
-            let passed = product(interval, 2 * before - interval - 1);
-            self.settle(k, before - interval, self.times_steps(passed) - self.square);
-        } else {
-            self.seed(k);
+        if self.descend().is_none() {
+            let before = self.tick;
+            self.seed(self.k - 1);
+            self.interval = before - self.tick;
         }
-        self.interval = before - self.tick;
         self.tick
+    }
+
+    /// A step up without a square root, if that will do: its interval.
+    #[inline(always)]
+    fn climb(&mut self) -> Option<u32> {
+        let (before, k) = (self.tick, self.k + 1);
+        if !self.predictable(k) {
+            return None;
+        }
+        let interval = shorter(self.interval, k);
+        let passed = product(interval, 2 * before + interval - 1);
+        self.settle(k, before + interval, self.square - self.times_steps(passed));
+        self.interval = self.tick - before;
+        Some(self.interval)
+    }
+
+    /// A step down without a square root, if that will do: its interval.
+    #[inline(always)]
+    fn descend(&mut self) -> Option<u32> {
+        let (before, k) = (self.tick, self.k - 1);
+        if !self.predictable(k) {
+            return None;
+        }
+        let interval = longer(self.interval, k);
+        let passed = product(interval, 2 * before - interval - 1);
+        self.settle(k, before - interval, self.times_steps(passed) - self.square);
+        self.interval = before - self.tick;
+        Some(self.interval)
+    }
+
+    /// Takes up to `most` steps as [`StepTimes::batch`] does, while they need no square root. No two are taken for equal.
+    #[inline(always)]
+    fn batch(
+        &mut self,
+        up: bool,
+        share: &Share,
+        most: u32,
+        mut give: impl FnMut(u32, u32),
+    ) -> Taken {
+        let most = most.min(share.groups);
+        let mut taken = Taken::default();
+        while taken.steps < most && taken.ticks < share.ticks {
+            let next = if up { self.climb() } else { self.descend() };
+            let Some(interval) = next else { break };
+            give(interval, 1);
+            taken.steps += 1;
+            taken.ticks += interval;
+            taken.interval = interval;
+        }
+        taken
     }
 
     /// Corrects the predicted tick until it is the nearest one.
@@ -420,29 +489,49 @@ impl Cruise {
         self.tick
     }
 
-    /// How many of the next steps are this interval apart, up to the first that is not.
-    #[inline]
-    fn ahead(&self, interval: u32) -> u32 {
-        // Each step adds the slope to the carry; a step one tick longer takes 2 n off it.
-        if interval == self.interval {
-            let room = self.double - 1 - self.carry;
-            room.checked_div(self.slope).unwrap_or(u32::MAX)
-        } else if interval == self.interval + 1 {
-            self.carry / (self.double - self.slope)
-        } else {
-            0
+    /// Takes up to `most` steps as [`StepTimes::batch`] does.
+    ///
+    /// Each step adds the slope to the carry, and one that is a tick longer takes 2 n off it: add, compare, subtract. A
+    /// division tells how many more steps are alike, where there are any.
+    #[inline(always)]
+    fn batch(&mut self, share: &Share, most: u32, mut give: impl FnMut(u32, u32)) -> Taken {
+        let mut taken = Taken::default();
+        if self.interval >= LONGEST_TAKEN {
+            return taken;
         }
-    }
-
-    /// Takes `count` steps of this interval.
-    #[inline]
-    fn repeat(&mut self, interval: u32, count: u32) {
-        self.tick += u64::from(count) * u64::from(interval);
-        if interval == self.interval {
-            self.carry += count * self.slope;
-        } else {
-            self.carry -= count * (self.double - self.slope);
+        let equal = share
+            .equal
+            .min(share.equal_ticks / (self.interval + 1))
+            .max(1);
+        let (mut groups, mut carry) = (share.groups, self.carry);
+        while groups > 0 && taken.steps < most && taken.ticks < share.ticks {
+            carry += self.slope;
+            let long = carry >= self.double;
+            // How far the carry may go on in the same direction, and how far a step takes it.
+            let (room, each) = if long {
+                carry -= self.double;
+                (carry, self.double - self.slope)
+            } else {
+                (self.double - 1 - carry, self.slope)
+            };
+            let mut steps = 1;
+            if room >= each {
+                let alike = room.checked_div(each).unwrap_or(u32::MAX);
+                let alike = alike.min(equal - 1).min(most - taken.steps - 1);
+                steps += alike;
+                let change = alike * each;
+                carry = if long { carry - change } else { carry + change };
+            }
+            let interval = self.interval + u32::from(long);
+            give(interval, steps);
+            groups -= 1;
+            taken.steps += steps;
+            taken.ticks += interval * steps;
+            taken.interval = interval;
         }
+        self.carry = carry;
+        self.tick += u64::from(taken.ticks);
+        taken
     }
 }
 
@@ -539,10 +628,12 @@ mod tests {
             ramp.interval = interval;
             ramp.predictable(k)
         };
-        assert!(at(33, 65_535));
-        assert!(!at(32, 65_535));
-        assert!(!at(33, 65_536));
-        assert!(!at(32, 65_536));
+        assert!(at(33, UNHURRIED - 1));
+        assert!(!at(32, UNHURRIED - 1));
+        assert!(!at(33, UNHURRIED));
+        assert!(!at(32, UNHURRIED));
+        // The longest that can be predicted, with its correction.
+        assert!(longer(UNHURRIED - 1, WARM_UP + 1) + 2 <= LONGEST_TAKEN);
     }
 
     /// With n = 4 and N = m^2, step k = j^2 is at m j / 2: for odd m and j exactly between two ticks.

@@ -31,6 +31,7 @@ use firmware_rig::{
     execution::{Ring, StartError, Underrun},
     machine::Event,
     periods::Period,
+    timeline::{Mark, Timeline},
 };
 use motion::{axis::Direction, units::StepPosition};
 
@@ -70,25 +71,14 @@ struct Slots(UnsafeCell<[[u16; WORDS]; SLOTS]>);
 unsafe impl Sync for Slots {}
 static RING: Slots = Slots(UnsafeCell::new([[0; WORDS]; SLOTS]));
 
-/// How far a path has come; both wrap.
-#[derive(Clone, Copy, Default)]
-struct Mark {
-    ticks: u32,
-    pulses: u32,
-}
-
 /// The generator; one exists.
 pub struct StepGenerator {
-    /// Slots filled since [`Ring::clear`]; wraps in runs of many hours.
-    pushed: u32,
-    /// Slots that DMA has fetched; exceeds `pushed` by one while the last one plays, by two when halted.
+    /// The slots filled since [`Ring::clear`].
+    line: Timeline,
+    /// Slots that DMA has fetched; exceeds those filled by one while the last one plays, by two when halted.
     fetched: u32,
     /// Slot that DMA reads next, when `fetched` was last updated.
     read_slot: u32,
-    /// The path up to the end of each slot.
-    marks: [Mark; SLOTS],
-    /// The path up to the last slot that was filled.
-    end: Mark,
     running: bool,
     captures: Captures,
     timing: EdgeTiming,
@@ -122,11 +112,9 @@ impl StepGenerator {
         }
         rearm_loop();
         Self {
-            pushed: 0,
+            line: Timeline::default(),
             fetched: 0,
             read_slot: 0,
-            marks: [Mark::default(); SLOTS],
-            end: Mark::default(),
             running: false,
             captures: Captures::new(),
             timing: EdgeTiming::default(),
@@ -136,7 +124,7 @@ impl StepGenerator {
 
     /// Slots that wait in the ring; -1 while the last one plays, -2 when nothing plays any more.
     fn queue(&self) -> i32 {
-        self.pushed.wrapping_sub(self.fetched) as i32
+        self.line.given().wrapping_sub(self.fetched) as i32
     }
 
     /// Cuts the pulses, but none in its middle: one that is shorter than the read-back's filter would be an edge at the pin and
@@ -147,7 +135,7 @@ impl StepGenerator {
                 self.update();
                 let slot = self.fetched.wrapping_sub(2);
                 // SAFETY: a word of a slot; only this generator writes it.
-                let last_tick = unsafe { words(slot as usize).read_volatile() };
+                let last_tick = unsafe { words(slot).read_volatile() };
                 let left = i32::from(last_tick) - i32::from(TIM1.cnt().read().cnt());
                 // No pulse begins before the outputs are off: it is not so near, or the counter is blocked or stands.
                 let none_begins = left > CUT_TICKS || last_tick == 0;
@@ -164,10 +152,33 @@ impl StepGenerator {
         pins::cut_pulses();
     }
 
-    /// The path up to the end of the slot so many before the one that DMA reads next: 2 is the one that plays.
-    /// Before the first slot these are the ring's last ones, which are not filled so early.
-    fn mark(&self, before: u32) -> Mark {
-        self.marks[self.fetched.wrapping_sub(before) as usize % SLOTS]
+    /// Writes the next slot: ARR, RCR, CCR1, CCR3; there is no second channel (CCR2). ARR only where no other slot hides it from
+    /// the reader.
+    #[inline(always)]
+    fn write_slot(&self, period: &Period, shown: bool) {
+        let words = words(self.line.given());
+        let sync = if period.sync {
+            SYNC_TICKS.min(period.ticks - 1) as u16
+        } else {
+            0
+        };
+        let pulse = if period.pulse { self.pulse_ticks } else { 0 };
+        // SAFETY: as in `end_slot`.
+        unsafe {
+            words.add(1).write_volatile(period.repeats.into());
+            words.add(2).write_volatile(sync);
+            words.add(4).write_volatile(pulse);
+            if shown {
+                words.write_volatile((period.ticks - 1) as u16);
+            }
+        }
+    }
+
+    /// The path from the end of the slot that is `before` slots behind DMA's next read, 2 for the one that plays, to that of the
+    /// last one.
+    fn behind(&self, before: u32) -> Mark {
+        let mark = self.line.mark(self.fetched.wrapping_sub(before));
+        self.line.end().since(mark)
     }
 }
 
@@ -175,60 +186,47 @@ impl Ring for StepGenerator {
     fn clear(&mut self, pulse_ticks: u16) {
         self.halt();
         self.pulse_ticks = pulse_ticks;
-        for slot in 0..SLOTS {
+        for slot in 0..SLOTS as u32 {
             end_slot(slot);
-            self.marks[slot] = Mark::default();
         }
         DMA2.st(STREAM)
             .ndtr()
             .write(|w| w.set_ndt(RING_WORDS as u16));
-        (self.pushed, self.fetched, self.read_slot) = (0, 0, 0);
-        self.end = Mark::default();
+        self.line.clear();
+        (self.fetched, self.read_slot) = (0, 0);
         self.captures.skip();
         self.timing.clear();
     }
 
-    fn push(&mut self, period: Period) -> Result<(), Underrun> {
+    fn push(&mut self, periods: &[Period]) -> Result<(), Underrun> {
         let late = self.running && self.queue() < 2;
-        let slot = self.pushed as usize % SLOTS;
-        let sync = if period.sync {
-            SYNC_TICKS.min(period.ticks - 1)
-        } else {
-            0
-        };
-        let rounds = u32::from(period.repeats) + 1;
-        let pulse = if period.pulse { self.pulse_ticks } else { 0 };
-        self.pushed = self.pushed.wrapping_add(1);
-        self.end.ticks = self.end.ticks.wrapping_add(period.ticks * rounds);
-        if period.pulse {
-            self.end.pulses = self.end.pulses.wrapping_add(rounds);
+        let first = self.line.given();
+        if !late {
+            end_slot(first.wrapping_add(periods.len() as u32));
         }
-        self.marks[slot] = self.end;
-        self.timing.expect(period);
+        for period in periods {
+            // The reader stops at the first of these slots until all of them are written.
+            let shown = self.line.given() != first;
+            if !late {
+                self.write_slot(period, shown);
+            }
+            self.line.extend(period);
+        }
         if late {
             return Err(Underrun);
         }
-        end_slot(slot + 1);
-        write_slot(
-            slot,
-            [
-                (period.ticks - 1) as u16,
-                period.repeats.into(),
-                sync as u16,
-                pulse,
-            ],
-        );
+        show_slot(first, periods[0].ticks);
         self.update();
-        // With one slot in the queue the one before it has been fetched, and with its last word the first one of this slot:
-        // perhaps still as the zero that stops the counter.
-        if self.running && self.queue() < 2 {
+        // With the slot before these in the queue's place it has been fetched, and with its last word the first one of these
+        // slots: perhaps still as the zero that stops the counter.
+        if self.running && self.queue() < periods.len() as i32 + 1 {
             return Err(Underrun);
         }
         Ok(())
     }
 
-    fn has_room(&self) -> bool {
-        self.queue() < MAX_QUEUE
+    fn room(&self) -> u32 {
+        (MAX_QUEUE - self.queue()).max(0).unsigned_abs()
     }
 
     fn waiting(&self) -> u32 {
@@ -243,37 +241,22 @@ impl Ring for StepGenerator {
         if self.queue() < 0 {
             return 0;
         }
-        self.end.ticks.wrapping_sub(self.mark(2).ticks)
+        self.behind(2).ticks
     }
 
     fn waiting_pulses(&self) -> u32 {
-        self.end.pulses.wrapping_sub(self.mark(3).pulses)
+        self.behind(3).pulses
     }
 
     fn queued_pulses(&self) -> u32 {
-        self.end.pulses.wrapping_sub(self.mark(2).pulses)
+        self.behind(2).pulses
     }
 
     fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32> {
-        let last = self.end.pulses.wrapping_sub(unemitted);
-        let mut after = self.end;
-        for back in 2..=SLOTS as u32 {
-            let before = self.marks[self.pushed.wrapping_sub(back) as usize % SLOTS];
-            let pulses = after.pulses.wrapping_sub(before.pulses);
-            // From 1 where the slot has this pulse.
-            let nth = last.wrapping_sub(before.pulses);
-            if (1..=pulses).contains(&nth) {
-                let round = after.ticks.wrapping_sub(before.ticks) / pulses;
-                let at = before.ticks.wrapping_add((nth - 1) * round);
-                return Some(self.end.ticks.wrapping_sub(at));
-            }
-            after = before;
-        }
-        None
+        self.line.ticks_since_last_pulse(unemitted)
     }
 
-    // At least once per round of the ring. Once per step: no call, although the image is optimised for size.
-    #[inline(always)]
+    // At least once per round of the ring.
     fn update(&mut self) {
         let left = u32::from(DMA2.st(STREAM).ndtr().read().ndt());
         let slot = (RING_WORDS - left) / WORDS as u32 % SLOTS as u32;
@@ -372,7 +355,7 @@ impl Ring for StepGenerator {
             return true;
         };
         let all = instants.len() < at_most as usize;
-        self.timing.compare(instants);
+        self.timing.compare(&self.line, instants);
         all
     }
 
@@ -425,9 +408,9 @@ fn burst_is_whole() -> bool {
 
 /// Makes a slot the end of the queue. The counter has to stop before the outputs lose their pulses.
 #[inline]
-fn end_slot(slot: usize) {
+fn end_slot(slot: u32) {
     let words = words(slot);
-    // SAFETY: as in `write_slot`.
+    // SAFETY: the five words of a slot lie inside the ring; volatile, because DMA reads them.
     unsafe {
         words.write_volatile(0);
         words.add(1).write_volatile(0);
@@ -437,27 +420,22 @@ fn end_slot(slot: usize) {
     compiler_fence(Ordering::SeqCst);
 }
 
-/// Fills a slot that is the end of the queue: ARR, RCR, CCR1, CCR3; there is no second channel (CCR2).
+/// Shows the reader a slot that was written without its first word: a half-written slot that the reader takes all the same stops
+/// the counter.
 #[inline]
-fn write_slot(slot: usize, [arr, rcr, sync, pulse]: [u16; 4]) {
-    let words = words(slot);
-    // SAFETY: the five words of a slot lie inside the ring; volatile, because DMA reads them.
-    unsafe {
-        words.add(1).write_volatile(rcr);
-        words.add(2).write_volatile(sync);
-        words.add(4).write_volatile(pulse);
-        // ARR comes to its value last: a half-written slot that the reader takes all the same stops the counter.
-        words.write_volatile(arr);
-    }
+fn show_slot(slot: u32, ticks: u32) {
+    compiler_fence(Ordering::SeqCst);
+    // SAFETY: as in `end_slot`.
+    unsafe { words(slot).write_volatile((ticks - 1) as u16) };
     compiler_fence(Ordering::SeqCst);
 }
 
 /// The first word of a slot, which may be one beyond the last and then is the first again.
 #[inline]
-fn words(slot: usize) -> *mut u16 {
+fn words(slot: u32) -> *mut u16 {
     let slots = RING.0.get().cast::<[u16; WORDS]>();
     // SAFETY: `slot % SLOTS` lies inside the ring.
-    unsafe { slots.add(slot % SLOTS).cast::<u16>() }
+    unsafe { slots.add(slot as usize % SLOTS).cast::<u16>() }
 }
 
 /// Position by the read-back counter.

@@ -4,6 +4,7 @@ use firmware_rig::{
     edge_timing::{EdgeTiming, Timed},
     execution::{Ring, StartError, Underrun},
     periods::Period,
+    timeline::Timeline,
 };
 use motion::{axis::Direction, units::StepPosition};
 use std::collections::VecDeque;
@@ -57,6 +58,7 @@ pub struct Slots {
     /// The second jumper is there.
     pub captures: bool,
     captured: Vec<u32>,
+    line: Timeline,
     timing: EdgeTiming,
 }
 
@@ -94,6 +96,7 @@ impl Slots {
             queued_at_halt: 0,
             captures: true,
             captured: Vec::new(),
+            line: Timeline::default(),
             timing: EdgeTiming::default(),
         }
     }
@@ -181,35 +184,41 @@ impl Ring for Slots {
         self.path_ticks = 0;
         self.due.clear();
         self.captured.clear();
+        self.line.clear();
         self.timing.clear();
     }
 
-    fn push(&mut self, period: Period) -> Result<(), Underrun> {
+    fn push(&mut self, periods: &[Period]) -> Result<(), Underrun> {
         if self.ahead == Ahead::Slots && self.running && self.queue() < 2 {
             return Err(Underrun);
         }
-        assert!(self.has_room(), "a slot that waits is overwritten");
-        self.timing.expect(period);
-        let rounds = u32::from(period.repeats) + 1;
-        self.ticks += u64::from(period.ticks) * u64::from(rounds);
-        if period.pulse {
-            let start = self.path_ticks;
-            let rounds = 0..u64::from(rounds);
-            self.due
-                .extend(rounds.map(|round| start + round * u64::from(period.ticks)));
-            let forgotten = self.due.len().saturating_sub(REMEMBERED);
-            self.due.drain(..forgotten);
+        assert!(
+            !periods.is_empty() && periods.len() <= self.room() as usize,
+            "a slot that waits is overwritten"
+        );
+        for &period in periods {
+            self.line.extend(&period);
+            let rounds = u32::from(period.repeats) + 1;
+            self.ticks += u64::from(period.ticks) * u64::from(rounds);
+            if period.pulse {
+                let start = self.path_ticks;
+                let rounds = 0..u64::from(rounds);
+                self.due
+                    .extend(rounds.map(|round| start + round * u64::from(period.ticks)));
+                let forgotten = self.due.len().saturating_sub(REMEMBERED);
+                self.due.drain(..forgotten);
+            }
+            self.path_ticks += u64::from(period.ticks) * u64::from(rounds);
+            self.pulses += if period.pulse { rounds } else { 0 };
+            self.periods.push_back(period);
         }
-        self.path_ticks += u64::from(period.ticks) * u64::from(rounds);
-        self.pulses += if period.pulse { rounds } else { 0 };
-        self.periods.push_back(period);
         Ok(())
     }
 
-    fn has_room(&self) -> bool {
+    fn room(&self) -> u32 {
         match self.ahead {
-            Ahead::Nothing => self.periods.is_empty(),
-            Ahead::Slots => self.queue() < (SLOTS - SPARE) as i64,
+            Ahead::Nothing => u32::from(self.periods.is_empty()),
+            Ahead::Slots => (SLOTS as i64 - SPARE as i64 - self.queue()).max(0) as u32,
         }
     }
 
@@ -289,7 +298,8 @@ impl Ring for Slots {
 
     fn time_edges(&mut self, at_most: u32) -> bool {
         let count = self.captured.len().min(at_most as usize);
-        self.timing.compare(self.captured.drain(..count));
+        self.timing
+            .compare(&self.line, self.captured.drain(..count));
         count < at_most as usize
     }
 

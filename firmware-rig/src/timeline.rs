@@ -1,0 +1,159 @@
+//! The periods that were given out, as a line of ticks: how far the path is at the end of each of the last ones, and when the last
+//! pulses are due.
+
+use crate::periods::Period;
+
+/// Periods whose ends are remembered: no fewer than the ring has slots.
+pub const REMEMBERED: u32 = 128;
+/// Periods with pulses that are remembered: those that wait in the ring, and those that have played since the captured edges were
+/// last compared. Two rings.
+const PULSES_REMEMBERED: u32 = 256;
+
+/// How far a path has come; both wrap.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Mark {
+    /// Ticks from its start.
+    pub ticks: u32,
+    /// Pulses from its start.
+    pub pulses: u32,
+}
+
+impl Mark {
+    /// From an earlier mark to this one.
+    #[must_use]
+    pub fn since(self, before: Self) -> Self {
+        Self {
+            ticks: self.ticks.wrapping_sub(before.ticks),
+            pulses: self.pulses.wrapping_sub(before.pulses),
+        }
+    }
+}
+
+/// The equal pulses of a period.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Pulses {
+    /// Ticks from the path's start to the first one; wraps.
+    pub first: u32,
+    /// Ticks from one to the next, less one.
+    last_tick: u16,
+    /// Pulses after the first one.
+    pub repeats: u8,
+}
+
+impl Pulses {
+    /// Ticks from one to the next.
+    #[must_use]
+    pub fn interval(self) -> u32 {
+        u32::from(self.last_tick) + 1
+    }
+}
+
+/// The line.
+#[derive(Debug)]
+pub struct Timeline {
+    /// The end of each period, at its number modulo their count.
+    marks: [Mark; REMEMBERED as usize],
+    /// The end of the last one.
+    end: Mark,
+    given: u32,
+    /// The periods with pulses, at their number among these modulo their count.
+    pulses: [Pulses; PULSES_REMEMBERED as usize],
+    given_with_pulses: u32,
+}
+
+impl Default for Timeline {
+    fn default() -> Self {
+        Self {
+            marks: [Mark::default(); REMEMBERED as usize],
+            end: Mark::default(),
+            given: 0,
+            pulses: [Pulses::default(); PULSES_REMEMBERED as usize],
+            given_with_pulses: 0,
+        }
+    }
+}
+
+impl Timeline {
+    /// Another path begins.
+    pub fn clear(&mut self) {
+        (self.given, self.given_with_pulses) = (0, 0);
+        self.end = Mark::default();
+        self.marks = [self.end; REMEMBERED as usize];
+    }
+
+    /// A period was given out.
+    // Once per step: inline, although the image is optimised for size.
+    #[inline(always)]
+    pub fn extend(&mut self, period: &Period) {
+        let rounds = u32::from(period.repeats) + 1;
+        if period.pulse {
+            self.pulses[(self.given_with_pulses % PULSES_REMEMBERED) as usize] = Pulses {
+                first: self.end.ticks,
+                last_tick: period.ticks.wrapping_sub(1) as u16,
+                repeats: period.repeats,
+            };
+            self.given_with_pulses = self.given_with_pulses.wrapping_add(1);
+            self.end.pulses = self.end.pulses.wrapping_add(rounds);
+        }
+        let ticks = period.ticks.wrapping_mul(rounds);
+        self.end.ticks = self.end.ticks.wrapping_add(ticks);
+        self.marks[(self.given % REMEMBERED) as usize] = self.end;
+        self.given = self.given.wrapping_add(1);
+    }
+
+    /// Periods given out since the start; wraps in runs of many hours.
+    #[must_use]
+    pub fn given(&self) -> u32 {
+        self.given
+    }
+
+    /// The end of the last period.
+    #[must_use]
+    pub fn end(&self) -> Mark {
+        self.end
+    }
+
+    /// The end of period `number`, from 0: one of the last [`REMEMBERED`]. Before the first one a path has come nowhere.
+    // Once per step.
+    #[inline(always)]
+    #[must_use]
+    pub fn mark(&self, number: u32) -> Mark {
+        self.marks[(number % REMEMBERED) as usize]
+    }
+
+    /// Periods with pulses, from number `from` on, that were given out. None if they are not remembered any more.
+    #[must_use]
+    pub fn with_pulses(&self, from: u32) -> Option<u32> {
+        let count = self.given_with_pulses.wrapping_sub(from);
+        (count <= PULSES_REMEMBERED).then_some(count)
+    }
+
+    /// A period with pulses, by its number among these: one that [`Timeline::with_pulses`] counts.
+    // Once per step.
+    #[inline(always)]
+    #[must_use]
+    pub fn pulses(&self, number: u32) -> Pulses {
+        self.pulses[(number % PULSES_REMEMBERED) as usize]
+    }
+
+    /// Ticks from the last pulse that left to the end of the last period, where `unemitted` pulses have not left. None if
+    /// that pulse is longer ago than it remembers.
+    #[must_use]
+    pub fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32> {
+        let last = self.end.pulses.wrapping_sub(unemitted);
+        let mut after = self.end;
+        for back in 2..=REMEMBERED {
+            let before = self.mark(self.given.wrapping_sub(back));
+            let period = after.since(before);
+            // From 1 where the period has this pulse.
+            let nth = last.wrapping_sub(before.pulses);
+            if (1..=period.pulses).contains(&nth) {
+                let round = period.ticks / period.pulses;
+                let at = before.ticks.wrapping_add((nth - 1) * round);
+                return Some(self.end.ticks.wrapping_sub(at));
+            }
+            after = before;
+        }
+        None
+    }
+}
