@@ -63,8 +63,8 @@ impl EdgeTiming {
                 let pulses = line.pulses(self.next);
                 self.next = self.next.wrapping_add(1);
                 periods -= 1;
-                (planned, interval) = (pulses.first, pulses.interval());
-                to_come = pulses.repeats.into();
+                (planned, interval) = (pulses.first, pulses.steps.interval);
+                to_come = pulses.steps.steps - 1;
             }
             // From the edge before to this one: as it came, less as it was planned.
             let late = at

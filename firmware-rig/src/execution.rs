@@ -9,6 +9,7 @@ use crate::{
 use device::supervision::CHECK_IN_MS;
 use motion::{
     axis::{Acceleration, Direction},
+    step_times::Equal,
     units::{StepPosition, Steps, Window},
 };
 
@@ -20,7 +21,7 @@ const MIN_QUEUE: u32 = 8;
 /// compared: on a steep ramp the ring plays nearly as fast as it is filled, and a round is as long as the ramp.
 const BATCH: usize = 32;
 /// Least periods of a batch. Else no more are prepared at a time than half of those that wait, so that these last longer.
-const LEAST_BATCH: u32 = 2;
+const LEAST_BATCH: u32 = 8;
 /// Edges that are compared at a time.
 const EDGES_PER_LOOK: u32 = 64;
 /// Looks that take all that the captures' memory holds. Noise on the wire that goes on faster holds nothing up.
@@ -46,11 +47,17 @@ pub trait Ring {
     /// Halts, and empties the ring for a new path with step pulses of this width.
     fn clear(&mut self, pulse_ticks: u16);
 
-    /// Appends periods, of which there are at least one and no more than there is room for. They come into play together.
+    /// Appends a period. There is room for it.
+    ///
+    /// # Errors
+    /// The reader is so near that the period might not be taken as a whole.
+    fn push(&mut self, period: Period) -> Result<(), Underrun>;
+
+    /// Appends a period for each group of steps, at least one, and no more than there is room for. They come into play together.
     ///
     /// # Errors
     /// The reader is so near that they might not be taken as a whole.
-    fn push(&mut self, periods: &[Period]) -> Result<(), Underrun>;
+    fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun>;
 
     /// How many more periods it takes.
     fn room(&self) -> u32;
@@ -233,6 +240,8 @@ struct Execution {
     filling: Filling,
     min_queue: Option<u16>,
     stopped: bool,
+    /// Where steps are prepared for the ring.
+    batch: [Equal; BATCH],
 }
 
 impl Execution {
@@ -269,6 +278,7 @@ impl Execution {
             filling: Filling::Full,
             min_queue: None,
             stopped: false,
+            batch: [Equal::default(); BATCH],
         };
         execution.fill(ring, mailbox);
         match ring.start() {
@@ -401,28 +411,29 @@ impl Execution {
 
     /// Until the ring is full or something else is to be done.
     fn top_up(&mut self, ring: &mut impl Ring) -> Filling {
-        let mut batch = [Period::default(); BATCH];
         loop {
             let (lead, room) = (ring.lead(), ring.room());
             if lead >= LEAD_TICKS && ring.waiting() >= MIN_QUEUE || room == 0 {
                 return Filling::Full;
             }
-            let most = room.min((ring.waiting() / 2).max(LEAST_BATCH));
-            let batch = &mut batch[..BATCH.min(most as usize)];
-            let mut count = self.periods.steps(batch, LEAD_TICKS.saturating_sub(lead));
-            if count == 0 {
+            let most = room.min((ring.waiting() / 2).max(LEAST_BATCH)) as usize;
+            let batch = &mut self.batch[..most.min(BATCH)];
+            let count = self.periods.steps(batch, LEAD_TICKS.saturating_sub(lead));
+            let pushed = if count > 0 {
+                ring.push_steps(&batch[..count])
+            } else {
                 match self.periods.next_item() {
-                    Item::Period(period) => (batch[0], count) = (period, 1),
+                    Item::Period(period) => ring.push(period),
                     Item::StrokeEnd { stroke } => {
                         self.ended_stroke = Some(stroke);
-                        continue;
+                        Ok(())
                     }
                     Item::Turn { next } => return Filling::Turn { next },
                     Item::End => return Filling::Done,
                     Item::Guard => return Filling::Failed(PathEnd::Guard),
                 }
-            }
-            if ring.push(&batch[..count]).is_err() {
+            };
+            if pushed.is_err() {
                 return Filling::Failed(PathEnd::Underrun);
             }
             self.time_edges(ring);

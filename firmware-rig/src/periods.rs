@@ -8,7 +8,7 @@
 use motion::{
     axis::{Acceleration, Direction},
     run::RunPlan,
-    step_times::{LONGEST_TAKEN, Share, StepTimes},
+    step_times::{Equal, LONGEST_TAKEN, Share, StepTimes},
     trapezoid::StrokeProfile,
     units::{StepPosition, Steps, Window},
 };
@@ -28,6 +28,9 @@ const TAIL: u64 = 1_000;
 /// Repeated rounds last 0.8 ms at most, together: queued periods cannot be recalled.
 const LONGEST_REPETITION: u32 = 80_000;
 
+/// Rounds that the repetition counter plays with its 8 bits.
+const MOST_EQUAL: u32 = 1 << 8;
+
 /// Equal rounds of the step timer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Period {
@@ -39,6 +42,18 @@ pub struct Period {
     pub pulse: bool,
     /// A sync pulse at its start: the first step of a stroke.
     pub sync: bool,
+}
+
+impl From<Equal> for Period {
+    /// Steps as [`Periods::steps`] gives them out.
+    fn from(steps: Equal) -> Self {
+        Self {
+            ticks: steps.interval,
+            repeats: (steps.steps - 1) as u8,
+            pulse: true,
+            sync: false,
+        }
+    }
 }
 
 /// An entry of the list.
@@ -286,33 +301,21 @@ impl Periods {
         self.window.contains(next).then_some(next)
     }
 
-    /// The next periods that are steps of the stroke in progress and nothing else, as many as `out` holds and in no more than
+    /// The next periods that are steps of the stroke in progress and nothing else, as many as `groups` holds and in no more than
     /// `ticks` but for the last one; returns how many. For all others, that is after 0, ask [`Periods::next_item`]. It would
     /// give the same pulses.
-    pub fn steps(&mut self, out: &mut [Period], ticks: u32) -> usize {
+    pub fn steps(&mut self, groups: &mut [Equal], ticks: u32) -> usize {
         if self.gap > 0 || self.after != After::Pulse || self.sync {
             return 0;
         }
         let share = Share {
-            groups: out.len() as u32,
             steps: self.window.room(self.position, self.direction).0,
             ticks,
-            equal: u32::from(u8::MAX) + 1,
+            equal: MOST_EQUAL,
             equal_ticks: LONGEST_REPETITION,
         };
         let (before, emitted) = (self.times.tick().0, self.times.emitted().0);
-        let (mut filled, mut places) = (0, out.iter_mut());
-        self.times.batch(&share, |interval, equal| {
-            if let Some(place) = places.next() {
-                *place = Period {
-                    ticks: interval,
-                    repeats: (equal - 1) as u8,
-                    pulse: true,
-                    sync: false,
-                };
-            }
-            filled += 1;
-        });
+        let filled = self.times.batch(&share, groups);
         if filled > 0 {
             // Inside the window, so within the range of positions.
             let steps = self.times.emitted().0 - emitted;

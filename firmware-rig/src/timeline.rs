@@ -2,6 +2,7 @@
 //! pulses are due.
 
 use crate::periods::Period;
+use motion::step_times::Equal;
 
 /// Periods whose ends are remembered: no fewer than the ring has slots.
 pub const REMEMBERED: u32 = 128;
@@ -29,23 +30,13 @@ impl Mark {
     }
 }
 
-/// The equal pulses of a period.
+/// The pulses of a period.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Pulses {
     /// Ticks from the path's start to the first one; wraps.
     pub first: u32,
-    /// Ticks from one to the next, less one.
-    last_tick: u16,
-    /// Pulses after the first one.
-    pub repeats: u8,
-}
-
-impl Pulses {
-    /// Ticks from one to the next.
-    #[must_use]
-    pub fn interval(self) -> u32 {
-        u32::from(self.last_tick) + 1
-    }
+    /// How many, and their distance.
+    pub steps: Equal,
 }
 
 /// The line.
@@ -82,21 +73,41 @@ impl Timeline {
     }
 
     /// A period was given out.
-    // Once per step: inline, although the image is optimised for size.
-    #[inline(always)]
     pub fn extend(&mut self, period: &Period) {
         let rounds = u32::from(period.repeats) + 1;
         if period.pulse {
-            self.pulses[(self.given_with_pulses % PULSES_REMEMBERED) as usize] = Pulses {
-                first: self.end.ticks,
-                last_tick: period.ticks.wrapping_sub(1) as u16,
-                repeats: period.repeats,
-            };
-            self.given_with_pulses = self.given_with_pulses.wrapping_add(1);
-            self.end.pulses = self.end.pulses.wrapping_add(rounds);
+            self.extend_by_steps(Equal {
+                interval: period.ticks,
+                steps: rounds,
+            });
+        } else {
+            self.end.ticks = self
+                .end
+                .ticks
+                .wrapping_add(period.ticks.wrapping_mul(rounds));
+            self.mark();
         }
-        let ticks = period.ticks.wrapping_mul(rounds);
-        self.end.ticks = self.end.ticks.wrapping_add(ticks);
+    }
+
+    /// A period with a pulse in each round was given out.
+    // Once per step: inline, although the image is optimised for size.
+    #[inline(always)]
+    pub fn extend_by_steps(&mut self, steps: Equal) {
+        self.pulses[(self.given_with_pulses % PULSES_REMEMBERED) as usize] = Pulses {
+            first: self.end.ticks,
+            steps,
+        };
+        self.given_with_pulses = self.given_with_pulses.wrapping_add(1);
+        let ticks = steps.interval.wrapping_mul(steps.steps);
+        self.end = Mark {
+            ticks: self.end.ticks.wrapping_add(ticks),
+            pulses: self.end.pulses.wrapping_add(steps.steps),
+        };
+        self.mark();
+    }
+
+    #[inline(always)]
+    fn mark(&mut self) {
         self.marks[(self.given % REMEMBERED) as usize] = self.end;
         self.given = self.given.wrapping_add(1);
     }
@@ -114,10 +125,8 @@ impl Timeline {
     }
 
     /// The end of period `number`, from 0: one of the last [`REMEMBERED`]. Before the first one a path has come nowhere.
-    // Once per step.
-    #[inline(always)]
     #[must_use]
-    pub fn mark(&self, number: u32) -> Mark {
+    pub fn at_end_of(&self, number: u32) -> Mark {
         self.marks[(number % REMEMBERED) as usize]
     }
 
@@ -143,7 +152,7 @@ impl Timeline {
         let last = self.end.pulses.wrapping_sub(unemitted);
         let mut after = self.end;
         for back in 2..=REMEMBERED {
-            let before = self.mark(self.given.wrapping_sub(back));
+            let before = self.at_end_of(self.given.wrapping_sub(back));
             let period = after.since(before);
             // From 1 where the period has this pulse.
             let nth = last.wrapping_sub(before.pulses);

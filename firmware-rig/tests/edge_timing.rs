@@ -9,7 +9,10 @@ use firmware_rig::{
     settings::Settings,
     timeline::Timeline,
 };
-use motion::units::{StepPosition, Window};
+use motion::{
+    step_times::Equal,
+    units::{StepPosition, Window},
+};
 use proptest::prelude::*;
 use runs::any_run;
 
@@ -23,10 +26,10 @@ fn periods(path: Path) -> Vec<Period> {
     let mut periods = Periods::new(path, StepPosition(0), EVERYWHERE).unwrap();
     let mut all = Vec::new();
     loop {
-        let mut steps = [Period::default(); 7];
+        let mut steps = [Equal::default(); 7];
         let count = periods.steps(&mut steps, u32::MAX);
         if count > 0 {
-            all.extend_from_slice(&steps[..count]);
+            all.extend(steps[..count].iter().copied().map(Period::from));
             continue;
         }
         match periods.next_item() {

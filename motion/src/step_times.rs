@@ -64,11 +64,18 @@ enum Phase {
     Decelerate,
 }
 
+/// Steps at the same distance.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Equal {
+    /// Ticks from each to the next.
+    pub interval: u32,
+    /// How many.
+    pub steps: u32,
+}
+
 /// How much [`StepTimes::batch`] may take.
 #[derive(Clone, Copy, Debug)]
 pub struct Share {
-    /// Groups of equal steps.
-    pub groups: u32,
     /// Steps.
     pub steps: u32,
     /// No further group begins once they take this many ticks together.
@@ -79,12 +86,12 @@ pub struct Share {
     pub equal_ticks: u32,
 }
 
-/// What was taken, and the last interval of it.
+/// What was taken.
 #[derive(Clone, Copy, Debug, Default)]
 struct Taken {
+    groups: usize,
     steps: u32,
     ticks: u32,
-    interval: u32,
 }
 
 /// What a stop still takes.
@@ -218,24 +225,22 @@ impl StepTimes {
         true
     }
 
-    /// Takes steps that follow in this phase, and gives each group of equal ones as its interval and its number.
-    /// [`StepTimes::advance`] would yield the same ticks, one by one. Only that takes the first step of a phase, those that
-    /// need a square root, and those further apart than [`LONGEST_TAKEN`].
-    // The loops run once per step: inline, although the image is optimised for size.
-    #[inline(always)]
-    pub fn batch(&mut self, share: &Share, give: impl FnMut(u32, u32)) {
+    /// Takes steps that follow in this phase, as groups of equal ones, and returns how many groups. [`StepTimes::advance`]
+    /// would yield the same ticks, one by one. Only that takes the first step of a phase, those that need a square root, and
+    /// those further apart than [`LONGEST_TAKEN`].
+    pub fn batch(&mut self, share: &Share, groups: &mut [Equal]) -> usize {
         let most = share.steps.min(self.phase_end - self.emitted);
         let taken = match self.phase {
-            Phase::Cruise => self.cruise.batch(share, most, give),
-            phase => self
-                .ramp
-                .batch(phase == Phase::Accelerate, share, most, give),
+            Phase::Accelerate => self.ramp.batch(Ramp::climb, share, most, groups),
+            Phase::Cruise => self.cruise.batch(share, most, groups),
+            Phase::Decelerate => self.ramp.batch(Ramp::descend, share, most, groups),
         };
-        if taken.steps > 0 {
+        if taken.groups > 0 {
             self.emitted += taken.steps;
             self.tick += u64::from(taken.ticks);
-            self.interval = taken.interval;
+            self.interval = groups[taken.groups - 1].interval;
         }
+        taken.groups
     }
 
     /// Enters the next phase that has steps; `None` at rest.
@@ -380,21 +385,27 @@ impl Ramp {
     #[inline(always)]
     fn batch(
         &mut self,
-        up: bool,
+        step: impl Fn(&mut Self) -> Option<u32>,
         share: &Share,
         most: u32,
-        mut give: impl FnMut(u32, u32),
+        groups: &mut [Equal],
     ) -> Taken {
-        let most = most.min(share.groups);
+        // A copy, so that it stays in registers.
+        let mut ramp = self.clone();
         let mut taken = Taken::default();
-        while taken.steps < most && taken.ticks < share.ticks {
-            let next = if up { self.climb() } else { self.descend() };
-            let Some(interval) = next else { break };
-            give(interval, 1);
+        for group in groups {
+            if taken.steps == most || taken.ticks >= share.ticks {
+                break;
+            }
+            let Some(interval) = step(&mut ramp) else {
+                break;
+            };
+            *group = Equal { interval, steps: 1 };
             taken.steps += 1;
             taken.ticks += interval;
-            taken.interval = interval;
         }
+        *self = ramp;
+        taken.groups = taken.steps as usize;
         taken
     }
 
@@ -494,40 +505,55 @@ impl Cruise {
     /// Each step adds the slope to the carry, and one that is a tick longer takes 2 n off it: add, compare, subtract. A
     /// division tells how many more steps are alike, where there are any.
     #[inline(always)]
-    fn batch(&mut self, share: &Share, most: u32, mut give: impl FnMut(u32, u32)) -> Taken {
+    fn batch(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
         let mut taken = Taken::default();
-        if self.interval >= LONGEST_TAKEN {
+        let Self {
+            interval,
+            slope,
+            double,
+            mut carry,
+            ..
+        } = *self;
+        if interval >= LONGEST_TAKEN {
             return taken;
         }
-        let equal = share
-            .equal
-            .min(share.equal_ticks / (self.interval + 1))
-            .max(1);
-        let (mut groups, mut carry) = (share.groups, self.carry);
-        while groups > 0 && taken.steps < most && taken.ticks < share.ticks {
-            carry += self.slope;
-            let long = carry >= self.double;
-            // How far the carry may go on in the same direction, and how far a step takes it.
-            let (room, each) = if long {
-                carry -= self.double;
-                (carry, self.double - self.slope)
-            } else {
-                (self.double - 1 - carry, self.slope)
-            };
-            let mut steps = 1;
-            if room >= each {
-                let alike = room.checked_div(each).unwrap_or(u32::MAX);
-                let alike = alike.min(equal - 1).min(most - taken.steps - 1);
-                steps += alike;
-                let change = alike * each;
-                carry = if long { carry - change } else { carry + change };
+        let back = double - slope;
+        let most_alike = share.equal.min(share.equal_ticks / (interval + 1)).max(1) - 1;
+        for group in groups {
+            if taken.steps == most || taken.ticks >= share.ticks {
+                break;
             }
-            let interval = self.interval + u32::from(long);
-            give(interval, steps);
-            groups -= 1;
+            // One more may be taken than are alike.
+            let most_alike = most_alike.min(most - taken.steps - 1);
+            let mut steps = 1;
+            let mut ticks = interval;
+            if carry < back {
+                carry += slope;
+                if carry < back {
+                    // The carry may go up to the last one below `back`, by a slope each.
+                    let alike = (back - 1 - carry)
+                        .checked_div(slope)
+                        .map_or(u32::MAX, |more| more + 1);
+                    let alike = alike.min(most_alike);
+                    steps += alike;
+                    carry += alike * slope;
+                }
+            } else {
+                ticks += 1;
+                carry -= back;
+                if carry >= back {
+                    let alike = (carry / back).min(most_alike);
+                    steps += alike;
+                    carry -= alike * back;
+                }
+            }
+            *group = Equal {
+                interval: ticks,
+                steps,
+            };
+            taken.groups += 1;
             taken.steps += steps;
-            taken.ticks += interval * steps;
-            taken.interval = interval;
+            taken.ticks += ticks * steps;
         }
         self.carry = carry;
         self.tick += u64::from(taken.ticks);

@@ -1,7 +1,7 @@
 //! Step times and stops against the definition, on random axes and strokes.
 
 use motion::axis::Axis;
-use motion::step_times::{LONGEST_TAKEN, Share, StepTimes, Stop};
+use motion::step_times::{Equal, LONGEST_TAKEN, Share, StepTimes, Stop};
 use motion::trapezoid::{MAX_INTERVAL, MIN_INTERVAL, StrokeError, StrokeProfile};
 use motion::units::{Steps, TICK_HZ, Ticks};
 use num_bigint::BigInt;
@@ -96,16 +96,18 @@ impl Place {
 }
 
 /// What is taken at once: next to nothing, as the step generator does it, or all there is.
-fn shares() -> impl Strategy<Value = Share> {
+fn shares() -> impl Strategy<Value = (usize, Share)> {
     let count = || prop_oneof![0_u32..10, 0_u32..400, Just(u32::MAX)];
     let ticks = || prop_oneof![0_u32..5_000, 0_u32..1_000_000];
-    (count(), count(), ticks(), count(), ticks()).prop_map(
-        |(groups, steps, ticks, equal, equal_ticks)| Share {
-            groups,
-            steps,
-            ticks,
-            equal,
-            equal_ticks,
+    (0_usize..70, count(), ticks(), count(), ticks()).prop_map(
+        |(groups, steps, ticks, equal, equal_ticks)| {
+            let share = Share {
+                steps,
+                ticks,
+                equal,
+                equal_ticks,
+            };
+            (groups, share)
         },
     )
 }
@@ -218,7 +220,7 @@ proptest! {
     ) {
         let (mut times, mut single) = (StepTimes::new(profile), StepTimes::new(profile));
         let mut brake = brakes.map(|(place, um_s2)| (profile.steps().0 * place / 1_000, um_s2));
-        for share in shares.iter().cycle() {
+        for (groups, share) in shares.iter().cycle() {
             if let Some((place, um_s2)) = brake
                 && times.emitted().0 >= place
             {
@@ -228,18 +230,18 @@ proptest! {
             }
             // One by one; then as many at once as are asked for.
             prop_assert_eq!(times.next(), single.next());
-            let (mut groups, mut steps, mut ticks) = (0, 0, 0);
-            let mut given = Vec::new();
-            times.batch(share, |interval, equal| given.push((interval, equal)));
-            for (interval, equal) in given {
-                prop_assert!(groups < share.groups && ticks < share.ticks);
+            let (mut steps, mut ticks) = (0, 0);
+            let mut given = vec![Equal::default(); *groups];
+            let taken = times.batch(share, &mut given);
+            for Equal { interval, steps: equal } in given.into_iter().take(taken) {
+                prop_assert!(ticks < share.ticks);
                 prop_assert!(equal == 1 || equal <= share.equal && equal * interval <= share.equal_ticks);
                 prop_assert!(interval <= LONGEST_TAKEN);
                 for _ in 0..equal {
                     prop_assert!(single.advance());
                     prop_assert_eq!(single.interval(), Ticks(interval.into()));
                 }
-                (groups, steps, ticks) = (groups + 1, steps + equal, ticks + interval * equal);
+                (steps, ticks) = (steps + equal, ticks + interval * equal);
             }
             prop_assert!(steps <= share.steps);
             prop_assert_eq!(times.tick(), single.tick());
@@ -259,7 +261,7 @@ proptest! {
     #[test]
     fn a_cruise_is_the_exact_line(
         (n, fraction) in fractions(), whole in prop_oneof![100_u64..5_000, 5_000_u64..60_000], ramp in 1_u64..3_000,
-        start in 0_u32..1_000, share in shares(),
+        start in 0_u32..1_000, (groups, share) in shares(),
     ) {
         // A ramp of few steps, then cruise with `whole` + fraction / n ticks a step, from the phase that the ramp leaves.
         let span = u64::from(n) * whole + u64::from(fraction);
@@ -274,15 +276,15 @@ proptest! {
         let mut tick = times.tick().0;
         let last = n.min(k + 3_000);
         while k < last {
-            let mut given = Vec::new();
-            times.batch(&share, |interval, equal| given.push((interval, equal)));
-            if given.is_empty() {
+            let mut given = vec![Equal::default(); groups];
+            let taken = times.batch(&share, &mut given);
+            if taken == 0 {
                 let Some(next) = times.next() else { break };
                 (tick, k) = (next, k + 1);
                 prop_assert!(is_nearest(&profile, k, tick), "step {k} at {tick}");
             }
-            for (interval, equal) in given {
-                for _ in 0..equal {
+            for Equal { interval, steps } in given.into_iter().take(taken) {
+                for _ in 0..steps {
                     (tick, k) = (tick + u64::from(interval), k + 1);
                     prop_assert!(is_nearest(&profile, k, tick), "{profile:?} step {k} at {tick}");
                 }

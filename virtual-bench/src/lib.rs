@@ -15,6 +15,7 @@ mod browser;
 pub mod budget;
 pub mod bus;
 pub mod connector;
+pub mod cycles;
 pub mod demo;
 pub mod emulator;
 pub mod faults;

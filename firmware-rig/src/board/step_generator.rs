@@ -33,7 +33,7 @@ use firmware_rig::{
     periods::Period,
     timeline::{Mark, Timeline},
 };
-use motion::{axis::Direction, units::StepPosition};
+use motion::{axis::Direction, step_times::Equal, units::StepPosition};
 
 /// Slots of the ring. At 28.5 kHz and no two periods alike it holds 4.3 ms.
 const SLOTS: usize = 128;
@@ -152,32 +152,31 @@ impl StepGenerator {
         pins::cut_pulses();
     }
 
-    /// Writes the next slot: ARR, RCR, CCR1, CCR3; there is no second channel (CCR2). ARR only where no other slot hides it from
-    /// the reader.
-    #[inline(always)]
-    fn write_slot(&self, period: &Period, shown: bool) {
-        let words = words(self.line.given());
-        let sync = if period.sync {
-            SYNC_TICKS.min(period.ticks - 1) as u16
-        } else {
-            0
-        };
-        let pulse = if period.pulse { self.pulse_ticks } else { 0 };
+    /// Whether a period could still be appended for certain.
+    fn is_in_time(&self) -> bool {
+        !self.running || self.queue() >= 2
+    }
+
+    /// Shows the reader `count` slots from `first` on, which were written but for the first word of the first one: a half-written
+    /// slot that the reader takes all the same stops the counter.
+    fn show(&mut self, first: u32, last_tick: u16, count: i32) -> Result<(), Underrun> {
+        compiler_fence(Ordering::SeqCst);
         // SAFETY: as in `end_slot`.
-        unsafe {
-            words.add(1).write_volatile(period.repeats.into());
-            words.add(2).write_volatile(sync);
-            words.add(4).write_volatile(pulse);
-            if shown {
-                words.write_volatile((period.ticks - 1) as u16);
-            }
+        unsafe { words(first).write_volatile(last_tick) };
+        compiler_fence(Ordering::SeqCst);
+        self.update();
+        // With no other slot in the queue the one before these has been fetched, and with its last word the first one of these:
+        // perhaps still as the zero that stops the counter.
+        if self.running && self.queue() <= count {
+            return Err(Underrun);
         }
+        Ok(())
     }
 
     /// The path from the end of the slot that is `before` slots behind DMA's next read, 2 for the one that plays, to that of the
     /// last one.
     fn behind(&self, before: u32) -> Mark {
-        let mark = self.line.mark(self.fetched.wrapping_sub(before));
+        let mark = self.line.at_end_of(self.fetched.wrapping_sub(before));
         self.line.end().since(mark)
     }
 }
@@ -198,31 +197,49 @@ impl Ring for StepGenerator {
         self.timing.clear();
     }
 
-    fn push(&mut self, periods: &[Period]) -> Result<(), Underrun> {
-        let late = self.running && self.queue() < 2;
-        let first = self.line.given();
-        if !late {
-            end_slot(first.wrapping_add(periods.len() as u32));
+    fn push(&mut self, period: Period) -> Result<(), Underrun> {
+        let (in_time, slot) = (self.is_in_time(), self.line.given());
+        self.line.extend(&period);
+        if !in_time {
+            return Err(Underrun);
         }
-        for period in periods {
-            // The reader stops at the first of these slots until all of them are written.
-            let shown = self.line.given() != first;
-            if !late {
-                self.write_slot(period, shown);
+        let sync = if period.sync {
+            SYNC_TICKS.min(period.ticks - 1)
+        } else {
+            0
+        };
+        let pulse = if period.pulse { self.pulse_ticks } else { 0 };
+        end_slot(slot.wrapping_add(1));
+        write_slot(slot, period.repeats.into(), sync as u16, pulse);
+        self.show(slot, (period.ticks - 1) as u16, 1)
+    }
+
+    fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun> {
+        let (in_time, first) = (self.is_in_time(), self.line.given());
+        if in_time {
+            end_slot(first.wrapping_add(groups.len() as u32));
+        }
+        let (pulse, mut slot) = (self.pulse_ticks, first);
+        for steps in groups {
+            self.line.extend_by_steps(*steps);
+            if in_time {
+                // Neither wraps: there is no group of no steps, and no step of no ticks.
+                let words = write_slot(slot, steps.steps.wrapping_sub(1) as u16, 0, pulse);
+                if slot != first {
+                    // SAFETY: as in `end_slot`.
+                    unsafe { words.write_volatile(steps.interval.wrapping_sub(1) as u16) };
+                }
             }
-            self.line.extend(period);
+            slot = slot.wrapping_add(1);
         }
-        if late {
+        if !in_time {
             return Err(Underrun);
         }
-        show_slot(first, periods[0].ticks);
-        self.update();
-        // With the slot before these in the queue's place it has been fetched, and with its last word the first one of these
-        // slots: perhaps still as the zero that stops the counter.
-        if self.running && self.queue() < periods.len() as i32 + 1 {
-            return Err(Underrun);
-        }
-        Ok(())
+        self.show(
+            first,
+            groups[0].interval.wrapping_sub(1) as u16,
+            groups.len() as i32,
+        )
     }
 
     fn room(&self) -> u32 {
@@ -420,14 +437,18 @@ fn end_slot(slot: u32) {
     compiler_fence(Ordering::SeqCst);
 }
 
-/// Shows the reader a slot that was written without its first word: a half-written slot that the reader takes all the same stops
-/// the counter.
-#[inline]
-fn show_slot(slot: u32, ticks: u32) {
-    compiler_fence(Ordering::SeqCst);
+/// Writes all of a slot but its first word, ARR: RCR, CCR1, CCR3; there is no second channel (CCR2). Returns the place of the first.
+// Once per step: inline, although the image is optimised for size.
+#[inline(always)]
+fn write_slot(slot: u32, repeats: u16, sync: u16, pulse: u16) -> *mut u16 {
+    let words = words(slot);
     // SAFETY: as in `end_slot`.
-    unsafe { words(slot).write_volatile((ticks - 1) as u16) };
-    compiler_fence(Ordering::SeqCst);
+    unsafe {
+        words.add(1).write_volatile(repeats);
+        words.add(2).write_volatile(sync);
+        words.add(4).write_volatile(pulse);
+    }
+    words
 }
 
 /// The first word of a slot, which may be one beyond the last and then is the first again.

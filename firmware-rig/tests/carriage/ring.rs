@@ -6,7 +6,7 @@ use firmware_rig::{
     periods::Period,
     timeline::Timeline,
 };
-use motion::{axis::Direction, units::StepPosition};
+use motion::{axis::Direction, step_times::Equal, units::StepPosition};
 use std::collections::VecDeque;
 
 /// How much is queued ahead.
@@ -188,31 +188,33 @@ impl Ring for Slots {
         self.timing.clear();
     }
 
-    fn push(&mut self, periods: &[Period]) -> Result<(), Underrun> {
+    fn push(&mut self, period: Period) -> Result<(), Underrun> {
         if self.ahead == Ahead::Slots && self.running && self.queue() < 2 {
             return Err(Underrun);
         }
-        assert!(
-            !periods.is_empty() && periods.len() <= self.room() as usize,
-            "a slot that waits is overwritten"
-        );
-        for &period in periods {
-            self.line.extend(&period);
-            let rounds = u32::from(period.repeats) + 1;
-            self.ticks += u64::from(period.ticks) * u64::from(rounds);
-            if period.pulse {
-                let start = self.path_ticks;
-                let rounds = 0..u64::from(rounds);
-                self.due
-                    .extend(rounds.map(|round| start + round * u64::from(period.ticks)));
-                let forgotten = self.due.len().saturating_sub(REMEMBERED);
-                self.due.drain(..forgotten);
-            }
-            self.path_ticks += u64::from(period.ticks) * u64::from(rounds);
-            self.pulses += if period.pulse { rounds } else { 0 };
-            self.periods.push_back(period);
+        assert!(self.room() > 0, "a slot that waits is overwritten");
+        self.line.extend(&period);
+        let rounds = u32::from(period.repeats) + 1;
+        self.ticks += u64::from(period.ticks) * u64::from(rounds);
+        if period.pulse {
+            let start = self.path_ticks;
+            let rounds = 0..u64::from(rounds);
+            self.due
+                .extend(rounds.map(|round| start + round * u64::from(period.ticks)));
+            let forgotten = self.due.len().saturating_sub(REMEMBERED);
+            self.due.drain(..forgotten);
         }
+        self.path_ticks += u64::from(period.ticks) * u64::from(rounds);
+        self.pulses += if period.pulse { rounds } else { 0 };
+        self.periods.push_back(period);
         Ok(())
+    }
+
+    fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun> {
+        assert!(!groups.is_empty());
+        groups
+            .iter()
+            .try_for_each(|steps| self.push(Period::from(*steps)))
     }
 
     fn room(&self) -> u32 {
