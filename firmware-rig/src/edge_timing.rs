@@ -23,8 +23,10 @@ pub struct EdgeTiming {
     to_come: u32,
     /// Ticks between them.
     interval: u32,
-    /// When the last edge came, on the clock of the captures, and when it was planned, on that of the path.
-    last: (u32, u32),
+    /// When the next of them is planned, on the clock of the path.
+    planned: u32,
+    /// From the clock of the path to that of the captures, by the last edge.
+    offset: u32,
     /// Captures or periods were lost: nothing more can be compared on this path.
     lost: bool,
     timed: Timed,
@@ -42,52 +44,50 @@ impl EdgeTiming {
     }
 
     /// Edges were captured at these instants; the clock wraps. Once per step: a few instructions each.
-    pub fn compare(&mut self, line: &Timeline, instants: impl Iterator<Item = u32>) {
+    pub fn compare(&mut self, line: &Timeline, instants: impl ExactSizeIterator<Item = u32>) {
         // Without the jumper nobody takes the periods out.
-        let Some(mut periods) = line.with_pulses(self.next) else {
-            self.lost = true;
-            return;
-        };
+        self.lost |= !line.remembers(self.next);
         if self.lost {
             return;
         }
+        let edges = self.timed.edges.wrapping_add(instants.len() as u32);
         let (mut to_come, mut interval) = (self.to_come, self.interval);
-        let (mut last, mut last_planned) = self.last;
-        let (mut edges, mut worst) = (self.timed.edges, self.timed.worst_error_ticks);
+        let (mut planned, mut offset) = (self.planned, self.offset);
         for at in instants {
-            let mut planned = last_planned.wrapping_add(interval);
-            let unplanned = to_come == 0 && periods == 0;
-            if to_come > 0 {
-                to_come -= 1;
-            } else if periods > 0 {
+            if to_come == 0 {
+                if self.next == line.given_with_pulses() {
+                    self.timed.worst_error_ticks = u32::MAX;
+                    continue;
+                }
                 let pulses = line.pulses(self.next);
                 self.next = self.next.wrapping_add(1);
-                periods -= 1;
-                (planned, interval) = (pulses.first, pulses.steps.interval);
-                to_come = pulses.steps.steps - 1;
+                planned = pulses.first;
+                interval = pulses.steps.interval;
+                to_come = pulses.steps.steps;
             }
-            // From the edge before to this one: as it came, less as it was planned.
-            let late = at
-                .wrapping_sub(last)
-                .wrapping_sub(planned.wrapping_sub(last_planned));
-            if late != 0 || unplanned {
-                let error = match edges {
-                    _ if unplanned => u32::MAX,
-                    // Nothing is before the first edge.
-                    0 => 0,
-                    _ => (late as i32).unsigned_abs(),
-                };
-                worst = worst.max(error);
+            to_come = to_come.wrapping_sub(1);
+            let now = at.wrapping_sub(planned);
+            if now != offset {
+                // Nothing is before the first edge.
+                let is_first = self.next == 1 && to_come + 1 == line.pulses(0).steps.steps;
+                if !is_first {
+                    self.differ(now.wrapping_sub(offset));
+                }
+                offset = now;
             }
-            edges = edges.wrapping_add(1);
-            (last, last_planned) = (at, planned);
+            planned = planned.wrapping_add(interval);
         }
         (self.to_come, self.interval) = (to_come, interval);
-        self.last = (last, last_planned);
-        self.timed = Timed {
-            edges,
-            worst_error_ticks: worst,
-        };
+        (self.planned, self.offset) = (planned, offset);
+        self.timed.edges = edges;
+    }
+
+    /// An interval differs from the planned one.
+    #[cold]
+    #[inline(never)]
+    fn differ(&mut self, by: u32) {
+        let error = (by as i32).unsigned_abs();
+        self.timed.worst_error_ticks = self.timed.worst_error_ticks.max(error);
     }
 
     /// Nothing more can be compared on this path, as without the jumper.

@@ -130,14 +130,19 @@ impl Timeline {
         self.marks[(number % REMEMBERED) as usize]
     }
 
-    /// Periods with pulses, from number `from` on, that were given out. None if they are not remembered any more.
+    /// Periods with pulses given out since the start; wraps.
     #[must_use]
-    pub fn with_pulses(&self, from: u32) -> Option<u32> {
-        let count = self.given_with_pulses.wrapping_sub(from);
-        (count <= PULSES_REMEMBERED).then_some(count)
+    pub fn given_with_pulses(&self) -> u32 {
+        self.given_with_pulses
     }
 
-    /// A period with pulses, by its number among these: one that [`Timeline::with_pulses`] counts.
+    /// Whether all periods with pulses from number `from` on are remembered.
+    #[must_use]
+    pub fn remembers(&self, from: u32) -> bool {
+        self.given_with_pulses.wrapping_sub(from) <= PULSES_REMEMBERED
+    }
+
+    /// A period with pulses, by its number among these: one that was given out and is remembered.
     // Once per step.
     #[inline(always)]
     #[must_use]

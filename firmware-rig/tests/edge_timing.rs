@@ -70,7 +70,7 @@ impl Watch {
         self.line.extend(&period);
     }
 
-    fn compare(&mut self, instants: impl Iterator<Item = u32>) {
+    fn compare(&mut self, instants: impl ExactSizeIterator<Item = u32>) {
         self.timing.compare(&self.line, instants);
     }
 

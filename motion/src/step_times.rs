@@ -86,6 +86,16 @@ pub struct Share {
     pub equal_ticks: u32,
 }
 
+impl Share {
+    /// A single step.
+    const ONE: Self = Self {
+        steps: 1,
+        ticks: 1,
+        equal: 1,
+        equal_ticks: 0,
+    };
+}
+
 /// What was taken.
 #[derive(Clone, Copy, Debug, Default)]
 struct Taken {
@@ -231,9 +241,9 @@ impl StepTimes {
     pub fn batch(&mut self, share: &Share, groups: &mut [Equal]) -> usize {
         let most = share.steps.min(self.phase_end - self.emitted);
         let taken = match self.phase {
-            Phase::Accelerate => self.ramp.batch(Ramp::climb, share, most, groups),
+            Phase::Accelerate => self.ramp.climb_all(share, most, groups),
             Phase::Cruise => self.cruise.batch(share, most, groups),
-            Phase::Decelerate => self.ramp.batch(Ramp::descend, share, most, groups),
+            Phase::Decelerate => self.ramp.descend_all(share, most, groups),
         };
         if taken.groups > 0 {
             self.emitted += taken.steps;
@@ -336,7 +346,11 @@ impl Ramp {
     }
 
     fn up(&mut self) -> u32 {
-        if self.climb().is_none() {
+        if self
+            .climb_all(&Share::ONE, 1, &mut [Equal::default()])
+            .steps
+            == 0
+        {
             let before = self.tick;
             self.seed(self.k + 1);
             self.interval = self.tick - before;
@@ -345,7 +359,11 @@ impl Ramp {
     }
 
     fn down(&mut self) -> u32 {
-        if self.descend().is_none() {
+        if self
+            .descend_all(&Share::ONE, 1, &mut [Equal::default()])
+            .steps
+            == 0
+        {
             let before = self.tick;
             self.seed(self.k - 1);
             self.interval = before - self.tick;
@@ -353,60 +371,71 @@ impl Ramp {
         self.tick
     }
 
-    /// A step up without a square root, if that will do: its interval.
-    #[inline(always)]
-    fn climb(&mut self) -> Option<u32> {
-        let (before, k) = (self.tick, self.k + 1);
-        if !self.predictable(k) {
-            return None;
-        }
-        let interval = shorter(self.interval, k);
-        let passed = product(interval, 2 * before + interval - 1);
-        self.settle(k, before + interval, self.square - self.times_steps(passed));
-        self.interval = self.tick - before;
-        Some(self.interval)
-    }
-
-    /// A step down without a square root, if that will do: its interval.
-    #[inline(always)]
-    fn descend(&mut self) -> Option<u32> {
-        let (before, k) = (self.tick, self.k - 1);
-        if !self.predictable(k) {
-            return None;
-        }
-        let interval = longer(self.interval, k);
-        let passed = product(interval, 2 * before - interval - 1);
-        self.settle(k, before - interval, self.times_steps(passed) - self.square);
-        self.interval = before - self.tick;
-        Some(self.interval)
-    }
-
     /// Takes up to `most` steps as [`StepTimes::batch`] does, while they need no square root. No two are taken for equal.
+    // A function of its own: so its state stays in registers, although its caller is optimised for size.
+    #[inline(never)]
+    fn climb_all(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
+        // Intervals shrink, and the steps from rest grow: what holds for the first step holds for all.
+        if !self.predictable(self.k + 1) {
+            return Taken::default();
+        }
+        self.batch(share, most, groups, |ramp| {
+            let (before, k) = (ramp.tick, ramp.k + 1);
+            let interval = shorter(ramp.interval, k);
+            let passed = product(interval, 2 * before + interval - 1);
+            ramp.settle(k, before + interval, ramp.square - ramp.times_steps(passed));
+            ramp.interval = ramp.tick - before;
+            true
+        })
+    }
+
+    /// The same down.
+    #[inline(never)]
+    fn descend_all(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
+        // The last steps to rest take square roots.
+        let most = most.min(self.k.saturating_sub(WARM_UP + 1));
+        self.batch(share, most, groups, |ramp| {
+            if ramp.interval >= UNHURRIED {
+                return false;
+            }
+            let (before, k) = (ramp.tick, ramp.k - 1);
+            let interval = longer(ramp.interval, k);
+            let passed = product(interval, 2 * before - interval - 1);
+            ramp.settle(k, before - interval, ramp.times_steps(passed) - ramp.square);
+            ramp.interval = before - ramp.tick;
+            true
+        })
+    }
+
     #[inline(always)]
     fn batch(
         &mut self,
-        step: impl Fn(&mut Self) -> Option<u32>,
         share: &Share,
         most: u32,
         groups: &mut [Equal],
+        step: impl Fn(&mut Self) -> bool,
     ) -> Taken {
-        // A copy, so that it stays in registers.
-        let mut ramp = self.clone();
-        let mut taken = Taken::default();
-        for group in groups {
-            if taken.steps == most || taken.ticks >= share.ticks {
+        // Its parts one by one, so that they need not be in memory.
+        let mut ramp = Self { ..*self };
+        let (mut ticks, mut count) = (0, 0);
+        let most = (most as usize).min(groups.len());
+        for group in &mut groups[..most] {
+            if ticks >= share.ticks || !step(&mut ramp) {
                 break;
             }
-            let Some(interval) = step(&mut ramp) else {
-                break;
+            *group = Equal {
+                interval: ramp.interval,
+                steps: 1,
             };
-            *group = Equal { interval, steps: 1 };
-            taken.steps += 1;
-            taken.ticks += interval;
+            ticks += ramp.interval;
+            count += 1;
         }
         *self = ramp;
-        taken.groups = taken.steps as usize;
-        taken
+        Taken {
+            groups: count as usize,
+            steps: count,
+            ticks,
+        }
     }
 
     /// Corrects the predicted tick until it is the nearest one.
@@ -504,7 +533,7 @@ impl Cruise {
     ///
     /// Each step adds the slope to the carry, and one that is a tick longer takes 2 n off it: add, compare, subtract. A
     /// division tells how many more steps are alike, where there are any.
-    #[inline(always)]
+    #[inline(never)]
     fn batch(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
         let mut taken = Taken::default();
         let Self {
