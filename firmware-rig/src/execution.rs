@@ -2,13 +2,13 @@
 //! other tasks are traits, so that the host tests run what the motion task runs.
 
 use crate::{
-    edge_timing::Timed,
     machine::{Event, PathEnd, PathReport},
     periods::{Item, Path, Period, Periods},
 };
 use device::supervision::CHECK_IN_MS;
 use motion::{
     axis::{Acceleration, Direction},
+    edge_timing::Timed,
     step_times::Equal,
     units::{StepPosition, Steps, Window},
 };
@@ -17,13 +17,16 @@ use motion::{
 pub const LEAD_TICKS: u32 = 800_000;
 /// Few, long periods must not let the ring run short.
 const MIN_QUEUE: u32 = 8;
+/// Periods that make the ring full. It holds some more, but at the highest step rates it plays as many while they are prepared:
+/// then filling it to the last one would never end, and nothing else would get the processor.
+const FULL_QUEUE: u32 = 104;
 /// Most periods that are prepared before the first of them is shown to the ring. After each such batch the captured edges are
 /// compared: on a steep ramp the ring plays nearly as fast as it is filled, and a round is as long as the ramp.
 const BATCH: usize = 32;
 /// Least periods of a batch. Else no more are prepared at a time than half of those that wait, so that these last longer.
 const LEAST_BATCH: u32 = 8;
 /// Edges that are compared at a time.
-const EDGES_PER_LOOK: u32 = 64;
+pub const EDGES_PER_LOOK: u32 = 64;
 /// Looks that take all that the captures' memory holds. Noise on the wire that goes on faster holds nothing up.
 const LOOKS: u32 = 16;
 /// With this many periods in the ring, or half the lead, there is time to compare.
@@ -413,10 +416,11 @@ impl Execution {
     fn top_up(&mut self, ring: &mut impl Ring) -> Filling {
         loop {
             let (lead, room) = (ring.lead(), ring.room());
-            if lead >= LEAD_TICKS && ring.waiting() >= MIN_QUEUE || room == 0 {
+            let waiting = ring.waiting();
+            if lead >= LEAD_TICKS && waiting >= MIN_QUEUE || waiting >= FULL_QUEUE || room == 0 {
                 return Filling::Full;
             }
-            let most = room.min((ring.waiting() / 2).max(LEAST_BATCH)) as usize;
+            let most = room.min((waiting / 2).max(LEAST_BATCH)) as usize;
             let batch = &mut self.batch[..most.min(BATCH)];
             let count = self.periods.steps(batch, LEAD_TICKS.saturating_sub(lead));
             let pushed = if count > 0 {

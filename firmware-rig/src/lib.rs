@@ -5,9 +5,7 @@
 
 pub mod commands;
 pub mod control;
-pub mod edge_timing;
 pub mod execution;
 pub mod machine;
 pub mod periods;
 pub mod settings;
-pub mod timeline;

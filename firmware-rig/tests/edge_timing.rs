@@ -4,13 +4,13 @@ mod runs;
 
 use core::iter;
 use firmware_rig::{
-    edge_timing::{EdgeTiming, Timed},
     periods::{Item, Path, Period, Periods},
     settings::Settings,
-    timeline::Timeline,
 };
 use motion::{
+    edge_timing::{EdgeTiming, Timed},
     step_times::Equal,
+    timeline::Timeline,
     units::{StepPosition, Window},
 };
 use proptest::prelude::*;
@@ -67,11 +67,19 @@ struct Watch {
 
 impl Watch {
     fn expect(&mut self, period: Period) {
-        self.line.extend(&period);
+        if period.pulse {
+            self.line.extend(&[Equal {
+                interval: period.ticks,
+                steps: u32::from(period.repeats) + 1,
+            }]);
+        } else {
+            self.line.extend_by_pause(period.ticks);
+        }
     }
 
     fn compare(&mut self, instants: impl ExactSizeIterator<Item = u32>) {
-        self.timing.compare(&self.line, instants);
+        let instants: Vec<u32> = instants.collect();
+        self.timing.compare(&self.line, &instants);
     }
 
     fn clear(&mut self) {

@@ -6,7 +6,6 @@ mod runs;
 
 use carriage::{Carriage, Pulse, Rig, ring::Ahead, run};
 use firmware_rig::{
-    edge_timing::Timed,
     execution::{LEAD_TICKS, Order, Pace},
     machine::{Command, Event, PathEnd, PathReport},
     periods::Path,
@@ -14,6 +13,7 @@ use firmware_rig::{
 };
 use motion::{
     axis::{Acceleration, Direction},
+    edge_timing::Timed,
     run::{Limits, RunPlan, RunRequest, Timing},
     step_times::StepTimes,
     trapezoid::StrokeProfile,

@@ -6,12 +6,12 @@ use carriage::{
     CLOSED, IMAGE_HASH, Rig, flag_edge, now, path_ended, plan, run, small, stroke_done,
 };
 use firmware_rig::{
-    edge_timing::Timed,
     machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
     settings::Settings,
 };
 use motion::{
     axis::Direction,
+    edge_timing::Timed,
     units::{StepPosition, Steps, Window},
 };
 use protocol::{

@@ -77,8 +77,8 @@ impl Captures {
         };
     }
 
-    /// Up to so many instants that were not taken yet. None if some have been overwritten.
-    pub fn take(&mut self, at_most: usize) -> Option<impl ExactSizeIterator<Item = u32>> {
+    /// Fills `instants` with those that were not taken yet, and returns how many. None if some have been overwritten.
+    pub fn take(&mut self, instants: &mut [u32]) -> Option<usize> {
         let (end, at_end) = written();
         let seen = (self.next + self.unread) % INSTANTS;
         let mut new = (end + INSTANTS - seen) % INSTANTS;
@@ -91,12 +91,16 @@ impl Captures {
         if self.unread >= INSTANTS {
             return None;
         }
-        let (first, count) = (self.next, self.unread.min(at_most));
-        self.next = (first + count) % INSTANTS;
+        let count = self.unread.min(instants.len());
+        let mut at = self.next;
+        for instant in &mut instants[..count] {
+            // SAFETY: an index of the ring; volatile, because DMA writes it.
+            *instant = unsafe { RING.0.get().cast::<u32>().add(at).read_volatile() };
+            at = at.wrapping_add(1) % INSTANTS;
+        }
+        self.next = at;
         self.unread -= count;
-        // SAFETY: an index of the ring; volatile, because DMA writes it.
-        let read = |at: usize| unsafe { RING.0.get().cast::<u32>().add(at).read_volatile() };
-        Some((first..first + count).map(move |at| read(at % INSTANTS)))
+        Some(count)
     }
 }
 

@@ -27,13 +27,17 @@ use embassy_stm32::{
     pac::{self, DMA2, TIM1, TIM2},
 };
 use firmware_rig::{
-    edge_timing::{EdgeTiming, Timed},
-    execution::{Ring, StartError, Underrun},
+    execution::{EDGES_PER_LOOK, Ring, StartError, Underrun},
     machine::Event,
     periods::Period,
-    timeline::{Mark, Timeline},
 };
-use motion::{axis::Direction, step_times::Equal, units::StepPosition};
+use motion::{
+    axis::Direction,
+    edge_timing::{EdgeTiming, Timed},
+    step_times::Equal,
+    timeline::{Mark, Timeline},
+    units::StepPosition,
+};
 
 /// Slots of the ring. At 28.5 kHz and no two periods alike it holds 4.3 ms.
 const SLOTS: usize = 128;
@@ -81,6 +85,8 @@ pub struct StepGenerator {
     read_slot: u32,
     running: bool,
     captures: Captures,
+    /// Where they are taken out to.
+    instants: [u32; EDGES_PER_LOOK as usize],
     timing: EdgeTiming,
     /// Width of a step pulse: a setting, no less than the driver's minimum (DRV8825: 1.9 us).
     pulse_ticks: u16,
@@ -117,6 +123,7 @@ impl StepGenerator {
             read_slot: 0,
             running: false,
             captures: Captures::new(),
+            instants: [0; EDGES_PER_LOOK as usize],
             timing: EdgeTiming::default(),
             pulse_ticks: 0,
         }
@@ -199,7 +206,14 @@ impl Ring for StepGenerator {
 
     fn push(&mut self, period: Period) -> Result<(), Underrun> {
         let (in_time, slot) = (self.is_in_time(), self.line.given());
-        self.line.extend(&period);
+        if period.pulse {
+            self.line.extend(&[Equal {
+                interval: period.ticks,
+                steps: u32::from(period.repeats) + 1,
+            }]);
+        } else {
+            self.line.extend_by_pause(period.ticks);
+        }
         if !in_time {
             return Err(Underrun);
         }
@@ -210,30 +224,27 @@ impl Ring for StepGenerator {
         };
         let pulse = if period.pulse { self.pulse_ticks } else { 0 };
         end_slot(slot.wrapping_add(1));
-        write_slot(slot, period.repeats.into(), sync as u16, pulse);
+        write_slot(words(slot), period.repeats.into(), sync as u16, pulse);
         self.show(slot, (period.ticks - 1) as u16, 1)
     }
 
     fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun> {
         let (in_time, first) = (self.is_in_time(), self.line.given());
-        if in_time {
-            end_slot(first.wrapping_add(groups.len() as u32));
-        }
-        let (pulse, mut slot) = (self.pulse_ticks, first);
-        for steps in groups {
-            self.line.extend_by_steps(*steps);
-            if in_time {
-                // Neither wraps: there is no group of no steps, and no step of no ticks.
-                let words = write_slot(slot, steps.steps.wrapping_sub(1) as u16, 0, pulse);
-                if slot != first {
-                    // SAFETY: as in `end_slot`.
-                    unsafe { words.write_volatile(steps.interval.wrapping_sub(1) as u16) };
-                }
-            }
-            slot = slot.wrapping_add(1);
-        }
+        self.line.extend(groups);
         if !in_time {
             return Err(Underrun);
+        }
+        end_slot(first.wrapping_add(groups.len() as u32));
+        let (mut slot, pulse) = (first, self.pulse_ticks);
+        for steps in groups {
+            let words = words(slot);
+            // Neither wraps: there is no group of no steps, and no step of no ticks.
+            write_slot(words, steps.steps.wrapping_sub(1) as u16, 0, pulse);
+            if slot != first {
+                // SAFETY: as in `end_slot`.
+                unsafe { words.write_volatile(steps.interval.wrapping_sub(1) as u16) };
+            }
+            slot = slot.wrapping_add(1);
         }
         self.show(
             first,
@@ -367,13 +378,13 @@ impl Ring for StepGenerator {
         if self.timing.is_over() {
             return true;
         }
-        let Some(instants) = self.captures.take(at_most as usize) else {
+        let at_most = (at_most as usize).min(self.instants.len());
+        let Some(count) = self.captures.take(&mut self.instants[..at_most]) else {
             self.timing.lose();
             return true;
         };
-        let all = instants.len() < at_most as usize;
-        self.timing.compare(&self.line, instants);
-        all
+        self.timing.compare(&self.line, &self.instants[..count]);
+        count < at_most
     }
 
     fn timed(&self) -> Timed {
@@ -437,18 +448,16 @@ fn end_slot(slot: u32) {
     compiler_fence(Ordering::SeqCst);
 }
 
-/// Writes all of a slot but its first word, ARR: RCR, CCR1, CCR3; there is no second channel (CCR2). Returns the place of the first.
+/// Writes all words of a slot but the first, ARR: RCR, CCR1, CCR3; there is no second channel (CCR2).
 // Once per step: inline, although the image is optimised for size.
 #[inline(always)]
-fn write_slot(slot: u32, repeats: u16, sync: u16, pulse: u16) -> *mut u16 {
-    let words = words(slot);
+fn write_slot(words: *mut u16, repeats: u16, sync: u16, pulse: u16) {
     // SAFETY: as in `end_slot`.
     unsafe {
         words.add(1).write_volatile(repeats);
         words.add(2).write_volatile(sync);
         words.add(4).write_volatile(pulse);
     }
-    words
 }
 
 /// The first word of a slot, which may be one beyond the last and then is the first again.

@@ -1,12 +1,16 @@
 //! A step ring in virtual time: plays queued periods round by round, as the board's timer and DMA do.
 
 use firmware_rig::{
-    edge_timing::{EdgeTiming, Timed},
     execution::{Ring, StartError, Underrun},
     periods::Period,
-    timeline::Timeline,
 };
-use motion::{axis::Direction, step_times::Equal, units::StepPosition};
+use motion::{
+    axis::Direction,
+    edge_timing::{EdgeTiming, Timed},
+    step_times::Equal,
+    timeline::Timeline,
+    units::StepPosition,
+};
 use std::collections::VecDeque;
 
 /// How much is queued ahead.
@@ -193,8 +197,15 @@ impl Ring for Slots {
             return Err(Underrun);
         }
         assert!(self.room() > 0, "a slot that waits is overwritten");
-        self.line.extend(&period);
         let rounds = u32::from(period.repeats) + 1;
+        if period.pulse {
+            self.line.extend(&[Equal {
+                interval: period.ticks,
+                steps: rounds,
+            }]);
+        } else {
+            self.line.extend_by_pause(period.ticks);
+        }
         self.ticks += u64::from(period.ticks) * u64::from(rounds);
         if period.pulse {
             let start = self.path_ticks;
@@ -226,7 +237,7 @@ impl Ring for Slots {
 
     fn waiting(&self) -> u32 {
         match self.ahead {
-            Ahead::Nothing => 100, // never short of anything
+            Ahead::Nothing => 100, // never short of anything, and never full
             Ahead::Slots => self.queue().max(0) as u32,
         }
     }
@@ -300,8 +311,8 @@ impl Ring for Slots {
 
     fn time_edges(&mut self, at_most: u32) -> bool {
         let count = self.captured.len().min(at_most as usize);
-        self.timing
-            .compare(&self.line, self.captured.drain(..count));
+        self.timing.compare(&self.line, &self.captured[..count]);
+        self.captured.drain(..count);
         count < at_most as usize
     }
 

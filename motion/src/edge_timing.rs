@@ -44,7 +44,9 @@ impl EdgeTiming {
     }
 
     /// Edges were captured at these instants; the clock wraps. Once per step: a few instructions each.
-    pub fn compare(&mut self, line: &Timeline, instants: impl ExactSizeIterator<Item = u32>) {
+    // A function of its own: so its state stays in registers, although its caller is optimised for size.
+    #[inline(never)]
+    pub fn compare(&mut self, line: &Timeline, instants: &[u32]) {
         // Without the jumper nobody takes the periods out.
         self.lost |= !line.remembers(self.next);
         if self.lost {
@@ -52,15 +54,15 @@ impl EdgeTiming {
         }
         let edges = self.timed.edges.wrapping_add(instants.len() as u32);
         let (mut to_come, mut interval) = (self.to_come, self.interval);
-        let (mut planned, mut offset) = (self.planned, self.offset);
-        for at in instants {
+        let (mut planned, mut offset, mut next) = (self.planned, self.offset, self.next);
+        for &at in instants {
             if to_come == 0 {
-                if self.next == line.given_with_pulses() {
+                if next == line.given_with_pulses() {
                     self.timed.worst_error_ticks = u32::MAX;
                     continue;
                 }
-                let pulses = line.pulses(self.next);
-                self.next = self.next.wrapping_add(1);
+                let pulses = line.pulses(next);
+                next = next.wrapping_add(1);
                 planned = pulses.first;
                 interval = pulses.steps.interval;
                 to_come = pulses.steps.steps;
@@ -69,7 +71,7 @@ impl EdgeTiming {
             let now = at.wrapping_sub(planned);
             if now != offset {
                 // Nothing is before the first edge.
-                let is_first = self.next == 1 && to_come + 1 == line.pulses(0).steps.steps;
+                let is_first = next == 1 && to_come + 1 == line.pulses(0).steps.steps;
                 if !is_first {
                     self.differ(now.wrapping_sub(offset));
                 }
@@ -78,7 +80,7 @@ impl EdgeTiming {
             planned = planned.wrapping_add(interval);
         }
         (self.to_come, self.interval) = (to_come, interval);
-        (self.planned, self.offset) = (planned, offset);
+        (self.planned, self.offset, self.next) = (planned, offset, next);
         self.timed.edges = edges;
     }
 

@@ -1,8 +1,7 @@
 //! The periods that were given out, as a line of ticks: how far the path is at the end of each of the last ones, and when the last
 //! pulses are due.
 
-use crate::periods::Period;
-use motion::step_times::Equal;
+use crate::step_times::Equal;
 
 /// Periods whose ends are remembered: no fewer than the ring has slots.
 pub const REMEMBERED: u32 = 128;
@@ -72,44 +71,34 @@ impl Timeline {
         self.marks = [self.end; REMEMBERED as usize];
     }
 
-    /// A period was given out.
-    pub fn extend(&mut self, period: &Period) {
-        let rounds = u32::from(period.repeats) + 1;
-        if period.pulse {
-            self.extend_by_steps(Equal {
-                interval: period.ticks,
-                steps: rounds,
-            });
-        } else {
-            self.end.ticks = self
-                .end
-                .ticks
-                .wrapping_add(period.ticks.wrapping_mul(rounds));
-            self.mark();
-        }
-    }
-
-    /// A period with a pulse in each round was given out.
-    // Once per step: inline, although the image is optimised for size.
-    #[inline(always)]
-    pub fn extend_by_steps(&mut self, steps: Equal) {
-        self.pulses[(self.given_with_pulses % PULSES_REMEMBERED) as usize] = Pulses {
-            first: self.end.ticks,
-            steps,
-        };
-        self.given_with_pulses = self.given_with_pulses.wrapping_add(1);
-        let ticks = steps.interval.wrapping_mul(steps.steps);
-        self.end = Mark {
-            ticks: self.end.ticks.wrapping_add(ticks),
-            pulses: self.end.pulses.wrapping_add(steps.steps),
-        };
-        self.mark();
-    }
-
-    #[inline(always)]
-    fn mark(&mut self) {
+    /// Periods without pulses were given out as one.
+    pub fn extend_by_pause(&mut self, ticks: u32) {
+        self.end.ticks = self.end.ticks.wrapping_add(ticks);
         self.marks[(self.given % REMEMBERED) as usize] = self.end;
         self.given = self.given.wrapping_add(1);
+    }
+
+    /// Periods with a pulse in each round were given out, one for each group.
+    // A function of its own: so the line stays in registers, although its caller is optimised for size.
+    #[inline(never)]
+    pub fn extend(&mut self, groups: &[Equal]) {
+        let (mut given, mut with_pulses, mut end) = (self.given, self.given_with_pulses, self.end);
+        for &steps in groups {
+            self.pulses[(with_pulses % PULSES_REMEMBERED) as usize] = Pulses {
+                first: end.ticks,
+                steps,
+            };
+            with_pulses = with_pulses.wrapping_add(1);
+            end = Mark {
+                ticks: end
+                    .ticks
+                    .wrapping_add(steps.interval.wrapping_mul(steps.steps)),
+                pulses: end.pulses.wrapping_add(steps.steps),
+            };
+            self.marks[(given % REMEMBERED) as usize] = end;
+            given = given.wrapping_add(1);
+        }
+        (self.given, self.given_with_pulses, self.end) = (given, with_pulses, end);
     }
 
     /// Periods given out since the start; wraps in runs of many hours.
@@ -143,8 +132,7 @@ impl Timeline {
     }
 
     /// A period with pulses, by its number among these: one that was given out and is remembered.
-    // Once per step.
-    #[inline(always)]
+    #[inline]
     #[must_use]
     pub fn pulses(&self, number: u32) -> Pulses {
         self.pulses[(number % PULSES_REMEMBERED) as usize]
