@@ -1,4 +1,5 @@
-//! Cycles of the rig's processor, by a model of its core and of its flash that follows the instructions which the emulator executes.
+//! Cycles of the rig's processor, by a model of its core and of its flash that follows the instructions
+//! which the emulator executes.
 //!
 //! | what | how |
 //! |---|---|
@@ -8,22 +9,19 @@
 //! | division | between 2 and 12; its operands are not looked at |
 //! | a load behind a load or store | 1 to 2: their phases overlap or not |
 //! | entry into an interrupt and return | between 22 and 34, a wait for its vector included |
-//! | flash: lines, order of replacement, wait states, as FLASH_ACR has them (RM0383 section 3.4) | exact where the manual says it; between the two readings where it does not: see [`core`] |
+//! | flash: lines, order of replacement, wait states, as FLASH_ACR has them (RM0383 section 3.4) | exact where the manual says it; between two readings where it does not |
 //! | constants in flash that are loaded relative to the program counter | each as a read of the flash, not kept |
 //! | other loads from flash (tables, texts) | not counted as such: like loads from memory |
 //! | registers on APB1, APB2, AHB, in the core | bounds: 2 to 8, 1 to 4, 0 to 2, 0 to 1 cycles more |
 //! | DMA's share of the bus | at most 2 cycles per transfer: six per step, five words of the step timer and a captured instant |
 //! | the bytes of the serial line, the same way | ignored: 11,520 a second at most, 0.02 % |
-//! | erratum workarounds, debugger, refresh of anything | ignored: there is none |
-//!
+//! //!
 //! The share of the processor's time is that of its 100 MHz. A board has the last word: its cycle counter is read by the on-target
 //! tests.
 
 mod core;
 mod replay;
 mod thumb;
-
-use std::collections::HashMap;
 
 use client::{Device, Unobserved};
 use object::{Object, ObjectSection, SectionKind};
@@ -57,6 +55,8 @@ pub struct Case {
     pub steps_per_mm: i64,
     /// The jumper for timing the steps is there.
     pub timed: bool,
+    /// Period of the telemetry, ms; 0 for none.
+    pub telemetry_ms: u16,
     /// The run; none for a machine at rest.
     pub run: Option<Run>,
     /// When the look begins, after the run was accepted, us.
@@ -66,7 +66,7 @@ pub struct Case {
 }
 
 /// What it took.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct Cost {
     /// Instructions executed.
     pub instructions: u64,
@@ -82,8 +82,6 @@ pub struct Cost {
     pub lasted_ns: u64,
     /// How the image has set the accelerator.
     pub accelerator: Accelerator,
-    /// How often the instruction at each address was executed.
-    pub visits: HashMap<u32, u64>,
 }
 
 impl Cost {
@@ -134,12 +132,15 @@ pub fn measure(case: &Case) -> Result<Cost, FigureError> {
     }
     let accepted = device.home()?;
     device.wait_homing(&accepted, &mut Unobserved)?;
-    device.set_telemetry(5)?;
+    device.set_telemetry(case.telemetry_ms)?;
     if let Some(run) = case.run {
         device.run(run)?;
     }
     device.idle(case.after_us, &mut Unobserved)?;
-    let (begun_ns, acr) = (bench.now_ns(), bench.visit(|visit| visit.register(FLASH_ACR))?);
+    let (begun_ns, acr) = (
+        bench.now_ns(),
+        bench.visit(|visit| visit.register(FLASH_ACR))?,
+    );
     let before = bench.visit(|visit| visit.instructions())?;
     device.idle(case.lasts_us, &mut Unobserved)?;
     let ended_ns = bench.now_ns();
@@ -147,7 +148,11 @@ pub fn measure(case: &Case) -> Result<Cost, FigureError> {
     drop(device);
 
     let accelerator = Accelerator::of_register(acr.unwrap_or(0));
-    let script = std::mem::take(&mut *script.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+    let script = std::mem::take(
+        &mut *script
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner),
+    );
     let seen = replay(Replay {
         options: &options,
         board: board(),
@@ -161,7 +166,10 @@ pub fn measure(case: &Case) -> Result<Cost, FigureError> {
     };
     let counted = seen.counts.end - seen.counts.start;
     if counted != executed || core.instructions != executed {
-        let why = format!("{executed} instructions were executed, {counted} in the replay, {} seen", core.instructions);
+        let why = format!(
+            "{executed} instructions were executed, {counted} in the replay, {} seen",
+            core.instructions
+        );
         return Err(BenchError::Ended(why).into());
     }
     let dma = seen.steps as u64 * TRANSFERS_PER_STEP * CYCLES_PER_TRANSFER;
@@ -174,17 +182,21 @@ pub fn measure(case: &Case) -> Result<Cost, FigureError> {
         steps: seen.steps as u64,
         lasted_ns: ended_ns - begun_ns,
         accelerator,
-        visits: core.visits.clone(),
     })
 }
 
 /// The code of the image: its largest section of instructions.
 fn code(options: &BenchOptions) -> Result<Code, BenchError> {
     let path = &options.image;
-    let bad = |why: String| BenchError::BadImage { path: path.clone(), why };
+    let bad = |why: String| BenchError::BadImage {
+        path: path.clone(),
+        why,
+    };
     let file = std::fs::read(path).map_err(|why| bad(why.to_string()))?;
     let file = object::File::parse(&*file).map_err(|why| bad(why.to_string()))?;
-    let sections = file.sections().filter(|section| section.kind() == SectionKind::Text);
+    let sections = file
+        .sections()
+        .filter(|section| section.kind() == SectionKind::Text);
     let text = sections.max_by_key(|section| section.size());
     let text = text.ok_or_else(|| bad("it has no code".into()))?;
     let bytes = text.data().map_err(|why| bad(why.to_string()))?;

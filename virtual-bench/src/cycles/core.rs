@@ -1,7 +1,5 @@
 //! The core with its flash: cycles of a sequence of instructions, at least and at most.
 
-use std::collections::HashMap;
-
 use super::thumb::{Instruction, Timing, decode};
 
 /// Refill of the pipeline after a branch that is taken: 1 to 3 cycles (ARM DDI 0439, section 3.3).
@@ -108,7 +106,11 @@ impl Flash {
         Self {
             set,
             at_least,
-            instructions: Lines::new(if set.instructions { INSTRUCTION_LINES } else { 0 }),
+            instructions: Lines::new(if set.instructions {
+                INSTRUCTION_LINES
+            } else {
+                0
+            }),
             data: Lines::new(if set.data { DATA_LINES } else { 0 }),
             present: None,
             ahead: None,
@@ -155,7 +157,11 @@ impl Flash {
 
     /// When a line is read that is asked for now.
     fn read(&mut self, now: u64) -> u64 {
-        let begun = if self.at_least { now } else { now.max(self.busy_until) };
+        let begun = if self.at_least {
+            now
+        } else {
+            now.max(self.busy_until)
+        };
         self.busy_until = begun + self.set.wait_states;
         self.busy_until
     }
@@ -186,8 +192,6 @@ pub(super) struct Core {
     before: Option<(u32, Instruction)>,
     pub(super) exceptions: u64,
     pub(super) instructions: u64,
-    /// How often each instruction was executed.
-    pub(super) visits: HashMap<u32, u64>,
 }
 
 /// Code in flash, from its first address on.
@@ -225,7 +229,6 @@ impl Core {
             before: None,
             exceptions: 0,
             instructions: 0,
-            visits: HashMap::new(),
         }
     }
 
@@ -244,12 +247,15 @@ impl Core {
             taken = !straight && before.branches;
             // Nothing else leads elsewhere.
             entered = !straight && !before.branches;
-            overlaps = straight && matches!(before.timing, Timing::Load(1) | Timing::Store(1) | Timing::BufferedStore);
+            overlaps = straight
+                && matches!(
+                    before.timing,
+                    Timing::Load(1) | Timing::Store(1) | Timing::BufferedStore
+                );
         }
         self.before = Some((address, instruction));
         self.instructions += 1;
         self.exceptions += u64::from(entered);
-        *self.visits.entry(address).or_default() += 1;
         for bound in &mut self.bounds {
             bound.execute(address, instruction, overlaps, taken, entered);
         }
@@ -268,15 +274,29 @@ impl Core {
 }
 
 impl Bound {
-    fn execute(&mut self, address: u32, instruction: Instruction, overlaps: bool, taken: bool, entered: bool) {
-        let Self { index, cycles, flash } = self;
+    fn execute(
+        &mut self,
+        address: u32,
+        instruction: Instruction,
+        overlaps: bool,
+        taken: bool,
+        entered: bool,
+    ) {
+        let Self {
+            index,
+            cycles,
+            flash,
+        } = self;
         if taken {
             *cycles += REFILL[*index];
         }
         if entered {
             *cycles += EXCEPTION[*index];
         }
-        for line in [address / LINE_BYTES, (address + instruction.size - 2) / LINE_BYTES] {
+        for line in [
+            address / LINE_BYTES,
+            (address + instruction.size - 2) / LINE_BYTES,
+        ] {
             *cycles += flash.fetch(line, *cycles);
         }
         *cycles += match instruction.timing {
@@ -311,7 +331,10 @@ mod tests {
     /// Cycles of a sequence of addresses in code that begins at 0x0800_0000.
     fn run(set: Accelerator, halves: &[u16], addresses: &[u32]) -> [u64; 2] {
         let bytes: Vec<u8> = halves.iter().flat_map(|half| half.to_le_bytes()).collect();
-        let code = Code { base: 0x0800_0000, bytes };
+        let code = Code {
+            base: 0x0800_0000,
+            bytes,
+        };
         let mut core = Core::new(set);
         for address in addresses {
             core.execute(0x0800_0000 + address, &code);
@@ -335,7 +358,9 @@ mod tests {
     #[test]
     fn wide_instructions_are_fetched_in_time_too() {
         // mov.w r0, r0
-        let code: Vec<u16> = std::iter::repeat_n([0xEA4F, 0x0000], 32).flatten().collect();
+        let code: Vec<u16> = std::iter::repeat_n([0xEA4F, 0x0000], 32)
+            .flatten()
+            .collect();
         let addresses: Vec<u32> = (0..32).map(|nth| 4 * nth).collect();
         let [least, most] = run(SET, &code, &addresses);
         assert_eq!(least, 32 + 3);
@@ -347,7 +372,10 @@ mod tests {
     fn a_loop_is_kept() {
         let code = [NOP, NOP, NOP, 0xE7FB];
         let addresses: Vec<u32> = (0..4 * 100).map(|nth| 2 * (nth % 4)).collect();
-        assert_eq!(run(SET, &code, &addresses), [400 + 3 + 99, 400 + 3 + 3 * 99]);
+        assert_eq!(
+            run(SET, &code, &addresses),
+            [400 + 3 + 99, 400 + 3 + 3 * 99]
+        );
     }
 
     /// Loads one behind the other overlap, if they do.
@@ -361,9 +389,20 @@ mod tests {
     #[test]
     fn a_constant_is_read_from_flash() {
         let code = [0x4800; 8];
-        let alone = run(Accelerator { prefetch: false, ..SET }, &code, &[0, 2]);
+        let alone = run(
+            Accelerator {
+                prefetch: false,
+                ..SET
+            },
+            &code,
+            &[0, 2],
+        );
         assert_eq!(alone, [3 + 10, 3 + 10]);
-        let kept = Accelerator { prefetch: false, data: true, ..SET };
+        let kept = Accelerator {
+            prefetch: false,
+            data: true,
+            ..SET
+        };
         assert_eq!(run(kept, &code, &[0, 2]), [3 + 7, 3 + 7]);
     }
 

@@ -126,7 +126,11 @@ impl Driver<Emulator<RigBoard>> for Follower {
         host: &mut dyn Host,
     ) -> Option<VirtualNanos> {
         let now_ns = stop.at.0;
-        while self.script.front().is_some_and(|(at_ns, _)| *at_ns <= now_ns) {
+        while self
+            .script
+            .front()
+            .is_some_and(|(at_ns, _)| *at_ns <= now_ns)
+        {
             let bytes = self.script.pop_front().map(|(_, bytes)| bytes);
             let mut line = self.serial.lock().unwrap_or_else(PoisonError::into_inner);
             line.put(&bytes.unwrap_or_default());
@@ -146,7 +150,11 @@ impl Driver<Emulator<RigBoard>> for Follower {
             }
         }
         let grid = (now_ns / self.quantum_ns + 1) * self.quantum_ns;
-        let edge = if self.watches { self.window_ns.end } else { self.window_ns.start };
+        let edge = if self.watches {
+            self.window_ns.end
+        } else {
+            self.window_ns.start
+        };
         let sent = self.script.front().map_or(u64::MAX, |(at_ns, _)| *at_ns);
         Some(VirtualNanos(grid.min(edge).min(sent)))
     }
@@ -185,7 +193,12 @@ pub(super) fn replay(replay: Replay<'_>) -> Result<Seen, BenchError> {
     if let Some(error) = finished.session.take_error() {
         return Err(ended(&error));
     }
-    let Follower { cores, counts, steps, .. } = finished.driver;
+    let Follower {
+        cores,
+        counts,
+        steps,
+        ..
+    } = finished.driver;
     Ok(Seen {
         cores,
         counts,

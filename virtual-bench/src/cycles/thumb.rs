@@ -111,7 +111,9 @@ fn wide(first: u32, second: u32) -> Instruction {
         0x0C0..=0x0FF | 0x1C0..=0x1FF => (FLOAT, false),
         0x100..=0x17F if second >> 15 == 1 => control(first, second),
         kind @ 0x180..=0x19F => single(kind, first, second),
-        0x1B0 | 0x1B1 if second >> 12 != 15 || kind_is_subtraction(second) => (MULTIPLY_ACCUMULATE, false),
+        0x1B0 | 0x1B1 if second >> 12 != 15 || kind_is_subtraction(second) => {
+            (MULTIPLY_ACCUMULATE, false)
+        }
         0x1B9 | 0x1BB => (DIVIDE, false),
         _ => (ONE, false),
     };
@@ -142,7 +144,10 @@ fn single(kind: u32, first: u32, second: u32) -> (Timing, bool) {
     let constant = first & 0x80 != 0 || second & 0x800 != 0;
     let to_counter = second >> 12 == 15 && kind & 7 == 5;
     match kind & 1 {
-        1 if first & 0xF == 15 => (literal(1, (second & 0xFFF) as i32, first & 0x80 != 0), to_counter),
+        1 if first & 0xF == 15 => (
+            literal(1, (second & 0xFFF) as i32, first & 0x80 != 0),
+            to_counter,
+        ),
         1 => (Timing::Load(1), to_counter),
         _ if constant => (Timing::BufferedStore, false),
         _ => (Timing::Store(1), false),
@@ -168,11 +173,28 @@ mod tests {
             ("blx r3", 0x4798, 0, 2, ONE, true),
             ("mov r8, r0", 0x4680, 0, 2, ONE, false),
             ("mov pc, r0", 0x4687, 0, 2, ONE, true),
-            ("ldr r0, [pc, #8]", 0x4802, 0, 2, Timing::Literal { words: 1, offset: 8 }, false),
+            (
+                "ldr r0, [pc, #8]",
+                0x4802,
+                0,
+                2,
+                Timing::Literal {
+                    words: 1,
+                    offset: 8,
+                },
+                false,
+            ),
             ("str r0, [r1, r2]", 0x5088, 0, 2, Timing::Store(1), false),
             ("ldr r0, [r1, r2]", 0x5888, 0, 2, Timing::Load(1), false),
             ("ldrsb r0, [r1, r2]", 0x5688, 0, 2, Timing::Load(1), false),
-            ("str r0, [r1, #4]", 0x6048, 0, 2, Timing::BufferedStore, false),
+            (
+                "str r0, [r1, #4]",
+                0x6048,
+                0,
+                2,
+                Timing::BufferedStore,
+                false,
+            ),
             ("ldrh r0, [r1, #4]", 0x8888, 0, 2, Timing::Load(1), false),
             ("ldr r0, [sp, #4]", 0x9801, 0, 2, Timing::Load(1), false),
             ("push {r4, r5, lr}", 0xB530, 0, 2, Timing::Store(3), false),
@@ -183,22 +205,85 @@ mod tests {
             ("beq .", 0xD0FE, 0, 2, ONE, true),
             ("b .", 0xE7FE, 0, 2, ONE, true),
             ("stm r0!, {r1, r2}", 0xC006, 0, 2, Timing::Store(2), false),
-            ("ldrd r0, r1, [r2]", 0xE9D2, 0x0100, 4, Timing::Load(2), false),
-            ("strd r0, r1, [r2]", 0xE9C2, 0x0100, 4, Timing::Store(2), false),
-            ("push.w {r4-r11, lr}", 0xE92D, 0x4FF0, 4, Timing::Store(9), false),
-            ("pop.w {r4-r11, pc}", 0xE8BD, 0x8FF0, 4, Timing::Load(9), true),
+            (
+                "ldrd r0, r1, [r2]",
+                0xE9D2,
+                0x0100,
+                4,
+                Timing::Load(2),
+                false,
+            ),
+            (
+                "strd r0, r1, [r2]",
+                0xE9C2,
+                0x0100,
+                4,
+                Timing::Store(2),
+                false,
+            ),
+            (
+                "push.w {r4-r11, lr}",
+                0xE92D,
+                0x4FF0,
+                4,
+                Timing::Store(9),
+                false,
+            ),
+            (
+                "pop.w {r4-r11, pc}",
+                0xE8BD,
+                0x8FF0,
+                4,
+                Timing::Load(9),
+                true,
+            ),
             ("bl .", 0xF7FF, 0xFFFE, 4, ONE, true),
             ("beq.w .", 0xF43F, 0xAFFE, 4, ONE, true),
             ("dmb", 0xF3BF, 0x8F5F, 4, BARRIER, false),
-            ("mrs r0, primask", 0xF3EF, 0x8010, 4, Timing::Cycles(1, 2), false),
+            (
+                "mrs r0, primask",
+                0xF3EF,
+                0x8010,
+                4,
+                Timing::Cycles(1, 2),
+                false,
+            ),
             ("udiv r0, r1, r2", 0xFBB1, 0xF0F2, 4, DIVIDE, false),
             ("umull r0, r1, r2, r3", 0xFBA2, 0x0103, 4, ONE, false),
-            ("mla r0, r1, r2, r3", 0xFB01, 0x3002, 4, MULTIPLY_ACCUMULATE, false),
-            ("ldr.w r0, [pc, #-4]", 0xF85F, 0x0004, 4, Timing::Literal { words: 1, offset: -4 }, false),
-            ("strh.w r0, [r1, r2]", 0xF821, 0x0002, 4, Timing::Store(1), false),
+            (
+                "mla r0, r1, r2, r3",
+                0xFB01,
+                0x3002,
+                4,
+                MULTIPLY_ACCUMULATE,
+                false,
+            ),
+            (
+                "ldr.w r0, [pc, #-4]",
+                0xF85F,
+                0x0004,
+                4,
+                Timing::Literal {
+                    words: 1,
+                    offset: -4,
+                },
+                false,
+            ),
+            (
+                "strh.w r0, [r1, r2]",
+                0xF821,
+                0x0002,
+                4,
+                Timing::Store(1),
+                false,
+            ),
         ];
         for (text, first, second, size, timing, branches) in cases {
-            let expected = Instruction { size, timing, branches };
+            let expected = Instruction {
+                size,
+                timing,
+                branches,
+            };
             assert_eq!(decode(first, second), expected, "{text}");
         }
     }

@@ -75,8 +75,16 @@ impl Trial {
         Verdict::of(&exact, &rig.edges(first))
             .check(LIMIT_NS)
             .unwrap_or_else(|why| panic!("{why}\n{what}"));
-        let timed = if self.capture { record.commanded_edges } else { 0 };
-        assert_eq!((record.edges_timed, record.worst_interval_error_ticks), (timed, 0), "{what}");
+        let timed = if self.capture {
+            record.commanded_edges
+        } else {
+            0
+        };
+        assert_eq!(
+            (record.edges_timed, record.worst_interval_error_ticks),
+            (timed, 0),
+            "{what}"
+        );
         rig.check_clean(0);
     }
 }
@@ -124,12 +132,19 @@ fn trial(number: u64) -> Trial {
             400 + dice.roll(0..20_000)
         };
         // Thousandths of a tick.
-        let fraction = if number.is_multiple_of(2) { dice.roll(300..700) } else { dice.roll(0..1_000) };
+        let fraction = if number.is_multiple_of(2) {
+            dice.roll(300..700)
+        } else {
+            dice.roll(0..1_000)
+        };
         let interval = interval * 1_000 + fraction;
         let speed_um_s = TICK_HZ * 1_000 * lead_um / (steps_per_rev * interval);
         let steps = dice.roll(4_000..30_000);
         let stroke_um = (steps * lead_um / steps_per_rev).min(100_000);
-        if !(1..=200_000).contains(&speed_um_s) || stroke_um < 500 || lead_um * 1_000 % (steps_per_rev) != 0 && 1_000 * steps_per_rev % lead_um != 0 {
+        if !(1..=200_000).contains(&speed_um_s)
+            || stroke_um < 500
+            || lead_um * 1_000 % (steps_per_rev) != 0 && 1_000 * steps_per_rev % lead_um != 0
+        {
             continue;
         }
         let accel_um_s2 = dice.roll(20_000..10_000_000) as u32;
@@ -147,7 +162,10 @@ fn trial(number: u64) -> Trial {
 
 #[test]
 fn no_accepted_run_runs_dry() {
-    if let Some(number) = std::env::var("RETROGRADE_SEED").ok().and_then(|text| text.parse().ok()) {
+    if let Some(number) = std::env::var("RETROGRADE_SEED")
+        .ok()
+        .and_then(|text| text.parse().ok())
+    {
         return trial(number).check(&format!("run {number}"));
     }
     for number in 0..trials(4, RUNS) {
