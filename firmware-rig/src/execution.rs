@@ -17,13 +17,15 @@ use motion::{
 pub const LEAD_TICKS: u32 = 800_000;
 /// Few, long periods must not let the ring run short.
 const MIN_QUEUE: u32 = 8;
-/// Periods that make the ring full. It holds some more, but at the highest step rates it plays as many while they are prepared:
-/// then filling it to the last one would never end, and nothing else would get the processor.
+/// Periods that make the ring full. It holds some more, but at the highest step rates it plays as many while they are
+/// prepared: then filling it to the last one would never end, and nothing else would get the processor.
 const FULL_QUEUE: u32 = 104;
-/// Most periods that are prepared before the first of them is shown to the ring. After each such batch the captured edges are
-/// compared: on a steep ramp the ring plays nearly as fast as it is filled, and a round is as long as the ramp.
+/// Most periods that are prepared before the first of them is shown to the ring. After each such batch the captured
+/// edges are compared: on a steep ramp the ring plays nearly as fast as it is filled, and a round is as long as the
+/// ramp.
 const BATCH: usize = 32;
-/// Least periods of a batch. Else no more are prepared at a time than half of those that wait, so that these last longer.
+/// Least periods of a batch. Else no more are prepared at a time than half of those that wait, so that these last
+/// longer.
 const LEAST_BATCH: u32 = 8;
 /// Edges that are compared at a time.
 pub const EDGES_PER_LOOK: u32 = 64;
@@ -56,7 +58,8 @@ pub trait Ring {
     /// The reader is so near that the period might not be taken as a whole.
     fn push(&mut self, period: Period) -> Result<(), Underrun>;
 
-    /// Appends a period for each group of steps, at least one, and no more than there is room for. They come into play together.
+    /// Appends a period for each group of steps, at least one, and no more than there is room for. They come into
+    /// play together.
     ///
     /// # Errors
     /// The reader is so near that they might not be taken as a whole.
@@ -77,8 +80,8 @@ pub trait Ring {
     /// Pulses that cannot have left: those of all periods behind the one that plays.
     fn queued_pulses(&self) -> u32;
 
-    /// Ticks from the last pulse that left to the end of the last period, where `unemitted` pulses have not left. None if
-    /// that pulse is longer ago than the ring remembers.
+    /// Ticks from the last pulse that left to the end of the last period, where `unemitted` pulses have not left.
+    /// None if that pulse is longer ago than the ring remembers.
     fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32>;
 
     /// The last period has ended, and nothing can come any more.
@@ -308,8 +311,8 @@ impl Execution {
         if mailbox.is_cut() {
             return Some(self.end(ring, mailbox, PathEnd::Cut));
         }
-        // Not cut at the look, for it is not cut now. Later looks of this round may come after a cut: then the periods play
-        // on without pulses until the ring is halted.
+        // Not cut at the look, for it is not cut now. Later looks of this round may come after a cut: then the
+        // periods play on without pulses until the ring is halted.
         self.passed = self.before_the_last(ring.waiting_pulses());
         if mailbox.take_stop() || (!self.stopped && self.misses_edges(ring)) {
             self.stopped = true;
@@ -444,8 +447,8 @@ impl Execution {
         }
     }
 
-    /// Compares captured edges for as long as the ring can wait. What has to wait too long is lost for the comparison: no
-    /// run ends because it is watched.
+    /// Compares captured edges for as long as the ring can wait. What has to wait too long is lost for the
+    /// comparison: no run ends because it is watched.
     fn time_edges(&self, ring: &mut impl Ring) {
         for _ in 0..LOOKS {
             let ample = ring.lead() >= LEAD_TICKS / 2 || ring.waiting() >= AMPLE_QUEUE;

@@ -1,9 +1,10 @@
 //! Turns step times into timer periods: one uninterrupted list for a whole move or run.
 //!
-//! A period is one round of the step timer, or some equal ones; a pulse, if it has one, sits at its start. The list begins with
-//! blank periods up to the first step. Between two strokes comes one [`Item::StrokeEnd`], right behind the last pulse, and
-//! one [`Item::Turn`]: everything before it has to leave the pin before DIR may change, everything after it needs the new
-//! DIR. The periods of the pause come before the turn, so that the time line never breaks.
+//! A period is one round of the step timer, or some equal ones; a pulse, if it has one, sits at its start. The list
+//! begins with blank periods up to the first step. Between two strokes comes one [`Item::StrokeEnd`], right behind
+//! the last pulse, and one [`Item::Turn`]: everything before it has to leave the pin before DIR may change,
+//! everything after it needs the new DIR. The periods of the pause come before the turn, so that the time line never
+//! breaks.
 
 use motion::{
     axis::{Acceleration, Direction},
@@ -301,9 +302,9 @@ impl Periods {
         self.window.contains(next).then_some(next)
     }
 
-    /// The next periods that are steps of the stroke in progress and nothing else, as many as `groups` holds and in no more than
-    /// `ticks` but for the last one; returns how many. For all others, that is after 0, ask [`Periods::next_item`]. It would
-    /// give the same pulses.
+    /// The next periods that are steps of the stroke in progress and nothing else, as many as `groups` holds and in no
+    /// more than `ticks` but for the last one; returns how many. For all others, that is after 0, ask
+    /// [`Periods::next_item`]. It would give the same pulses.
     pub fn steps(&mut self, groups: &mut [Equal], ticks: u32) -> usize {
         if self.gap > 0 || self.after != After::Pulse || self.sync {
             return 0;

@@ -13,8 +13,8 @@ pub struct Timed {
 
 /// The comparison of one path.
 ///
-/// An edge that is missing, moved or added shows as a wrong interval. Those of the first and of the last step show in the number
-/// of edges instead.
+/// An edge that is missing, moved or added shows as a wrong interval. Those of the first and of the last step show in
+/// the number of edges instead.
 #[derive(Debug, Default)]
 pub struct EdgeTiming {
     /// Number of the next period with pulses.
@@ -47,7 +47,7 @@ impl EdgeTiming {
     // A function of its own: so its state stays in registers, although its caller is optimised for size.
     #[inline(never)]
     pub fn compare(&mut self, line: &Timeline, instants: &[u32]) {
-        // Without the jumper nobody takes the periods out.
+        // Without the jumper no edge takes the periods out.
         self.lost |= !line.remembers(self.next);
         if self.lost {
             return;

@@ -21,8 +21,8 @@ use crate::wide::isqrt;
 /// Steps of a ramp up to this one, counted from rest, take a square root.
 const WARM_UP: u32 = 32;
 
-/// After an interval of this many ticks (640 us) or more, a step takes a square root. A step that is predicted from less is
-/// no more than [`LONGEST_TAKEN`] from the one before it.
+/// After an interval of this many ticks (640 us) or more, a step takes a square root. A step that is predicted from
+/// less is no more than [`LONGEST_TAKEN`] from the one before it.
 const UNHURRIED: u32 = 64_000;
 
 /// [`StepTimes::batch`] takes no steps that are further apart, in ticks: 655 us, all that a timer of 16 bits counts.
@@ -235,9 +235,9 @@ impl StepTimes {
         true
     }
 
-    /// Takes steps that follow in this phase, as groups of equal ones, and returns how many groups. [`StepTimes::advance`]
-    /// would yield the same ticks, one by one. Only that takes the first step of a phase, those that need a square root, and
-    /// those further apart than [`LONGEST_TAKEN`].
+    /// Takes steps that follow in this phase, as groups of equal ones, and returns how many groups.
+    /// [`StepTimes::advance`] would yield the same ticks, one by one. Only that takes the first step of a phase,
+    /// those that need a square root, and those further apart than [`LONGEST_TAKEN`].
     pub fn batch(&mut self, share: &Share, groups: &mut [Equal]) -> usize {
         let most = share.steps.min(self.phase_end - self.emitted);
         let taken = match self.phase {
@@ -371,7 +371,8 @@ impl Ramp {
         self.tick
     }
 
-    /// Takes up to `most` steps as [`StepTimes::batch`] does, while they need no square root. No two are taken for equal.
+    /// Takes up to `most` steps as [`StepTimes::batch`] does, while they need no square root. No two are taken for
+    /// equal.
     // A function of its own: so its state stays in registers, although its caller is optimised for size.
     #[inline(never)]
     fn climb_all(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {

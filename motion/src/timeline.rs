@@ -1,12 +1,12 @@
-//! The periods that were given out, as a line of ticks: how far the path is at the end of each of the last ones, and when the last
-//! pulses are due.
+//! The periods that were given out, as a line of ticks: how far the path is at the end of each of the last ones, and
+//! when the last pulses are due.
 
 use crate::step_times::Equal;
 
 /// Periods whose ends are remembered: no fewer than the ring has slots.
 pub const REMEMBERED: u32 = 128;
-/// Periods with pulses that are remembered: those that wait in the ring, and those that have played since the captured edges were
-/// last compared. Two rings.
+/// Periods with pulses that are remembered: those that wait in the ring, and those that have played since the
+/// captured edges were last compared. Two rings.
 const PULSES_REMEMBERED: u32 = 256;
 
 /// How far a path has come; both wrap.
@@ -113,7 +113,8 @@ impl Timeline {
         self.end
     }
 
-    /// The end of period `number`, from 0: one of the last [`REMEMBERED`]. Before the first one a path has come nowhere.
+    /// The end of period `number`, from 0: one of the last [`REMEMBERED`]. Before the first one a path has come
+    /// nowhere.
     #[must_use]
     pub fn at_end_of(&self, number: u32) -> Mark {
         self.marks[(number % REMEMBERED) as usize]
@@ -138,8 +139,8 @@ impl Timeline {
         self.pulses[(number % PULSES_REMEMBERED) as usize]
     }
 
-    /// Ticks from the last pulse that left to the end of the last period, where `unemitted` pulses have not left. None if
-    /// that pulse is longer ago than it remembers.
+    /// Ticks from the last pulse that left to the end of the last period, where `unemitted` pulses have not left.
+    /// None if that pulse is longer ago than it remembers.
     #[must_use]
     pub fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32> {
         let last = self.end.pulses.wrapping_sub(unemitted);

@@ -112,8 +112,8 @@ fn shares() -> impl Strategy<Value = (usize, Share)> {
     )
 }
 
-/// Steps of a stroke and the fraction of a tick, in as many parts, that each of them takes: any, next to none, next to a half or
-/// to any other simple fraction, next to one.
+/// Steps of a stroke and the fraction of a tick, in as many parts, that each of them takes: any, next to none, next
+/// to a half or to any other simple fraction, next to one.
 fn fractions() -> impl Strategy<Value = (u32, u32)> {
     let simple = (1_u32..=12, 0_u32..=12, -3_i32..=3);
     (
@@ -211,8 +211,8 @@ proptest! {
         prop_assert_eq!(first, Some(profile.first_interval().0));
     }
 
-    /// Steps that are taken together are those that would follow one by one, whatever is asked for. In cruise the next group is
-    /// another one, unless more may not be taken for equal.
+    /// Steps that are taken together are those that would follow one by one, whatever is asked for. In cruise the
+    /// next group is another one, unless more may not be taken for equal.
     #[test]
     fn steps_taken_together_are_those_that_would_follow(
         profile in profiles(5_000), shares in prop::collection::vec(shares(), 1..20),
@@ -256,14 +256,15 @@ proptest! {
         prop_assert_eq!(times.tick(), times.rest());
     }
 
-    /// At constant speed, over every fraction of a tick that a step can take: add, compare, subtract yields the nearest tick of the
-    /// exact line, computed in integers without bounds.
+    /// At constant speed, over every fraction of a tick that a step can take: add, compare, subtract yields the
+    /// nearest tick of the exact line, computed in integers without bounds.
     #[test]
     fn a_cruise_is_the_exact_line(
         (n, fraction) in fractions(), whole in prop_oneof![100_u64..5_000, 5_000_u64..60_000], ramp in 1_u64..3_000,
         start in 0_u32..1_000, (groups, share) in shares(),
     ) {
-        // A ramp of few steps, then cruise with `whole` + fraction / n ticks a step, from the phase that the ramp leaves.
+        // A ramp of few steps, then cruise with `whole` + fraction / n ticks a step, from the phase that the ramp
+        // leaves.
         let span = u64::from(n) * whole + u64::from(fraction);
         let Ok(profile) = StrokeProfile::from_parts(Steps(n), Ticks(span + ramp), Ticks(ramp)) else {
             return Err(TestCaseError::reject("no such profile"));

@@ -9,15 +9,14 @@
 //! | division | between 2 and 12; its operands are not looked at |
 //! | a load behind a load or store | 1 to 2: their phases overlap or not |
 //! | entry into an interrupt and return | between 22 and 34, a wait for its vector included |
-//! | flash: lines, order of replacement, wait states, as FLASH_ACR has them (RM0383 section 3.4) | exact where the manual says it; between two readings where it does not |
+//! | flash as FLASH_ACR sets it: lines, order, wait states (RM0383 section 3.4) | exact; two readings where it is silent |
 //! | constants in flash that are loaded relative to the program counter | each as a read of the flash, not kept |
 //! | other loads from flash (tables, texts) | not counted as such: like loads from memory |
 //! | registers on APB1, APB2, AHB, in the core | bounds: 2 to 8, 1 to 4, 0 to 2, 0 to 1 cycles more |
-//! | DMA's share of the bus | at most 2 cycles per transfer: six per step, five words of the step timer and a captured instant |
+//! | DMA's share of the bus | at most 2 cycles per transfer, six transfers per step: a slot and a captured instant |
 //! | the bytes of the serial line, the same way | ignored: 11,520 a second at most, 0.02 % |
-//! //!
-//! The share of the processor's time is that of its 100 MHz. A board has the last word: its cycle counter is read by the on-target
-//! tests.
+//! //! The share of the processor's time is that of its 100 MHz. A board has the last word: its cycle counter is read
+//! by the on-target tests.
 
 mod core;
 mod replay;

@@ -1,7 +1,8 @@
 //! The instants of the step edges: TIM5 captures each rising edge at its jumper, DMA keeps the instants in a ring.
 //!
-//! Channel 2 of TIM5 requests DMA1 stream 4, channel 6 (RM0383 table 27). TIM5 has 32 bits and the clock of the step timer, 100 MHz,
-//! so that an interval has to be the planned one to the tick. The time base of the firmware is another timer.
+//! Channel 2 of TIM5 requests DMA1 stream 4, channel 6 (RM0383 table 27). TIM5 has 32 bits and the clock of the step
+//! timer, 100 MHz, so that an interval has to be the planned one to the tick. The time base of the firmware is
+//! another timer.
 
 #![allow(unsafe_code)]
 

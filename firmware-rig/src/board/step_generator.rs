@@ -1,19 +1,19 @@
-//! The step generator: TIM1 pulses whose periods DMA takes from a ring, TIM2 which counts them at the pin, and the comparison of
-//! their captured instants with those periods.
+//! The step generator: TIM1 pulses whose periods DMA takes from a ring, TIM2 which counts them at the pin, and the
+//! comparison of their captured instants with those periods.
 //!
 //! Each ring slot is one period of TIM1, or as many equal ones as its repetition counter is told, five half-words in
 //! register order {ARR, RCR, CCR1, CCR2, CCR3}, written through TIM1_DMAR at every update event (RM0383 sections
-//! 12.3.3 and 12.3.20). PWM mode 1 puts the pulse at the start of a period; CCR1 makes the sync pulse in the same way, so
-//! both have no latency at all. Everything is preloaded: while slot j plays, slot j+1 sits in the preload
-//! registers and slot j+2 is fetched at the next update. Its first word is already in the stream by then, which in direct
-//! mode loads one item ahead.
+//! 12.3.3 and 12.3.20). PWM mode 1 puts the pulse at the start of a period; CCR1 makes the sync pulse in the same
+//! way, so both have no latency at all. Everything is preloaded: while slot j plays, slot j+1 sits in the preload
+//! registers and slot j+2 is fetched at the next update. Its first word is already in the stream by then, which in
+//! direct mode loads one item ahead.
 //!
 //! The slot after the last written one is always zero. A zero period blocks the counter with the output low
 //! (ARR = 0, RM0383 section 12.4.12): end marker, underrun guard and clean stop in one. However late the
 //! producer is, no pulse is ever repeated, doubled or misplaced; the generator only stops.
 //!
-//! The break flag BIF is the latch of the E-stop loop: every opening sets it, at rest too, and only [`rearm_loop`] clears
-//! it. Nothing starts while it is set.
+//! The break flag BIF is the latch of the E-stop loop: every opening sets it, at rest too, and only [`rearm_loop`]
+//! clears it. Nothing starts while it is set.
 
 #![allow(unsafe_code)]
 
@@ -50,21 +50,21 @@ const SYNC_TICKS: u32 = 5_000;
 const STREAM: usize = 5;
 /// TIM1_UP (RM0383 table 28).
 const DMA_CHANNEL: u8 = 6;
-/// So many reads find MOE set unless the loop is open.
+/// Reads of MOE before concluding that the loop is open.
 const MOE_READS: u32 = 16;
-/// So many reads find a slot fetched.
+/// Reads of NDTR before concluding that a slot is not fetched.
 const FETCH_READS: u32 = 1_000;
 /// DCR.DBA of ARR: register offset 0x2C / 4.
 const DBA_ARR: u8 = 11;
 /// How long a request of the timer may take to its first transfer; about 0.5 us is expected. 2 us at 100 MHz.
 const REQUEST_CYCLES: u32 = 200;
-/// So many of these waits are longer than any burst.
+/// Waits of this length that are longer than any burst, together.
 const BURST_WAITS: u32 = 50;
 /// The stream stops within some cycles of the bus, or never.
 const STREAM_READS: u32 = 1_000;
 /// Cutting the pulses takes less than 1 us.
 const CUT_TICKS: i32 = 100;
-/// So many looks are longer than any pulse.
+/// Looks at STEP that take longer than any pulse.
 const PULSE_READS: u32 = 2_000;
 /// In TIM1's SR a written 0 clears a flag and a 1 leaves it: everything but the break flag.
 const ALL_BUT_BREAK: pac::timer::regs::SrAdv = pac::timer::regs::SrAdv(1 << 7);
@@ -100,9 +100,9 @@ impl StepGenerator {
         stream.par().write_value(TIM1.dmar().as_ptr() as u32);
         stream.m0ar().write_value(RING.0.get() as u32);
 
-        // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.4, external clock mode 2). A level counts
-        // after eight equal samples at 25 MHz: a spike of less than 280 ns is none, a pulse of more than 320 ns is one.
-        // The shortest step pulse is 1 us, and so is the shortest pause between two.
+        // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.4, external clock mode 2). A level
+        // counts after eight equal samples at 25 MHz: a spike of less than 280 ns is none, a pulse of more than 320
+        // ns is one. The shortest step pulse is 1 us, and so is the shortest pause between two.
         TIM2.arr().write_value(u32::MAX);
         TIM2.smcr().write(|w| {
             w.set_ece(true);
@@ -134,8 +134,8 @@ impl StepGenerator {
         self.line.given().wrapping_sub(self.fetched) as i32
     }
 
-    /// Cuts the pulses, but none in its middle: one that is shorter than the read-back's filter would be an edge at the pin and
-    /// none in the count. What stops at once, E-stop and limits, has cut them before.
+    /// Cuts the pulses, but none in its middle: one that is shorter than the read-back's filter would be an edge at
+    /// the pin and none in the count. What stops at once, E-stop and limits, has cut them before.
     fn cut_between_pulses(&mut self) {
         for _ in 0..PULSE_READS {
             let cut = cortex_m::interrupt::free(|_| {
@@ -164,24 +164,24 @@ impl StepGenerator {
         !self.running || self.queue() >= 2
     }
 
-    /// Shows the reader `count` slots from `first` on, which were written but for the first word of the first one: a half-written
-    /// slot that the reader takes all the same stops the counter.
+    /// Shows the reader `count` slots from `first` on, which were written but for the first word of the first one: a
+    /// half-written slot that the reader takes all the same stops the counter.
     fn show(&mut self, first: u32, last_tick: u16, count: i32) -> Result<(), Underrun> {
         compiler_fence(Ordering::SeqCst);
         // SAFETY: as in `end_slot`.
         unsafe { words(first).write_volatile(last_tick) };
         compiler_fence(Ordering::SeqCst);
         self.update();
-        // With no other slot in the queue the one before these has been fetched, and with its last word the first one of these:
-        // perhaps still as the zero that stops the counter.
+        // With no other slot in the queue the one before these has been fetched, and with its last word the first one
+        // of these: perhaps still as the zero that stops the counter.
         if self.running && self.queue() <= count {
             return Err(Underrun);
         }
         Ok(())
     }
 
-    /// The path from the end of the slot that is `before` slots behind DMA's next read, 2 for the one that plays, to that of the
-    /// last one.
+    /// The path from the end of the slot that is `before` slots behind DMA's next read, 2 for the one that plays, to
+    /// that of the last one.
     fn behind(&self, before: u32) -> Mark {
         let mark = self.line.at_end_of(self.fetched.wrapping_sub(before));
         self.line.end().since(mark)
@@ -345,7 +345,8 @@ impl Ring for StepGenerator {
     fn halt(&mut self) {
         self.cut_between_pulses();
         TIM1.cr1().modify(|w| w.set_cen(false));
-        // Without its request a burst would end in its middle, and the timer may go on there with the next path's words.
+        // Without its request a burst would end in its middle, and the timer may go on there with the next path's
+        // words.
         let whole = burst_is_whole();
         enable_requests(false);
         DMA2.st(STREAM).cr().modify(|w| w.set_en(false));

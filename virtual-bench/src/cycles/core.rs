@@ -4,11 +4,12 @@ use super::thumb::{Instruction, Timing, decode};
 
 /// Refill of the pipeline after a branch that is taken: 1 to 3 cycles (ARM DDI 0439, section 3.3).
 const REFILL: [u64; 2] = [1, 3];
-/// Entry into an exception and return from it, stacking included (ARM DDI 0439, section 3.9): 12 cycles each; a return that finds the
-/// stack's words fetched takes 10. At most the vector's read waits for the flash and the stack for DMA, too.
+/// Entry into an exception and return from it, stacking included (ARM DDI 0439, section 3.9): 12 cycles each; a
+/// return that finds the stack's words fetched takes 10. At most the vector's read waits for the flash and the stack
+/// for DMA, too.
 const EXCEPTION: [u64; 2] = [22, 34];
-/// What an access of the core to a register takes beyond one to memory, by bus: at most two cycles of a bus that runs at half the
-/// core's clock, to begin with one, and to come back.
+/// What an access of the core to a register takes beyond one to memory, by bus: at most two cycles of a bus that runs
+/// at half the core's clock, to begin with one, and to come back.
 const REGISTERS: [(std::ops::Range<u64>, [u64; 2]); 4] = [
     (0x4000_0000..0x4001_0000, [2, 8]),
     (0x4001_0000..0x4002_0000, [1, 4]),
@@ -89,8 +90,8 @@ impl Lines {
 #[derive(Clone, Debug)]
 struct Flash {
     set: Accelerator,
-    /// At least: a line that was read ahead is kept like any other, a kept line reads the next one ahead, and reads never wait for
-    /// those before them. At most: none of these.
+    /// At least: a line that was read ahead is kept like any other, a kept line reads the next one ahead, and reads
+    /// never wait for those before them. At most: none of these.
     at_least: bool,
     instructions: Lines,
     data: Lines,

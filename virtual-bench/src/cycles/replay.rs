@@ -1,5 +1,5 @@
-//! A run of the bench once more, instruction by instruction: what the host sent is put on the line at the same instants, and
-//! nothing else reaches the machine, so that it does the same.
+//! A run of the bench once more, instruction by instruction: what the host sent is put on the line at the same
+//! instants, and nothing else reaches the machine, so that it does the same.
 
 use std::collections::VecDeque;
 use std::ops::Range;

@@ -1,5 +1,5 @@
-//! How many cycles an instruction of a Cortex-M4 takes by itself: the table of its technical reference manual (ARM DDI 0439,
-//! section 3.3), from the two half-words that it is encoded in.
+//! How many cycles an instruction of a Cortex-M4 takes by itself: the table of its technical reference manual (ARM
+//! DDI 0439, section 3.3), from the two half-words that it is encoded in.
 
 /// An instruction, as far as its time depends on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,7 +18,8 @@ pub(super) enum Timing {
     Cycles(u32, u32),
     /// Loads of so many words: 1 + n. The address phase of a single one overlaps with the load or store before.
     Load(u32),
-    /// A load of so many words from its own surroundings, which lie in flash: the distance from the word of the program counter.
+    /// A load of so many words from its own surroundings, which lie in flash: the distance from the word of the
+    /// program counter.
     Literal { words: u32, offset: i32 },
     /// Stores of so many words: 1 + n.
     Store(u32),

@@ -1,4 +1,5 @@
-//! Accepted runs end whole, each step timed, at the slowest processor that is claimed: 65 M instructions/s, telemetry at 200 Hz.
+//! Accepted runs end whole, each step timed, at the slowest processor that is claimed: 65 M instructions/s, telemetry
+//! at 200 Hz.
 //!
 //! `RETROGRADE_CAMPAIGN=full` tries all of the recorded seed; `RETROGRADE_SEED=N` repeats run N of it.
 
