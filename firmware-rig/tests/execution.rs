@@ -4,7 +4,6 @@
 mod runs;
 
 use firmware_rig::{
-    edge_timing::Timed,
     execution::{LEAD_TICKS, Order, Pace},
     machine::{Command, Event, PathEnd, PathReport},
     periods::Path,
@@ -12,6 +11,7 @@ use firmware_rig::{
 };
 use motion::{
     axis::{Acceleration, Direction},
+    edge_timing::Timed,
     run::{Limits, RunPlan, RunRequest, Timing},
     step_times::StepTimes,
     trapezoid::StrokeProfile,

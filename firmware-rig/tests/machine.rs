@@ -1,12 +1,12 @@
 //! The state machine: homing, runs, and the table of every pair of state and input.
 
 use firmware_rig::{
-    edge_timing::Timed,
     machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
     settings::Settings,
 };
 use motion::{
     axis::Direction,
+    edge_timing::Timed,
     units::{StepPosition, Steps, Window},
 };
 use protocol::{

@@ -1,11 +1,16 @@
 //! A step ring in virtual time: plays queued periods round by round, as the board's timer and DMA do.
 
 use firmware_rig::{
-    edge_timing::{EdgeTiming, Timed},
     execution::{Ring, StartError, Underrun},
     periods::Period,
 };
-use motion::{axis::Direction, units::StepPosition};
+use motion::{
+    axis::Direction,
+    edge_timing::{EdgeTiming, Timed},
+    step_times::Equal,
+    timeline::Timeline,
+    units::StepPosition,
+};
 use std::collections::VecDeque;
 
 /// How much is queued ahead.
@@ -57,6 +62,7 @@ pub struct Slots {
     /// The second jumper is there.
     pub captures: bool,
     captured: Vec<u32>,
+    line: Timeline,
     timing: EdgeTiming,
 }
 
@@ -100,6 +106,7 @@ impl Slots {
             queued_at_halt: 0,
             captures: true,
             captured: Vec::new(),
+            line: Timeline::default(),
             timing: EdgeTiming::default(),
         }
     }
@@ -187,6 +194,7 @@ impl Ring for Slots {
         self.path_ticks = 0;
         self.due.clear();
         self.captured.clear();
+        self.line.clear();
         self.timing.clear();
     }
 
@@ -194,9 +202,16 @@ impl Ring for Slots {
         if self.ahead == Ahead::Slots && self.running && self.queue() < 2 {
             return Err(Underrun);
         }
-        assert!(self.has_room(), "a slot that waits is overwritten");
-        self.timing.expect(period);
+        assert!(self.room() > 0, "a slot that waits is overwritten");
         let rounds = u32::from(period.repeats) + 1;
+        if period.pulse {
+            self.line.extend(&[Equal {
+                interval: period.ticks,
+                steps: rounds,
+            }]);
+        } else {
+            self.line.extend_by_pause(period.ticks);
+        }
         self.ticks += u64::from(period.ticks) * u64::from(rounds);
         if period.pulse {
             let start = self.path_ticks;
@@ -212,16 +227,23 @@ impl Ring for Slots {
         Ok(())
     }
 
-    fn has_room(&self) -> bool {
+    fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun> {
+        assert!(!groups.is_empty());
+        groups
+            .iter()
+            .try_for_each(|steps| self.push(Period::from(*steps)))
+    }
+
+    fn room(&self) -> u32 {
         match self.ahead {
-            Ahead::Nothing => self.periods.is_empty(),
-            Ahead::Slots => self.queue() < (SLOTS - SPARE) as i64,
+            Ahead::Nothing => u32::from(self.periods.is_empty()),
+            Ahead::Slots => (SLOTS as i64 - SPARE as i64 - self.queue()).max(0) as u32,
         }
     }
 
     fn waiting(&self) -> u32 {
         match self.ahead {
-            Ahead::Nothing => 100, // never short of anything
+            Ahead::Nothing => 100, // never short of anything, and never full
             Ahead::Slots => self.queue().max(0) as u32,
         }
     }
@@ -295,7 +317,8 @@ impl Ring for Slots {
 
     fn time_edges(&mut self, at_most: u32) -> bool {
         let count = self.captured.len().min(at_most as usize);
-        self.timing.compare(self.captured.drain(..count));
+        self.timing.compare(&self.line, &self.captured[..count]);
+        self.captured.drain(..count);
         count < at_most as usize
     }
 
