@@ -19,7 +19,7 @@ use rigless::session::Session;
 use rigless::time::VirtualNanos;
 
 use crate::bus::BusReport;
-use crate::emulator::{ChipOptions, CutAt, Emulator, Wiring};
+use crate::emulator::{ChipOptions, CutAt, Emulator, Program, Wiring};
 use crate::log::{Log, Tap};
 use crate::pace::{Pace, Slow, Turn};
 use crate::serial::Serial;
@@ -381,6 +381,7 @@ impl<W: Wiring> Conductor<W> {
                 After::Run
             }
             Job::Visit(visitor) => {
+                session.board_mut().catch_up(stop.at, host);
                 visitor(&mut Visit {
                     session,
                     host,
@@ -393,6 +394,7 @@ impl<W: Wiring> Conductor<W> {
                 self.reply(Reply::Visited)
             }
             Job::PowerCycle { off_ns } => {
+                session.board_mut().catch_up(stop.at, host);
                 let flash = crate::emulator::cut_supply(session, host);
                 self.power_cycle = Some((flash, now_ns + off_ns));
                 After::End
@@ -489,7 +491,9 @@ fn conduct<W: Wiring>(
     loop {
         let epoch_ns = conductor.epoch_ns;
         let serial = Arc::clone(&conductor.serial);
-        let mut emulator = Emulator::new(wiring, options.chip, serial, epoch_ns).map_err(text)?;
+        let program = Program::of(&images, options.chip.core_hz);
+        let mut emulator =
+            Emulator::new(wiring, options.chip, serial, epoch_ns, program).map_err(text)?;
         emulator.set_earlier(gaps);
         let session = Session::new(Box::new(emulator), 0, VirtualNanos(0)).map_err(text)?;
         let mut finished = emulator::run(session, &Start::new(&images), conductor).map_err(text)?;
