@@ -111,7 +111,7 @@ pub const HYSTERESIS_MM: f64 = 0.3;
 pub const SNAP_MM: (f64, f64) = (0.6, 0.05);
 /// The speed at which most of the standing motor's friction is gone, rad/s: 0.4 mm/s of thread (assumed).
 pub const STICK_RAD_S: f64 = 30.0;
-/// Cycles after which two thirds of the wear are there (assumed).
+/// Cycles after which half of the wear is there (assumed).
 pub const WEAR_CYCLES: f64 = 200.0;
 /// Of copper, per K.
 const COPPER_PER_K: f64 = 0.0039;
@@ -204,6 +204,14 @@ impl Effects {
         self
     }
 
+    /// Only this effect of them, so many times as large.
+    #[must_use]
+    pub fn only(self, effect: Effect, times: f64) -> Self {
+        Effect::ALL.into_iter().fold(self, |effects, other| {
+            effects.scaled(other, if other == effect { times } else { 0.0 })
+        })
+    }
+
     /// Resistance of the winding and constant of the motor at a temperature, over those at room temperature.
     #[must_use]
     pub fn motor_at(&self, celsius: f64) -> (f64, f64) {
@@ -215,7 +223,7 @@ impl Effects {
     #[must_use]
     pub fn friction_at(&self, celsius: f64, cycles: f64) -> (f64, f64) {
         let warmer = celsius - ROOM_C;
-        let worn = self.wear * (1.0 - (-cycles / WEAR_CYCLES).exp());
+        let worn = self.wear * cycles / (WEAR_CYCLES + cycles);
         (
             ((1.0 - self.worm_per_k * warmer) * (1.0 + worn)).max(0.1),
             (1.0 - self.no_load_per_k * warmer).max(0.1),

@@ -109,6 +109,8 @@ pub struct Plant {
     /// Degrees Celsius.
     celsius: f64,
     cycles: f64,
+    /// Tenfold numbers of them.
+    decades: f64,
     /// The thread pulls, in this cycle.
     pulled: bool,
     /// Since the start, and how far the cell has polarised, mV.
@@ -155,6 +157,7 @@ impl Plant {
             bridge: Bridge::Coast,
             celsius: ROOM_C,
             cycles: 0.0,
+            decades: 0.0,
             pulled: false,
             time_s: 0.0,
             polarised_mv: 0.0,
@@ -218,7 +221,7 @@ impl Plant {
             Defect::Gain(times) => self.parameters.sense_gain *= times,
             Defect::Offset(ma) => self.parameters.sense_offset_mv += ma * SENSE_MV_PER_MA,
             Defect::Temperature(celsius) => self.celsius = celsius,
-            Defect::Aged(cycles) => self.cycles += cycles,
+            Defect::Aged(cycles) => self.live(cycles),
         }
     }
 
@@ -248,19 +251,20 @@ impl Plant {
         self.spool_mm
     }
 
-    fn decades(&self) -> f64 {
-        (1.0 + self.cycles).log10()
+    fn live(&mut self, cycles: f64) {
+        self.cycles += cycles;
+        self.decades = (1.0 + self.cycles).log10();
     }
 
     /// Travel of the fold, mm: the thread beyond its slack.
     #[must_use]
     pub fn travel_mm(&self) -> f64 {
-        let crept_mm = self.parameters.effects.creep_mm * self.decades();
+        let crept_mm = self.parameters.effects.creep_mm * self.decades;
         (self.spool_mm - self.parameters.slack_mm - crept_mm - self.slipped_mm).max(0.0)
     }
 
     fn stiffness(&self) -> f64 {
-        self.parameters.stiffness * (1.0 - self.parameters.effects.softening * self.decades())
+        self.parameters.stiffness * (1.0 - self.parameters.effects.softening * self.decades)
     }
 
     /// Pull of the thread, N.
@@ -439,7 +443,7 @@ impl Plant {
         let effects = &self.parameters.effects;
         if effects.polarisation_ohm > 0.0 {
             let settles_mv = effects.polarisation_ohm * self.drawn_a * 1e3;
-            let settled = -(-dt / effects.polarisation_s).exp_m1();
+            let settled = origami::settles(dt / effects.polarisation_s);
             self.polarised_mv += (settles_mv - self.polarised_mv) * settled;
         }
     }
@@ -535,7 +539,7 @@ impl Plant {
         {
             // What the spool turns on beyond the limit winds no thread.
             self.slipped_mm += self.speed * mm_per_rad * dt;
-            force = self.force_n();
+            force = limit;
         }
         if self.snap_mm.is_some_and(|at| self.travel_mm() >= at) {
             self.snapped = true;
@@ -544,7 +548,7 @@ impl Plant {
         if force > CYCLE_N {
             self.pulled = true;
         } else if force == 0.0 && std::mem::take(&mut self.pulled) {
-            self.cycles += 1.0;
+            self.live(1.0);
         }
 
         let (folding, unfolding) = self.resistance(force);

@@ -30,12 +30,15 @@ impl Origami {
     /// Force of a fold that is made at once and forgets nothing, N.
     fn elastic_n(folded_mm: f64, stiffness: f64, effects: &Effects) -> f64 {
         let (builds_mm, lost_mm) = SNAP_MM;
+        if effects.snap_through == 0.0 {
+            return spring::force_n(folded_mm) * stiffness;
+        }
         let snap: f64 = effects
             .snap_at_mm
             .iter()
             .map(|at_mm| {
                 let past = folded_mm - at_mm;
-                if effects.snap_through == 0.0 || !(-builds_mm..lost_mm).contains(&past) {
+                if !(-builds_mm..lost_mm).contains(&past) {
                     0.0
                 } else if past < 0.0 {
                     1.0 + past / builds_mm
@@ -88,9 +91,18 @@ impl Origami {
         if effects.relaxation != [0.0; 2] {
             let force = Self::elastic_n(self.folded_mm, stiffness, effects);
             for (settled, time) in self.settled_n.iter_mut().zip(RELAXATION_S) {
-                *settled += (force - *settled) * -(-dt / time).exp_m1();
+                *settled += (force - *settled) * settles(dt / time);
             }
         }
+    }
+}
+
+/// 1 - exp(-of), which a short step needs no exponential for.
+pub(crate) fn settles(of: f64) -> f64 {
+    if of < 1e-3 {
+        of - of * of / 2.0
+    } else {
+        -(-of).exp_m1()
     }
 }
 

@@ -93,8 +93,9 @@ pub(crate) struct Source {
     pub(crate) henry: f64,
 }
 
+#[cfg(test)]
 impl Source {
-    pub(crate) fn of(parameters: &Parameters) -> Self {
+    fn of(parameters: &Parameters) -> Self {
         Self {
             cell_v: parameters.battery_mv * 1e-3,
             ohm: parameters.winding_ohm,
