@@ -43,8 +43,9 @@ use protocol::capsule::CapsuleFault;
 const LOADED_FROM_MA: u16 = 68;
 /// The last of paying out: 2 mm/s.
 const LAST_CPS: i32 = 1_600;
-/// A fold is slow for so much before its calibrated end.
-pub const SLOW_ZONE: Thread = Thread(300);
+/// A fold is slow for this much before its calibrated end: 0.25 mm to become slow, and the zone in which its force is compared with
+/// the calibration's, which was as slow.
+pub const SLOW_ZONE: Thread = Thread(600);
 /// The first of an unfolding is slow, so that its current tells whether the thread pulls. What it takes to start the motor
 /// is almost gone by then.
 pub const TENSION_ZONE: Thread = Thread(700);

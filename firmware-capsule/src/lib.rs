@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod calibration;
+pub mod circuit;
 pub mod commands;
 pub mod control;
 pub mod detect;

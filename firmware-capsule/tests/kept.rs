@@ -60,6 +60,7 @@ const CALIBRATION: Calibration = Calibration {
     rise: Thread(1_538),
     long_rise: Thread(3_402),
     tension_ma: 54,
+    back_emf_uv_cps: 207,
 };
 
 fn totals(actuations: u32) -> Totals {

@@ -12,7 +12,6 @@ use protocol::system::{DeviceKind, Identity, ResetCause, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
 use simulated_machines::link::Peer;
 
-
 /// A log of executed requests; clones share it.
 #[derive(Clone, Debug, Default)]
 pub struct Asked(Arc<Mutex<Notes>>);

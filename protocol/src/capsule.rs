@@ -122,6 +122,8 @@ pub enum CapsuleFault {
         /// Thread wound from the start to the end force.
         wound_um: i32,
     },
+    /// Voltage, current and speed of the motor do not agree: the encoder loses counts, or the current amplifier is wrong.
+    SenseOrEncoder,
 }
 
 /// Asks for the capsule's status.

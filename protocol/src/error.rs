@@ -299,6 +299,9 @@ impl fmt::Display for CapsuleFault {
                 wound_um / 1000,
                 (wound_um % 1000).unsigned_abs()
             ),
+            CapsuleFault::SenseOrEncoder => f.write_str(
+                "voltage, current and counts of the motor do not agree: the encoder loses counts or the current amplifier is wrong; check both, acknowledge, reference",
+            ),
             CapsuleFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then reference"),
         }
     }

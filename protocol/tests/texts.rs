@@ -88,6 +88,7 @@ fn a_fault_of_the_capsule_says_what_to_do() {
         CapsuleFault::BridgeSilent,
         CapsuleFault::SenseLost,
         CapsuleFault::NotUnfolded { wound_um: 9_001 },
+        CapsuleFault::SenseOrEncoder,
     ];
     let texts = distinct(faults);
     for text in &texts {

@@ -43,6 +43,14 @@ pub enum Kind {
     Collapse,
     /// The cell is empty before a fold.
     Empty,
+    /// The cell is tired: a resistance and a polarisation of 1 to 6 ohm each, from before a fold.
+    Tired,
+    /// The current amplifier loses half to a fifth of its gain, in a fold or before it. An unfolding has next to no current.
+    Gain,
+    /// The current amplifier's zero goes off by 10 to 60 mA either way, in a motion.
+    Offset,
+    /// The encoder loses 5 to 60 % of its counts, in a motion or before it.
+    LosesCounts,
 }
 
 impl FromStr for Kind {
@@ -59,7 +67,7 @@ impl FromStr for Kind {
 
 impl Kind {
     /// All of them.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 22] = [
         Self::Healthy,
         Self::Jam,
         Self::LateJam,
@@ -78,6 +86,10 @@ impl Kind {
         Self::Weak,
         Self::Collapse,
         Self::Empty,
+        Self::Tired,
+        Self::Gain,
+        Self::Offset,
+        Self::LosesCounts,
     ];
 
     /// The kinds that are wanted: those in `only`, or all if there is none.
@@ -99,19 +111,23 @@ impl Kind {
             Self::Clutch => &["SpoolSlip"],
             Self::SnapFolded | Self::SlipFolded => &["SlipOrBreak"],
             Self::Encoder | Self::Channel | Self::Swapped => &["EncoderLost"],
+            Self::LosesCounts => &["EncoderLost", "SenseOrEncoder"],
             Self::SilentBridge => &["BridgeSilent"],
             Self::DriverFault => &["DriverFault"],
             Self::Short => &["OverCurrent"],
             Self::SenseOpen => &["SenseLost"],
+            Self::Gain | Self::Offset => &["SenseLost", "SenseOrEncoder"],
             Self::Weak | Self::Collapse => &["LowBattery"],
             Self::Empty => &["BatteryLow"],
+            // One that still gives what a fold takes is no defect.
+            Self::Tired => &["LowBattery", "BatteryLow", "Complete"],
         }
     }
 
     /// The capsule with this seed.
     #[must_use]
     pub fn parameters(self, seed: u64) -> Parameters {
-        let parameters = Parameters::varied(seed);
+        let parameters = Parameters::lifelike(seed);
         match self {
             // The defect says what its cell's resistance is.
             Self::Weak => Parameters {
@@ -190,6 +206,25 @@ impl Kind {
                 planned: Some((random.between(0.0, 800.0), Defect::Collapse)),
                 ..fold
             },
+            Self::Tired => with(&[Defect::Tired(random.between(1.0, 6.0))]),
+            Self::Gain => {
+                let times = random.between(0.5, 0.8);
+                within(&mut random, false, Defect::Gain(times))
+            }
+            Self::Offset => {
+                let ma = random.between(10.0, 60.0) * if random.unit() < 0.5 { -1.0 } else { 1.0 };
+                let course = within(&mut random, true, Defect::Offset(ma));
+                Course {
+                    planned: course
+                        .planned
+                        .map(|(at_ms, defect)| (at_ms.max(0.0), defect)),
+                    ..course
+                }
+            }
+            Self::LosesCounts => {
+                let share = random.between(0.05, 0.60);
+                within(&mut random, true, Defect::LosesCounts(share))
+            }
             Self::Empty => Course {
                 rests_ms: 120,
                 ..with(&[Defect::Battery(random.between(2_500.0, 2_990.0))])

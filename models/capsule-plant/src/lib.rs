@@ -6,19 +6,30 @@
 //! J w' = kt i - kt I0 sgn(w) - load                  motor
 //! x'   = w r / N                                     thread on the spool
 //! ```
+//! What else a real capsule does is in [`Effects`], each effect of which can be switched off.
+//!
 //! It shares no code with the firmware, so it can judge it. Thread 0 is the paid-out end of a healthy capsule; below
 //! it the thread winds itself backwards onto the spool.
 
 pub mod cases;
+pub mod effects;
+mod encoder;
+mod origami;
 mod parameters;
 mod random;
 mod spring;
 pub mod verdict;
 mod winding;
 
+pub use effects::{Effect, Effects};
 pub use parameters::{BATTERY_DIVIDER, COUNTS_PER_REVOLUTION, Parameters, SENSE_MV_PER_MA, Shunt};
 pub use random::Random;
 pub use winding::Bridge;
+
+use effects::{ROOM_C, STICK_RAD_S};
+use encoder::Encoder;
+use origami::Origami;
+use winding::Source;
 
 /// Winding that is short-circuited within itself, ohm (assumed).
 const SHORTED_OHM: f64 = 0.3;
@@ -26,6 +37,8 @@ const SHORTED_OHM: f64 = 0.3;
 const COLLAPSE_V_PER_S: f64 = 4.0;
 /// Longest step of the integration, s.
 const STEP_S: f64 = 20e-6;
+/// A thread that has pulled with this, N, and then with nothing, has made a cycle.
+const CYCLE_N: f64 = 2.0;
 
 /// What is wrong with a capsule. Positions are travel of the fold: thread beyond the slack, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -73,6 +86,18 @@ pub enum Defect {
     Collapse,
     /// The cell has this voltage without load, mV.
     Battery(f64),
+    /// The cell is tired: of its resistance and its polarisation there is so much more, ohm each.
+    Tired(f64),
+    /// The current amplifier shows so many times the current.
+    Gain(f64),
+    /// The current amplifier's zero is off by so much more, mA.
+    Offset(f64),
+    /// The encoder loses this share of its lines.
+    LosesCounts(f64),
+    /// Everything has this temperature, degrees Celsius.
+    Temperature(f64),
+    /// The capsule has made so many cycles more.
+    Aged(f64),
 }
 
 /// The mechanics, with what is wrong with them.
@@ -80,9 +105,21 @@ pub enum Defect {
 pub struct Plant {
     /// Parameters of this capsule.
     pub parameters: Parameters,
-    /// Of the worm, raising and lowering.
-    worm_factors: (f64, f64),
     bridge: Bridge,
+    /// Degrees Celsius.
+    celsius: f64,
+    cycles: f64,
+    /// Tenfold numbers of them.
+    decades: f64,
+    /// The thread pulls, in this cycle.
+    pulled: bool,
+    /// Since the start, and how far the cell has polarised, mV.
+    time_s: f64,
+    polarised_mv: f64,
+    origami: Origami,
+    encoder: Encoder,
+    /// Thread that the spool has wound: behind the motor by the backlash.
+    spool_mm: f64,
     /// rad/s and rad at the motor.
     speed: f64,
     angle: f64,
@@ -104,8 +141,6 @@ pub struct Plant {
     snapped: bool,
     slipped_mm: f64,
     clutch_n: Option<f64>,
-    stuck: [Option<bool>; 2],
-    swapped: bool,
     silent: bool,
     driver_fault: bool,
     shorted: bool,
@@ -119,8 +154,16 @@ impl Plant {
     pub fn new(parameters: Parameters) -> Self {
         Self {
             parameters,
-            worm_factors: parameters.worm_factors(),
             bridge: Bridge::Coast,
+            celsius: ROOM_C,
+            cycles: 0.0,
+            decades: 0.0,
+            pulled: false,
+            time_s: 0.0,
+            polarised_mv: 0.0,
+            origami: Origami::at((parameters.wound_mm - parameters.slack_mm).max(0.0)),
+            encoder: Encoder::new(parameters.effects.phase),
+            spool_mm: parameters.wound_mm,
             speed: 0.0,
             angle: 0.0,
             current_a: 0.0,
@@ -138,8 +181,6 @@ impl Plant {
             snapped: false,
             slipped_mm: 0.0,
             clutch_n: None,
-            stuck: [None; 2],
-            swapped: false,
             silent: false,
             driver_fault: false,
             shorted: false,
@@ -150,23 +191,22 @@ impl Plant {
 
     /// Makes something go wrong, now.
     pub fn suffer(&mut self, defect: Defect) {
-        let (a, b) = self.true_encoder();
         match defect {
             Defect::Jam(travel_mm) => self.jam_mm = Some(travel_mm),
             Defect::Obstacle { at_mm, n_per_mm } => self.obstacle = Some((at_mm, n_per_mm)),
             Defect::Friction(times) => {
                 self.parameters.worm_friction *= times;
-                self.worm_factors = self.parameters.worm_factors();
             }
             Defect::NoLoad(times) => self.parameters.no_load_a *= times,
             Defect::Relaxed(share) => self.parameters.stiffness *= share,
             Defect::Snap(travel_mm) => self.snap_mm = Some(travel_mm),
             Defect::Slip(length_mm) => self.slipped_mm += length_mm,
             Defect::Clutch(newton) => self.clutch_n = Some(newton),
-            Defect::ChannelA => self.stuck[0] = Some(a),
-            Defect::ChannelB => self.stuck[1] = Some(b),
-            Defect::Encoder => self.stuck = [Some(a), Some(b)],
-            Defect::Swapped => self.swapped = true,
+            Defect::ChannelA => self.encoder.stick([true, false]),
+            Defect::ChannelB => self.encoder.stick([false, true]),
+            Defect::Encoder => self.encoder.stick([true, true]),
+            Defect::Swapped => self.encoder.swapped = true,
+            Defect::LosesCounts(share) => self.encoder.loses = share,
             Defect::SilentBridge => self.silent = true,
             Defect::DriverFault => self.driver_fault = true,
             Defect::Short => self.shorted = true,
@@ -174,18 +214,25 @@ impl Plant {
             Defect::Weak(ohm) => self.parameters.battery_ohm = ohm,
             Defect::Collapse => self.collapsing = true,
             Defect::Battery(mv) => self.parameters.battery_mv = mv,
+            Defect::Tired(ohm) => {
+                self.parameters.battery_ohm += ohm;
+                self.parameters.effects.polarisation_ohm += ohm;
+            }
+            Defect::Gain(times) => self.parameters.sense_gain *= times,
+            Defect::Offset(ma) => self.parameters.sense_offset_mv += ma * SENSE_MV_PER_MA,
+            Defect::Temperature(celsius) => self.celsius = celsius,
+            Defect::Aged(cycles) => self.live(cycles),
         }
     }
 
-    /// Everything is well again, but for the cell, what has aged, and thread that has slipped.
+    /// Everything is well again, but for the cell, the amplifier, what has aged, and thread that has slipped.
     pub fn heal(&mut self) {
         self.jam_mm = None;
         self.obstacle = None;
         self.snap_mm = None;
         self.snapped = false;
         self.clutch_n = None;
-        self.stuck = [None; 2];
-        self.swapped = false;
+        self.encoder.heal();
         self.silent = false;
         self.driver_fault = false;
         self.shorted = false;
@@ -201,13 +248,23 @@ impl Plant {
     /// Thread on the spool, mm.
     #[must_use]
     pub fn wound_mm(&self) -> f64 {
-        self.parameters.wound_mm + self.angle * self.parameters.mm_per_rad()
+        self.spool_mm
+    }
+
+    fn live(&mut self, cycles: f64) {
+        self.cycles += cycles;
+        self.decades = (1.0 + self.cycles).log10();
     }
 
     /// Travel of the fold, mm: the thread beyond its slack.
     #[must_use]
     pub fn travel_mm(&self) -> f64 {
-        (self.wound_mm() - self.parameters.slack_mm - self.slipped_mm).max(0.0)
+        let crept_mm = self.parameters.effects.creep_mm * self.decades;
+        (self.spool_mm - self.parameters.slack_mm - crept_mm - self.slipped_mm).max(0.0)
+    }
+
+    fn stiffness(&self) -> f64 {
+        self.parameters.stiffness * (1.0 - self.parameters.effects.softening * self.decades)
     }
 
     /// Pull of the thread, N.
@@ -222,7 +279,8 @@ impl Plant {
         let met = self.obstacle.map_or(0.0, |(at_mm, n_per_mm)| {
             n_per_mm * (travel - at_mm).max(0.0)
         });
-        spring::force_n(travel) * self.parameters.stiffness
+        self.origami
+            .pull_n(travel, self.stiffness(), &self.parameters.effects)
             + met
             + self.parameters.stop_n_per_mm * (travel - stop).max(0.0)
     }
@@ -292,18 +350,21 @@ impl Plant {
             return 0.0;
         }
         let signal = self.filtered_ma * SENSE_MV_PER_MA * self.parameters.sense_gain;
+        let effects = &self.parameters.effects;
+        let drift =
+            effects.drift_mv * (std::f64::consts::TAU * self.time_s / effects.drift_s).sin();
         let zero = match self.parameters.shunt {
             Shunt::Below { .. } => 0.0,
             Shunt::InSeries => supply_mv / 2.0,
         };
-        (zero + self.parameters.sense_offset_mv + signal).clamp(0.0, supply_mv)
+        (zero + self.parameters.sense_offset_mv + drift + signal).clamp(0.0, supply_mv)
     }
 
     /// Voltage at the cell's terminals, mV: mean over the last step.
     #[must_use]
     pub fn terminal_mv(&self) -> f64 {
         let sag = 1e3 * self.parameters.battery_ohm * self.drawn_a;
-        (self.parameters.battery_mv - sag).max(0.0)
+        (self.parameters.battery_mv - self.polarised_mv - sag).max(0.0)
     }
 
     /// The same behind the divider's filter, as the chip sees it but for the divider.
@@ -328,19 +389,10 @@ impl Plant {
         (self.angle * COUNTS_PER_REVOLUTION / std::f64::consts::TAU).floor() as i64
     }
 
-    fn true_encoder(&self) -> (bool, bool) {
-        let phase = self.counts().rem_euclid(4);
-        (phase == 1 || phase == 2, phase == 2 || phase == 3)
-    }
-
     /// The encoder's outputs A and B.
     #[must_use]
     pub fn encoder(&self) -> (bool, bool) {
-        let (mut a, mut b) = self.true_encoder();
-        if self.swapped {
-            (a, b) = (b, a);
-        }
-        (self.stuck[0].unwrap_or(a), self.stuck[1].unwrap_or(b))
+        self.encoder.levels()
     }
 
     fn drives(&self) -> Bridge {
@@ -380,17 +432,58 @@ impl Plant {
         }
     }
 
+    /// Lets so much time pass for a plant [at rest](Self::is_quiet): the origami relaxes, the cell recovers.
+    pub fn rest(&mut self, duration_s: f64) {
+        self.time_s += duration_s;
+        self.polarise(duration_s);
+        self.follow(duration_s);
+    }
+
+    fn polarise(&mut self, dt: f64) {
+        let effects = &self.parameters.effects;
+        if effects.polarisation_ohm > 0.0 {
+            let settles_mv = effects.polarisation_ohm * self.drawn_a * 1e3;
+            let settled = origami::settles(dt / effects.polarisation_s);
+            self.polarised_mv += (settles_mv - self.polarised_mv) * settled;
+        }
+    }
+
+    /// The origami follows the thread.
+    fn follow(&mut self, dt: f64) {
+        let held_mm = if self.snapped { 0.0 } else { self.travel_mm() };
+        let stiffness = self.stiffness();
+        self.origami
+            .follow(held_mm, stiffness, &self.parameters.effects, dt);
+    }
+
+    /// Motor constant, now, V s/rad.
+    fn motor_constant(&self) -> f64 {
+        let (_, magnet) = self.parameters.effects.motor_at(self.celsius);
+        self.parameters.motor_constant * magnet
+    }
+
     /// Current, cell and amplifier, at the present speed. Returns the charge through the winding, C.
     fn carry(&mut self, dt: f64) -> f64 {
         let parameters = &self.parameters;
+        let (copper, _) = parameters.effects.motor_at(self.celsius);
+        let cell_mv = parameters.battery_mv - self.polarised_mv;
         // A winding that is shorted within itself gives no back-EMF.
-        let (shorted, back) = match self.shorted {
-            true => (Some(SHORTED_OHM), 0.0),
-            false => (None, parameters.motor_constant * self.speed),
+        let (ohm, henry, back) = match self.shorted {
+            true => (SHORTED_OHM, 0.0, 0.0),
+            false => (
+                parameters.winding_ohm * copper,
+                parameters.winding_h,
+                self.motor_constant() * self.speed,
+            ),
+        };
+        let source = Source {
+            cell_v: cell_mv.max(0.0) * 1e-3,
+            ohm,
+            henry,
         };
         let flow = winding::flow(
             parameters,
-            shorted,
+            source,
             self.drives(),
             (self.current_a, back),
             dt,
@@ -399,7 +492,7 @@ impl Plant {
         (self.mean_a, self.drawn_a) = (flow.charge / dt, flow.drawn / dt);
         self.charge_c += flow.drawn;
         let heat = self.parameters.battery_ohm * flow.drawn_square;
-        self.energy_j += self.parameters.battery_mv * 1e-3 * flow.drawn - heat;
+        self.energy_j += cell_mv * 1e-3 * flow.drawn - heat;
         let settled = 1.0 - (-dt / self.parameters.filter_s).exp();
         let sensed_ma = flow.sensed / dt * 1e3;
         self.filtered_ma += (sensed_ma - self.filtered_ma) * settled;
@@ -407,40 +500,63 @@ impl Plant {
         flow.charge
     }
 
+    /// Torque that resists a motor that folds, and one that unfolds, with this pull of the thread, N m.
+    fn resistance(&self, force: f64) -> (f64, f64) {
+        let parameters = &self.parameters;
+        let effects = &parameters.effects;
+        let (worm, no_load) = effects.friction_at(self.celsius, self.cycles);
+        // A fast motor has nothing of it.
+        let turns = self.speed.abs() / STICK_RAD_S;
+        let sticks = match effects.stick > 0.0 && turns < 20.0 {
+            true => 1.0 + effects.stick * (-turns).exp(),
+            false => 1.0,
+        };
+        let friction = parameters.worm_friction * worm * sticks;
+        let (raising, lowering) =
+            parameters.worm_factors_with(friction, friction * (1.0 + effects.direction));
+        let ratio = parameters.planetary_ratio * parameters.worm_ratio;
+        let lever = parameters.spool_mm * 1e-3 / ratio / parameters.planetary_efficiency;
+        let ideal = force * lever;
+        let idle = parameters.motor_constant * parameters.no_load_a * no_load * sticks;
+        let stop = parameters.paid_out_stop_mm.map_or(0.0, |at| {
+            (at - self.wound_mm()).max(0.0) * parameters.stop_n_per_mm * lever
+        });
+        (
+            ideal * raising + idle,
+            -(ideal * lowering + stop * raising + idle),
+        )
+    }
+
     /// The motion, with this charge through the winding.
     fn turn(&mut self, charge: f64, dt: f64) {
-        let parameters = self.parameters;
-        // Nor does it give a torque.
-        let constant = if self.shorted {
-            0.0
-        } else {
-            parameters.motor_constant
-        };
+        let mm_per_rad = self.parameters.mm_per_rad();
+        self.time_s += dt;
+        self.polarise(dt);
         let mut force = self.force_n();
         if let Some(limit) = self.clutch_n
             && force > limit
             && self.speed > 0.0
         {
             // What the spool turns on beyond the limit winds no thread.
-            self.slipped_mm += self.speed * parameters.mm_per_rad() * dt;
-            force = self.force_n();
+            self.slipped_mm += self.speed * mm_per_rad * dt;
+            force = limit;
         }
         if self.snap_mm.is_some_and(|at| self.travel_mm() >= at) {
             self.snapped = true;
         }
         self.peak_force_n = self.peak_force_n.max(force);
+        if force > CYCLE_N {
+            self.pulled = true;
+        } else if force == 0.0 && std::mem::take(&mut self.pulled) {
+            self.live(1.0);
+        }
 
-        let ratio = parameters.planetary_ratio * parameters.worm_ratio;
-        let ideal = force * parameters.spool_mm * 1e-3 / ratio / parameters.planetary_efficiency;
-        let (raising, lowering) = self.worm_factors;
-        let friction = parameters.motor_constant * parameters.no_load_a;
-        let stop = parameters.paid_out_stop_mm.map_or(0.0, |at| {
-            (at - self.wound_mm()).max(0.0) * parameters.stop_n_per_mm
-        });
-        let stop = stop * parameters.spool_mm * 1e-3 / ratio / parameters.planetary_efficiency;
-        let folding = ideal * raising + friction;
-        let unfolding = -(ideal * lowering + stop * raising + friction);
-        let torque = constant * charge / dt;
+        let (folding, unfolding) = self.resistance(force);
+        // Nor does a shorted winding give a torque.
+        let torque = match self.shorted {
+            true => 0.0,
+            false => self.motor_constant() * charge / dt,
+        };
         let resisting = if self.speed > 0.0 {
             folding
         } else if self.speed < 0.0 {
@@ -448,10 +564,14 @@ impl Plant {
         } else {
             torque.clamp(unfolding, folding)
         };
-        let speed = self.speed + (torque - resisting) / parameters.inertia * dt;
+        let speed = self.speed + (torque - resisting) / self.parameters.inertia * dt;
         // Friction and load can stop the motor but not reverse it; only the torque of the next step may.
         self.speed = if speed * self.speed < 0.0 { 0.0 } else { speed };
         self.angle += self.speed * dt;
+        self.encoder
+            .turn(self.angle * COUNTS_PER_REVOLUTION / std::f64::consts::TAU);
+        self.wind(force);
+        self.follow(dt);
         let wound = self.wound_mm();
         let (least, most) = self.extremes_mm;
         self.extremes_mm = (least.min(wound), most.max(wound));
@@ -459,6 +579,17 @@ impl Plant {
             let lost_mv = COLLAPSE_V_PER_S * 1e3 * dt;
             self.parameters.battery_mv = (self.parameters.battery_mv - lost_mv).max(0.0);
         }
+    }
+
+    /// The spool follows the motor: at once under load, which keeps the worm's wheel at one flank, and without one only after
+    /// the backlash.
+    fn wind(&mut self, force: f64) {
+        let motor_mm = self.parameters.wound_mm + self.angle * self.parameters.mm_per_rad();
+        let least_mm = motor_mm - self.parameters.effects.backlash_mm;
+        self.spool_mm = match force > 0.0 {
+            true => least_mm,
+            false => self.spool_mm.clamp(least_mm, motor_mm),
+        };
     }
 }
 

@@ -1,5 +1,6 @@
 //! Every number of the model, with its source.
 
+use crate::effects::Effects;
 use crate::random::Random;
 
 /// Where the current is measured, and how its amplifier's output stands.
@@ -77,6 +78,8 @@ pub struct Parameters {
     pub filter_s: f64,
     /// Thread on the spool at the start, mm.
     pub wound_mm: f64,
+    /// What is not in the plain model.
+    pub effects: Effects,
 }
 
 impl Parameters {
@@ -110,6 +113,7 @@ impl Parameters {
             sense_noise_ma: 0.0,
             filter_s: 160e-6,
             wound_mm: 0.0,
+            effects: Effects::NONE,
         }
     }
 
@@ -135,15 +139,28 @@ impl Parameters {
         }
     }
 
+    /// The same with all effects.
+    #[must_use]
+    pub fn lifelike(seed: u64) -> Self {
+        Self {
+            effects: Effects::varied(seed),
+            ..Self::varied(seed)
+        }
+    }
+
     /// Motor torque over the ideal one when the worm raises the load, and when it lowers it: the worm is
     /// self-locking, so lowering has to be driven, too.
     #[must_use]
     pub fn worm_factors(&self) -> (f64, f64) {
-        let lead = self.worm_lead_deg.to_radians();
-        let friction = self.worm_friction.atan();
+        self.worm_factors_with(self.worm_friction, self.worm_friction)
+    }
+
+    /// The same with these coefficients of friction: tan(lead + angle of friction) / tan(lead), and its counterpart.
+    pub(crate) fn worm_factors_with(&self, raising: f64, lowering: f64) -> (f64, f64) {
+        let lead = self.worm_lead_deg.to_radians().tan();
         (
-            (lead + friction).tan() / lead.tan(),
-            (friction - lead).tan() / lead.tan(),
+            (lead + raising) / (1.0 - lead * raising) / lead,
+            (lowering - lead) / (1.0 + lead * lowering) / lead,
         )
     }
 

@@ -2,31 +2,43 @@
 
 use std::sync::OnceLock;
 
-/// Step of the table in the crescent's height, mm.
-const STEP_MM: f64 = 0.01;
+/// Step of the crescent's height, mm.
+const HEIGHT_MM: f64 = 0.01;
+/// Step of the table in travel, mm.
+const STEP_MM: f64 = 0.005;
 
 /// Force of the nine crescents at a travel, N, by the beam estimate of `docs/science.md`:
 /// F = 0.2055 N/mm a / (d psi / da), travel = 9 (psi(0) - psi(a)), with the paper's Eqs. (2) to (5) and (7).
 #[must_use]
 pub fn force_n(travel_mm: f64) -> f64 {
-    static TABLE: OnceLock<Vec<(f64, f64)>> = OnceLock::new();
-    let table = TABLE.get_or_init(|| {
-        (0..970)
-            .map(|index| f64::from(index) * STEP_MM)
-            .map(|a| {
-                let slope = (psi(a - 1e-4) - psi(a + 1e-4)) / 2e-4;
-                (9.0 * (psi(0.0) - psi(a)), 0.2055 * a / slope)
-            })
-            .collect()
-    });
-    let above = table.partition_point(|(travel, _)| *travel <= travel_mm);
-    match (table.get(above.wrapping_sub(1)), table.get(above)) {
-        (Some(low), Some(high)) => {
-            low.1 + (high.1 - low.1) * (travel_mm - low.0) / (high.0 - low.0)
-        }
-        (Some(last), None) => last.1,
-        _ => 0.0,
+    static TABLE: OnceLock<Vec<f64>> = OnceLock::new();
+    let table = TABLE.get_or_init(over_travel);
+    let place = travel_mm.max(0.0) / STEP_MM;
+    let index = place as usize;
+    match (table.get(index), table.get(index + 1)) {
+        (Some(low), Some(high)) => low + (high - low) * (place - index as f64),
+        _ => table[table.len() - 1],
     }
+}
+
+/// The forces in equal steps of travel.
+fn over_travel() -> Vec<f64> {
+    let over_height: Vec<(f64, f64)> = (0..970)
+        .map(|index| f64::from(index) * HEIGHT_MM)
+        .map(|a| {
+            let slope = (psi(a - 1e-4) - psi(a + 1e-4)) / 2e-4;
+            (9.0 * (psi(0.0) - psi(a)), 0.2055 * a / slope)
+        })
+        .collect();
+    let (longest_mm, _) = over_height[over_height.len() - 1];
+    (0..=(longest_mm / STEP_MM) as usize)
+        .map(|index| index as f64 * STEP_MM)
+        .map(|travel_mm| {
+            let above = over_height.partition_point(|(travel, _)| *travel <= travel_mm);
+            let (low, high) = (over_height[above - 1], over_height[above]);
+            low.1 + (high.1 - low.1) * (travel_mm - low.0) / (high.0 - low.0)
+        })
+        .collect()
 }
 
 /// Half the depth of a crescent whose height is reduced by `a`, mm.

@@ -69,18 +69,41 @@ impl Circuit {
     }
 }
 
+/// What drives the current just now: the cell polarises, the winding becomes warm or shorted.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Source {
+    /// Cell without its resistance, V.
+    pub(crate) cell_v: f64,
+    /// Winding.
+    pub(crate) ohm: f64,
+    /// Turns that are shorted together have next to no inductance.
+    pub(crate) henry: f64,
+}
+
+#[cfg(test)]
+impl Source {
+    fn of(parameters: &Parameters) -> Self {
+        Self {
+            cell_v: parameters.battery_mv * 1e-3,
+            ohm: parameters.winding_ohm,
+            henry: parameters.winding_h,
+        }
+    }
+}
+
 /// The winding for `dt`, with `from_a` in it at the start.
 pub(crate) fn flow(
     parameters: &Parameters,
-    shorted_ohm: Option<f64>,
+    source: Source,
     bridge: Bridge,
     (from_a, back_v): (f64, f64),
     dt: f64,
 ) -> Flow {
-    let cell = parameters.battery_mv * 1e-3;
-    let winding = shorted_ohm.unwrap_or(parameters.winding_ohm);
-    // Turns that are shorted together have next to no inductance.
-    let henry = shorted_ohm.map_or(parameters.winding_h, |_| 0.0);
+    let Source {
+        cell_v: cell,
+        ohm: winding,
+        henry,
+    } = source;
     let circuit = |volt: f64, ohm: f64| Circuit { volt, ohm, henry };
     let driven_ohm = winding + parameters.bridge_ohm + parameters.battery_ohm;
     let (sign, circuit) = match bridge {
@@ -161,14 +184,14 @@ mod tests {
         for _ in 0..50 {
             let on = flow(
                 parameters,
-                None,
+                Source::of(parameters),
                 Bridge::Forward,
                 (from_a, back_v),
                 duty * period_s,
             );
             let off = flow(
                 parameters,
-                None,
+                Source::of(parameters),
                 pause,
                 (on.end_a, back_v),
                 (1.0 - duty) * period_s,
@@ -225,12 +248,30 @@ mod tests {
     #[test]
     fn a_current_that_freewheels_ends_and_charges_the_cell() {
         let parameters = with(53e-6, Shunt::InSeries);
-        let coasting = flow(&parameters, None, Bridge::Coast, (0.5, 1.0), 50e-6);
+        let coasting = flow(
+            &parameters,
+            Source::of(&parameters),
+            Bridge::Coast,
+            (0.5, 1.0),
+            50e-6,
+        );
         assert_eq!(coasting.end_a, 0.0);
         assert!(coasting.charge > 0.0 && coasting.drawn == -coasting.charge);
         // The same in two parts.
-        let first = flow(&parameters, None, Bridge::Coast, (0.5, 1.0), 2e-6);
-        let second = flow(&parameters, None, Bridge::Coast, (first.end_a, 1.0), 48e-6);
+        let first = flow(
+            &parameters,
+            Source::of(&parameters),
+            Bridge::Coast,
+            (0.5, 1.0),
+            2e-6,
+        );
+        let second = flow(
+            &parameters,
+            Source::of(&parameters),
+            Bridge::Coast,
+            (first.end_a, 1.0),
+            48e-6,
+        );
         let sum = first.charge + second.charge;
         assert!((sum / coasting.charge - 1.0).abs() < 1e-9);
     }
@@ -244,7 +285,13 @@ mod tests {
             for (bridge, dt) in [(Bridge::Forward, 8e-6), (Bridge::Brake, 4.5e-6)] {
                 // In steps so short that the square of the mean is the mean of the square.
                 for _ in 0..100 {
-                    let part = flow(&parameters, None, bridge, (from_a, 2.0), dt / 100.0);
+                    let part = flow(
+                        &parameters,
+                        Source::of(&parameters),
+                        bridge,
+                        (from_a, 2.0),
+                        dt / 100.0,
+                    );
                     from_a = part.end_a;
                     given += 3.7 * part.drawn;
                     taken += 2.0 * part.charge + 6.0 * part.charge * part.charge / (dt / 100.0);

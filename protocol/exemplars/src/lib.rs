@@ -162,6 +162,9 @@ pub fn events() -> std::vec::Vec<Event> {
         event(What::Capsule(CapsuleEvent::Faulted(
             CapsuleFault::NotUnfolded { wound_um: 9_000 },
         ))),
+        event(What::Capsule(CapsuleEvent::Faulted(
+            CapsuleFault::SenseOrEncoder,
+        ))),
         event(What::Capsule(CapsuleEvent::NotKept)),
         event(What::Capsule(CapsuleEvent::Drifted { by_um: -180 })),
         event(What::Capsule(CapsuleEvent::SettingChanged(

@@ -80,6 +80,7 @@ impl Board {
             }
         };
         if self.plant.is_quiet() && bridge == Bridge::Coast {
+            self.plant.rest(PERIOD_S * periods as f64);
             return;
         }
         let on_s = PERIOD_S * f64::from(ticks) / f64::from(PWM_TICKS);

@@ -21,7 +21,11 @@ fn name_of(outcome: ActuationOutcome) -> String {
 
 /// Tries one capsule with one defect.
 pub fn try_case(kind: Kind, seed: u64) -> Verdict {
-    let parameters = kind.parameters(seed);
+    try_with(kind, seed, kind.parameters(seed))
+}
+
+/// The same with these parameters.
+pub fn try_with(kind: Kind, seed: u64, parameters: Parameters) -> Verdict {
     if kind.course(seed, 0.0).motion == Motion::Calibrate {
         let mut sim = Simulation::new(parameters, seed);
         return follow(&mut sim, &kind.course(seed, 0.0), 0.0);
@@ -91,9 +95,14 @@ fn with_defect(
             }
         }
     }
+    // Its zero is looked at again once it rests.
+    for _ in 0..100 {
+        sim.tick();
+    }
     let folded = sim.capsule.state() == CapsuleState::Folded;
     Verdict {
         name: match refusal {
+            None if let Some(fault) = sim.capsule.fault() => name(&fault),
             None => name_of(sim.capsule.record().outcome),
             Some(Refusal::CapsuleFaulted(fault)) => name(&fault),
             Some(refusal) => name(&refusal),
@@ -198,7 +207,12 @@ pub fn figures(parameters: Parameters, seed: u64, cycles: u32) -> Option<Figures
 /// A reset while folded, then a check and an unfolding; or while unfolded, then a reference run, a fold and an unfolding.
 /// Returns the least thread on the spool after the reset and the thread left at the end, mm; none if one did not complete.
 pub fn found_again(seed: u64, folded: bool) -> Option<[f64; 2]> {
-    let mut sim = Simulation::calibrated(Parameters::varied(seed), seed);
+    found_again_with(Parameters::lifelike(seed), seed, folded)
+}
+
+/// The same with these parameters.
+pub fn found_again_with(parameters: Parameters, seed: u64, folded: bool) -> Option<[f64; 2]> {
+    let mut sim = Simulation::calibrated(parameters, seed);
     if folded {
         sim.run(Command::Fold);
     }
@@ -217,7 +231,7 @@ pub fn found_again(seed: u64, folded: bool) -> Option<[f64; 2]> {
 /// Cuts the power at a random instant of a fold or of an unfolding. Returns the least thread on the spool, mm.
 pub fn cut(seed: u64) -> f64 {
     let mut random = Random::new(seed);
-    let mut sim = Simulation::calibrated(Parameters::varied(seed), seed);
+    let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
     let (unfolds, at) = (random.unit() < 0.7, random.unit());
     if unfolds {
         sim.run(Command::Fold);
@@ -245,7 +259,7 @@ const LOOKS_MS: u32 = 8;
 /// Cuts the power at each instant of an unfolding, 8 ms apart: in copies of the plant, which run out. Returns the least thread
 /// on the spool, mm.
 pub fn cut_anywhere(seed: u64) -> f64 {
-    let mut sim = Simulation::calibrated(Parameters::varied(seed), seed);
+    let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
     sim.run(Command::Fold);
     sim.order(Command::Unfold);
     let (mut least_mm, mut ms) = (f64::MAX, 0);
@@ -264,11 +278,67 @@ pub fn cut_anywhere(seed: u64) -> f64 {
     least_mm
 }
 
+/// Calibrated at room temperature, then three cycles, each at another temperature of 22 to 40 degrees: the first name that is not `Complete`,
+/// the least thread on the spool, mm, and the largest force, N.
+pub fn through_the_day(seed: u64, parameters: Parameters) -> (String, f64, f64) {
+    let mut random = Random::new(seed ^ 0xDA15);
+    let mut sim = Simulation::new(parameters, seed);
+    let mut name = run(&mut sim, Command::Calibrate);
+    let mut way = "Calibrate".to_owned();
+    'life: for _ in 0..3 {
+        for command in [Command::Fold, Command::Unfold] {
+            if name != "Complete" {
+                break 'life;
+            }
+            let celsius = random.between(22.0, 40.0);
+            sim.plant.suffer(Defect::Temperature(celsius));
+            name = run(&mut sim, command);
+            way = format!("{command:?}");
+        }
+    }
+    if name != "Complete" {
+        name = format!("{way} {name}");
+    }
+    (name, sim.plant.extremes_mm().0, sim.plant.peak_force_n())
+}
+
+/// 500 cycles, of which each tenth is made and the rest only ages the capsule. The calibration is of a new one. A fold that finds its
+/// end wandered is checked, as the manual says.
+pub fn grows_old(seed: u64) -> (String, f64, f64) {
+    let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
+    for cycle in 0..50 {
+        sim.plant.suffer(Defect::Aged(9.0));
+        for command in [Command::Fold, Command::CheckFolded, Command::Unfold] {
+            if command == Command::CheckFolded && sim.capsule.referenced() {
+                continue;
+            }
+            let name = run(&mut sim, command);
+            if name != "Complete" {
+                let name = format!("{command:?} {name}");
+                return (name, sim.plant.extremes_mm().0, f64::from(cycle));
+            }
+        }
+    }
+    let (least_mm, _) = sim.plant.extremes_mm();
+    ("Complete".to_owned(), least_mm, sim.plant.wound_mm())
+}
+
 /// What a change in a life makes of three folds and unfoldings: the first name that is not `Complete`, the least thread on the spool,
 /// mm, and how far at most a folded end is from the calibrated one, mm.
 pub fn lives_on(seed: u64, changes: &[Defect]) -> (String, f64, f64) {
-    let mut sim = Simulation::calibrated(Parameters::varied(seed), seed);
-    let folded = sim.capsule.calibration().expect("calibrated").folded;
+    lives_on_with(Parameters::lifelike(seed), seed, changes)
+}
+
+/// The same with these parameters.
+pub fn lives_on_with(parameters: Parameters, seed: u64, changes: &[Defect]) -> (String, f64, f64) {
+    let mut sim = Simulation::calibrated(parameters, seed);
+    let Some(folded) = sim.capsule.calibration().map(|found| found.folded) else {
+        return (
+            format!("Calibrate {}", name_of(sim.capsule.record().outcome)),
+            0.0,
+            0.0,
+        );
+    };
     for change in changes {
         sim.plant.suffer(*change);
     }
@@ -296,15 +366,10 @@ pub fn lives_on(seed: u64, changes: &[Defect]) -> (String, f64, f64) {
 /// or not; after a reset, or not. What ended it, and the least thread on the spool, mm.
 pub fn held_and_warmed(seed: u64) -> (String, f64) {
     let mut random = Random::new(seed ^ 0x3700);
-    let mut sim = Simulation::calibrated(Parameters::varied(seed), seed);
+    let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
     sim.run(Command::Fold);
-    for change in [
-        Defect::Friction(random.between(0.7, 1.0)),
-        Defect::NoLoad(random.between(0.7, 1.0)),
-        Defect::Relaxed(random.between(0.85, 1.0)),
-    ] {
-        sim.plant.suffer(change);
-    }
+    sim.plant.suffer(Defect::Temperature(37.0));
+    sim.plant.rest(3_600.0);
     let (resets, checks) = (random.unit() < 0.3, random.unit() < 0.5);
     if resets {
         sim.reset(true);
@@ -327,8 +392,14 @@ pub fn held_and_warmed(seed: u64) -> (String, f64) {
 /// spool, mm.
 pub fn referenced_past(seed: u64, obstacle: bool) -> (String, f64) {
     let mut random = Random::new(seed ^ 0x0B57);
-    let mut sim = Simulation::calibrated(Parameters::varied(seed), seed);
-    let folded = f64::from(sim.capsule.calibration().expect("calibrated").folded.0) / 1e3;
+    let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
+    let Some(calibration) = sim.capsule.calibration() else {
+        return (
+            format!("Calibrate {}", name_of(sim.capsule.record().outcome)),
+            0.0,
+        );
+    };
+    let folded = f64::from(calibration.folded.0) / 1e3;
     match random.unit() {
         ..0.4 => {}
         ..0.6 => sim.run(Command::Fold),
