@@ -124,7 +124,7 @@ fn the_terminal_is_restored_before_the_message_of_a_panic() {
     program.env("RUST_BACKTRACE", "0");
     program.args([
         "--exact",
-        "panics_in_a_terminal",
+        "watch::panics_in_a_terminal",
         "--ignored",
         "--nocapture",
     ]);
