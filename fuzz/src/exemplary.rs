@@ -11,7 +11,6 @@ use protocol::system::{DeviceKind, Identity, ResetCause, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
 use simulated_machines::link::Peer;
 
-
 /// What machines were asked; clones are the same one.
 #[derive(Clone, Debug, Default)]
 pub struct Asked(Arc<Mutex<Notes>>);
