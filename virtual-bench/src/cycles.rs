@@ -33,8 +33,8 @@ use self::core::{Code, Core};
 use self::replay::{Recorder, Replay, replay};
 use crate::bench::{Bench, BenchError, BenchOptions};
 use crate::boards::rig::{self, RigBoard};
-use crate::figures::FigureError;
 use crate::plants::rig::{Rig, RigOptions};
+use crate::unmeasured::FigureError;
 
 /// The core's clock, Hz.
 pub const CORE_HZ: u64 = 100_000_000;
