@@ -1,5 +1,7 @@
-//! A DMA controller with a ring, see [`super::ring`], or with bursts that take time: the words of TIM1's burst come one after
-//! the other, and whoever stops in between has stopped within a burst. The emulator's own transfers all happen in one instant.
+//! A DMA controller with a ring, see [`super::ring`], or with bursts that take time: the words of TIM1's burst come
+//! one after
+//! the other, and whoever stops in between has stopped within a burst. The emulator's own transfers all happen in one
+//! instant.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::st::tim::UPDATE_REQUEST;

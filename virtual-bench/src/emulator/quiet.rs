@@ -1,7 +1,9 @@
 //! A timer whose inputs change often, and whose own events hardly anybody waits for.
 //!
-//! Its digital filters make an event of each edge of an input. The emulator stops for every event, although most change nothing
-//! that anybody notices before the timer is looked at: and then it brings itself up to date first. So the edges are put in with a
+//! Its digital filters make an event of each edge of an input. The emulator stops for every event, although most
+//! change nothing
+//! that anybody notices before the timer is looked at: and then it brings itself up to date first. So the edges are
+//! put in with a
 //! context whose events lead nowhere, and only those that raise a request or an interrupt are waited for.
 
 use rigless::device::{Device, DeviceContext, RegisterFile, RequestChange};
@@ -12,7 +14,8 @@ use rigless::time::{EventId, VirtualNanos};
 
 use super::forward::forward;
 
-/// DIER with nothing but the DMA request of channel 2, CCER with nothing but its rising edges (RM0383 sections 13.4.4, 13.4.9).
+/// DIER with nothing but the DMA request of channel 2, CCER with nothing but its rising edges (RM0383 sections 13.4.4,
+/// 13.4.9).
 const CAPTURE_REQUEST: u64 = 1 << 10;
 const RISING_EDGES: u64 = 1 << 4;
 
@@ -137,7 +140,8 @@ impl Quiet {
         }
     }
 
-    /// Whether it does nothing but capture rising edges at channel 2, for DMA. How much later than an edge, ns, if that is known
+    /// Whether it does nothing but capture rising edges at channel 2, for DMA. How much later than an edge, ns, if
+    /// that is known
     /// for edges in step with the last one.
     pub(super) fn captures_edges(
         &self,
@@ -181,7 +185,8 @@ impl Quiet {
         self.nowhere.reset();
     }
 
-    /// Captures a rising edge that was kept from it, at `edge` and through the filter at `at`. Its instant has been moved to memory.
+    /// Captures a rising edge that was kept from it, at `edge` and through the filter at `at`. Its instant has been
+    /// moved to memory.
     pub(super) fn capture(
         &mut self,
         edge: VirtualNanos,
