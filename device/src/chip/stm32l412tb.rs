@@ -14,6 +14,10 @@ use protocol::system::{Clock, ResetCause};
 /// Where a stack can be: the RAM without what survives a reset, and without its last two words.
 pub(super) const RAM: Range<u32> = 0x2000_0400..0x2000_9FF8;
 
+/// Bytes between statics and stack that nobody may touch, a power of two. There is no room for more: a large frame may step over
+/// them.
+pub(super) const GUARD: u32 = 1_024;
+
 /// The timer of the HAL's time driver (a feature of the HAL in this package's manifest), and its interrupt. The break of TIM1, which
 /// shares it, is not used.
 // SAFETY: TIM15 has the registers of a general-purpose timer that the driver uses; the driver itself sees it as one.

@@ -96,8 +96,7 @@ pub(crate) fn init() -> Board {
     });
     pac::RCC.apb1enr1().modify(|w| w.set_tim2en(true));
     pac::RCC.apb2enr().modify(|w| w.set_tim1en(true));
-    // The clocks need two cycles.
-    let _ = pac::RCC.apb2enr().read();
+    start::let_clocks_come();
     outputs_off();
     pac::GPIOB.moder().modify(|w| {
         w.set_moder(N_SLEEP, Moder::OUTPUT);
