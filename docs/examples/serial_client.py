@@ -20,8 +20,8 @@ import time
 from itertools import islice
 from types import SimpleNamespace
 
-VERSION = (3, 2)
-SCHEMA_KEY = 0xC60306D81EA9D91C
+VERSION = (3, 3)
+SCHEMA_KEY = 0x66D79940661B472E
 
 RETRY_AFTER_S = 0.1
 KEEP_ALIVE_S = 0.25

@@ -16,6 +16,15 @@ pub struct Timed {
     pub worst_error_ticks: u32,
 }
 
+/// Captured intervals by their difference from the plan, since the start of the device; the counts wrap.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Intervals {
+    /// None.
+    pub exact: u32,
+    /// 1 tick, 2 ticks, and more, in either direction.
+    pub off: [u32; 3],
+}
+
 /// Equal steps, from the edge before them on.
 #[derive(Clone, Copy, Debug, Default)]
 struct Steps {
@@ -43,17 +52,26 @@ pub struct EdgeTiming {
     /// Captures or expectations were lost: nothing more can be compared on this path.
     lost: bool,
     timed: Timed,
+    intervals: Intervals,
 }
 
 impl EdgeTiming {
     /// Another path begins.
     pub fn clear(&mut self) {
-        *self = Self::default();
+        *self = Self {
+            intervals: self.intervals,
+            ..Self::default()
+        };
     }
 
     /// What was found since.
     pub fn timed(&self) -> Timed {
         self.timed
+    }
+
+    /// What was found on all paths.
+    pub fn intervals(&self) -> Intervals {
+        self.intervals
     }
 
     /// A period was given out.
@@ -86,6 +104,7 @@ impl EdgeTiming {
             worst_error_ticks: mut worst,
         } = self.timed;
         let (mut present, mut last) = (self.present, self.last);
+        let (first, mut added) = (edges, 0_u32);
         for at in instants {
             let planned = if present.repeats > 0 {
                 present.repeats -= 1;
@@ -97,7 +116,10 @@ impl EdgeTiming {
                 None
             };
             let error = match planned {
-                None => u32::MAX,
+                None => {
+                    added += 1;
+                    u32::MAX
+                }
                 // Nothing is before the first edge.
                 Some(_) if edges == 0 => 0,
                 Some(planned) => {
@@ -105,15 +127,32 @@ impl EdgeTiming {
                     (interval.wrapping_sub(planned) as i32).unsigned_abs()
                 }
             };
-            worst = worst.max(error);
+            if error > 0 {
+                worst = worst.max(error);
+                self.count(error);
+            }
             edges = edges.wrapping_add(1);
             last = at;
         }
         (self.present, self.last) = (present, last);
+        // Those that are off have been taken off already; nothing is before the first edge.
+        let intervals = edges.wrapping_sub(first).wrapping_sub(added);
+        let intervals = intervals.wrapping_sub(u32::from(first == 0 && intervals > 0));
+        self.intervals.exact = self.intervals.exact.wrapping_add(intervals);
         self.timed = Timed {
             edges,
             worst_error_ticks: worst,
         };
+    }
+
+    /// An interval was off. One that was added belongs to none.
+    #[cold]
+    fn count(&mut self, error_ticks: u32) {
+        if error_ticks < u32::MAX {
+            let off = &mut self.intervals.off[error_ticks.min(3) as usize - 1];
+            *off = off.wrapping_add(1);
+            self.intervals.exact = self.intervals.exact.wrapping_sub(1);
+        }
     }
 
     /// Nothing more can be compared on this path, as without the jumper.

@@ -4,7 +4,7 @@ mod runs;
 
 use core::iter;
 use firmware_rig::{
-    edge_timing::{EdgeTiming, Timed},
+    edge_timing::{EdgeTiming, Intervals, Timed},
     periods::{Item, Path, Period, Periods},
     settings::Settings,
 };
@@ -208,4 +208,23 @@ fn a_look_may_come_half_a_ring_late() {
         worst_error_ticks: 0,
     };
     assert_eq!(timing.timed(), expected);
+}
+
+/// Intervals by their error, over paths: the first edge of a path ends none, and one that was added belongs to none.
+#[test]
+fn intervals_are_counted_by_their_error() {
+    let mut timing = EdgeTiming::default();
+    for _ in 0..2 {
+        timing.clear();
+        timing.expect(steps(100, 6));
+        timing.compare([1_000, 1_100].into_iter());
+        // 1 late, so the next one is 1 short; 2 early and back; 50 late.
+        timing.compare([1_201, 1_300, 1_398, 1_500, 1_650, 1_700].into_iter());
+    }
+    let expected = Intervals {
+        exact: 2,
+        off: [4, 4, 2],
+    };
+    assert_eq!(timing.intervals(), expected);
+    assert_eq!(timing.timed().worst_error_ticks, u32::MAX);
 }

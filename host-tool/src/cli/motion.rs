@@ -3,7 +3,7 @@
 use client::decimal;
 use client::error::ClientError;
 use client::{Device, Unobserved, while_moving};
-use protocol::rig::{self, Direction, RigHealth, RigState, RigStatus};
+use protocol::rig::{self, Direction, RigHardware, RigHealth, RigState, RigStatus};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
@@ -191,11 +191,12 @@ pub(crate) fn millimetres(status: &RigStatus) -> String {
 pub(crate) fn health(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let mut rig = finder.connect(DeviceKind::Rig)?;
     let health = rig.call(rig::GetRigHealth)?;
-    screen.say(&health_text(&health));
-    Ok(json!({ "health": health }))
+    let hardware = rig.call(rig::GetRigHardware)?;
+    screen.say(&health_text(&health, &hardware));
+    Ok(json!({ "health": health, "hardware": hardware }))
 }
 
-fn health_text(health: &RigHealth) -> String {
+fn health_text(health: &RigHealth, hardware: &RigHardware) -> String {
     let glitches = |glitches: rig::Glitches| match glitches.count {
         0 => "none".to_owned(),
         count => format!(
@@ -209,7 +210,9 @@ fn health_text(health: &RigHealth) -> String {
 since the start of the device
 false pulses:      home flag {}; far limit {}
 serial line:       {} receptions failed, {} bad frames, {} unsent events or samples
-step generator:    {} underruns
+step generator:    {} underruns, {} resets of its timer
+steps, timed:      {} right, {} off by 10 ns, {} by 20 ns, {} by more; {} captures lost
+DMA:               {} errors
 stack:             {} of {} bytes
 control round:     {} us late at most
 image:             {:08x}",
@@ -219,6 +222,13 @@ image:             {:08x}",
         health.bad_frames,
         health.unsent_frames,
         health.underruns,
+        hardware.timer_resets,
+        hardware.intervals_exact,
+        hardware.intervals_1_tick,
+        hardware.intervals_2_ticks,
+        hardware.intervals_more,
+        hardware.lost_captures,
+        hardware.dma_errors,
         health.stack_used,
         health.stack_size,
         health.control_late_us,

@@ -213,7 +213,10 @@ pub(crate) fn ask(
         device.hello(nonce)?;
         device.require(machine.kind)?;
         match question {
-            Question::Health => Ok(json!({ "health": device.call(rig::GetRigHealth)? })),
+            Question::Health => Ok(json!({
+                "health": device.call(rig::GetRigHealth)?,
+                "hardware": device.call(rig::GetRigHardware)?,
+            })),
             Question::Settings(kind) => {
                 let settings = SettingKey::of(kind)
                     .map(|key| {
