@@ -45,6 +45,11 @@ impl Paced {
         }
     }
 
+    /// How long bursts take from now on.
+    pub(super) fn set_beats(&mut self, beats: Option<Beats>) {
+        self.beats = beats;
+    }
+
     fn show(
         &mut self,
         level: Level,

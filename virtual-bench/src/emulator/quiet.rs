@@ -77,6 +77,23 @@ impl Quiet {
         }
     }
 
+    /// Takes its DMA requests away, or gives them back.
+    pub(super) fn keep_from_dma(
+        &mut self,
+        kept: bool,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let asks_for = registers.get(Register::Dier);
+        let value = if kept {
+            asks_for & !CAPTURE_REQUEST
+        } else {
+            asks_for | CAPTURE_REQUEST
+        };
+        registers.set(Register::Dier, value);
+        Device::write(self, Register::Dier, value, registers, context);
+    }
+
     fn await_at(&mut self, at: VirtualNanos, context: &mut DeviceContext<'_>) {
         self.awaited = Some((context.schedule(at), at));
     }
