@@ -93,9 +93,9 @@ pub(super) fn enable(work: &mut Work<'_>) -> Result<(), Halt> {
         )));
     }
     let logic = match mv {
-        ..=MOST_ENABLE_MV => "3.3 V",
+        _ if mv <= MOST_ENABLE_MV => "3.3 V",
         LEAST_5_V_MV..=MOST_PIN_MV => "5 V",
-        ..LEAST_5_V_MV => {
+        _ if mv < LEAST_5_V_MV => {
             return Err(Halt::Defect(format!(
                 "EN is pulled up to {volts} V, between 3.3 V and 5 V: two pull-ups to different supplies. Take one away"
             )));
