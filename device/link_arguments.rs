@@ -11,12 +11,7 @@ fn main() {
     // succeed without a vector table. `--icf` keeps equal functions once.
     if std::env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
         // The `chip.x` that `memory.x` includes, which `link.x` includes from where the linker starts.
-        let chip = match std::env::var_os("CARGO_FEATURE_STM32L412TB") {
-            Some(_) => "stm32l412tb",
-            None => "stm32f411re",
-        };
-        let memory = Path::new("../device/memory")
-            .join(chip)
+        let memory = Path::new("../device/memory/stm32f411re")
             .canonicalize()
             .expect("a folder with the chip's chip.x");
         println!("cargo:rustc-link-search={}", memory.display());

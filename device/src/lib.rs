@@ -5,23 +5,9 @@
 #![no_std]
 #![deny(unsafe_code)]
 
-#[cfg(all(feature = "stm32f411re", feature = "stm32l412tb"))]
-compile_error!(
-    "two chips are chosen: for another board than the default add `--no-default-features`"
-);
-#[cfg(all(
-    target_os = "none",
-    not(any(feature = "stm32f411re", feature = "stm32l412tb"))
-))]
-compile_error!("no chip is chosen: add `--features stm32f411re` or `--features stm32l412tb`");
-
-#[cfg(all(
-    target_os = "none",
-    any(feature = "stm32f411re", feature = "stm32l412tb")
-))]
+#[cfg(target_os = "none")]
 pub mod chip;
 pub mod common;
-pub mod double_words;
 pub mod due;
 pub mod half_periods;
 pub mod identity;

@@ -1,16 +1,16 @@
-//! The time driver's half-periods across a stall of any length, begun at any count.
+//! The time driver's count of half-periods, across a stall of any length that begins at any count.
 
 use core::cell::Cell;
 use device::half_periods::{Timers, keep_over, left_us, lost, passed_us};
 
-/// A timer like the time driver's, whose time goes on with each access.
+/// A simulated timer whose time advances with each access.
 struct Simulated {
-    /// Time, and the time of an access, quarters of a microsecond.
+    /// Time, and duration of an access, in quarters of a microsecond.
     now: Cell<u64>,
     access: u64,
-    /// The flags of the half and of the overflow.
+    /// Flags of the half-period and of the overflow.
     flags: [Cell<bool>; 2],
-    /// What the driver's handler has counted.
+    /// Half-periods counted by the driver's handler.
     counted: Cell<u64>,
 }
 
@@ -69,14 +69,14 @@ impl Timers for Simulated {
     fn handle(&self) {
         self.pass(self.access);
         let standing = [0, 1].map(|flag| self.flags[flag].take());
-        // What comes from here on stands for the next one.
+        // Flags raised from here on belong to the next call.
         self.pass(self.access);
         let counted = standing.into_iter().map(u64::from).sum::<u64>();
         self.counted.set(self.counted.get() + counted);
     }
 }
 
-/// A stall that begins anywhere, and ends at each moment around the end of a half-period: none is missed, none counted twice.
+/// Stalls that begin at any count and end around the end of a half-period: none is missed, none counted twice.
 #[test]
 fn no_half_period_is_missed_by_the_driver() {
     for from_us in [100, 20_000, 32_760, 40_000, 65_530] {
@@ -130,12 +130,12 @@ fn every_half_period_of_a_stall_is_found() {
     }
 }
 
-/// A flag that stood before the stall and was raised again in it is one flag for two half-periods.
+/// A flag that was set before the stall and raised again during it is one flag for two half-periods.
 #[test]
 fn a_flag_that_stood_already_counts_too() {
-    // An overflow just before; then 70 ms with one half and one overflow more.
+    // An overflow just before; then 70 ms with one half and another overflow.
     assert_eq!(lost(10, 70_000, 1, 2), 1);
-    // The flag of a half stood; nothing more came.
+    // The flag of a half was set; nothing more came.
     assert_eq!(lost(40_000, 1_000, 1, 1), 0);
 }
 

@@ -1,5 +1,5 @@
-//! The device's end of the link: sessions, repetitions, urgent stops, damaged bytes; and the requests that every device
-//! answers alike.
+//! The device's end of the link: sessions, repetitions, urgent stops, damaged bytes; and the requests that every
+//! device answers in the same way.
 
 use device::{
     common::{About, Effect, Executed, TELEMETRY_MS},
@@ -27,7 +27,7 @@ fn this_device() -> Identity {
     identity(DeviceKind::Capsule, UID, 7, ResetCause::Watchdog)
 }
 
-/// A device's end, and the session that a host has opened on it.
+/// A device's end with an open session.
 struct Link {
     service: Service,
     session: u8,
@@ -46,7 +46,7 @@ impl Link {
         link
     }
 
-    /// Says Hello; returns the session that the device answers with.
+    /// Says Hello; returns the number of the session in the answer.
     fn greet(&mut self, nonce: u32, schema_key: u64) -> u8 {
         let hello = Request::Hello(Hello {
             protocol: VERSION,
@@ -72,12 +72,12 @@ impl Link {
         bytes.iter().filter_map(take).collect()
     }
 
-    /// These bytes, once they are answered, show that the host that began the motion is there.
+    /// Whether these bytes, once answered, count as a sign of life of the host that began the motion.
     fn shows_life(&mut self, bytes: &[u8]) -> bool {
         self.shows_life_if(bytes, &reply(10))
     }
 
-    /// The same where control answers with this.
+    /// As [`Link::shows_life`], with this answer of control.
     fn shows_life_if(&mut self, bytes: &[u8], answer: &Reply) -> bool {
         if let Incoming::Ask(_, to) = self.one(bytes) {
             self.service.answer(to, answer).unwrap();
@@ -85,7 +85,7 @@ impl Link {
         self.service.heard_us() == self.now_us
     }
 
-    /// The one thing that these bytes ask for.
+    /// The single request in these bytes.
     fn one(&mut self, bytes: &[u8]) -> Incoming {
         let mut incoming = self.receive(bytes);
         assert_eq!(incoming.len(), 1, "{incoming:?}");
@@ -118,7 +118,7 @@ fn urgent(session: u8, seq: u16, urgent: Urgent) -> Encoded {
     encode(Header { kind, session, seq }, &urgent).unwrap()
 }
 
-/// A reply as the host reads it.
+/// Decodes a reply as the host would.
 fn decoded(frame: &Encoded) -> (Header, Reply) {
     let mut deframer = Deframer::new();
     for byte in frame {
@@ -209,7 +209,7 @@ fn a_new_session_takes_nothing_from_the_old_one() {
     let new = link.greet(2, SCHEMA_KEY);
     assert_ne!(new, old);
     assert_eq!(link.service.session(), new);
-    // Its answer comes late: it is sent as of the old session, and is no answer in the new one.
+    // A late answer: it is sent with the old session's number, and is no answer in the new session.
     let late = link.service.answer(to, &reply(10)).unwrap();
     assert_eq!(decoded(&late).0.session, old);
     let (inbound, _) = link.asked(&request(new, 1, &set(10)));
@@ -220,7 +220,7 @@ fn a_new_session_takes_nothing_from_the_old_one() {
     assert_eq!(link.greet(2, SCHEMA_KEY), new, "the same host again");
 }
 
-/// In any session, also in none; each copy asks again, for a stop has to get through.
+/// Valid in any session and without one. Every copy is executed, because a stop has to get through.
 #[test]
 fn an_urgent_stop_is_valid_at_any_time() {
     let mut link = Link::open();
@@ -252,7 +252,7 @@ fn a_host_of_another_protocol_moves_nothing() {
     assert_eq!(inbound, Inbound::Urgent(Urgent::Stop));
 }
 
-/// A machine's control that notes what it is asked.
+/// A machine's control that logs its requests.
 #[derive(Default)]
 struct Control {
     requests: Vec<Request>,
@@ -286,7 +286,7 @@ fn every_question_reaches_control_and_is_answered() {
     assert_eq!(control.requests.len(), 1);
 }
 
-/// An echo of what the device sent, or another device on the same line.
+/// Echoes of what the device sent, or frames of another device on the same line.
 #[test]
 fn frames_of_devices_are_ignored() {
     let mut link = Link::open();
@@ -314,25 +314,26 @@ fn hello(nonce: u32) -> Request {
     })
 }
 
-/// Whose frames show that the host is still there: not an echo of the device's own, not a host that was left behind, not
-/// a body that is no request, and no stop.
+/// These frames are no sign of life: an echo of the device's own, a frame of a host that was replaced, a body that is
+/// no request, and a stop.
 #[test]
 fn a_sign_of_life_comes_from_the_host_that_began_the_motion() {
     let mut link = Link::open();
     let old = link.session;
     let session = link.greet(2, SCHEMA_KEY);
     assert_ne!(old, session);
-    // Nothing was begun yet: there is nothing to keep alive.
+    // No motion has begun, so there is nothing to keep alive.
     assert!(!link.shows_life(&request(session, 1, &set(10))));
     assert!(link.shows_life(&request(session, 2, &Request::Home(Home))));
     assert!(link.shows_life(&request(session, 3, &set(10))));
     assert!(link.shows_life(&request(session, 3, &set(10))), "repeated");
-    // The same host again.
+    // The same host greets again.
     assert!(link.shows_life(&request(0, 1, &hello(2))));
-    // A stop, from whomever.
+    // A stop, in any session.
     assert!(!link.shows_life(&urgent(session, 1, Urgent::Stop)));
     assert!(!link.shows_life(&urgent(0, 1, Urgent::EStop)));
-    // An old host's, one before any session, nonsense, a number that is used twice, one that is too old.
+    // In order: a replaced host's request, one before any session, nonsense, a reused number, a number that is too
+    // old.
     assert!(!link.shows_life(&request(old, 7, &set(10))));
     assert!(!link.shows_life(&request(0, 8, &set(10))));
     let header = |kind, seq| Header { kind, session, seq };
@@ -340,14 +341,14 @@ fn a_sign_of_life_comes_from_the_host_that_began_the_motion() {
     assert!(!link.shows_life(&encode(header(Kind::Urgent, 4), &[0xFF_u8; 3]).unwrap()));
     assert!(link.shows_life(&request(session, 9, &set(10))));
     assert!(!link.shows_life(&request(session, 8, &set(10))));
-    // What the device itself sends.
+    // Frames that only devices send.
     for kind in [Kind::Reply, Kind::Telemetry, Kind::Event] {
         assert!(!link.shows_life(&encode(header(kind, 9), &0_u8).unwrap()));
     }
 }
 
-/// A `watch` or a server that takes the line over asks four times a second. It must not keep going what a host began that
-/// is dead.
+/// A `watch` or a server that takes over the line sends requests four times a second. They must not keep a dead
+/// host's motion going.
 #[test]
 fn whoever_takes_the_line_over_keeps_nothing_moving_that_it_did_not_begin() {
     let busy = Reply::Refused(Refusal::RigBusy(protocol::rig::RigState::Running));
@@ -366,23 +367,23 @@ fn whoever_takes_the_line_over_keeps_nothing_moving_that_it_did_not_begin() {
             "{asked:?}"
         );
     }
-    // What wants to move is refused as long as something does, and is no sign for that either.
+    // While the machine moves, a request to move is refused, and is no sign of life either.
     for (seq, asked) in [(4, Request::Home(Home)), (5, Request::Resume(Resume))] {
         assert!(!link.shows_life_if(&request(session, seq, &asked), &busy));
         assert_eq!(link.service.heard_us(), begun_us, "{asked:?}");
-        // While control works on it, a motion that begins must not find its host silent.
+        // While control works on the request, a motion that it begins must not find its host silent.
         let Incoming::Ask(_, to) = link.one(&request(session, seq + 10, &asked)) else {
             panic!("{asked:?}")
         };
         assert_eq!(link.service.heard_us(), link.now_us);
         link.service.answer(to, &busy).unwrap();
     }
-    // From its own motion on it counts, also if it only resumes what another one has left held.
+    // From its own motion on it counts, even if it only resumes a run that another host has left held.
     assert!(link.shows_life(&request(session, 20, &Request::Resume(Resume))));
     assert!(link.shows_life(&request(session, 21, &set(10))));
-    // Refused now, it is there all the same.
+    // A refused request counts as well.
     assert!(link.shows_life_if(&request(session, 22, &Request::Home(Home)), &busy));
-    // An answer that comes after a newer greeting begins nothing for the new host.
+    // An answer after a newer greeting begins nothing for the new host.
     let (_, to) = link.asked(&request(session, 23, &Request::Home(Home)));
     let newest = link.greet(3, SCHEMA_KEY);
     link.service.answer(to, &reply(10)).unwrap();
@@ -401,7 +402,7 @@ fn bad_frames_are_counted_and_the_next_good_one_is_found() {
     let (inbound, _) = link.asked(&good);
     assert_eq!(inbound, Inbound::Request(set(10)));
     assert_eq!(link.service.bad_frames(), 2);
-    // A good frame around something that is no request.
+    // A good frame around a body that is no request.
     let header = Header {
         kind: Kind::Request,
         session: link.session,
@@ -412,7 +413,7 @@ fn bad_frames_are_counted_and_the_next_good_one_is_found() {
     assert_eq!(link.service.bad_frames(), 2);
 }
 
-/// The generator is seeded: the same cases each time.
+/// A fixed seed: the same cases each time.
 fn config() -> ProptestConfig {
     ProptestConfig {
         failure_persistence: None,
@@ -424,7 +425,7 @@ fn config() -> ProptestConfig {
 proptest! {
     #![proptest_config(config())]
 
-    /// Nothing but good frames asks for anything, whatever comes before them.
+    /// Only good frames lead to requests, whatever comes before them.
     #[test]
     fn noise_asks_for_nothing(
         noise in prop::collection::vec(any::<u8>(), 0..400),
@@ -437,7 +438,7 @@ proptest! {
         let mut damaged = good.clone();
         damaged[place.index(good.len())] ^= flip;
         let whole = [&[0][..], &damaged].concat();
-        // The delimiters may be damaged: then the frame itself is not.
+        // If only the delimiters are damaged, the frame itself is still good.
         for incoming in link.receive(&whole) {
             let asks = matches!(&incoming, Incoming::Ask(Inbound::Request(asked), _) if *asked == set(10));
             prop_assert!(asks, "{incoming:?}");
@@ -499,7 +500,7 @@ fn common_requests_have_one_answer_for_all_devices() {
             answer(Request::GetEvents(GetEvents { from })),
             Some(Response::GetEvents(events.since(from)))
         );
-        // The machine's own.
+        // Requests of the machine itself.
         assert_eq!(answer(Request::GetRigStatus(GetRigStatus)), None);
     }
 }

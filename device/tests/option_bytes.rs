@@ -1,9 +1,9 @@
-//! The option bytes as the chips show them.
+//! The brown-out level in the option bytes of both chips.
 
 use device::option_bytes::{brown_out, stm32l4_brown_out};
 use protocol::system::BrownOut;
 
-/// 0x0FFF_AAED is the register's reset value (RM0383 section 3.8.6): a chip as it is delivered.
+/// 0x0FFF_AAED is the register's reset value (RM0383 section 3.8.6), as on a new chip.
 #[test]
 fn the_brown_out_level_is_in_bits_2_and_3() {
     assert_eq!(brown_out(0x0FFF_AAED), BrownOut::Off);
@@ -20,7 +20,7 @@ fn the_brown_out_level_is_in_bits_2_and_3() {
     }
 }
 
-/// The same of an STM32L4, with more levels: what lies between two of the link's levels is told as the lower one.
+/// The STM32L4 has more levels. One that lies between two levels of the protocol is reported as the lower one.
 #[test]
 fn the_stm32l4_has_its_level_in_bits_8_to_10() {
     let levels = [

@@ -1,5 +1,5 @@
-//! What survives a reset: the number of starts, a latched E-stop, the last words. After a power cut the RAM holds
-//! anything.
+//! State that survives a reset: the number of starts, a latched E-stop, the last words. After a power cut the RAM
+//! holds anything.
 
 use device::{
     identity::reset_cause,
@@ -12,7 +12,7 @@ use device::{
 use proptest::prelude::*;
 use protocol::system::ResetCause;
 
-/// The RAM that survives.
+/// The RAM that survives a reset.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Ram(Vec<u32>);
 
@@ -49,7 +49,7 @@ fn starts_are_counted_from_one() {
         };
         assert_eq!(start(&mut ram), left);
     }
-    // The count is the word that changes.
+    // The counter is the word that changes.
     let before = ram.clone();
     start(&mut ram);
     let counter = (0..WORDS).find(|index| ram.0[*index] != before.0[*index]);
@@ -72,13 +72,13 @@ fn an_emergency_stop_stays_latched_until_it_is_forgotten() {
     assert_eq!(start(&mut ram).latched, None);
 }
 
-/// The words that mark a latched E-stop and a start that came before, as they lie in RAM.
+/// The words in RAM that mark a latched E-stop and an earlier start.
 #[test]
 fn a_latched_stop_counts_only_with_a_start_before() {
     for estop in [EStop::Loop, EStop::Frame] {
         let mut ram = Ram::blank();
         keep_latched(&mut ram, Some(estop));
-        // The supply was switched on: the mark is what the RAM happened to hold.
+        // After power-on the mark is a random content of the RAM.
         assert_eq!(start(&mut ram).latched, None);
         assert_eq!(start(&mut ram).latched, None, "nor later");
     }
@@ -94,7 +94,7 @@ fn last_words_are_told_once() {
     assert_eq!(text(&left), Some("tasks/link.rs:1"));
     assert_eq!((left.boot_id, left.latched), (2, Some(EStop::Frame)));
     assert_eq!(start(&mut ram).last_words, None);
-    // Shorter ones do not end in what was left of the longer ones.
+    // Shorter last words do not end in the rest of longer ones.
     keep_last_words(&mut ram, b"oh");
     assert_eq!(text(&start(&mut ram)), Some("oh"));
     keep_last_words(&mut ram, b"");
@@ -115,7 +115,8 @@ fn only_a_reset_by_itself_with_last_words_is_a_panic() {
     }
 }
 
-/// A start that makes room for the next one leaves it everything: words, E-stop, failed clock, and its own cause. Once.
+/// A start that resets the chip again on purpose passes everything on to the next start, once: words, E-stop, failed
+/// clock, and its own cause.
 #[test]
 fn a_start_that_takes_the_place_of_another_is_told_what_that_one_was() {
     use ResetCause::*;
@@ -140,7 +141,7 @@ fn a_start_that_takes_the_place_of_another_is_told_what_that_one_was() {
             };
             assert_eq!(after, expected);
             assert_eq!(reset_cause(Software, &after), cause);
-            // Another reset came in between: that one is the cause.
+            // Another reset came between: that one is the cause.
             assert_eq!(reset_cause(Watchdog, &after), Watchdog);
             assert_eq!(start(&mut ram).cause, None);
         }
@@ -162,7 +163,7 @@ fn last_words_are_put_together_and_cut_off() {
     }
 }
 
-/// The generator is seeded: the same cases each time.
+/// A fixed seed: the same cases each time.
 fn config() -> ProptestConfig {
     ProptestConfig {
         failure_persistence: None,
@@ -171,7 +172,7 @@ fn config() -> ProptestConfig {
     }
 }
 
-/// The next image may be another: it finds its words where this one left them.
+/// The next image may be a different one: it has to find the words where this one left them.
 #[test]
 fn the_layout_stays() {
     let mut ram = Ram::blank();
@@ -200,7 +201,8 @@ proptest! {
         prop_assert_eq!(draft.bytes(), expected.as_bytes());
     }
 
-    /// A RAM after power-on: a first start, nothing latched, nothing to tell, and from then on as usual.
+    /// RAM after power-on: the start counts as the first one, nothing is latched, there is nothing to report, and
+    /// later starts are normal.
     #[test]
     fn a_ram_of_noise_says_nothing(noise in prop::collection::vec(any::<u32>(), WORDS)) {
         let mut ram = Ram(noise);
@@ -214,12 +216,12 @@ proptest! {
         let mut ram = Ram::blank();
         keep_last_words(&mut ram, &bytes);
         let told = start(&mut ram).last_words.unwrap();
-        // What is no ASCII loses its highest bit.
+        // Characters that are not ASCII lose their highest bit.
         let ascii: Vec<u8> = bytes.iter().take(LONGEST).map(|byte| byte & 0x7F).collect();
         prop_assert_eq!(told.as_bytes(), ascii.as_slice());
     }
 
-    /// A supply that fails for a moment flips bits: what was kept is told as it was, or not at all.
+    /// A supply that fails for a moment flips bits: last words are reported unchanged or not at all.
     #[test]
     fn damaged_last_words_are_not_told(
         words in "[ -~]{0,120}",
@@ -236,7 +238,7 @@ proptest! {
         }
     }
 
-    /// One bit of the text itself, always.
+    /// A flipped bit in the text is always found.
     #[test]
     fn a_single_wrong_bit_is_found(
         words in "[ -~]{1,120}",
@@ -245,7 +247,7 @@ proptest! {
     ) {
         let mut ram = Ram::blank();
         keep_last_words(&mut ram, words.as_bytes());
-        let text = WORDS - LONGEST - 2; // two words lie behind the text
+        let text = WORDS - LONGEST - 2; // two words follow the text
         let index = text + place.index(words.len());
         prop_assert_eq!(ram.0[index], u32::from(words.as_bytes()[index - text]));
         ram.0[index] ^= 1 << bit;
@@ -253,7 +255,7 @@ proptest! {
     }
 }
 
-/// A single bit that tipped over in any letter of any text is noticed.
+/// A single flipped bit in any letter of any text is noticed.
 #[test]
 fn last_words_with_a_wrong_bit_are_not_told() {
     let words = "panic, called from 0x801a2b4 0x80107c0 0x8012f3e";
@@ -272,7 +274,7 @@ fn last_words_with_a_wrong_bit_are_not_told() {
     }
 }
 
-/// Told once, and not after the supply was off.
+/// Reported once, and not after the supply was off.
 #[test]
 fn a_clock_that_failed_is_told_once() {
     let mut ram = Ram::blank();

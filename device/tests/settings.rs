@@ -30,7 +30,7 @@ fn records_come_back() {
     assert_eq!(Values::record(0x0102_0304), [1, 4, 3, 2, 1]);
 }
 
-/// Records of another firmware are left alone.
+/// Records of other firmware are ignored.
 #[test]
 fn records_that_do_not_fit_are_ignored() {
     let stroke = SettingKey::StrokeUm as u8;
@@ -58,7 +58,7 @@ fn records_that_do_not_fit_are_ignored() {
     assert_eq!(values.get(SettingKey::StrokeUm), 100_000);
 }
 
-/// Numbers are for ever: they name the records of rigs in use.
+/// Numbers never change: they name the records of rigs in use.
 #[test]
 fn numbers_of_keys_stay() {
     for (number, key) in SettingKey::ALL.into_iter().enumerate() {
@@ -78,7 +78,7 @@ fn numbers_of_keys_stay() {
     }
 }
 
-/// How a unit is written in a name.
+/// The unit as it appears in a name.
 fn unit_in_name(key: SettingKey) -> String {
     match key.unit() {
         "1" => String::new(),
@@ -87,7 +87,7 @@ fn unit_in_name(key: SettingKey) -> String {
     }
 }
 
-/// The generator is seeded: the same cases each time.
+/// A fixed seed: the same cases each time.
 fn config() -> ProptestConfig {
     ProptestConfig {
         failure_persistence: None,
@@ -99,7 +99,7 @@ fn config() -> ProptestConfig {
 proptest! {
     #![proptest_config(config())]
 
-    /// Whatever is written and however often the rig starts anew: the last record of each number is young.
+    /// Whatever is written, and however often the rig restarts: the last record of each number is never old.
     #[test]
     fn nothing_that_is_needed_grows_old(
         writes in prop::collection::vec((0..SettingKey::ALL.len() as u8 + 2, 1..400_u32), 1..40),
@@ -112,7 +112,7 @@ proptest! {
                 None => number,
                 Some(0) => NAME_RECORD,
                 Some(_) => {
-                    // A start: the log is read again, without the sectors that were dropped.
+                    // A restart reads the log again, without the dropped sectors.
                     let from = log.len().saturating_sub(500);
                     ages = Ages::new();
                     log[from..].iter().for_each(|number| ages.wrote(*number));
@@ -136,7 +136,7 @@ proptest! {
     }
 }
 
-/// By its 257th successor a record is old, whichever it is: neither the name nor any setting hides another.
+/// A record is old after 256 later ones, whichever they are: neither the name nor any setting hides another.
 #[test]
 fn a_record_is_old_after_256_others() {
     assert_eq!(Ages::OLDEST, 256);

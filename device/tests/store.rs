@@ -1,12 +1,11 @@
-//! The settings' log in the STM32F411's flash, and what it writes there.
+//! The settings' log in the STM32F411's flash, and its write operations.
 
-mod chip;
 #[path = "store/log.rs"]
 mod log;
 
-use chip::{Flash, Operation};
 use log::{KEPT, start, young};
 use protocol::settings::SettingKey;
+use simulated_machines::chip::{self, Flash, Operation};
 
 /// An erasure takes half a second, and wears the flash.
 #[test]
@@ -22,7 +21,7 @@ fn a_blank_sector_is_not_erased() {
     );
 }
 
-/// A reset writes what differs from the defaults, and the name: no erasure while a log is there.
+/// A reset writes the values that differ from the defaults, and the name. It erases nothing while there is a log.
 #[test]
 fn a_reset_writes_what_differs() {
     let flash = Flash::holding(young());

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 const CLIENTS: [Client; 3] = [Client::Motion, Client::Link, Client::Control];
 
-/// The generator is seeded: the same cases each time.
+/// A fixed seed: the same cases each time.
 fn config() -> ProptestConfig {
     ProptestConfig {
         failure_persistence: None,

@@ -21,7 +21,7 @@ from itertools import islice
 from types import SimpleNamespace
 
 VERSION = (3, 3)
-SCHEMA_KEY = 0x66D79940661B472E
+SCHEMA_KEY = 0x2E817CE341FCAA55
 
 RETRY_AFTER_S = 0.1
 KEEP_ALIVE_S = 0.25
@@ -149,7 +149,7 @@ RIG_FAULT = enum(
 )
 CAPSULE_FAULT = enum(
     "Jam ThreadBroken EncoderLost OverCurrent LowBattery Timeout DriverFault EStopFrame Watchdog Panic SpoolSlip SlipOrBreak BridgeSilent"
-    " SenseLost NotUnfolded",
+    " SenseLost NotUnfolded SenseOrEncoder",
     Jam=struct(thread_um=sint),
     OverCurrent=struct(current_ma=uint),
     LowBattery=struct(battery_mv=uint),

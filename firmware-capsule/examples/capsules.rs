@@ -1,14 +1,11 @@
 //! Tries the firmware's library on many seeded capsules and prints the tables of `docs/capsule.md`.
 //!
-//! `cargo run --release -p firmware-capsule --example capsules [CASES PER FAULT]`, 500 unless told.
+//! `cargo run --release -p firmware-capsule --example capsules [CASES PER FAULT]`, 500 unless told; with `--sensitivity` before it, what
+//! each effect does alone.
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
-#[allow(dead_code)] // the tests use all of it
-#[path = "../tests/plant/mod.rs"]
-mod plant;
-
-use capsule_plant::{Defect, Parameters, cases::Kind, verdict};
-use plant::cases::{self, Figures};
+use capsule_plant::{Defect, Effect, Effects, Parameters, cases::Kind, verdict};
+use simulated_machines::plant::cases::{self, Figures};
 use std::collections::BTreeMap;
 
 fn share(part: usize, whole: usize) -> f64 {
@@ -36,7 +33,7 @@ fn healthy(count: u64) {
     let nominal = cases::figures(Parameters::nominal(), 0, 3).expect("it completes");
     println!("nominal: {nominal:.3?}");
     let found: Vec<Figures> = verdict::all(count, |seed| {
-        cases::figures(Parameters::varied(seed), seed, 3)
+        cases::figures(Parameters::lifelike(seed), seed, 3)
     })
     .into_iter()
     .flatten()
@@ -103,6 +100,22 @@ fn lives(count: u64) {
         "| change | capsules | how three cycles end | least thread, mm | folded end off by at most, mm |"
     );
     println!("|---|---|---|---|---|");
+    let found = verdict::all(2 * count, |seed| {
+        cases::through_the_day(seed, Parameters::lifelike(seed))
+    });
+    let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);
+    println!(
+        "| three cycles at 22 to 40 degrees | {} | {} | {least:.3} | - |",
+        2 * count,
+        counted(found.iter().map(|f| &f.0))
+    );
+    let found = verdict::all(count / 4, cases::grows_old);
+    let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);
+    println!(
+        "| 500 cycles | {} | {} | {least:.3} | - |",
+        count / 4,
+        counted(found.iter().map(|f| &f.0))
+    );
     for times in [0.7, 0.8, 0.9, 1.1, 1.2, 1.3, 1.4] {
         let found = verdict::all(count, |seed| {
             cases::lives_on(seed, &[Defect::Friction(times)])
@@ -135,8 +148,50 @@ fn lives(count: u64) {
     }
 }
 
+/// Each effect alone, as large as it is and twice as large: what it does to healthy capsules, and to the names of the others.
+fn sensitivity(count: u64, only: &[Kind]) {
+    println!(
+        "| effect, alone | times | three cycles at 22 to 40 degrees | largest force, N | defects named rightly | otherwise |"
+    );
+    println!("|---|---|---|---|---|---|");
+    let none = std::iter::once((None, 0.0));
+    let some = Effect::ALL
+        .into_iter()
+        .flat_map(|effect| [1.0, 2.0].map(|times| (Some(effect), times)));
+    for (effect, times) in none.chain(some) {
+        let with = |parameters: Parameters| Parameters {
+            effects: effect.map_or(Effects::NONE, |effect| {
+                parameters.effects.only(effect, times)
+            }),
+            ..parameters
+        };
+        let healthy = verdict::all(count, |seed| {
+            cases::through_the_day(seed, with(Parameters::lifelike(seed)))
+        });
+        let most_n = healthy.iter().map(|f| f.2).fold(0.0, f64::max);
+        let (mut right, mut whole, mut otherwise) = (0, 0, Vec::new());
+        for kind in Kind::wanted(only).filter(|kind| *kind != Kind::Healthy) {
+            let verdicts = verdict::all(count / 4, |seed| {
+                cases::try_with(kind, seed, with(kind.parameters(seed)))
+            });
+            let wrong = verdict::wrong(kind, &verdicts).map(|(_, name)| name);
+            whole += verdicts.len();
+            let wrong: Vec<_> = wrong.map(|name| format!("{kind:?} {name}")).collect();
+            right += verdicts.len() - wrong.len();
+            otherwise.extend(wrong);
+        }
+        println!(
+            "| {} | {times} | {} | {most_n:.1} | {right} of {whole} | {} |",
+            effect.map_or("none".to_owned(), |effect| format!("{effect:?}")),
+            counted(healthy.iter().map(|f| &f.0)),
+            counted(otherwise.iter()),
+        );
+    }
+}
+
 fn main() {
-    let mut arguments = std::env::args().skip(1);
+    let mut arguments = std::env::args().skip(1).peekable();
+    let sensitive = arguments.next_if(|word| word == "--sensitivity").is_some();
     let count = arguments.next().map_or(Ok(500), |text| text.parse());
     let Ok(count) = count else {
         println!(
@@ -151,6 +206,9 @@ fn main() {
         Ok(only) => only,
         Err(why) => return println!("{why}"),
     };
+    if sensitive {
+        return sensitivity(count, &only);
+    }
     if only.is_empty() {
         healthy(2 * count);
         lives(count);

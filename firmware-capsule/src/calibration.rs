@@ -16,11 +16,15 @@ pub struct Calibration {
     /// Current winding at the folded end, less that of paying out in the last 0.3 mm of an unfolding's first, slow part: twice the
     /// pull, whatever the friction.
     pub tension_ma: u16,
+    /// Back-EMF of the motor as it was then, uV per count per second; 0 in records of an earlier layout.
+    pub back_emf_uv_cps: u16,
 }
 
 /// Version and the fields, little-endian.
-pub const RECORD: usize = 13;
-const VERSION: u8 = 2;
+pub const RECORD: usize = 15;
+const VERSION: u8 = 3;
+/// The layout before, without the back-EMF.
+const SHORTER: (u8, usize) = (2, 13);
 
 impl Calibration {
     /// As it is written to flash.
@@ -32,12 +36,18 @@ impl Calibration {
         record[7..9].copy_from_slice(&(self.rise.0 as u16).to_le_bytes());
         record[9..11].copy_from_slice(&self.tension_ma.to_le_bytes());
         record[11..13].copy_from_slice(&(self.long_rise.0 as u16).to_le_bytes());
+        record[13..15].copy_from_slice(&self.back_emf_uv_cps.to_le_bytes());
         record
     }
 
     /// From a record in flash; `None` if it is not one of this layout, or not of a capsule.
     pub fn from_record(record: &[u8]) -> Option<Self> {
-        let &[VERSION, a, b, c, d, e, f, g, h, i, j, k, l] = record else {
+        let (fields, back_emf_uv_cps) = match *record {
+            [VERSION, ref fields @ .., m, n] => (fields, u16::from_le_bytes([m, n])),
+            [version, ref fields @ ..] if (version, record.len()) == SHORTER => (fields, 0),
+            _ => return None,
+        };
+        let &[a, b, c, d, e, f, g, h, i, j, k, l] = fields else {
             return None;
         };
         let folded = Thread(i32::from_le_bytes([a, b, c, d]));
@@ -48,6 +58,7 @@ impl Calibration {
             rise: Thread(i32::from(u16::from_le_bytes([g, h]))),
             tension_ma: u16::from_le_bytes([i, j]),
             long_rise: Thread(i32::from(u16::from_le_bytes([k, l]))),
+            back_emf_uv_cps,
         })
     }
 }

@@ -1,16 +1,15 @@
 //! Everything that control decides: readings, requests and the clock in; drive, replies and events out. Pure: the rest
 //! of the capsule is a trait, so that the host tests run what the control task runs.
 
-use crate::{
-    calibration::Calibration,
-    commands::{self, Change, Context},
-    detect::Sample,
-    fold::{self, Actions, Command, Drive, Event},
-    kept::{CALIBRATION, Kept, TOTALS, Totals},
-    mechanics::Counts,
-    settings::Settings,
-    trace::Recording,
-};
+use crate::calibration::Calibration;
+use crate::commands::{Change, Context};
+use crate::fold::{Actions, Command, Drive, Event};
+use crate::kept::{CALIBRATION, Kept, TOTALS, Totals};
+use crate::mechanics::Counts;
+use crate::sample::Sample;
+use crate::settings::Settings;
+use crate::trace::Recording;
+use crate::{commands, fold};
 use device::retained::{EStop, Retained};
 use device::{
     common::{About, Effect, Surroundings},

@@ -29,15 +29,15 @@
 mod measures;
 mod orders;
 
-use crate::{
-    calibration::Calibration,
-    detect::{Detector, Load, Sample, Spooling, Trip},
-    governor::{Effort, Governor},
-    leg::{Decision, Leg, Purpose, Rise, is_near},
-    mechanics::{Counts, FOUND_AGAIN, FOUND_BY_RISE, Thread},
-    record::Recorder,
-    settings::Settings,
-};
+use crate::calibration::Calibration;
+use crate::circuit::Circuit;
+use crate::detect::{Detector, Load, Trip};
+use crate::governor::{Effort, Governor};
+use crate::leg::{Decision, Leg, Purpose, Rise, is_near};
+use crate::mechanics::{Counts, FOUND_AGAIN, FOUND_BY_RISE, Thread};
+use crate::record::Recorder;
+use crate::sample::{Sample, Spooling};
+use crate::settings::Settings;
 use measures::{Drift, FRICTION_FORCE, Mean, drawn_ma};
 use protocol::{
     capsule::{
@@ -168,8 +168,13 @@ struct Actuation {
     winding_ma: Option<u16>,
     /// Its current then.
     taut: Mean,
+    /// Pull just before the calibrated end over what it was there, in thousandths.
+    share: Mean,
     /// So often may the slow part that it is measured in be prolonged.
     prolongations: u8,
+    circuit: Circuit,
+    /// Back-EMF that a calibration has measured on its way to the end.
+    back_emf_uv_cps: u16,
     /// A calibration that lacks its tension.
     found: Option<(Thread, Rise)>,
     /// With the end force that the friction of this motion asks for.
@@ -181,13 +186,17 @@ struct Actuation {
 pub struct Capsule {
     mode: Mode,
     referenced: bool,
+    /// The amplifier's offset before the last motion, until its zero has been looked at again.
+    offset_before_ma: i16,
     /// Count at thread zero.
     zero: Counts,
     /// So much less thread than calibrated is believed to be wound at the folded end.
     spare: Thread,
-    /// So much later than calibrated the force has been felt: by another friction, or because the count has moved. Nothing
-    /// tells which, so an unfolding ends so much before zero.
+    /// How much later than calibrated the last fold felt its force: by another friction, or because the count has moved. Nothing
+    /// tells which, so an unfolding ends this much before zero.
     doubt: Thread,
+    /// How much further on than calibrated the folded end is: thread and origami have become longer.
+    crept: Thread,
     sample: Sample,
     sample_us: u64,
     drive: Drive,
@@ -215,8 +224,10 @@ impl Capsule {
         Self {
             mode: fault.map_or(Mode::Unreferenced, Mode::Faulted),
             referenced: false,
+            offset_before_ma: 0,
             spare: Thread(0),
             doubt: Thread(0),
+            crept: Thread(0),
             zero: Counts(0),
             sample: Sample::default(),
             sample_us: 0,
@@ -362,6 +373,7 @@ impl Capsule {
         self.sample = sample;
         self.sample_us = self.sample_us.max(now_us);
         self.supervise(now_us, actions);
+        self.watch_offset(now_us, actions);
         self.govern(now_us);
         if self.is_moving() || now_us < self.brake_until_us {
             self.recorder.thread(self.thread());
@@ -456,6 +468,7 @@ impl Capsule {
             }
         }
         self.follow_friction(&load);
+        self.compare(now_us, load.excess_ma.is_some())?;
         if !load.silent {
             self.measure(thread, load.excess_ma.is_some())?;
         }
@@ -474,13 +487,25 @@ impl Capsule {
         };
         let stopping = actuation.detector.stopping_distance();
         let counts = self.sample.counts;
-        let next = match actuation.leg.decide(
+        let decided = actuation.leg.decide(
             counts,
             self.zero,
             load,
             stopping,
             (self.calibration.as_ref(), &self.settings),
-        )? {
+        );
+        // No end counts that was found by a current or by counts which disagree.
+        let ends = matches!(
+            decided,
+            Err(_) | Ok(Decision::Folded | Decision::EndFound { .. })
+        );
+        if ends && self.circuit_disagrees() {
+            return Err(CapsuleFault::SenseOrEncoder);
+        }
+        let Mode::Moving(actuation) = &mut self.mode else {
+            return Ok(());
+        };
+        let next = match decided? {
             Decision::Continue if now_us >= actuation.deadline_us => {
                 return Err(CapsuleFault::Timeout);
             }
@@ -555,9 +580,18 @@ impl Capsule {
         actuation.leg = next;
         actuation.detector = Detector::new(next.spooling(), from_us, actuation.rest_mv);
         actuation.governor = Governor::default();
+        actuation.circuit = Circuit::default();
         actuation.near = false;
         actuation.slack_from = None;
         Ok(())
+    }
+
+    fn circuit_disagrees(&self) -> bool {
+        let Mode::Moving(actuation) = &self.mode else {
+            return false;
+        };
+        let known = self.known_back_emf();
+        actuation.circuit.disagrees_now(known, &self.settings)
     }
 
     /// The end force has been found, so the zero is known; the leg that follows, if one does.
@@ -581,11 +615,21 @@ impl Capsule {
         };
         if let Mode::Moving(actuation) = &mut self.mode {
             actuation.winding_ma = actuation.detector.mean_ma();
+            if purpose == Purpose::Calibrate {
+                let constant = actuation.circuit.constant_uv_cps();
+                if !Circuit::is_possible(constant, &self.settings) {
+                    return Err(CapsuleFault::SenseOrEncoder);
+                }
+                actuation.back_emf_uv_cps = constant;
+            }
         }
         // The end may be found before where the calibration found it: the thread is believed shorter, so that an unfolding ends
         // before zero. What this run has wound itself is there.
         self.spare = match purpose {
-            Purpose::Calibrate => Thread(0),
+            Purpose::Calibrate => {
+                self.crept = Thread(0);
+                Thread(0)
+            }
             Purpose::Check { believed: true } => FOUND_AGAIN,
             Purpose::Reference | Purpose::Check { .. } => {
                 Thread((folded.0 - wound.0).clamp(FOUND_AGAIN.0, FOUND_BY_RISE.0))

@@ -30,13 +30,12 @@
 //! 2 mm reaches 20.8 N, at 12.9 mm/s 19.6 N. Paying out is bounded by what the motor would coast if the power were
 //! cut: it must stand before zero without a brake.
 
-use crate::{
-    calibration::Calibration,
-    detect::{Load, Spooling},
-    governor::Aim,
-    mechanics::{BACK_OFF, BACK_OFFS, COASTING_CPS2_PER_MA, Counts, LEAST_RISE, Thread},
-    settings::Settings,
-};
+use crate::calibration::Calibration;
+use crate::detect::Load;
+use crate::governor::Aim;
+use crate::mechanics::{BACK_OFF, BACK_OFFS, COASTING_CPS2_PER_MA, Counts, LEAST_RISE, Thread};
+use crate::sample::Spooling;
+use crate::settings::Settings;
 use protocol::capsule::CapsuleFault;
 
 /// Above the no-load current: from this pull on, a fold becomes slower, so that pull and momentum together do not grow. It
@@ -44,8 +43,9 @@ use protocol::capsule::CapsuleFault;
 const LOADED_FROM_MA: u16 = 68;
 /// The last of paying out: 2 mm/s.
 const LAST_CPS: i32 = 1_600;
-/// A fold is slow for so much before its calibrated end.
-pub const SLOW_ZONE: Thread = Thread(300);
+/// A fold is slow for this much before its calibrated end: 0.25 mm to become slow, and the zone in which its force is compared with
+/// the calibration's, which was as slow.
+pub const SLOW_ZONE: Thread = Thread(600);
 /// The first of an unfolding is slow, so that its current tells whether the thread pulls. What it takes to start the motor
 /// is almost gone by then.
 pub const TENSION_ZONE: Thread = Thread(700);

@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod calibration;
+pub mod circuit;
 pub mod commands;
 pub mod control;
 pub mod detect;
@@ -13,6 +14,7 @@ pub mod kept;
 pub mod leg;
 pub mod mechanics;
 mod record;
+pub mod sample;
 pub mod sense;
 pub mod settings;
 pub mod trace;

@@ -1,6 +1,7 @@
 //! Keeps the record of the present or last actuation: duration, currents, energy, how it ended.
 
-use crate::{detect::Sample, mechanics::Thread};
+use crate::mechanics::Thread;
+use crate::sample::Sample;
 use protocol::capsule::{ActuationKind, ActuationOutcome, ActuationRecord};
 
 /// The unit in which energy is counted: a fold has 2.4e14 of them, and no division is needed for each reading.

@@ -1,10 +1,8 @@
 //! The present or last motion, reading by reading: the last 2.8 s of it, at 1 kHz. A fault keeps what led to it.
 
-use crate::{
-    detect::Sample,
-    fold::Drive,
-    mechanics::{Counts, Thread},
-};
+use crate::fold::Drive;
+use crate::mechanics::{Counts, Thread};
+use crate::sample::Sample;
 use protocol::capsule::{GetTrace, KEPT_TRACE_POINTS, MAX_TRACE_POINTS, Trace, TracePoint};
 
 /// Resolution of the battery's voltage, and its origin.

@@ -1,6 +1,7 @@
 //! The last readings of a motion: speed, means, and how it changed.
 
-use crate::{detect::Sample, mechanics::Counts};
+use crate::mechanics::Counts;
+use crate::sample::Sample;
 
 /// Readings that are kept: 32 ms.
 const KEPT: usize = 32;

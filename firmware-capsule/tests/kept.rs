@@ -1,9 +1,5 @@
 //! What a capsule keeps in flash, also when the power is cut while it is written.
 
-#[path = "../../device/tests/chip/mod.rs"]
-mod chip;
-
-use chip::{Cut, Flash, Random};
 use device::{settings::SettingsStore, store::StorageFailed};
 use firmware_capsule::{
     calibration::Calibration,
@@ -15,6 +11,7 @@ use protocol::{
     settings::{MAX_NAME, SettingKey as Key},
     system::DeviceKind,
 };
+use simulated_machines::chip::{Cut, Flash, Random};
 
 type Store = SettingsStore<Flash, Kept>;
 
@@ -63,6 +60,7 @@ const CALIBRATION: Calibration = Calibration {
     rise: Thread(1_538),
     long_rise: Thread(3_402),
     tension_ma: 54,
+    back_emf_uv_cps: 207,
 };
 
 fn totals(actuations: u32) -> Totals {
@@ -200,7 +198,7 @@ fn unreadable_after_what_is_there(flash: &Flash) -> Vec<u8> {
     let noisy = |seed| {
         let mut random = Random(seed);
         let mut bytes = bytes.clone();
-        bytes[next..next + 64].fill_with(|| random.next() as u8);
+        bytes[next..next + 64].fill_with(|| random.draw() as u8);
         bytes
     };
     let mut noises = (0..10_000).map(noisy);

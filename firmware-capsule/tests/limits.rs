@@ -1,13 +1,11 @@
 //! Whatever the machine is fed, it never drives past zero or the soft maximum, at rest or in a fault. Every motion
 //! ends in its time, and is reported once when it starts and once when it ends.
 
-use firmware_capsule::{
-    calibration::Calibration,
-    detect::Sample,
-    fold::{Actions, BRAKE_US, Capsule, Command, Drive, Event},
-    mechanics::{BACK_OFF, BACK_OFFS, Counts, Thread},
-    settings::Settings,
-};
+use firmware_capsule::calibration::Calibration;
+use firmware_capsule::fold::{Actions, BRAKE_US, Capsule, Command, Drive, Event};
+use firmware_capsule::mechanics::{BACK_OFF, BACK_OFFS, Counts, Thread};
+use firmware_capsule::sample::Sample;
+use firmware_capsule::settings::Settings;
 use proptest::prelude::*;
 use protocol::capsule::{
     ActuationKind, ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState,
@@ -58,6 +56,9 @@ fn input() -> impl Strategy<Value = Input> {
     ]
 }
 
+/// Counts per ms of a motor that turns as fast as its voltage and its current say.
+const BY_VOLTAGE: i32 = i32::MAX;
+
 struct Monitor {
     capsule: Capsule,
     now_us: u64,
@@ -66,6 +67,8 @@ struct Monitor {
     /// Where the motor last began to pay out.
     top: Counts,
     reached: [bool; 10],
+    /// Back-EMF times 1 ms that is not a count yet, mV.
+    turned_mv: i32,
     /// Motions reported as started so far.
     actuations: u32,
     /// Kind of the motion reported as started and not yet as ended, and its start.
@@ -189,6 +192,14 @@ impl Monitor {
                 self.sample.battery_mv = battery_mv;
                 for _ in 0..ms {
                     let step = match self.capsule.drive() {
+                        Drive::Millivolts(drive_mv) if counts_per_ms == BY_VOLTAGE => {
+                            // 6 ohm, and 0.207 mV for each count/s.
+                            let back_mv = i32::from(drive_mv).abs() - i32::from(current_ma) * 6;
+                            self.turned_mv += back_mv.max(0);
+                            let counts = self.turned_mv / 207;
+                            self.turned_mv %= 207;
+                            counts * i32::from(drive_mv).signum()
+                        }
                         Drive::Millivolts(millivolts) if millivolts > 0 => counts_per_ms,
                         Drive::Millivolts(_) => -counts_per_ms,
                         Drive::Brake | Drive::Off => 0,
@@ -232,6 +243,7 @@ const CALIBRATION: Calibration = Calibration {
     rise: Thread(1_500),
     long_rise: Thread(3_300),
     tension_ma: 50,
+    back_emf_uv_cps: 207,
 };
 
 fn monitor(fault: Option<CapsuleFault>, start: i32, known: bool) -> Monitor {
@@ -254,6 +266,7 @@ fn monitor(fault: Option<CapsuleFault>, start: i32, known: bool) -> Monitor {
         seek_from: Counts(start),
         top: Counts(start),
         reached: [false; 10],
+        turned_mv: 0,
         actuations: 0,
         running: None,
     }
@@ -291,14 +304,15 @@ fn the_judge_sees_every_state() {
         current_ma,
         battery_mv: 3_900,
     };
+    let motor = |ms, current_ma| turn(ms, BY_VOLTAGE, current_ma);
     let folded = [
-        turn(100, 5, 20),
-        turn(295, 5, 60),
-        turn(200, 5, 100),
-        turn(45, 5, 175),
+        motor(100, 20),
+        motor(295, 60),
+        motor(200, 100),
+        motor(45, 175),
     ];
-    let felt = [turn(50, 3, 90)];
-    let taut = [turn(100, 5, 40), turn(300, 5, 20)];
+    let felt = [motor(50, 90)];
+    let taut = [motor(100, 40), motor(300, 20)];
     let script = [
         &[turn(1, 0, 0), Input::Command(Command::CheckFolded)][..],
         &folded,
@@ -306,13 +320,13 @@ fn the_judge_sees_every_state() {
         &felt,
         &taut,
         &[Input::Command(Command::Stop), turn(60, 0, 0)],
-        &[Input::Command(Command::Fold), turn(100, 5, 20)],
+        &[Input::Command(Command::Fold), motor(100, 20)],
         &[Input::Command(Command::Stop), turn(60, 0, 0)],
         &[Input::Command(Command::Reference)],
         &folded,
         &taut,
         // 7 mm/s until the last half millimetre.
-        &[turn(3_000, 5, 20), turn(3_000, 1, 20)],
+        &[motor(3_000, 20), motor(3_000, 20)],
         &[
             Input::Command(Command::EStop),
             Input::Command(Command::Acknowledge),

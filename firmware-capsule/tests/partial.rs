@@ -1,18 +1,15 @@
 //! Folds that stop between the ends, and folded ends that wander, in closed loop with the model of the mechanics.
 
-#[allow(dead_code)] // each test file uses a part of it
-mod plant;
-
 use capsule_plant::{Defect, Parameters};
 use firmware_capsule::{
     fold::{Command, Event, PARTIAL_MARGIN},
     mechanics::Thread,
 };
-use plant::Simulation;
 use protocol::{
     capsule::{ActuationOutcome, CapsuleFault, CapsuleState},
     error::{Field, Refusal},
 };
+use simulated_machines::plant::Simulation;
 
 fn refusal(sim: &mut Simulation, um: i32) -> Option<Refusal> {
     sim.give(Event::Command(Command::FoldTo(Thread(um))))

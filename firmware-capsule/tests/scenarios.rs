@@ -1,19 +1,16 @@
 //! The machine in closed loop with the model of its mechanics: what a person would try on the bench.
 
-#[allow(dead_code)] // each test file uses a part of it
-mod plant;
-
 use capsule_plant::{Defect, Parameters, cases::Kind};
 use firmware_capsule::{
     calibration::Calibration,
     fold::{Capsule, Command, Drive, Event},
     settings::Settings,
 };
-use plant::{Simulation, cases};
 use protocol::{
     capsule::{ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState},
     error::Refusal,
 };
+use simulated_machines::plant::{Simulation, cases};
 
 fn nominal() -> Simulation {
     Simulation::calibrated(Parameters::nominal(), 0)
@@ -275,7 +272,7 @@ fn a_check_confirms_a_folded_capsule_and_pays_nothing_out() {
 fn zero_is_not_passed_after_a_reset() {
     for (folded, chosen) in [(true, [207, 909]), (false, [594, 620])] {
         for seed in (0..6).chain(chosen) {
-            let found = cases::found_again(seed, folded);
+            let found = cases::found_again_with(Parameters::varied(seed), seed, folded);
             let [least_mm, left_mm] =
                 found.unwrap_or_else(|| panic!("seed {seed} ends in a fault"));
             assert!(least_mm >= 0.0, "seed {seed}: {least_mm} mm");
@@ -501,7 +498,9 @@ fn a_check_of_a_folded_capsule_feels_its_thread_and_leaves_it_where_it_was() {
 fn the_folded_end_stays_where_it_was_while_the_friction_changes() {
     for seed in 0..4 {
         for times in [0.7, 1.4] {
-            let (name, least_mm, off_mm) = cases::lives_on(seed, &[Defect::Friction(times)]);
+            let parameters = Parameters::varied(seed);
+            let changes = [Defect::Friction(times)];
+            let (name, least_mm, off_mm) = cases::lives_on_with(parameters, seed, &changes);
             assert_eq!(name, "Complete", "seed {seed}, friction x {times}");
             assert!(least_mm >= 0.0 && off_mm <= 0.3, "{least_mm} {off_mm} mm");
         }

@@ -9,7 +9,7 @@ fn reads(mv: f64, supply_mv: f64) -> u16 {
 
 #[test]
 fn the_supply_is_right_to_half_a_percent_over_the_range_of_the_reference() {
-    // The STM32F411's factory reads it at 3.3 V, the STM32L412's at 3.0 V.
+    // The STM32F411's factory reads it at 3.3 V, that of some other chips at 3.0 V.
     for (reference_mv, factory_mv) in [1_180.0, 1_210.0, 1_240.0]
         .into_iter()
         .flat_map(|mv| [(mv, 3_300), (mv, 3_000)])
@@ -37,7 +37,7 @@ fn what_cannot_be_a_reading_of_the_reference_is_none() {
     let reference = Reference::typical();
     let factory = Reference::from_factory(1_502, 3_300);
     assert_eq!(reference, factory.expect("a word"));
-    // 1.212 V, the STM32L412's typical reference, read at 3.0 V; taken for one at 3.3 V it would be 10 % off.
+    // 1.212 V, a typical reference, read at 3.0 V; taken for one at 3.3 V it would be 10 % off.
     assert!(Reference::from_factory(1_654, 3_000).is_some());
     for (word, supply_mv) in [(1_654, 3_300), (1_502, 3_000), (0xFFFF, 3_000)] {
         assert_eq!(Reference::from_factory(word, supply_mv), None, "{word}");

@@ -1,8 +1,5 @@
 //! Every state with every event: the next state, and nothing else.
 
-#[allow(dead_code)] // the scenarios use all of it
-mod plant;
-
 use capsule_plant::Parameters;
 use device::common::{About, Effect};
 use device::settings::Values;
@@ -13,7 +10,6 @@ use firmware_capsule::{
     settings::Settings,
 };
 use firmware_capsule::{kept::Totals, trace::Recording};
-use plant::Simulation;
 use protocol::{
     capsule::{
         ActuationOutcome, Calibrate, CapsuleEvent, CapsuleFault, CapsuleState, CapsuleStatus,
@@ -26,6 +22,7 @@ use protocol::{
     system::{self, Acknowledge, GetEvents, GetLastWords, KeepAlive, SetTelemetry},
     table::{Impact, Reply, Request, Response},
 };
+use simulated_machines::plant::Simulation;
 
 const STATES: [CapsuleState; 10] = [
     CapsuleState::Unreferenced,

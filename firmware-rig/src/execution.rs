@@ -2,13 +2,14 @@
 //! other tasks are traits, so that the host tests run what the motion task runs.
 
 use crate::{
-    edge_timing::Timed,
     machine::{Event, PathEnd, PathReport},
     periods::{Item, Path, Period, Periods},
 };
 use device::supervision::CHECK_IN_MS;
 use motion::{
     axis::{Acceleration, Direction},
+    edge_timing::Timed,
+    step_times::Equal,
     units::{StepPosition, Steps, Window},
 };
 
@@ -16,15 +17,22 @@ use motion::{
 pub const LEAD_TICKS: u32 = 800_000;
 /// Few, long periods must not let the ring run short.
 const MIN_QUEUE: u32 = 8;
-/// On a steep ramp the ring plays nearly as fast as it is filled, and a round is as long as the ramp: after so many periods
-/// the captured edges are compared, before there are too many.
-const PERIODS_PER_LOOK: u32 = 32;
-/// So many edges are compared at a time: at 250 kHz the ring plays 20 periods meanwhile.
-const EDGES_PER_LOOK: u32 = 64;
-/// So many looks take all that the captures' memory holds. Noise on the wire that goes on faster holds nothing up.
+/// Periods that make the ring full. It holds some more, but at the highest step rates it plays as many while they are
+/// prepared: then filling it to the last one would never end, and nothing else would get the processor.
+const FULL_QUEUE: u32 = 104;
+/// Most periods that are prepared before the first of them is shown to the ring. After each such batch the captured
+/// edges are compared: on a steep ramp the ring plays nearly as fast as it is filled, and a round is as long as the
+/// ramp.
+const BATCH: usize = 32;
+/// Least periods of a batch. Else no more are prepared at a time than half of those that wait, so that these last
+/// longer.
+const LEAST_BATCH: u32 = 8;
+/// Edges that are compared at a time.
+pub const EDGES_PER_LOOK: u32 = 64;
+/// Looks that take all that the captures' memory holds. Noise on the wire that goes on faster holds nothing up.
 const LOOKS: u32 = 16;
-/// With so many periods in the ring, or half the lead, there is time to compare.
-const AMPLE_QUEUE: u32 = 80;
+/// With this many periods in the ring, or half the lead, there is time to compare.
+const AMPLE_QUEUE: u32 = 64;
 
 /// The ring is too nearly dry to append a period for certain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,14 +52,21 @@ pub trait Ring {
     /// Halts, and empties the ring for a new path with step pulses of this width.
     fn clear(&mut self, pulse_ticks: u16);
 
-    /// Appends a period.
+    /// Appends a period. There is room for it.
     ///
     /// # Errors
     /// The reader is so near that the period might not be taken as a whole.
     fn push(&mut self, period: Period) -> Result<(), Underrun>;
 
-    /// There is room for another period.
-    fn has_room(&self) -> bool;
+    /// Appends a period for each group of steps, at least one, and no more than there is room for. They come into
+    /// play together.
+    ///
+    /// # Errors
+    /// The reader is so near that they might not be taken as a whole.
+    fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun>;
+
+    /// How many more periods it takes.
+    fn room(&self) -> u32;
 
     /// Periods that wait, without the one that plays and the one that is prepared to play next.
     fn waiting(&self) -> u32;
@@ -65,8 +80,8 @@ pub trait Ring {
     /// Pulses that cannot have left: those of all periods behind the one that plays.
     fn queued_pulses(&self) -> u32;
 
-    /// Ticks from the last pulse that left to the end of the last period, where `unemitted` pulses have not left. None if
-    /// that pulse is longer ago than the ring remembers.
+    /// Ticks from the last pulse that left to the end of the last period, where `unemitted` pulses have not left.
+    /// None if that pulse is longer ago than the ring remembers.
     fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32>;
 
     /// The last period has ended, and nothing can come any more.
@@ -231,6 +246,8 @@ struct Execution {
     filling: Filling,
     min_queue: Option<u16>,
     stopped: bool,
+    /// Where steps are prepared for the ring.
+    batch: [Equal; BATCH],
 }
 
 impl Execution {
@@ -267,6 +284,7 @@ impl Execution {
             filling: Filling::Full,
             min_queue: None,
             stopped: false,
+            batch: [Equal::default(); BATCH],
         };
         execution.fill(ring, mailbox);
         match ring.start() {
@@ -293,8 +311,8 @@ impl Execution {
         if mailbox.is_cut() {
             return Some(self.end(ring, mailbox, PathEnd::Cut));
         }
-        // Not cut at the look, for it is not cut now. Later looks of this round may come after a cut: then the periods play
-        // on without pulses until the ring is halted.
+        // Not cut at the look, for it is not cut now. Later looks of this round may come after a cut: then the
+        // periods play on without pulses until the ring is halted.
         self.passed = self.before_the_last(ring.waiting_pulses());
         if mailbox.take_stop() || (!self.stopped && self.misses_edges(ring)) {
             self.stopped = true;
@@ -399,33 +417,38 @@ impl Execution {
 
     /// Until the ring is full or something else is to be done.
     fn top_up(&mut self, ring: &mut impl Ring) -> Filling {
-        let mut unseen = 0;
         loop {
-            let enough = ring.lead() >= LEAD_TICKS && ring.waiting() >= MIN_QUEUE;
-            if enough || !ring.has_room() {
+            let (lead, room) = (ring.lead(), ring.room());
+            let waiting = ring.waiting();
+            if lead >= LEAD_TICKS && waiting >= MIN_QUEUE || waiting >= FULL_QUEUE || room == 0 {
                 return Filling::Full;
             }
-            match self.periods.next_item() {
-                Item::Period(period) => {
-                    if ring.push(period).is_err() {
-                        return Filling::Failed(PathEnd::Underrun);
+            let most = room.min((waiting / 2).max(LEAST_BATCH)) as usize;
+            let batch = &mut self.batch[..most.min(BATCH)];
+            let count = self.periods.steps(batch, LEAD_TICKS.saturating_sub(lead));
+            let pushed = if count > 0 {
+                ring.push_steps(&batch[..count])
+            } else {
+                match self.periods.next_item() {
+                    Item::Period(period) => ring.push(period),
+                    Item::StrokeEnd { stroke } => {
+                        self.ended_stroke = Some(stroke);
+                        Ok(())
                     }
-                    unseen += 1;
-                    if unseen == PERIODS_PER_LOOK {
-                        unseen = 0;
-                        self.time_edges(ring);
-                    }
+                    Item::Turn { next } => return Filling::Turn { next },
+                    Item::End => return Filling::Done,
+                    Item::Guard => return Filling::Failed(PathEnd::Guard),
                 }
-                Item::StrokeEnd { stroke } => self.ended_stroke = Some(stroke),
-                Item::Turn { next } => return Filling::Turn { next },
-                Item::End => return Filling::Done,
-                Item::Guard => return Filling::Failed(PathEnd::Guard),
+            };
+            if pushed.is_err() {
+                return Filling::Failed(PathEnd::Underrun);
             }
+            self.time_edges(ring);
         }
     }
 
-    /// Compares captured edges for as long as the ring can wait. What has to wait too long is lost for the comparison: no
-    /// run ends because it is watched.
+    /// Compares captured edges for as long as the ring can wait. What has to wait too long is lost for the
+    /// comparison: no run ends because it is watched.
     fn time_edges(&self, ring: &mut impl Ring) {
         for _ in 0..LOOKS {
             let ample = ring.lead() >= LEAD_TICKS / 2 || ring.waiting() >= AMPLE_QUEUE;

@@ -5,7 +5,6 @@
 
 pub mod commands;
 pub mod control;
-pub mod edge_timing;
 pub mod execution;
 pub mod machine;
 pub mod periods;

@@ -17,10 +17,11 @@ mod homing;
 mod moving;
 mod running;
 
-use crate::{edge_timing::Timed, periods::Path, settings::Settings};
+use crate::{periods::Path, settings::Settings};
 use homing::Homing;
 use motion::{
     axis::{Direction, Position, Speed},
+    edge_timing::Timed,
     run::RunPlan,
     units::{StepPosition, Steps, Window},
 };

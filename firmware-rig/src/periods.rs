@@ -1,20 +1,25 @@
 //! Turns step times into timer periods: one uninterrupted list for a whole move or run.
 //!
-//! A period is one round of the step timer, or some equal ones; a pulse, if it has one, sits at its start. The list begins with
-//! blank periods up to the first step. Between two strokes comes one [`Item::StrokeEnd`], right behind the last pulse, and
-//! one [`Item::Turn`]: everything before it has to leave the pin before DIR may change, everything after it needs the new
-//! DIR. The periods of the pause come before the turn, so that the time line never breaks.
+//! A period is one round of the step timer, or some equal ones; a pulse, if it has one, sits at its start. The list
+//! begins with blank periods up to the first step. Between two strokes comes one [`Item::StrokeEnd`], right behind
+//! the last pulse, and one [`Item::Turn`]: everything before it has to leave the pin before DIR may change,
+//! everything after it needs the new DIR. The periods of the pause come before the turn, so that the time line never
+//! breaks.
 
 use motion::{
     axis::{Acceleration, Direction},
     run::RunPlan,
-    step_times::StepTimes,
+    step_times::{Equal, LONGEST_TAKEN, Share, StepTimes},
     trapezoid::StrokeProfile,
     units::{StepPosition, Steps, Window},
 };
 
 /// Longest period of the 16-bit step timer.
 pub const MAX_PERIOD: u32 = 65_536;
+const _: () = assert!(
+    LONGEST_TAKEN <= MAX_PERIOD,
+    "steps taken at once fit the timer"
+);
 /// A piece of a long pause is never shorter than this, so that the queue always holds some time.
 const MIN_PIECE: u64 = 32_768;
 /// Period of the last pulse of a stroke: the pulse and the hold time of DIR, 10 us.
@@ -24,8 +29,11 @@ const TAIL: u64 = 1_000;
 /// Repeated rounds last 0.8 ms at most, together: queued periods cannot be recalled.
 const LONGEST_REPETITION: u32 = 80_000;
 
+/// Rounds that the repetition counter plays with its 8 bits.
+const MOST_EQUAL: u32 = 1 << 8;
+
 /// Equal rounds of the step timer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Period {
     /// Length of a round, 2..=[`MAX_PERIOD`].
     pub ticks: u32,
@@ -35,6 +43,18 @@ pub struct Period {
     pub pulse: bool,
     /// A sync pulse at its start: the first step of a stroke.
     pub sync: bool,
+}
+
+impl From<Equal> for Period {
+    /// Steps as [`Periods::steps`] gives them out.
+    fn from(steps: Equal) -> Self {
+        Self {
+            ticks: steps.interval,
+            repeats: (steps.steps - 1) as u8,
+            pulse: true,
+            sync: false,
+        }
+    }
 }
 
 /// An entry of the list.
@@ -243,12 +263,10 @@ impl Periods {
                     };
                     self.position = next;
                     self.last_step = self.cursor;
-                    if !self.times.advance() {
-                        self.plan_turn();
-                    } else if !self.sync && self.times.interval().0 <= u64::from(MAX_PERIOD) {
-                        return Item::Period(self.steps());
-                    } else {
+                    if self.times.advance() {
                         self.gap = self.times.interval().0;
+                    } else {
+                        self.plan_turn();
                     }
                     self.pulse = true;
                 }
@@ -284,24 +302,29 @@ impl Periods {
         self.window.contains(next).then_some(next)
     }
 
-    /// The pulse at the cursor, with those that follow it at the same distance, inside the window.
-    fn steps(&mut self) -> Period {
-        let interval = self.times.interval().0;
-        let room = self.window.room(self.position, self.direction).0;
-        let most = (LONGEST_REPETITION / interval as u32 - 1).min(u32::from(u8::MAX));
-        let repeats = self.times.repeat(most.min(room));
-        if repeats > 0 {
+    /// The next periods that are steps of the stroke in progress and nothing else, as many as `groups` holds and in no
+    /// more than `ticks` but for the last one; returns how many. For all others, that is after 0, ask
+    /// [`Periods::next_item`]. It would give the same pulses.
+    pub fn steps(&mut self, groups: &mut [Equal], ticks: u32) -> usize {
+        if self.gap > 0 || self.after != After::Pulse || self.sync {
+            return 0;
+        }
+        let share = Share {
+            steps: self.window.room(self.position, self.direction).0,
+            ticks,
+            equal: MOST_EQUAL,
+            equal_ticks: LONGEST_REPETITION,
+        };
+        let (before, emitted) = (self.times.tick().0, self.times.emitted().0);
+        let filled = self.times.batch(&share, groups);
+        if filled > 0 {
             // Inside the window, so within the range of positions.
-            self.position.0 += repeats as i32 * self.direction.sign();
-            self.last_step += u64::from(repeats) * interval;
+            let steps = self.times.emitted().0 - emitted;
+            self.position.0 += steps as i32 * self.direction.sign();
+            self.cursor += self.times.tick().0 - before;
+            self.last_step = self.cursor - self.times.interval().0;
         }
-        self.cursor = self.last_step + interval;
-        Period {
-            ticks: interval as u32,
-            repeats: repeats as u8,
-            pulse: true,
-            sync: false,
-        }
+        filled
     }
 
     /// What follows the last pulse of a stroke, which is at the cursor.

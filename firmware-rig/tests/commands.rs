@@ -1,8 +1,5 @@
 //! The protocol's requests on the machine: every row in every state, every refusal, every number of a reply.
 
-mod carriage;
-
-use carriage::{Rig, now, run, settings};
 use device::{
     common::{About, Effect, Executed},
     settings::Values,
@@ -26,6 +23,7 @@ use protocol::{
     system::{self, DeviceKind, Done, Hello, LastWords, ResetCause, SetTelemetry, What},
     table::{Impact, Reply, Request, Response},
 };
+use simulated_machines::carriage::{Rig, now, run, settings};
 
 const SETTINGS: Settings = Settings::REFERENCE;
 

@@ -1,12 +1,6 @@
 //! Control as the board runs it: requests, button, clock and notices in; orders, replies and events out. The carriage
 //! executes what it orders; settings lie in a flash in memory.
 
-mod carriage;
-#[path = "../../device/tests/chip/mod.rs"]
-mod chip;
-
-use carriage::{CONTROL_ROUND, Carriage, IMAGE_HASH, ring::Ahead};
-use chip::{Cut, Flash};
 use device::{
     common::Surroundings,
     last_words::LastWords,
@@ -35,6 +29,8 @@ use protocol::{
     },
     table::{Reply, Request, Response},
 };
+use simulated_machines::carriage::{CONTROL_ROUND, Carriage, IMAGE_HASH, ring::Ahead};
+use simulated_machines::chip::{Cut, Flash};
 
 const SETTINGS: Settings = Settings::REFERENCE;
 
@@ -1073,7 +1069,11 @@ mod health {
         let mut bench = Bench::homed();
         bench
             .control
-            .event(carriage::path_ended(PathEnd::Guard, 0, 0));
+            .event(simulated_machines::carriage::path_ended(
+                PathEnd::Guard,
+                0,
+                0,
+            ));
         assert_eq!(bench.health().underruns, 0);
     }
 

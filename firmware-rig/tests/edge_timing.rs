@@ -4,11 +4,15 @@ mod runs;
 
 use core::iter;
 use firmware_rig::{
-    edge_timing::{EdgeTiming, Intervals, Timed},
     periods::{Item, Path, Period, Periods},
     settings::Settings,
 };
-use motion::units::{StepPosition, Window};
+use motion::{
+    edge_timing::{EdgeTiming, Intervals, Timed},
+    step_times::Equal,
+    timeline::Timeline,
+    units::{StepPosition, Window},
+};
 use proptest::prelude::*;
 use runs::any_run;
 
@@ -22,6 +26,12 @@ fn periods(path: Path) -> Vec<Period> {
     let mut periods = Periods::new(path, StepPosition(0), EVERYWHERE).unwrap();
     let mut all = Vec::new();
     loop {
+        let mut steps = [Equal::default(); 7];
+        let count = periods.steps(&mut steps, u32::MAX);
+        if count > 0 {
+            all.extend(steps[..count].iter().copied().map(Period::from));
+            continue;
+        }
         match periods.next_item() {
             Item::Period(period) => all.push(period),
             Item::End => return all,
@@ -48,9 +58,43 @@ fn edges(periods: &[Period]) -> Vec<Vec<u64>> {
     periods.iter().map(of).collect()
 }
 
+/// What the step generator keeps of a path.
+#[derive(Default)]
+struct Watch {
+    line: Timeline,
+    timing: EdgeTiming,
+}
+
+impl Watch {
+    fn expect(&mut self, period: Period) {
+        if period.pulse {
+            self.line.extend(&[Equal {
+                interval: period.ticks,
+                steps: u32::from(period.repeats) + 1,
+            }]);
+        } else {
+            self.line.extend_by_pause(period.ticks);
+        }
+    }
+
+    fn compare(&mut self, instants: impl ExactSizeIterator<Item = u32>) {
+        let instants: Vec<u32> = instants.collect();
+        self.timing.compare(&self.line, &instants);
+    }
+
+    fn clear(&mut self) {
+        self.line.clear();
+        self.timing.clear();
+    }
+
+    fn timed(&self) -> Timed {
+        self.timing.timed()
+    }
+}
+
 /// Gives the periods out and shows each edge when its period is over, on a clock that stands at `start` then.
 fn timed(periods: &[Period], edges: &[Vec<u64>], start: u32) -> Timed {
-    let mut timing = EdgeTiming::default();
+    let mut timing = Watch::default();
     for (period, edges) in periods.iter().zip(edges) {
         timing.expect(*period);
         timing.compare(edges.iter().map(|&edge| start.wrapping_add(edge as u32)));
@@ -138,7 +182,7 @@ fn steps(ticks: u32, repeats: u8) -> Period {
 
 #[test]
 fn an_edge_that_no_step_has_is_the_worst_error() {
-    let mut timing = EdgeTiming::default();
+    let mut timing = Watch::default();
     timing.compare(iter::once(7));
     let expected = Timed {
         edges: 1,
@@ -149,7 +193,7 @@ fn an_edge_that_no_step_has_is_the_worst_error() {
 
 #[test]
 fn what_came_before_counts_no_more() {
-    let mut timing = EdgeTiming::default();
+    let mut timing = Watch::default();
     timing.compare(iter::once(7));
     timing.expect(steps(100, 3));
     timing.clear();
@@ -166,7 +210,7 @@ fn what_came_before_counts_no_more() {
 /// Nobody takes out what is expected. Then nothing is said, rather than something wrong.
 #[test]
 fn without_the_jumper_nothing_is_timed() {
-    let mut timing = EdgeTiming::default();
+    let mut timing = Watch::default();
     for _ in 0..10_000 {
         timing.expect(steps(100, 0));
     }
@@ -177,10 +221,10 @@ fn without_the_jumper_nothing_is_timed() {
 
 #[test]
 fn after_a_loss_nothing_more_is_compared() {
-    let mut timing = EdgeTiming::default();
+    let mut timing = Watch::default();
     timing.expect(steps(100, 5));
     timing.compare([0, 100].into_iter());
-    timing.lose();
+    timing.timing.lose();
     timing.compare(iter::once(900));
     let expected = Timed {
         edges: 2,
@@ -196,7 +240,7 @@ fn after_a_loss_nothing_more_is_compared() {
 /// What waits in the ring, and half of it that played since the last look, is remembered.
 #[test]
 fn a_look_may_come_half_a_ring_late() {
-    let mut timing = EdgeTiming::default();
+    let mut timing = Watch::default();
     for _ in 0..128 + 64 {
         timing.expect(steps(400, 0));
     }
@@ -213,7 +257,7 @@ fn a_look_may_come_half_a_ring_late() {
 /// Intervals by their error, over paths: the first edge of a path ends none, and one that was added belongs to none.
 #[test]
 fn intervals_are_counted_by_their_error() {
-    let mut timing = EdgeTiming::default();
+    let mut timing = Watch::default();
     for _ in 0..2 {
         timing.clear();
         timing.expect(steps(100, 6));
@@ -221,10 +265,15 @@ fn intervals_are_counted_by_their_error() {
         // 1 late, so the next one is 1 short; 2 early and back; 50 late.
         timing.compare([1_201, 1_300, 1_398, 1_500, 1_650, 1_700].into_iter());
     }
+    // One that comes before the first of its path is not the first.
+    timing.clear();
+    timing.compare(iter::once(7));
+    timing.expect(steps(100, 2));
+    timing.compare([1_000, 1_100, 1_200].into_iter());
     let expected = Intervals {
-        exact: 2,
+        exact: 4,
         off: [4, 4, 2],
     };
-    assert_eq!(timing.intervals(), expected);
+    assert_eq!(timing.timing.intervals(), expected);
     assert_eq!(timing.timed().worst_error_ticks, u32::MAX);
 }

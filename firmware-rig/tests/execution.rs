@@ -1,12 +1,9 @@
 //! Execution on a ring that queues ahead as the board's does: every pulse at its tick, turns, stops, cuts, and whatever
 //! keeps it from filling the ring in time.
 
-mod carriage;
 mod runs;
 
-use carriage::{Carriage, Pulse, Rig, ring::Ahead, run};
 use firmware_rig::{
-    edge_timing::Timed,
     execution::{LEAD_TICKS, Order, Pace},
     machine::{Command, Event, PathEnd, PathReport},
     periods::Path,
@@ -14,6 +11,7 @@ use firmware_rig::{
 };
 use motion::{
     axis::{Acceleration, Direction},
+    edge_timing::Timed,
     run::{Limits, RunPlan, RunRequest, Timing},
     step_times::StepTimes,
     trapezoid::StrokeProfile,
@@ -22,6 +20,7 @@ use motion::{
 use proptest::prelude::*;
 use protocol::rig::{LinkLossPolicy, RigEvent, RigFault, RigState, RunOutcome};
 use runs::{any_deceleration, any_run, first_stroke, strokes};
+use simulated_machines::carriage::{Carriage, Pulse, Rig, ring::Ahead, run};
 
 const SETTINGS: Settings = Settings::REFERENCE;
 
@@ -233,7 +232,9 @@ fn paper() -> RunPlan {
 
 /// 10 mm, two cycles, 5 ms of dwell: 4 strokes of 8,000 steps at 32 kHz.
 fn strokes_of_10_mm() -> Path {
-    Path::Run(carriage::plan(&SETTINGS, 2, 10_000, 40_000))
+    Path::Run(simulated_machines::carriage::plan(
+        &SETTINGS, 2, 10_000, 40_000,
+    ))
 }
 
 #[test]
@@ -320,7 +321,7 @@ fn motion_looks_often_only_when_it_has_to() {
 /// The rest of a run of which nothing is left.
 #[test]
 fn a_path_without_strokes_ends_where_it_stands() {
-    let plan = carriage::plan(&SETTINGS, 1, 10_000, 40_000);
+    let plan = simulated_machines::carriage::plan(&SETTINGS, 1, 10_000, 40_000);
     let path = Path::Rest {
         plan,
         stroke: plan.strokes(),

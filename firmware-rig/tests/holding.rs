@@ -1,8 +1,5 @@
 //! Feed hold: wherever it comes, the resumed run makes exactly the planned steps, each of them once.
 
-mod carriage;
-
-use carriage::{Rig, flag_edge, plan};
 use firmware_rig::{
     machine::{Command, Event},
     settings::Settings,
@@ -16,6 +13,7 @@ use protocol::{
     error::Refusal,
     rig::{LinkLossPolicy, RigEvent, RigFault, RigState, RunOutcome},
 };
+use simulated_machines::carriage::{Rig, flag_edge, plan};
 
 const SETTINGS: Settings = Settings::REFERENCE;
 

@@ -1,17 +1,12 @@
 //! The state machine: homing, runs, and the table of every pair of state and input.
 
-mod carriage;
-
-use carriage::{
-    CLOSED, IMAGE_HASH, Rig, flag_edge, now, path_ended, plan, run, small, stroke_done,
-};
 use firmware_rig::{
-    edge_timing::Timed,
     machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
     settings::Settings,
 };
 use motion::{
     axis::Direction,
+    edge_timing::Timed,
     units::{StepPosition, Steps, Window},
 };
 use protocol::{
@@ -20,6 +15,9 @@ use protocol::{
         HomingPhase, LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome,
         RunRecord, Switch,
     },
+};
+use simulated_machines::carriage::{
+    CLOSED, IMAGE_HASH, Rig, flag_edge, now, path_ended, plan, run, small, stroke_done,
 };
 
 const SETTINGS: Settings = Settings::REFERENCE;

@@ -1,8 +1,5 @@
 //! Jog, move, start button, time-outs, and changes of settings while the rig is in use.
 
-mod carriage;
-
-use carriage::{Rig, run, settings, values};
 use device::settings::Values;
 use firmware_rig::{
     commands::press_button,
@@ -16,6 +13,7 @@ use protocol::{
     rig::{HomingPhase, LinkLossPolicy, RigEvent, RigFault, RigState, RunOutcome},
     settings::SettingKey,
 };
+use simulated_machines::carriage::{Rig, run, settings, values};
 
 const SETTINGS: Settings = Settings::REFERENCE;
 

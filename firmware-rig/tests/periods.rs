@@ -9,7 +9,7 @@ use firmware_rig::{
 use motion::{
     axis::{Axis, Direction},
     run::{Limits, RunPlan, RunRequest, Timing},
-    step_times::StepTimes,
+    step_times::{Equal, StepTimes},
     trapezoid::StrokeProfile,
     units::{StepPosition, Steps, Ticks, Window},
 };
@@ -64,7 +64,11 @@ impl Walk {
 
     fn next(&mut self) -> Item {
         let direction = self.periods.direction();
-        let item = self.periods.next_item();
+        let mut one = [Equal::default()];
+        let item = match self.periods.steps(&mut one, 1) {
+            0 => self.periods.next_item(),
+            _ => Item::Period(one[0].into()),
+        };
         match item {
             Item::Period(period) => {
                 let Period {

@@ -1,10 +1,5 @@
 //! Random sequences of commands and events: what must never happen, in whatever order they come.
 
-mod carriage;
-
-use carriage::{
-    CLOSED, Rig, SMALL, flag_edge, now, path_ended, plan, settings, small, stroke_done,
-};
 use firmware_rig::{
     machine::{Action, Command, Event, Machine, PathEnd, PathReport},
     settings::Settings,
@@ -17,6 +12,9 @@ use motion::{
 use protocol::{
     rig::{LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome},
     settings::SettingKey,
+};
+use simulated_machines::carriage::{
+    CLOSED, Rig, SMALL, flag_edge, now, path_ended, plan, settings, small, stroke_done,
 };
 
 /// SplitMix64 (Steele, Lea, Flood 2014).

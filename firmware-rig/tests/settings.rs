@@ -1,8 +1,5 @@
 //! Settings: ranges, rules, and what homing makes of them.
 
-mod carriage;
-
-use carriage::Rig;
 use device::settings::Values;
 use firmware_rig::{machine::Command, settings::Settings};
 use motion::{
@@ -17,6 +14,7 @@ use protocol::{
     rig::{RigFault, RigState},
     settings::{SettingKey, SettingRule},
 };
+use simulated_machines::carriage::Rig;
 
 const DEFAULT: Values = Values::DEFAULT;
 

@@ -1,9 +1,8 @@
-//! Target: frames with a good checksum and any body into the request handling of both machines, whose real firmware
-//! decides on simulated mechanics, in virtual time.
+//! Target: good frames with arbitrary bodies into the request handling of both machines. Their real firmware decides,
+//! on simulated mechanics, in virtual time.
 
 use std::sync::{Arc, OnceLock};
 
-use client::link::memory::{Memory, Peer};
 use client::{Device, Unobserved};
 use protocol::capsule::{Calibrate, Fold};
 use protocol::error::Refusal;
@@ -13,23 +12,24 @@ use protocol::settings::{Setting, SettingKey};
 use protocol::system::{DeviceKind, Hello, KeepAlive, Urgent};
 use protocol::table::{Reply, Request, Response, SCHEMA_KEY};
 use serde::{Deserialize, Serialize};
+use simulated_machines::link::{Memory, Peer};
 
-use crate::machine::{Left, Machine, Script, World};
 use crate::model::{self, Good, Once};
 use crate::script::steps;
+use simulated_machines::machine::{Left, Machine, Script, World};
 
-/// So long is a frame of the machine under way, us.
+/// Time to wait for the answer to a frame, us.
 const UNDER_WAY_US: u64 = 2_000;
-/// A script is over when a rig has made so many steps, or a capsule has read so often with its bridge awake: what it
-/// costs to try one is bounded.
+/// Work after which a script ends: steps of a rig, or current readings of a capsule with its bridge awake. Bounds the
+/// cost of a script.
 const MOST_WORK: [u64; 2] = [1_500, 30];
-/// The longest script.
+/// Most steps of a script that are tried.
 const MOST_STEPS: usize = 20;
-/// So often a host shows that it is there, us.
+/// Interval of the host's keep-alive requests, us.
 const KEEP_ALIVE_US: u64 = 400_000;
-/// Time passes in pieces of this length, us.
+/// Longest single advance of the virtual time, us.
 const PIECE_US: u64 = 5_000;
-/// The most time of a script, us.
+/// Longest virtual time of a script, us.
 const MOST_US: u64 = 8_000_000;
 
 /// The machine of a script.
@@ -41,47 +41,47 @@ pub enum Start {
     Capsule,
     /// A calibrated capsule that was switched off folded.
     Folded,
-    /// A rig that another host has homed.
+    /// A rig that another host has homed before.
     Homed,
 }
 
-/// What reaches the machine.
+/// A step of a script.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Step {
-    /// A request of the session, so far ahead of the last one.
+    /// A request of the session; the sequence number advances by this much.
     Request(u16, Request),
-    /// A request that makes sense, so that motions begin.
+    /// A request that is likely to be accepted, so that motions begin.
     Sensible(Sensible),
-    /// Any body, in the session or in another one.
+    /// An arbitrary body, in the session (true) or in another one; the sequence number advances by this much.
     Body(bool, u16, Vec<u8>),
-    /// The last frame once more.
+    /// The last frame again.
     Again,
-    /// The host greets again, or another one does.
+    /// A Hello of the same host, or of another one.
     Hello(u32),
     /// A stop.
     Urgent(Urgent),
-    /// So many ms pass, in which the host shows that it is there.
+    /// This many ms pass, with keep-alive requests.
     Wait(u16),
-    /// The E-stop loop of a rig opens, or closes.
+    /// The E-stop loop of a rig opens (true) or closes.
     Loop(bool),
-    /// The start button of a rig goes down, or up.
+    /// The start button of a rig goes down (true) or up.
     Button(bool),
-    /// The watchdog bites.
+    /// The watchdog resets the machine.
     Reset,
-    /// So many ms pass, and nothing comes.
+    /// This many ms pass without any frame.
     Silence(u16),
 }
 
-/// A request within the limits, most of the time.
+/// A request that is usually within the limits.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub enum Sensible {
-    /// A run with so many cycles over so many steps, at so many mm/s.
+    /// A run: number of cycles, length in steps, speed in mm/s.
     Run(u8, u8, u8),
-    /// A move to a step.
+    /// A move to this step.
     Move(u8),
-    /// A jog away, or home.
+    /// A jog away (true) or home.
     Jog(bool),
-    /// A setting and its value between the ends of its range, in 1/255.
+    /// A setting, and its value as a share of its range, in 1/255.
     Set(u8, u8),
 }
 
@@ -94,10 +94,10 @@ struct Bench {
     last: Vec<u8>,
 }
 
-/// Runs the script.
+/// Runs a script.
 ///
 /// # Panics
-/// The machine does what it must not do.
+/// The machine violates the protocol.
 pub fn target(data: &[u8]) {
     let Ok((start, data)) = postcard::take_from_bytes::<Start>(data) else {
         return;
@@ -194,7 +194,7 @@ impl Bench {
         self.send(&model::frame(Kind::Request as u8, session, self.seq, &body));
     }
 
-    /// Time passes for a host that is there.
+    /// Lets time pass with keep-alive requests.
     fn attend(&mut self, mut us: u64) {
         let last = self.last.clone();
         while us > KEEP_ALIVE_US && !self.is_over() {
@@ -206,7 +206,7 @@ impl Bench {
         self.last = last;
     }
 
-    /// Time passes; what the machine says meanwhile has to be frames of a device.
+    /// Lets time pass; checks that the machine sends nothing but a device's frames, and returns them.
     fn wait(&mut self, us: u64) -> Vec<Good> {
         let end_us = self.now_us + us;
         let mut said = vec![];
@@ -224,7 +224,7 @@ impl Bench {
         frames
     }
 
-    /// A frame, its one answer, and what was executed for it.
+    /// Sends a frame; checks its one answer and what was executed for it.
     fn send(&mut self, bytes: &[u8]) {
         self.last = bytes.to_vec();
         let (sent, _) = model::read(bytes);
@@ -234,7 +234,7 @@ impl Bench {
         let said = self.wait(UNDER_WAY_US);
         let answers: Vec<_> = said.iter().filter(|frame| frame.kind == 2).collect();
         let [sent] = &sent[..] else {
-            // Longer than any frame.
+            // The block is longer than any frame.
             assert_eq!((answers.len(), executed), (0, 0));
             return;
         };
@@ -252,7 +252,7 @@ impl Bench {
             assert_eq!(answer.session, sent.session);
         }
         match executed {
-            // A stop is carried out as often as it comes.
+            // Every copy of a stop is executed.
             1 if sent.kind == Kind::Urgent as u8 => {}
             0 if reply == Reply::Refused(Refusal::Incompatible) => self.once.refused(sent.seq),
             0 if sent.kind == Kind::Request as u8 => {}
@@ -261,7 +261,7 @@ impl Bench {
         }
     }
 
-    /// Whatever has come: a new host gets a session and an answer.
+    /// Checks that a new host still gets a session and an answer.
     fn still_serves(&mut self) {
         for nonce in [u32::MAX, u32::MAX - 1] {
             self.hello(nonce);
@@ -271,7 +271,7 @@ impl Bench {
     }
 }
 
-/// Steps of 250 um, as the rig with few steps has them.
+/// Builds the request, with steps of 250 um as on the bench's rig with few steps.
 fn request(sensible: Sensible) -> Request {
     match sensible {
         Sensible::Run(cycles, steps, mm_s) => {
@@ -312,11 +312,11 @@ fn request(sensible: Sensible) -> Request {
     }
 }
 
-/// A capsule that was calibrated and folded, and switched off.
+/// A capsule that was calibrated, folded and switched off.
 fn folded() -> Left {
     let machine = Machine::new(Script::new(DeviceKind::Capsule)).0;
     let shared = Arc::new(std::sync::Mutex::new(machine));
-    let line = crate::machine::Shared(Arc::clone(&shared));
+    let line = simulated_machines::machine::Shared(Arc::clone(&shared));
     let mut host = Device::connect(Box::new(Memory::new("bench", line)), DeviceKind::Capsule, 1)
         .expect("a capsule");
     let reference = host.reference().expect("accepted");
@@ -336,6 +336,6 @@ fn folded() -> Left {
 fn wait(host: &mut Device, accepted: &protocol::capsule::ActuationAccepted) {
     host.wait_actuation(accepted, &mut Unobserved)
         .expect("to its end");
-    // So long until it is written.
+    // Wait until it is written to flash.
     host.idle(2_000_000, &mut Unobserved).expect("there");
 }

@@ -1,8 +1,8 @@
-//! A machine that answers each request with the protocol's exemplar of its response, stands still, and notes what it was asked.
+//! A machine that answers each request with the protocol's exemplar of its response, stands still, and logs the
+//! requests.
 
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use client::link::memory::Peer;
 use device::identity::identity;
 use device::service::{Inbound, Incoming, Service};
 use protocol::capsule::CapsuleState;
@@ -10,36 +10,35 @@ use protocol::error::Refusal;
 use protocol::rig::RigState;
 use protocol::system::{DeviceKind, Identity, ResetCause, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
+use simulated_machines::link::Peer;
 
-use crate::exemplars;
-
-/// What machines were asked; clones are the same one.
+/// A log of executed requests; clones share it.
 #[derive(Clone, Debug, Default)]
 pub struct Asked(Arc<Mutex<Notes>>);
 
-/// In the order of their arrival.
+/// The requests in the order of their arrival.
 #[derive(Clone, Debug, Default)]
 pub struct Notes {
-    /// Requests that were executed and change something.
+    /// Executed requests that change something.
     pub changes: Vec<(DeviceKind, Request)>,
     /// Stops.
     pub stops: Vec<(DeviceKind, Urgent)>,
 }
 
 impl Asked {
-    /// What there is.
+    /// Locks the log.
     pub fn notes(&self) -> MutexGuard<'_, Notes> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// The machine.
+/// A machine that answers by exemplars.
 #[derive(Debug)]
 pub struct Exemplary {
     kind: DeviceKind,
-    /// It begins what it is asked to; else it is not ready for it.
+    /// Whether it accepts motions; otherwise it refuses them as not ready.
     willing: bool,
-    /// Its recording has no end.
+    /// Whether its recording never ends.
     endless: bool,
     service: Service,
     asked: Asked,
@@ -82,7 +81,7 @@ impl Exemplary {
             }
         }
         match response(request) {
-            // As the exemplar is, it would be asked for again and again.
+            // End the recording: the exemplar's points would be requested again and again.
             Response::GetTrace(mut trace) if !self.endless => {
                 trace.points.clear();
                 Reply::Accepted(Response::GetTrace(trace))
@@ -116,11 +115,11 @@ impl Peer for Exemplary {
     }
 }
 
-/// The exemplar for a request; in a status the machine stands.
+/// The exemplar of the response to a request; in a status the machine stands still.
 fn response(request: &Request) -> Response {
     static EXEMPLARS: OnceLock<Vec<Response>> = OnceLock::new();
     let exemplars = EXEMPLARS.get_or_init(|| {
-        // One of each, in the order of the table.
+        // Exemplars in the order of the table, one per row.
         let mut all = exemplars::responses();
         assert_eq!(all.len(), Request::NAMES.len());
         for response in &mut all {
@@ -148,7 +147,7 @@ fn response(request: &Request) -> Response {
 mod tests {
     use client::Device;
     use client::error::ClientError;
-    use client::link::memory::Memory;
+    use simulated_machines::link::Memory;
 
     use super::*;
 

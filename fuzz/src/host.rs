@@ -1,67 +1,67 @@
-//! Target: what a device says, right and wrong, into the client of the host's tool and into the keeper of its server.
+//! Target: anything a device might send, right or wrong, into the host tool's client and the server's keeper.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use crate::server::{self, INSTANCE, Server};
+use client::address::Address;
 use client::error::ClientError;
-use client::link::address::Address;
-use client::link::memory::Peer;
 use client::link::{Link, LinkError, OpenError, Reason};
 use client::{Device, Observer, Progress};
-use host_tool::connector::{Candidate, Connector, Purpose};
-use host_tool::serve::memory::{self, INSTANCE, Server};
 use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Purpose};
 use protocol::frame::Kind;
 use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Event, Urgent};
 use protocol::table::{Reply, Telemetry};
 use serde::{Deserialize, Serialize};
+use simulated_machines::link::Peer;
 
 use crate::exemplary::{Asked, Exemplary};
 use crate::model::{self, Good};
 use crate::script::steps;
 
-/// The longest script.
+/// Most steps of a script that are tried.
 const MOST_STEPS: usize = 64;
 
-/// What the host wants.
+/// The host's actions, and the beginning of the device's.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Plan {
-    /// Of a capsule.
+    /// Whether the device is a capsule.
     pub capsule: bool,
-    /// The device begins to answer as it should, so many times.
+    /// Number of correct answers that the device begins with.
     pub good: u8,
-    /// By way of the client, or of the server.
+    /// Use the client or the server.
     pub wants: Wants,
 }
 
-/// By way of what.
+/// The part of the host under test.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Wants {
     /// The client.
     Client(Vec<Act>),
-    /// The server: the command with this number.
+    /// The server, with a command by its index.
     Server(u8),
 }
 
-/// An act of the client.
+/// An action of the client.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub enum Act {
     /// Asks for the status.
     Status,
-    /// Homes, to the end.
+    /// Homes and waits for the end.
     Home,
-    /// Runs, to the end.
+    /// Runs and waits for the end.
     Run,
     /// Fetches events.
     Events,
-    /// Waits for so many ms.
+    /// Waits for this many ms.
     Idle(u8),
-    /// Only listens.
+    /// Only listens, for this many ms.
     Observe(u8),
-    /// Waits until the rig stands.
+    /// Waits until the rig stands still.
     Rest,
-    /// References or folds, to the end.
+    /// References or folds, and waits for the end.
     Actuate(bool),
     /// Fetches the recording.
     Trace,
@@ -73,39 +73,39 @@ pub enum Act {
     Setting(SettingKey),
 }
 
-/// What the device says next.
+/// The device's next behaviour.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Step {
-    /// What it should.
+    /// The correct answer.
     Good,
     /// This answer to the last request.
     Reply(Reply),
-    /// A sample, so many after the last one.
+    /// A sample; the sequence number advances by this much.
     Telemetry(u16, Telemetry),
-    /// An event, as its own index says.
+    /// An event with the index that it contains.
     Event(Event),
-    /// An event in its turn.
+    /// An event with the next index.
     Next(protocol::system::What),
-    /// A frame.
+    /// A frame: kind, session, sequence number, body.
     Frame(u8, u8, u16, Vec<u8>),
-    /// Bytes.
+    /// Raw bytes.
     Noise(Vec<u8>),
-    /// Nothing, for so many us.
+    /// Silence for this many us.
     Silence(u32),
 }
 
-/// The device, and the line to it.
+/// The device and the line to it.
 struct State {
     now_us: u64,
     good: u8,
     steps: Vec<Step>,
-    /// It answers as it should when it is its turn.
+    /// Gives the correct answers.
     machine: Exemplary,
     last: Option<Good>,
     telemetry: u16,
     event: u32,
     waiting: Vec<u8>,
-    /// Looks at the line after the end of the script.
+    /// Number of reads from the line after the end of the script.
     late: u32,
 }
 
@@ -214,7 +214,7 @@ impl Link for Line {
     }
 }
 
-/// Sees to it that events come once and in their order.
+/// Checks that events arrive once and in order.
 #[derive(Default)]
 struct Seen {
     newest: Option<u32>,
@@ -239,10 +239,10 @@ impl Observer for Seen {
     }
 }
 
-/// Runs the script.
+/// Runs a script.
 ///
 /// # Panics
-/// The host does what it must not do.
+/// The host violates what it promises.
 pub fn target(data: &[u8]) {
     let Ok((plan, data)) = postcard::take_from_bytes::<Plan>(data) else {
         return;
@@ -252,7 +252,7 @@ pub fn target(data: &[u8]) {
         true => DeviceKind::Capsule,
     };
     let mut steps: Vec<_> = steps::<Step>(data).take(MOST_STEPS).collect();
-    // Taken from the end.
+    // Steps are popped from the end.
     steps.reverse();
     let line = Line(Arc::new(Mutex::new(State {
         now_us: 0,
@@ -332,7 +332,7 @@ const RUN: Run = Run {
     link_loss: LinkLossPolicy::Stop,
 };
 
-/// One link, once.
+/// Opens the one link, once.
 struct Once(Mutex<Option<Line>>);
 
 impl Connector for Once {
@@ -368,15 +368,15 @@ impl Connector for Once {
     }
 }
 
-/// Commands that leave no record, so that they cost little.
+/// Commands that leave no record, which makes them cheap.
 const COMMANDS: [&str; 5] = ["rig/home", "rig/move", "rig/hold", "rig/ack", "capsule/ack"];
 
-/// A command of the server, and what it shows afterwards, whatever the device has said.
+/// Sends a command to the server and reads its pages afterwards; both must work whatever the device has sent.
 fn server(line: Line, kind: DeviceKind, number: u8) {
     const TOKEN: &str = "0123456789abcdef";
     let places = [(kind, Address::Serial("bench".to_owned()))];
     let folder = std::env::temp_dir();
-    memory::with(
+    server::with(
         &Once(Mutex::new(Some(line))),
         &places,
         TOKEN,
@@ -397,7 +397,7 @@ fn server(line: Line, kind: DeviceKind, number: u8) {
                 ("content-type", b"application/json"),
             ];
             let ask = |server: &mut Server<'_>, method, uri| {
-                let answer = server.ask(memory::Asked {
+                let answer = server.ask(server::Asked {
                     here: true,
                     method,
                     uri,

@@ -1,21 +1,21 @@
-//! Target: requests over HTTP into the real router, orders and keepers of `retrograde serve`, with two machines that note what
-//! reaches them. Whatever the bytes: without the token nothing reaches them that moves or changes anything.
+//! Target: HTTP requests into the real router, orders and keepers of `retrograde serve`, with two machines that log
+//! what reaches them. Without the token, nothing that moves or changes anything may reach them.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::sync::OnceLock;
 
-use client::link::address::Address;
-use client::link::memory::Memory;
+use crate::server::{self, Answer, INSTANCE, Server};
+use client::address::Address;
 use client::link::{Link, OpenError};
-use host_tool::connector::{Candidate, Connector, Purpose};
-use host_tool::serve::http::ROUTES;
-use host_tool::serve::memory::{self, Answer, INSTANCE, Server};
 use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Purpose};
 use protocol::system::DeviceKind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use serve::http::ROUTES;
+use simulated_machines::link::Memory;
 use tempfile::TempDir;
 
 use crate::exemplary::{Asked, Exemplary};
@@ -24,26 +24,26 @@ use crate::script::steps;
 const TOKEN: &str = "0123456789abcdef0123456789abcdef";
 const BEARER: &[u8] = b"Bearer 0123456789abcdef0123456789abcdef";
 
-/// The longest script.
+/// Most steps of a script that are tried.
 const MOST_STEPS: usize = 8;
 
-/// Which machines there are, and what they say.
+/// The machines and their behaviour.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Machines {
-    /// There is a capsule, too.
+    /// Whether there is a capsule as well.
     pub both: bool,
-    /// They begin what they are asked to.
+    /// Whether they accept motions.
     pub willing: bool,
 }
 
 /// A request.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Step {
-    /// It comes from this computer.
+    /// Whether it comes from this computer.
     pub here: bool,
-    /// What is asked for.
+    /// Method and path.
     pub line: Line,
-    /// Headers beside `Host`.
+    /// Headers other than `Host`.
     pub headers: Vec<Header>,
     /// Its body.
     pub body: Body,
@@ -52,34 +52,34 @@ pub struct Step {
 /// Method and path.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Line {
-    /// One of those that there are; this is behind it.
+    /// An existing route, with this text appended.
     Route(u8, String),
-    /// A command of a machine, by the names of both.
+    /// A command, by the names of machine and command.
     Command(String, String),
-    /// Any.
+    /// Any method and path.
     Any(String, String),
 }
 
 /// A header.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Header {
-    /// The right token.
+    /// The correct token.
     Token,
-    /// Some token.
+    /// Any value of `Authorization`.
     Authorization(Vec<u8>),
-    /// A key of this server, with this end.
+    /// An idempotency key of this server, with this number.
     Key(u8),
-    /// Some key.
+    /// Any idempotency key.
     AnyKey(Vec<u8>),
-    /// The type of the body is JSON.
+    /// Content type JSON.
     Json,
-    /// A page of another place has caused it.
+    /// Marks a request that a page of another site has caused.
     Foreign,
-    /// It is for a name that is not this computer's.
+    /// A host name that is not this computer's, as in DNS rebinding.
     Rebound,
-    /// The page that caused it.
+    /// Any origin.
     Origin(Vec<u8>),
-    /// One of those that matter, with any value.
+    /// A header that the server reads, with any value.
     Known(u8, Vec<u8>),
 }
 
@@ -99,11 +99,11 @@ const KNOWN: [&str; 8] = [
 pub enum Body {
     /// None.
     Empty,
-    /// Fields with texts, and numbers of so many thousandths.
+    /// JSON fields.
     Fields(Vec<(Field, Content)>),
-    /// Any text that should be JSON.
+    /// Any text in place of JSON.
     Text(String),
-    /// Any bytes, so many times.
+    /// Any bytes, repeated this often.
     Bytes(Vec<u8>, u8),
     /// The renewal of the latest jog.
     Renewal(u64),
@@ -112,9 +112,9 @@ pub enum Body {
 /// The name of a field.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Field {
-    /// One that some command has.
+    /// A field that some command has.
     Known(u8),
-    /// Any.
+    /// Any name.
     Any(String),
 }
 
@@ -141,13 +141,13 @@ const FIELDS: [&str; 17] = [
 /// The value of a field.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Content {
-    /// A number.
+    /// A number in thousandths.
     Thousandths(i32),
-    /// A floating number.
+    /// A floating-point number.
     Float(f64),
     /// A text.
     Text(String),
-    /// One of the texts that mean something.
+    /// A text that some command accepts.
     Known(u8),
     /// Neither number nor text.
     Other(u8),
@@ -157,7 +157,7 @@ const TEXTS: [&str; 8] = [
     "away", "home", "finish", "stop", "paper", "rig", "capsule", "-0",
 ];
 
-/// Links to the machines.
+/// Opens links to the machines.
 struct Here {
     asked: Asked,
     willing: bool,
@@ -188,10 +188,10 @@ impl Connector for Here {
     }
 }
 
-/// Runs the script.
+/// Runs a script.
 ///
 /// # Panics
-/// The server does what it must not do.
+/// The server violates what it promises.
 pub fn target(data: &[u8]) {
     let Ok((machines, data)) = postcard::take_from_bytes::<Machines>(data) else {
         return;
@@ -209,7 +209,7 @@ pub fn target(data: &[u8]) {
         asked: Asked::default(),
         willing: machines.willing,
     };
-    memory::with(&here, &places, TOKEN, out, |server| {
+    server::with(&here, &places, TOKEN, out, |server| {
         let mut keys = BTreeSet::new();
         for step in steps::<Step>(data).take(MOST_STEPS) {
             ask(server, &here.asked, &step, &mut keys);
@@ -219,7 +219,7 @@ pub fn target(data: &[u8]) {
     tidy(out);
 }
 
-/// Records are of no use here, and many of them make the next one slow.
+/// Removes the records: they are not needed, and many of them slow down later scripts.
 fn tidy(out: &Path) {
     for entry in fs::read_dir(out).expect("a folder").flatten() {
         let _ = fs::remove_file(entry.path());
@@ -238,7 +238,7 @@ fn ask(server: &mut Server<'_>, asked: &Asked, step: &Step, keys: &mut BTreeSet<
         .collect();
     let body = body(&step.body);
     let before = asked.notes().clone();
-    let answer = server.ask(memory::Asked {
+    let answer = server.ask(server::Asked {
         here: step.here,
         method: &method,
         uri: &uri,
@@ -268,7 +268,7 @@ fn ask(server: &mut Server<'_>, asked: &Asked, step: &Step, keys: &mut BTreeSet<
         let stops = &after.stops[before.stops.len()..];
         assert_eq!(stops, [], "stopped by somebody who must not: {step:?}");
     }
-    // Nothing is done twice for one key.
+    // The same key must not execute anything twice.
     if after.changes.len() > before.changes.len() {
         let key = headers.iter().find(|(name, _)| *name == "idempotency-key");
         let key = key.expect("no command without a key").1.to_vec();
@@ -276,7 +276,7 @@ fn ask(server: &mut Server<'_>, asked: &Asked, step: &Step, keys: &mut BTreeSet<
     }
 }
 
-/// Every answer says what it is, and is not a failure of the server itself.
+/// Checks that every answer has the right headers and is not an internal error of the server.
 fn judge(answer: &Answer, method: &str, uri: &str) {
     let Answer {
         status,
@@ -294,7 +294,7 @@ fn judge(answer: &Answer, method: &str, uri: &str) {
     let is_json = headers
         .get("content-type")
         .is_some_and(|kind| kind == "application/json");
-    // Those are files.
+    // These are files, not JSON of the interface.
     let is_file = uri.starts_with("/openapi.json") || uri.starts_with("/api/v1/records/");
     if is_json && method != "HEAD" && !(is_file && *status == 200) && !body.is_empty() {
         let value: Value = serde_json::from_slice(body).expect("JSON");
@@ -307,10 +307,10 @@ fn judge(answer: &Answer, method: &str, uri: &str) {
     }
 }
 
-/// Whatever has come: a stop from this computer reaches the machine, without a token.
+/// Checks that a stop from this computer still reaches the machine, without a token.
 fn still_serves(server: &mut Server<'_>, asked: &Asked) {
     let before = asked.notes().stops.len();
-    let answer = server.ask(memory::Asked {
+    let answer = server.ask(server::Asked {
         here: true,
         method: "POST",
         uri: "/api/v1/estop",
@@ -374,7 +374,7 @@ fn body(body: &Body) -> Vec<u8> {
             Value::Object(fields.collect()).to_string().into()
         }
         Body::Text(text) => text.clone().into(),
-        // Beyond the limit, at times.
+        // Some of these exceed the limit.
         Body::Bytes(bytes, times) => bytes.repeat(usize::from(*times)),
         Body::Renewal(n) => format!("{{\"action\":\"{INSTANCE}-1\",\"n\":{n}}}").into(),
     }

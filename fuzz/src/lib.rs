@@ -1,39 +1,36 @@
-//! What arbitrary bytes must never do to a machine or to the tool. Each target is a function over bytes that panics when
-//! something is wrong; `cargo xtask fuzz` hands them to libFuzzer, `tests/bounded.rs` tries some of them in every
-//! `cargo test`. docs/testing.md says how, and what was found.
+//! Properties of machines and tool that must hold for arbitrary bytes. Each target is a function over bytes that
+//! panics on a violation. `cargo xtask fuzz` passes them to libFuzzer, and `tests/bounded.rs` tries some of them in
+//! every `cargo test`. docs/testing.md describes the method and the findings.
 //!
 //! * [`stream`]: any bytes into the device's receiver.
 //! * [`bodies`]: good frames with any body into both machines.
-//! * [`host`]: what a device says to the host.
-//! * [`sidedoor`]: what a second process says at the door of a line.
+//! * [`host`]: a device's messages into the host.
+//! * [`sidedoor`]: a second process at the door of a line.
 //! * [`http`]: requests to `retrograde serve`.
 //! * [`records`]: changed records into `verify` and the report's check.
 #![forbid(unsafe_code)]
 
 pub mod bodies;
-#[allow(dead_code, missing_docs, unreachable_pub)]
-#[path = "../../protocol/tests/exemplars/mod.rs"]
-mod exemplars;
+mod door;
 mod exemplary;
 pub mod host;
 pub mod http;
-#[path = "../../host-tool/tests/machine/mod.rs"]
-mod machine;
 pub mod model;
 pub mod records;
 pub mod script;
+mod server;
 pub mod sidedoor;
 pub mod stream;
 
-/// The longest input, bytes: scripts of two dozen steps, in which a change of one still has a chance.
+/// Longest input, bytes: enough for two dozen steps, and short enough that changing one of them often has an effect.
 pub const MAX_LEN: usize = 256;
 
-/// A target.
+/// A fuzz target.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
-    /// Of its file here, and of the folder of its corpus.
+    /// Name of its module and of its corpus folder.
     pub name: &'static str,
-    /// Tries these bytes.
+    /// Runs it on these bytes.
     pub run: fn(&[u8]),
 }
 

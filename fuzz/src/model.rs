@@ -1,4 +1,5 @@
-//! A second reading of the line, written from docs/protocol.md: what a frame is, which one may be executed.
+//! A second implementation of the line, written from docs/protocol.md: finds frames, and decides which may be
+//! executed.
 
 use protocol::frame::{MAX_BODY, MAX_FRAME};
 
@@ -6,20 +7,20 @@ const CRC32C: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 const HEAD: usize = 4;
 const CRC: usize = 4;
 
-/// A good frame, as its bytes say.
+/// A good frame, decoded.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Good {
-    /// 1 to 5.
+    /// Kind, 1 to 5.
     pub kind: u8,
     /// Session number.
     pub session: u8,
     /// Sequence number.
     pub seq: u16,
-    /// What it carries.
+    /// Its body, decoded from COBS and without the CRC.
     pub body: Vec<u8>,
 }
 
-/// These bytes with CRC and COBS, between delimiters, however long they are.
+/// Adds CRC, COBS and delimiters to bytes of any length.
 #[must_use]
 pub fn framed(raw: &[u8]) -> Vec<u8> {
     let raw = [raw, &CRC32C.checksum(raw).to_le_bytes()].concat();
@@ -30,19 +31,19 @@ pub fn framed(raw: &[u8]) -> Vec<u8> {
     block
 }
 
-/// A frame of these parts.
+/// A frame with these header fields and this body.
 #[must_use]
 pub fn frame(kind: u8, session: u8, seq: u16, body: &[u8]) -> Vec<u8> {
     let [low, high] = seq.to_le_bytes();
     framed(&[&[kind, session, low, high], body].concat())
 }
 
-/// All good frames in these bytes, and the number of the other blocks.
+/// All good frames in these bytes, and the number of other blocks.
 #[must_use]
 pub fn read(bytes: &[u8]) -> (Vec<Good>, u32) {
     let (mut good, mut bad) = (vec![], 0);
     let mut blocks: Vec<_> = bytes.split(|byte| *byte == 0).collect();
-    // Its delimiter has not come.
+    // The last block is incomplete: its delimiter is missing.
     blocks.pop();
     for block in blocks.into_iter().filter(|block| !block.is_empty()) {
         match block_frame(block) {
@@ -71,7 +72,7 @@ fn block_frame(block: &[u8]) -> Option<Good> {
     })
 }
 
-/// Each code says how many bytes come until the next code, which stands for a zero; the last one for the end.
+/// Each code is the distance to the next code, which stands for a zero byte or for the end.
 fn uncobs(mut block: &[u8]) -> Option<Vec<u8>> {
     let mut raw = vec![];
     while let Some((&code, rest)) = block.split_first() {
@@ -85,7 +86,7 @@ fn uncobs(mut block: &[u8]) -> Option<Vec<u8>> {
     Some(raw)
 }
 
-/// What a device's executions have to keep: in the present session only, and no number a second time.
+/// Checks a device's executions: only in the present session, and no sequence number twice.
 #[derive(Debug, Default)]
 pub struct Once {
     session: Option<u8>,
@@ -115,15 +116,15 @@ impl Once {
         self.session.unwrap_or(0)
     }
 
-    /// The newest number that was executed.
+    /// Checks the newest executed number.
     pub fn newest_is(&self, seq: Option<u16>) {
         assert_eq!(self.newest, seq, "executed last");
     }
 
-    /// The device executes the request of this frame.
+    /// Records that the device executes the request of this frame.
     ///
     /// # Panics
-    /// It must not.
+    /// The execution is not allowed.
     pub fn executed(&mut self, session: u8, seq: u16) {
         assert_eq!(Some(session), self.session, "executed outside its session");
         assert!(
@@ -134,14 +135,14 @@ impl Once {
         self.newest = Some(seq);
     }
 
-    /// The device refuses it because the host speaks another protocol: its number is taken all the same.
+    /// Records a refusal because the host speaks another protocol: it uses up the number as well.
     pub fn refused(&mut self, seq: u16) {
         if self.is_new(seq) {
             self.newest = Some(seq);
         }
     }
 
-    /// Half of all numbers come after a number, the other half before it.
+    /// Whether a number is newer than all before: half of all numbers come after a given one.
     fn is_new(&self, seq: u16) -> bool {
         let newest = self.newest;
         newest.is_none_or(|newest| (1..0x8000).contains(&seq.wrapping_sub(newest)))

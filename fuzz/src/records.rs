@@ -1,4 +1,5 @@
-//! Target: changed records into `verify`, the check of the report and the manifest. No change of a listed file may go unnoticed.
+//! Target: changed records into `verify`, the report's check and the manifest. Every change of a listed file must be
+//! noticed.
 
 use std::fs;
 use std::path::Path;
@@ -16,24 +17,24 @@ use tempfile::TempDir;
 use trials::experiment;
 use trials::trial::{Action, CapsuleSample, Recording, RigSample, Trial};
 
-use crate::machine::{Script, link};
 use crate::script::steps;
+use simulated_machines::machine::{Script, link};
 
-/// The longest script.
+/// Most steps of a script that are tried.
 const MOST_STEPS: usize = 8;
 
-/// A change.
+/// A change. `u8` is the number of the file, `u16` the position in it, in thousandths.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Step {
-    /// These bytes instead of so many, in the file with this number, so many thousandths of the way through it.
+    /// Replaces this many bytes by others.
     Replace(u8, u16, u8, Vec<u8>),
-    /// The number that comes next there is one of those at which sums overflow.
+    /// Replaces the next number by one of `NUMBERS`, most of them limits of integers.
     Number(u8, u16, u8),
-    /// The file ends there.
+    /// Cuts the file off.
     Cut(u8, u16),
-    /// The rows from there on are there twice.
+    /// Repeats all rows from there on.
     Twice(u8, u16),
-    /// Another manifest.
+    /// Replaces the manifest.
     Manifest(Vec<u8>),
 }
 
@@ -50,16 +51,16 @@ const NUMBERS: [&str; 10] = [
     "0.1",
 ];
 
-/// A record as it was written: sidecar, telemetry, manifest.
+/// An intact record: sidecar, telemetry, manifest.
 struct Written {
     names: [String; 3],
     files: [Vec<u8>; 3],
 }
 
-/// Runs the script.
+/// Runs a script.
 ///
 /// # Panics
-/// A change goes unnoticed, or cannot be survived.
+/// A change is unnoticed, or makes the tool panic.
 pub fn target(data: &[u8]) {
     static WRITTEN: OnceLock<Written> = OnceLock::new();
     static FOLDER: OnceLock<TempDir> = OnceLock::new();
@@ -73,7 +74,8 @@ pub fn target(data: &[u8]) {
     for step in steps::<Step>(data).take(MOST_STEPS) {
         change(&mut files, &step);
     }
-    // Most changes are in one of the files. The folder is this script's until its end.
+    // Write only the changed files, because most changes are in one. The lock reserves the folder until the script
+    // ends.
     let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
     for (index, (name, bytes)) in written.names.iter().zip(&files).enumerate() {
         if last.as_ref().is_none_or(|last| last[index] != *bytes) {
@@ -94,7 +96,7 @@ pub fn target(data: &[u8]) {
     look(&folder.join(&written.names[0]));
 }
 
-/// What the report looks at.
+/// Checks a record as the report does.
 fn look(sidecar: &Path) {
     let Ok(trial) = Trial::read(sidecar) else {
         return;
@@ -115,7 +117,7 @@ fn look(sidecar: &Path) {
     }
 }
 
-/// What is read as a manifest is written as it was.
+/// Checks that text which parses as a manifest is written back unchanged.
 fn manifest_of(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else {
         return;

@@ -1,9 +1,9 @@
-//! From bytes to steps: a list in postcard, with whatever is no step left out.
+//! Reads a script from bytes: a list of steps in postcard, skipping whatever is not a step.
 
 use serde::de::DeserializeOwned;
 
-/// The steps in these bytes. Where none begins, one byte is skipped, so that any bytes are a script and a changed byte
-/// leaves what comes later as it was.
+/// The steps in these bytes. Skips one byte where no step begins: any bytes are then a script, and a changed byte
+/// leaves later steps as they are.
 pub fn steps<'a, T: DeserializeOwned + 'a>(mut data: &'a [u8]) -> impl Iterator<Item = T> + 'a {
     std::iter::from_fn(move || {
         while !data.is_empty() {

@@ -1,66 +1,65 @@
-//! Target: what guests say at the door of a line, and what machine and owner say meanwhile. Guests bring stops to the line and
-//! harmless questions to the owner, and nothing else.
+//! Target: messages of guests at the door of a line, of the machine and of the owner. Guests may bring stops to the
+//! line and harmless questions to the owner, and nothing else.
 
 use std::sync::OnceLock;
 
+use crate::door::{Door, Guest};
 use client::door::VERSION;
-use client::door::memory::{Door, Guest};
 use protocol::frame::Kind;
 use protocol::rig::{GetRigStatus, Home};
 use protocol::system::{DeviceKind, Done, Hello, Identity, ResetCause, Urgent};
 use protocol::table::{Endpoint, Impact, Reply, Request, Response, SCHEMA_KEY};
 use serde::{Deserialize, Serialize};
 
-use crate::exemplars;
 use crate::model::{self, Good, Once};
 use crate::script::steps;
 
 const TOKEN: &str = "secret";
-/// The longest script.
+/// Most steps of a script that are tried.
 const MOST_STEPS: usize = 32;
-/// So many guests come.
+/// Most guests at a time.
 const GUESTS: usize = 3;
-/// The owner asks not more often, us.
+/// Time between two questions that the owner takes, us.
 const BREATH_US: u64 = 10_000;
 
-/// What happens.
+/// A step of a script.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Step {
     /// Somebody knocks with these bytes.
     Knock(Vec<u8>),
-    /// Somebody knocks as a guest does, and wants the line, or not.
+    /// A guest knocks properly; true if it wants the line.
     Come(bool),
     /// A guest leaves.
     Leave(u8),
-    /// A guest says bytes.
+    /// A guest sends raw bytes.
     Noise(u8, Vec<u8>),
-    /// A guest greets.
+    /// A guest sends a Hello.
     Hello(u8, u32),
-    /// A guest's request, so far ahead of its last one.
+    /// A guest sends a request; its sequence number advances by this much.
     Request(u8, u16, Request),
-    /// A guest's frame, of any kind.
+    /// A guest sends a frame: kind, session, sequence number, body.
     Frame(u8, u8, u8, u16, Vec<u8>),
-    /// A guest's stop.
+    /// A guest sends a stop.
     Urgent(u8, u16, Urgent),
-    /// A guest's last frame again.
+    /// A guest sends its last frame again.
     Again(u8),
-    /// Time passes, ms.
+    /// This many ms pass.
     Wait(u16),
-    /// The owner takes a question and answers, or not.
+    /// The owner takes a question, and answers it if true.
     Answer(bool),
     /// The owner sends a request of its own.
     Order,
-    /// The owner notices stops, and goes on.
+    /// The owner notices stops and continues.
     Notice,
-    /// The machine says bytes.
+    /// The machine sends raw bytes.
     Machine(Vec<u8>),
     /// The machine confirms the stop with this number on the line.
     Confirm(u16, Urgent),
-    /// The machine sends an exemplar.
+    /// The machine sends an exemplar, by its index.
     Tell(u8),
 }
 
-/// A guest, and what it may expect.
+/// A guest, with the state to check it by.
 struct Seat {
     guest: Guest,
     said: Vec<u8>,
@@ -73,17 +72,17 @@ struct Hall {
     door: Door,
     seats: Vec<Seat>,
     now_us: u64,
-    /// A stop is on the line that the owner has not noticed.
+    /// Whether a stop is on the line that the owner has not noticed yet.
     unnoticed: bool,
-    /// Questions that guests have asked in good frames, and those that the owner got.
+    /// Questions in good frames from guests, and questions that reached the owner.
     asked: usize,
     taken: usize,
 }
 
-/// Runs the script.
+/// Runs a script.
 ///
 /// # Panics
-/// The door does what it must not do.
+/// The door violates what it promises.
 pub fn target(data: &[u8]) {
     let mut hall = Hall::new();
     for step in steps::<Step>(data).take(MOST_STEPS) {
@@ -172,7 +171,7 @@ impl Hall {
             }
         }
         for seat in &self.seats {
-            // Frames of a device, whole.
+            // Guests receive complete frames of a device only.
             let (frames, bad) = model::read(&seat.guest.told());
             assert_eq!(bad, 0);
             assert!(frames.iter().all(|frame| [2, 4, 5].contains(&frame.kind)));
@@ -214,7 +213,7 @@ impl Hall {
         self.say(at, &frame);
     }
 
-    /// A guest says this. Of all that, stops reach the line, at once.
+    /// Sends a guest's bytes, and checks that of these only stops reach the line, at once.
     fn say(&mut self, at: u8, bytes: &[u8]) {
         let Some(index) = self.seat(at) else {
             return;
@@ -269,7 +268,7 @@ impl Hall {
         question.answer(answers.then_some(reply));
     }
 
-    /// The owner's request goes out unless somebody has stopped meanwhile.
+    /// Checks that the owner's request goes out unless there is an unnoticed stop.
     fn order(&mut self) {
         let body = postcard::to_stdvec(&Home.into_request()).expect("short");
         let frame = model::frame(Kind::Request as u8, 1, 1, &body);
@@ -281,7 +280,7 @@ impl Hall {
         }
     }
 
-    /// Whatever has come: a new guest's stop is on the line at once, and its question with the owner.
+    /// Checks that a new guest's stop still reaches the line at once, and its question the owner.
     fn still_stops(&mut self) {
         self.seats.clear();
         self.come(&knock(false));
@@ -298,7 +297,7 @@ impl Hall {
     }
 }
 
-/// Of the machine on the line.
+/// Identity of the machine on the line.
 fn identity() -> &'static Identity {
     static IDENTITY: OnceLock<Identity> = OnceLock::new();
     IDENTITY.get_or_init(|| {
@@ -323,7 +322,7 @@ fn stop(frame: &Good) -> Option<Urgent> {
     }
 }
 
-/// It starts no motion, writes nothing, and leaves the owner's telemetry as it is.
+/// Whether a request starts no motion, writes nothing, and leaves the owner's telemetry unchanged.
 fn is_harmless(request: &Request) -> bool {
     match request.impact() {
         Impact::None => !matches!(request, Request::SetTelemetry(_)),
@@ -332,7 +331,7 @@ fn is_harmless(request: &Request) -> bool {
     }
 }
 
-/// The owner may be asked this.
+/// Whether a frame is a question that may reach the owner.
 fn asks(frame: &Good) -> bool {
     match postcard::take_from_bytes::<Request>(&frame.body) {
         Ok((request, [])) => frame.kind == Kind::Request as u8 && is_harmless(&request),

@@ -1,4 +1,5 @@
-//! Target: any bytes into the device's receiver, from the first byte to the answer, beside a second reading of the line.
+//! Target: any bytes into the device's receiver, from the first byte to the answer, compared with a second
+//! implementation.
 
 use std::sync::OnceLock;
 
@@ -13,42 +14,42 @@ use serde::{Deserialize, Serialize};
 use crate::model::{self, Good, Once};
 use crate::script::steps;
 
-/// The longest script.
+/// Most steps of a script that are tried.
 const MOST_STEPS: usize = 32;
 
-/// What comes over the line.
+/// A step of a script.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Step {
-    /// Bytes.
+    /// Raw bytes.
     Noise(Vec<u8>),
-    /// A greeting of this host.
+    /// A Hello of this host.
     Hello(u32),
-    /// A request of the session, so far ahead of the last one.
+    /// A request of the session; the sequence number advances by this much.
     Request(u16, Request),
-    /// Any frame with a good checksum.
+    /// A frame with a good checksum: kind, session, sequence number, body.
     Frame(u8, u8, u16, Vec<u8>),
     /// A stop.
     Urgent(u16, Urgent),
-    /// The last frame again, with these bits of one byte inverted: none of them, and it is a repetition.
+    /// The last frame again, with these bits inverted in one byte; without any, a plain repetition.
     Again(u8, u8),
 }
 
-/// A device and what it has to do.
+/// A device and its expected behaviour.
 struct Line {
     service: Service,
     once: Once,
     seq: u16,
     last: Vec<u8>,
-    /// Bytes since the last delimiter, and blocks that were no frames.
+    /// Bytes since the last delimiter, and number of blocks that were not frames.
     block: Vec<u8>,
     bad: u32,
     now_us: u32,
 }
 
-/// Runs the script.
+/// Runs a script.
 ///
 /// # Panics
-/// The device does what it must not do.
+/// The device violates the protocol.
 pub fn target(data: &[u8]) {
     let mut line = Line::new();
     line.hear(data);
@@ -136,7 +137,7 @@ impl Line {
         );
     }
 
-    /// Every request and every stop gets one answer; what only devices send gets none.
+    /// Checks that every request and every stop gets one answer, and frames that only devices send get none.
     fn judge(&mut self, received: Incoming, good: &Good, heard_us: u32) {
         let is_for_us = good.kind == Kind::Request as u8 || good.kind == Kind::Urgent as u8;
         let frame = match received {
@@ -190,10 +191,10 @@ impl Line {
         }
     }
 
-    /// Whatever has come: a new host gets a session, and its request is carried out, once.
+    /// Checks that a new host still gets a session, and its request is executed once.
     fn still_serves(&mut self) {
         self.hear(&[0]);
-        // Two of them: one may be the present host's.
+        // Try two: one may be the nonce of the present host.
         for nonce in [u32::MAX, u32::MAX - 1] {
             let hello = self.greeting(nonce);
             self.hear(&hello);

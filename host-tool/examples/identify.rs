@@ -3,9 +3,6 @@
 //! `cargo run --release -p host-tool --example identify [CAPSULES]`, 100 unless told.
 #![allow(clippy::print_stdout)]
 
-#[path = "../tests/population/mod.rs"]
-mod population;
-
 use capsule_plant::verdict;
 
 fn main() {
@@ -14,7 +11,7 @@ fn main() {
         println!("say how many capsules, such as 100");
         return;
     };
-    let found = verdict::all(count, population::tried);
+    let found = verdict::all(count, simulated_machines::population::tried);
     println!(
         "| parameter | within its uncertainty | median uncertainty | largest | largest error |"
     );
@@ -28,7 +25,7 @@ fn main() {
         shares.sort_by(f64::total_cmp);
         let missed = column
             .iter()
-            .filter(|one| !population::missed(&[**one]).is_empty())
+            .filter(|one| !simulated_machines::population::missed(&[**one]).is_empty())
             .count();
         let worst = column
             .iter()
@@ -44,14 +41,17 @@ fn main() {
     }
     let whole = found
         .iter()
-        .filter(|row| population::missed(row).is_empty())
+        .filter(|row| simulated_machines::population::missed(row).is_empty())
         .count();
     println!("all six: {whole} of {count}");
     for (seed, row) in found
         .iter()
         .enumerate()
-        .filter(|(_, row)| !population::missed(row).is_empty())
+        .filter(|(_, row)| !simulated_machines::population::missed(row).is_empty())
     {
-        println!("seed {seed}: {:?}", population::missed(row));
+        println!(
+            "seed {seed}: {:?}",
+            simulated_machines::population::missed(row)
+        );
     }
 }

@@ -15,12 +15,12 @@
 use std::io;
 
 use client::Device;
+use client::address::Address;
 use client::decimal;
 use client::identity;
-use client::link::address::Address;
 use client::link::serial::DEFAULT_BAUD;
-use host_tool::connector::{Connector, Ports, Purpose};
 use miette::{IntoDiagnostic, Result, miette};
+use operations::connector::{Connector, Ports, Purpose};
 use protocol::rig::{RunOutcome, RunRecord};
 use protocol::system::DeviceKind;
 use trials::experiment::{self, PAPER_RUN};

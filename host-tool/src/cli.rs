@@ -1,62 +1,236 @@
 //! The command line tool, a thin layer over the library. A program that has a [`Connector`] of its own can call [`run`],
 //! too.
 
-pub(crate) mod already;
-pub mod args;
+mod ack;
+mod actuation;
+mod already;
 mod calculation;
 mod campaign;
+mod capsule;
 mod commission;
 mod compare;
-pub mod configured;
+mod configured;
 mod crescent;
-pub mod design;
-pub mod doctor;
-pub mod failure;
-pub(crate) mod finding;
-pub mod fit;
+mod cycle;
+mod design;
+mod devices;
+mod doctor;
+mod ended;
+mod failure;
+mod fit;
 mod flash;
+mod fold;
 mod fresh;
-pub(crate) mod interrupt;
+mod health;
+mod hold;
+mod home;
+mod identify;
+mod info;
+mod jog;
 mod keyboard;
-pub mod machines;
-pub mod model;
-pub(crate) mod motion;
-mod offline;
-pub mod optimise;
-pub(crate) mod partial;
-pub mod plan_experiment;
+mod list;
+mod man;
+mod model;
+mod move_to;
+mod optimise;
+mod plan;
+mod plan_experiment;
 mod records;
+mod report;
 mod run;
-pub mod science;
-mod screen;
+mod science;
+pub mod screen;
 mod serve;
 mod settings;
-pub mod stops;
+mod stops;
 mod study;
+mod trace;
+mod verify;
 pub mod watch;
-mod windows;
 
 use std::ffi::OsString;
-use std::io::{self, BufRead, IsTerminal, Write};
+use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 use std::sync::LazyLock;
 
 use clap::builder::{OsStr, Resettable};
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
+use client::address::Address;
+use client::link::serial::DEFAULT_BAUD;
+use operations::arguments::{
+    FoldArgs, JogArgs, MachineKind, MoveArgs, PartialArgs, RunArgs, Which,
+};
+use operations::connector::Connector;
+use operations::delivery::{Delivery, Told};
+use operations::failure::{DONE, Failure, USAGE, usage};
+use operations::names;
+use operations::places::{self, Places};
 use protocol::capsule::ActuationKind;
 use protocol::system::Urgent;
 use serde_json::Value;
 
-use crate::cli::args::{CapsuleSubcommand, Cli, FoldArgs, Subcommand};
-use crate::cli::failure::{DONE, Failure, USAGE};
-use crate::cli::finding::Finder;
-use crate::cli::screen::Screen;
-use crate::connector::Connector;
+use crate::cli::campaign::CampaignSubcommand;
+use crate::cli::capsule::CapsuleSubcommand;
+use crate::cli::commission::CommissionArgs;
+use crate::cli::design::DesignArgs;
+use crate::cli::fit::FitArgs;
+use crate::cli::flash::FlashArgs;
+use crate::cli::list::ListArgs;
+use crate::cli::plan::PlanArgs;
+use crate::cli::plan_experiment::PlanExperimentArgs;
+use crate::cli::records::RecordsSubcommand;
+use crate::cli::report::ReportArgs;
+use crate::cli::science::SimulateArgs;
+use crate::cli::screen::{Keyboard, Screen};
+use crate::cli::serve::ServeArgs;
+use crate::cli::settings::SettingsSubcommand;
+use crate::cli::verify::VerifyArgs;
+use crate::cli::watch::WatchArgs;
+
+const EXAMPLES: &str = "\
+Examples:
+  retrograde devices                            which machines are there
+  retrograde doctor                             what is wrong, and what to do about it
+  retrograde --rig /dev/ttyACM0 info            how the rig is, also while it runs
+  retrograde home                               find the position, before a run
+  retrograde run --cycles 5 --duration-s 40     the paper's run, recorded in retrograde-data
+  retrograde watch                              see it run, from another terminal
+  retrograde serve                              the same on a page, with buttons, and for programs
+  retrograde run --stroke-mm 60 --speed-mm-s 10 --note 'second body'
+  retrograde campaign run examples/paper.toml   the paper's trials, step by step
+  retrograde plan --duration-s 40 --plot run.svg   the same without a rig
+  retrograde stop                               stop all machines, from any terminal
+  retrograde report retrograde-data --out report.html
+
+`retrograde man run | man -l -` shows the manual page of a subcommand.";
+
+/// Peristaltic waves on the rig, a folding capsule, and the data of both.
+///
+/// Ctrl-C stops in a controlled way and keeps the position; twice is the emergency stop. This is not a certified
+/// safety function: a hard-wired switch in the motor supply is required.
+#[derive(Debug, Parser)]
+#[command(name = "retrograde", version, arg_required_else_help = true, after_help = EXAMPLES)]
+pub struct Cli {
+    /// The rig: `auto`, a serial port, `tcp:HOST:PORT`, a name from the file of machines, or `virtual`.
+    #[arg(long, global = true, env = "RETROGRADE_RIG", value_name = "WHERE")]
+    pub rig: Option<Address>,
+    /// The capsule: `auto`, a serial port, `tcp:HOST:PORT`, a name from the file of machines, or `virtual`.
+    #[arg(long, global = true, env = "RETROGRADE_CAPSULE", value_name = "WHERE")]
+    pub capsule: Option<Address>,
+    /// Speed of serial ports.
+    #[arg(long, global = true, default_value_t = DEFAULT_BAUD, value_parser = clap::value_parser!(u32).range(300..=4_000_000))]
+    pub baud: u32,
+    /// Print one JSON object on standard output; everything else goes to standard error.
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// What to do.
+    #[command(subcommand)]
+    pub subcommand: Subcommand,
+}
+
+/// What to do.
+#[derive(Debug, clap::Subcommand)]
+pub enum Subcommand {
+    /// List ports and the machines at them. Moves nothing.
+    Devices,
+    /// Find out what is wrong with ports and machines, and what to do about it, within a second or so. Moves nothing.
+    Doctor(Which),
+    /// Show identity, state and last fault of the machines. Moves nothing.
+    Info(Which),
+    /// Find the rig's position: two passes over the home flag, then to 0.
+    Home,
+    /// Run the waves: cycles away from home and back, recorded. The rig must be homed. At a terminal, the key h holds
+    /// the run, r resumes it, s stops it.
+    Run(Box<RunArgs>),
+    /// A campaign: a plan of trials with readings, displacements and records, which can be left and resumed at any time.
+    Campaign {
+        /// What to do with it.
+        #[command(subcommand)]
+        subcommand: CampaignSubcommand,
+    },
+    /// List campaigns and trials by date, specimen and outcome.
+    List(ListArgs),
+    /// What the machines themselves still know of their last action.
+    Records {
+        /// What to do with it.
+        #[command(subcommand)]
+        subcommand: RecordsSubcommand,
+    },
+    /// Find every change of a campaign's folder since it was written: bits, lines, files. Changes nothing.
+    Verify(VerifyArgs),
+    /// Take a new board into service: switches, pulses, travel and stops, measured step by step and recorded. It can be
+    /// left at any time; the same command goes on where it was left.
+    Commission(Box<CommissionArgs>),
+    /// Stop: the rig decelerates and keeps its position, the capsule is held by its worm gear.
+    Stop(Which),
+    /// Emergency stop: cut pulses and motor current at once. It is latched, and the rig's position is lost.
+    Estop(Which),
+    /// Acknowledge a latched fault after its cause was removed. Moves nothing.
+    Ack(Which),
+    /// The capsule's own commands.
+    Capsule {
+        /// What the capsule does.
+        #[command(subcommand)]
+        subcommand: CapsuleSubcommand,
+    },
+    /// Fold the capsule's origami, or fold or unfold it partly, recorded.
+    Fold(PartialArgs),
+    /// Unfold the capsule's origami, recorded.
+    Unfold(FoldArgs),
+    /// Hold a run that goes on without its host: decelerate, keep the position, ready to resume.
+    Hold,
+    /// Resume a held run, exactly as planned.
+    Resume,
+    /// Move the rig while this command runs; it stops at the ends of the stroke.
+    Jog(JogArgs),
+    /// Move the rig to a position.
+    Move(MoveArgs),
+    /// Watch the machines on one screen, also while another `retrograde` works with them; keys hold, resume and stop.
+    Watch(WatchArgs),
+    /// Serve both machines to browsers and programs: a page, and HTTP with JSON, on this computer only unless told
+    /// otherwise. Other commands keep working beside it.
+    Serve(ServeArgs),
+    /// Show the rig's counters: false pulses, serial errors, stack use, underruns.
+    Health,
+    /// Settings and name of a machine.
+    Settings {
+        /// Whose: those of the rig, unless the setting is one that only the capsule has.
+        #[arg(long, value_enum, value_name = "MACHINE", global = true)]
+        of: Option<MachineKind>,
+        /// What to do with them.
+        #[command(subcommand)]
+        subcommand: SettingsSubcommand,
+    },
+    /// Calculate a run without a rig: durations, speeds, edges as CSV, plot as SVG.
+    Plan(Box<PlanArgs>),
+    /// Calculate an origami design: lengths, shortening, the paper's requirements; drawings as SVG.
+    Design(Box<DesignArgs>),
+    /// Simulate the paper's series and free sweeps: CSV and SVG.
+    Simulate(Box<SimulateArgs>),
+    /// Calibrate the model's body from recorded trials: a posterior with its uncertainty, for `simulate --model`.
+    Fit(Box<FitArgs>),
+    /// Plan which trials tell most about the model's body, beside the paper's procedure.
+    PlanExperiment(Box<PlanExperimentArgs>),
+    /// Write an HTML report of recorded trials, or of a campaign with its figures and tables.
+    Report(ReportArgs),
+    /// Flash a board through probe-rs.
+    Flash(FlashArgs),
+    /// Print a completion script for a shell.
+    Completions {
+        /// The shell.
+        shell: clap_complete::Shell,
+    },
+    /// Print the manual page (roff) of the program, or of a subcommand.
+    Man {
+        /// The subcommand, such as `run` or `settings set`.
+        subcommand: Vec<String>,
+    },
+}
 
 /// Runs one command line, program name first, on the process's streams.
 pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) -> ExitCode {
-    LazyLock::force(&finding::BEGAN);
+    LazyLock::force(&places::BEGAN);
     let (mut out, mut err) = (io::stdout(), io::stderr());
     let terminal = err.is_terminal();
     let at = At {
@@ -78,9 +252,6 @@ pub fn run_on(
 ) -> u8 {
     run_at(args, connector, out, err, terminal, None)
 }
-
-/// What a person types, line by line.
-pub type Keyboard = Box<dyn BufRead + Send>;
 
 /// As [`run_on`], with a person at `keyboard` who answers questions and may hold and resume a run.
 pub fn run_at(
@@ -126,7 +297,7 @@ fn run_in(
                 out.write_all(text.as_bytes())
             } else {
                 if args.iter().any(|arg| arg == "--json") {
-                    let _ = writeln!(out, "{:#}", failure::usage(&text));
+                    let _ = writeln!(out, "{:#}", usage(&text));
                 }
                 err.write_all(text.as_bytes())
             };
@@ -142,9 +313,18 @@ fn run_in(
         keyboard: at.keyboard.filter(|_| !cli.json),
         failed: None,
     };
-    let result = match configured::resolve(&mut cli) {
-        Ok(()) => carry_out(&cli, connector, &mut screen),
-        Err(failure) => Err(stops::undelivered(&cli.subcommand, failure)),
+    let result = match names::resolve(&mut cli.rig, &mut cli.capsule) {
+        Ok(names) => {
+            let places = Places {
+                rig: cli.rig,
+                capsule: cli.capsule,
+                names,
+                baud: cli.baud,
+                connector,
+            };
+            carry_out(&cli.subcommand, &places, &mut screen)
+        }
+        Err(failure) => Err(undelivered(&cli.subcommand, failure)),
     };
     screen.finish(result)
 }
@@ -162,60 +342,62 @@ fn without_environment(error: clap::Error, args: &[OsString]) -> clap::Error {
     command.try_get_matches_from(args).err().unwrap_or(error)
 }
 
+/// A stop whose machine cannot even be named was not delivered.
+fn undelivered(subcommand: &Subcommand, failure: Failure) -> Failure {
+    if !matches!(subcommand, Subcommand::Stop(_) | Subcommand::Estop(_)) {
+        return failure;
+    }
+    let told = Told {
+        machine: "the machine of this name".to_owned(),
+        delivery: Delivery::NotDelivered,
+        why: failure.to_string(),
+    };
+    Failure::Stops { told: vec![told] }
+}
+
 fn carry_out(
-    cli: &Cli,
-    connector: &dyn Connector,
+    subcommand: &Subcommand,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let finder = &Finder { cli, connector };
-    match &cli.subcommand {
-        Subcommand::Devices => machines::devices(finder, screen),
-        Subcommand::Doctor(which) => doctor::doctor(which, finder, screen),
-        Subcommand::Info(which) => machines::info(which, finder, screen),
-        Subcommand::Home => machines::home(finder, screen),
-        Subcommand::Run(args) => run::run(args, finder, screen),
-        Subcommand::Campaign { subcommand } => campaign::campaign(subcommand, finder, screen),
-        Subcommand::Verify(args) => campaign::verify(args, screen),
-        Subcommand::Records { subcommand } => records::records(subcommand, finder, screen),
-        Subcommand::Commission(args) => commission::commission(args, finder, screen),
-        Subcommand::Stop(which) => stops::stop(Urgent::Stop, which, finder, screen),
-        Subcommand::Estop(which) => stops::stop(Urgent::EStop, which, finder, screen),
-        Subcommand::Ack(which) => machines::acknowledge(which, finder, screen),
-        Subcommand::Capsule { subcommand } => {
-            let (kind, args) = match subcommand {
-                CapsuleSubcommand::Trace(args) => return study::trace(args, finder, screen),
-                CapsuleSubcommand::Cycle(args) => return study::cycle(args, finder, screen),
-                CapsuleSubcommand::Identify(args) => return study::identify(args, finder, screen),
-                CapsuleSubcommand::Reference(args) => (ActuationKind::Reference, args),
-                CapsuleSubcommand::Calibrate(args) => (ActuationKind::Calibrate, args),
-                CapsuleSubcommand::Check(args) => (ActuationKind::CheckFolded, args),
-            };
-            machines::actuate(kind, args, None, finder, screen)
-        }
-        Subcommand::Fold(args) => partial::fold(args, finder, screen),
+    match subcommand {
+        Subcommand::Devices => devices::devices(places, screen),
+        Subcommand::Doctor(which) => doctor::doctor(which, places, screen),
+        Subcommand::Info(which) => info::info(which, places, screen),
+        Subcommand::Home => home::home(places, screen),
+        Subcommand::Run(args) => run::run(args, places, screen),
+        Subcommand::Campaign { subcommand } => campaign::campaign(subcommand, places, screen),
+        Subcommand::Verify(args) => verify::verify(args, screen),
+        Subcommand::Records { subcommand } => records::records(subcommand, places, screen),
+        Subcommand::Commission(args) => commission::commission(args, places, screen),
+        Subcommand::Stop(which) => stops::stop(Urgent::Stop, which, places, screen),
+        Subcommand::Estop(which) => stops::stop(Urgent::EStop, which, places, screen),
+        Subcommand::Ack(which) => ack::acknowledge(which, places, screen),
+        Subcommand::Capsule { subcommand } => capsule::capsule(subcommand, places, screen),
+        Subcommand::Fold(args) => fold::fold(args, places, screen),
         Subcommand::Unfold(FoldArgs { record, trace }) => {
-            let trace = trace.as_deref();
-            machines::actuate(ActuationKind::Unfold, record, trace, finder, screen)
+            let (kind, trace) = (ActuationKind::Unfold, trace.as_deref());
+            actuation::actuate("unfold", kind, record, trace, places, screen)
         }
-        Subcommand::Hold => motion::hold(finder, screen),
-        Subcommand::Resume => motion::resume(finder, screen),
-        Subcommand::Jog(args) => motion::jog(args, finder, screen),
-        Subcommand::Move(args) => motion::move_to(args, finder, screen),
-        Subcommand::Serve(args) => serve::serve(args, finder, screen),
-        Subcommand::Watch(args) => watch::watch(args, finder, screen),
-        Subcommand::Health => motion::health(finder, screen),
+        Subcommand::Hold => hold::hold(places, screen),
+        Subcommand::Resume => hold::resume(places, screen),
+        Subcommand::Jog(args) => jog::jog(args, places, screen),
+        Subcommand::Move(args) => move_to::move_to(args, places, screen),
+        Subcommand::Serve(args) => serve::serve(args, places, screen),
+        Subcommand::Watch(args) => watch::watch(args, places, screen),
+        Subcommand::Health => health::health(places, screen),
         Subcommand::Settings { of, subcommand } => {
-            settings::settings(*of, subcommand, finder, screen)
+            settings::settings(*of, subcommand, places, screen)
         }
-        Subcommand::Plan(args) => offline::plan(args, screen),
+        Subcommand::Plan(args) => plan::plan(args, screen),
         Subcommand::Design(args) => design::design(args, screen),
         Subcommand::Simulate(args) => science::simulate(args, screen),
         Subcommand::Fit(args) => fit::fit(args, screen),
         Subcommand::PlanExperiment(args) => plan_experiment::plan_experiment(args, screen),
-        Subcommand::List(args) => offline::list(args, screen),
-        Subcommand::Report(args) => offline::report(args, screen),
-        Subcommand::Flash(args) => flash::flash(args, finder, screen),
-        Subcommand::Completions { shell } => offline::completions(*shell, screen),
-        Subcommand::Man { subcommand } => offline::man(subcommand, screen),
+        Subcommand::List(args) => list::list(args, screen),
+        Subcommand::Report(args) => report::report(args, screen),
+        Subcommand::Flash(args) => flash::flash(args, places, screen),
+        Subcommand::Completions { shell } => man::completions(Cli::command(), *shell, screen),
+        Subcommand::Man { subcommand } => man::man(Cli::command(), subcommand, screen),
     }
 }

@@ -1,13 +1,5 @@
-//! The client library of both machines, and the command line tool on top of it. `examples/paper_run.rs` uses the
-//! library alone.
-//!
-//! * [`connector`]: where links come from.
-//! * [`serve`]: both machines for browsers and programs, over HTTP.
-//! * [`cli`]: the command line, a thin layer over all this.
+//! The command line tool of both machines: one file for each command, over the crates beside this one.
+//! `examples/paper_run.rs` uses those alone.
 #![forbid(unsafe_code)]
 
 pub mod cli;
-pub mod connector;
-pub mod left;
-pub mod serve;
-pub mod stops;

@@ -4,7 +4,7 @@
 use std::process::ExitCode;
 
 use host_tool::cli;
-use host_tool::connector::Ports;
+use operations::connector::Ports;
 
 fn main() -> ExitCode {
     cli::run(std::env::args_os(), &Ports)

@@ -4,6 +4,7 @@
 //! * [`axis`]: screw, motor and stroke; converts lengths to steps; [`axis::Position`].
 //! * [`trapezoid`]: [`trapezoid::StrokeProfile`], a move from rest to rest defined by three integers.
 //! * [`step_times`]: the tick of every step of such a move, and stops on the way.
+//! * [`timeline`]: the steps that were given out, which [`edge_timing`] compares captured edges with.
 //! * [`run`]: a whole experiment, solved exactly before it starts or refused with the limit that
 //!   it breaks.
 //!
@@ -13,8 +14,10 @@
 #![forbid(unsafe_code)]
 
 pub mod axis;
+pub mod edge_timing;
 pub mod run;
 pub mod step_times;
+pub mod timeline;
 pub mod trapezoid;
 pub mod units;
 mod wide;

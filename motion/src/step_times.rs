@@ -21,8 +21,12 @@ use crate::wide::isqrt;
 /// Steps of a ramp up to this one, counted from rest, take a square root.
 const WARM_UP: u32 = 32;
 
-/// After an interval of this many ticks (655 us) or more, a step takes a square root.
-const UNHURRIED: u32 = 1 << 16;
+/// After an interval of this many ticks (640 us) or more, a step takes a square root. A step that is predicted from
+/// less is no more than [`LONGEST_TAKEN`] from the one before it.
+const UNHURRIED: u32 = 64_000;
+
+/// [`StepTimes::batch`] takes no steps that are further apart, in ticks: 655 us, all that a timer of 16 bits counts.
+pub const LONGEST_TAKEN: u32 = 1 << 16;
 
 /// A stop takes fewer ticks than this (21.5 s), however low its deceleration.
 const LONGEST_STOP: u64 = 1 << 31;
@@ -58,6 +62,46 @@ enum Phase {
     Accelerate,
     Cruise,
     Decelerate,
+}
+
+/// Steps at the same distance.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Equal {
+    /// Ticks from each to the next.
+    pub interval: u32,
+    /// How many.
+    pub steps: u32,
+}
+
+/// How much [`StepTimes::batch`] may take.
+#[derive(Clone, Copy, Debug)]
+pub struct Share {
+    /// Steps.
+    pub steps: u32,
+    /// No further group begins once they take this many ticks together.
+    pub ticks: u32,
+    /// Steps of one group.
+    pub equal: u32,
+    /// Ticks of one group with more than one step.
+    pub equal_ticks: u32,
+}
+
+impl Share {
+    /// A single step.
+    const ONE: Self = Self {
+        steps: 1,
+        ticks: 1,
+        equal: 1,
+        equal_ticks: 0,
+    };
+}
+
+/// What was taken.
+#[derive(Clone, Copy, Debug, Default)]
+struct Taken {
+    groups: usize,
+    steps: u32,
+    ticks: u32,
 }
 
 /// What a stop still takes.
@@ -191,20 +235,22 @@ impl StepTimes {
         true
     }
 
-    /// Takes the next steps of the cruise, `most` at most, while they are as far apart as the last
-    /// two, and returns how many. [`StepTimes::next`] would yield the same ticks. 0 in a ramp.
-    pub fn repeat(&mut self, most: u32) -> u32 {
-        if self.phase != Phase::Cruise {
-            return 0;
+    /// Takes steps that follow in this phase, as groups of equal ones, and returns how many groups.
+    /// [`StepTimes::advance`] would yield the same ticks, one by one. Only that takes the first step of a phase,
+    /// those that need a square root, and those further apart than [`LONGEST_TAKEN`].
+    pub fn batch(&mut self, share: &Share, groups: &mut [Equal]) -> usize {
+        let most = share.steps.min(self.phase_end - self.emitted);
+        let taken = match self.phase {
+            Phase::Accelerate => self.ramp.climb_all(share, most, groups),
+            Phase::Cruise => self.cruise.batch(share, most, groups),
+            Phase::Decelerate => self.ramp.descend_all(share, most, groups),
+        };
+        if taken.groups > 0 {
+            self.emitted += taken.steps;
+            self.tick += u64::from(taken.ticks);
+            self.interval = groups[taken.groups - 1].interval;
         }
-        let ahead = self.cruise.ahead(self.interval);
-        let taken = ahead.min(most).min(self.phase_end - self.emitted);
-        if taken != 0 {
-            self.cruise.repeat(self.interval, taken);
-            self.emitted += taken;
-            self.tick = self.cruise.tick;
-        }
-        taken
+        taken.groups
     }
 
     /// Enters the next phase that has steps; `None` at rest.
@@ -299,34 +345,98 @@ impl Ramp {
         k > WARM_UP && self.interval < UNHURRIED
     }
 
-    #[inline]
     fn up(&mut self) -> u32 {
-        let before = self.tick;
-        let k = self.k + 1;
-        if self.predictable(k) {
-            let interval = shorter(self.interval, k);
-            let passed = product(interval, 2 * before + interval - 1);
-            self.settle(k, before + interval, self.square - self.times_steps(passed));
-        } else {
-            self.seed(k);
+        if self
+            .climb_all(&Share::ONE, 1, &mut [Equal::default()])
+            .steps
+            == 0
+        {
+            let before = self.tick;
+            self.seed(self.k + 1);
+            self.interval = self.tick - before;
         }
-        self.interval = self.tick - before;
         self.tick
     }
 
-    #[inline]
     fn down(&mut self) -> u32 {
-        let before = self.tick;
-        let k = self.k - 1;
-        if self.predictable(k) {
-            let interval = longer(self.interval, k);
-            let passed = product(interval, 2 * before - interval - 1);
-            self.settle(k, before - interval, self.times_steps(passed) - self.square);
-        } else {
-            self.seed(k);
+        if self
+            .descend_all(&Share::ONE, 1, &mut [Equal::default()])
+            .steps
+            == 0
+        {
+            let before = self.tick;
+            self.seed(self.k - 1);
+            self.interval = before - self.tick;
         }
-        self.interval = before - self.tick;
         self.tick
+    }
+
+    /// Takes up to `most` steps as [`StepTimes::batch`] does, while they need no square root. No two are taken for
+    /// equal.
+    // A function of its own: so its state stays in registers, although its caller is optimised for size.
+    #[inline(never)]
+    fn climb_all(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
+        // Intervals shrink, and the steps from rest grow: what holds for the first step holds for all.
+        if !self.predictable(self.k + 1) {
+            return Taken::default();
+        }
+        self.batch(share, most, groups, |ramp| {
+            let (before, k) = (ramp.tick, ramp.k + 1);
+            let interval = shorter(ramp.interval, k);
+            let passed = product(interval, 2 * before + interval - 1);
+            ramp.settle(k, before + interval, ramp.square - ramp.times_steps(passed));
+            ramp.interval = ramp.tick - before;
+            true
+        })
+    }
+
+    /// The same down.
+    #[inline(never)]
+    fn descend_all(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
+        // The last steps to rest take square roots.
+        let most = most.min(self.k.saturating_sub(WARM_UP + 1));
+        self.batch(share, most, groups, |ramp| {
+            if ramp.interval >= UNHURRIED {
+                return false;
+            }
+            let (before, k) = (ramp.tick, ramp.k - 1);
+            let interval = longer(ramp.interval, k);
+            let passed = product(interval, 2 * before - interval - 1);
+            ramp.settle(k, before - interval, ramp.times_steps(passed) - ramp.square);
+            ramp.interval = before - ramp.tick;
+            true
+        })
+    }
+
+    #[inline(always)]
+    fn batch(
+        &mut self,
+        share: &Share,
+        most: u32,
+        groups: &mut [Equal],
+        step: impl Fn(&mut Self) -> bool,
+    ) -> Taken {
+        // Its parts one by one, so that they need not be in memory.
+        let mut ramp = Self { ..*self };
+        let (mut ticks, mut count) = (0, 0);
+        let most = (most as usize).min(groups.len());
+        for group in &mut groups[..most] {
+            if ticks >= share.ticks || !step(&mut ramp) {
+                break;
+            }
+            *group = Equal {
+                interval: ramp.interval,
+                steps: 1,
+            };
+            ticks += ramp.interval;
+            count += 1;
+        }
+        *self = ramp;
+        Taken {
+            groups: count as usize,
+            steps: count,
+            ticks,
+        }
     }
 
     /// Corrects the predicted tick until it is the nearest one.
@@ -420,29 +530,64 @@ impl Cruise {
         self.tick
     }
 
-    /// How many of the next steps are this interval apart, up to the first that is not.
-    #[inline]
-    fn ahead(&self, interval: u32) -> u32 {
-        // Each step adds the slope to the carry; a step one tick longer takes 2 n off it.
-        if interval == self.interval {
-            let room = self.double - 1 - self.carry;
-            room.checked_div(self.slope).unwrap_or(u32::MAX)
-        } else if interval == self.interval + 1 {
-            self.carry / (self.double - self.slope)
-        } else {
-            0
+    /// Takes up to `most` steps as [`StepTimes::batch`] does.
+    ///
+    /// Each step adds the slope to the carry, and one that is a tick longer takes 2 n off it: add, compare, subtract. A
+    /// division tells how many more steps are alike, where there are any.
+    #[inline(never)]
+    fn batch(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
+        let mut taken = Taken::default();
+        let Self {
+            interval,
+            slope,
+            double,
+            mut carry,
+            ..
+        } = *self;
+        if interval >= LONGEST_TAKEN {
+            return taken;
         }
-    }
-
-    /// Takes `count` steps of this interval.
-    #[inline]
-    fn repeat(&mut self, interval: u32, count: u32) {
-        self.tick += u64::from(count) * u64::from(interval);
-        if interval == self.interval {
-            self.carry += count * self.slope;
-        } else {
-            self.carry -= count * (self.double - self.slope);
+        let back = double - slope;
+        let most_alike = share.equal.min(share.equal_ticks / (interval + 1)).max(1) - 1;
+        for group in groups {
+            if taken.steps == most || taken.ticks >= share.ticks {
+                break;
+            }
+            // One more may be taken than are alike.
+            let most_alike = most_alike.min(most - taken.steps - 1);
+            let mut steps = 1;
+            let mut ticks = interval;
+            if carry < back {
+                carry += slope;
+                if carry < back {
+                    // The carry may go up to the last one below `back`, by a slope each.
+                    let alike = (back - 1 - carry)
+                        .checked_div(slope)
+                        .map_or(u32::MAX, |more| more + 1);
+                    let alike = alike.min(most_alike);
+                    steps += alike;
+                    carry += alike * slope;
+                }
+            } else {
+                ticks += 1;
+                carry -= back;
+                if carry >= back {
+                    let alike = (carry / back).min(most_alike);
+                    steps += alike;
+                    carry -= alike * back;
+                }
+            }
+            *group = Equal {
+                interval: ticks,
+                steps,
+            };
+            taken.groups += 1;
+            taken.steps += steps;
+            taken.ticks += ticks * steps;
         }
+        self.carry = carry;
+        self.tick += u64::from(taken.ticks);
+        taken
     }
 }
 
@@ -539,10 +684,12 @@ mod tests {
             ramp.interval = interval;
             ramp.predictable(k)
         };
-        assert!(at(33, 65_535));
-        assert!(!at(32, 65_535));
-        assert!(!at(33, 65_536));
-        assert!(!at(32, 65_536));
+        assert!(at(33, UNHURRIED - 1));
+        assert!(!at(32, UNHURRIED - 1));
+        assert!(!at(33, UNHURRIED));
+        assert!(!at(32, UNHURRIED));
+        // The longest that can be predicted, with its correction.
+        assert!(longer(UNHURRIED - 1, WARM_UP + 1) + 2 <= LONGEST_TAKEN);
     }
 
     /// With n = 4 and N = m^2, step k = j^2 is at m j / 2: for odd m and j exactly between two ticks.

@@ -1,7 +1,7 @@
 //! Step times and stops against the definition, on random axes and strokes.
 
 use motion::axis::Axis;
-use motion::step_times::{StepTimes, Stop};
+use motion::step_times::{Equal, LONGEST_TAKEN, Share, StepTimes, Stop};
 use motion::trapezoid::{MAX_INTERVAL, MIN_INTERVAL, StrokeError, StrokeProfile};
 use motion::units::{Steps, TICK_HZ, Ticks};
 use num_bigint::BigInt;
@@ -95,6 +95,45 @@ impl Place {
     }
 }
 
+/// What is taken at once: next to nothing, as the step generator does it, or all there is.
+fn shares() -> impl Strategy<Value = (usize, Share)> {
+    let count = || prop_oneof![0_u32..10, 0_u32..400, Just(u32::MAX)];
+    let ticks = || prop_oneof![0_u32..5_000, 0_u32..1_000_000];
+    (0_usize..70, count(), ticks(), count(), ticks()).prop_map(
+        |(groups, steps, ticks, equal, equal_ticks)| {
+            let share = Share {
+                steps,
+                ticks,
+                equal,
+                equal_ticks,
+            };
+            (groups, share)
+        },
+    )
+}
+
+/// Steps of a stroke and the fraction of a tick, in as many parts, that each of them takes: any, next to none, next
+/// to a half or to any other simple fraction, next to one.
+fn fractions() -> impl Strategy<Value = (u32, u32)> {
+    let simple = (1_u32..=12, 0_u32..=12, -3_i32..=3);
+    (
+        2_000_u32..200_000,
+        prop_oneof![Just(None), simple.prop_map(Some)],
+        any::<u32>(),
+    )
+        .prop_map(|(n, simple, any)| {
+            let fraction = match simple {
+                None => any % n,
+                Some((denominator, numerator, off)) => {
+                    let near = u64::from(n) * u64::from(numerator.min(denominator))
+                        / u64::from(denominator);
+                    (near as u32).saturating_add_signed(off).min(n - 1)
+                }
+            };
+            (n, fraction)
+        })
+}
+
 /// A deceleration: um/s^2, or sixteenths of what the stroke itself accelerates with.
 #[derive(Clone, Copy, Debug)]
 enum Deceleration {
@@ -172,34 +211,86 @@ proptest! {
         prop_assert_eq!(first, Some(profile.first_interval().0));
     }
 
-    /// Steps taken together are those taken one by one, and `repeat` leaves out none that it could take.
+    /// Steps that are taken together are those that would follow one by one, whatever is asked for. In cruise the
+    /// next group is another one, unless more may not be taken for equal.
     #[test]
-    fn repeated_steps_are_those_that_would_follow(
-        profile in profiles(5_000), limits in prop::collection::vec(prop_oneof![0_u32..10, Just(u32::MAX)], 1..20),
+    fn steps_taken_together_are_those_that_would_follow(
+        profile in profiles(5_000), shares in prop::collection::vec(shares(), 1..20),
+        brakes in prop::option::of((0_u32..=1_000, octaves(10, 26))), axis in axes(),
     ) {
         let (mut times, mut single) = (StepTimes::new(profile), StepTimes::new(profile));
-        let ramp = profile.ramp_steps().0;
-        let cruise = ramp + 1..profile.steps().0 - ramp;
-        for &most in limits.iter().cycle() {
-            let Some(tick) = times.next() else { break };
-            prop_assert_eq!(single.next(), Some(tick));
-            let interval = times.interval();
-            let mut expected = 0;
-            while expected < most && cruise.contains(&single.emitted().0) && cruise.contains(&(single.emitted().0 + 1)) {
-                let mut ahead = single.clone();
-                ahead.next();
-                if ahead.interval() != interval {
-                    break;
-                }
-                (single, expected) = (ahead, expected + 1);
+        let mut brake = brakes.map(|(place, um_s2)| (profile.steps().0 * place / 1_000, um_s2));
+        for (groups, share) in shares.iter().cycle() {
+            if let Some((place, um_s2)) = brake
+                && times.emitted().0 >= place
+            {
+                brake = None;
+                let deceleration = axis.acceleration(um_s2).unwrap();
+                prop_assert_eq!(times.stop(deceleration), single.stop(deceleration));
             }
-            prop_assert_eq!(times.repeat(most), expected);
+            // One by one; then as many at once as are asked for.
+            prop_assert_eq!(times.next(), single.next());
+            let (mut steps, mut ticks) = (0, 0);
+            let mut given = vec![Equal::default(); *groups];
+            let taken = times.batch(share, &mut given);
+            for Equal { interval, steps: equal } in given.into_iter().take(taken) {
+                prop_assert!(ticks < share.ticks);
+                prop_assert!(equal == 1 || equal <= share.equal && equal * interval <= share.equal_ticks);
+                prop_assert!(interval <= LONGEST_TAKEN);
+                for _ in 0..equal {
+                    prop_assert!(single.advance());
+                    prop_assert_eq!(single.interval(), Ticks(interval.into()));
+                }
+                (steps, ticks) = (steps + equal, ticks + interval * equal);
+            }
+            prop_assert!(steps <= share.steps);
             prop_assert_eq!(times.tick(), single.tick());
-            prop_assert_eq!(times.interval(), interval);
+            prop_assert_eq!(times.interval(), single.interval());
             prop_assert_eq!(times.emitted(), single.emitted());
+            prop_assert_eq!(times.remaining(), single.remaining());
+            if times.remaining() == Steps(0) {
+                break;
+            }
         }
-        prop_assert_eq!(single.next(), None);
-        prop_assert_eq!(times.tick(), profile.duration());
+        prop_assert_eq!(times.next(), None);
+        prop_assert_eq!(times.tick(), times.rest());
+    }
+
+    /// At constant speed, over every fraction of a tick that a step can take: add, compare, subtract yields the
+    /// nearest tick of the exact line, computed in integers without bounds.
+    #[test]
+    fn a_cruise_is_the_exact_line(
+        (n, fraction) in fractions(), whole in prop_oneof![100_u64..5_000, 5_000_u64..60_000], ramp in 1_u64..3_000,
+        start in 0_u32..1_000, (groups, share) in shares(),
+    ) {
+        // A ramp of few steps, then cruise with `whole` + fraction / n ticks a step, from the phase that the ramp
+        // leaves.
+        let span = u64::from(n) * whole + u64::from(fraction);
+        let Ok(profile) = StrokeProfile::from_parts(Steps(n), Ticks(span + ramp), Ticks(ramp)) else {
+            return Err(TestCaseError::reject("no such profile"));
+        };
+        let mut times = StepTimes::new(profile);
+        let cruise = profile.ramp_steps().0 + 1..n - profile.ramp_steps().0;
+        let first = cruise.start + start % (cruise.end - cruise.start).max(1);
+        times.by_ref().take(first as usize).for_each(drop);
+        let mut k = times.emitted().0;
+        let mut tick = times.tick().0;
+        let last = n.min(k + 3_000);
+        while k < last {
+            let mut given = vec![Equal::default(); groups];
+            let taken = times.batch(&share, &mut given);
+            if taken == 0 {
+                let Some(next) = times.next() else { break };
+                (tick, k) = (next, k + 1);
+                prop_assert!(is_nearest(&profile, k, tick), "step {k} at {tick}");
+            }
+            for Equal { interval, steps } in given.into_iter().take(taken) {
+                for _ in 0..steps {
+                    (tick, k) = (tick + u64::from(interval), k + 1);
+                    prop_assert!(is_nearest(&profile, k, tick), "{profile:?} step {k} at {tick}");
+                }
+            }
+        }
     }
 
     /// Samples of long strokes on fine axes.
@@ -243,7 +334,6 @@ proptest! {
                 // No step comes faster than the speed at which the stop began.
                 prop_assert!(tick - before >= interval);
                 prop_assert_eq!(times.interval(), Ticks(tick - before));
-                prop_assert_eq!(times.repeat(u32::MAX), 0);
                 before = tick;
             }
             prop_assert_eq!(before, rest);

@@ -1,6 +1,6 @@
-//! Where the wire meets the plan. A run is *requested* ([`protocol::rig::Run`]), *planned* ([`motion::run::RunPlan`])
-//! and its plan is *reported* ([`protocol::rig::RunAccepted`], [`protocol::error::Refusal`]). The rig and the host tool
-//! translate with the same functions, so an offline plan is the rig's plan.
+//! Translates between wire and plan. A run is *requested* ([`protocol::rig::Run`]), *planned*
+//! ([`motion::run::RunPlan`]) and *reported* ([`protocol::rig::RunAccepted`], [`protocol::error::Refusal`]). The rig
+//! and the host tool use the same functions, so a plan made offline is the plan that the rig executes.
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -15,7 +15,7 @@ use protocol::{
     rig::{self, Run, RunAccepted, RunTiming, Stroke},
 };
 
-/// The direction that a request names.
+/// Converts a direction of the wire.
 #[must_use]
 pub fn direction(requested: rig::Direction) -> axis::Direction {
     match requested {
@@ -24,10 +24,10 @@ pub fn direction(requested: rig::Direction) -> axis::Direction {
     }
 }
 
-/// Solves a run as it is requested. A total counts the start delay in.
+/// Solves a requested run. A total duration includes the start delay.
 ///
 /// # Errors
-/// What makes the run infeasible, and what would make it feasible.
+/// The limit that the run breaks and, where there is one, the value that would be accepted.
 pub fn solve(run: &Run, axis: &Axis, limits: &Limits) -> Result<RunPlan, RunError> {
     let timing = match run.timing {
         RunTiming::Total {
@@ -58,7 +58,7 @@ pub fn solve(run: &Run, axis: &Axis, limits: &Limits) -> Result<RunPlan, RunErro
     RunPlan::solve(axis, limits, &request)
 }
 
-/// What was accepted: run number `run`, as requested and as planned.
+/// The answer to an accepted run: its number `run`, the run as requested, and the plan.
 #[must_use]
 pub fn accepted(run: u32, requested: Run, plan: &RunPlan, axis: &Axis) -> RunAccepted {
     RunAccepted {
@@ -72,7 +72,7 @@ pub fn accepted(run: u32, requested: Run, plan: &RunPlan, axis: &Axis) -> RunAcc
     }
 }
 
-/// A profile in the wire's words.
+/// Converts a stroke's profile to the wire's type, speeds and accelerations in whole micrometres.
 #[must_use]
 pub fn stroke(profile: &StrokeProfile, axis: &Axis) -> Stroke {
     Stroke {
@@ -84,7 +84,7 @@ pub fn stroke(profile: &StrokeProfile, axis: &Axis) -> Stroke {
     }
 }
 
-/// Why a run is infeasible, in the wire's words.
+/// Converts the reason why a run is infeasible to the wire's refusal.
 #[must_use]
 pub fn refusal(error: &RunError, run: &Run, axis: &Axis, limits: &Limits) -> Refusal {
     let out_of_range = |field, requested: u64, min, max| Refusal::OutOfRange {
@@ -123,7 +123,7 @@ pub fn refusal(error: &RunError, run: &Run, axis: &Axis, limits: &Limits) -> Ref
             max_um_s,
             ..
         } => Refusal::SpeedLimit {
-            // The peak is rounded: one that is hardly too high must not read as the limit itself.
+            // The peak is rounded. One just above the limit must not be reported as the limit itself.
             needed_um_s: u64::from(peak_um_s).max(u64::from(max_um_s) + 1),
             max_um_s: max_um_s.into(),
         },
@@ -157,7 +157,7 @@ pub fn refusal(error: &RunError, run: &Run, axis: &Axis, limits: &Limits) -> Ref
             };
             out_of_range(field, requested.into(), minimal_dwell_us, u32::MAX.into())
         }
-        // Zero, for nothing else is no speed or no acceleration.
+        // `Rate` means that a speed or an acceleration is zero: find out which.
         RunError::Rate(_) => match run.timing {
             RunTiming::Speeds {
                 forward_um_s: 0, ..

@@ -25,14 +25,14 @@ pub struct Unfold;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Calibrate;
 
-/// Confirms that the capsule is folded, and leaves it so: winds gently to the end force, or, if it is known to be folded, feels
-/// whether its thread pulls.
+/// Confirms that the capsule is folded, and leaves it so: winds gently to the end force, or, if it is known to be
+/// folded, feels whether its thread pulls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CheckFolded;
 
-/// Winds or pays out to a length of thread between zero and the calibrated end, and stays there. A thread that is broken is not
-/// felt before the end.
+/// Winds or pays out to a length of thread between zero and the calibrated end, and stays there. A thread that is
+/// broken is not felt before the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FoldTo {
@@ -122,6 +122,8 @@ pub enum CapsuleFault {
         /// Thread wound from the start to the end force.
         wound_um: i32,
     },
+    /// Voltage, current and speed of the motor do not agree: the encoder loses counts, or the current amplifier is wrong.
+    SenseOrEncoder,
 }
 
 /// Asks for the capsule's status.
@@ -231,7 +233,8 @@ pub struct GetTrace {
 /// Most readings in one part of a recording.
 pub const MAX_TRACE_POINTS: usize = 13;
 
-/// Readings of an actuation that the capsule keeps, 1 ms apart: those of a whole fold at the default speed, with a margin.
+/// Readings of an actuation that the capsule keeps, 1 ms apart: those of a whole fold at the default speed, with a
+/// margin.
 pub const KEPT_TRACE_POINTS: usize = 2_800;
 
 /// One reading of a recording; 1 ms apart.
@@ -313,7 +316,8 @@ pub enum CapsuleEvent {
     Faulted(CapsuleFault),
     /// The flash could not be written: totals or calibration are lost with the next reset.
     NotKept,
-    /// The folded end has wandered since the reference, by more than [`crate::settings::SettingKey::DriftUm`]. The reference is taken away.
+    /// The folded end has wandered since the reference, by more than [`crate::settings::SettingKey::DriftUm`]. The
+    /// reference is taken away.
     Drifted {
         /// How far it lies beyond that of the first fold.
         by_um: i32,

@@ -10,14 +10,14 @@ use crate::{
     table::{Impact, Reply, Request, Response, SCHEMA_KEY, Telemetry},
 };
 
-/// How long to wait for an answer before the request is sent again. A full frame takes 19 ms at 115200 baud.
+/// Time to wait for an answer before the request is sent again. A full frame takes 19 ms at 115200 baud.
 pub const RETRY_AFTER_US: u64 = 100_000;
-/// How often a request is sent before its outcome is reported as unknown.
+/// Times a request is sent before its outcome is reported as unknown.
 pub const ATTEMPTS: u8 = 8;
 /// The same for requests that write to flash: the device receives nothing while it erases, half a second or more.
 pub const FLASH_ATTEMPTS: u8 = 30;
 
-/// What the device sent.
+/// A received message for the owner of a [`Client`].
 #[derive(Clone, Debug, PartialEq)]
 // One output exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
@@ -42,7 +42,7 @@ pub enum Output {
     Event(Event),
 }
 
-/// What the owner of a [`Client`] has to do next.
+/// The next action for the owner of a [`Client`].
 #[derive(Clone, Debug, PartialEq)]
 // One exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
@@ -115,8 +115,8 @@ impl Client {
         Self::numbering_from(0)
     }
 
-    /// A client without a session. A number that no earlier connection has just used keeps its late replies apart: taken
-    /// for this one's, they would confirm a stop that nobody has received.
+    /// A client without a session. Pass a `seq` that the previous connection has not just used. Otherwise a late
+    /// reply to that connection could confirm a stop that the device never received.
     pub const fn numbering_from(seq: u16) -> Self {
         Self {
             deframer: Deframer::new(),
@@ -185,7 +185,7 @@ impl Client {
             .map(|frame| Pending::new(header, frame, ATTEMPTS));
     }
 
-    /// A client without a session and without anything pending, which goes on with the numbers.
+    /// A client without session and pending request that continues the sequence numbers of this one.
     pub const fn renewed(&self) -> Self {
         Self::numbering_from(self.next_seq)
     }
@@ -196,7 +196,7 @@ impl Client {
         seq
     }
 
-    /// What to do now: send, wait or give up.
+    /// Says what to do now: send, wait or give up.
     pub fn poll(&mut self, now_us: u64) -> Poll {
         let urgent = match &mut self.urgent {
             Some(urgent) => urgent.poll(now_us),
@@ -209,7 +209,7 @@ impl Client {
             return urgent;
         };
         let pending = match &mut self.pending {
-            // A pending request waits for the end of a stop, so that it cannot delay one.
+            // While a stop is unanswered, a pending request waits, so that it cannot delay the stop.
             Some(pending) if self.urgent.is_none() => pending.poll(now_us),
             _ => Poll::WaitUntil(u64::MAX),
         };
@@ -271,12 +271,12 @@ impl Client {
         })
     }
 
-    /// A session is open.
+    /// Whether a session is open.
     pub fn is_open(&self) -> bool {
         self.session != 0
     }
 
-    /// Blocks of bytes that were no good frames.
+    /// Number of received blocks that were not valid frames.
     pub fn rejected_frames(&self) -> u32 {
         self.deframer.rejected()
     }

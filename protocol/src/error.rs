@@ -52,8 +52,8 @@ pub enum Refusal {
         requested_us: u64,
         /// Shortest possible with the requested acceleration, within the limits of speed and step rate.
         min_us: u64,
-        /// Least acceleration with which the same run would be accepted in the requested time; `u64::MAX`: there is none
-        /// within the limits, delay and dwells counted in.
+        /// Least acceleration with which the same run would be accepted in the requested time; `u64::MAX`: there is
+        /// none within the limits, delay and dwells counted in.
         min_accel_um_s2: u64,
     },
     /// The plan needs a speed that the axis must not reach.
@@ -298,6 +298,9 @@ impl fmt::Display for CapsuleFault {
                 "the end force came after {}.{:03} mm of thread: a calibration has to begin unfolded; free and unfold the origami, acknowledge, calibrate",
                 wound_um / 1000,
                 (wound_um % 1000).unsigned_abs()
+            ),
+            CapsuleFault::SenseOrEncoder => f.write_str(
+                "voltage, current and counts of the motor do not agree: the encoder loses counts or the current amplifier is wrong; check both, acknowledge, reference",
             ),
             CapsuleFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then reference"),
         }

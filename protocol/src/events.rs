@@ -2,7 +2,7 @@
 
 use crate::system::{EVENTS_PER_REPLY, Event, Events, What};
 
-/// How many events the ring holds.
+/// Number of events that the ring holds.
 pub const RING: usize = 32;
 
 /// The ring. Index 0 is the first event since the device's start.
@@ -21,7 +21,7 @@ impl EventRing {
         }
     }
 
-    /// Numbers an event, keeps it in place of the oldest one, and returns it for sending.
+    /// Numbers an event, stores it (the oldest gives way when the ring is full), and returns it for sending.
     pub fn record(&mut self, time_us: u64, what: What) -> Event {
         let event = Event {
             index: self.next,
@@ -37,7 +37,7 @@ impl EventRing {
         event
     }
 
-    /// Up to [`EVENTS_PER_REPLY`] events from index `from` on, or from the oldest kept one if that is later.
+    /// Up to [`EVENTS_PER_REPLY`] events, beginning at index `from`, or at the oldest kept one if that is later.
     pub fn since(&self, from: u32) -> Events {
         let oldest = self.ring.front().map_or(self.next, |event| event.index);
         let events = self

@@ -15,13 +15,13 @@ const MAX_COBS: usize = cobs::max_encoding_length(MAX_RAW);
 /// Largest frame on the wire, with both delimiters.
 pub const MAX_FRAME: usize = MAX_COBS + 2;
 
-/// Without a lookup table: it would cost a kilobyte of flash and the time does not matter.
+/// CRC-32C without a lookup table, which would cost 1 KB of flash; the time does not matter here.
 const CRC32C: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_ISCSI);
 
 /// An encoded frame, ready for the wire.
 pub type Encoded = heapless::Vec<u8, MAX_FRAME>;
 
-/// What a frame carries; see the table in the crate documentation.
+/// Kinds of frame; see the table in the crate documentation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
@@ -51,22 +51,22 @@ impl Kind {
     }
 }
 
-/// Everything of a frame but its body.
+/// Kind, session and sequence number of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Header {
-    /// What the body holds.
+    /// Kind of the body.
     pub kind: Kind,
     /// Session number; 0 outside a session.
     pub session: u8,
-    /// Sequence number; what it counts depends on the kind.
+    /// Sequence number; the table in the crate documentation says what it counts for each kind.
     pub seq: u16,
 }
 
 /// A received frame with a good CRC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
-    /// Everything but the body.
+    /// Kind, session and sequence number.
     pub header: Header,
     body: &'a [u8],
 }
@@ -107,8 +107,8 @@ pub fn encode<T: Serialize>(header: Header, body: &T) -> Result<Encoded, TooLong
 
 /// A frame before COBS.
 ///
-/// As postcard's output it never fails: a byte that does not fit sets a flag, which is checked once, at the end. An
-/// output that can fail costs a check after every field of every message, 3 KB of flash in all.
+/// Writing to it as postcard's output never fails: a byte that does not fit sets a flag, which is checked once, at
+/// the end. An output that can fail costs a check after every field of every message, 3 KB of flash in all.
 #[derive(Default)]
 struct Raw {
     bytes: heapless::Vec<u8, MAX_RAW>,
@@ -158,7 +158,7 @@ impl Flavor for &mut Raw {
     }
 }
 
-/// Finds frames in a stream of bytes. Whatever came before, the first undamaged frame is found.
+/// Finds frames in a stream of bytes. Finds the first undamaged frame whatever came before it.
 #[derive(Debug)]
 pub struct Deframer {
     block: heapless::Vec<u8, MAX_COBS>,
@@ -175,7 +175,7 @@ impl Default for Deframer {
 }
 
 impl Deframer {
-    /// A deframer that has seen nothing.
+    /// An empty deframer.
     pub const fn new() -> Self {
         Self {
             block: heapless::Vec::new(),
@@ -185,7 +185,7 @@ impl Deframer {
         }
     }
 
-    /// How many blocks were dropped: too long, badly encoded, of no known kind, or with a wrong CRC.
+    /// Number of dropped blocks: too long, badly encoded, of unknown kind, or with a wrong CRC.
     pub fn rejected(&self) -> u32 {
         self.rejected
     }

@@ -8,11 +8,11 @@
 //! +------+------------------------------------------------------------------+------+
 //! ```
 //!
-//! `body` is [postcard](https://postcard.jamesmunns.com/wire-format) of the type that `kind` names and at
-//! most [`frame::MAX_BODY`] bytes. The CRC covers everything before it. A body is exactly one message, and no message
-//! is a prefix of another. That refuses a damage which no CRC detects: with the first byte of the CRC complemented and
-//! 0xFF appended, the frame is one byte longer and passes the check. Both delimiters are sent: the leading one ends
-//! whatever garbage came before, so that the first good frame after a disturbance is never lost.
+//! `body` is [postcard](https://postcard.jamesmunns.com/wire-format) of the type that `kind` names and at most
+//! [`frame::MAX_BODY`] bytes. The CRC covers everything before it. A body is exactly one message, and no message is a
+//! prefix of another. This catches one damage that no CRC detects: complement the first byte of the CRC and append
+//! 0xFF, and the longer frame passes the check. Both delimiters are sent: the leading one ends any garbage before it,
+//! so that the first good frame after a disturbance is never lost.
 //!
 //! | kind | direction | body | `seq` |
 //! |---|---|---|---|
@@ -29,13 +29,13 @@
 //! sent again (same session, same `seq`, same body) is answered from a cache and never executed twice.
 //! [`system::Urgent`] (stop, emergency stop) needs a good CRC and nothing else.
 //!
-//! Session numbers repeat after 255 greetings: a frame that was held back for so long would be valid again. Numbers in a
-//! body are postcard's varints; a receiver also accepts one with superfluous bytes of zero, no sender makes it, and for the
-//! cache it is another request.
+//! Session numbers repeat after 255 greetings: a frame that is delayed for that long becomes valid again. Numbers in
+//! a body are postcard's varints. A receiver accepts superfluous zero bytes in a varint, although no sender makes
+//! them; the cache treats such a frame as another request.
 //!
-//! While the machine moves, the device counts how long the host that began the motion has been silent. A request of its
-//! session is a sign of life, a repeated one, too. A newer session, a stop, a body that is no request, and whatever only
-//! devices send, such as an echo on a shorted line, are none.
+//! While the machine moves, the device counts how long the host that began the motion has been silent. Every request
+//! of that session counts as a sign of life, a repeated one too. These do not count: a newer session, a stop, a body
+//! that is no request, and frames that only devices send (an echo on a shorted line).
 //!
 //! # Compatibility
 //!
@@ -53,6 +53,7 @@ pub mod client;
 pub mod error;
 pub mod events;
 pub mod frame;
+mod kind;
 pub mod rig;
 pub mod session;
 pub mod settings;

@@ -294,8 +294,8 @@ pub struct RunRecord {
     pub prepared_edges: u64,
     /// Steps whose instant was captured at the pin and compared with the plan; 0 = not timed.
     pub edges_timed: u64,
-    /// Largest difference between a captured interval and the planned one, in timer ticks of 10 ns; [`u32::MAX`] if there were
-    /// more edges than steps.
+    /// Largest difference between a captured interval and the planned one, in timer ticks of 10 ns; [`u32::MAX`] if
+    /// there were more edges than steps.
     pub worst_interval_error_ticks: u32,
 }
 

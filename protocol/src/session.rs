@@ -1,7 +1,7 @@
-//! The device's end: which frame may be executed, which is answered from the cache, which is refused.
+//! The device's end: decides for each frame whether to execute it, to answer it from the cache, or to refuse it.
 //!
 //! Sans-IO and without a clock: frames in, decisions out. The owner executes, sends, and calls [`Session::remember`]
-//! before it hands in the next frame. Otherwise a repetition of the request would be rejected as stale.
+//! before it hands in the next frame. Otherwise a repeated request would be rejected as stale.
 
 use crate::{
     VERSION,
@@ -11,10 +11,10 @@ use crate::{
     table::{Request, SCHEMA_KEY},
 };
 
-/// How many answers are kept for repeated requests.
+/// Number of answers kept for repeated requests.
 pub const CACHED_REPLIES: usize = 4;
 
-/// What to do with a received frame.
+/// The decision on a received frame.
 #[derive(Clone, Debug, PartialEq)]
 // One decision exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
@@ -60,7 +60,7 @@ pub enum Decision {
         /// Sequence of the reply.
         seq: u16,
     },
-    /// A frame that only devices send, such as an echo of our own: say nothing.
+    /// Say nothing: only devices send such a frame, so it is an echo of our own.
     Ignore,
 }
 
@@ -84,7 +84,7 @@ struct Cached {
 #[derive(Debug)]
 pub struct Session {
     number: u8,
-    /// A host has said Hello since the start.
+    /// A host has said Hello since the device started.
     open: bool,
     nonce: u32,
     matched: bool,
@@ -93,8 +93,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// No session yet. The first session's number follows from `first`: pass the boot id, so that a restarted device
-    /// does not begin with the same number again.
+    /// Without a session. The first session's number follows from `first`: pass the boot id, so that a restarted
+    /// device does not begin with the same number again.
     pub const fn new(first: u32) -> Self {
         Self {
             number: (first % 255) as u8 + 1,
@@ -107,7 +107,7 @@ impl Session {
     }
 
     /// Decides what to do with one frame.
-    // Not inlined: one copy of the decoder of all requests.
+    // Keep one copy of the decoder of all requests in flash.
     #[inline(never)]
     pub fn receive(&mut self, frame: &Frame<'_>) -> Decision {
         let (session, seq) = (frame.header.session, frame.header.seq);
@@ -125,7 +125,7 @@ impl Session {
                 },
             },
             Kind::Request => match frame.decode::<Request>() {
-                // A Hello of any age is served: its encoding never changes.
+                // Serve a Hello of any version: its encoding never changes.
                 Some(Request::Hello(hello)) => self.greet(&hello, seq),
                 request => self.request(request, frame),
             },
@@ -205,7 +205,7 @@ impl Session {
     /// Keeps the encoded answer to a request, to send it again if the request is repeated.
     pub fn remember(&mut self, ticket: Ticket, reply: &Encoded) {
         if ticket.session != self.number {
-            return; // answered after a newer Hello: the new session's cache must not hold it
+            return; // answered after a newer Hello: keep it out of the new session's cache
         }
         if self.cache.is_full() {
             self.cache.pop_front();
@@ -223,7 +223,7 @@ impl Session {
     }
 }
 
-/// Serial-number arithmetic (RFC 1982): `a` comes after `b`.
+/// Whether `a` comes after `b`, in serial-number arithmetic (RFC 1982).
 fn is_newer(a: u16, b: u16) -> bool {
     matches!(a.wrapping_sub(b), 1..0x8000)
 }

@@ -1,6 +1,6 @@
-//! Settings of rig and capsule: key, whose it is, unit, range and default, in one table for device, host and manual.
+//! Settings of rig and capsule: key, owner, unit, range and default, in one table for device, host and manual.
 
-use crate::system::DeviceKind;
+use crate::kind::DeviceKind;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
@@ -95,7 +95,7 @@ settings! {
     UnfoldTimeoutMs of Capsule: "unfold_timeout_ms", "ms", 2_000..=20_000, 4_000, "An unfolding that takes longer is a fault.";
 }
 
-/// Which machine has a setting or a rule.
+/// The machine that has a setting or a rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Owner {
     Rig,
@@ -125,7 +125,7 @@ pub struct Range {
 }
 
 impl SettingKey {
-    /// A machine of this kind has the setting; the other one refuses its key.
+    /// Whether a machine of this kind has the setting; the other kind refuses its key.
     #[must_use]
     pub const fn is_of(self, kind: DeviceKind) -> bool {
         Self::OWNERS[self as usize].is(kind)
@@ -218,7 +218,8 @@ pub struct GetName;
 /// Longest name, bytes.
 pub const MAX_NAME: usize = 24;
 
-/// The machine's name; empty = none. As a request it changes the name; as the answer to both requests it says what it is.
+/// The machine's name; empty = none. As a request it changes the name; as the answer to both requests it says what it
+/// is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Name {

@@ -1,5 +1,6 @@
 //! Messages that both machines share: identity, the session's upkeep, events, urgent stops.
 
+pub use crate::kind::DeviceKind;
 use crate::{capsule, rig};
 use heapless::Vec;
 use postcard_schema::Schema;
@@ -25,16 +26,6 @@ pub struct Hello {
     pub schema_key: u64,
     /// Chosen by the host, new for every connection: the same nonce again gets the same session.
     pub nonce: u32,
-}
-
-/// The kinds of machine.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum DeviceKind {
-    /// The roller rig.
-    Rig,
-    /// The capsule.
-    Capsule,
 }
 
 /// Why the device last started.

@@ -9,7 +9,7 @@ use postcard_schema::Schema;
 use postcard_schema::key::Key;
 use serde::{Deserialize, Serialize};
 
-/// What carrying out a request changes. It tells the sender how long to wait for the answer, whether to give the
+/// The effect of carrying out a request. It tells the sender how long to wait for the answer, whether to give the
 /// request up for a stop, and what is certain without an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Impact {
@@ -27,7 +27,7 @@ pub enum Impact {
 
 /// A type of request: its variant of [`Request`] and the type of its response.
 pub trait Endpoint: Sized {
-    /// What the device answers.
+    /// The device's answer.
     type Response;
     /// Wraps the request for the wire.
     fn into_request(self) -> Request;
@@ -63,7 +63,7 @@ macro_rules! table {
                 match self { $(Request::$name(_) => $matched),* }
             }
 
-            /// What it changes when it is carried out.
+            /// Its effect when it is carried out.
             pub const fn impact(&self) -> Impact {
                 match self { $(Request::$name(_) => Impact::$impact),* }
             }

@@ -1,7 +1,5 @@
-//! The host's client alone: which frames it accepts, when it sends, what it counts.
+//! The host's client alone: the frames it accepts, the times it sends, and its counters.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
 #[allow(dead_code, unreachable_pub)]
 mod parties;
 
@@ -17,7 +15,7 @@ use serde::Serialize;
 const KEEP_ALIVE: Request = Request::KeepAlive(KeepAlive);
 const SESSION: u8 = 7;
 
-/// Feeds a frame from the device; its output, at most one.
+/// Feeds a frame from the device; returns the client's output, if any.
 fn hear<T: Serialize>(client: &mut Client, kind: Kind, seq: u16, body: &T) -> Option<Output> {
     let session = SESSION;
     let frame = encode(Header { kind, session, seq }, body).expect("it fits");
@@ -35,7 +33,7 @@ fn header(frame: &Encoded) -> Header {
         .expect("a frame")
 }
 
-/// What the client sends now.
+/// The frame that the client sends now.
 fn sent(client: &mut Client, now_us: u64) -> Encoded {
     match client.poll(now_us) {
         Poll::Transmit(frame) => frame,
@@ -58,7 +56,7 @@ fn connected() -> Client {
     client
 }
 
-/// Samples reported as lost before this one; none if it was ignored.
+/// Number of samples reported as lost before this one; none if the sample was ignored.
 fn missed(client: &mut Client, seq: u16) -> Option<u16> {
     let [sample, ..] = exemplars::telemetry()[..] else {
         panic!("no exemplar")
@@ -73,7 +71,7 @@ fn missed(client: &mut Client, seq: u16) -> Option<u16> {
     }
 }
 
-/// Whether an event is passed on.
+/// Whether the client passes an event on.
 fn told(client: &mut Client) -> bool {
     let event = exemplars::events()[0];
     match hear(client, Kind::Event, 302, &event) {
@@ -102,7 +100,7 @@ fn without_a_session_nothing_is_asked_for_and_nothing_is_taken() {
     assert!(client.is_open());
     assert_eq!((missed(&mut client, 5), told(&mut client)), (Some(0), true));
 
-    // Greeting again ends the session at once.
+    // A new greeting ends the session at once.
     client.hello(2).unwrap();
     deaf(&mut client);
 }
@@ -145,14 +143,14 @@ fn an_answer_to_something_else_leaves_the_request_pending() {
         let done = Reply::Accepted(Response::KeepAlive(Done));
         assert_eq!(hear(&mut client, kind, seq, &done), None);
     }
-    // An echo of its own frames.
+    // Ignores an echo of its own frame.
     assert_eq!(hear(&mut client, Kind::Request, seq, &KEEP_ALIVE), None);
     assert_eq!(sent(&mut client, RETRY_AFTER_US), first);
 
     let refused = Reply::Refused(Refusal::NotHomed);
     let output = hear(&mut client, Kind::Reply, seq, &refused);
     assert_eq!(output, Some(Output::Refused(Refusal::NotHomed)));
-    // It is answered once.
+    // Accepts a reply once only.
     assert_eq!(hear(&mut client, Kind::Reply, seq, &refused), None);
     assert_eq!(client.poll(RETRY_AFTER_US), Poll::WaitUntil(u64::MAX));
 }
@@ -175,7 +173,7 @@ fn a_request_is_repeated_on_time_and_byte_for_byte() {
     }
     let end_us = again_us + u64::from(ATTEMPTS) * RETRY_AFTER_US;
     assert_eq!(client.poll(end_us), Poll::TimedOut);
-    // Reported once; then the next request may come.
+    // Reports the failure once; then the next request may follow.
     assert_eq!(client.poll(end_us), Poll::WaitUntil(u64::MAX));
     client.request(&KEEP_ALIVE).unwrap();
 }
@@ -215,7 +213,7 @@ fn a_stop_goes_ahead_of_a_request_and_the_request_follows_it() {
     client.urgent(Urgent::Stop);
     let stop = header(&sent(&mut client, 10));
     assert_eq!((stop.kind, stop.seq), (Kind::Urgent, request.seq + 1));
-    // The request is due, and waits.
+    // The request is due, but waits for the stop.
     assert_eq!(
         client.poll(RETRY_AFTER_US),
         Poll::WaitUntil(10 + RETRY_AFTER_US)
@@ -255,8 +253,8 @@ fn bad_frames_are_counted() {
     }
 }
 
-/// A reply that an earlier connection has not waited for confirms nothing here, least of all a stop. Its number is what
-/// tells it from one of this connection.
+/// A late reply to an earlier connection confirms nothing here, least of all a stop. Only the sequence number
+/// distinguishes it from a reply to this connection.
 #[test]
 fn a_late_reply_to_an_earlier_connection_confirms_nothing() {
     let done = Reply::Urgent(Urgent::EStop);
@@ -269,7 +267,7 @@ fn a_late_reply_to_an_earlier_connection_confirms_nothing() {
     let own = header(&sent(&mut client, 0)).seq;
     assert_eq!(hear(&mut client, Kind::Reply, late, &done), None);
     assert_eq!(hear(&mut client, Kind::Reply, own, &done), confirmed);
-    // A client that forgets its session does not begin to count anew.
+    // A renewed client continues the sequence numbers.
     let mut renewed = client.renewed();
     renewed.urgent(Urgent::EStop);
     let next = header(&sent(&mut renewed, 0)).seq;

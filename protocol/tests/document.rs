@@ -1,9 +1,7 @@
-//! docs/protocol.md agrees with the code. Its tables and examples are made here, from the schema of the messages, from their
-//! doc comments and from the exemplars: `BLESS=1 cargo test -p protocol --test document` writes them. What a person has to
-//! write (ranges, refusals, what a request does) is compared name by name, and the failure says which row is missing.
-
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
+//! docs/protocol.md agrees with the code. This file makes its tables and examples from the schema of the messages,
+//! their doc comments and the exemplars: `BLESS=1 cargo test -p protocol --test document` writes them. The parts
+//! written by hand (ranges, refusals, effects of a request) are compared name by name, and the failure names the
+//! missing row.
 
 use postcard_schema::{
     Schema,
@@ -27,14 +25,21 @@ use std::{
     sync::{Mutex, PoisonError},
 };
 
-/// Where the messages are written down, and what their machine is called.
+/// Source files of the messages: name, heading in the document, text.
 const SOURCES: [(&str, &str, &str); 6] = [
     (
         "table",
         "What a frame carries",
         include_str!("../src/table.rs"),
     ),
-    ("system", "Both machines", include_str!("../src/system.rs")),
+    (
+        "system",
+        "Both machines",
+        concat!(
+            include_str!("../src/kind.rs"),
+            include_str!("../src/system.rs")
+        ),
+    ),
     ("rig", "The rig", include_str!("../src/rig.rs")),
     (
         "settings",
@@ -63,7 +68,7 @@ fn document() -> String {
     text.replace("\r\n", "\n")
 }
 
-/// What stands in the document between the marks of a generated part.
+/// A generated part of the document, between its marks.
 fn part<'a>(document: &'a str, name: &str) -> &'a str {
     let begin = format!("<!-- generated: {name} -->\n");
     let at = document
@@ -78,7 +83,7 @@ fn part<'a>(document: &'a str, name: &str) -> &'a str {
 
 /// Compares a generated part, or writes it.
 fn check(name: &str, wanted: &str) {
-    // The tests of this file run side by side, and each of them writes its part.
+    // The tests of this file run in parallel, and each writes its part.
     static WRITING: Mutex<()> = Mutex::new(());
     let _writing = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
     let wanted = format!("\n{}\n", wanted.trim_matches('\n')) + "\n";
@@ -106,16 +111,16 @@ fn check(name: &str, wanted: &str) {
 
 // ---- The sources: doc comments and types as they are written ----
 
-/// A type, field or variant as its author wrote it.
+/// A type, field or variant with its doc comment.
 #[derive(Clone, Debug, Default)]
 struct Written {
-    /// In plain words, without Rust's links.
+    /// The doc comment, without Rust's links.
     meaning: String,
     /// Type of a field, as written.
     kind: String,
 }
 
-/// A doc comment without what only Rust's documentation understands.
+/// Removes from a doc comment what only rustdoc understands.
 fn plain(doc: &str) -> String {
     let mut text = String::new();
     let mut rest = doc;
@@ -137,7 +142,7 @@ fn plain(doc: &str) -> String {
         .replace("`u32::MAX`", "4294967295")
 }
 
-/// `Type`, `Type.field`, `Type.Variant`, `Type.Variant.field` of a file, by the shape that rustfmt gives it.
+/// Finds `Type`, `Type.field`, `Type.Variant`, `Type.Variant.field` in a file by the layout that rustfmt gives it.
 fn read(source: &str) -> BTreeMap<String, Written> {
     let mut found = BTreeMap::new();
     let (mut doc, mut of_type, mut of_variant) = (Vec::new(), String::new(), String::new());
@@ -189,7 +194,7 @@ fn read(source: &str) -> BTreeMap<String, Written> {
     found
 }
 
-/// Everything that is written in all files, and the file of each type.
+/// The entries of all files, and the file of each type.
 struct Sources {
     written: BTreeMap<String, Written>,
     file: BTreeMap<String, &'static str>,
@@ -214,7 +219,7 @@ impl Sources {
         written.unwrap_or_else(|| panic!("{place} has no doc comment in protocol/src: {HOW}"))
     }
 
-    /// A cell of a table.
+    /// The text of a table cell.
     fn meaning(&self, place: &str) -> String {
         let meaning = &self.get(place).meaning;
         assert!(meaning.len() > 3, "{place}: say what it is: {HOW}");
@@ -224,7 +229,7 @@ impl Sources {
 
 // ---- Types ----
 
-/// The name that an author gave the type; none for integers, lists and the like.
+/// The type's name in our sources; none for integers, lists and the like.
 fn own_name(ty: &'static NamedType) -> Option<&'static str> {
     matches!(
         ty.ty,
@@ -236,7 +241,7 @@ fn own_name(ty: &'static NamedType) -> Option<&'static str> {
     .then_some(ty.name)
 }
 
-/// A type in the document's words; `written` is its Rust type, which knows how long lists and texts may be.
+/// A type in the document's words. `written` is its Rust type, which has the capacities of lists and texts.
 fn words(ty: &'static NamedType, written: &str) -> String {
     let bound = || -> usize {
         let inner = written
@@ -273,7 +278,7 @@ fn words(ty: &'static NamedType, written: &str) -> String {
     }
 }
 
-/// The unit that a field's name ends with.
+/// The unit in the suffix of a field's name.
 fn unit(name: &str) -> &'static str {
     let units = [
         ("_um_s2", "um/s2"),
@@ -297,7 +302,7 @@ fn unit(name: &str) -> &'static str {
     }
 }
 
-/// All types below these, each once.
+/// All types reachable from these, each once.
 fn types(roots: &[&'static NamedType]) -> BTreeMap<&'static str, &'static NamedType> {
     fn visit(ty: &'static NamedType, all: &mut BTreeMap<&'static str, &'static NamedType>) {
         if own_name(ty).is_some_and(|name| all.insert(name, ty).is_some()) {
@@ -398,7 +403,7 @@ fn section(name: &str, ty: &'static NamedType, sources: &Sources) -> String {
                 let place = format!("{name}.{}", variant.name);
                 let (number, shown) = (number.to_string(), format!("`{}`", variant.name));
                 let meaning = match name {
-                    // The rule in words is what the devices' texts say, too.
+                    // The devices' texts also have the rule in words.
                     "SettingRule" => rule_text(variant.name),
                     _ => sources.meaning(&place),
                 };
@@ -429,7 +434,7 @@ fn rule_text(name: &str) -> String {
         .to_owned()
 }
 
-/// What a type of `settings.rs` means whose source is the table that makes it.
+/// Meaning of a type that a macro in `settings.rs` generates.
 fn made_by_a_macro(name: &str) -> Option<&'static str> {
     match name {
         "SettingKey" => Some("Key of a setting, also the number of its record in flash."),
@@ -447,7 +452,7 @@ fn the_types_are_those_of_the_code() {
     for (file, title, _) in SOURCES {
         let _ = write!(text, "### {title}\n\n");
         for (name, ty) in &all {
-            // `Request` and `Response` have a table of their own.
+            // `Request` and `Response` have their own table.
             if ["Request", "Response"].contains(name) {
                 continue;
             }
@@ -534,7 +539,7 @@ fn the_requests_are_those_of_the_code() {
     check("requests", &text);
 }
 
-/// Cells in code quotes at the beginning of the rows of a table that a person writes.
+/// Names in backquotes that begin the rows of a table written by hand.
 fn rows_by_hand(heading: &str) -> BTreeSet<String> {
     let document = document();
     let at = document.find(heading);
@@ -583,7 +588,7 @@ fn every_field_of_a_request_has_its_range_written_down() {
     for (_, _, _, request, _) in requests() {
         if let DataModelType::Struct(fields) = all[request].ty {
             add(request, fields);
-            // What a field chooses between has fields itself.
+            // An enum in a field has fields of its own.
             for field in *fields {
                 if let DataModelType::Enum(variants) = field.ty.ty {
                     for variant in *variants {
@@ -677,7 +682,7 @@ fn the_constants_are_those_of_the_code() {
     check("constants", &text);
 }
 
-/// Numbers within sentences.
+/// Numbers in the text.
 #[test]
 fn the_numbers_in_the_text_are_those_of_the_code() {
     let (retry_ms, raw) = (RETRY_AFTER_US / 1_000, MAX_BODY + 8);
@@ -710,7 +715,7 @@ fn the_numbers_in_the_text_are_those_of_the_code() {
 
 // ---- Examples ----
 
-/// The bytes of a value, one group per number, text or variant, split by nothing but the schema.
+/// The bytes of a value, one group per number, text or variant, split by the schema alone.
 fn groups(ty: &'static NamedType, bytes: &mut &[u8], into: &mut Vec<String>) {
     fn take(bytes: &mut &[u8], count: usize) -> String {
         let (taken, rest) = bytes.split_at(count);
@@ -751,7 +756,7 @@ fn groups(ty: &'static NamedType, bytes: &mut &[u8], into: &mut Vec<String>) {
             (0..count).for_each(|_| groups(item, bytes, into));
         }
         DataModelType::Tuple(items) => {
-            // A number of bytes that belong together.
+            // A byte array stays in one group.
             into.push(take(bytes, items.len()));
         }
         DataModelType::NewtypeStruct(item) => groups(item, bytes, into),
@@ -845,7 +850,7 @@ fn the_examples_are_those_of_the_code() {
     check("examples", &text);
 }
 
-/// The first frames of every client, with the version and the key of today.
+/// The first frames of every client, with the present version and schema key.
 #[test]
 fn the_first_frames_are_those_of_the_code() {
     let request = |session, seq, request: &Request| {
@@ -877,7 +882,7 @@ fn the_first_frames_are_those_of_the_code() {
     check("first frames", &text.concat());
 }
 
-/// A frame on its way through every layer.
+/// A frame at every layer of its encoding.
 #[test]
 fn the_layers_of_a_frame_are_those_of_the_code() {
     let header = Header {
@@ -924,7 +929,7 @@ fn the_layers_of_a_frame_are_those_of_the_code() {
     check("layers", &text);
 }
 
-/// What the page gives as bytes is what a device and a host make of them: each frame is decoded, and encoded again.
+/// The bytes in the document equal those of device and host: each frame is decoded and encoded again.
 #[test]
 fn every_frame_of_the_page_comes_back() {
     fn again<T: serde::de::DeserializeOwned + serde::Serialize + Debug>(
@@ -967,7 +972,7 @@ fn every_frame_of_the_page_comes_back() {
     assert!(frames >= exemplars, "{frames} of {exemplars}");
 }
 
-/// The client in Python is written by hand, from the page. What it has of it has to be what the page says.
+/// The client in Python is written by hand from the document, so it has to agree with the document.
 #[test]
 fn the_serial_client_knows_this_protocol() {
     let client = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/serial_client.py");
@@ -982,10 +987,10 @@ fn the_serial_client_knows_this_protocol() {
             let _ = writeln!(missing, "  {line}");
         }
     }
-    // Its lists of variants are texts, some of which go on in the next line.
+    // Its lists of variants are strings, some of which continue on the next line.
     let pieces = client.split('"').filter(|piece| !piece.trim().is_empty());
     let joined = pieces.collect::<String>();
-    // What it neither asks for nor reads by name.
+    // Types that it neither requests nor reads by name.
     let unused = [
         "Request",
         "Response",
@@ -1006,7 +1011,7 @@ fn the_serial_client_knows_this_protocol() {
             let _ = writeln!(missing, "  {name}: enum(\"{names}\")");
         }
     }
-    // What it reads: every field, in order.
+    // Types that it reads: every field, in order.
     for name in [
         "ActuationAccepted",
         "ActuationRecord",
@@ -1040,13 +1045,13 @@ fn the_serial_client_knows_this_protocol() {
     );
 }
 
-/// Whether some `struct(...)` has just these fields.
+/// Whether some `struct(...)` has exactly these fields.
 fn has_struct(client: &str, names: &[&str]) -> bool {
     let begins = client.match_indices("struct(");
     begins
         .map(|(at, word)| &client[at + word.len()..])
         .any(|inside| {
-            // Fields of this struct only: not those of what it contains, nor what comes behind it.
+            // Take the fields of this struct only, not those of a nested one or of one that follows.
             let (mut depth, mut own) = (0, String::new());
             for c in inside.chars() {
                 match c {

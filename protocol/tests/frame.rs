@@ -1,4 +1,4 @@
-//! Frames in a stream: the longest one, what is no frame, and what is counted.
+//! Frames in a stream: the longest frame, bytes that are no frame, and the counters.
 
 #[allow(dead_code, unreachable_pub)]
 mod parties;
@@ -21,7 +21,7 @@ fn bodies(deframer: &mut Deframer, bytes: &[u8]) -> Vec<Vec<u8>> {
     found
 }
 
-/// Any bytes as a frame with a good CRC.
+/// Frames these bytes with a correct CRC.
 fn with_crc(content: &[u8]) -> Vec<u8> {
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI).checksum(content);
     let raw = [content, &crc.to_le_bytes()].concat();
@@ -85,7 +85,7 @@ fn noise_longer_than_any_frame_is_one_bad_block() {
     }
 }
 
-/// A good frame of the greatest length is no frame if more bytes follow before the delimiter.
+/// A good frame of the greatest length is rejected if more bytes follow before the delimiter.
 #[test]
 fn a_frame_does_not_end_before_its_delimiter() {
     let longest = encode(HEADER, &Raw(vec![0xA5; MAX_BODY])).unwrap();

@@ -1,9 +1,7 @@
-//! What arrives may be anything: noise, corrupted frames, frames with a good CRC and nonsense in them.
+//! Device and client survive any input: noise, corrupted frames, and frames with a good CRC but nonsense in them.
 //!
-//! The long ones run in `cargo xtask ci`, or by `cargo test -p protocol -- --ignored`.
+//! The long tests run in `cargo xtask ci`, or with `cargo test -p protocol -- --ignored`.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
 #[allow(dead_code, unreachable_pub)]
 mod parties;
 
@@ -29,7 +27,7 @@ fn frame<T: Serialize>(kind: Kind, session: u8, seq: u16, body: &T) -> Encoded {
     encode(Header { kind, session, seq }, body).expect("it fits")
 }
 
-/// Its body is exactly one message of its kind.
+/// Whether its body is exactly one message of its kind.
 fn is_message(frame: &Frame<'_>) -> bool {
     match frame.header.kind {
         Kind::Request => frame.decode::<Request>().is_some(),
@@ -40,7 +38,7 @@ fn is_message(frame: &Frame<'_>) -> bool {
     }
 }
 
-/// What `look` makes of the frame in these bytes, if there is one.
+/// Applies `look` to the frame in these bytes, if there is one.
 fn take<T>(bytes: &[u8], look: impl Fn(Frame<'_>) -> T) -> Option<T> {
     let mut deframer = Deframer::new();
     let mut bytes = bytes.iter();
@@ -56,7 +54,7 @@ fn messages() -> Vec<(Kind, Vec<u8>)> {
         .collect()
 }
 
-/// Device and client in mid-session, so that both look into every frame that they can.
+/// A device and a client in mid-session, so that both decode every frame they can.
 struct Pair {
     client: Client,
     device: Device,
@@ -94,7 +92,7 @@ impl Pair {
             schema_key: SCHEMA_KEY,
             nonce: self.nonce,
         });
-        // Ends whatever came before.
+        // Ends any incomplete frame.
         self.hear(&[0]);
         let replies = self.hear(&frame(Kind::Request, 0, 1, &hello));
         let [reply] = &replies[..] else {
@@ -104,7 +102,7 @@ impl Pair {
         self.session = session.expect("a whole frame");
     }
 
-    /// A command still gets through, once.
+    /// Checks that a command still gets through, once.
     fn check(&mut self) {
         self.greet();
         let before = self.device.executed.len();
@@ -116,7 +114,7 @@ impl Pair {
     }
 }
 
-/// Damages bytes in one to four of the ways of a bad line or a bad program.
+/// Damages bytes in one to four ways, as a bad line or a faulty program might.
 fn corrupt(noise: &mut Noise, bytes: &mut Vec<u8>) {
     for _ in 0..=noise.next() % 4 {
         let at = noise.next() as usize % bytes.len().max(1);
@@ -126,14 +124,14 @@ fn corrupt(noise: &mut Noise, bytes: &mut Vec<u8>) {
             3 => bytes.insert(at.min(bytes.len()), noise.next() as u8),
             4 if !bytes.is_empty() => drop(bytes.remove(at)),
             5 => bytes.truncate(at),
-            // A varint or a length that claims to be long.
+            // Claims a long varint or length.
             6 if !bytes.is_empty() => bytes[at] = 0xFF,
             _ => {}
         }
     }
 }
 
-/// Frames that are corrupted on the wire: none is taken for another one, and the next good one is found.
+/// Frames corrupted on the wire: none is taken for another one, and the next good one is found.
 fn corrupted_frames(runs: u32, seed: u64) {
     let mut noise = Noise(seed | 1);
     let mut pair = Pair::new();
@@ -168,7 +166,7 @@ fn corrupted_frames(runs: u32, seed: u64) {
     }
 }
 
-/// Frames whose content is corrupted before the CRC is computed, in any session and with any number.
+/// Frames whose content is corrupted before the CRC is computed, with any session and sequence number.
 fn corrupted_bodies(runs: u32, seed: u64) {
     let mut noise = Noise(seed | 1);
     let mut pair = Pair::new();
@@ -194,7 +192,7 @@ fn corrupted_bodies(runs: u32, seed: u64) {
     }
 }
 
-/// Noise of any length, then a frame: it is found, always.
+/// Noise of any length, then a frame, which is always found.
 fn frames_after_garbage(runs: u32, seed: u64) {
     let mut noise = Noise(seed | 1);
     let good = frame(Kind::Request, 1, 7, &exemplars::requests()[8]);
@@ -228,8 +226,8 @@ fn a_byte_more_or_less_is_no_message() {
     }
 }
 
-/// With the first byte of the CRC complemented and 0xFF appended, the frame is one byte longer and its CRC is right.
-/// Only the rule above refuses it.
+/// With the first byte of the CRC complemented and 0xFF appended, the frame is one byte longer and its CRC is
+/// correct. Only the rule above rejects it.
 #[test]
 fn what_no_crc_detects_is_no_message() {
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
@@ -261,7 +259,7 @@ fn corrupted_bodies_are_survived() {
     corrupted_bodies(20_000, 816);
 }
 
-/// The whole series where RETROGRADE_CAMPAIGN is set, else its first tenth.
+/// The whole series if RETROGRADE_CAMPAIGN is set, otherwise its first tenth.
 fn long(all: u32) -> u32 {
     match std::env::var_os("RETROGRADE_CAMPAIGN") {
         Some(_) => all,
@@ -301,7 +299,7 @@ proptest! {
         prop_assert!(device.executed.is_empty());
     }
 
-    /// Frames with a good CRC and any body: nothing panics, and nothing runs without a session.
+    /// Frames with a good CRC and any body: nothing panics, and nothing is executed without a session.
     #[test]
     fn any_body_is_survived(body in proptest::collection::vec(any::<u8>(), 0..150), kind in 0..5_usize, session in any::<u8>()) {
         let sent = frame(KINDS[kind], session, 3, &Raw(body));

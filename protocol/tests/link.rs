@@ -1,7 +1,6 @@
-//! What a bad line can do: corrupt, repeat, delay, and resets on top. The real client against the real session.
+//! The real client against the real session over a bad line that corrupts, repeats and delays, with resets of the
+//! device.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
 #[allow(dead_code, unreachable_pub)]
 mod parties;
 
@@ -100,7 +99,7 @@ impl Line {
     }
 }
 
-/// Numbered commands over a bad line: each is executed at most once, and none is acknowledged without execution.
+/// Sends numbered commands over a bad line: each is executed at most once, and none is confirmed without execution.
 fn executed_once(commands: u16, flip_one_in: u64, late_one_in: u64, reset_one_in: u64, seed: u64) {
     let mut line = Line::new(seed, flip_one_in, late_one_in);
     line.connect();
@@ -162,8 +161,8 @@ fn no_command_is_executed_twice() {
     }
 }
 
-/// A million commands at each error rate where RETROGRADE_CAMPAIGN is set, else the first quarter of them:
-/// `cargo test -p protocol -- --ignored`.
+/// A million commands at each error rate if RETROGRADE_CAMPAIGN is set, otherwise the first quarter of them: `cargo
+/// test -p protocol -- --ignored`.
 #[test]
 #[ignore = "a long series, a step of `cargo xtask ci`"]
 fn no_command_of_a_long_series_is_executed_twice() {
@@ -265,7 +264,7 @@ fn reused_and_stale_numbers_are_told_apart() {
         answer(&mut line.device, session.wrapping_add(1), 30, &set(9)),
         Reply::Wire(WireError::NoSession)
     );
-    // The number wraps around.
+    // The sequence number wraps around.
     for seq in (20..=u16::MAX).step_by(8_000).chain([u16::MAX, 0, 1]) {
         assert!(
             matches!(
@@ -315,14 +314,14 @@ fn a_stop_goes_first_and_needs_no_session() {
     line.client.urgent(Urgent::Stop);
     assert_eq!(line.settle(), Some(Output::UrgentDone(Urgent::Stop)));
     assert!(line.device.executed.is_empty());
-    // A client that never connected.
+    // A client that has never connected.
     let mut line = Line::new(6, 0, 0);
     line.client.urgent(Urgent::EStop);
     assert_eq!(line.settle(), Some(Output::UrgentDone(Urgent::EStop)));
     assert_eq!(line.device.stops, 1);
 }
 
-/// How often a client sends into silence, and for how long.
+/// How often, and for how long, a client repeats a request without an answer.
 fn until_given_up(client: &mut Client) -> (u8, u64) {
     let (mut now_us, mut sent) = (0, 0);
     loop {
@@ -342,7 +341,7 @@ fn silence_is_reported_as_unknown_after_all_attempts() {
     assert_eq!(until_given_up(&mut client), all);
 }
 
-/// The device is deaf while it erases, for half a second or more.
+/// The device receives nothing while it erases, half a second or more.
 #[test]
 fn what_writes_flash_is_asked_for_longer() {
     for request in exemplars::requests().into_iter().skip(1) {

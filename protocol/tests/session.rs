@@ -1,4 +1,4 @@
-//! The device's session alone: greetings, repetitions, numbers.
+//! The device's session alone: greetings, repetitions, sequence numbers.
 
 use protocol::{
     VERSION,
@@ -30,7 +30,7 @@ fn request(device: &mut Session, session: u8, seq: u16, request: &Request) -> De
     receive(device, Kind::Request, session, seq, request)
 }
 
-/// Greets; the number of the session.
+/// Sends a Hello; returns the number of the session.
 fn greet(device: &mut Session, nonce: u32) -> u8 {
     let hello = Request::Hello(Hello {
         protocol: VERSION,
@@ -87,7 +87,7 @@ fn a_new_greeting_begins_a_new_session() {
     assert_eq!(device.number(), second);
     let old = request(&mut device, first, 101, &set(2));
     assert_eq!(rejected(&old), Some(WireError::NoSession));
-    // Any sequence number may come first, and no answer of the old session is sent again.
+    // A new session accepts any first sequence number, and never repeats an answer of the old one.
     execute(&mut device, second, 100, &set(1));
 }
 
@@ -122,7 +122,7 @@ fn a_restarted_device_begins_with_another_number() {
     }
 }
 
-/// Before any greeting there is no session, whatever number a frame carries.
+/// Before the first greeting there is no session, whatever number a frame has.
 #[test]
 fn nothing_runs_before_a_greeting() {
     for session in 0..=u8::MAX {
@@ -162,7 +162,7 @@ fn an_answer_that_comes_after_a_new_greeting_is_not_kept() {
     execute(&mut device, session, 100, &set(1));
 }
 
-/// A single bit makes it another request.
+/// A single different bit makes it another request.
 #[test]
 fn a_number_is_good_for_one_body() {
     let name = "a bench by the window".try_into().expect("it fits");
@@ -188,7 +188,7 @@ fn a_number_is_good_for_one_body() {
     for bit in 0..8 * body.len() {
         let mut other: [u8; 23] = body[..].try_into().expect("kind, length and 21 letters");
         other[bit / 8] ^= 1 << (bit % 8);
-        // An array is encoded as its bytes and nothing else.
+        // An array is encoded as its bytes alone.
         let again = receive(&mut device, Kind::Request, session, 100, &other);
         assert_eq!(
             rejected(&again),

@@ -1,7 +1,4 @@
-//! The texts of faults and refusals: each says something of its own.
-
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
+//! The texts of faults and refusals all differ.
 
 use protocol::{
     capsule::CapsuleFault,
@@ -12,7 +9,7 @@ use protocol::{
 };
 use std::{collections::BTreeSet, fmt::Display};
 
-/// The texts, which must all differ.
+/// The texts; asserts that they all differ.
 fn distinct<T: Display>(values: impl IntoIterator<Item = T>) -> Vec<String> {
     let texts: Vec<_> = values.into_iter().map(|value| value.to_string()).collect();
     let different: BTreeSet<_> = texts.iter().collect();
@@ -91,6 +88,7 @@ fn a_fault_of_the_capsule_says_what_to_do() {
         CapsuleFault::BridgeSilent,
         CapsuleFault::SenseLost,
         CapsuleFault::NotUnfolded { wound_um: 9_001 },
+        CapsuleFault::SenseOrEncoder,
     ];
     let texts = distinct(faults);
     for text in &texts {
@@ -142,7 +140,7 @@ fn each_field_has_its_own_name() {
     }
 }
 
-/// A rule uses the names that the operator types.
+/// A rule names settings as the operator types them.
 #[test]
 fn each_rule_names_a_setting() {
     for text in distinct(SettingRule::ALL.map(SettingRule::text)) {

@@ -1,9 +1,6 @@
 //! The bytes on the wire. A change here is a change of the protocol: raise the version, then regenerate with
 //! `BLESS=1 cargo test -p protocol --test wire`.
 
-#[allow(missing_docs, dead_code, unreachable_pub)]
-mod exemplars;
-
 use protocol::{
     frame::{Deframer, Kind, MAX_BODY, encode},
     system::{Event, Urgent},
@@ -39,7 +36,7 @@ fn golden_bytes_of_every_message() {
     );
 }
 
-/// The exemplars cover the table: no row without golden bytes for its request and its response.
+/// The exemplars cover the table: every row has golden bytes for its request and its response.
 #[test]
 fn every_row_has_exemplars() {
     for name in Request::NAMES {
@@ -61,7 +58,7 @@ fn every_message_fits() {
         .max()
         .unwrap();
     assert!(longest <= MAX_BODY, "{longest}");
-    // The bound is tight enough to notice a message that grows.
+    // The bound is tight enough to reveal a message that grows.
     assert!(longest + 40 > MAX_BODY, "{longest}");
 }
 

@@ -19,7 +19,7 @@ use rigless::session::Session;
 use rigless::time::VirtualNanos;
 
 use crate::bus::BusReport;
-use crate::emulator::{Beats, ChipOptions, CutAt, Emulator, Wiring};
+use crate::emulator::{Beats, ChipOptions, CutAt, Emulator, Program, Wiring};
 use crate::log::{Log, Tap};
 use crate::pace::{Pace, Slow, Turn};
 use crate::serial::Serial;
@@ -169,7 +169,10 @@ impl<W: Wiring> Visit<'_, W> {
     }
 
     /// From now on the step timer's bursts take so long. To be called while none is under way.
-    pub fn set_burst(&mut self, beats: Option<Beats>) {
+    ///
+    /// # Panics
+    /// On a machine that was started without [`ChipOptions::burst`].
+    pub fn set_burst(&mut self, beats: Beats) {
         self.session.board_mut().set_burst(beats);
     }
 
@@ -386,6 +389,7 @@ impl<W: Wiring> Conductor<W> {
                 After::Run
             }
             Job::Visit(visitor) => {
+                session.board_mut().catch_up(stop.at, host);
                 visitor(&mut Visit {
                     session,
                     host,
@@ -398,6 +402,7 @@ impl<W: Wiring> Conductor<W> {
                 self.reply(Reply::Visited)
             }
             Job::PowerCycle { off_ns } => {
+                session.board_mut().catch_up(stop.at, host);
                 let flash = crate::emulator::cut_supply(session, host);
                 self.power_cycle = Some((flash, now_ns + off_ns));
                 After::End
@@ -494,7 +499,9 @@ fn conduct<W: Wiring>(
     loop {
         let epoch_ns = conductor.epoch_ns;
         let serial = Arc::clone(&conductor.serial);
-        let mut emulator = Emulator::new(wiring, options.chip, serial, epoch_ns).map_err(text)?;
+        let program = Program::of(&images, options.chip.core_hz);
+        let mut emulator =
+            Emulator::new(wiring, options.chip, serial, epoch_ns, program).map_err(text)?;
         emulator.set_earlier(gaps);
         let session = Session::new(Box::new(emulator), 0, VirtualNanos(0)).map_err(text)?;
         let mut finished = emulator::run(session, &Start::new(&images), conductor).map_err(text)?;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::sidedoor::DoorError;
+use crate::processes::DoorError;
 
 /// A page that has not come by then does not come.
 const SOON: Duration = Duration::from_secs(60);

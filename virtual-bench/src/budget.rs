@@ -6,9 +6,9 @@ use protocol::system::DeviceKind;
 
 use crate::bench::Bench;
 use crate::boards::capsule::{self, CapsuleBoard};
-use crate::figures::FigureError;
 use crate::link::VirtualLink;
 use crate::plants::capsule::Parameters;
+use crate::unmeasured::FigureError;
 
 /// A lithium cell, and how much of its charge is counted on [assumed].
 const CELL_MAH: f64 = 40.0;

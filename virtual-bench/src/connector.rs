@@ -3,11 +3,11 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use client::link::address::Address;
+use client::address::Address;
 use client::link::{Link, OpenError, Reason};
 use commissioning::hands::Hands;
-use host_tool::connector::{Candidate, Connector, Ports, Purpose};
 use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Ports, Purpose};
 use protocol::system::DeviceKind;
 
 use crate::boards::{capsule, rig};

@@ -3,12 +3,13 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use analysis::report::{self, Existing, Found, Remark, ReportError};
+use analysis::report;
+use analysis::report::remark::Remark;
+use analysis::report::{Existing, Found, ReportError};
 use client::decimal;
 use client::error::ClientError;
 use client::identity;
 use client::{Device, Homed, Observer};
-use host_tool::cli;
 use jiff::Timestamp;
 use locomotion::kinematics::Design;
 use locomotion::range::OutOfRange;
@@ -329,7 +330,7 @@ impl Hooks for Judge<'_> {
     }
 
     fn homed(&mut self, homed: &Homed) {
-        say(&cli::machines::homed_text(homed));
+        say(&operations::ending::homed_text(homed));
         match self.rig.visit(|visit| visit.board().rig.edges().len()) {
             Ok(edges) => self.first_edge = edges,
             Err(error) => self.failures.push(error.to_string()),

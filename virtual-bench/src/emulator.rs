@@ -6,12 +6,17 @@
 //! refer to it.
 
 mod array;
+mod asleep;
 mod clocks;
+mod core;
+mod course;
 mod dma;
 mod exti;
 mod forward;
 mod map;
 mod quiet;
+mod ring;
+mod spare;
 mod timer;
 
 use std::fmt;
@@ -20,8 +25,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rigless::cpu::armv7m;
 use rigless::device::{DeviceContext, ErasedDevice, Level, RegisterFile, ResetCause};
-use rigless::emulator::{Access, AccessKind, CoreSpec, Host, Settled};
-use rigless::machine::armv7m as core;
+use rigless::emulator::{Access, AccessKind, CoreSpec, Host, Settled, StopReason};
+use rigless::machine::armv7m as machine;
 use rigless::machine::{Board, Target};
 use rigless::mcu::Mcu;
 use rigless::session::Session;
@@ -40,11 +45,15 @@ pub use timer::OutputEdge;
 
 pub use array::CutAt;
 use array::{Array, BUSY, Touched};
+use asleep::Asleep;
+pub use asleep::Unnoticed;
 use clocks::Clocked;
+use core::Bell;
 pub use dma::Beats;
 use dma::Paced;
 use exti::{Exti, Syscfg};
 use quiet::Quiet;
+pub(crate) use spare::Program;
 use timer::Watched;
 
 const TARGET: &str = "stm32f411re";
@@ -53,6 +62,8 @@ const TIM1: usize = 0;
 const TIM2: usize = 0;
 const TIM3: usize = 1;
 const TIM5: usize = 3;
+/// The channel of TIM5 that captures.
+const TIM5_CHANNEL: u8 = 2;
 const USART2: usize = 1;
 /// The alternate function that carries USART2 on PA2 and PA3 (DS10314 table 9).
 const AF_SERIAL: u8 = 7;
@@ -111,6 +122,17 @@ pub trait Wiring: fmt::Debug + Send + 'static {
     /// Reads the pins and drives them. Called after every timer event and every register access that can change a pin,
     /// and again until no pin changes any more.
     fn look(&mut self, pads: &mut Pads<'_>);
+
+    /// What the step timer's next edges may do without a look, none if each of them wants one. Asked while the processor sleeps.
+    fn unnoticed(&self, pads: &mut Pads<'_>) -> Option<Unnoticed> {
+        let _ = pads;
+        None
+    }
+
+    /// An edge of TIM1 that [`Wiring::unnoticed`] allowed. It is told without a look, later than it was, in its order.
+    fn unseen_edge(&mut self, edge: OutputEdge, leads: &Unnoticed) {
+        let _ = (edge, leads);
+    }
 
     /// The chip was reset or powered up: no pin is driven any more.
     fn restarted(&mut self);
@@ -336,6 +358,7 @@ struct Slots {
     tim3: usize,
     tim2: usize,
     tim5: usize,
+    dma1: usize,
     dma2: usize,
     rcc: usize,
     exti: usize,
@@ -354,6 +377,7 @@ struct Chip<W> {
     tim3: Watched<General>,
     tim2: Quiet,
     tim5: Quiet,
+    dma1: Paced,
     dma2: Paced,
     rcc: Clocked,
     exti: Exti,
@@ -366,6 +390,15 @@ struct Chip<W> {
     wake: Option<VirtualNanos>,
     /// Something that the board sees may have changed since its last look.
     unseen: bool,
+    /// The processor sleeps, and the step timer's course is followed without it.
+    asleep: Option<Asleep>,
+    bell: Bell,
+    /// A bus on which nobody listens, for TIM1.
+    nowhere: Bus,
+    /// Room for edges.
+    followed: Vec<OutputEdge>,
+    /// Captured instants that are not in memory yet, and where they go.
+    captured: Vec<(u64, u64)>,
     /// In a box: it is taken out for each look.
     wiring: Option<Box<W>>,
 }
@@ -387,6 +420,7 @@ impl<W: Wiring> Chip<W> {
             tim3: bus.slot("TIM3")?,
             tim2: bus.slot("TIM2")?,
             tim5: bus.slot("TIM5")?,
+            dma1: bus.slot("DMA1")?,
             dma2: bus.slot("DMA2")?,
             rcc: bus.slot("RCC")?,
             exti: bus.slot("EXTI")?,
@@ -409,11 +443,19 @@ impl<W: Wiring> Chip<W> {
                 options.every_event,
             )
         };
+        let tim1 = *bus.slots()[slots.tim1].peripheral();
+        let nowhere = Bus::builder(bus.cpu(), &[], [tim1]).build()?;
         let mut chip = Self {
+            asleep: None,
+            bell: Bell::default(),
+            nowhere,
+            followed: Vec::new(),
+            captured: Vec::new(),
             tim2: quiet(slots.tim2, TIM2)?,
             tim5: quiet(slots.tim5, TIM5)?,
             tim1: Watched::new(hollow_advanced(), &[1, 3], !options.every_event),
             tim3: Watched::new(hollow_general(TIM3), &[1, 2], false),
+            dma1: Paced::new(map::hollow_controller(), None),
             dma2: Paced::new(map::hollow_controller(), None),
             rcc: Clocked::new(hollow_clocks(), None),
             options,
@@ -436,8 +478,11 @@ impl<W: Wiring> Chip<W> {
     fn adopt(&mut self) {
         let part = &mut self.part;
         let [dma1, dma2] = map::controllers();
-        part.dma = [dma1, map::hollow_controller()];
-        self.dma2 = Paced::new(dma2, self.options.burst);
+        part.dma = [map::hollow_controller(), map::hollow_controller()];
+        let by_itself = self.options.every_event || self.options.burst.is_some();
+        let place = |place| (!by_itself).then_some(place);
+        self.dma1 = Paced::new(dma1, None).with_ring(place(map::CAPTURES));
+        self.dma2 = Paced::new(dma2, self.options.burst).with_ring(place(map::PERIODS));
         let rcc = std::mem::replace(&mut part.rcc, hollow_clocks());
         let from = self.options.hse_after_ns.map(VirtualNanos);
         self.rcc = Clocked::new(rcc, from);
@@ -468,31 +513,46 @@ impl<W: Wiring> Chip<W> {
         serial.hears = hears;
     }
 
+    /// Lends the board its pins, unless it is looking at them already.
+    fn with_pads<T>(
+        &mut self,
+        at: VirtualNanos,
+        look: impl FnOnce(&mut W, &mut Pads<'_>) -> T,
+    ) -> Option<T> {
+        let mut wiring = self.wiring.take()?;
+        let mut pads = Pads {
+            part: &mut self.part,
+            tim1: &mut self.tim1,
+            tim3: &mut self.tim3,
+            tim2: &mut self.tim2,
+            tim5: &mut self.tim5,
+            rcc: &self.rcc,
+            exti: &mut self.exti,
+            slots: self.slots,
+            at,
+            epoch_ns: self.epoch_ns,
+            wake: None,
+            touched: false,
+        };
+        let seen = look(&mut wiring, &mut pads);
+        self.wiring = Some(wiring);
+        Some(seen)
+    }
+
     /// Shows the pins to the board until none changes any more: an input that the board drives may cut a pulse.
     fn look(&mut self, at: VirtualNanos) -> bool {
-        let Some(mut wiring) = self.wiring.take() else {
-            return false;
-        };
         let mut touched = false;
         self.wake.take_if(|wake| *wake <= at);
         loop {
-            let mut pads = Pads {
-                part: &mut self.part,
-                tim1: &mut self.tim1,
-                tim3: &mut self.tim3,
-                tim2: &mut self.tim2,
-                tim5: &mut self.tim5,
-                rcc: &self.rcc,
-                exti: &mut self.exti,
-                slots: self.slots,
-                at,
-                epoch_ns: self.epoch_ns,
-                wake: None,
-                touched: false,
+            let looked = self.with_pads(at, |wiring, pads| {
+                wiring.look(pads);
+                (pads.touched, pads.wake)
+            });
+            let Some((has_touched, wake)) = looked else {
+                return false;
             };
-            wiring.look(&mut pads);
-            touched |= pads.touched;
-            if let Some(wake) = pads.wake {
+            touched |= has_touched;
+            if let Some(wake) = wake {
                 let wake = VirtualNanos(wake.saturating_sub(self.epoch_ns)).max(at);
                 // One scheduled look is enough: each look asks for the next one.
                 if self.wake.is_none_or(|asked| wake < asked) {
@@ -505,7 +565,6 @@ impl<W: Wiring> Chip<W> {
                 break;
             }
         }
-        self.wiring = Some(wiring);
         self.unseen = false;
         touched
     }
@@ -514,8 +573,12 @@ impl<W: Wiring> Chip<W> {
     fn look_if_changed(&mut self, at: VirtualNanos) -> bool {
         let due = self.wake.is_some_and(|wake| wake <= at);
         let edges = !self.tim1.edges.is_empty() || !self.tim3.edges.is_empty();
-        if W::LOOKS_AT_CHANGES_ONLY && !self.unseen && !edges && !due {
+        if W::LOOKS_AT_CHANGES_ONLY && !self.unseen && !edges && !due && !self.course_ends(at) {
             return false;
+        }
+        self.catch_up(at);
+        if !self.tim1.edges.is_empty() {
+            self.bell.ask_for_sleep(true);
         }
         self.look(at)
     }
@@ -557,6 +620,7 @@ impl<W: Wiring> Mcu for Chip<W> {
     }
 
     fn reset(&mut self, at: VirtualNanos, cause: ResetCause) {
+        self.catch_up(at);
         self.part.reset(at, cause);
         self.adopt();
         self.look(at);
@@ -573,13 +637,15 @@ impl<W: Wiring> Mcu for Chip<W> {
     }
 
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
-        // Every access to a device and every event of one comes through here.
-        self.unseen |= self.slots.seen.contains(&slot);
+        // Every access to a device and every event of one comes through here. While the processor sleeps none of them changes what
+        // the board sees.
+        self.unseen |= self.asleep.is_none() && self.slots.seen.contains(&slot);
         let Slots {
             tim1,
             tim3,
             tim2,
             tim5,
+            dma1,
             dma2,
             rcc,
             exti,
@@ -591,6 +657,7 @@ impl<W: Wiring> Mcu for Chip<W> {
             slot if slot == tim3 => &mut self.tim3,
             slot if slot == tim2 => &mut self.tim2,
             slot if slot == tim5 => &mut self.tim5,
+            slot if slot == dma1 => &mut self.dma1,
             slot if slot == dma2 => &mut self.dma2,
             slot if slot == rcc => &mut self.rcc,
             slot if slot == exti => &mut self.exti,
@@ -665,6 +732,7 @@ pub struct Emulator<W> {
     chip: Chip<W>,
     shell: Shell,
     options: ChipOptions,
+    program: Program,
     array: Array,
     /// The flash is busy with a store until this instant.
     storing_until: VirtualNanos,
@@ -687,6 +755,7 @@ impl<W: Wiring> Emulator<W> {
         options: ChipOptions,
         serial: Arc<Mutex<Serial>>,
         epoch_ns: u64,
+        program: Program,
     ) -> Result<Self, rigless::soc::Error> {
         let chip = Chip::new(wiring, options, serial, epoch_ns)?;
         let peripherals: Vec<_> = chip.bus().peripherals().copied().collect();
@@ -695,6 +764,7 @@ impl<W: Wiring> Emulator<W> {
             chip,
             shell: Shell { bus },
             options,
+            program,
             array: Array::default(),
             storing_until: VirtualNanos(0),
             stalled: false,
@@ -787,7 +857,7 @@ impl<W: Wiring> Emulator<W> {
     }
 
     /// From now on the step timer's bursts take so long. Between two of them.
-    pub(crate) fn set_burst(&mut self, beats: Option<Beats>) {
+    pub(crate) fn set_burst(&mut self, beats: Beats) {
         self.chip.dma2.set_beats(beats);
     }
 
@@ -847,7 +917,33 @@ impl<W: Wiring> Emulator<W> {
         }
     }
 
+    /// Brings everything to where it is now, before somebody looks or changes something.
+    pub(crate) fn catch_up(&mut self, at: VirtualNanos, host: &mut dyn Host) {
+        self.wakes(at, host);
+        let Chip {
+            part,
+            tim2,
+            tim5,
+            slots,
+            ..
+        } = &mut self.chip;
+        for (quiet, slot) in [(tim2, slots.tim2), (tim5, slots.tim5)] {
+            let (registers, mut context) = part.bus_mut().drive(at, slot);
+            quiet.settle(registers, &mut context);
+        }
+    }
+
+    fn wakes(&mut self, at: VirtualNanos, host: &mut dyn Host) {
+        self.chip.catch_up(at);
+        self.chip.write_captures(host);
+    }
+
     fn accessed(&mut self, access: &Access, host: &mut dyn Host) {
+        match core::heard(access) {
+            Some(core::Ring::Sleeps) => return self.chip.falls_asleep(access.virtual_time, host),
+            Some(core::Ring::Wakes) => return self.wakes(access.virtual_time, host),
+            None => {}
+        }
         if map::absent(access.address)
             && self.absent.len() < 64
             && !self.absent.contains(&access.address)
@@ -898,7 +994,14 @@ pub(crate) fn settled<W: Wiring>(
         Settled::Access { access, .. } => emulator.accessed(&access, host),
         Settled::Stop(stop) => {
             emulator.unstall(stop.at, host);
-            emulator.chip.look_between(stop.at);
+            let chip = &mut emulator.chip;
+            chip.look_between(stop.at);
+            chip.write_captures(host);
+            if chip.asleep.is_some() {
+                chip.go_on(stop.at, host);
+            } else if stop.reason == StopReason::Idle {
+                chip.falls_asleep(stop.at, host);
+            }
         }
         _ => {}
     }
@@ -942,8 +1045,8 @@ impl<W: Wiring> Board for Emulator<W> {
     }
 
     fn targets(&mut self) -> Vec<Target<'_>> {
-        let core = core::Core {
-            variant: core::Variant::M4,
+        let core = machine::Core {
+            variant: machine::Variant::M4,
             clock_hz: NonZeroU64::new(self.options.core_hz).unwrap_or(NonZeroU64::MIN),
             interrupt_lines: NonZeroU32::new(map::INTERRUPT_LINES).expect("lines"),
             priority_bits: 4,
@@ -954,7 +1057,10 @@ impl<W: Wiring> Board for Emulator<W> {
         };
         let windows = armv7m::windows(self.chip.part.bus());
         let mut spec: CoreSpec =
-            core.spec_with_parts(&windows, core::Fpu::FpV4Sp, core::MpuRegions::Eight);
+            core.spec_with_parts(&windows, machine::Fpu::FpV4Sp, machine::MpuRegions::Eight);
+        if !self.options.every_event {
+            core::with_bell(&mut spec, &self.chip.bell, self.program);
+        }
         spec.factory_images = map::factory_image(self.options.uid).into_iter().collect();
         vec![Target::new(TARGET, &mut self.shell, spec)]
     }

@@ -53,6 +53,12 @@ impl<A> Faults<A> {
         due
     }
 
+    /// The first edge with which a fault is due.
+    #[must_use]
+    pub fn next_edge(&self) -> Option<u64> {
+        self.edge.first_key_value().map(|(number, _)| *number)
+    }
+
     /// When the next fault is due, ns.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {

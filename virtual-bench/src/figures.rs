@@ -12,26 +12,15 @@ use protocol::system::{DeviceKind, Urgent};
 use protocol::table::Request;
 use trials::experiment::PAPER_RUN;
 
-use crate::bench::{Bench, BenchError, BenchOptions};
+use crate::bench::{Bench, BenchOptions};
 use crate::boards::rig::{self, RigBoard};
 use crate::budget;
+use crate::cycles;
 use crate::faults::When;
 use crate::link::VirtualLink;
 use crate::plants::rig::{Action, Rig, RigOptions, Switch};
+use crate::unmeasured::FigureError;
 use crate::verdicts::{Run, Verdict};
-
-/// Why a figure could not be measured.
-#[derive(Debug, thiserror::Error, miette::Diagnostic)]
-pub enum FigureError {
-    /// The bench.
-    #[error(transparent)]
-    #[diagnostic(code(bench::failed))]
-    Bench(#[from] BenchError),
-    /// The device or the link to it.
-    #[error(transparent)]
-    #[diagnostic(transparent)]
-    Client(#[from] ClientError),
-}
 
 /// One cycle of the paper's run.
 const ONE_CYCLE: RunRequest = RunRequest {
@@ -372,5 +361,101 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
             "margin below 65",
         );
     }
+    cycles_of_cases(&mut line)?;
     budget::run(&mut line)
+}
+
+/// 20 mm there and back on a screw of 2 mm with 64 microsteps: 400.497 ticks a step.
+const FINEST: RunRequest = RunRequest {
+    cycles: 1,
+    stroke_um: 20_000,
+    timing: RunTiming::Speeds {
+        forward_um_s: 39_014,
+        return_um_s: 39_014,
+        accel_um_s2: 2_000_000,
+    },
+    far_dwell_us: 1_000,
+    ..PAPER_RUN
+};
+
+/// Cycles of the worst cases by the model, each step timed.
+fn cycles_of_cases(line: &mut dyn FnMut(&str, String, &str)) -> Result<(), FigureError> {
+    let fine = [(SettingKey::LeadUm, 2_000), (SettingKey::Microsteps, 64)];
+    let cases: [(
+        &str,
+        &[(SettingKey, u32)],
+        i64,
+        Option<RunRequest>,
+        u64,
+        &str,
+    ); 5] = [
+        ("at rest", &[], 800, None, 100_000, ""),
+        (
+            "paper's cruise, 28.5 kHz",
+            &[],
+            800,
+            Some(ONE_CYCLE),
+            600_000,
+            "< 4 %",
+        ),
+        (
+            "28.5 kHz, 3502.493 ticks a step",
+            &[],
+            800,
+            Some(UNEVEN_CYCLE),
+            600_000,
+            "< 6 %",
+        ),
+        (
+            "ramp of the same",
+            &[],
+            800,
+            Some(UNEVEN_CYCLE),
+            300_000,
+            "",
+        ),
+        (
+            "249.7 kHz, 400.497 ticks a step",
+            &fine,
+            6_400,
+            Some(FINEST),
+            100_000,
+            "< 50 %",
+        ),
+    ];
+    for (what, settings, steps_per_mm, run, after_us, goal) in cases {
+        for (telemetry_ms, how_often) in [(0, "no telemetry"), (5, "at 200 Hz")] {
+            let settings = settings.iter().map(|&(key, value)| Setting { key, value });
+            let cost = cycles::measure(&cycles::Case {
+                settings: settings.collect(),
+                steps_per_mm,
+                timed: true,
+                telemetry_ms,
+                run,
+                after_us,
+                lasts_us: 20_000,
+            })?;
+            let percent =
+                |[least, most]: [f64; 2]| format!("{:.1} to {:.1} %", least * 1e2, most * 1e2);
+            line(
+                &format!("cycles, {how_often}: {what}"),
+                percent(cost.shares()),
+                goal,
+            );
+            let bare = percent(cost.shares_without_accelerator());
+            line("    with wait states only", bare, "");
+            if cost.steps > 0 {
+                let steps = cost.steps as f64;
+                let [least, most] = cost.cycles.map(|cycles| cycles as f64 / steps);
+                let instructions = cost.instructions as f64 / steps;
+                let per_step = format!("{instructions:.0}; {least:.0} to {most:.0}");
+                line(
+                    "    instructions; cycles per step, all tasks together",
+                    per_step,
+                    "",
+                );
+            }
+        }
+    }
+    Ok(())
 }

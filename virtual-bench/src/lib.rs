@@ -15,6 +15,9 @@ mod browser;
 pub mod budget;
 pub mod bus;
 pub mod connector;
+#[cfg(unix)]
+mod crowd;
+pub mod cycles;
 pub mod demo;
 pub mod emulator;
 pub mod faults;
@@ -26,11 +29,16 @@ mod pace;
 pub mod pins;
 pub mod plants;
 pub mod population;
+#[cfg(unix)]
+pub mod processes;
 pub mod sabotage;
 pub mod serial;
 pub mod serve;
 #[cfg(unix)]
+mod server;
+#[cfg(unix)]
 pub mod sidedoor;
+pub mod unmeasured;
 pub mod verdicts;
 #[cfg(unix)]
 pub mod webpage;

@@ -20,6 +20,8 @@ use virtual_bench::plants::capsule::Parameters;
 use virtual_bench::plants::rig::RigOptions;
 use virtual_bench::population;
 use virtual_bench::serve::Server;
+#[cfg(unix)]
+use virtual_bench::webpage::{self, By};
 
 #[derive(Parser)]
 #[command(about, version)]
@@ -46,14 +48,15 @@ enum Subcommand {
         /// Only these defects, as the table names them.
         only: Vec<Kind>,
     },
-    /// Measures the side door with the rig's image, in real time: emergency stops by a second process.
+    /// Measures the side door with the rig's image, in real time: emergency stops by a second process among a crowd.
     #[cfg(unix)]
     Door {
         /// Emergency stops.
         #[arg(default_value_t = virtual_bench::sidedoor::STOPS)]
         stops: u32,
     },
-    /// Measures `retrograde serve` with the rig's image, in real time: emergency stops over HTTP, and a run with 50 readers.
+    /// Measures `retrograde serve` with the rig's image, in real time: emergency stops over HTTP among a crowd, and a run
+    /// with 50 readers.
     #[cfg(unix)]
     Page {
         /// Emergency stops.
@@ -62,6 +65,9 @@ enum Subcommand {
         /// Instead, stop by mouse and key on the page in this Chromium, without a window.
         #[arg(long, value_name = "PROGRAM")]
         browser: Option<PathBuf>,
+        /// Instead, stop with the package for Python in this interpreter.
+        #[arg(long, value_name = "PROGRAM", conflicts_with = "browser")]
+        python: Option<PathBuf>,
     },
     /// Serves the machines on local TCP ports in real time, until interrupted.
     Serve {
@@ -100,8 +106,17 @@ fn main() -> ExitCode {
         })
         .map_err(miette::Report::from),
         #[cfg(unix)]
-        Subcommand::Page { stops, browser } => {
-            virtual_bench::webpage::run(stops, browser.as_deref(), &mut |line| {
+        Subcommand::Page {
+            stops,
+            browser,
+            python,
+        } => {
+            let by = match (browser, python) {
+                (Some(program), _) => By::Page(program),
+                (None, Some(program)) => By::Python(program),
+                (None, None) => By::Http,
+            };
+            webpage::run(stops, &by, &mut |line| {
                 drop(writeln!(std::io::stdout(), "{line}"))
             })
         }

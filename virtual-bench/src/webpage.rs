@@ -3,7 +3,8 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -12,7 +13,8 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 
 use crate::browser::Browser;
-use crate::sidedoor::{DoorError, Process, Rig, judge, record};
+use crate::processes::{DoorError, Rig, judge, record, stood, wrong};
+use crate::server::Server;
 
 /// Readers of the stream during a run: those that read, those that read slowly, those that do not.
 const READERS: [usize; 3] = [40, 5, 5];
@@ -20,124 +22,35 @@ const READERS: [usize; 3] = [40, 5, 5];
 const SLOW: (usize, Duration) = (1_024, Duration::from_millis(500));
 /// By how much the server may grow while it is read, KiB: what 50 connections may have waiting, and some more.
 const GROWTH_KIB: u64 = 16 * 1_024;
-/// How long the rig goes on without its host.
-const LINK_TIMEOUT_MS: &str = "10000";
-/// Everything that is waited for has happened by then.
-const SOON: Duration = Duration::from_secs(120);
-
-/// A server that a program has found as programs do.
-struct Server {
-    process: Process,
-    at: String,
-    token: String,
-    instance: String,
-    commands: u32,
-}
-
-fn wrong(why: impl std::fmt::Display) -> DoorError {
-    DoorError::Wrong(why.to_string())
-}
-
-impl Server {
-    fn start(rig: &Rig) -> Result<Self, DoorError> {
-        let process = rig.spawn(&["retrograde", "serve", "--listen", "127.0.0.1:0"])?;
-        let begin = Instant::now();
-        let plate: Value = loop {
-            if let Ok(text) = std::fs::read(rig.folder.path().join("serve.json")) {
-                break serde_json::from_slice(&text).map_err(wrong)?;
-            }
-            if begin.elapsed() > SOON {
-                return Err(wrong("the server does not say where it is"));
-            }
-            thread::sleep(Duration::from_millis(10));
-        };
-        let text = |name: &str| plate[name].as_str().unwrap_or_default().to_owned();
-        let url = text("url");
-        let at = url.trim_start_matches("http://").trim_end_matches('/');
-        let server = Self {
-            process,
-            at: at.to_owned(),
-            token: text("token"),
-            instance: text("instance"),
-            commands: 0,
-        };
-        while server.get("/api/v1/state")?["machines"]["rig"]["contact"] != "owned" {
-            if begin.elapsed() > SOON {
-                return Err(wrong("the server has no line"));
-            }
-            thread::sleep(Duration::from_millis(50));
-        }
-        Ok(server)
-    }
-
-    fn request(&self, head: &str, body: &str) -> Result<Value, DoorError> {
-        let mut stream = TcpStream::connect(&self.at)?;
-        stream.set_read_timeout(Some(SOON))?;
-        let text = format!(
-            "{head} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\nAuthorization: Bearer {}\r\nIdempotency-Key: {}-{}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
-            self.at,
-            self.token,
-            self.instance,
-            self.commands,
-            body.len()
-        );
-        stream.write_all(text.as_bytes())?;
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer)?;
-        let (_, body) = answer.split_once("\r\n\r\n").unwrap_or_default();
-        serde_json::from_str(body).map_err(|why| wrong(format!("{head}: {why}: {answer}")))
-    }
-
-    fn get(&self, path: &str) -> Result<Value, DoorError> {
-        self.request(&format!("GET {path}"), "")
-    }
-
-    /// A command from its acceptance on.
-    fn begin(&mut self, path: &str, body: &Value) -> Result<Value, DoorError> {
-        self.commands += 1;
-        let answer = self.request(&format!("POST /api/v1/rig/{path}"), &body.to_string())?;
-        match answer["ok"] == true {
-            true => Ok(answer["action"].clone()),
-            false => Err(wrong(format!("{path}: {answer}"))),
-        }
-    }
-
-    /// Its end, which must be as wanted.
-    fn end(&self, action: &Value, wanted: &str) -> Result<(), DoorError> {
-        let id = action["id"].as_str().unwrap_or_default();
-        let begin = Instant::now();
-        loop {
-            let now = &self.get(&format!("/api/v1/actions/{id}?wait_s=60"))?["action"];
-            match now["state"].as_str() {
-                Some(state) if state == wanted => return Ok(()),
-                Some("under_way" | "starting") if begin.elapsed() < SOON => {}
-                _ => return Err(wrong(format!("not {wanted}: {now}"))),
-            }
-        }
-    }
-
-    /// Memory of the process that is in use, KiB.
-    fn resident_kib(&self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.process.child.id()));
-        let status = status.unwrap_or_default();
-        let line = status.lines().find(|line| line.starts_with("VmRSS:"));
-        let number = line.and_then(|line| line.split_whitespace().nth(1));
-        number.and_then(|text| text.parse().ok()).unwrap_or(0)
-    }
-}
 
 /// By what a stop is given.
-enum Hand {
+#[derive(Clone, Debug)]
+pub enum By {
     /// A program.
+    Http,
+    /// The page in this Chromium.
+    Page(PathBuf),
+    /// The package for Python, in this interpreter.
+    Python(PathBuf),
+}
+
+/// A hand at one of them.
+enum Hand {
     Http,
     /// The page in a browser, and where its button is: by mouse and by key in turn.
     Page(Box<Browser>, (f64, f64)),
+    Python(Python),
 }
 
+/// When a stop began, and when whoever gave it was told that the machine stands, if that is seen.
+type Given = (Instant, Option<Instant>);
+
 impl Hand {
-    fn new(browser: Option<&Path>, rig: &Rig, server: &Server) -> Result<Self, DoorError> {
-        let Some(program) = browser else {
-            return Ok(Self::Http);
+    fn new(by: &By, rig: &Rig, server: &Server) -> Result<Self, DoorError> {
+        let program = match by {
+            By::Http => return Ok(Self::Http),
+            By::Python(program) => return Python::start(program, rig).map(Self::Python),
+            By::Page(program) => program,
         };
         let url = format!("http://{}/#token={}", server.at, server.token);
         let folder = rig.folder.path().join("browser");
@@ -150,19 +63,25 @@ impl Hand {
         Ok(Self::Page(Box::new(browser), button))
     }
 
-    /// Stops, and says when that began.
-    fn stop(&mut self, number: u32, server: &Server) -> Result<Instant, DoorError> {
+    fn stop(&mut self, number: u32, server: &Server) -> Result<Given, DoorError> {
         match self {
             Self::Http => {
                 let begin = Instant::now();
                 let answer = server.request("POST /api/v1/estop", "")?;
                 match answer["ok"] == true {
-                    true => Ok(begin),
+                    true => Ok((begin, Some(Instant::now()))),
                     false => Err(wrong(format!("not stopped: {answer}"))),
                 }
             }
-            Self::Page(browser, button) if number.is_multiple_of(2) => browser.click(*button),
-            Self::Page(browser, _) => browser.press('e'),
+            Self::Page(browser, button) if number.is_multiple_of(2) => {
+                Ok((browser.click(*button)?, None))
+            }
+            Self::Page(browser, _) => Ok((browser.press('e')?, None)),
+            Self::Python(python) => {
+                let begin = Instant::now();
+                python.does("lab.estop()")?;
+                Ok((begin, Some(Instant::now())))
+            }
         }
     }
 
@@ -172,26 +91,73 @@ impl Hand {
             Self::Page(..) => {
                 "E-stop on the page, by mouse and by key, from before it is pressed to the last edge of STEP"
             }
+            Self::Python(_) => {
+                "E-stop from Python, from before its interpreter hears of it to the last edge of STEP"
+            }
         }
     }
 }
 
-/// Emergency stops while a run is at work, over HTTP or by the page in a `browser`; then, without one, a run with readers.
-/// Prints what was measured.
+/// An interpreter that has found the server and does what it is told, line by line.
+struct Python {
+    child: Child,
+    hears: ChildStdin,
+    says: BufReader<ChildStdout>,
+}
+
+impl Drop for Python {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Python {
+    fn start(program: &Path, rig: &Rig) -> Result<Self, DoorError> {
+        const READS: &str =
+            "import sys\nfor line in sys.stdin: exec(line); print('done', flush=True)";
+        let package = concat!(env!("CARGO_MANIFEST_DIR"), "/../python/src");
+        let mut child = Command::new(program)
+            .args(["-c", READS])
+            .env("PYTHONPATH", package)
+            .env("RETROGRADE_RUNTIME_DIR", rig.folder.path())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()?;
+        let (Some(hears), Some(says)) = (child.stdin.take(), child.stdout.take()) else {
+            return Err(wrong("Python has no pipes"));
+        };
+        let says = BufReader::new(says);
+        let mut python = Self { child, hears, says };
+        python.does("import retrograde; lab = retrograde.connect()")?;
+        Ok(python)
+    }
+
+    fn does(&mut self, line: &str) -> Result<(), DoorError> {
+        writeln!(self.hears, "{line}")?;
+        let mut said = String::new();
+        self.says.read_line(&mut said)?;
+        match said.trim() {
+            "done" => Ok(()),
+            // It has said on its error output why it ended.
+            said => Err(wrong(format!("Python has not done `{line}`: {said}"))),
+        }
+    }
+}
+
+/// Emergency stops while a run is at work and a crowd is there; then, over HTTP, a run with readers. Prints what was
+/// measured.
 ///
 /// # Errors
 /// [`DoorError`]; a stop that came too late is one, and so is a server that grows.
-pub fn run(
-    stops: u32,
-    browser: Option<&Path>,
-    say: &mut dyn FnMut(String),
-) -> Result<(), DoorError> {
+pub fn run(stops: u32, by: &By, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
     let rig = Rig::start()?;
     rig.warm_up()?;
-    // A busy computer may leave the server without time for a second; what is measured is not to end for that.
-    rig.retrograde(&["settings", "set", "link_timeout_ms", LINK_TIMEOUT_MS], 0)?;
+    rig.be_patient()?;
     let mut server = Server::start(&rig)?;
-    let mut hand = Hand::new(browser, &rig, &server)?;
+    let mut hand = Hand::new(by, &rig, &server)?;
+    let mut crowd = server.crowd();
     let mut took = vec![];
     // The first one is not counted: the emulator translates what a stop executes.
     for number in 0..=stops {
@@ -203,16 +169,25 @@ pub fn run(
         // Somewhere in the first half second.
         let at = edges + 200 + (number as usize * 37) % 1_500;
         rig.wait("motion", |seen| seen.edges > at)?;
-        let begin = hand.stop(number, &server)?;
+        crowd.press(&rig)?;
+        let lost_us = rig.seen().lost_us;
+        let (begin, told) = hand.stop(number, &server)?;
         server.end(&running, "faulted")?;
-        let last = rig.seen().last.unwrap_or(begin);
+        let seen = rig.seen();
+        let last = seen.last.unwrap_or(begin);
+        stood(told.unwrap_or(last), last)?;
         if number > 0 {
-            took.push(last.duration_since(begin));
+            took.push((last.duration_since(begin), seen.lost_us - lost_us));
         }
         server.begin("ack", &json!({}))?;
     }
-    let late = judge(hand.name(), took, say);
-    if browser.is_some() {
+    let late = judge(
+        &format!("{}, {}", hand.name(), crowd.described()),
+        took,
+        say,
+    );
+    drop(crowd);
+    if !matches!(by, By::Http) {
         return late;
     }
     say(readers(&rig, &mut server)?);

@@ -7,8 +7,8 @@ use crate::programs::{self, Selection};
 use crate::steps::Tests;
 use crate::version::{Version, host_rustc};
 
-/// The Rust version that the manifest of its emulator requires. It builds and runs with older ones, but
-/// cargo needs a flag on the command line to allow that.
+/// Rust version that the manifest of the emulator requires. It builds and runs with older versions, but cargo needs a
+/// flag on the command line to allow that.
 const EMULATOR_REQUIRES: Version = Version(1, 98);
 
 /// Runs one command of the bench, with options as the user typed them.
@@ -17,7 +17,7 @@ const EMULATOR_REQUIRES: Version = Version(1, 98);
 /// It does not build, or its verdict is not a pass.
 pub(crate) fn run_command(command: &str, options: &[String]) -> Result<()> {
     let mut cargo = host_cargo("run");
-    // Only the output of the program itself matters here.
+    // Show only the output of the program itself.
     cargo.args(["--quiet", "--package", "virtual-bench"]);
     accept_this_rust(&mut cargo);
     cargo.args(["--", command]).args(options);
@@ -50,7 +50,7 @@ pub(crate) fn test() -> Tests {
         program: &[],
         only: &[],
         examples: false,
-        // A bench takes as many cores as it can have.
+        // One at a time: a bench uses all cores it can get.
         lanes: 1,
     })
 }

@@ -1,8 +1,7 @@
 //! The steps of `cargo xtask test`, `lint` and `ci`.
 //!
-//! Everything is compiled as rarely as possible: once for the host tests, the bench and the demo, in the
-//! dev profile, in which the emulator is optimised; once as metadata for the linter and the documentation;
-//! once for the chip.
+//! Everything is compiled as rarely as possible: once for the host tests, the bench and the demo, in the dev profile
+//! with an optimised emulator; once as metadata for the linter and the documentation; once for the chip.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -11,7 +10,7 @@ use std::time::SystemTime;
 use crate::process::{Failure, Result, host_cargo, root, run};
 use crate::programs::Selection;
 use crate::steps::{self, Step, Tests};
-use crate::{bench, images, programs, python};
+use crate::{bench, dependencies, images, programs, python, structure};
 
 const HOST_TESTS: Step = Step::tests(
     "host tests",
@@ -25,7 +24,7 @@ const LONG_TESTS: Step = Step::tests(
 );
 const IMAGES: Step = Step::new(
     "images",
-    "builds the ARM images, that of a second board too, and checks their addresses and sizes",
+    "builds the ARM images, and checks their addresses and sizes",
     images::build,
 );
 const BENCH_TESTS: Step = Step::tests(
@@ -43,6 +42,11 @@ const PYTHON: Step = Step::tests(
 .after("images");
 
 const FORMAT: Step = Step::new("format", "every file is formatted by rustfmt", format);
+const STRUCTURE: Step = Step::new(
+    "structure",
+    "no imports in circles or upwards, no crate and no file too large",
+    structure::check,
+);
 const LINT_HOST: Step = Step::new(
     "lint host",
     "clippy on every package and target of the host, no warning allowed",
@@ -60,10 +64,9 @@ const DOCS: Step = Step::new(
 );
 const DEPENDENCIES: Step = Step::new(
     "dependencies",
-    "cargo-deny: licenses, sources and duplicates as deny.toml allows them",
-    dependencies,
-)
-.needs("deny");
+    "licences and sources of other people's crates are those allowed",
+    dependencies::check,
+);
 const DEMO: Step = Step::new(
     "demo",
     "`cargo xtask demo`, which must leave data and a report",
@@ -83,7 +86,14 @@ pub(crate) fn test_host() -> ExitCode {
 
 /// Runs the checks that execute no code of ours.
 pub(crate) fn lint() -> ExitCode {
-    steps::run(&[FORMAT, LINT_HOST, DOCS, LINT_IMAGES])
+    steps::run(&[
+        FORMAT,
+        STRUCTURE,
+        DEPENDENCIES,
+        LINT_HOST,
+        DOCS,
+        LINT_IMAGES,
+    ])
 }
 
 /// Runs every test and every other check that has to pass before a change is merged. The host tests come
@@ -91,6 +101,7 @@ pub(crate) fn lint() -> ExitCode {
 pub(crate) fn ci() -> ExitCode {
     steps::run(&[
         FORMAT,
+        STRUCTURE,
         HOST_TESTS,
         LINT_HOST,
         DOCS,
@@ -116,7 +127,7 @@ fn host_tests() -> Tests {
 
 fn long_tests() -> Tests {
     programs::test(Selection {
-        // As the host tests, so that nothing is built again.
+        // The same build as for the host tests, so that nothing is built again.
         cargo: host_cargo("test"),
         program: &["--ignored"],
         only: &[
@@ -158,15 +169,6 @@ fn docs() -> Result<()> {
     )
 }
 
-fn dependencies() -> Result<()> {
-    let mut cargo = host_cargo("deny");
-    cargo.args(["--workspace", "--locked"]);
-    run(
-        cargo.args(["check", "bans", "licenses", "sources"]),
-        "choose another crate, or argue for an exception in deny.toml",
-    )
-}
-
 /// The folder that the demo writes to by default.
 const DEMO_DATA: &str = "demo-data";
 
@@ -195,7 +197,7 @@ fn demo() -> Result<()> {
     Ok(())
 }
 
-/// Files below a folder that are not empty and were written since an instant.
+/// Non-empty files below a folder that were written after `start`.
 fn written_since(start: SystemTime, folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {

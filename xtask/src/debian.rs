@@ -1,4 +1,5 @@
-//! Debian's Rust. Its archive has no ARM target, but the sources, from which cargo builds `core`.
+//! Debian's Rust. Debian has no standard library for the ARM target, but ships the sources from which cargo builds
+//! `core`.
 
 use std::fmt;
 use std::fs;
@@ -17,7 +18,7 @@ const PACKAGES: [&str; 5] = [
     "lld",
 ];
 
-/// Files without which the set is of no use.
+/// Files that a usable set must have.
 const FILES: [&str; 5] = [
     "bin/rustc",
     "bin/cargo",
@@ -34,7 +35,7 @@ pub(crate) struct Debian {
 }
 
 impl Debian {
-    /// The set that this machine already has, if any.
+    /// The set on this machine, if there is one.
     pub(crate) fn present() -> Option<Self> {
         [PathBuf::from("/usr"), unpacked().join("usr")]
             .into_iter()
@@ -45,7 +46,7 @@ impl Debian {
     /// nothing on the system and `cargo clean` removes it.
     ///
     /// # Errors
-    /// Not a Debian, no network, or Debian's Rust is too old.
+    /// The system is not Debian, the network is down, or Debian's Rust is too old.
     pub(crate) fn fetch() -> Result<Self> {
         if first_line(Command::new("apt-get").arg("--version")).is_none() {
             let what = "this machine has no apt-get, so Debian's packages are not available";
@@ -71,7 +72,7 @@ impl Debian {
             let what = format!("{} is missing", usr.join(missing).display());
             return Err(Failure::new(what, "delete target/toolchain and try again"));
         }
-        // If the system has the linker, the unpacked set only has a dangling link to it.
+        // If the system has the linker, the unpacked set contains only a dangling link to it.
         let linker = [usr.as_path(), Path::new("/usr")]
             .map(|place| place.join("bin/ld.lld"))
             .into_iter()
@@ -95,14 +96,14 @@ impl Debian {
         }
     }
 
-    /// Folders of the sources of `core`: by the path that the compiler uses, and with links resolved.
+    /// Folders of the sources of `core`: both the path that the compiler uses, and the one with links resolved.
     pub(crate) fn sources(&self) -> impl Iterator<Item = PathBuf> {
         let named = self.usr.join("lib/rustlib/src/rust");
         let real = fs::canonicalize(&named).ok();
         std::iter::once(named).chain(real)
     }
 
-    /// A cargo command that builds `core` too.
+    /// A cargo command that also builds `core`.
     pub(crate) fn cargo(&self, subcommand: &str) -> Command {
         let program = |name: &str| self.usr.join("bin").join(name);
         // `cargo clippy` would look in ~/.cargo/bin first and find the driver of another compiler.
@@ -146,14 +147,14 @@ fn libraries(usr: &Path) -> PathBuf {
 
 fn install() -> Result<()> {
     let remedy = "see what apt-get says above";
-    // Old package lists may have an older Rust. If the update fails, they may still do.
+    // Old package lists may offer an older Rust, so update them. If the update fails, try with the old lists.
     if let Err(failure) = run(Command::new("apt-get").args(["-q", "update"]), remedy) {
         println!("{failure}");
     }
     let mut apt = Command::new("apt-get");
     apt.env("DEBIAN_FRONTEND", "noninteractive");
     apt.args(["-q", "-y", "-o", "DPkg::Lock::Timeout=60", "install"]);
-    // Never removes a Rust that somebody has installed.
+    // `--no-remove`: never remove a Rust that the user has installed.
     apt.args(["--no-remove", "--no-install-recommends"]);
     run(apt.args(PACKAGES), remedy)
 }
@@ -191,7 +192,7 @@ fn unpack() -> Result<()> {
     };
     run(apt().arg("update"), remedy)?;
     let mut download = apt();
-    // `--reinstall`: including those that the system has, because the set is used as a whole.
+    // `--reinstall`: download packages that the system has as well, because the set is used as a whole.
     download.args(["--download-only", "-y", "--reinstall"]);
     download.arg("--no-install-recommends");
     run(download.arg("install").args(PACKAGES), remedy)?;

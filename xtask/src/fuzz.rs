@@ -1,4 +1,5 @@
-//! Coverage-guided fuzzing: cargo-fuzz hands the targets of `fuzz/` to libFuzzer and looks for inputs that make them panic.
+//! Coverage-guided fuzzing: cargo-fuzz runs the targets of `fuzz/` under libFuzzer and looks for inputs that make
+//! them panic.
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -9,19 +10,19 @@ use crate::process::{Failure, Result, host_cargo, installed, root};
 /// The targets, files of `fuzz/src`.
 const TARGETS: [&str; 6] = ["stream", "bodies", "host", "sidedoor", "http", "records"];
 
-/// The longest input, bytes; as `MAX_LEN` in `fuzz/src/lib.rs`.
+/// Longest input, bytes; must equal `MAX_LEN` in `fuzz/src/lib.rs`.
 const MAX_LEN: u32 = 256;
 
-/// Runs of each target, unless the command line says another number.
+/// Default number of runs of each target.
 const RUNS: u64 = 1_000_000;
 
-/// The same inputs are tried each time, as long as neither code nor corpus change.
+/// Seed of libFuzzer: fixed, so that the same code and corpus give the same inputs.
 const SEED: u32 = 20_261_123;
 
-/// A target stops at the first input that takes so long, s.
+/// A target fails at the first input that takes longer, s.
 const TOO_LONG_S: u32 = 20;
 
-/// Fuzzes the target that is the first argument, or all of [`TARGETS`]; the second is the number of runs.
+/// Fuzzes the target named by the first argument, or all of [`TARGETS`]; the second argument is the number of runs.
 ///
 /// # Errors
 /// No cargo-fuzz, no such target or number, a build that fails, or a finding.
@@ -56,7 +57,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<()> {
     ))
 }
 
-/// Targets and number of runs, as the command line says.
+/// Targets and number of runs according to the command line.
 fn chosen(arguments: &[String]) -> Result<(Vec<&'static str>, u64)> {
     let (name, runs) = match arguments {
         [] => (None, None),
@@ -89,10 +90,10 @@ fn chosen(arguments: &[String]) -> Result<(Vec<&'static str>, u64)> {
     Ok((targets, runs))
 }
 
-/// cargo-fuzz with what every build of the targets needs.
+/// The cargo-fuzz command with the options common to all targets.
 ///
-/// Without a sanitizer: our code has no `unsafe`, and what overflows is found by the checks of the compiler. Without a look at
-/// each comparison, which takes half of the time: scripts have few numbers that one could learn from them.
+/// No sanitizer: our code has no `unsafe`, and the compiler's checks find overflows. No tracing of comparisons, which
+/// takes half of the time: scripts contain few numbers that it could learn.
 fn cargo_fuzz() -> Command {
     let mut cargo = host_cargo("fuzz");
     cargo.args(["run", "--fuzz-dir", "fuzz/libfuzzer"]);
@@ -120,11 +121,11 @@ fn fuzz(target: &str, runs: u64) -> Result<Tried> {
         format!("-seed={SEED}"),
         format!("-max_len={MAX_LEN}"),
         format!("-timeout={TOO_LONG_S}"),
-        // Its bookkeeping takes more time than the larger targets themselves.
+        // Entropic scheduling takes more time than the larger targets themselves.
         "-entropic=0".to_owned(),
-        // Ten times as patient with short inputs as by default: they cost less, and longer ones grow from them.
+        // Stay ten times longer with short inputs than by default: they are cheaper, and longer ones grow from them.
         "-len_control=1000".to_owned(),
-        // Nobody else writes into the folder of its corpus.
+        // No reload: no other process writes to the corpus folder.
         "-reload=0".to_owned(),
         format!("-artifact_prefix={}/{target}-", found.display()),
         "-print_final_stats=1".to_owned(),
@@ -150,7 +151,7 @@ fn fuzz(target: &str, runs: u64) -> Result<Tried> {
     Ok(tried)
 }
 
-/// Neither one of the thousands of inputs that reach something new, nor what libFuzzer says of itself.
+/// Whether a line is of interest to people: not one of the thousands of new inputs, nor libFuzzer's own messages.
 fn is_for_people(line: &str) -> bool {
     let of_inputs = line.starts_with('#') && !line.contains("pulse");
     let of_itself = ["NEW_FUNC", "INFO:", "stat::", "\"", "#####", "NOTE:"];
@@ -158,20 +159,20 @@ fn is_for_people(line: &str) -> bool {
     !of_inputs && !of_itself.iter().any(|begin| text.starts_with(begin))
 }
 
-/// What libFuzzer tells of a target.
+/// Results that libFuzzer reports for a target.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Tried {
     runs: u64,
-    /// Edges of the control flow that some input has passed.
+    /// Edges of the control flow that some input has reached.
     edges: u64,
-    /// Inputs that reach something which no other does.
+    /// Inputs that reach something that no other input does.
     kept: u64,
     runs_per_s: u64,
     found: bool,
 }
 
 impl Tried {
-    /// Takes a line of libFuzzer's.
+    /// Reads a line of libFuzzer's output.
     fn read(&mut self, line: &str) {
         let after = |name: &str| {
             let (_, rest) = line.split_once(name)?;
@@ -249,7 +250,7 @@ mod tests {
         assert!(tried.found && tried.to_string().ends_with("yes"));
     }
 
-    /// The targets here are those of the crate, of libFuzzer's entry points, and of the corpus.
+    /// The targets here equal those of the crate, of libFuzzer's entry points, and of the corpus.
     #[test]
     fn every_target_is_there() {
         let fuzz = root().join("fuzz");

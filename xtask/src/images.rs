@@ -3,14 +3,14 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use crate::layout::{Budget, Layout, Memory, STM32F411RE, STM32L412TB};
+use crate::layout::{Budget, Layout, Memory, STM32F411RE};
 use crate::process::{Failure, Result, root, run};
 use crate::toolchain::{self, TARGET, Toolchain};
 
-/// An image, where it goes, and the memory it may take.
+/// An image, its chip, and the memory that it may take.
 struct Image {
     name: &'static str,
-    /// The chip as `probe-rs` calls it.
+    /// Name of the chip for `probe-rs`.
     chip: &'static str,
     memory: &'static Memory,
     budget: Budget,
@@ -18,7 +18,7 @@ struct Image {
 
 /// Budgets are far below the 512 KiB of flash and 128 KiB of RAM of the STM32F411, to leave room for features. The
 /// rest of the RAM is stack.
-const IMAGES: [Image; 3] = [
+const IMAGES: [Image; 2] = [
     Image {
         name: "firmware-rig",
         chip: "STM32F411RETx",
@@ -32,56 +32,35 @@ const IMAGES: [Image; 3] = [
         name: "firmware-capsule",
         chip: "STM32F411RETx",
         memory: &STM32F411RE,
-        // What tells a capsule's own changes from a fault takes code, and the cell pays for none of it.
+        // A larger flash budget: telling a capsule's own changes from a fault takes code, and flash costs the cell
+        // nothing.
         budget: Budget {
             flash_bytes: 96 * 1024,
             ram_bytes: 32 * 1024,
         },
     },
-    Image {
-        name: "firmware-capsule-stm32l412tb",
-        chip: "STM32L412TBYx",
-        memory: &STM32L412TB,
-        // All that this chip has beside the settings' log: 16 KiB below it, for the constants, and 64 KiB above. Of the RAM the
-        // stack keeps 12 KiB.
-        budget: Budget {
-            flash_bytes: 80 * 1024,
-            ram_bytes: 27 * 1024,
-        },
-    },
 ];
 
-/// What is built at once: a package's features hold for all that it is built with, so each chip has its own call of cargo.
-const BUILDS: [&[&str]; 2] = [
-    &["--package", "firmware-rig", "--package", "firmware-capsule"],
-    &[
-        "--package",
-        "firmware-capsule",
-        "--no-default-features",
-        "--features",
-        "stm32l412tb",
-    ],
-];
+/// Packages of the images.
+const PACKAGES: [&str; 4] = ["--package", "firmware-rig", "--package", "firmware-capsule"];
 
 /// Builds all images, then [`check`]s them.
 ///
 /// # Errors
-/// No compiler, a compile error, or an image that may not be flashed.
+/// No compiler, a compile error, or an image that must not be flashed.
 pub(crate) fn build() -> Result<()> {
     let toolchain = toolchain::find()?;
     println!("Images: {toolchain}.");
-    for build in BUILDS {
-        let mut cargo = command(&toolchain, "build", build);
-        run(&mut cargo, "fix what the compiler reports above")?;
-    }
+    let mut cargo = command(&toolchain, "build");
+    run(&mut cargo, "fix what the compiler reports above")?;
     check()
 }
 
-/// A reset stays a reset while the log is open. By default `probe-rs run` halts the core at each one and at each processor fault:
-/// the reset button, a panic and the watchdog would then leave the machine standing.
+/// Options that let a reset be a reset while the log is open. By default `probe-rs run` halts the core at each reset
+/// and processor fault: the reset button, a panic and the watchdog would then leave the machine standing.
 const KEEP_RESETS: [&str; 2] = ["--no-catch-reset", "--no-catch-hardfault"];
 
-/// Builds all images and flashes one of them: the same file that the bench tests.
+/// Builds all images and flashes one of them, the same file that the bench tests.
 ///
 /// # Errors
 /// As [`build`]; no such machine, no `probe-rs`, or no board.
@@ -113,7 +92,7 @@ fn of(machine: &str) -> Result<&'static Image> {
         .ok_or_else(|| {
             Failure::new(
                 format!("there is no machine `{machine}`"),
-                "it is `rig`, `capsule` or `capsule-stm32l412tb`",
+                "it is `rig` or `capsule`",
             )
         })
 }
@@ -124,19 +103,16 @@ fn of(machine: &str) -> Result<&'static Image> {
 /// No compiler, or a warning.
 pub(crate) fn lint() -> Result<()> {
     let toolchain = toolchain::find()?;
-    for build in BUILDS {
-        let mut cargo = command(&toolchain, "clippy", build);
-        cargo.args(["--", "-D", "warnings"]);
-        run(&mut cargo, "fix what the linter reports above")?;
-    }
-    Ok(())
+    let mut cargo = command(&toolchain, "clippy");
+    cargo.args(["--", "-D", "warnings"]);
+    run(&mut cargo, "fix what the linter reports above")
 }
 
 /// Selects what is built, and the workspace's own target folder, where the bench and `probe-rs` look,
 /// whatever the caller's environment says.
-fn command(toolchain: &Toolchain, subcommand: &str, build: &[&str]) -> Command {
+fn command(toolchain: &Toolchain, subcommand: &str) -> Command {
     let mut cargo = toolchain.cargo(subcommand);
-    cargo.args(build);
+    cargo.args(PACKAGES);
     cargo.arg("--target-dir").arg(root().join("target"));
     cargo
 }
@@ -196,7 +172,7 @@ fn path_of(image: &Image) -> PathBuf {
 mod tests {
     use super::*;
 
-    /// `cargo run` on an image flashes it the same way.
+    /// `cargo run` on an image has to flash it with the same options.
     #[test]
     fn the_runner_keeps_resets_too() {
         let config = include_str!("../../.cargo/config.toml");

@@ -1,4 +1,4 @@
-//! Where an image lies in the chip's memory and how much it takes.
+//! Checks where an image lies in the chip's memory and how much of it it takes.
 //!
 //! A successful link can still produce an image that bricks a board: without a linker script there is no
 //! vector table, and without `_stext` the code lies in the sectors that are erased for the settings.
@@ -10,7 +10,8 @@ use object::endian::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _, SectionHeader as _};
 use object::{Object as _, ObjectSection as _};
 
-/// Memory of a chip. Its `chip.x` (in a folder of its name below `device/memory`) defines the settings' sectors and the start of the code.
+/// Memory of a chip. Its `chip.x`, in a folder of its name below `device/memory`, defines the settings' sectors and
+/// the start of the code.
 #[derive(Debug)]
 pub(crate) struct Memory {
     flash: Range<u32>,
@@ -18,8 +19,8 @@ pub(crate) struct Memory {
     code: Range<u32>,
     /// RAM for data and stack, without the KiB that keeps the last panic.
     ram: Range<u32>,
-    /// Bytes between statics and stack that nobody may touch, if no frame may step over them.
-    guard: Option<u32>,
+    /// Bytes between statics and stack that nobody may touch; no frame may step over them.
+    guard: u32,
 }
 
 /// 512 KiB of flash, 128 KiB of RAM.
@@ -28,16 +29,7 @@ pub(crate) static STM32F411RE: Memory = Memory {
     settings: 0x0800_4000..0x0801_0000,
     code: 0x0801_0000..0x0808_0000,
     ram: 0x2000_0000..0x2001_FC00,
-    guard: Some(32 * 1024),
-};
-
-/// 128 KiB of flash, 40 KiB of RAM.
-pub(crate) static STM32L412TB: Memory = Memory {
-    flash: 0x0800_0000..0x0802_0000,
-    settings: 0x0800_4000..0x0801_0000,
-    code: 0x0801_0000..0x0802_0000,
-    ram: 0x2000_0400..0x2000_A000,
-    guard: None,
+    guard: 32 * 1024,
 };
 
 /// The most memory an image may take.
@@ -45,11 +37,11 @@ pub(crate) static STM32L412TB: Memory = Memory {
 pub(crate) struct Budget {
     /// Vector table, code, constants and initial values.
     pub(crate) flash_bytes: u32,
-    /// Statics: `.data`, `.bss`, `.uninit`; the stack takes what is left of the chip's RAM.
+    /// Statics: `.data`, `.bss`, `.uninit`. The stack takes the rest of the chip's RAM.
     pub(crate) ram_bytes: u32,
 }
 
-/// What an image occupies.
+/// Addresses and sizes of an image.
 #[derive(Debug)]
 pub(crate) struct Layout {
     memory: &'static Memory,
@@ -57,7 +49,7 @@ pub(crate) struct Layout {
     pub(crate) ram_bytes: u32,
     /// Load addresses of everything that is programmed.
     programmed: Vec<Range<u32>>,
-    /// Addresses of the sections that hold code.
+    /// Addresses of the sections with code.
     text: Vec<Range<u32>>,
     /// Address of the vector table, its first word (stack pointer) and its second (reset).
     vectors: Option<(u32, u32, u32)>,
@@ -122,7 +114,7 @@ impl Layout {
         Ok(layout)
     }
 
-    /// Reasons why this image must not be flashed; empty if there are none.
+    /// Reasons not to flash this image; empty if there are none.
     pub(crate) fn objections(&self, budget: Budget) -> Vec<String> {
         let mut found = Vec::new();
         let Memory {
@@ -141,7 +133,7 @@ impl Layout {
                 if !(ram.start < stack && stack <= ram.end) {
                     found.push(format!("the stack starts at {stack:#010x}, outside of RAM"));
                 }
-                // Bit 0 of a vector says "Thumb".
+                // Bit 0 of a vector marks Thumb code.
                 let entry = reset & !1;
                 if !self.text.iter().any(|range| range.contains(&entry)) {
                     found.push(format!(
@@ -183,10 +175,10 @@ impl Layout {
                 ));
             }
         }
-        if let Some(guard) = self.memory.guard.filter(|guard| self.frame_bytes > *guard) {
+        if self.frame_bytes > self.memory.guard {
             found.push(format!(
-                "a frame of {} bytes steps over the {guard} bytes that guard the stack's end",
-                self.frame_bytes
+                "a frame of {} bytes steps over the {} bytes that guard the stack's end",
+                self.frame_bytes, self.memory.guard
             ));
         }
         found
@@ -227,7 +219,7 @@ fn expanded(constant: u32) -> u32 {
     }
 }
 
-/// The tests check made-up layouts: each objection must be raised by the one change that causes it.
+/// The tests check made-up layouts: one change must cause each objection.
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -318,11 +310,20 @@ mod tests {
         assert!(Layout::read(&this_program, &STM32F411RE).is_err());
     }
 
+    /// 128 KiB of flash, 40 KiB of RAM.
+    static SMALLER: Memory = Memory {
+        flash: 0x0800_0000..0x0802_0000,
+        settings: 0x0800_4000..0x0801_0000,
+        code: 0x0801_0000..0x0802_0000,
+        ram: 0x2000_0400..0x2000_A000,
+        guard: 32 * 1024,
+    };
+
     /// The same image on a chip with less memory.
     #[test]
     fn what_fits_one_chip_is_refused_for_a_smaller_one() {
         let mut layout = sound();
-        layout.memory = &STM32L412TB;
+        layout.memory = &SMALLER;
         let found = layout.objections(BUDGET).join("; ");
         assert!(found.contains("stack starts at 0x2001fc00"), "{found}");
         layout.vectors = Some((0x0800_0000, 0x2000_A000, 0x0801_0001));
@@ -332,12 +333,12 @@ mod tests {
         assert!(found.contains("outside of flash"), "{found}");
     }
 
-    /// The addresses above are those of the linker scripts.
+    /// The addresses above must equal those of the linker scripts.
     #[test]
     fn addresses_agree_with_chip_x() {
-        for (chip, memory) in [("stm32f411re", &STM32F411RE), ("stm32l412tb", &STM32L412TB)] {
-            let folder = crate::process::root().join("device/memory");
-            let path = folder.join(chip).join("chip.x");
+        {
+            let memory = &STM32F411RE;
+            let path = crate::process::root().join("device/memory/stm32f411re/chip.x");
             let script = std::fs::read_to_string(path).unwrap();
             let line = |name: &str| {
                 let named = |line: &&str| line.trim_start().starts_with(name);
@@ -362,7 +363,7 @@ mod tests {
                 value("_settings_start")..value("_settings_end"),
                 memory.settings
             );
-            // The KiB that survives a reset is next to that RAM, at one end.
+            // The KiB that survives a reset adjoins that RAM at one end.
             let kept = value("_last_words_start")..value("_last_words_end");
             assert_eq!(kept.end - kept.start, 1024);
             assert!(kept.start == memory.ram.end || kept.end == memory.ram.start);

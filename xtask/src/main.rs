@@ -6,8 +6,10 @@
 //! | `steps.rs` | runs named steps, times them, prints the totals |
 //! | `programs.rs` | builds test programs and runs them side by side |
 //! | `checks.rs` | the steps of `test`, `lint` and `ci` |
+//! | `structure.rs` | what crates and files may import, and how large they may be |
 //! | `fuzz.rs` | runs cargo-fuzz and counts what it reaches |
 //! | `mutants.rs` | runs cargo-mutants and counts what the tests notice |
+//! | `dependencies.rs` | checks licences and sources of other people's crates |
 //! | `bench.rs` | starts the virtual bench |
 //! | `images.rs` | builds the ARM images |
 //! | `layout.rs` | reads an image and checks its addresses and sizes |
@@ -26,6 +28,7 @@
 mod bench;
 mod checks;
 mod debian;
+mod dependencies;
 mod fuzz;
 mod images;
 mod layout;
@@ -36,6 +39,7 @@ mod process;
 mod programs;
 mod python;
 mod steps;
+mod structure;
 mod toolchain;
 mod version;
 
@@ -51,9 +55,9 @@ cargo xtask <command>
   test [host]       build the images, run the host tests, long ones too, and the tests of the images
                     (host: only what needs no image); ends with a table of steps, tests, seconds and the
                     slowest test programs
-  lint              format, clippy for host and chip, documentation; no warning allowed
-  ci                everything that has to pass before a change is merged (with cargo-deny, if installed,
-                    but without its advisories, which need the net: `cargo deny check advisories`)
+  lint [structure]  format, structure, licences, clippy for host and chip, documentation; no warning allowed
+                    (structure: only that, in a second)
+  ci                everything that has to pass before a change is merged
   mutants [PACKAGE [OPTIONS]]
                     change the code with cargo-mutants and count what the tests notice, in PACKAGE or
                     in all that decide what moves (options go to cargo-mutants)
@@ -89,6 +93,7 @@ fn main() -> ExitCode {
         ("test", []) => return checks::test(),
         ("test", [which]) if which == "host" => return checks::test_host(),
         ("lint", []) => return checks::lint(),
+        ("lint", [which]) if which == "structure" => structure::check(),
         ("ci", []) => return checks::ci(),
         ("mutants", arguments) => mutants::run(arguments),
         ("fuzz", arguments) => fuzz::run(arguments),

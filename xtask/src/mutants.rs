@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::process::{Failure, Result, host_cargo, installed, root, status_of};
 
-/// The packages that decide what moves. What of them is not mutated, and why, is in `.cargo/mutants.toml`.
+/// The packages that decide what moves. `.cargo/mutants.toml` lists the code that is not mutated, with reasons.
 const PACKAGES: [&str; 6] = [
     "protocol",
     "motion",
@@ -15,7 +15,7 @@ const PACKAGES: [&str; 6] = [
     "firmware-capsule",
 ];
 
-/// Share of the mutants that the tests of a package have to notice, percent.
+/// Least share of the mutants that the tests of a package have to notice, percent.
 const GOAL_PERCENT: usize = 95;
 
 /// Exit codes of cargo-mutants for a complete run: all caught, some missed, some timed out.
@@ -25,7 +25,7 @@ const COMPLETE: [i32; 3] = [0, 2, 3];
 /// notice. Further arguments go to cargo-mutants.
 ///
 /// # Errors
-/// No cargo-mutants, no complete run, nothing to change, or a package below [`GOAL_PERCENT`].
+/// No cargo-mutants, an incomplete run, nothing to change, or a package below [`GOAL_PERCENT`].
 pub(crate) fn run(arguments: &[String]) -> Result<()> {
     if !installed("mutants") {
         return Err(Failure::new(
@@ -70,7 +70,7 @@ fn mutate(package: &str, options: &[String]) -> Result<Count> {
         let what = format!("{} cannot be used: {error}", folder.display());
         Failure::new(what, remedy)
     };
-    // Nothing of an earlier run is counted again.
+    // Remove the results of an earlier run, so that they are not counted again.
     if folder.exists() {
         fs::remove_dir_all(&folder).map_err(unusable)?;
     }
@@ -98,7 +98,7 @@ fn mutate(package: &str, options: &[String]) -> Result<Count> {
 struct Count {
     /// A test failed.
     caught: usize,
-    /// The tests did not end in time: noticed, too.
+    /// The tests did not end in time: also noticed.
     timed_out: usize,
     /// All tests passed.
     missed: usize,

@@ -8,7 +8,7 @@ use crate::process::{Failure, Result};
 
 /// Prints function, file and line of every address in `words` and ignores all other words.
 ///
-/// The addresses are return addresses, so each is that of the instruction after the call.
+/// The addresses are return addresses, so each one is that of the instruction after the call.
 ///
 /// # Errors
 /// No image, no debug information in it, or no address among the words.
@@ -51,7 +51,7 @@ pub(crate) fn print(image: &Path, words: &[String]) -> Result<()> {
             println!(
                 "    {}:{}  {}",
                 file.unwrap_or("?"),
-                // Line 0: the optimiser has merged several lines.
+                // Line 0 means that the optimiser has merged several lines.
                 line.filter(|line| *line > 0)
                     .map_or("?".to_owned(), |line| line.to_string()),
                 function.as_deref().unwrap_or("?")

@@ -7,7 +7,7 @@ use std::process::{Command, ExitStatus, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// What went wrong and what the user can do about it.
+/// A failure, with advice for the user.
 #[derive(Debug)]
 pub(crate) struct Failure {
     what: String,
@@ -52,7 +52,7 @@ const STEERS_A_COMPILER: [&str; 14] = [
 
 /// The folder of the workspace.
 pub(crate) fn root() -> PathBuf {
-    // Cargo sets the variable at run time; the compiled-in value is for a direct call of the binary.
+    // Cargo sets the variable at run time. The compiled-in value is for calling the binary directly.
     let package = std::env::var_os("CARGO_MANIFEST_DIR")
         .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
     package.parent().unwrap_or(Path::new(".")).to_path_buf()
@@ -115,7 +115,7 @@ pub(crate) fn run(command: &mut Command, remedy: &str) -> Result<()> {
     }
 }
 
-/// As [`run`], for a command that tells its result by its exit code.
+/// As [`run`], for a command whose exit code is its result.
 ///
 /// # Errors
 /// It cannot be started.
@@ -127,7 +127,7 @@ pub(crate) fn status_of(command: &mut Command, remedy: &str) -> Result<ExitStatu
     })
 }
 
-/// As [`run`], and returns the lines that it printed on its standard output.
+/// As [`run`], and returns the lines of its standard output.
 ///
 /// # Errors
 /// As [`run`].
@@ -144,7 +144,7 @@ pub(crate) fn lines_of(command: &mut Command, remedy: &str) -> Result<Vec<String
     Ok(text.lines().map(str::to_owned).collect())
 }
 
-/// As [`run`], and returns the lines that it printed on its standard error, which appear on the terminal as they come.
+/// As [`run`], and returns the lines of its standard error, which also appear on the terminal as they come.
 pub(crate) fn errors_of(command: &mut Command, remedy: &str) -> (Vec<String>, Result<()>) {
     let text = spelled(command);
     println!("$ {text}");
@@ -184,7 +184,7 @@ pub(crate) fn run_within(limit: Duration, command: &mut Command, remedy: &str) -
             Ok(Some(status)) => return Err(failure(format!("ended with {status}"))),
             Ok(None) if start.elapsed() < limit => sleep(Duration::from_millis(50)),
             Ok(None) => {
-                // If it has ended in between, neither call does anything.
+                // If it has ended meanwhile, neither call has an effect.
                 let _ = child.kill();
                 let _ = child.wait();
                 return Err(failure(format!("took longer than {} s", limit.as_secs())));
@@ -194,7 +194,7 @@ pub(crate) fn run_within(limit: Duration, command: &mut Command, remedy: &str) -
     }
 }
 
-/// The first line that a command prints, if it succeeds.
+/// The first line of a command's output, if it succeeds.
 pub(crate) fn first_line(command: &mut Command) -> Option<String> {
     let text = output_of(command)?;
     text.lines().next().map(|line| line.trim().to_owned())
@@ -208,14 +208,14 @@ pub(crate) fn installed(subcommand: &str) -> bool {
     })
 }
 
-/// What a command prints, if it succeeds.
+/// A command's output, if it succeeds.
 fn output_of(command: &mut Command) -> Option<String> {
     let output = command.stdin(Stdio::null()).stderr(Stdio::null());
     let output = output.output().ok().filter(|done| done.status.success())?;
     String::from_utf8(output.stdout).ok()
 }
 
-/// The command as a person would type it in the workspace's folder: programs by name, short paths.
+/// The command as a person would type it in the workspace's folder: program names without paths, short paths.
 fn spelled(command: &Command) -> String {
     let program = Path::new(command.get_program());
     let shown = program.file_name().unwrap_or(program.as_os_str());

@@ -1,8 +1,8 @@
-//! Test programs side by side. `cargo test` runs them one after the other, which leaves cores idle: many wait for
-//! one long test, some for a clock.
+//! Runs test programs side by side. `cargo test` runs them one after the other, which leaves cores idle: many wait
+//! for one long test, some for a clock.
 //!
-//! Cargo builds them and says where they are; each then runs as cargo would run it, in the folder of its package. Its
-//! output goes to a file, which is printed if it fails.
+//! Cargo builds them and reports their paths. Each then runs as under cargo, in the folder of its package. Its output
+//! goes to a file, which is printed if it fails.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::{self, File};
@@ -15,60 +15,49 @@ use std::time::{Duration, Instant};
 use crate::process::{Failure, Result, host_cargo, lines_of, root, target};
 use crate::steps::{Clock, Counts, Ran, Tests};
 
-/// Package and name of what takes longest, longest first: it begins early, so that the end is short. The order of
-/// everything else does not matter.
-const LONG: [(&str, &str); 12] = [
+/// Package and name of the slowest programs, longest first: they start early, so that none is left at the end. The
+/// order of the others does not matter.
+const LONG: [(&str, &str); 8] = [
     ("calibration", "recovery"),
-    ("host-tool", "science"),
-    ("host-tool", "plan_experiment"),
+    ("host-tool", "models"),
     ("calibration", "simulation_based"),
     ("calibration", "closed_loop"),
     ("firmware-rig", "sequences"),
     ("firmware-capsule", "scenarios"),
     ("locomotion", "comparison"),
-    ("calibration", "closed_forms"),
-    ("host-tool", "fit"),
     ("fuzz", "bounded"),
-    ("host-tool", "crescent"),
 ];
 
-/// These wait for a line in real time and compute little: they run beside those that compute.
-const WAITING: [(&str, &str); 12] = [
-    ("host-tool", "door"),
-    ("host-tool", "host_faults"),
-    ("host-tool", "serve"),
-    ("host-tool", "stopping"),
-    ("host-tool", "stops"),
-    ("host-tool", "keys"),
+/// Programs that wait for a line in real time and compute little: they run beside those that compute.
+const WAITING: [(&str, &str); 5] = [
+    ("host-tool", "faults"),
+    ("host-tool", "lines"),
+    ("host-tool", "server"),
+    ("host-tool", "terminals"),
     ("host-tool", "signals"),
-    ("host-tool", "campaign_process"),
-    ("host-tool", "watch"),
-    ("host-tool", "named"),
-    ("host-tool", "flash"),
-    ("host-tool", "doctor"),
 ];
 
-/// So many of those that wait run at a time.
+/// Number of waiting programs that run at a time.
 const WAITING_LANES: usize = 2;
 
-/// Whoever waits is told so often what is still running.
+/// Interval of the message about what is still running.
 const STILL: Duration = Duration::from_secs(60);
 
-/// What to run.
+/// The programs to run, and how.
 pub(crate) struct Selection<'a> {
-    /// `cargo test` with packages and targets; without any, the default packages.
+    /// `cargo test` with packages and targets; without these, the default packages.
     pub(crate) cargo: Command,
-    /// Arguments of the programs, as after `--`.
+    /// Arguments for the programs, as after `--`.
     pub(crate) program: &'a [&'a str],
-    /// Of what was built only these programs run, by package and name; none: all.
+    /// Run only these of the built programs, by package and name; empty for all.
     pub(crate) only: &'a [(&'a str, &'a str)],
     /// Whether the examples in the documentation run too.
     pub(crate) examples: bool,
-    /// So many that compute run at a time.
+    /// Number of computing programs that run at a time.
     pub(crate) lanes: usize,
 }
 
-/// One program for each core.
+/// Number of cores: one program for each.
 pub(crate) fn cores() -> usize {
     thread::available_parallelism().map_or(1, usize::from)
 }
@@ -83,7 +72,7 @@ enum Job {
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Program {
     package: String,
-    /// Of the target; that of a library and of its package differ by `-` and `_` only.
+    /// Name of the target. The names of a library and its package differ in `-` and `_` only.
     name: String,
     /// `lib`, `bin`, `test` or `example`.
     kind: String,
@@ -100,7 +89,7 @@ impl Job {
             .position(|(package, name)| program.package == *package && program.name == *name)
     }
 
-    /// What is printed: `calibration recovery`, `host-tool lib`.
+    /// Name in the output: `calibration recovery`, `host-tool lib`.
     fn shown(&self) -> String {
         match self {
             Self::Program(Program {
@@ -117,7 +106,7 @@ impl Job {
         }
     }
 
-    /// How it is run alone.
+    /// The command that runs it alone.
     fn alone(&self) -> String {
         match self {
             Self::Program(Program {
@@ -137,8 +126,8 @@ impl Job {
         match self {
             Self::Program(program) => {
                 let folder = program.manifest.parent().unwrap_or(Path::new("."));
-                // The settings of `.cargo/config.toml`, the seed of the random tests among them, are in the
-                // environment of this program already.
+                // The environment already has the settings of `.cargo/config.toml`, among them the seed of the random
+                // tests.
                 let mut command = Command::new(&program.executable);
                 command.args(arguments).current_dir(folder);
                 command.env("CARGO_MANIFEST_DIR", folder);
@@ -158,13 +147,13 @@ impl Job {
 struct Ended {
     job: Job,
     counts: Counts,
-    /// None if all is well; else why not, in a word.
+    /// Why it failed, in a word; none if it passed.
     wrong: Option<String>,
     took: Duration,
     output: String,
 }
 
-/// Builds the chosen programs and runs all of them, also after a failure.
+/// Builds the chosen programs and runs all of them, even after a failure.
 pub(crate) fn test(selection: Selection<'_>) -> Tests {
     let Selection {
         cargo,
@@ -224,7 +213,7 @@ fn run_all(jobs: Vec<Job>, arguments: &[&str], folder: &Path, lanes: usize) -> V
     let (waiting, mut computing): (Vec<_>, Vec<_>) = jobs
         .into_iter()
         .partition(|job| lanes > 1 && job.place_in(&WAITING).is_some());
-    // A stable sort: those that are not listed keep their order.
+    // A stable sort: programs that are not listed keep their order.
     computing.sort_by_key(|job| job.place_in(&LONG).unwrap_or(LONG.len()));
     let count = waiting.len() + computing.len();
     let queues = [
@@ -243,7 +232,7 @@ fn run_all(jobs: Vec<Job>, arguments: &[&str], folder: &Path, lanes: usize) -> V
                         lock(running).insert(shown.clone(), Instant::now());
                         let ended = carry_out(job, arguments, folder);
                         lock(running).remove(&shown);
-                        // There is no receiver any more if this program ends, and then nobody asks.
+                        // Fails only if this program ends, and then the result is not needed.
                         let _ = sender.send(ended);
                     }
                 });
@@ -270,7 +259,7 @@ fn run_all(jobs: Vec<Job>, arguments: &[&str], folder: &Path, lanes: usize) -> V
     })
 }
 
-/// A panic elsewhere leaves queue and list as good as they were.
+/// Ignores poisoning: a panic of another thread leaves queue and list intact.
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -289,7 +278,7 @@ fn report(ended: &Ended, number: usize, of: usize) {
 
 fn carry_out(job: Job, arguments: &[&str], folder: &Path) -> Ended {
     let begin = Instant::now();
-    // A file and not a pipe: a child that a test leaves behind would hold a pipe open.
+    // Use a file, not a pipe: a child process left behind by a test would hold a pipe open.
     let file = folder.join(format!("{}.txt", job.shown().replace(' ', "-")));
     let mut command = job.command(arguments);
     let status = File::create(&file).and_then(|output| {
@@ -307,7 +296,7 @@ fn carry_out(job: Job, arguments: &[&str], folder: &Path) -> Ended {
         Err(error) => Some(format!("it does not start: {error}")),
     };
     if wrong.is_some() && counts.failed == 0 {
-        // It ended before it could say what failed.
+        // It ended before it could report what failed.
         counts.failed = 1;
     }
     Ended {
@@ -319,7 +308,7 @@ fn carry_out(job: Job, arguments: &[&str], folder: &Path) -> Ended {
     }
 }
 
-/// What a program says in its last lines: `test result: ok. 12 passed; 0 failed; 1 ignored; ...`.
+/// Counts from the last lines of a program: `test result: ok. 12 passed; 0 failed; 1 ignored; ...`.
 fn counts(output: &str) -> Counts {
     let mut sum = Counts::default();
     for line in output.lines() {
@@ -341,7 +330,7 @@ fn counts(output: &str) -> Counts {
     sum
 }
 
-/// Builds test programs and says where they are.
+/// Builds test programs and finds their paths.
 fn build(mut cargo: Command) -> Result<Vec<Job>> {
     cargo.args(["--no-run", "--message-format=json-render-diagnostics"]);
     let lines = lines_of(&mut cargo, "fix what the compiler reports above")?;
@@ -355,7 +344,7 @@ fn build(mut cargo: Command) -> Result<Vec<Job>> {
     }
 }
 
-/// The test program that a message of cargo is about.
+/// The test program that a message of cargo reports.
 fn program(message: &str) -> Option<Job> {
     if !message.contains(r#""reason":"compiler-artifact""#)
         || !message.contains(r#""test":true},"features""#)
@@ -367,7 +356,7 @@ fn program(message: &str) -> Option<Job> {
     let (_, target) = message.split_once(r#""target":{"#)?;
     let kind = text(target, r#""kind":["#)?;
     let folder = manifest.parent()?;
-    // A package of ours has the name of its folder, wherever that is.
+    // A package of ours has the name of its folder, even a nested one.
     let package = folder.strip_prefix(root()).ok()?.file_name()?;
     Some(Job::Program(Program {
         package: package.to_str()?.to_owned(),
@@ -378,7 +367,7 @@ fn program(message: &str) -> Option<Job> {
     }))
 }
 
-/// The JSON string right after the first `key`. A whole reader of JSON would be compiled before anything else begins.
+/// The JSON string right after the first `key`. A full JSON parser would have to be compiled before anything else.
 fn text(json: &str, key: &str) -> Option<String> {
     let (_, rest) = json.split_once(key)?;
     let mut letters = rest.strip_prefix('"')?.chars();
@@ -388,7 +377,7 @@ fn text(json: &str, key: &str) -> Option<String> {
             '"' => return Some(text),
             '\\' => match letters.next()? {
                 letter @ ('"' | '\\' | '/') => text.push(letter),
-                // No path of a source has a control character.
+                // A source path has no control characters.
                 _ => return None,
             },
             letter => text.push(letter),
@@ -401,7 +390,7 @@ mod tests {
     use super::*;
 
     fn message(profile: &str, executable: &str) -> String {
-        let manifest = root().join("calibration/Cargo.toml");
+        let manifest = root().join("models/calibration/Cargo.toml");
         format!(
             r#"{{"reason":"compiler-artifact","package_id":"x","manifest_path":"{}","target":{{"kind":["test"],"crate_types":["bin"],"name":"recovery","src_path":"/a","edition":"2024","doc":false,"doctest":false,"test":true}},"profile":{{"opt_level":"3","debuginfo":1,"debug_assertions":true,"overflow_checks":true,{profile}}},"features":[],"filenames":["/t"],"executable":{executable},"fresh":true}}"#,
             manifest.display()
@@ -417,13 +406,13 @@ mod tests {
             panic!("{job:?}")
         };
         assert_eq!(found.executable, Path::new(r#"/a "b"/t"#));
-        assert_eq!(found.manifest, root().join("calibration/Cargo.toml"));
+        assert_eq!(found.manifest, root().join("models/calibration/Cargo.toml"));
         assert_eq!(job.place_in(&[("motion", "recovery")]), None);
         assert_eq!(
             job.place_in(&[("motion", "x"), ("calibration", "recovery")]),
             Some(1)
         );
-        // What a test is linked with, and what is not built for tests.
+        // Libraries that a test links with, and targets that are not built for tests.
         assert_eq!(program(&message(r#""test":true"#, "null")), None);
         assert_eq!(program(&message(r#""test":false"#, r#""/t""#)), None);
         assert_eq!(

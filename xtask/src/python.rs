@@ -8,7 +8,7 @@ use crate::bench;
 use crate::process::{Failure, Result, errors_of, host_cargo, root, run, target};
 use crate::steps::{Counts, Ran, Tests};
 
-/// Its tests, with bluesky's where bluesky can be had.
+/// Runs its tests, including those with bluesky where it can be installed.
 pub(crate) fn test() -> Tests {
     let mut tests = match prepared() {
         Ok(tests) => tests,
@@ -27,7 +27,7 @@ pub(crate) fn test() -> Tests {
     }
 }
 
-/// What unittest says at the end: `Ran 12 tests in 3.4s` and `FAILED (failures=1, errors=2, skipped=3)`.
+/// Reads unittest's last lines: `Ran 12 tests in 3.4s` and `FAILED (failures=1, errors=2, skipped=3)`.
 fn counts(lines: &[String]) -> Counts {
     let said = |words: &[&str]| -> u32 {
         let number = |line: &String| {
@@ -46,7 +46,7 @@ fn counts(lines: &[String]) -> Counts {
     }
 }
 
-/// The command that tests; programs and bluesky are there.
+/// The command that runs the tests. Builds the programs first, and installs bluesky if it can.
 fn prepared() -> Result<Command> {
     let mut cargo = host_cargo("build");
     cargo.args(["--package", "host-tool", "--package", "virtual-bench"]);
@@ -70,7 +70,7 @@ fn prepared() -> Result<Command> {
     Ok(tests)
 }
 
-/// A Python with bluesky below `folder`; none where it cannot be installed.
+/// A Python with bluesky below `folder`; none if it cannot be installed.
 fn with_bluesky(folder: &Path) -> Option<PathBuf> {
     let python = folder.join("bin/python");
     let quiet = |command: &mut Command| {

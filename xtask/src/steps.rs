@@ -1,27 +1,25 @@
-//! Named steps: each says in one line what it does, is timed, and is listed in a table at the end.
+//! Named steps: each describes itself in one line, is timed, and appears in a table at the end.
 
 use std::fmt;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-use crate::process::{Failure, Result, installed};
+use crate::process::{Failure, Result};
 
-/// What a step does.
+/// The function of a step.
 enum Act {
     Check(fn() -> Result<()>),
     Test(fn() -> Tests),
 }
 
-/// One thing to do.
+/// One step.
 pub(crate) struct Step {
     name: &'static str,
-    /// What it does, in a line.
+    /// Description in one line.
     does: &'static str,
     act: Act,
     /// The name of an earlier step that has to pass before this one can run.
     after: Option<&'static str>,
-    /// The cargo subcommand that it runs, if that has to be installed by hand.
-    needs: Option<&'static str>,
 }
 
 impl Step {
@@ -35,7 +33,6 @@ impl Step {
             does,
             act: Act::Check(act),
             after: None,
-            needs: None,
         }
     }
 
@@ -46,7 +43,6 @@ impl Step {
             does,
             act: Act::Test(act),
             after: None,
-            needs: None,
         }
     }
 
@@ -57,17 +53,9 @@ impl Step {
             ..self
         }
     }
-
-    /// The step is skipped unless `cargo SUBCOMMAND` is installed.
-    pub(crate) const fn needs(self, subcommand: &'static str) -> Self {
-        Self {
-            needs: Some(subcommand),
-            ..self
-        }
-    }
 }
 
-/// How many tests passed, failed and were left out.
+/// Number of tests that passed, failed and were ignored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
     pub(crate) passed: u32,
@@ -104,7 +92,7 @@ pub(crate) struct Ran {
     pub(crate) took: Duration,
 }
 
-/// What came of tests.
+/// Result of tests.
 pub(crate) struct Tests {
     pub(crate) counts: Counts,
     pub(crate) programs: Vec<Ran>,
@@ -122,7 +110,7 @@ impl Default for Tests {
 }
 
 impl Tests {
-    /// None were run, for this reason.
+    /// No test was run, for this reason.
     pub(crate) fn failed(failure: Failure) -> Self {
         Self {
             outcome: Err(failure),
@@ -135,10 +123,8 @@ impl Tests {
 enum Outcome {
     Passed,
     Failed,
-    /// The step it depends on did not pass; counts as failed.
+    /// A step that it depends on did not pass; counts as failed.
     NotRun,
-    /// This cargo subcommand, which it needs, is not installed; counts neither as passed nor as failed.
-    Skipped(&'static str),
 }
 
 impl fmt::Display for Outcome {
@@ -147,23 +133,22 @@ impl fmt::Display for Outcome {
             Self::Passed => "passed",
             Self::Failed => "FAILED",
             Self::NotRun => "not run",
-            Self::Skipped(_) => "skipped",
         })
     }
 }
 
-/// A step that is over.
+/// A finished step.
 struct Done {
     name: &'static str,
     outcome: Outcome,
     took: Duration,
-    /// None if it counts no tests.
+    /// None if the step counts no tests.
     counts: Option<Counts>,
     programs: Vec<Ran>,
 }
 
-/// Runs all steps, also after a failure, so that one run shows everything that is wrong. Prints a table
-/// and a line of totals at the end.
+/// Runs all steps, even after a failure, so that one run shows everything that is wrong. Prints a table and a line of
+/// totals at the end.
 pub(crate) fn run(steps: &[Step]) -> ExitCode {
     let start = Instant::now();
     let mut done: Vec<Done> = Vec::new();
@@ -184,15 +169,8 @@ pub(crate) fn run(steps: &[Step]) -> ExitCode {
     let passed = (done.iter())
         .filter(|step| step.outcome == Outcome::Passed)
         .count();
-    let skipped = (done.iter())
-        .filter(|step| matches!(step.outcome, Outcome::Skipped(_)))
-        .count();
-    let failed = done.len() - passed - skipped;
-    print!("\n{passed} passed, {failed} failed");
-    match skipped {
-        0 => println!(),
-        _ => println!(", {skipped} skipped"),
-    }
+    let failed = done.len() - passed;
+    println!("\n{passed} passed, {failed} failed");
     if failed == 0 {
         ExitCode::SUCCESS
     } else {
@@ -200,11 +178,11 @@ pub(crate) fn run(steps: &[Step]) -> ExitCode {
     }
 }
 
-/// So many of the slowest programs are listed.
+/// Number of slowest programs in the table.
 const SLOWEST: usize = 10;
 
-/// Each step with its tests and its time, and the slowest test programs. Of single tests the stable compiler's harness
-/// does not tell the time.
+/// Table of the steps with their tests and times, and of the slowest test programs. The stable test harness does not
+/// report the time of single tests.
 fn table(done: &[Done], all: Duration) -> String {
     let seconds = |time: Duration| format!("{:.1}", time.as_secs_f64());
     let mut lines = vec![format!(
@@ -220,9 +198,6 @@ fn table(done: &[Done], all: Duration) -> String {
             tests.map_or("-".to_owned(), |tests| tests.to_string()),
             seconds(step.took)
         );
-        if let Outcome::Skipped(subcommand) = step.outcome {
-            line += &format!("  cargo-{subcommand} is not installed");
-        }
         if let Some(counts) = step.counts.filter(|counts| counts.failed > 0) {
             line += &format!("  {} of them failed", counts.failed);
         }
@@ -265,13 +240,6 @@ fn carry_out(step: &Step, done: &[Done]) -> Done {
             println!("error: this needs the step `{before}`, which did not pass");
             return over(Outcome::NotRun, Duration::ZERO);
         }
-    }
-    if let Some(subcommand) = step.needs
-        && !installed(subcommand)
-    {
-        println!("skipped: cargo-{subcommand} is not installed");
-        println!("to install it: `cargo install cargo-{subcommand} --locked`");
-        return over(Outcome::Skipped(subcommand), Duration::ZERO);
     }
     let start = Instant::now();
     let (ended, counts, programs) = match step.act {
@@ -342,10 +310,9 @@ mod tests {
     #[test]
     fn a_step_runs_only_after_the_one_it_needs() {
         let failed = images(Outcome::Failed);
-        let skipped = images(Outcome::Skipped("deny"));
         let passed = images(Outcome::Passed);
         let must_not_run = Step::new("bench", DOES, panics).after("images");
-        for done in [&failed[..], &skipped[..], &[]] {
+        for done in [&failed[..], &[]] {
             assert_eq!(outcome(&must_not_run, done), Outcome::NotRun);
         }
         let bench = Step::new("bench", DOES, passes).after("images");
@@ -355,25 +322,11 @@ mod tests {
     }
 
     #[test]
-    fn a_step_is_skipped_without_the_subcommand_it_needs() {
-        let without = Step::new("without", DOES, panics).needs("no-such-subcommand");
-        assert_eq!(
-            outcome(&without, &[]),
-            Outcome::Skipped("no-such-subcommand")
-        );
-        let with = Step::new("with", DOES, passes).needs("build");
-        assert_eq!(outcome(&with, &[]), Outcome::Passed);
-    }
-
-    #[test]
-    fn one_failure_fails_the_whole_and_a_skipped_step_does_not() {
+    fn one_failure_fails_the_whole() {
         let good = || Step::new("good", DOES, passes);
-        let skipped = || Step::new("skipped", DOES, panics).needs("no-such-subcommand");
-        assert_eq!(run(&[good(), skipped(), good()]), ExitCode::SUCCESS);
+        assert_eq!(run(&[good(), good()]), ExitCode::SUCCESS);
         let bad = Step::new("bad", DOES, fails);
         assert_eq!(run(&[good(), bad, good()]), ExitCode::FAILURE);
-        let late = Step::new("late", DOES, panics).after("skipped");
-        assert_eq!(run(&[skipped(), late]), ExitCode::FAILURE);
     }
 
     #[test]
@@ -394,11 +347,9 @@ mod tests {
         };
         let bad = carry_out(&Step::tests("host", DOES, tests), &[]);
         assert_eq!(bad.outcome, Outcome::Failed);
-        let skipped = carry_out(&Step::new("deny", DOES, panics).needs("no-such"), &[]);
-        let table = table(&[bad, skipped], Duration::from_secs(99));
+        let table = table(&[bad], Duration::from_secs(99));
         for line in [
             "host           FAILED        42       0.0  2 of them failed",
-            "deny           skipped        -       0.0  cargo-no-such is not installed",
             "all                          42      99.0  1 min 39 s",
             "     12.0  program 12 (host)",
             "      3.0  program 3 (host)",

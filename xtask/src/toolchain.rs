@@ -25,10 +25,10 @@ pub(crate) enum Toolchain {
 }
 
 impl Toolchain {
-    /// A cargo command for the target, `build` or `clippy`, complete but for the packages.
+    /// A cargo command for the target, `build` or `clippy`, complete except for the packages.
     ///
-    /// The names of this machine's folders are kept out of the image. They would be in the message of
-    /// every panic, take flash, and make the image differ from machine to machine.
+    /// Keeps the names of this machine's folders out of the image. They would be in the message of every panic, take
+    /// flash, and make the image differ from machine to machine.
     pub(crate) fn cargo(&self, subcommand: &str) -> Command {
         let mut folders = vec![(root(), "/retrograde")];
         folders.extend(crates().into_iter().map(|folder| (folder, "")));
@@ -68,7 +68,7 @@ fn crates() -> Vec<PathBuf> {
         .or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cargo")))
         .unwrap_or_default()
         .join("registry/src");
-    // This program was built from there. If it is not there (vendored sources), texts in the image are longer.
+    // This program was built from these folders. Without them (vendored sources) the texts in the image are longer.
     std::fs::read_dir(sources)
         .map(|folders| folders.flatten().map(|folder| folder.path()).collect())
         .unwrap_or_default()
@@ -77,7 +77,7 @@ fn crates() -> Vec<PathBuf> {
 /// Finds a compiler, or installs one if that is possible.
 ///
 /// # Errors
-/// There is none and none can be installed; the message lists what was tried.
+/// There is none and none can be installed; the message lists the attempts.
 pub(crate) fn find() -> Result<Toolchain> {
     if native() {
         return Ok(Toolchain::Native);

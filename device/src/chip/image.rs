@@ -1,6 +1,6 @@
 //! What the linker knows: the fingerprint of the image in flash, the use of the stack and its end.
 
-use super::part::GUARD;
+use super::stm32f411re::GUARD;
 use core::{
     ops::Range,
     ptr::{addr_of, read_volatile},

@@ -1,6 +1,6 @@
 //! Panic and processor faults: outputs off, last words kept over the reset, reset.
 
-use super::{image, part::RAM, retained::Ram};
+use super::{image, retained::Ram, stm32f411re::RAM};
 use crate::{last_words::Draft, retained::keep_last_words};
 use core::{
     arch::asm,

@@ -1,7 +1,7 @@
 //! The chip at its start, whichever it is: time base, why it was reset, identity, watchdog.
 
 use super::{
-    part::{self, TIME_DRIVER, TIME_DRIVER_INTERRUPT},
+    stm32f411re::{self, TIME_DRIVER, TIME_DRIVER_INTERRUPT},
     supply,
 };
 use cortex_m::peripheral::DCB;
@@ -60,14 +60,14 @@ pub(super) fn feed() {
 
 /// Why the chip was reset. Once: it clears the flags.
 pub fn reset_cause() -> ResetCause {
-    part::reset_cause()
+    stm32f411re::reset_cause()
 }
 
 /// Clock, supply and option bytes as they are now.
 pub fn chip() -> Chip {
     let option_bytes = supply::option_bytes();
     Chip {
-        clock: part::clock_source(),
+        clock: stm32f411re::clock_source(),
         brown_out: supply::brown_out(option_bytes),
         supply_low: supply::is_low(),
         option_bytes,

@@ -1,4 +1,4 @@
-//! The settings' log in flash: what it keeps, and what a failing supply leaves of it. The supply is cut before, within
+//! The settings' log in flash: its content, and what a failing supply leaves of it. The supply is cut before, within
 //! and after every write and erasure of a change.
 
 use super::chip::{Cut, Flash, Operation, Random};
@@ -12,10 +12,10 @@ use protocol::settings::{MAX_NAME, SettingKey};
 use std::sync::LazyLock;
 
 pub type Store = SettingsStore<Flash>;
-/// What lies below them.
+/// The log without settings.
 type Log = store::Store<Flash>;
 
-/// What a device finds at its start.
+/// The content that a device finds when it starts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Content {
     values: Values,
@@ -38,7 +38,7 @@ impl Content {
     }
 }
 
-/// A start on what is in flash.
+/// Starts a device on this flash.
 pub fn start(flash: &Flash) -> Store {
     let (store, usable) = Store::load(flash.clone(), |_| true);
     assert!(usable);
@@ -49,12 +49,12 @@ fn name(text: &str) -> heapless::String<MAX_NAME> {
     text.try_into().unwrap()
 }
 
-/// As long as a name can be.
+/// A name of the greatest length.
 fn long_name(number: u32) -> heapless::String<MAX_NAME> {
     name(&format!("{number:0width$}", width = MAX_NAME))
 }
 
-/// What was set once, long ago.
+/// Settings that were set once, long ago.
 pub const KEPT: [(SettingKey, u32); 3] = [
     (SettingKey::FlagUm, 900),
     (SettingKey::StrokeUm, 100_000),
@@ -72,7 +72,7 @@ pub fn young() -> Vec<u8> {
     flash.bytes()
 }
 
-/// A flash whose next name drops a sector, for the second time since [`KEPT`] was set; and the number of that name.
+/// A flash whose next name drops a sector for the second time since [`KEPT`] was set, and the number of that name.
 static OLD: LazyLock<(Vec<u8>, u32)> = LazyLock::new(|| {
     let flash = Flash::holding(young());
     let mut store = start(&flash);
@@ -91,8 +91,8 @@ static OLD: LazyLock<(Vec<u8>, u32)> = LazyLock::new(|| {
     panic!("no sector was erased");
 });
 
-/// Makes a change with a cut at each of its operations. Whatever the cut leaves has to satisfy `is_left`, and has to
-/// be changed as ever from there.
+/// Makes a change with a cut in each of its operations. What each cut leaves has to satisfy `is_left`, and has to
+/// accept changes as usual.
 fn cut_everywhere(
     image: &[u8],
     change: impl Fn(&mut Store) -> Result<(), StorageFailed>,
@@ -113,7 +113,7 @@ fn cut_everywhere(
             let flash = Flash::holding(image.to_vec());
             let mut store = start(&flash);
             flash.cut(number, cut, number as u64);
-            // In force is what was, or what is in flash already.
+            // The values in force are the old ones, or those already in flash.
             if change(&mut store).is_err() {
                 assert!(is_left(&Content::of(&store)), "{context}");
             } else {
@@ -130,7 +130,7 @@ fn cut_everywhere(
             if number + 1 == operations.len() && cut == Cut::After {
                 assert_eq!(found, after, "{context}");
             }
-            // It can still be written, and keeps the rest.
+            // The flash can still be written, and keeps everything else.
             store.set(SettingKey::PullOffUm, 999).expect(&context);
             let again = start(&Flash::holding(flash.bytes()));
             let expected = Content {
@@ -147,7 +147,7 @@ fn cut_everywhere(
     left
 }
 
-/// A change of one thing leaves it old or new, and nothing else changed.
+/// Checks that a cut change of one value leaves it old or new, and everything else unchanged.
 fn old_or_new(image: &[u8], change: impl Fn(&mut Store) -> Result<(), StorageFailed>) {
     let flash = Flash::holding(image.to_vec());
     let mut store = start(&flash);
@@ -156,7 +156,7 @@ fn old_or_new(image: &[u8], change: impl Fn(&mut Store) -> Result<(), StorageFai
     let new = Content::of(&store);
     assert_ne!(old, new);
     let left = cut_everywhere(image, change, |found| *found == old || *found == new);
-    // Both happen.
+    // Both cases occur.
     assert!(left.contains(&old) && left.contains(&new));
 }
 
@@ -165,7 +165,7 @@ fn a_cut_leaves_the_old_value_or_the_new_one() {
     let blank = Flash::blank().bytes();
     for image in [blank, young()] {
         old_or_new(&image, |store| store.set(SettingKey::FlagUm, 1_234));
-        // A value whose last bytes look like blank ones.
+        // A value whose last bytes look blank.
         old_or_new(&image, |store| {
             store.set(SettingKey::ButtonTotalMs, 0x00FF_FFFF)
         });
@@ -174,7 +174,7 @@ fn a_cut_leaves_the_old_value_or_the_new_one() {
     }
 }
 
-/// The name that is dropped with its sector, the settings of long ago, the new name: all of them.
+/// A dropped sector loses nothing: neither its name, nor the settings of long ago, nor the new name.
 #[test]
 fn a_cut_while_a_sector_is_dropped_loses_nothing() {
     let (image, number) = OLD.clone();
@@ -187,7 +187,7 @@ fn a_cut_while_a_sector_is_dropped_loses_nothing() {
     old_or_new(&image, |store| store.set(SettingKey::FlagUm, 1_234));
 }
 
-/// Each value is old or the default; done once more the reset is complete.
+/// Each value is the old one or the default; a second reset completes it.
 #[test]
 fn a_cut_within_a_reset_leaves_each_value_old_or_default() {
     for image in [young(), OLD.0.clone()] {
@@ -209,7 +209,7 @@ fn a_cut_within_a_reset_leaves_each_value_old_or_default() {
     }
 }
 
-/// What a cut within a reset leaves may break the rules of the settings. Then the defaults are in force, until
+/// The values left by a cut reset may break the rules between settings. Then the defaults are in force until
 /// something is set.
 #[test]
 fn values_that_do_not_go_together_are_not_in_force() {
@@ -223,7 +223,7 @@ fn values_that_do_not_go_together_are_not_in_force() {
     assert_eq!(store.name(), "left bench", "a name keeps all rules");
 }
 
-/// The values in force are the defaults already, but those in flash are not.
+/// The values in force are already the defaults, but those in flash are not.
 #[test]
 fn a_reset_ends_a_conflict() {
     let flash = Flash::holding(young());
@@ -234,14 +234,14 @@ fn a_reset_ends_a_conflict() {
     let written = flash.operations().len();
     let mut store = start(&Flash::holding(flash.bytes()));
     assert_eq!(Content::of(&store), Content::default());
-    // Done once more, there is only the name to write.
+    // A second reset has only the name to write.
     store.reset().unwrap();
     let flash = Flash::holding(flash.bytes());
     start(&flash).reset().unwrap();
     assert!(flash.operations().len() < 4 && written > 20);
 }
 
-/// Anything may be in the sectors of a new chip, or after a cut that nobody foresaw.
+/// The sectors of a new chip, or of one after an unforeseen cut, may contain anything.
 #[test]
 fn a_flash_of_noise_can_be_reset() {
     let mut unreadable = 0;
@@ -249,9 +249,9 @@ fn a_flash_of_noise_can_be_reset() {
         let mut random = Random(seed);
         let mut bytes = Flash::blank().bytes();
         for byte in &mut bytes[SECTORS.start as usize..SECTORS.end as usize] {
-            *byte = if seed % 2 == 0 { 0 } else { 0x5A } | random.next() as u8;
+            *byte = if seed % 2 == 0 { 0 } else { 0x5A } | random.draw() as u8;
         }
-        // The marks by which the log knows a sector in use, at its start and at its end.
+        // The marks at the start and the end of a sector by which the log recognises one in use.
         for (sector, marks) in (1..).zip([seed % 3, seed % 4, seed % 5]) {
             let sector = sector * SECTOR as usize;
             let width = Flash::WRITE_SIZE;
@@ -275,7 +275,7 @@ fn a_flash_of_noise_can_be_reset() {
     );
 }
 
-/// All three sectors are in use to their ends: no log begins or ends anywhere.
+/// All three sectors are full: the log has neither a beginning nor an end.
 #[test]
 fn a_flash_that_is_no_log_is_not_in_force() {
     let flash = Flash::holding(vec![0; SECTORS.end as usize]);
@@ -330,7 +330,7 @@ fn a_value_out_of_range_is_not_written() {
     assert_eq!(*store.values(), Values::DEFAULT);
 }
 
-/// Thousands of names later, and started anew now and then, what was set once is still there.
+/// After thousands of names and several restarts, old settings are still there.
 #[test]
 fn what_was_set_once_is_kept() {
     let mut flash = Flash::holding(young());
@@ -348,7 +348,7 @@ fn what_was_set_once_is_kept() {
     }
 }
 
-/// Something that a device is told to keep, or its supply failing.
+/// An order to a device to store something, or a failure of its supply.
 #[derive(Clone, Debug)]
 enum Step {
     Set(SettingKey, u32),
@@ -381,8 +381,8 @@ proptest! {
         ..ProptestConfig::default()
     })]
 
-    /// Any changes with any cuts, also in the first change after a cut: each leaves the old or the new. The log starts
-    /// where sectors are dropped.
+    /// Any changes with any cuts, even in the first change after a cut: each change leaves the old value or the new
+    /// one. The log starts where sectors are dropped.
     #[test]
     fn no_cut_ever_loses_more_than_its_change(
         steps in prop::collection::vec(

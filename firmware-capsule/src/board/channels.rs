@@ -5,7 +5,7 @@ use embassy_sync::{
     blocking_mutex::{Mutex, raw::CriticalSectionRawMutex as Raw},
     signal::Signal,
 };
-use firmware_capsule::{detect::Sample, fold::Drive};
+use firmware_capsule::{fold::Drive, sample::Sample};
 use protocol::capsule::CapsuleTelemetry;
 
 /// What the motor task should do, and how old that is.

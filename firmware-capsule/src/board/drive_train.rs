@@ -6,9 +6,9 @@ use super::{
 };
 use embassy_time::Duration;
 use firmware_capsule::{
-    detect::Sample,
     fold::Drive,
     mechanics::Counts,
+    sample::Sample,
     sense::{FINE, Reference, Zero, millivolts},
 };
 

@@ -1,5 +1,5 @@
-//! The board that the image is built for: pins, clocks, timers, interrupts. A file for each, chosen by a feature, and the only one
-//! that names them. What all boards have in common, the sequence of a reading and of a drive, is `drive_train.rs`.
+//! The board that the image is built for: pins, clocks, timers, interrupts, named in a file of their own and
+//! nowhere else. The sequence of a reading and of a drive, is `drive_train.rs`.
 //!
 //! | signal | what it does |
 //! |---|---|
@@ -23,15 +23,8 @@
 //! through them (slow decay). So the motor has the mean voltage `D V` and the mean current `(D V - e) / R`, whatever its inductance is.
 //! At 80 kHz the current ripples by 0.17 A at most.
 
-#[cfg(feature = "stm32f411re")]
 mod stm32f411re;
-#[cfg(feature = "stm32f411re")]
 pub(crate) use stm32f411re::*;
-
-#[cfg(feature = "stm32l412tb")]
-mod stm32l412tb;
-#[cfg(feature = "stm32l412tb")]
-pub(crate) use stm32l412tb::*;
 
 use device::chip::flash::Sectors;
 use embassy_executor::InterruptExecutor;

@@ -1,12 +1,12 @@
 //! Measured under way: the current without load, the pull of the thread, the friction of the worm, where folds end.
 
-use super::{Actions, Capsule, Mode};
-use crate::{
-    calibration::Calibration,
-    detect::{Load, Spooling},
-    leg::Leg,
-    mechanics::{MOST_NO_LOAD_MA, Thread},
-};
+use super::{Actions, Capsule, Drive, Mode};
+use crate::calibration::Calibration;
+use crate::circuit::Reading;
+use crate::detect::Load;
+use crate::leg::{Leg, Purpose};
+use crate::mechanics::{Counts, MOST_NO_LOAD_MA, Thread};
+use crate::sample::Spooling;
 use protocol::capsule::{ActuationKind, CapsuleEvent, CapsuleFault};
 
 /// Sum and number of some currents.
@@ -22,7 +22,7 @@ impl Mean {
         self.count = self.count.saturating_add(1);
     }
 
-    fn mean_ma(&self) -> Option<u16> {
+    fn mean(&self) -> Option<u16> {
         let mean = (self.sum + self.count / 2).checked_div(self.count)?;
         Some(u16::try_from(mean.max(0)).unwrap_or(u16::MAX))
     }
@@ -38,12 +38,18 @@ pub(super) const PROLONGATIONS: u8 = 4;
 const LEAST_TENSION_MA: u32 = 15;
 /// Of the calibrated pull, what a folded thread has at least: what has slipped by 2 mm or more pulls with 65 % at most.
 const LEAST_PULL_PERCENT: u32 = 72;
-/// Half of the end force is felt earlier or later by no more than this because of friction.
+/// Most by which an unfolding ends before zero for the friction's sake.
 const FRICTION_SHIFT: Thread = Thread(1_200);
-/// By so much, um.
-const EARLIER_UM: i32 = 80;
-/// By so much the place scatters, um.
-const SCATTER_UM: i32 = 120;
+/// Force that a fold may have on its way for each part that it feels, in thousandths: the place scatters by 0.12 mm.
+const SCATTERED: i32 = 1_050;
+/// Before the calibrated end, the way over which a slow fold's force is compared with the calibration's, um.
+const COMPARED_UM: (i32, i32) = (350, 100);
+/// Readings in it, at least.
+const LEAST_COMPARED: i32 = 8;
+/// Most by which the end is believed to have crept, um: twice that is a slip that keeps 65 % of its pull.
+const MOST_CREPT_UM: i32 = 800;
+/// Most by which one cycle moves it, um.
+const CREEPS_UM: i32 = 30;
 /// Least and most end force for its sake, in thousandths.
 pub(super) const FRICTION_FORCE: (i32, i32) = (600, 1_350);
 
@@ -66,15 +72,33 @@ impl Drift {
     }
 }
 
+/// ln 2 of the force in each rise, in thousandths: how much more it is `um` further on.
+fn grows(um: i32, rise_um: i32) -> i32 {
+    let rises = (um * 1_000 / rise_um.max(1)).clamp(-1_000, 1_000);
+    // 2^x to the second order.
+    1_000 + 693 * rises / 1_000 + 240 * (rises * rises / 1_000) / 1_000
+}
+
+/// How much later the thread has this share of its force, in thousandths of 600 to 1,400: the inverse of [`grows`].
+fn crept_by(share: i32, rise_um: i32) -> i32 {
+    let lacks = (1_000 - share).clamp(-400, 400);
+    // -ln(1 - x) to the third order.
+    let logarithm = lacks + lacks * lacks / 2_000 + lacks * lacks / 1_000 * lacks / 3_000;
+    logarithm * rise_um / 693
+}
+
 impl Capsule {
-    /// The folded end is a place, found by a current that depends on the worm's friction. Where the force of half of it is felt earlier or later than in the calibration, the
-    /// friction is another one, and so is the current at the end: the force there grows by the same share in each millimetre.
+    /// The folded end is a place, found by a current that depends on the worm's friction, and on what else changes the origami's
+    /// force by a share. A fold that feels half of the end force earlier than the calibration did may go on to more of it without being
+    /// called a jam. How much it is at the end is measured just before, where a fold is as slow as the calibration was: a damped
+    /// origami pulls more at a faster thread.
     pub(super) fn follow_friction(&mut self, load: &Load) {
+        let thread = self.thread();
         let (Mode::Moving(actuation), Some(calibration)) = (&mut self.mode, &self.calibration)
         else {
             return;
         };
-        let (Leg::Wind { end, short, .. }, Some(from)) = (actuation.leg, load.rise_from) else {
+        let Leg::Wind { end, short, .. } = actuation.leg else {
             return;
         };
         // A check of a folded capsule begins beyond that place.
@@ -82,19 +106,97 @@ impl Capsule {
             return;
         }
         let rise_um = calibration.rise.0.max(1);
-        let later_um = from.since(self.zero).thread().0 - (end.0 - rise_um);
-        // A fast fold feels it a little earlier than the slow calibration.
-        self.doubt = Thread((later_um + EARLIER_UM).clamp(0, FRICTION_SHIFT.0));
-        actuation.settings = if later_um.abs() <= FRICTION_SHIFT.0 {
-            // What is less than the scatter of the place is none, and from twice of it on all of it counts. ln 2 of the force in each rise.
-            let beyond_um = later_um - later_um.clamp(-SCATTER_UM, SCATTER_UM);
-            let counted_um = later_um.abs().min(2 * beyond_um.abs()) * later_um.signum();
-            let less = 693 * counted_um / rise_um;
-            let (least, most) = FRICTION_FORCE;
-            self.settings.with_force((1_000 - less).clamp(least, most))
-        } else {
-            self.settings
+        let left_um = end.0 - thread.0;
+        // The origami's force grows faster the further it is folded.
+        let steep_um = rise_um * 85 / 100;
+        let (from_um, to_um) = COMPARED_UM;
+        if (to_um..from_um).contains(&left_um) {
+            if let Some(pull_ma) = load.pull_ma {
+                let wanted_ma =
+                    i32::from(self.settings.force_ma) * grows(-left_um, steep_um) / 1_000;
+                let share = i32::from(pull_ma) * 1_000 / wanted_ma.max(1);
+                actuation.share.add(share.clamp(0, 4_000) as i16);
+            }
+            return;
+        }
+        let (least, most) = FRICTION_FORCE;
+        if left_um < to_um {
+            if actuation.share.count >= LEAST_COMPARED {
+                let share = i32::from(actuation.share.mean().unwrap_or(0));
+                actuation.settings = self.settings.with_force(share.clamp(least, most));
+                // A friction that is less, or a count that has moved: nothing tells which.
+                let later_um = crept_by(share, rise_um).clamp(0, FRICTION_SHIFT.0);
+                self.doubt = Thread(later_um + self.crept.0);
+            }
+            return;
+        }
+        let Some(from) = load.rise_from else {
+            return;
         };
+        let earlier_um = end.0 - rise_um - from.since(self.zero).thread().0;
+        if (0..=rise_um * 7 / 10).contains(&earlier_um) {
+            let more = grows(earlier_um, rise_um) * SCATTERED / 1_000;
+            actuation.settings = self.settings.with_force(more.min(most));
+        }
+    }
+
+    /// The pull of the folded thread, in which friction cancels, over that of the calibration: thread and origami creep, so the end
+    /// follows slowly, and not far.
+    fn follow_creep(&mut self, tension_ma: u16) {
+        let Some(calibration) = &self.calibration else {
+            return;
+        };
+        let known_ma = i32::from(calibration.tension_ma).max(1);
+        let share = i32::from(tension_ma) * 1_000 / known_ma;
+        let by_um = crept_by(share, calibration.rise.0) / 8;
+        let by_um = by_um.clamp(-CREEPS_UM, CREEPS_UM);
+        self.crept = Thread((self.crept.0 + by_um).clamp(0, MOST_CREPT_UM));
+    }
+
+    /// Compares voltage, current and speed of the driven motor.
+    pub(super) fn compare(&mut self, now_us: u64, steady: bool) -> Result<(), CapsuleFault> {
+        let known = self.known_back_emf();
+        let (sample, drive) = (self.sample, self.drive);
+        let Mode::Moving(actuation) = &mut self.mode else {
+            return Ok(());
+        };
+        let spooling = actuation.leg.spooling();
+        let reading = match drive {
+            Drive::Millivolts(drive_mv) if steady => Some(Reading {
+                drive_mv: spooling.along(drive_mv.into()) as i16,
+                current_ua: spooling.along(sample.current_ua),
+                along: Counts(spooling.along(sample.counts.0)),
+                battery_mv: sample.battery_mv,
+                sag_mv: actuation.rest_mv.saturating_sub(sample.battery_mv),
+                at_us: now_us,
+            }),
+            _ => None,
+        };
+        match actuation.circuit.take(reading, known, &self.settings) {
+            true => Err(CapsuleFault::SenseOrEncoder),
+            false => Ok(()),
+        }
+    }
+
+    /// The motor's constant as the calibration has measured it; 0 while one is under way, or without one.
+    pub(super) fn known_back_emf(&self) -> u16 {
+        match &self.calibration {
+            Some(calibration) if !self.calibrates() => calibration.back_emf_uv_cps,
+            _ => 0,
+        }
+    }
+
+    fn calibrates(&self) -> bool {
+        match &self.mode {
+            Mode::Moving(actuation) => matches!(
+                actuation.leg,
+                Leg::Seek {
+                    purpose: Purpose::Calibrate,
+                    ..
+                }
+            ),
+            _ => false,
+        }
     }
 
     /// Currents of a slack thread and of a taut one, from readings at a steady speed.
@@ -115,7 +217,7 @@ impl Capsule {
                 }
             } else if way >= to {
                 actuation.slack_from = None;
-                let measured = actuation.slack.mean_ma();
+                let measured = actuation.slack.mean();
                 if let Some(no_load_ma) = measured.filter(|mean_ma| *mean_ma <= MOST_NO_LOAD_MA) {
                     self.no_load_ma = no_load_ma;
                 }
@@ -149,9 +251,10 @@ impl Capsule {
         // Without steady readings there is no verdict: the next fold finds a broken thread.
         let tension_ma = actuation
             .winding_ma
-            .zip(actuation.taut.mean_ma())
+            .zip(actuation.taut.mean())
             .map(|(winding_ma, taut_ma)| winding_ma.saturating_sub(taut_ma));
-        let least_ma = match (actuation.found, &self.calibration) {
+        let found = actuation.found;
+        let least_ma = match (found, &self.calibration) {
             (None, Some(calibration)) => {
                 u32::from(calibration.tension_ma) * LEAST_PULL_PERCENT / 100
             }
@@ -161,13 +264,18 @@ impl Capsule {
         if tension_ma.is_some_and(|tension_ma| u32::from(tension_ma) < least_ma) {
             return Err(CapsuleFault::SlipOrBreak);
         }
-        if let Some((folded, rise)) = actuation.found {
+        let back_emf_uv_cps = actuation.back_emf_uv_cps;
+        if let (None, Some(tension_ma)) = (found, tension_ma) {
+            self.follow_creep(tension_ma);
+        }
+        if let Some((folded, rise)) = found {
             self.calibration = Some(Calibration {
                 folded,
                 no_load_ma: self.no_load_ma,
                 rise: rise.half,
                 long_rise: rise.quarter,
                 tension_ma: tension_ma.unwrap_or(0),
+                back_emf_uv_cps,
             });
             self.referenced = true;
         }

@@ -2,6 +2,7 @@
 
 use super::{Actions, Actuation, Capsule, Command, Mode, measures};
 use crate::{
+    circuit::Circuit,
     detect::Detector,
     governor::{Effort, Governor},
     leg::{Leg, MOST_MA, Purpose, STOP_MARGIN, TENSION_ZONE, Then},
@@ -17,6 +18,8 @@ use protocol::{
 const RESERVE_MV: u16 = 100;
 /// An amplifier that shows this at rest is none: its output lies at one end of its range.
 const OPEN_MA: u16 = 1_000;
+/// Most by which its zero may be another one after a motion than before: warming moves it by 5 mA.
+const MOST_MOVED_MA: u16 = 7;
 /// As near as a partial fold stops.
 const ARRIVED: i32 = 100;
 /// A check of a folded capsule pays out this much, and winds it again: the zone in which the pull is measured, and as much as it may be
@@ -117,7 +120,7 @@ impl Capsule {
     /// Where the folded end is believed to be.
     pub(super) fn folded_end(&self) -> Option<Thread> {
         let calibration = self.calibration.as_ref()?;
-        Some(Thread(calibration.folded.0 - self.spare.0))
+        Some(Thread(calibration.folded.0 - self.spare.0 + self.crept.0))
     }
 
     /// What the cell must have at rest to stay above its limit under the end force, twice: to fold and to unfold again.
@@ -144,6 +147,29 @@ impl Capsule {
         }
     }
 
+    /// A zero of the amplifier that has moved in a motion was wrong in it, and so was what the motion found by current.
+    pub(super) fn watch_offset(&mut self, now_us: u64, actions: &mut Actions) {
+        let judged_by_current = match self.mode {
+            Mode::Moving(_) => false,
+            Mode::Faulted(fault) => !matches!(
+                fault,
+                CapsuleFault::LowBattery { .. }
+                    | CapsuleFault::DriverFault
+                    | CapsuleFault::EStopFrame
+                    | CapsuleFault::SenseLost
+            ),
+            _ => true,
+        };
+        let moved = self.sample.offset_ma.abs_diff(self.offset_before_ma);
+        if judged_by_current
+            && self.actuation() > 0
+            && now_us >= self.brake_until_us
+            && moved > MOST_MOVED_MA
+        {
+            self.fail(now_us, CapsuleFault::SenseLost, actions);
+        }
+    }
+
     pub(super) fn acknowledge(&mut self) -> Result<(), Refusal> {
         let Mode::Faulted(fault) = self.mode else {
             return Err(Refusal::NothingToAcknowledge);
@@ -159,6 +185,7 @@ impl Capsule {
         if persists {
             return Err(Refusal::CauseStillPresent);
         }
+        self.offset_before_ma = self.sample.offset_ma;
         self.mode = self.resting_between_ends();
         Ok(())
     }
@@ -214,6 +241,7 @@ impl Capsule {
             self.referenced = false;
         }
         self.was_folded = false;
+        self.offset_before_ma = self.sample.offset_ma;
         let from_us = now_us.max(self.brake_until_us);
         let timeout_us = u64::from(self.timeout_ms(kind)) * 1_000;
         self.mode = Mode::Moving(Actuation {
@@ -232,6 +260,9 @@ impl Capsule {
             slack: measures::Mean::default(),
             winding_ma: None,
             taut: measures::Mean::default(),
+            share: measures::Mean::default(),
+            circuit: Circuit::default(),
+            back_emf_uv_cps: 0,
             prolongations: measures::PROLONGATIONS,
             found: None,
             settings: self.settings,

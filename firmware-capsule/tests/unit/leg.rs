@@ -37,6 +37,7 @@ const KNOWN: Calibration = Calibration {
     rise: Thread(1_500),
     long_rise: Thread(3_300),
     tension_ma: 90,
+    back_emf_uv_cps: 207,
 };
 const NONE: Load = Load {
     long_rise_from: None,

@@ -1,7 +1,8 @@
 //! The instants of the step edges: TIM5 captures each rising edge at its jumper, DMA keeps the instants in a ring.
 //!
-//! Channel 2 of TIM5 requests DMA1 stream 4, channel 6 (RM0383 table 27). TIM5 has 32 bits and the clock of the step timer, 100 MHz,
-//! so that an interval has to be the planned one to the tick. The time base of the firmware is another timer.
+//! Channel 2 of TIM5 requests DMA1 stream 4, channel 6 (RM0383 table 27). TIM5 has 32 bits and the clock of the step
+//! timer, 100 MHz, so that an interval has to be the planned one to the tick. The time base of the firmware is
+//! another timer.
 
 #![allow(unsafe_code)]
 
@@ -72,9 +73,9 @@ impl Captures {
         };
     }
 
-    /// Up to so many instants that were not taken yet. None if some have been overwritten, in the ring or in the capture register,
-    /// or if DMA has stopped.
-    pub fn take(&mut self, at_most: usize) -> Option<impl ExactSizeIterator<Item = u32>> {
+    /// Fills `instants` with those that were not taken yet, and returns how many. None if some have been overwritten, in
+    /// the ring or in the capture register, or if DMA has stopped.
+    pub fn take(&mut self, instants: &mut [u32]) -> Option<usize> {
         let Written {
             end,
             at_end,
@@ -99,12 +100,16 @@ impl Captures {
         if self.unread >= INSTANTS {
             return None;
         }
-        let (first, count) = (self.next, self.unread.min(at_most));
-        self.next = (first + count) % INSTANTS;
+        let count = self.unread.min(instants.len());
+        let mut at = self.next;
+        for instant in &mut instants[..count] {
+            // SAFETY: an index of the ring; volatile, because DMA writes it.
+            *instant = unsafe { RING.0.get().cast::<u32>().add(at).read_volatile() };
+            at = at.wrapping_add(1) % INSTANTS;
+        }
+        self.next = at;
         self.unread -= count;
-        // SAFETY: an index of the ring; volatile, because DMA writes it.
-        let read = |at: usize| unsafe { RING.0.get().cast::<u32>().add(at).read_volatile() };
-        Some((first..first + count).map(move |at| read(at % INSTANTS)))
+        Some(count)
     }
 }
 

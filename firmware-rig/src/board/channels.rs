@@ -12,11 +12,10 @@ use embassy_sync::{
 use embassy_time::Instant;
 use firmware_rig::{
     control::Snapshot,
-    edge_timing::Intervals,
     execution::{Mailbox, Order},
     machine::Event,
 };
-use motion::units::StepPosition;
+use motion::{edge_timing::Intervals, units::StepPosition};
 use protocol::settings::SettingKey;
 
 /// Fed by interrupts and motion, drained by control.

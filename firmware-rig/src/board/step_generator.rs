@@ -1,19 +1,19 @@
-//! The step generator: TIM1 pulses whose periods DMA takes from a ring, TIM2 which counts them at the pin, and the comparison of
-//! their captured instants with those periods.
+//! The step generator: TIM1 pulses whose periods DMA takes from a ring, TIM2 which counts them at the pin, and the
+//! comparison of their captured instants with those periods.
 //!
 //! Each ring slot is one period of TIM1, or as many equal ones as its repetition counter is told, five half-words in
 //! register order {ARR, RCR, CCR1, CCR2, CCR3}, written through TIM1_DMAR at every update event (RM0383 sections
-//! 12.3.3, 12.4.19 and 12.4.20). PWM mode 1 puts the pulse at the start of a period; CCR1 makes the sync pulse in the same way, so
-//! both have no latency at all. Everything is preloaded: while slot j plays, slot j+1 sits in the preload
-//! registers and slot j+2 is fetched at the next update. Its first word is already in the stream by then, which in direct
-//! mode loads one item ahead.
+//! 12.3.3, 12.4.19 and 12.4.20). PWM mode 1 puts the pulse at the start of a period; CCR1 makes the sync pulse in the
+//! same way, so both have no latency at all. Everything is preloaded: while slot j plays, slot j+1 sits in the preload
+//! registers and slot j+2 is fetched at the next update. Its first word is already in the stream by then, which in
+//! direct mode loads one item ahead.
 //!
 //! The slot after the last written one is always zero. A zero period blocks the counter with the output low
 //! (ARR = 0, RM0383 section 12.4.12): end marker, underrun guard and clean stop in one. However late the
 //! producer is, no pulse is ever repeated, doubled or misplaced; the generator only stops.
 //!
-//! The break flag BIF is the latch of the E-stop loop: every opening sets it, at rest too, and only [`rearm_loop`] clears
-//! it. Nothing starts while it is set.
+//! The break flag BIF is the latch of the E-stop loop: every opening sets it, at rest too, and only [`rearm_loop`]
+//! clears it. Nothing starts while it is set.
 
 #![allow(unsafe_code)]
 
@@ -32,12 +32,17 @@ use embassy_stm32::{
     pac::{self, DMA2, TIM1, TIM2},
 };
 use firmware_rig::{
-    edge_timing::{EdgeTiming, Timed},
-    execution::{Ring, StartError, Underrun},
+    execution::{EDGES_PER_LOOK, Ring, StartError, Underrun},
     machine::Event,
     periods::Period,
 };
-use motion::{axis::Direction, units::StepPosition};
+use motion::{
+    axis::Direction,
+    edge_timing::{EdgeTiming, Timed},
+    step_times::Equal,
+    timeline::{Mark, Timeline},
+    units::StepPosition,
+};
 
 /// Slots of the ring. At 28.5 kHz and no two periods alike it holds 4.3 ms.
 const SLOTS: usize = 128;
@@ -50,21 +55,21 @@ const SYNC_TICKS: u32 = 5_000;
 const STREAM: usize = 5;
 /// TIM1_UP (RM0383 table 28).
 const DMA_CHANNEL: u8 = 6;
-/// So many reads find MOE set unless the loop is open.
+/// Reads of MOE before concluding that the loop is open.
 const MOE_READS: u32 = 16;
-/// So many reads find a slot fetched.
+/// Reads of NDTR before concluding that a slot is not fetched.
 const FETCH_READS: u32 = 1_000;
 /// DCR.DBA of ARR: register offset 0x2C / 4.
 const DBA_ARR: u8 = 11;
 /// How long a request of the timer may take to its first transfer; about 0.5 us is expected. 2 us at 100 MHz.
 const REQUEST_CYCLES: u32 = 200;
-/// So many of these waits are longer than any burst.
+/// Waits of this length that are longer than any burst, together.
 const BURST_WAITS: u32 = 50;
 /// The stream stops within some cycles of the bus, or never.
 const STREAM_READS: u32 = 1_000;
 /// Cutting the pulses takes less than 1 us.
 const CUT_TICKS: i32 = 100;
-/// So many looks are longer than any pulse.
+/// Looks at STEP that take longer than any pulse.
 const PULSE_READS: u32 = 2_000;
 /// In TIM1's SR a written 0 clears a flag and a 1 leaves it: everything but the break flag.
 const ALL_BUT_BREAK: pac::timer::regs::SrAdv = pac::timer::regs::SrAdv(1 << 7);
@@ -75,27 +80,18 @@ struct Slots(UnsafeCell<[[u16; WORDS]; SLOTS]>);
 unsafe impl Sync for Slots {}
 static RING: Slots = Slots(UnsafeCell::new([[0; WORDS]; SLOTS]));
 
-/// How far a path has come; both wrap.
-#[derive(Clone, Copy, Default)]
-struct Mark {
-    ticks: u32,
-    pulses: u32,
-}
-
 /// The generator; one exists.
 pub struct StepGenerator {
-    /// Slots filled since [`Ring::clear`]; wraps in runs of many hours.
-    pushed: u32,
-    /// Slots that DMA has fetched; exceeds `pushed` by one while the last one plays, by two when halted.
+    /// The slots filled since [`Ring::clear`].
+    line: Timeline,
+    /// Slots that DMA has fetched; exceeds those filled by one while the last one plays, by two when halted.
     fetched: u32,
     /// Slot that DMA reads next, when `fetched` was last updated.
     read_slot: u32,
-    /// The path up to the end of each slot.
-    marks: [Mark; SLOTS],
-    /// The path up to the last slot that was filled.
-    end: Mark,
     running: bool,
     captures: Captures,
+    /// Where they are taken out to.
+    instants: [u32; EDGES_PER_LOOK as usize],
     timing: EdgeTiming,
     /// Width of a step pulse: a setting, no less than the driver's minimum (DRV8825: 1.9 us).
     pulse_ticks: u16,
@@ -109,9 +105,9 @@ impl StepGenerator {
         stream.par().write_value(TIM1.dmar().as_ptr() as u32);
         stream.m0ar().write_value(RING.0.get() as u32);
 
-        // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.4, external clock mode 2). A level counts
-        // after eight equal samples at 25 MHz: a spike of less than 280 ns is none, a pulse of more than 320 ns is one.
-        // The shortest step pulse is 1 us, and so is the shortest pause between two.
+        // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.4, external clock mode 2). A level
+        // counts after eight equal samples at 25 MHz: a spike of less than 280 ns is none, a pulse of more than 320
+        // ns is one. The shortest step pulse is 1 us, and so is the shortest pause between two.
         TIM2.arr().write_value(u32::MAX);
         TIM2.smcr().write(|w| {
             w.set_ece(true);
@@ -127,13 +123,12 @@ impl StepGenerator {
         }
         rearm_loop();
         Self {
-            pushed: 0,
+            line: Timeline::default(),
             fetched: 0,
             read_slot: 0,
-            marks: [Mark::default(); SLOTS],
-            end: Mark::default(),
             running: false,
             captures: Captures::new(),
+            instants: [0; EDGES_PER_LOOK as usize],
             timing: EdgeTiming::default(),
             pulse_ticks: 0,
         }
@@ -141,18 +136,18 @@ impl StepGenerator {
 
     /// Slots that wait in the ring; -1 while the last one plays, -2 when nothing plays any more.
     fn queue(&self) -> i32 {
-        self.pushed.wrapping_sub(self.fetched) as i32
+        self.line.given().wrapping_sub(self.fetched) as i32
     }
 
-    /// Cuts the pulses, but none in its middle: one that is shorter than the read-back's filter would be an edge at the pin and
-    /// none in the count. What stops at once, E-stop and limits, has cut them before.
+    /// Cuts the pulses, but none in its middle: one that is shorter than the read-back's filter would be an edge at
+    /// the pin and none in the count. What stops at once, E-stop and limits, has cut them before.
     fn cut_between_pulses(&mut self) {
         for _ in 0..PULSE_READS {
             let cut = cortex_m::interrupt::free(|_| {
                 self.update();
                 let slot = self.fetched.wrapping_sub(2);
                 // SAFETY: a word of a slot; only this generator writes it.
-                let last_tick = unsafe { words(slot as usize).read_volatile() };
+                let last_tick = unsafe { words(slot).read_volatile() };
                 let left = i32::from(last_tick) - i32::from(TIM1.cnt().read().cnt());
                 // No pulse begins before the outputs are off: it is not so near, or the counter is blocked or stands.
                 let none_begins = left > CUT_TICKS || last_tick == 0;
@@ -169,10 +164,32 @@ impl StepGenerator {
         pins::cut_pulses();
     }
 
-    /// The path up to the end of the slot so many before the one that DMA reads next: 2 is the one that plays.
-    /// Before the first slot these are the ring's last ones, which are not filled so early.
-    fn mark(&self, before: u32) -> Mark {
-        self.marks[self.fetched.wrapping_sub(before) as usize % SLOTS]
+    /// Whether a period could still be appended for certain.
+    fn is_in_time(&self) -> bool {
+        !self.running || self.queue() >= 2
+    }
+
+    /// Shows the reader `count` slots from `first` on, which were written but for the first word of the first one: a
+    /// half-written slot that the reader takes all the same stops the counter.
+    fn show(&mut self, first: u32, last_tick: u16, count: i32) -> Result<(), Underrun> {
+        compiler_fence(Ordering::SeqCst);
+        // SAFETY: as in `end_slot`.
+        unsafe { words(first).write_volatile(last_tick) };
+        compiler_fence(Ordering::SeqCst);
+        self.update();
+        // With no other slot in the queue the one before these has been fetched, and with its last word the first one
+        // of these: perhaps still as the zero that stops the counter.
+        if self.running && self.queue() <= count {
+            return Err(Underrun);
+        }
+        Ok(())
+    }
+
+    /// The path from the end of the slot that is `before` slots behind DMA's next read, 2 for the one that plays, to
+    /// that of the last one.
+    fn behind(&self, before: u32) -> Mark {
+        let mark = self.line.at_end_of(self.fetched.wrapping_sub(before));
+        self.line.end().since(mark)
     }
 }
 
@@ -180,60 +197,69 @@ impl Ring for StepGenerator {
     fn clear(&mut self, pulse_ticks: u16) {
         self.halt();
         self.pulse_ticks = pulse_ticks;
-        for slot in 0..SLOTS {
+        for slot in 0..SLOTS as u32 {
             end_slot(slot);
-            self.marks[slot] = Mark::default();
         }
         DMA2.st(STREAM)
             .ndtr()
             .write(|w| w.set_ndt(RING_WORDS as u16));
-        (self.pushed, self.fetched, self.read_slot) = (0, 0, 0);
-        self.end = Mark::default();
+        self.line.clear();
+        (self.fetched, self.read_slot) = (0, 0);
         self.captures.skip();
         self.timing.clear();
     }
 
     fn push(&mut self, period: Period) -> Result<(), Underrun> {
-        let late = self.running && self.queue() < 2;
-        let slot = self.pushed as usize % SLOTS;
+        let (in_time, slot) = (self.is_in_time(), self.line.given());
+        if period.pulse {
+            self.line.extend(&[Equal {
+                interval: period.ticks,
+                steps: u32::from(period.repeats) + 1,
+            }]);
+        } else {
+            self.line.extend_by_pause(period.ticks);
+        }
+        if !in_time {
+            return Err(Underrun);
+        }
         let sync = if period.sync {
             SYNC_TICKS.min(period.ticks - 1)
         } else {
             0
         };
-        let rounds = u32::from(period.repeats) + 1;
         let pulse = if period.pulse { self.pulse_ticks } else { 0 };
-        self.pushed = self.pushed.wrapping_add(1);
-        self.end.ticks = self.end.ticks.wrapping_add(period.ticks * rounds);
-        if period.pulse {
-            self.end.pulses = self.end.pulses.wrapping_add(rounds);
-        }
-        self.marks[slot] = self.end;
-        self.timing.expect(period);
-        if late {
-            return Err(Underrun);
-        }
-        end_slot(slot + 1);
-        write_slot(
-            slot,
-            [
-                (period.ticks - 1) as u16,
-                period.repeats.into(),
-                sync as u16,
-                pulse,
-            ],
-        );
-        self.update();
-        // With one slot in the queue the one before it has been fetched, and with its last word the first one of this slot:
-        // perhaps still as the zero that stops the counter.
-        if self.running && self.queue() < 2 {
-            return Err(Underrun);
-        }
-        Ok(())
+        end_slot(slot.wrapping_add(1));
+        write_slot(words(slot), period.repeats.into(), sync as u16, pulse);
+        self.show(slot, (period.ticks - 1) as u16, 1)
     }
 
-    fn has_room(&self) -> bool {
-        self.queue() < MAX_QUEUE
+    fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun> {
+        let (in_time, first) = (self.is_in_time(), self.line.given());
+        self.line.extend(groups);
+        if !in_time {
+            return Err(Underrun);
+        }
+        end_slot(first.wrapping_add(groups.len() as u32));
+        let (mut slot, pulse) = (first, self.pulse_ticks);
+        for steps in groups {
+            let words = words(slot);
+            // Neither wraps: there is no group of no steps, and no step of no ticks.
+            write_slot(words, steps.steps.wrapping_sub(1) as u16, 0, pulse);
+            if slot != first {
+                // SAFETY: as in `end_slot`.
+                unsafe { words.write_volatile(steps.interval.wrapping_sub(1) as u16) };
+            }
+            slot = slot.wrapping_add(1);
+        }
+        self.show(
+            first,
+            groups[0].interval.wrapping_sub(1) as u16,
+            groups.len() as i32,
+        )
+    }
+
+    fn room(&self) -> u32 {
+        (MAX_QUEUE - self.queue()).max(0).unsigned_abs()
     }
 
     fn waiting(&self) -> u32 {
@@ -248,37 +274,22 @@ impl Ring for StepGenerator {
         if self.queue() < 0 {
             return 0;
         }
-        self.end.ticks.wrapping_sub(self.mark(2).ticks)
+        self.behind(2).ticks
     }
 
     fn waiting_pulses(&self) -> u32 {
-        self.end.pulses.wrapping_sub(self.mark(3).pulses)
+        self.behind(3).pulses
     }
 
     fn queued_pulses(&self) -> u32 {
-        self.end.pulses.wrapping_sub(self.mark(2).pulses)
+        self.behind(2).pulses
     }
 
     fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32> {
-        let last = self.end.pulses.wrapping_sub(unemitted);
-        let mut after = self.end;
-        for back in 2..=SLOTS as u32 {
-            let before = self.marks[self.pushed.wrapping_sub(back) as usize % SLOTS];
-            let pulses = after.pulses.wrapping_sub(before.pulses);
-            // From 1 where the slot has this pulse.
-            let nth = last.wrapping_sub(before.pulses);
-            if (1..=pulses).contains(&nth) {
-                let round = after.ticks.wrapping_sub(before.ticks) / pulses;
-                let at = before.ticks.wrapping_add((nth - 1) * round);
-                return Some(self.end.ticks.wrapping_sub(at));
-            }
-            after = before;
-        }
-        None
+        self.line.ticks_since_last_pulse(unemitted)
     }
 
-    // At least once per round of the ring. Once per step: no call, although the image is optimised for size.
-    #[inline(always)]
+    // At least once per round of the ring.
     fn update(&mut self) {
         let left = u32::from(DMA2.st(STREAM).ndtr().read().ndt());
         let slot = (RING_WORDS - left) / WORDS as u32 % SLOTS as u32;
@@ -333,7 +344,8 @@ impl Ring for StepGenerator {
     fn halt(&mut self) {
         self.cut_between_pulses();
         TIM1.cr1().modify(|w| w.set_cen(false));
-        // Without its request a burst would end in its middle, and the timer may go on there with the next path's words.
+        // Without its request a burst would end in its middle, and the timer may go on there with the next path's
+        // words.
         let whole = burst_is_whole();
         enable_requests(false);
         DMA2.st(STREAM).cr().modify(|w| w.set_en(false));
@@ -372,14 +384,14 @@ impl Ring for StepGenerator {
         if self.timing.is_over() {
             return true;
         }
-        let Some(instants) = self.captures.take(at_most as usize) else {
+        let at_most = (at_most as usize).min(self.instants.len());
+        let Some(count) = self.captures.take(&mut self.instants[..at_most]) else {
             self.timing.lose();
             return true;
         };
-        let all = instants.len() < at_most as usize;
-        self.timing.compare(instants);
+        self.timing.compare(&self.line, &self.instants[..count]);
         INTERVALS.show(self.timing.intervals());
-        all
+        count < at_most
     }
 
     fn timed(&self) -> Timed {
@@ -442,9 +454,9 @@ fn burst_is_whole() -> bool {
 
 /// Makes a slot the end of the queue. The counter has to stop before the outputs lose their pulses.
 #[inline]
-fn end_slot(slot: usize) {
+fn end_slot(slot: u32) {
     let words = words(slot);
-    // SAFETY: as in `write_slot`.
+    // SAFETY: the five words of a slot lie inside the ring; volatile, because DMA reads them.
     unsafe {
         words.write_volatile(0);
         words.add(1).write_volatile(0);
@@ -454,27 +466,24 @@ fn end_slot(slot: usize) {
     compiler_fence(Ordering::SeqCst);
 }
 
-/// Fills a slot that is the end of the queue: ARR, RCR, CCR1, CCR3; there is no second channel (CCR2).
-#[inline]
-fn write_slot(slot: usize, [arr, rcr, sync, pulse]: [u16; 4]) {
-    let words = words(slot);
-    // SAFETY: the five words of a slot lie inside the ring; volatile, because DMA reads them.
+/// Writes all words of a slot but the first, ARR: RCR, CCR1, CCR3; there is no second channel (CCR2).
+// Once per step: inline, although the image is optimised for size.
+#[inline(always)]
+fn write_slot(words: *mut u16, repeats: u16, sync: u16, pulse: u16) {
+    // SAFETY: as in `end_slot`.
     unsafe {
-        words.add(1).write_volatile(rcr);
+        words.add(1).write_volatile(repeats);
         words.add(2).write_volatile(sync);
         words.add(4).write_volatile(pulse);
-        // ARR comes to its value last: a half-written slot that the reader takes all the same stops the counter.
-        words.write_volatile(arr);
     }
-    compiler_fence(Ordering::SeqCst);
 }
 
 /// The first word of a slot, which may be one beyond the last and then is the first again.
 #[inline]
-fn words(slot: usize) -> *mut u16 {
+fn words(slot: u32) -> *mut u16 {
     let slots = RING.0.get().cast::<[u16; WORDS]>();
     // SAFETY: `slot % SLOTS` lies inside the ring.
-    unsafe { slots.add(slot % SLOTS).cast::<u16>() }
+    unsafe { slots.add(slot as usize % SLOTS).cast::<u16>() }
 }
 
 /// Position by the read-back counter.

@@ -1,15 +1,14 @@
 //! The report: recorded trials as one self-contained HTML file.
 //!
-//! What contradicts itself is shown in red with the reason, and what is left out is listed with it.
+//! Shows contradictions in a record in red with the reason, and lists every omitted file with the reason.
 
 pub mod campaign;
 pub mod campaign_band;
 mod campaign_figures;
 pub mod check;
 pub mod evaluation;
-pub mod figures;
 mod page;
-mod pdf;
+pub mod remark;
 pub mod section;
 
 use std::fs;
@@ -22,10 +21,11 @@ use trials::sidecar::{heading, other};
 use trials::trial::{RecordError, Trial};
 use trials::writer;
 
-use crate::report::figures::FigureError;
+use crate::figures::FigureError;
+use crate::report::remark::Remark;
 use crate::report::section::{in_short, reasons, remark_table, section, status};
 
-/// Why the report could not be written.
+/// Why the report was not written.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum ReportError {
     /// A record could not be read or the report could not be written.
@@ -43,9 +43,9 @@ pub enum ReportError {
         help("give a folder with records of `retrograde run`, or their JSON files")
     )]
     NoTrials {
-        /// Where they were looked for.
+        /// Where the tool looked for them.
         path: PathBuf,
-        /// What is there instead.
+        /// Files found there instead.
         left_out: Vec<LeftOut>,
     },
     /// The report would replace a record.
@@ -58,7 +58,7 @@ pub enum ReportError {
         /// The file.
         path: PathBuf,
     },
-    /// A file of this name is there already.
+    /// A file of this name already exists.
     #[error("{path} is there already; nothing was written", path = path.display())]
     #[diagnostic(
         code(retrograde::exists),
@@ -70,21 +70,10 @@ pub enum ReportError {
     },
 }
 
-/// What is in the folder, for a folder without trials.
+/// Lists the other files of a folder without trials.
 fn besides(left_out: &[LeftOut]) -> String {
     let lines = left_out.iter().map(|left| format!("\n  {left}"));
     lines.collect()
-}
-
-/// A table of results that are not in the records, such as a verdict from the pins or a modelled displacement.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Remark {
-    /// Sidecar of the trial it belongs to; none for a remark on the whole report.
-    pub sidecar: Option<PathBuf>,
-    /// Heading.
-    pub title: String,
-    /// Names and values.
-    pub rows: Vec<(String, String)>,
 }
 
 /// A file that is not in the report.
@@ -95,20 +84,20 @@ pub struct LeftOut {
     pub path: PathBuf,
     /// Why it is left out.
     pub why: String,
-    /// It is what is left of the record of a trial, and not a file of another kind.
+    /// Whether it is part of the record of a trial, not a file of another kind.
     pub is_record: bool,
 }
 
-/// What a report is of.
+/// Files of a report.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Found {
     /// Sidecars of trials.
     pub sidecars: Vec<PathBuf>,
-    /// What is beside them and is not in the report.
+    /// Other files beside them, with the reasons for omitting them.
     pub left_out: Vec<LeftOut>,
 }
 
-/// What to do with a report that is there already.
+/// Handling of a report that already exists.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
     /// Keep it, and write nothing.
@@ -122,21 +111,21 @@ pub enum Existing {
 pub struct Damaged {
     /// Its sidecar.
     pub sidecar: PathBuf,
-    /// What is wrong with it.
+    /// Its defects.
     pub defects: Vec<String>,
 }
 
-/// A report before it is written.
+/// A report before it is written to disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Report {
     /// The page.
     pub html: String,
-    /// Trials on it that must not be taken for what they say.
+    /// Trials on it with contradictory records.
     pub damaged: Vec<Damaged>,
 }
 
-/// The trials at these paths; a folder stands for all in it, in the order of their start. What a folder has besides is
-/// listed with the reason.
+/// Finds the trials at these paths; a folder stands for all trials in it, in the order of their start. Lists all
+/// other files of a folder with the reason.
 ///
 /// # Errors
 /// A path cannot be read, or a folder holds no trial.
@@ -179,11 +168,11 @@ pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
     Ok(all)
 }
 
-/// What the files of a trial's record begin with.
+/// Prefixes of a record's files.
 const STEMS: [&str; 5] = ["run-", "fold-", "unfold-", "reference-", "check-"];
 
-/// A trial, if this file is its sidecar; none for a file that needs no mention; or why it is left out, and whether it is what is
-/// left of a trial's record.
+/// Classifies a file: a trial if it is a sidecar; none if it needs no mention; otherwise why it is omitted, and
+/// whether it is part of a trial's record.
 fn belongs(file: &Path) -> Result<Option<Trial>, (String, bool)> {
     let stem = file.file_name().unwrap_or_default().to_string_lossy();
     let is_record = STEMS.iter().any(|known| stem.starts_with(known));
@@ -198,7 +187,7 @@ fn belongs(file: &Path) -> Result<Option<Trial>, (String, bool)> {
         ));
     }
     if is("csv") {
-        // Those of a sidecar are told with it.
+        // Files of an existing sidecar are reported with it.
         return if file.with_extension("json").exists() {
             Ok(None)
         } else {
@@ -228,14 +217,14 @@ fn belongs(file: &Path) -> Result<Option<Trial>, (String, bool)> {
 /// Makes the report of these trials and writes it.
 ///
 /// # Errors
-/// A record cannot be read, the file is there already, or it cannot be written. Then nothing is changed.
+/// A record cannot be read, the report already exists, or it cannot be written. Then nothing is changed.
 pub fn write(
     found: &Found,
     remarks: &[Remark],
     out: &Path,
     existing: Existing,
 ) -> Result<Report, ReportError> {
-    // Asked before the work; that nothing comes meanwhile is seen to at the end.
+    // Check before the work; `put` checks again at the end, in case a file appears meanwhile.
     if existing == Existing::Keep && out.exists() {
         return Err(ReportError::Exists {
             path: out.to_owned(),
@@ -256,7 +245,7 @@ pub fn write(
     Ok(report)
 }
 
-/// Writes a file of a report whole or not at all.
+/// Writes a file of a report completely or not at all.
 pub(crate) fn put(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), ReportError> {
     if let Some(folder) = path
         .parent()

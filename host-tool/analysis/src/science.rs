@@ -1,23 +1,23 @@
-//! The paper's calculations, which need no machine: the design in numbers and drawings, the simulations as series.
+//! The paper's calculations, without a machine: the design in numbers and drawings, the simulations as series.
 //!
 //! * [`values`]: lists and ranges of numbers, exact.
 //! * [`design`]: every number of one origami, beside the paper's requirements.
-//! * [`optimise`]: designs within limits that go farthest for their length.
+//! * [`optimise`]: designs within limits that move farthest for their length.
 //! * [`series`]: the paper's series and free sweeps, in parallel, in order.
-//! * [`bands`]: what the bodies that agree with the paper's words do.
-//! * [`model_file`]: a model as people give it, and what it calls itself.
+//! * [`bands`]: displacements of the bodies that agree with the paper's words.
+//! * [`model_file`]: reading and writing models, and their descriptions.
 //! * [`odds`]: how probable it is that the paper's sentences are met.
 //! * [`observations`]: displacements for a calibration, from folders and files.
 //! * [`posterior`]: fitted bodies in a model file.
 //! * [`virtual_displacement`]: displacements of the virtual bench.
 //! * [`trial_plan`]: which trials to make next.
 //! * [`snapshots`]: wall and body at several moments.
-//! * [`charts`]: the series as figures, beside what the paper's text says.
+//! * [`charts`]: the series as figures, beside the numbers in the paper's text.
 //! * [`crescent`]: the crescent as a beam: forces, the least alpha, displacement over thread.
-//! * [`drawing`]: to scale, in millimetres.
+//! * [`drawing`]: drawings to scale, in millimetres.
 //! * [`table`]: the same numbers as CSV.
 //!
-//! The models are those of `locomotion`; `docs/science.md` says how far they can be trusted.
+//! The models are those of `locomotion`; `docs/science.md` says how reliable they are.
 
 pub mod bands;
 pub mod charts;

@@ -1,4 +1,4 @@
-//! The catalogue: which campaigns and trials are in some folders, by date, specimen and outcome. Reads only.
+//! The catalogue: lists the campaigns and trials in folders by date, specimen and outcome. Only reads.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,24 +11,25 @@ use serde::Serialize;
 use trials::sidecar::{heading, unreadable};
 use trials::trial::{Status, Trial};
 
-use crate::folder::{Campaign, ORDER, PLAN};
+use crate::contents::Campaign;
+use crate::differences::read_manifest;
+use crate::files::{ORDER, PLAN};
 use crate::ledger::{Outcome, Standing, TrialState};
 use crate::order::doing;
-use crate::verify;
 
-/// Folders within folders are looked through so deep.
+/// Greatest depth of nested folders that are searched.
 const DEPTH: u32 = 3;
 
-/// What is wanted; all that is given has to hold.
+/// Search criteria; an entry has to match all that are given.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
     /// First day, UTC.
     pub since: Option<Date>,
     /// Last day, UTC.
     pub until: Option<Date>,
-    /// A part of the specimen's description or of the note, in small or capital letters.
+    /// Part of the specimen's description or of the note; upper and lower case match.
     pub specimen: Option<String>,
-    /// An outcome, as it is listed.
+    /// An outcome, as in the list.
     pub outcome: Option<String>,
 }
 
@@ -39,19 +40,19 @@ pub struct Entry {
     pub kind: Kind,
     /// Its folder or its sidecar.
     pub path: PathBuf,
-    /// Its beginning; none if nothing has begun.
+    /// Its start; none if nothing has begun.
     pub started_utc: Option<Timestamp>,
-    /// What it is.
+    /// Description in a few words.
     pub what: String,
     /// The specimen, or the note of a trial outside campaigns.
     pub specimen: Option<String>,
-    /// What became of it: of a campaign `complete` or `open`.
+    /// Its outcome; for a campaign `complete` or `open`.
     pub outcome: String,
-    /// Where its data come from.
+    /// Origin of its data.
     pub origin: Origin,
 }
 
-/// What an entry is.
+/// Kind of an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -63,12 +64,12 @@ pub enum Kind {
     Trial,
 }
 
-/// What was found.
+/// Result of a search.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Catalogue {
-    /// The oldest first.
+    /// Matching entries, the oldest first.
     pub entries: Vec<Entry>,
-    /// What could not be read, and why.
+    /// Unreadable files, with the reasons.
     pub unreadable: Vec<String>,
 }
 
@@ -94,7 +95,7 @@ impl Wanted {
     }
 }
 
-/// Looks through these folders; `trials` also lists the trials within campaigns.
+/// Searches these folders; `trials` also lists the trials within campaigns.
 #[must_use]
 pub fn list(folders: &[PathBuf], trials: bool, wanted: &Wanted) -> Catalogue {
     let mut catalogue = Catalogue::default();
@@ -129,7 +130,7 @@ impl Catalogue {
         for sidecar in within.iter().filter(is_json) {
             match Trial::read(sidecar) {
                 Ok(trial) => self.entries.push(ordinary(sidecar, &trial)),
-                // Records of other kinds are no trials; a trial that cannot be read is told.
+                // Other JSON records are ignored; an unreadable trial is reported.
                 Err(error) => {
                     if let Some(why) = unreadable(sidecar, error) {
                         self.unreadable.push(why);
@@ -138,7 +139,7 @@ impl Catalogue {
             }
         }
         if depth > 0 {
-            // A link may lead in a circle.
+            // Skip links, which could form a cycle.
             let is_folder = |path: &&PathBuf| path.is_dir() && !path.is_symlink();
             for folder in within.iter().filter(is_folder) {
                 self.look(folder, depth - 1, trials);
@@ -158,7 +159,7 @@ impl Catalogue {
         let read = campaign.reading_rows.iter().map(|row| row.time_utc);
         let specimen = &campaign.plan.metadata.specimen;
         let origin = campaign.origin().unwrap_or(Origin::Unknown);
-        let sealed = matches!(verify::manifest(&campaign.folder), Ok(Some(_)));
+        let sealed = matches!(read_manifest(&campaign.folder), Ok(Some(_)));
         self.entries.push(Entry {
             kind: Kind::Campaign,
             path: campaign.folder.clone(),

@@ -1,12 +1,12 @@
-//! Chance from a seed. The same seed gives the same order for ever, which no general-purpose crate promises between its
-//! versions.
+//! Random numbers from a seed. The same seed gives the same order forever, which no general-purpose crate promises
+//! across its versions.
 
 /// SplitMix64 (Steele, Lea, Flood 2014).
 #[derive(Clone, Debug)]
 pub struct Chance(u64);
 
 impl Chance {
-    /// Everything that follows depends on nothing but `seed`.
+    /// A generator that depends on `seed` alone.
     #[must_use]
     pub const fn new(seed: u64) -> Self {
         Self(seed)
@@ -21,13 +21,13 @@ impl Chance {
         z ^ (z >> 31)
     }
 
-    /// Below `bound`, each number equally likely; 0 if `bound` is 0.
+    /// A uniform number below `bound`; 0 if `bound` is 0.
     pub fn below(&mut self, bound: usize) -> usize {
         let bound = bound as u64;
         if bound == 0 {
             return 0;
         }
-        // The numbers beyond the last whole multiple of `bound` would favour the small ones.
+        // Reject numbers beyond the last whole multiple of `bound`, which would favour small results.
         let whole = u64::MAX - u64::MAX % bound;
         loop {
             let bits = self.bits();
@@ -37,21 +37,21 @@ impl Chance {
         }
     }
 
-    /// Puts the items into one of all orders, each equally likely (Fisher and Yates).
+    /// Puts the items into a random order; all orders are equally likely (Fisher and Yates).
     pub fn shuffle<T>(&mut self, items: &mut [T]) {
         for last in (1..items.len()).rev() {
             items.swap(last, self.below(last + 1));
         }
     }
 
-    /// From 0 to below 1, each part equally likely.
+    /// A uniform number from 0 to below 1.
     pub fn part(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
     /// From the normal distribution with mean 0 and standard deviation 1 (Box and Muller).
     pub fn normal(&mut self) -> f64 {
-        // Above 0, so that it has a logarithm.
+        // Above 0, because the logarithm of 0 is infinite.
         let unit = |bits: u64| ((bits >> 11) as f64 + 1.0) / (1_u64 << 53) as f64;
         let (radius, angle) = (unit(self.bits()), unit(self.bits()));
         (-2.0 * radius.ln()).sqrt() * (std::f64::consts::TAU * angle).cos()
@@ -62,11 +62,11 @@ impl Chance {
 mod tests {
     use super::*;
 
-    /// A campaign that was begun with an older version has to go on in the same order.
+    /// A campaign begun with an older version must continue in the same order.
     #[test]
     fn a_seed_means_the_same_for_ever() {
         let mut chance = Chance::new(1_234_567);
-        // The reference values of the algorithm's authors for this seed.
+        // Reference values by the authors of the algorithm, for this seed.
         let expected = [
             6_457_827_717_110_365_317,
             3_203_168_211_198_807_973,
@@ -87,7 +87,7 @@ mod tests {
             *counts.entry(items).or_insert(0) += 1;
         }
         assert_eq!(counts.len(), 6);
-        // 1000 each; five standard deviations are 144.
+        // Expected are 1000 each; five standard deviations are 144.
         assert!(
             counts.values().all(|count| (856..1_144).contains(count)),
             "{counts:?}"

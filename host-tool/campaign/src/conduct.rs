@@ -1,5 +1,5 @@
-//! Carries a campaign out: readings, trials, displacements, in the order of the plan, until it is done or the operator
-//! leaves. Everything is in the folder before the next thing begins.
+//! Carries out a campaign: readings, trials, displacements, in the order of the plan, until it is done or the
+//! operator leaves. Writes each result to the folder before the next step begins.
 
 mod displacement;
 pub mod modelled;
@@ -28,14 +28,14 @@ use crate::ledger::{Outcome, Row, Standing};
 use crate::prompts::{self, Answer, Halt, Question};
 use crate::readings::ReadingRow;
 
-/// How long the machines are kept company at a time while a question waits, us.
+/// Longest time between two calls that keep the machines' links alive while a question waits, us.
 const COMPANY_US: u64 = 50_000;
 
-/// Who answers, and where it is shown.
+/// Shows text to the operator and asks for answers.
 pub trait Desk {
     /// Shows a line.
     fn say(&mut self, text: &str);
-    /// Waits for an answer; calls `company` at least some times a second meanwhile, which keeps the links alive.
+    /// Waits for an answer. Calls `company` several times a second meanwhile, to keep the links alive.
     ///
     /// # Errors
     /// [`Halt`].
@@ -44,11 +44,11 @@ pub trait Desk {
         question: &Question<'_>,
         company: &mut dyn FnMut() -> Result<(), ClientError>,
     ) -> Result<String, Halt>;
-    /// Somebody reads what may be answered.
+    /// Whether a person answers, who needs to see the question and the possible answers.
     fn is_person(&self) -> bool;
     /// Shows the progress of a motion.
     fn observer(&mut self) -> Box<dyn Observer + '_>;
-    /// What holds and resumes a run, if somebody can.
+    /// The keys that hold and resume a run, if there are any.
     fn pacer(&mut self) -> Option<Pacer>;
     /// The time of day.
     fn now(&self) -> Timestamp;
@@ -57,39 +57,39 @@ pub trait Desk {
 /// How a session ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// Everything is done.
+    /// All trials are done.
     Through,
-    /// As many trials as were asked for are done.
+    /// The requested number of trials is done.
     Enough,
     /// The operator left.
     Left,
 }
 
-/// Why a session could not go on. What was reached is in the folder.
+/// Why a session cannot continue. Everything reached so far is in the folder.
 #[derive(Debug, thiserror::Error)]
 pub enum Broken {
-    /// The folder.
+    /// The folder cannot be used.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
-    /// A machine, or a record.
+    /// A machine or a record failed.
     #[error(transparent)]
     Experiment(#[from] ExperimentError),
     /// A motion did not end as planned.
     #[error("{action} ended as {status:?}")]
     Ended {
-        /// Which.
+        /// Name of the motion.
         action: &'static str,
-        /// How.
+        /// How it ended.
         status: Status,
         /// The fault, if there was one.
         reason: Option<String>,
     },
-    /// A machine is in a state in which nothing can begin.
+    /// A machine is in a state in which no trial can begin.
     #[error("{why}")]
     NotReady {
-        /// Why.
+        /// The reason.
         why: String,
-        /// What to do.
+        /// Advice.
         help: String,
     },
 }
@@ -107,7 +107,7 @@ impl From<RecordError> for Broken {
 }
 
 impl Broken {
-    /// What it means for the attempt in which it happened.
+    /// Outcome of the attempt in which it happened.
     fn outcome(&self) -> Outcome {
         match self {
             Self::Campaign(_) => Outcome::Lost,
@@ -123,7 +123,7 @@ impl Broken {
                 _ => Outcome::Lost,
             },
             Self::Experiment(ExperimentError::Incomplete { status, .. }) => Outcome::from(*status),
-            // What is not on the disk cannot be looked at again.
+            // The attempt counts as lost: without its record it cannot be checked.
             Self::Experiment(ExperimentError::Record(_) | ExperimentError::Unrecorded { .. }) => {
                 Outcome::Lost
             }
@@ -131,18 +131,18 @@ impl Broken {
     }
 }
 
-/// The machines, and what was found out about them once.
+/// The machines, and facts about them that do not change during a session.
 pub struct Machines {
     rig: Device,
     capsule: Option<Device>,
     origin: Origin,
     known: Value,
-    /// Since when the position can be trusted, and how it was found.
+    /// When and how the position was found; none while it is unknown.
     homed: Option<(Timestamp, Homed)>,
 }
 
 impl Machines {
-    /// Asks the machines who they are and how they are set.
+    /// Asks the machines for their identities and settings.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -182,14 +182,14 @@ impl Machines {
         })
     }
 
-    /// Where the data come from: one machine that is not real makes all of them simulated.
+    /// Origin of the data: simulated if any of the machines is.
     #[must_use]
     pub fn origin(&self) -> Origin {
         self.origin
     }
 
-    /// Stops what still moves. It belongs to an attempt that the tool has left, and is in the ledger as lost. Returns what was
-    /// stopped.
+    /// Stops every motion that is still going on. Such a motion belongs to an attempt that the tool has left, which
+    /// the ledger lists as lost. Returns the machines stopped.
     ///
     /// # Errors
     /// As [`Device::urgent`] and [`Device::call`].
@@ -235,26 +235,26 @@ pub struct Conduct<'a> {
     machines: &'a mut Machines,
     desk: &'a mut dyn Desk,
     model: &'a dyn DisplacementModel,
-    /// A name for the camera's next file, if the operator has given one.
+    /// Name of the camera's next file, if the operator has given one.
     camera: Option<String>,
-    /// The rollers were clamped anew, although the block has begun.
+    /// Whether the rollers were clamped again within the block.
     clamped_anew: bool,
-    /// The block of the last homing.
+    /// Block of the last homing in this session.
     homed_in: Option<u32>,
 }
 
-/// What comes after an answer.
+/// The step after an answer.
 enum Then {
-    /// The trial begins, or the value is in the ledger.
+    /// Begin the trial; or the value is in the ledger.
     Go,
-    /// Look again what is next.
+    /// Find out again what comes next.
     Look,
-    /// The operator leaves.
+    /// Leave: the operator has asked to.
     Leave,
 }
 
 impl<'a> Conduct<'a> {
-    /// Nothing is asked and nothing moves yet.
+    /// A session; asks nothing and moves nothing yet.
     pub fn new(
         folder: &'a mut Folder,
         machines: &'a mut Machines,
@@ -272,7 +272,7 @@ impl<'a> Conduct<'a> {
         }
     }
 
-    /// Goes on where the campaign stands, with at most so many new attempts.
+    /// Continues the campaign where it stands, with at most `attempts` new attempts.
     ///
     /// # Errors
     /// [`Broken`].
@@ -291,7 +291,7 @@ impl<'a> Conduct<'a> {
                 match self.set_up(&planned)? {
                     Then::Go => match self.stage(&planned)? {
                         Then::Go => match self.ask_ready(&planned, number + 1)? {
-                            // While the check-list waited, another window may have moved the rollers.
+                            // While the check-list waited, another program may have moved the rollers.
                             Then::Go if !self.is_staged(&planned)? => {
                                 self.desk
                                     .say("  the rollers no longer stand where they have to");
@@ -328,7 +328,7 @@ impl<'a> Conduct<'a> {
 
     // Questions.
 
-    /// Asks until the answer can be understood. None: the operator leaves.
+    /// Asks until the answer is clear. None: the operator leaves.
     fn ask(&mut self, question: &Question<'_>) -> Result<Option<Answer>, Broken> {
         let person = self.desk.is_person();
         if person || !matches!(question, Question::Reading { .. }) {
@@ -345,7 +345,7 @@ impl<'a> Conduct<'a> {
             let text = match self.desk.answer(question, &mut company) {
                 Ok(text) => text,
                 Err(Halt::Left) => return Ok(None),
-                // The operator's stop ends the company, too.
+                // The operator's stop also ends the waiting.
                 Err(Halt::Client(ClientError::Interrupted { .. })) => return Ok(None),
                 Err(Halt::Client(error)) => return Err(error.into()),
             };

@@ -1,7 +1,8 @@
-//! The folder of a campaign: created whole, read by anybody, written by one process at a time.
+//! The folder of a campaign: created as a whole, readable by any process, written by one process at a time.
 //!
-//! `trials.csv` and `readings.csv` are only ever added to, and each row is on the disk before anything depends on it. After each
-//! change `SHA256SUMS` is replaced. What a crash leaves is told by [`Folder::resume`] and taken up, if it can be nothing else.
+//! `trials.csv` and `readings.csv` only grow, and each row is on the disk before anything depends on it. `SHA256SUMS`
+//! is replaced after each change. [`Folder::resume`] reports what a crash has left, and repairs it if nothing but a
+//! crash can be the cause.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -11,204 +12,28 @@ use client::identity::Origin;
 use client::limited;
 use jiff::Timestamp;
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use trials::trial::{Status, Trial};
 use trials::writer::replace;
 
 use crate::CampaignError;
-use crate::ledger::{Attempt, Event, Outcome, Row, State};
+use crate::contents::{
+    Campaign, READINGS_HEADER, RESTORE, TRIALS_HEADER, not_a_campaign, order_text,
+};
+use crate::differences::{Differences, read_manifest};
+use crate::files::{ATTEMPTS, LOCK, ORDER, PLAN, READINGS, TRIALS};
+use crate::ledger::{Attempt, Event, Outcome, Row};
 use crate::manifest::{self, Manifest, PART};
-use crate::order::{Planned, order};
-use crate::plan::{Millimetres, Plan};
-use crate::readings::{ReadingRow, Readings};
-use crate::verify::{self, Differences};
+use crate::order::order;
+use crate::plan::Plan;
+use crate::readings::ReadingRow;
 
-/// The plan, as it was given.
-pub const PLAN: &str = "plan.toml";
-/// The trials in their order.
-pub const ORDER: &str = "order.csv";
-/// The ledger.
-pub const TRIALS: &str = "trials.csv";
-/// The caliper's readings.
-pub const READINGS: &str = "readings.csv";
-/// Whoever writes holds its lock. It is empty, and not in the manifest.
-pub const LOCK: &str = ".lock";
-/// A folder for each attempt at a trial.
-pub const ATTEMPTS: &str = "trials";
-
-const TRIALS_HEADER: &str = "row,time_utc,event,trial,attempt,outcome,displacement_mm,source,readings_set,indentation_mm,camera_file,text,origin\n";
-const READINGS_HEADER: &str =
-    "row,time_utc,readings_set,quantity,indentation,event,reading,value_mm,text,origin\n";
-
-/// All that is known of a campaign.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Campaign {
-    /// Its folder.
-    pub folder: PathBuf,
-    /// What is to be done.
-    pub plan: Plan,
-    /// In which order.
-    pub order: Vec<Planned>,
-    /// What happened, row by row.
-    pub rows: Vec<Row>,
-    /// What that amounts to.
-    pub state: State,
-    /// What the caliper said, row by row.
-    pub reading_rows: Vec<ReadingRow>,
-    /// What that amounts to.
-    pub readings: Readings,
-}
-
-impl Campaign {
-    /// Reads a folder and changes nothing. A last line that is not whole, because it is being written or a crash has cut it,
-    /// is left out.
-    ///
-    /// # Errors
-    /// The first file that cannot be read or contradicts the others. Hashes are not compared: [`verify::verify`] does that.
-    pub fn read(folder: &Path) -> Result<Self, CampaignError> {
-        let path = folder.join(PLAN);
-        let text =
-            limited::read_text(&path, limited::BY_HAND).map_err(|io| not_a_campaign(&path, io))?;
-        let plan = Plan::parse(&text, &path)?;
-        let order = order(&plan);
-        let path = folder.join(ORDER);
-        let found =
-            limited::read_text(&path, limited::RECORD).map_err(|io| not_a_campaign(&path, io))?;
-        if found != order_text(&order) {
-            let why = "it is not the order that the plan and its seed give";
-            return Err(CampaignError::new(&path, why, RESTORE));
-        }
-        let path = folder.join(TRIALS);
-        let rows: Vec<Row> = rows(&path, TRIALS_HEADER)?;
-        let state = State::replay(&order, &rows)
-            .map_err(|error| CampaignError::new(&path, error, RESTORE))?;
-        let path = folder.join(READINGS);
-        let reading_rows: Vec<ReadingRow> = self::rows(&path, READINGS_HEADER)?;
-        let readings = Readings::replay(&reading_rows)
-            .map_err(|error| CampaignError::new(&path, error, RESTORE))?;
-        if let (Some(one), Some(other)) = (state.sequence.origin(), readings.sequence.origin())
-            && one != other
-        {
-            let why = format!("its origin is {other}, that of {TRIALS} is {one}");
-            return Err(CampaignError::new(&path, why, RESTORE));
-        }
-        Ok(Self {
-            folder: folder.to_owned(),
-            plan,
-            order,
-            rows,
-            state,
-            reading_rows,
-            readings,
-        })
-    }
-
-    /// The folder of an attempt.
-    #[must_use]
-    pub fn attempt_folder(&self, trial: u32, attempt: u32) -> PathBuf {
-        self.folder
-            .join(ATTEMPTS)
-            .join(Attempt::folder(trial, attempt))
-    }
-
-    /// The sidecar of an attempt's run or pass; none if it was not begun.
-    #[must_use]
-    pub fn run_sidecar(&self, trial: u32, attempt: u32) -> Option<PathBuf> {
-        run_sidecar(&self.attempt_folder(trial, attempt))
-    }
-
-    /// Why this cannot be the net displacement of a trial whose displacements after strokes are all there; none if it can.
-    #[must_use]
-    pub fn disagreement(&self, trial: u32, net: Millimetres) -> Option<String> {
-        let state = self.state.trial(trial)?;
-        let count = (self.plan).strokes_of(state.planned.purpose, state.planned.shape)?;
-        let last = *state.attempt()?.all_strokes(count)?.last()?;
-        let within = self.plan.displacement.agreement();
-        ((net.um - last.um).abs() > within.um).then(|| {
-            format!(
-                "{net} mm: after the last stroke it was {last} mm, and the two may differ by {within} mm: enter it again, or `undo` takes the last stroke back"
-            )
-        })
-    }
-
-    /// Where its data come from; none before there are any.
-    #[must_use]
-    pub fn origin(&self) -> Option<Origin> {
-        (self.state.sequence.origin()).or(self.readings.sequence.origin())
-    }
-}
-
-/// The sidecar of the run or the pass in the folder of an attempt.
-fn run_sidecar(folder: &Path) -> Option<PathBuf> {
-    let mut found: Vec<_> = fs::read_dir(folder)
-        .ok()?
-        .flatten()
-        .map(|entry| entry.path())
-        .filter(|path| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            let is_motion = name.starts_with("run-") || name.starts_with("pass-");
-            is_motion && name.ends_with(".json")
-        })
-        .collect();
-    found.sort();
-    found.pop()
-}
-
-/// What to do about a file that was changed by something else than this program.
-pub(crate) const RESTORE: &str =
-    "restore the folder from a copy; `retrograde verify` names every file that was changed";
-
-fn not_a_campaign(path: &Path, why: impl ToString) -> CampaignError {
-    CampaignError::misuse(
-        path,
-        why,
-        "give the folder of a campaign, which `retrograde campaign new PLAN.toml` makes",
-    )
-}
-
-/// The text of `order.csv`.
-#[must_use]
-pub fn order_text(order: &[Planned]) -> String {
-    let mut csv = csv::Writer::from_writer(vec![]);
-    for planned in order {
-        csv.serialize(planned).expect("numbers and names");
-    }
-    let bytes = csv.into_inner().expect("memory");
-    String::from_utf8(bytes).expect("ASCII")
-}
-
-/// A row as a line.
+/// Formats a row as a line.
 fn line(row: &impl Serialize) -> Vec<u8> {
     let mut csv = csv::WriterBuilder::new()
         .has_headers(false)
         .from_writer(vec![]);
     csv.serialize(row).expect("numbers and text");
     csv.into_inner().expect("memory")
-}
-
-/// The whole lines of a file that grows, without its header.
-fn rows<T: DeserializeOwned>(path: &Path, header: &str) -> Result<Vec<T>, CampaignError> {
-    let text = limited::read_text(path, limited::RECORD).map_err(|io| not_a_campaign(path, io))?;
-    parse_rows(&text, header).map_err(|why| CampaignError::new(path, why, RESTORE))
-}
-
-fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Result<Vec<T>, String> {
-    let Some(body) = text.strip_prefix(header) else {
-        return Err("its first line is not that of this format".to_owned());
-    };
-    let whole = body.rfind('\n').map_or(0, |end| end + 1);
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .from_reader(&body.as_bytes()[..whole]);
-    let names = csv::StringRecord::from(header.trim_end().split(',').collect::<Vec<_>>());
-    let mut rows = vec![];
-    for (number, record) in (1..).zip(reader.records()) {
-        let row = record
-            .and_then(|record| record.deserialize(Some(&names)))
-            .map_err(|error| format!("row {number}: {error}"))?;
-        rows.push(row);
-    }
-    Ok(rows)
 }
 
 /// A file that grows by lines, and the hash of what it has.
@@ -219,7 +44,7 @@ struct Growing {
 }
 
 impl Growing {
-    /// Opens it behind its last line.
+    /// Opens it at its end.
     fn open(path: PathBuf) -> Result<Self, CampaignError> {
         let failed = |io| CampaignError::write(&path, io);
         let mut file = OpenOptions::new()
@@ -239,7 +64,7 @@ impl Growing {
         Ok(Self { path, file, hash })
     }
 
-    /// Adds a line; it is on the disk when this returns. If it cannot be written, nothing of it stays.
+    /// Adds a line; it is on the disk when this returns. After a failed write no part of it stays.
     fn append(&mut self, line: &[u8]) -> Result<(), CampaignError> {
         let written = (|| {
             let end = self.file.seek(SeekFrom::End(0))?;
@@ -248,7 +73,7 @@ impl Growing {
                 .write_all(line)
                 .and_then(|()| self.file.sync_data());
             if added.is_err() {
-                // A part of a line would be taken for a crash, and cut off then: this only tries to be tidy.
+                // Best effort: `resume` would take a partial line for the trace of a crash, and cut it off.
                 let _ = self.file.set_len(end);
             }
             added
@@ -263,9 +88,9 @@ impl Growing {
     }
 }
 
-/// A campaign that this process writes.
+/// A campaign that this process may write.
 pub struct Folder {
-    /// The system releases it when the process ends, however it ends.
+    /// Held for its lock, which the system releases when the process ends in any way.
     _lock: File,
     campaign: Campaign,
     trials: Growing,
@@ -274,7 +99,7 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Makes the folder of a new campaign; there must be nothing at its path. It appears as a whole or not at all.
+    /// Creates the folder of a new campaign; its path must not exist. The folder appears as a whole or not at all.
     ///
     /// # Errors
     /// The plan cannot be carried out, or something cannot be written.
@@ -295,7 +120,7 @@ impl Folder {
         let part = folder.with_file_name(part);
         let made = (|| {
             if part.exists() {
-                // Of a process that was killed while it made it.
+                // Left by a process that was killed while creating it.
                 fs::remove_dir_all(&part)?;
             }
             fs::create_dir_all(part.join(ATTEMPTS))?;
@@ -323,10 +148,10 @@ impl Folder {
         Self::open(folder, lock(folder)?)
     }
 
-    /// Opens a folder that is as its manifest says, for writing.
+    /// Opens a folder for writing; it must match its manifest.
     fn open(folder: &Path, lock: File) -> Result<Self, CampaignError> {
         let path = folder.join(manifest::NAME);
-        let manifest = verify::manifest(folder)?
+        let manifest = read_manifest(folder)?
             .ok_or_else(|| CampaignError::new(&path, "it is missing", RESTORE))?;
         Ok(Self {
             _lock: lock,
@@ -337,17 +162,17 @@ impl Folder {
         })
     }
 
-    /// Opens the folder of a campaign that was begun, and takes up what a crash has left. Also returns what that was, for the
-    /// operator.
+    /// Opens the folder of an existing campaign, and repairs what a crash has left. Also returns descriptions of the
+    /// repairs, for the operator.
     ///
     /// # Errors
-    /// Something else than a crash has changed it, or another process is writing it. Then nothing has changed.
+    /// Something other than a crash has changed it, or another process is writing it. Then nothing has changed.
     pub fn resume(folder: &Path, now: Timestamp) -> Result<(Self, Vec<String>), CampaignError> {
         if !folder.join(TRIALS).is_file() {
             return Err(not_a_campaign(folder, "there is no campaign in it"));
         }
         let lock = lock(folder)?;
-        let manifest = verify::manifest(folder)?.ok_or_else(|| {
+        let manifest = read_manifest(folder)?.ok_or_else(|| {
             CampaignError::new(&folder.join(manifest::NAME), "it is missing", RESTORE)
         })?;
         let campaign = Campaign::read(folder)?;
@@ -381,7 +206,7 @@ impl Folder {
         Ok((this, told))
     }
 
-    /// An attempt that was going on when the tool ended is lost, unless its record says that it was completed.
+    /// Ends an attempt that was going on when the tool ended: as lost, unless its record says that it was completed.
     fn end_lost_attempts(
         &mut self,
         now: Timestamp,
@@ -422,7 +247,7 @@ impl Folder {
         Ok(())
     }
 
-    /// All that is known.
+    /// The campaign as it stands.
     #[must_use]
     pub fn campaign(&self) -> &Campaign {
         &self.campaign
@@ -431,7 +256,7 @@ impl Folder {
     /// Adds a row to the ledger. It is on the disk when this returns.
     ///
     /// # Errors
-    /// It contradicts the rows before it, or cannot be written; then the ledger is as before.
+    /// It contradicts the earlier rows, or cannot be written; then the ledger is unchanged.
     pub fn append(
         &mut self,
         mut row: Row,
@@ -483,7 +308,7 @@ impl Folder {
         self.seal()
     }
 
-    /// Refuses rows of another origin than those before them.
+    /// Refuses rows of another origin than the earlier ones.
     fn is_of(&self, origin: Origin) -> Result<(), CampaignError> {
         match self.campaign.origin() {
             Some(has) if has != origin => Err(CampaignError::misuse(
@@ -513,7 +338,7 @@ impl Folder {
         self.seal()
     }
 
-    /// Hashes everything anew.
+    /// Hashes all files again.
     fn seal_all(&mut self) -> Result<(), CampaignError> {
         self.manifest = manifest::of_folder(&self.campaign.folder)
             .map_err(|io| CampaignError::write(&self.campaign.folder, io))?;
@@ -532,7 +357,7 @@ impl Folder {
     }
 }
 
-/// A line of a CSV file that people may read line by line has to be one.
+/// Removes line breaks from a text, because people may read the CSV files line by line.
 fn in_a_line(text: &str) -> String {
     let text: String = text
         .chars()
@@ -541,7 +366,8 @@ fn in_a_line(text: &str) -> String {
     text.trim().to_owned()
 }
 
-/// One process writes at a time. A file of its own, because some systems let nobody read a file that is locked.
+/// Takes the lock that lets one process write at a time. It is a file of its own, because some systems make a locked
+/// file unreadable.
 fn lock(folder: &Path) -> Result<File, CampaignError> {
     let path = folder.join(LOCK);
     let file = OpenOptions::new()
@@ -561,7 +387,7 @@ fn lock(folder: &Path) -> Result<File, CampaignError> {
     }
 }
 
-/// Cuts off what follows the last whole line.
+/// Cuts off everything after the last complete line.
 fn cut_off(path: &Path) -> Result<String, CampaignError> {
     let failed = |io| CampaignError::write(path, io);
     let bytes = limited::read(path, limited::RECORD).map_err(failed)?;

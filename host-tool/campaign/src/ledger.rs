@@ -1,7 +1,8 @@
-//! The ledger: what happened, a row per event, only ever added to; and the state that it amounts to.
+//! The ledger: one row per event, never changed afterwards; and the state that follows from the rows.
 //!
-//! A trial is done when one of its attempts was completed and has a displacement. Attempts that were refused, stopped, lost or
-//! given up stay listed and never count. Replaying the rows finds every gap, repetition and contradiction.
+//! A trial is done when one of its attempts was completed and has a displacement. Attempts that were refused,
+//! stopped, lost or given up stay listed and never count. Replaying the rows finds every gap, repetition and
+//! contradiction.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +14,7 @@ use trials::trial::Status;
 use crate::order::{Condition, Planned};
 use crate::plan::Millimetres;
 
-/// What a row tells.
+/// Kind of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Event {
@@ -23,11 +24,12 @@ pub enum Event {
     Ended,
     /// The displacement of the tail was entered. A later one of the same attempt corrects it.
     Displacement,
-    /// The displacement after the next stroke of the run was entered, before the net one: the first of them is after stroke 1.
+    /// The displacement after the next stroke of the run was entered. The first one is after stroke 1; all come
+    /// before the net one.
     Stroke,
-    /// The displacements after strokes are left out for this attempt.
+    /// The displacements after strokes are omitted for this attempt.
     StrokesLeftOut,
-    /// What was entered last was taken back: the displacement, else the one after a stroke, or that they are left out.
+    /// The last entry was taken back: the displacement, or else the one after a stroke, or the omission of those.
     Undone,
     /// The attempt is given up, and the trial is done again.
     Repeated,
@@ -47,20 +49,20 @@ pub enum Event {
 pub enum Outcome {
     /// As planned.
     Complete,
-    /// The machine did not do it.
+    /// The machine refused it.
     Refused,
     /// The operator stopped it.
     Stopped,
-    /// The machine stopped by itself, because it did not hear from the tool.
+    /// The machine stopped by itself because it no longer heard from the tool.
     LinkLost,
     /// A fault ended it.
     Faulted,
-    /// The tool ended within it, or lost the machine.
+    /// The tool ended during the attempt, or lost the machine.
     Lost,
 }
 
 impl Outcome {
-    /// As in the ledger.
+    /// Name in the ledger.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -86,7 +88,7 @@ impl From<Status> for Outcome {
     }
 }
 
-/// Where a displacement comes from.
+/// Origin of a displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
@@ -98,26 +100,26 @@ pub enum Source {
     ModelWithScatter,
 }
 
-/// A row of `trials.csv`. Columns that say nothing about an event are empty.
+/// A row of `trials.csv`. Columns that do not apply to the event are empty.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// From 1, without gaps.
     pub row: u32,
-    /// When, by the clock of the computer.
+    /// Time by the computer's clock.
     pub time_utc: Timestamp,
-    /// What.
+    /// Kind of event.
     pub event: Event,
     /// The trial; empty for a note on the whole campaign.
     pub trial: Option<u32>,
     /// The attempt at it, from 1.
     pub attempt: Option<u32>,
-    /// With `ended`: how.
+    /// With `ended`: how it ended.
     pub outcome: Option<Outcome>,
     /// With `displacement` and `stroke`: of the tail since the beginning, + headward.
     pub displacement_mm: Option<Millimetres>,
-    /// With `displacement` and `stroke`: where it comes from.
+    /// With `displacement` and `stroke`: its origin.
     pub source: Option<Source>,
-    /// With `began`: the set of readings in `readings.csv` that tells the indentation.
+    /// With `began`: the set of readings in `readings.csv` that gives the indentation.
     pub readings_set: Option<u32>,
     /// With `began`: a_n by Eq. 8, from these readings.
     pub indentation_mm: Option<Millimetres>,
@@ -125,12 +127,12 @@ pub struct Row {
     pub camera_file: Option<String>,
     /// A reason, a remark.
     pub text: Option<String>,
-    /// Where all this comes from.
+    /// Origin of the data.
     pub origin: Origin,
 }
 
 impl Row {
-    /// A row about a trial; the ledger numbers it.
+    /// A row about a trial; the ledger adds its number.
     #[must_use]
     pub fn of(event: Event, trial: u32, attempt: Option<u32>) -> Self {
         Self {
@@ -150,7 +152,7 @@ impl Row {
         }
     }
 
-    /// With a reason or remark.
+    /// Adds a reason or remark.
     #[must_use]
     pub fn saying(mut self, text: Option<String>) -> Self {
         self.text = text.filter(|text| !text.is_empty());
@@ -158,13 +160,13 @@ impl Row {
     }
 }
 
-/// Why a ledger contradicts itself.
+/// The first contradiction in a ledger.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("row {row}: {why}")]
 pub struct Contradiction {
-    /// Its number in the file, from 1.
+    /// Number of the row in the file, from 1.
     pub row: u32,
-    /// What is wrong.
+    /// The contradiction.
     pub why: String,
 }
 
@@ -173,9 +175,9 @@ pub struct Contradiction {
 pub struct Displacement {
     /// Of the tail, + headward.
     pub value: Millimetres,
-    /// Where it comes from.
+    /// Its origin.
     pub source: Source,
-    /// How often it was entered: more than once if it was corrected.
+    /// Number of entries: more than one if it was corrected.
     pub entered: u32,
 }
 
@@ -192,17 +194,17 @@ pub struct Attempt {
     pub outcome: Option<Outcome>,
     /// Why it did not end as planned.
     pub reason: Option<String>,
-    /// What was measured.
+    /// The net displacement.
     pub displacement: Option<Displacement>,
-    /// Of the tail since the beginning, after each stroke so far.
+    /// Displacement of the tail since the beginning, after each stroke so far.
     pub strokes: Vec<Millimetres>,
-    /// They are left out.
+    /// Whether the displacements after strokes are omitted.
     pub strokes_left_out: bool,
-    /// How often a displacement was entered, taken back or not.
+    /// Number of displacements entered, including those taken back.
     pub entries: u32,
-    /// The operator gave it up, for this reason.
+    /// Why the operator gave it up; none if the operator did not.
     pub given_up: Option<String>,
-    /// The set of readings that its indentation comes from.
+    /// The set of readings that gives its indentation.
     pub readings_set: Option<u32>,
     /// Its indentation a_n.
     pub indentation_mm: Option<Millimetres>,
@@ -211,13 +213,13 @@ pub struct Attempt {
 }
 
 impl Attempt {
-    /// It was completed, and is not given up.
+    /// Whether it was completed and is not given up.
     #[must_use]
     pub fn stands(&self) -> bool {
         self.outcome == Some(Outcome::Complete) && self.given_up.is_none()
     }
 
-    /// The displacements after all strokes of a run that has so many; none if they are left out or not whole.
+    /// The displacements after all strokes of a run with `count` strokes; none if they are omitted or incomplete.
     #[must_use]
     pub fn all_strokes(&self, count: usize) -> Option<&[Millimetres]> {
         (!self.strokes_left_out && self.strokes.len() == count).then_some(&*self.strokes)
@@ -230,46 +232,46 @@ impl Attempt {
     }
 }
 
-/// What has become of a trial.
+/// State of a trial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// To be done.
+    /// Not done yet.
     Open,
     /// An attempt has begun and not ended.
     UnderWay,
-    /// Run, and the displacement is missing.
+    /// Run, but the displacement is missing.
     Unmeasured,
     /// Counts.
     Done,
-    /// Done, and left out of the evaluation.
+    /// Done, but left out of the evaluation.
     Excluded,
-    /// Left out.
+    /// Skipped.
     Skipped,
 }
 
-/// A trial with all that happened to it.
+/// A trial and its history.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialState {
     /// As planned.
     pub planned: Planned,
-    /// All attempts, also those that do not count.
+    /// All attempts, including those that do not count.
     pub attempts: Vec<Attempt>,
-    /// It is skipped, for this reason.
+    /// Why it is skipped; none if it is not.
     pub skipped: Option<String>,
-    /// It is excluded, for this reason.
+    /// Why it is excluded; none if it is not.
     pub excluded: Option<String>,
     /// Remarks.
     pub notes: Vec<String>,
 }
 
 impl TrialState {
-    /// The attempt that stands, if one does.
+    /// The attempt that counts, if there is one.
     #[must_use]
     pub fn attempt(&self) -> Option<&Attempt> {
         self.attempts.last().filter(|attempt| attempt.stands())
     }
 
-    /// What has become of it.
+    /// Its state.
     #[must_use]
     pub fn standing(&self) -> Standing {
         if self.skipped.is_some() {
@@ -295,22 +297,23 @@ impl TrialState {
     }
 }
 
-/// How far a condition has come.
+/// Progress of a condition.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tally {
     /// The condition.
     pub condition: Condition,
-    /// Trials that the plan has.
+    /// Number of planned trials.
     pub planned: u32,
     /// Trials that count: n.
     pub counted: Vec<(u32, Displacement)>,
-    /// Trials that were excluded.
+    /// Number of excluded trials.
     pub excluded: u32,
-    /// Trials that were skipped.
+    /// Number of skipped trials.
     pub skipped: u32,
 }
 
-/// What `trials.csv` and `readings.csv` have in common: rows that are numbered from 1 without gaps, all of one origin.
+/// Row numbers and origin, as checked in `trials.csv` and `readings.csv`: numbers from 1 without gaps, and one origin
+/// for all.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sequence {
     rows: u32,
@@ -324,13 +327,13 @@ impl Sequence {
         self.rows + 1
     }
 
-    /// Of all rows; none before the first one.
+    /// Origin of all rows; none before the first one.
     #[must_use]
     pub fn origin(&self) -> Option<Origin> {
         self.origin
     }
 
-    /// Whether a row of this number and origin can be the next one, or why not.
+    /// Checks whether a row with this number and origin can come next. The error is the reason.
     pub(crate) fn check(&self, row: u32, origin: Origin) -> Result<(), String> {
         if row != self.next_row() {
             return Err(format!("it is numbered {row}"));
@@ -343,26 +346,26 @@ impl Sequence {
         }
     }
 
-    /// The next row is there.
+    /// Counts a row.
     pub(crate) fn take(&mut self, origin: Origin) {
         self.rows += 1;
         self.origin = Some(origin);
     }
 }
 
-/// What a ledger amounts to.
+/// The state that follows from a ledger.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State {
     /// All trials in their order.
     pub trials: Vec<TrialState>,
-    /// Remarks on the whole.
+    /// Remarks on the whole campaign.
     pub notes: Vec<String>,
     /// Numbers and origin of the rows.
     pub sequence: Sequence,
 }
 
 impl State {
-    /// Before the first row.
+    /// State before the first row.
     #[must_use]
     pub fn new(order: &[Planned]) -> Self {
         let trial = |planned: &Planned| TrialState {
@@ -379,10 +382,10 @@ impl State {
         }
     }
 
-    /// After all these rows.
+    /// State after all these rows.
     ///
     /// # Errors
-    /// The first row that cannot come after those before it.
+    /// The first row that cannot follow the earlier ones.
     pub fn replay(order: &[Planned], rows: &[Row]) -> Result<Self, Contradiction> {
         let mut state = Self::new(order);
         for row in rows {
@@ -391,10 +394,10 @@ impl State {
         Ok(state)
     }
 
-    /// Takes one more row.
+    /// Applies one more row.
     ///
     /// # Errors
-    /// It cannot come now; nothing has changed.
+    /// It cannot come next; nothing has changed.
     pub fn apply(&mut self, row: &Row) -> Result<(), Contradiction> {
         let number = self.sequence.next_row();
         let wrong = |why: String| Contradiction { row: number, why };
@@ -418,7 +421,7 @@ impl State {
         Ok(())
     }
 
-    /// What is to be done next: an attempt whose displacement is missing, before any new one.
+    /// The trial to do next: first one whose displacement is missing, then a new one.
     #[must_use]
     pub fn next(&self) -> Option<&TrialState> {
         let with = |wanted: Standing| {
@@ -437,7 +440,7 @@ impl State {
         self.trials.get((number as usize).checked_sub(1)?)
     }
 
-    /// The trial whose displacement was entered last, of those that still have one.
+    /// The trial and attempt of the latest displacement that was not taken back.
     #[must_use]
     pub fn last_measured(&self, rows: &[Row]) -> Option<(u32, u32)> {
         rows.iter().rev().find_map(|row| {
@@ -450,7 +453,7 @@ impl State {
         })
     }
 
-    /// All conditions in the order of purpose, lubrication and shape; indentations as they come in the plan.
+    /// All conditions in the order of purpose, lubrication and shape; indentations in the order of `rank`.
     #[must_use]
     pub fn tallies(&self, rank: impl Fn(&str) -> usize) -> Vec<Tally> {
         let mut tallies = BTreeMap::new();

@@ -1,24 +1,28 @@
 //! Campaigns: a plan of trials that is carried out over hours or days, and loses nothing to an interruption.
 //!
 //! * [`plan`]: what is to be done, as people write it.
-//! * [`order`]: in which order.
+//! * [`form`]: the shape of the body in it. [`order`]: in which order.
 //! * [`ledger`]: what happened, and the state that it amounts to.
 //! * [`readings`]: what the caliper says.
-//! * [`folder`]: all that on the disk.
+//! * [`files`], [`contents`], [`folder`]: all that on the disk, as it is named, read and written.
 //! * [`manifest`]: the hash of every file.
-//! * [`verify`]: every change of a folder, found.
+//! * [`differences`], [`verify`]: every change of a folder, found.
 //! * [`prompts`]: what is asked, and what may be answered.
 //! * [`conduct`]: carries the trials out.
 //! * [`catalogue`]: campaigns and trials by date, specimen, outcome.
 //! * [`statistics`]: mean, deviation, and a line with its band.
-//! * [`chance`]: chance from a seed.
-//! * [`remaining`]: how much time is left.
+//! * [`chance`]: random numbers from a seed.
+//! * [`remaining`]: the remaining time.
 #![forbid(unsafe_code)]
 
 pub mod catalogue;
 pub mod chance;
 pub mod conduct;
+pub mod contents;
+pub mod differences;
+pub mod files;
 pub mod folder;
+pub mod form;
 pub mod ledger;
 pub mod manifest;
 pub mod order;
@@ -42,14 +46,14 @@ pub struct CampaignError {
     pub path: PathBuf,
     /// The reason.
     pub why: String,
-    /// What the user can do.
+    /// Advice for the user.
     pub remedy: String,
-    /// What was asked for cannot be done; nothing is wrong with a campaign.
+    /// Whether only the command is wrong, not the campaign.
     pub misuse: bool,
 }
 
 impl CampaignError {
-    /// A campaign that is not as it should be.
+    /// The campaign is damaged.
     pub fn new(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
         Self {
             path: path.to_owned(),
@@ -59,7 +63,7 @@ impl CampaignError {
         }
     }
 
-    /// A command that does not fit the campaign.
+    /// The command does not fit the campaign.
     pub fn misuse(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
         Self {
             misuse: true,

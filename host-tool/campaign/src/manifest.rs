@@ -1,5 +1,5 @@
-//! `SHA256SUMS`: the hash of every file of a folder, in the format of `sha256sum`, sorted by path. `sha256sum -c SHA256SUMS`
-//! reads it, too.
+//! `SHA256SUMS`: the hash of every file of a folder, in the format of `sha256sum`, sorted by path. `sha256sum -c
+//! SHA256SUMS` reads it too.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -7,21 +7,21 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::Path;
 
-use crate::folder::LOCK;
+use crate::files::LOCK;
 
-/// Its name.
+/// File name of the manifest.
 pub const NAME: &str = "SHA256SUMS";
 
-/// What `report` makes is not in it: it can be made again.
+/// Folder that the manifest leaves out: `report` can create it again.
 pub const NOT_COVERED: &str = "report";
 
-/// How a file that is about to replace another one ends its name.
+/// Suffix of a file that is about to replace another one.
 pub(crate) const PART: &str = ".part";
 
-/// A SHA-256.
+/// A SHA-256 hash.
 pub type Hash = [u8; 32];
 
-/// Paths with `/` between their parts, relative to the folder, and the hashes of the files there.
+/// Paths relative to the folder, with `/` between their parts, and the hashes of the files.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Manifest(pub BTreeMap<String, Hash>);
 
@@ -37,7 +37,7 @@ pub fn hex(hash: &Hash) -> String {
 fn from_hex(text: &str) -> Option<Hash> {
     let digit = |byte: u8| match byte {
         b'0'..=b'9' => Some(byte - b'0'),
-        // Only small letters, as they are written: a changed bit must not mean the same.
+        // Accept lower case only, as written: a file with a changed bit must not mean the same.
         b'a'..=b'f' => Some(byte - b'a' + 10),
         _ => None,
     };
@@ -52,14 +52,14 @@ fn from_hex(text: &str) -> Option<Hash> {
     Some(hash)
 }
 
-/// A path that a manifest may have: it stays in its folder and names a file.
+/// Whether a manifest may have this path: it names a file and stays within the folder.
 fn is_path(path: &str) -> bool {
     let fits = |part: &str| !part.is_empty() && part != "." && part != "..";
     !path.chars().any(|char| char.is_control() || char == '\\') && path.split('/').all(fits)
 }
 
 impl Manifest {
-    /// Its text.
+    /// Formats the manifest.
     #[must_use]
     pub fn text(&self) -> String {
         self.0.iter().fold(String::new(), |mut text, (path, hash)| {
@@ -68,10 +68,10 @@ impl Manifest {
         })
     }
 
-    /// Reads its text, which has to be exactly as [`Manifest::text`] writes it.
+    /// Parses a manifest, which has to be exactly as [`Manifest::text`] writes it.
     ///
     /// # Errors
-    /// What is wrong, with the number of the line.
+    /// The first defect, with the number of the line.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut entries = BTreeMap::new();
         let mut before = None;
@@ -113,16 +113,16 @@ pub fn hash_file(path: &Path) -> io::Result<Hash> {
     }
 }
 
-/// What is in a folder.
+/// Content of a folder.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Contents {
-    /// Paths of files, but the manifest and what [`NOT_COVERED`] names.
+    /// Paths of all files, except for the manifest and the folder [`NOT_COVERED`].
     pub files: Vec<String>,
-    /// Paths of what is neither a file nor a folder, such as links, and of names that are not text.
+    /// Paths of everything that is neither a file nor a folder, such as links, and of names that are not UTF-8.
     pub strange: Vec<String>,
 }
 
-/// Looks through a folder.
+/// Lists a folder, with everything below it.
 ///
 /// # Errors
 /// Some part of it cannot be read.
@@ -161,7 +161,7 @@ fn walk(folder: &Path, under: &str, contents: &mut Contents) -> io::Result<()> {
     Ok(())
 }
 
-/// The manifest that a folder should have now.
+/// The manifest of a folder as it is now.
 ///
 /// # Errors
 /// Some part of it cannot be read.
@@ -189,7 +189,7 @@ mod tests {
     }
 
     proptest! {
-        /// Nothing but its own text is a manifest, so that a changed bit in it cannot mean the same.
+        /// Only the exact text is a manifest, so that a changed bit in it cannot mean the same.
         #[test]
         fn a_changed_bit_is_another_manifest_or_none(
             paths in prop::collection::btree_set("[a-z]{1,3}(/[a-z0-9 .-]{0,2}[a-z])?", 1..5),

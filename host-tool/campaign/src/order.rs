@@ -1,19 +1,19 @@
-//! The order of the trials. What a hand at the rig changes is in blocks: an indentation is set once for all its trials,
-//! and dry comes before lubricated. What is free is shuffled by the plan's seed: the blocks of equal lubrication, and the
-//! trials within a block.
+//! The order of the trials. Settings that take manual work at the rig form blocks: an indentation is set once for all
+//! its trials, and dry comes before lubricated. The plan's seed shuffles the rest: the blocks of equal lubrication,
+//! and the trials within a block.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use trials::experiment::Shape;
 
 use crate::chance::Chance;
+use crate::form::Form;
 use crate::plan::{Lubrication, Plan, Purpose};
 
-/// What is equal in trials that are averaged.
+/// The conditions that averaged trials share.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Condition {
-    /// What it is for.
+    /// Figure that the trial is for.
     pub purpose: Purpose,
     /// State of the walls.
     pub lubrication: Lubrication,
@@ -21,30 +21,6 @@ pub struct Condition {
     pub indentation: String,
     /// Shape of the body.
     pub shape: Form,
-}
-
-/// What the body's shape is during a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Form {
-    /// The waves carry it headward.
-    Unfolded,
-    /// The same waves carry it the other way.
-    Folded,
-    /// It is unfolded at first, and folds while the carriage runs.
-    Folding,
-}
-
-impl Form {
-    /// As in ledgers.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Unfolded => Shape::Unfolded.name(),
-            Self::Folded => Shape::Folded.name(),
-            Self::Folding => "folding",
-        }
-    }
 }
 
 /// What is done to the body in a trial, for people: a pass, or a run with a body of this shape.
@@ -57,23 +33,14 @@ pub const fn doing(purpose: Purpose, shape: Form) -> &'static str {
     }
 }
 
-impl From<Shape> for Form {
-    fn from(shape: Shape) -> Self {
-        match shape {
-            Shape::Unfolded => Self::Unfolded,
-            Shape::Folded => Self::Folded,
-        }
-    }
-}
-
 /// A row of `order.csv`: a trial that is to be done.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Planned {
-    /// Its number, from 1, in the order of carrying out.
+    /// Its number, from 1, in the order of execution.
     pub trial: u32,
-    /// Its block, from 1. The rollers are clamped anew at the beginning of each block.
+    /// Its block, from 1. The rollers are clamped again at the start of each block.
     pub block: u32,
-    /// What it is for.
+    /// Figure that it is for.
     pub purpose: Purpose,
     /// State of the walls.
     pub lubrication: Lubrication,
@@ -81,7 +48,7 @@ pub struct Planned {
     pub indentation: String,
     /// Shape of the body.
     pub shape: Form,
-    /// Which of the repeats of its condition, from 1.
+    /// Number of the repeat of its condition, from 1.
     pub repeat: u32,
 }
 
@@ -98,7 +65,7 @@ impl Planned {
     }
 }
 
-/// All trials of a plan in the order that its seed gives.
+/// All trials of a plan, in the order that its seed gives.
 #[must_use]
 pub fn order(plan: &Plan) -> Vec<Planned> {
     let mut chance = Chance::new(plan.seed);

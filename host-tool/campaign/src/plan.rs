@@ -1,4 +1,4 @@
-//! The plan of a campaign: what a person writes in TOML, checked before anything is measured.
+//! The plan of a campaign: reads the TOML file that a person writes, and checks it before anything is measured.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -14,21 +14,21 @@ use trials::cue::Cue;
 use trials::plan;
 
 use crate::CampaignError;
-use crate::order::Form;
+use crate::form::Form;
 
 /// Version of the format; incremented when a key changes its meaning.
 pub const FORMAT: u32 = 1;
 
-/// The most readings of one width, and the most repeats of one condition.
+/// Most readings of one width, and most repeats of one condition.
 const MOST: u32 = 1_000;
 
-/// The most cycles of a run after each stroke of which a person is asked for the displacement.
+/// Most cycles of a run with a displacement after each stroke, for which a person is asked.
 const MOST_ASKED: u16 = 50;
 
-/// The widest thing that is measured here: 1 m.
+/// Largest length that can be measured here: 1 m.
 const WIDEST_UM: i64 = 1_000_000;
 
-/// A length that people write in millimetres, kept in micrometres.
+/// A length, written in millimetres and stored in micrometres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Millimetres {
     /// Micrometres.
@@ -42,7 +42,7 @@ impl Millimetres {
         Self { um }
     }
 
-    /// For calculations.
+    /// The length in mm, for calculations.
     #[must_use]
     pub fn mm(self) -> f64 {
         self.um as f64 / 1_000.0
@@ -62,7 +62,7 @@ impl std::str::FromStr for Millimetres {
             Some(digits) => (true, digits),
             None => (false, text),
         };
-        // Far below 2^63.
+        // Cannot overflow: far below 2^63.
         let um = decimal::parse(digits, 3, 1_000_000_000_000)?.cast_signed();
         Ok(Self::from_um(if negative { -um } else { um }))
     }
@@ -91,7 +91,7 @@ impl<'de> Deserialize<'de> for Millimetres {
             fn visit_u64<E: Error>(self, value: u64) -> Result<Millimetres, E> {
                 self.visit_str(&value.to_string())
             }
-            // The shortest text that means this float is what was written.
+            // The shortest text of this float is what the person wrote.
             fn visit_f64<E: Error>(self, value: f64) -> Result<Millimetres, E> {
                 self.visit_str(&value.to_string())
             }
@@ -104,14 +104,14 @@ impl<'de> Deserialize<'de> for Millimetres {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Lubrication {
-    /// Without soap. Comes first, for soap cannot be undone.
+    /// Without soap. Comes first, because soap cannot be removed.
     Dry,
     /// With soapy water before each trial.
     Lubricated,
 }
 
 impl Lubrication {
-    /// As in plans and ledgers.
+    /// Name in plans and ledgers.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -121,7 +121,7 @@ impl Lubrication {
     }
 }
 
-/// Which of the paper's figures a trial is for.
+/// Figure of the paper that a trial is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Purpose {
@@ -136,7 +136,7 @@ pub enum Purpose {
 }
 
 impl Purpose {
-    /// As in ledgers.
+    /// Name in the ledger.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -147,7 +147,7 @@ impl Purpose {
         }
     }
 
-    /// Which way the rollers go, if it is a pass.
+    /// Direction of the rollers, if it is a pass.
     #[must_use]
     pub const fn pass(self) -> Option<Direction> {
         match self {
@@ -158,11 +158,11 @@ impl Purpose {
     }
 }
 
-/// Who, what and with what. Free text.
+/// People, specimen and equipment, as free text.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Metadata {
-    /// Who carries it out.
+    /// The person who carries it out.
     pub operator: String,
     /// The body: origami, width, crescents.
     pub specimen: String,
@@ -174,7 +174,7 @@ pub struct Metadata {
     pub camera: String,
     /// The caliper.
     pub caliper: String,
-    /// What the caliper resolves; readings finer than this are asked again.
+    /// Resolution of the caliper; readings finer than this are asked again.
     pub caliper_resolution_mm: Millimetres,
 }
 
@@ -198,15 +198,15 @@ const fn default_telemetry_ms() -> u16 {
     trials::experiment::DEFAULT_TELEMETRY_MS
 }
 
-/// How the caliper is read.
+/// How to read the caliper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Readings {
-    /// Readings of each width, at as many places.
+    /// Number of readings of each width, each at another place.
     pub count: u32,
-    /// A larger difference between the least and the greatest of them is questioned.
+    /// Largest difference between the least and the greatest reading that is accepted without a question.
     pub spread_mm: Millimetres,
-    /// What D should be about. The virtual bench answers with it.
+    /// Approximate value of D. The virtual bench answers with it.
     pub width_about_mm: Option<Millimetres>,
 }
 
@@ -216,7 +216,7 @@ pub struct Readings {
 pub struct Indentation {
     /// Its name: letters, digits, `-` and `_`.
     pub name: String,
-    /// What a_n should be about. The virtual bench answers with it.
+    /// Approximate value of a_n. The virtual bench answers with it.
     pub about_mm: Option<Millimetres>,
 }
 
@@ -247,14 +247,14 @@ struct PassesTable {
     body_mm: Millimetres,
 }
 
-/// Where the body lies before each isolated pass.
+/// Position of the body before each isolated pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Passes {
-    /// From the place of the rollers' axes at the far end to the tip of the tail.
+    /// Distance from the rollers' axes at the far end to the tip of the tail.
     pub tail_mm: Millimetres,
     /// Length of the body at rest.
     pub body_mm: Millimetres,
-    /// Speed of the rollers between their ramps: the greatest one of a stroke of the run.
+    /// Speed of the rollers between their ramps: that of the fastest stroke of the run.
     pub speed_um_s: u32,
 }
 
@@ -268,21 +268,21 @@ struct DisplacementTable {
     uncertainty_mm: Option<Millimetres>,
 }
 
-/// What a displacement may be, and how exact it is.
+/// Range and uncertainty of a displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Displacements {
     /// The least.
     pub least_mm: Millimetres,
     /// The greatest.
     pub greatest_mm: Millimetres,
-    /// It is also asked for after each stroke of a run with the unfolded body.
+    /// Whether it is also asked for after each stroke of a run with the unfolded body.
     pub per_stroke: bool,
-    /// Standard deviation of one displacement, of reading and repetition together.
+    /// Standard deviation of one displacement, from reading and repetition together.
     pub uncertainty_mm: Option<Millimetres>,
 }
 
 impl Displacements {
-    /// Why a displacement cannot be one of this plan; none if it can.
+    /// Why a value cannot be a displacement of this plan; none if it can.
     #[must_use]
     pub fn refusal(&self, value: Millimetres) -> Option<String> {
         let allowed = self.least_mm..=self.greatest_mm;
@@ -294,18 +294,19 @@ impl Displacements {
         })
     }
 
-    /// How far the displacement after the last stroke may be from the net one: three standard deviations, if one is stated.
+    /// Largest difference between the displacement after the last stroke and the net one: three standard deviations.
+    /// 0 without a stated uncertainty.
     #[must_use]
     pub fn agreement(&self) -> Millimetres {
         Millimetres::from_um(3 * self.uncertainty_mm.unwrap_or_default().um)
     }
 }
 
-/// What the virtual bench adds to its model.
+/// Scatter that the virtual bench adds to its model.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Virtual {
-    /// Standard deviation of the scatter on displacements; 0: none.
+    /// Standard deviation of the scatter on displacements; 0 for none.
     #[serde(default)]
     pub scatter_mm: Millimetres,
     /// Seed of the scatter.
@@ -332,17 +333,17 @@ struct File {
     virtual_bench: Virtual,
 }
 
-/// Trials that are repeated under the same conditions, but for their indentations.
+/// Trials repeated under the same conditions, except for their indentations.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Group {
     /// State of the walls.
     pub lubrication: Lubrication,
     /// Names of indentations, as listed.
     pub indentations: Vec<String>,
-    /// What they are for, and the shape of the body.
+    /// Figure that they are for, and shape of the body.
     #[serde(skip)]
     pub kinds: Vec<(Purpose, Form)>,
-    /// Trials of each indentation and kind.
+    /// Trials of each combination of indentation and kind.
     pub repeats: u32,
 }
 
@@ -353,25 +354,25 @@ pub struct Plan {
     pub name: String,
     /// Seed of the order.
     pub seed: u64,
-    /// Who, what and with what.
+    /// People, specimen and equipment.
     pub metadata: Metadata,
     /// The run of every trial.
     pub run: Run,
     /// Interval of telemetry, ms.
     pub telemetry_ms: u16,
-    /// How the caliper is read.
+    /// How to read the caliper.
     pub readings: Readings,
     /// Places of the rollers, from the least indentation to the greatest.
     pub indentations: Vec<Indentation>,
-    /// What is done, dry groups first.
+    /// Groups of trials, dry ones first.
     pub groups: Vec<Group>,
-    /// Where the body folds in the runs in which it does.
+    /// Where the body folds, for the runs in which it does.
     pub fold_at: Option<Cue>,
-    /// Where the body lies before each isolated pass; none without passes.
+    /// Position of the body before each isolated pass; none without passes.
     pub passes: Option<Passes>,
-    /// What a displacement may be, and how exact it is.
+    /// Range and uncertainty of a displacement.
     pub displacement: Displacements,
-    /// What the virtual bench adds.
+    /// Scatter of the virtual bench.
     pub virtual_bench: Virtual,
 }
 
@@ -379,7 +380,7 @@ impl Plan {
     /// Reads the text of the file at `path`.
     ///
     /// # Errors
-    /// What is wrong with it first, and what to do.
+    /// The first defect, with advice.
     pub fn parse(text: &str, path: &Path) -> Result<Self, CampaignError> {
         let wrong = |why: String| {
             CampaignError::misuse(
@@ -426,7 +427,7 @@ impl Plan {
                 (Purpose::FoldTest, Form::Folded),
             ];
             if let Some(cycle) = fold.fold_at_cycle {
-                // The models of the virtual bench know the folded body beside the rollers only, not under them.
+                // The models of the virtual bench know the folded body beside the rollers, not under them.
                 let cue = Cue { cycle, at_um: None };
                 cue.check(&run, telemetry_ms)
                     .map_err(|error| format!("fold_test.fold_at_cycle: {error}"))?;
@@ -466,7 +467,7 @@ impl Plan {
                 ));
             }
         }
-        // Stable: within each, as listed.
+        // A stable sort: each lubrication keeps the listed order.
         groups.sort_by_key(|group| group.lubrication);
         let displacement = check_displacement(&file.displacement, &run)?;
         let scatter_mm = file.virtual_bench.scatter_mm;
@@ -491,7 +492,7 @@ impl Plan {
         })
     }
 
-    /// Place of an indentation in the order of depth.
+    /// Index of an indentation in the order of depth.
     #[must_use]
     pub fn rank(&self, indentation: &str) -> Option<usize> {
         self.indentations
@@ -508,7 +509,7 @@ impl Plan {
             .any(|(purpose, _)| *purpose == Purpose::FoldTest)
     }
 
-    /// After how many strokes of such a trial the displacement is asked for; none if it is not.
+    /// Number of strokes after which such a trial asks for the displacement; none if it does not ask.
     #[must_use]
     pub fn strokes_of(&self, purpose: Purpose, form: Form) -> Option<usize> {
         let asked =
@@ -516,7 +517,7 @@ impl Plan {
         asked.then_some(2 * usize::from(self.run.cycles))
     }
 
-    /// Duration of a run without what a solved plan may round, s.
+    /// Duration of a run, ignoring the rounding of a solved plan, s.
     #[must_use]
     pub fn run_s(&self) -> f64 {
         match self.run.timing {
@@ -587,7 +588,7 @@ fn run(table: &RunTable) -> Result<(Run, u16), String> {
         cycles: table.cycles,
         stroke_um: field("stroke_mm", table.stroke_mm)?,
         timing: RunTiming::Total {
-            // Thousandths of a second.
+            // Written in thousandths of a second.
             total_us: u64::from(field("duration_s", table.duration_s)?) * 1_000,
             accel_um_s2: field("acceleration_mm_s2", table.acceleration_mm_s2)?,
         },
@@ -666,7 +667,7 @@ fn check_indentations(
     Ok(list)
 }
 
-/// The groups of a table that has several states of the walls and several indentations.
+/// One group for each state of the walls in a table that has several of them and several indentations.
 fn many_groups(
     table: &str,
     lubrications: &[Lubrication],
@@ -703,12 +704,12 @@ fn many_groups(
     Ok(groups)
 }
 
-/// A pass is isolated only if the rollers touch the body neither before nor after it.
+/// Refuses passes that are not isolated: the rollers must touch the body neither before nor after a pass.
 fn check_passes(table: &PassesTable, run: &Run) -> Result<Passes, String> {
     let PassesTable {
         tail_mm, body_mm, ..
     } = *table;
-    // Rollers reach no farther than their radius, however deep they are.
+    // The reach of the rollers is at most their radius, at any depth.
     let reach = Millimetres::from_um((roller::Params::PAPER.radius_mm * 1e3) as i64);
     let stroke = Millimetres::from_um(run.stroke_um.into());
     if body_mm.um <= 0 {

@@ -1,29 +1,31 @@
-//! What a campaign asks, and what may be answered. Who is asked is behind a trait: a person at a terminal, or nobody.
+//! The questions of a campaign and the possible answers. A trait hides who answers: a person at a terminal, or
+//! nobody.
 
 use client::decimal::DecimalError;
 use client::error::ClientError;
 use protocol::rig::Direction;
 
+use crate::form::Form;
 use crate::ledger::Attempt;
-use crate::order::{Form, Planned, doing};
+use crate::order::{Planned, doing};
 use crate::plan::{Lubrication, Millimetres, Passes, Purpose};
 use crate::readings::Quantity;
 
 /// Why there is no answer.
 #[derive(Debug)]
 pub enum Halt {
-    /// The operator left.
+    /// The operator has left.
     Left,
-    /// A machine was lost meanwhile.
+    /// The link to a machine failed while the question waited.
     Client(ClientError),
 }
 
 /// A question.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Question<'a> {
-    /// Something is to be prepared by hand.
+    /// The operator has to prepare something by hand.
     Prepare {
-        /// What, one thing per line.
+        /// The preparations, one per line.
         todo: Vec<String>,
     },
     /// A reading of the caliper.
@@ -32,14 +34,14 @@ pub enum Question<'a> {
         quantity: Quantity,
         /// Name of the indentation, for i_n.
         indentation: Option<&'a str>,
-        /// Which reading, from 1.
+        /// Number of the reading, from 1.
         number: u32,
-        /// Of how many.
+        /// Number of readings of the set.
         count: u32,
     },
-    /// A set of readings is odd.
+    /// A set of readings is implausible.
     Odd {
-        /// In which ways.
+        /// The reasons, as questions.
         questions: &'a [String],
     },
     /// A trial is about to begin.
@@ -48,18 +50,18 @@ pub enum Question<'a> {
         planned: &'a Planned,
         /// The attempt.
         attempt: u32,
-        /// What has to be so, one thing per line.
+        /// The check-list, one item per line.
         checks: Vec<String>,
     },
     /// The displacement of the tail after one stroke of the run.
     Stroke {
         /// The trial.
         planned: &'a Planned,
-        /// After which stroke, from 1.
+        /// Number of the stroke, from 1.
         number: usize,
-        /// Of how many.
+        /// Number of strokes.
         count: usize,
-        /// What the model says, on the virtual bench.
+        /// The modelled value, on the virtual bench.
         model: Option<Millimetres>,
     },
     /// The displacement of the tail.
@@ -68,13 +70,13 @@ pub enum Question<'a> {
         planned: &'a Planned,
         /// The attempt.
         attempt: u32,
-        /// What the model says, on the virtual bench.
+        /// The modelled value, on the virtual bench.
         model: Option<Millimetres>,
     },
 }
 
 impl Question<'_> {
-    /// For people, line by line.
+    /// The question in words, line by line.
     #[must_use]
     pub fn text(&self) -> Vec<String> {
         match self {
@@ -127,7 +129,7 @@ impl Question<'_> {
         }
     }
 
-    /// What may be typed.
+    /// The possible answers, for the prompt.
     #[must_use]
     pub fn hint(&self) -> &'static str {
         match self {
@@ -153,16 +155,16 @@ impl Question<'_> {
     }
 }
 
-/// What was answered.
+/// An answer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// Nothing but Enter.
+    /// Enter alone.
     Enter,
     /// A length.
     Length(Millimetres),
     /// Yes.
     Yes,
-    /// Once more.
+    /// Repeat.
     Again,
     /// Take the last entry back.
     Undo,
@@ -180,11 +182,11 @@ pub enum Answer {
     Clamp,
     /// Leave.
     Quit,
-    /// It cannot be understood, and why.
+    /// Unclear, with the reason.
     Unclear(String),
 }
 
-/// Reads what was typed.
+/// Parses a typed answer.
 #[must_use]
 pub fn parse(text: &str) -> Answer {
     let text = text.trim();
@@ -237,7 +239,7 @@ fn length(text: &str) -> Answer {
     }
 }
 
-/// What has to be so before a trial.
+/// Check-list before a trial.
 #[must_use]
 pub fn checks(
     planned: &Planned,
@@ -297,7 +299,7 @@ pub fn checks(
     lines
 }
 
-/// What has to be so before the rollers go to where a trial begins.
+/// Check-list before the rollers move to the start of a trial.
 #[must_use]
 pub fn clearing(planned: &Planned) -> Vec<String> {
     let to = match planned.purpose.pass() {
@@ -316,7 +318,7 @@ pub fn clearing(planned: &Planned) -> Vec<String> {
     ]
 }
 
-/// The name that is proposed for the camera's file.
+/// Proposed name of the camera's file.
 #[must_use]
 pub fn camera_file(name: &str, trial: u32, attempt: u32) -> String {
     format!("{name}-{}", Attempt::folder(trial, attempt))

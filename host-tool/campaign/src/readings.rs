@@ -1,5 +1,5 @@
-//! Readings of the caliper: the intestine's width D and, after every clamping, the distance i_n between the crests of the
-//! wave. What they amount to is a_n = (D - i_n)/2, Eq. (8) of the paper.
+//! Readings of the caliper: the intestine's width D and, after every clamping, the distance i_n between the crests of
+//! the wave. They give a_n = (D - i_n)/2, Eq. (8) of the paper.
 
 use client::identity::Origin;
 use jiff::Timestamp;
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::ledger::{Contradiction, Sequence};
 use crate::plan::{Millimetres, Plan};
 
-/// What the caliper is held to.
+/// Quantities measured with the caliper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Quantity {
@@ -19,7 +19,7 @@ pub enum Quantity {
     BetweenCrests,
 }
 
-/// What a row tells.
+/// Kind of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -38,42 +38,42 @@ pub enum Kind {
 pub struct ReadingRow {
     /// From 1, without gaps.
     pub row: u32,
-    /// When, by the clock of the computer.
+    /// Time by the computer's clock.
     pub time_utc: Timestamp,
     /// The set of readings, from 1. Each clamping begins a new one.
     pub readings_set: u32,
-    /// What was measured.
+    /// Measured quantity.
     pub quantity: Quantity,
     /// Name of the indentation; empty for the width.
     pub indentation: Option<String>,
-    /// What this row tells.
+    /// Kind of this row.
     pub event: Kind,
-    /// Which reading of the set, from 1.
+    /// Number of the reading in the set, from 1.
     pub reading: Option<u32>,
     /// The reading.
     pub value_mm: Option<Millimetres>,
-    /// What was questioned, and confirmed; why a set is not used.
+    /// The questions that were asked and confirmed, or why the set is not used.
     pub text: Option<String>,
-    /// Where it comes from.
+    /// Origin of the data.
     pub origin: Origin,
 }
 
-/// Some readings of one width.
+/// A set of readings of one width.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Set {
     /// Its number.
     pub number: u32,
-    /// What was measured.
+    /// Measured quantity.
     pub quantity: Quantity,
     /// Name of the indentation; none for the width.
     pub indentation: Option<String>,
     /// The readings.
     pub values: Vec<Millimetres>,
-    /// It is good.
+    /// Whether it is accepted.
     pub accepted: bool,
-    /// It is not used.
+    /// Whether it is discarded.
     pub discarded: bool,
-    /// What was questioned and confirmed, or why it is not used.
+    /// The questions that were asked and confirmed, or why it is not used.
     pub text: Option<String>,
 }
 
@@ -93,12 +93,12 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Of some readings; none of no readings.
+    /// Summary of these values; none without values.
     #[must_use]
     pub fn of(values: &[Millimetres]) -> Option<Self> {
         let (least, greatest) = (*values.iter().min()?, *values.iter().max()?);
         let count = values.len();
-        // The sum is exact: micrometres.
+        // The sum is exact, because it is in whole micrometres.
         let sum: i64 = values.iter().map(|value| value.um).sum();
         let mean_mm = sum as f64 / count as f64 / 1_000.0;
         let squares: f64 = values
@@ -118,7 +118,7 @@ impl Summary {
         })
     }
 
-    /// The greatest less the least.
+    /// Greatest value minus least.
     #[must_use]
     pub fn spread(&self) -> Millimetres {
         Millimetres::from_um(self.greatest.um - self.least.um)
@@ -135,10 +135,10 @@ pub struct Readings {
 }
 
 impl Readings {
-    /// After all these rows.
+    /// State after all these rows.
     ///
     /// # Errors
-    /// The first row that cannot come after those before it.
+    /// The first row that cannot follow the earlier ones.
     pub fn replay(rows: &[ReadingRow]) -> Result<Self, Contradiction> {
         let mut readings = Self::default();
         for row in rows {
@@ -147,10 +147,10 @@ impl Readings {
         Ok(readings)
     }
 
-    /// Takes one more row.
+    /// Applies one more row.
     ///
     /// # Errors
-    /// It cannot come now; nothing has changed.
+    /// It cannot come next; nothing has changed.
     pub fn apply(&mut self, row: &ReadingRow) -> Result<(), Contradiction> {
         let number = self.sequence.next_row();
         let wrong = |why: String| Contradiction { row: number, why };
@@ -220,7 +220,7 @@ impl Readings {
         Ok(())
     }
 
-    /// The set that has begun and is not complete.
+    /// The set that has begun and is incomplete.
     #[must_use]
     pub fn open(&self) -> Option<&Set> {
         self.sets
@@ -228,7 +228,7 @@ impl Readings {
             .filter(|last| !last.accepted && !last.discarded)
     }
 
-    /// The last good readings of D.
+    /// The last accepted set of D.
     #[must_use]
     pub fn width(&self) -> Option<&Set> {
         self.sets
@@ -236,7 +236,7 @@ impl Readings {
             .rfind(|set| set.accepted && set.quantity == Quantity::Width)
     }
 
-    /// The last good readings of i_n of an indentation.
+    /// The last accepted set of i_n for an indentation.
     #[must_use]
     pub fn between_crests(&self, indentation: &str) -> Option<&Set> {
         self.sets
@@ -244,7 +244,7 @@ impl Readings {
             .rfind(|set| set.accepted && set.indentation.as_deref() == Some(indentation))
     }
 
-    /// The last set of i_n, which tells where the rollers are clamped.
+    /// The last set of i_n, which is the present clamping of the rollers.
     #[must_use]
     pub fn clamped(&self) -> Option<&Set> {
         self.sets
@@ -252,7 +252,8 @@ impl Readings {
             .rfind(|set| set.accepted && set.quantity == Quantity::BetweenCrests)
     }
 
-    /// a_n = (D - i_n)/2 from a set of i_n and the last good D, mm. None without D, or if they contradict each other.
+    /// a_n = (D - i_n)/2 from a set of i_n and the last accepted D, mm. None without D, or if they contradict each
+    /// other.
     #[must_use]
     pub fn indentation_mm(&self, set: &Set) -> Option<f64> {
         let width = Summary::of(&self.width()?.values)?.mean_mm;
@@ -263,7 +264,7 @@ impl Readings {
     }
 }
 
-/// Why a reading is not taken; `width_mm` is the mean of D, once it is known.
+/// Why a reading is refused; none if it is not. `width_mm` is the mean of D, once it is known.
 #[must_use]
 pub fn refusal(
     quantity: Quantity,
@@ -290,7 +291,7 @@ pub fn refusal(
     }
 }
 
-/// What is to be asked about a set before it is taken as good.
+/// The questions to ask about a set before it is accepted.
 #[must_use]
 pub fn questions(plan: &Plan, readings: &Readings, set: &Set) -> Vec<String> {
     let mut questions = vec![];

@@ -1,21 +1,21 @@
-//! How much time a campaign will still take: an estimate from the plan and from how long the last trials took.
+//! Estimates the remaining time of a campaign from the plan and the pace of the last trials.
 
-use crate::folder::Campaign;
+use crate::contents::Campaign;
 use crate::ledger::{Event, Standing};
 
-/// Between the end of a run and the beginning of the next one, before anything is known, s.
+/// Assumed time from the end of a run to the start of the next one, until it is measured, s.
 const HANDLING_S: f64 = 60.0;
 
-/// A longer pause is one in which nobody worked, s.
+/// A longer pause counts as a break and is ignored, s.
 const PAUSE_S: f64 = 900.0;
 
-/// How many of the last pauses count.
+/// Number of latest pauses that count.
 const LATEST: usize = 15;
 
-/// Clamping and reading the caliper once, s.
+/// Assumed time to clamp the rollers and read the caliper, s.
 const CLAMPING_S: f64 = 300.0;
 
-/// The time that is left, s, and whether the pace was measured.
+/// The remaining time, s, and whether it uses a measured pace.
 #[must_use]
 pub fn remaining_s(campaign: &Campaign) -> (f64, bool) {
     let (mut trials, mut moving_s) = (0.0, 0.0);
@@ -25,14 +25,14 @@ pub fn remaining_s(campaign: &Campaign) -> (f64, bool) {
             trials += 1.0;
             moving_s += match trial.planned.purpose.pass() {
                 None => campaign.plan.run_s(),
-                // Once to where it begins, once over the body.
+                // One stroke to its start, one over the body.
                 Some(_) => campaign.plan.run_s() / f64::from(campaign.plan.run.cycles.max(1)),
             };
             blocks.push(trial.planned.block);
         }
     }
     blocks.dedup();
-    // Of a block that is under way the rollers are clamped.
+    // The rollers are already clamped for a block that is under way.
     let under_way = campaign.readings.clamped().is_some_and(|set| {
         campaign.state.trials.iter().any(|trial| {
             blocks.first() == Some(&trial.planned.block)
@@ -55,7 +55,7 @@ pub fn remaining_s(campaign: &Campaign) -> (f64, bool) {
     (left, measured)
 }
 
-/// The latest pauses between a run and the next one of its block.
+/// The latest pauses between two runs of the same block.
 fn pauses_s(campaign: &Campaign) -> Vec<f64> {
     let mut pauses = vec![];
     let mut ended = None;
@@ -85,7 +85,7 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// For people.
+/// The duration in words.
 #[must_use]
 pub fn text(seconds: f64) -> String {
     let minutes = (seconds / 60.0).ceil() as u64;

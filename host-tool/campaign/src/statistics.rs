@@ -1,4 +1,5 @@
-//! Statistics of repeated measurements: mean and standard deviation, and a straight line with its confidence band. Pure.
+//! Statistics of repeated measurements: mean and standard deviation, and a straight line with its confidence band.
+//! Pure.
 
 use std::f64::consts::FRAC_2_PI;
 
@@ -12,12 +13,12 @@ pub struct Spread {
     pub n: usize,
     /// Their mean.
     pub mean: f64,
-    /// Standard deviation of the sample, with n - 1; none of a single value.
+    /// Standard deviation of the sample, with n - 1; none for a single value.
     pub sd: Option<f64>,
 }
 
 impl Spread {
-    /// Of these values; none without any.
+    /// Mean and standard deviation of these values; none without values.
     #[must_use]
     pub fn of(values: &[f64]) -> Option<Self> {
         if values.is_empty() {
@@ -31,7 +32,7 @@ impl Spread {
     }
 }
 
-/// The straight line of least squares through points.
+/// The least-squares line through points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Line {
     /// Number of points.
@@ -40,9 +41,9 @@ pub struct Line {
     pub slope: f64,
     /// Value at x = 0.
     pub intercept: f64,
-    /// Share of the spread of y that the line explains; none if all y are equal.
+    /// Share of the variance of y that the line explains; none if all y are equal.
     pub r_squared: Option<f64>,
-    /// Standard deviation of the points about the line, with n - 2; none of two points.
+    /// Standard deviation of the points about the line, with n - 2; none for two points.
     pub residual_sd: Option<f64>,
     mean_x: f64,
     /// Sum of squares of x about its mean.
@@ -50,7 +51,7 @@ pub struct Line {
 }
 
 impl Line {
-    /// Through points (x, y); none for fewer than two different x, for one line goes through no less.
+    /// Through points (x, y); none for fewer than two different x, which determine no line.
     #[must_use]
     pub fn through(points: &[(f64, f64)]) -> Option<Self> {
         let n = points.len();
@@ -90,7 +91,8 @@ impl Line {
         self.intercept + self.slope * x
     }
 
-    /// Half the width of the band at `x` that holds the true line, there, with [`CONFIDENCE`]; none of two points.
+    /// Half the width of the band at `x` that contains the true line's value with [`CONFIDENCE`]; none for two
+    /// points.
     #[must_use]
     pub fn half_band(&self, x: f64) -> Option<f64> {
         let sd = self.residual_sd?;
@@ -98,7 +100,7 @@ impl Line {
         Some(student_t(self.n - 2) * sd * share.sqrt())
     }
 
-    /// Half the width of the interval of the slope with [`CONFIDENCE`]; none of two points.
+    /// Half the width of the interval of the slope with [`CONFIDENCE`]; none for two points.
     #[must_use]
     pub fn half_slope(&self) -> Option<f64> {
         let sd = self.residual_sd?;
@@ -106,7 +108,8 @@ impl Line {
     }
 }
 
-/// The t within which Student's distribution of so many degrees of freedom has [`CONFIDENCE`]; infinite for none.
+/// The t for which Student's distribution with `degrees` degrees of freedom has [`CONFIDENCE`] within -t to t;
+/// infinite for 0.
 #[must_use]
 pub fn student_t(degrees: usize) -> f64 {
     if degrees == 0 {
@@ -116,7 +119,7 @@ pub fn student_t(degrees: usize) -> f64 {
     while within(high, degrees) < CONFIDENCE {
         high *= 2.0;
     }
-    // Halved until no number is between them.
+    // Bisect until no number is between the ends.
     loop {
         let middle = (low + high) / 2.0;
         if middle <= low || middle >= high {
@@ -130,7 +133,8 @@ pub fn student_t(degrees: usize) -> f64 {
     }
 }
 
-/// Probability of |T| < t with so many degrees of freedom: the finite sums of Abramowitz and Stegun, 26.7.3 and 26.7.4.
+/// Probability of |T| < t with `degrees` degrees of freedom: the finite sums of Abramowitz and Stegun, 26.7.3 and
+/// 26.7.4.
 fn within(t: f64, degrees: usize) -> f64 {
     let angle = (t / (degrees as f64).sqrt()).atan();
     let (sine, cosine) = angle.sin_cos();
@@ -158,7 +162,7 @@ mod tests {
         (a - b).abs() <= 1e-9 * scale.max(1.0)
     }
 
-    /// Of two points there are no degrees of freedom, and no t.
+    /// Two points leave no degrees of freedom, so there is no t.
     #[test]
     fn a_line_through_two_points_has_no_band() {
         let line = Line::through(&[(1.0, 2.0), (3.0, 6.0)]).expect("two places");
@@ -185,7 +189,7 @@ mod tests {
         }
     }
 
-    /// Worked by hand: x 1, 2, 3, 4 and y 2, 4, 5, 8.
+    /// Worked out by hand: x 1, 2, 3, 4 and y 2, 4, 5, 8.
     #[test]
     fn a_line_of_four_points_is_the_one_of_the_book() {
         let line =
@@ -242,7 +246,7 @@ mod tests {
             prop_assert!(near(after.sd.expect("two"), before.sd.expect("two") * stretch, 1e4));
             let (least, most) = values.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
             prop_assert!((least - 1e-9..=most + 1e-9).contains(&before.mean));
-            // No deviation of n values is larger than that of the two ends alone.
+            // The standard deviation of n values is largest for the two ends alone.
             prop_assert!(before.sd.expect("two") <= (most - least) / std::f64::consts::SQRT_2 + 1e-9);
         }
 
@@ -258,7 +262,7 @@ mod tests {
             if let Some(r_squared) = line.r_squared {
                 prop_assert!((-1e-9..=1.0 + 1e-9).contains(&r_squared));
             }
-            // The band is narrowest in the middle of the points, and never less than nothing.
+            // The band is narrowest in the middle of the points, and never negative.
             let middle = line.half_band(line.mean_x).expect("three");
             for x in [-10.0, 0.0, 3.0, 50.0] {
                 prop_assert!(line.half_band(x).expect("three") >= middle);

@@ -1,292 +1,28 @@
-//! Finds every change of a folder since this program wrote it: by the manifest, and by what its files say of each other.
+//! Finds every change of a folder since this program wrote it: compares the manifest, and the files with each other.
 
-use std::collections::BTreeMap;
-use std::fs;
-use std::io;
 use std::path::Path;
+use std::{fs, io};
 
-use client::limited;
 use trials::trial::{Action, CapsuleSample, RigSample, Status, Trial};
 
 use crate::CampaignError;
-use crate::folder::{ATTEMPTS, Campaign, ORDER, PLAN, READINGS, TRIALS};
+use crate::contents::Campaign;
+use crate::differences::{COPY, Differences, Finding, UNKNOWN, read_manifest};
+use crate::files::{ATTEMPTS, ORDER, PLAN, READINGS, TRIALS};
 use crate::ledger::{Attempt, Outcome};
-use crate::manifest::{self, Hash, Manifest, PART, contents, hash_file};
+use crate::manifest::{self, contents};
 
-/// The files that grow by lines.
-const GROWING: [&str; 2] = [READINGS, TRIALS];
-
-/// Something that is not as it was written.
-#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
-pub struct Finding {
-    /// The file, relative to the folder.
-    pub path: String,
-    /// What is wrong with it.
-    pub what: String,
-    /// What to do.
-    pub remedy: String,
-}
-
-impl Finding {
-    fn new(path: &str, what: impl Into<String>, remedy: &str) -> Self {
-        Self {
-            path: path.to_owned(),
-            what: what.into(),
-            remedy: remedy.to_owned(),
-        }
-    }
-}
-
-impl std::fmt::Display for Finding {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}: {}", self.path, self.what)
-    }
-}
-
-/// What a verification has looked at, and found.
+/// Result of a verification.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Verified {
-    /// It is the folder of a campaign.
+    /// Whether it is the folder of a campaign.
     pub campaign: bool,
-    /// Files whose hashes were compared.
+    /// Number of files whose hashes were compared.
     pub files: usize,
-    /// Records of trials whose contents were checked.
+    /// Number of trial records whose contents were checked.
     pub records: usize,
-    /// Everything that is wrong.
+    /// All findings.
     pub findings: Vec<Finding>,
-}
-
-const COPY: &str = "restore it from a copy";
-const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
-
-/// Reads the manifest of a folder; none if there is none.
-///
-/// # Errors
-/// It is not one.
-pub fn manifest(folder: &Path) -> Result<Option<Manifest>, CampaignError> {
-    let path = folder.join(manifest::NAME);
-    let text = match limited::read_text(&path, limited::RECORD) {
-        Ok(text) => text,
-        Err(io) if io.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Err(io) => return Err(CampaignError::new(&path, io, COPY)),
-    };
-    Manifest::parse(&text)
-        .map(Some)
-        .map_err(|why| CampaignError::new(&path, why, COPY))
-}
-
-/// What differs between a folder and its manifest.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Differences {
-    /// Files that the manifest does not know, with their hashes.
-    pub added: BTreeMap<String, Hash>,
-    /// Files that are gone, with the hashes that they had.
-    pub missing: BTreeMap<String, Hash>,
-    /// Files with other contents, with the hashes that they have.
-    pub changed: BTreeMap<String, Hash>,
-    /// Files that have grown by so many whole lines, and whether a part of a line follows.
-    pub grown: BTreeMap<String, (usize, bool)>,
-    /// What is neither a file nor a folder.
-    pub strange: Vec<String>,
-    /// Files that were compared.
-    pub compared: usize,
-}
-
-/// What a crash can have left.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Left {
-    /// Files that have grown, by so many lines.
-    pub(crate) grown: Vec<(String, usize)>,
-    /// Files whose last line is not whole.
-    pub(crate) torn: Vec<String>,
-    /// Files that were about to replace others.
-    pub(crate) parts: Vec<String>,
-    /// Folders of attempts that are not in the manifest yet.
-    pub(crate) attempts: Vec<String>,
-}
-
-impl Differences {
-    /// Compares every file.
-    ///
-    /// # Errors
-    /// Some part of the folder cannot be read.
-    pub fn between(folder: &Path, manifest: &Manifest) -> io::Result<Self> {
-        let there = contents(folder)?;
-        let mut differences = Self {
-            strange: there.strange,
-            missing: manifest.0.clone(),
-            ..Self::default()
-        };
-        for path in there.files {
-            let Some(listed) = differences.missing.remove(&path) else {
-                let hash = hash_file(&folder.join(&path))?;
-                differences.added.insert(path, hash);
-                continue;
-            };
-            differences.compared += 1;
-            let hash = hash_file(&folder.join(&path))?;
-            if hash == listed {
-                continue;
-            }
-            let grown = GROWING
-                .contains(&&*path)
-                .then(|| grown(&folder.join(&path), &listed))
-                .transpose()?
-                .flatten();
-            match grown {
-                Some(by) => {
-                    differences.grown.insert(path, by);
-                }
-                None => {
-                    differences.changed.insert(path, hash);
-                }
-            }
-        }
-        Ok(differences)
-    }
-
-    /// For people. `listed` is the manifest that was compared.
-    #[must_use]
-    pub fn findings(&self, listed: &Manifest) -> Vec<Finding> {
-        let mut findings = vec![];
-        let same = |hash: &Hash, among: &BTreeMap<String, Hash>| {
-            among
-                .iter()
-                .find(|(_, other)| *other == hash)
-                .map(|(path, _)| path.clone())
-        };
-        for (path, hash) in &self.missing {
-            findings.push(match same(hash, &self.added) {
-                Some(other) => Finding::new(
-                    path,
-                    format!("is missing, and {other} has its contents: was it renamed?"),
-                    "give it its name again",
-                ),
-                None => Finding::new(path, "is missing", COPY),
-            });
-        }
-        for (path, hash) in &self.changed {
-            findings.push(match same(hash, &listed.0) {
-                Some(other) => Finding::new(
-                    path,
-                    format!("has the contents of {other}: were files exchanged?"),
-                    COPY,
-                ),
-                None => Finding::new(path, "was changed", COPY),
-            });
-        }
-        for (path, (lines, torn)) in &self.grown {
-            let what = match (lines, torn) {
-                (0, _) => "has a part of a line more than SHA256SUMS knows".to_owned(),
-                (lines, false) => format!("has {lines} whole lines more than SHA256SUMS knows"),
-                (lines, true) => {
-                    format!("has {lines} whole lines and a part of one more than SHA256SUMS knows")
-                }
-            };
-            findings.push(Finding::new(
-                path,
-                what,
-                "was the tool killed or the power lost? `retrograde campaign resume` takes them up and says so; otherwise restore it from a copy",
-            ));
-        }
-        for path in self.added.keys() {
-            findings.push(Finding::new(path, "is not in SHA256SUMS", UNKNOWN));
-        }
-        for path in &self.strange {
-            findings.push(Finding::new(
-                path,
-                "is neither a file nor a folder, or has a name that cannot be listed",
-                UNKNOWN,
-            ));
-        }
-        findings
-    }
-
-    /// What a crash can have left, if that is all there is.
-    ///
-    /// # Errors
-    /// The first thing that a crash cannot have left.
-    pub(crate) fn left_by_a_crash(&self, campaign: &Campaign) -> Result<Left, CampaignError> {
-        let mut left = Left::default();
-        let other = |path: &str, what: &str| {
-            CampaignError::new(
-                &campaign.folder.join(path),
-                format!("{what}, and no crash does that"),
-                "restore it from a copy, then again; `retrograde verify` names all such files",
-            )
-        };
-        if let Some(path) = self.missing.keys().next() {
-            return Err(other(path, "it is missing"));
-        }
-        if let Some(path) = self.changed.keys().next() {
-            return Err(other(path, "it was changed"));
-        }
-        if let Some(path) = self.strange.first() {
-            return Err(other(path, "it is neither a file nor a folder"));
-        }
-        for (path, (lines, torn)) in &self.grown {
-            if *lines > 0 {
-                left.grown.push((path.clone(), *lines));
-            }
-            if *torn {
-                left.torn.push(path.clone());
-            }
-        }
-        for path in self.added.keys() {
-            if path.ends_with(PART) {
-                left.parts.push(path.clone());
-                continue;
-            }
-            let attempt = path
-                .strip_prefix(ATTEMPTS)
-                .and_then(|path| path.strip_prefix('/'))
-                .and_then(|path| path.split_once('/'))
-                .map(|(attempt, _)| attempt);
-            match attempt {
-                Some(attempt) if is_new(attempt, campaign) => {
-                    if left.attempts.last().map(String::as_str) != Some(attempt) {
-                        left.attempts.push(attempt.to_owned());
-                    }
-                }
-                _ => return Err(other(path, "it is not in SHA256SUMS")),
-            }
-        }
-        Ok(left)
-    }
-}
-
-/// Only the attempt that was made last can have files that the manifest does not know.
-fn is_new(attempt: &str, campaign: &Campaign) -> bool {
-    let began = campaign.rows.iter().rev().find_map(|row| {
-        (row.event == crate::ledger::Event::Began)
-            .then(|| Attempt::folder(row.trial.unwrap_or(0), row.attempt.unwrap_or(0)))
-    });
-    began.as_deref() == Some(attempt)
-}
-
-/// By how many whole lines a file has grown since it had this hash, and whether a part of a line follows; none if its beginning
-/// was changed.
-fn grown(path: &Path, listed: &Hash) -> io::Result<Option<(usize, bool)>> {
-    let bytes = limited::read(path, limited::RECORD)?;
-    let mut hash = hmac_sha256::Hash::new();
-    let mut lines = bytes.split_inclusive(|byte| *byte == b'\n');
-    for line in lines.by_ref() {
-        if !line.ends_with(b"\n") {
-            return Ok(None);
-        }
-        hash.update(line);
-        if hash.finalize() == *listed {
-            let (mut whole, mut torn) = (0, false);
-            for line in lines {
-                match line.ends_with(b"\n") {
-                    true => whole += 1,
-                    false => torn = true,
-                }
-            }
-            return Ok(Some((whole, torn)));
-        }
-    }
-    Ok(None)
 }
 
 /// Looks through a folder and changes nothing.
@@ -314,7 +50,7 @@ pub fn verify(folder: &Path) -> Result<Verified, CampaignError> {
         records: 0,
         findings: vec![],
     };
-    match manifest(folder) {
+    match read_manifest(folder) {
         Ok(Some(manifest)) => {
             let differences = Differences::between(folder, &manifest).map_err(read)?;
             verified.files = differences.compared;
@@ -341,14 +77,14 @@ pub fn verify(folder: &Path) -> Result<Verified, CampaignError> {
     Ok(verified)
 }
 
-/// What the files of a campaign say of each other.
+/// Adds findings on contradictions between the files of a campaign.
 fn contradictions(folder: &Path, verified: &mut Verified) {
     let campaign = match Campaign::read(folder) {
         Ok(campaign) => campaign,
         Err(error) => {
             let path = error.path.strip_prefix(folder).unwrap_or(&error.path);
             let path = path.to_string_lossy().into_owned();
-            // The manifest says that it was changed; this says what that does.
+            // The manifest reports the change; this adds its consequence.
             verified
                 .findings
                 .push(Finding::new(&path, error.why, &error.remedy));
@@ -414,7 +150,7 @@ fn list(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Checks the record of a trial, if the path is that of one.
+/// Checks a trial's record; none if the path is not one.
 fn check_record(folder: &Path, path: &str, verified: &mut Verified) -> Option<Trial> {
     let full = folder.join(path);
     if !path.ends_with(".json") || !full.with_extension("csv").exists() {
@@ -429,7 +165,7 @@ fn check_record(folder: &Path, path: &str, verified: &mut Verified) -> Option<Tr
             }
             Some(trial)
         }
-        // Summaries of other kinds lie beside CSV files, too.
+        // Summaries of other kinds also lie beside CSV files.
         Err(_) if !is_trial(path) => None,
         Err(error) => {
             verified.findings.push(Finding::new(path, error.why, COPY));
@@ -438,7 +174,7 @@ fn check_record(folder: &Path, path: &str, verified: &mut Verified) -> Option<Tr
     }
 }
 
-/// Names that `run`, `fold` and so on give.
+/// Whether the name is one that `run`, `fold` and similar commands give.
 fn is_trial(path: &str) -> bool {
     let name = path.rsplit('/').next().unwrap_or(path);
     let stems = [
@@ -453,7 +189,7 @@ fn is_trial(path: &str) -> bool {
     stems.iter().any(|stem| name.starts_with(stem))
 }
 
-/// What the telemetry beside a sidecar contradicts; none if it is whole and in order.
+/// A contradiction between sidecar and telemetry; none if the telemetry is complete and in order.
 fn telemetry(trial: &Trial, sidecar: &Path) -> Option<String> {
     let beside = sidecar.with_extension("csv");
     if beside
@@ -480,7 +216,7 @@ fn telemetry(trial: &Trial, sidecar: &Path) -> Option<String> {
     if !times.is_sorted_by(|before, after| before < after) {
         return Some("its rows are not in the order of time".to_owned());
     }
-    // The count is written at the end; before it the file grows.
+    // The number of samples is written at the end; until then the file grows.
     if trial.status != Status::Running && times.len() as u64 != trial.samples {
         return Some(format!(
             "it has {} rows, the record says {}",

@@ -27,14 +27,15 @@
 //! A version only ever adds fields to the two lines. Stops work between all versions.
 
 pub mod lock;
-pub mod memory;
 pub mod server;
-pub(crate) mod stream;
+pub mod shared;
+
+use crate::link::owner::Owner;
+
+#[doc(hidden)]
+pub mod stream;
 pub mod window;
 
-use std::fmt;
-
-use jiff::Timestamp;
 use protocol::table::{Impact, Request};
 use serde::{Deserialize, Serialize};
 
@@ -42,60 +43,7 @@ use serde::{Deserialize, Serialize};
 pub const VERSION: u32 = 1;
 
 /// The longest first line of either side, bytes.
-pub(crate) const LONGEST_LINE: usize = 2_048;
-
-/// The longest command that is shown, in characters.
-const LONGEST_COMMAND: usize = 200;
-
-/// The process that owns a line.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Owner {
-    /// Its process number.
-    pub pid: u32,
-    /// Its command line.
-    pub command: String,
-    /// When it took the line.
-    pub since: Timestamp,
-}
-
-impl Owner {
-    /// This process, from now on.
-    #[must_use]
-    pub fn this_process() -> Self {
-        let args: Vec<_> = std::env::args_os()
-            .map(|arg| arg.to_string_lossy().into_owned())
-            .collect();
-        Self {
-            pid: std::process::id(),
-            command: shown(&args),
-            since: Timestamp::now(),
-        }
-    }
-}
-
-impl fmt::Display for Owner {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self {
-            pid,
-            command,
-            since,
-        } = self;
-        write!(f, "process {pid} (`{command}`), since {since:.0}")
-    }
-}
-
-/// A command line without the program's folder, without control characters, not too long.
-fn shown(args: &[String]) -> String {
-    let program = args.first().map_or("", |path| {
-        path.rsplit(['/', '\\']).next().unwrap_or_default()
-    });
-    let line: Vec<_> = std::iter::once(program)
-        .chain(args.iter().skip(1).map(String::as_str))
-        .collect();
-    let line = line.join(" ");
-    let clean = line.chars().map(|c| if c.is_control() { ' ' } else { c });
-    clean.take(LONGEST_COMMAND).collect()
-}
+pub const LONGEST_LINE: usize = 2_048;
 
 /// The guest's first line.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -143,6 +91,8 @@ mod tests {
     use protocol::settings::FactoryReset;
     use protocol::system::{Acknowledge, GetEvents, KeepAlive, SetTelemetry};
     use protocol::table::Endpoint;
+
+    use crate::link::owner::shown;
 
     use super::*;
 

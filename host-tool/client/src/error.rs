@@ -8,9 +8,9 @@ use protocol::system::{DeviceKind, Identity};
 use protocol::table::{Impact, SCHEMA_KEY};
 
 use crate::diagnosis::Sign;
-use crate::door::Owner;
 use crate::identity;
 use crate::link::LinkError;
+use crate::link::owner::Owner;
 use crate::wording;
 
 /// Why something could not be done.

@@ -1,6 +1,7 @@
 //! One machine over a line: what is sent, what comes back, and whose line it is.
 //!
 //! * [`Device`]: typed requests, events, telemetry, waiting, stops.
+//! * [`address`]: where a machine is.
 //! * [`link`]: a byte pipe with its own clock: serial port, TCP, memory, or the virtual bench.
 //! * [`door`]: one process owns a line, others look through its door and can stop.
 //! * [`diagnosis`]: the other end when no machine answers.
@@ -13,6 +14,7 @@
 //! * [`limited`]: files that are read up to a limit.
 #![forbid(unsafe_code)]
 
+pub mod address;
 pub mod decimal;
 mod device;
 pub mod diagnosis;
@@ -25,7 +27,8 @@ pub mod named;
 pub mod subject;
 pub mod wording;
 
-pub use device::{
-    Begun, Both, Clock, Device, Homed, Interrupt, KEEP_ALIVE_US, Observer, Pace, Pacer, Progress,
-    Recorded, Unobserved, homing_limit_us, matches, while_moving,
+pub use device::observer::{
+    Begun, Both, Clock, Homed, Interrupt, Observer, Pace, Pacer, Progress, Unobserved,
 };
+pub use device::waiting::{Recorded, homing_limit_us, while_moving};
+pub use device::{Device, KEEP_ALIVE_US, matches};

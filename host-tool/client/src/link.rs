@@ -3,19 +3,16 @@
 //! The clock comes from the link, so that the same client runs against a port in real time and
 //! against the virtual bench in virtual time.
 
-pub mod address;
-pub mod memory;
+pub mod halves;
+pub mod owner;
 pub mod serial;
-pub mod shared;
 pub mod tcp;
 
 use std::path::{Path, PathBuf};
 
 use protocol::system::{Identity, Urgent};
 
-use crate::door::Owner;
-use crate::door::lock::StopMark;
-use crate::door::server::Question;
+use crate::link::owner::{Owner, Question, StopMark};
 
 /// Why a link could not be opened, for programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

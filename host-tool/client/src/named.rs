@@ -8,8 +8,8 @@ use protocol::settings::MAX_NAME;
 use protocol::system::DeviceKind;
 use serde::Deserialize;
 
+use crate::address::Address;
 use crate::limited;
-use crate::link::address::Address;
 
 /// Names another file.
 pub const FILE_VARIABLE: &str = "RETROGRADE_CONFIG";

@@ -7,9 +7,9 @@ use analysis::science::series::Workers;
 use analysis::science::table;
 use indicatif::{ProgressBar, ProgressStyle};
 use locomotion::range::OutOfRange;
+use operations::failure::Failure;
 use serde::Serialize;
 
-use crate::cli::failure::Failure;
 use crate::cli::screen::Screen;
 
 /// One command's calculation.

@@ -8,38 +8,173 @@ use analysis::report::campaign::report_folder;
 use analysis::report::campaign_band::BandSource;
 use analysis::report::{self, Existing};
 use analysis::science::virtual_displacement::Models;
-use campaign::CampaignError;
 use campaign::conduct::{Broken, Conduct, Ending, Machines};
-use campaign::folder::{Campaign, Folder};
+use campaign::contents::Campaign;
+use campaign::folder::Folder;
 use campaign::ledger::{Event, Row, Source, Standing, TrialState};
-use campaign::manifest;
 use campaign::order::doing;
 use campaign::plan::{Millimetres, Plan};
 use campaign::readings::Summary;
 use campaign::remaining::{remaining_s, text as time_text};
-use campaign::verify as verification;
+use clap::Args;
 use client::identity::Origin;
 use client::limited;
 use commissioning::warning;
+use desk::{Counter, Who};
+use operations::arguments::{CAMPAIGNS_FOLDER, DATA_FOLDER};
+use operations::failure::Failure;
+use operations::places::{Need, Places};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
-use crate::cli::args::{
-    CAMPAIGNS_FOLDER, CampaignSubcommand, DATA_FOLDER, Edit, EditArgs, SessionArgs, VerifyArgs,
-};
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
+use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
-use desk::{Counter, Who};
+
+/// What to do with a campaign.
+#[derive(Debug, clap::Subcommand)]
+pub enum CampaignSubcommand {
+    /// Make the folder of a new campaign from a plan. Moves nothing.
+    New(NewArgs),
+    /// Begin a campaign from a plan, or go on with the one in a folder: readings, check-lists, runs, displacements.
+    Run(CampaignRunArgs),
+    /// Go on with a campaign, also after a crash.
+    Resume(ResumeArgs),
+    /// Show how far a campaign has come. Moves nothing.
+    Status(StatusArgs),
+    /// Correct, exclude, skip, repeat, remark. Each is a new row in the ledger; no row is ever changed. Moves nothing.
+    Edit(EditArgs),
+}
+
+/// Arguments of `campaign new`.
+#[derive(Debug, Args)]
+pub struct NewArgs {
+    /// The plan (TOML). `examples/paper.toml` and `examples/passes.toml` explain every key.
+    #[arg(value_name = "PLAN")]
+    pub plan: PathBuf,
+    /// The campaign's folder, which must not exist; by default one below `retrograde-campaigns`, named after the plan.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+}
+
+/// How a session goes.
+#[derive(Debug, Args)]
+pub struct SessionArgs {
+    /// Ask nobody. Only with the virtual bench: displacements are those of a model, and are marked so.
+    #[arg(long)]
+    pub yes: bool,
+    /// Leave after so many trials.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub trials: Option<u32>,
+}
+
+/// Arguments of `campaign run`.
+#[derive(Debug, Args)]
+pub struct CampaignRunArgs {
+    /// A plan (TOML), or the folder of a campaign.
+    #[arg(value_name = "PLAN|DIR")]
+    pub what: PathBuf,
+    /// The folder of a new campaign, which must not exist.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// How it goes.
+    #[command(flatten)]
+    pub session: SessionArgs,
+}
+
+/// Arguments of `campaign resume`.
+#[derive(Debug, Args)]
+pub struct ResumeArgs {
+    /// The campaign's folder.
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// How it goes.
+    #[command(flatten)]
+    pub session: SessionArgs,
+}
+
+/// Arguments of `campaign status`.
+#[derive(Debug, Args)]
+pub struct StatusArgs {
+    /// The campaign's folder.
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+}
+
+/// Arguments of `campaign edit`.
+#[derive(Debug, Args)]
+pub struct EditArgs {
+    /// The campaign's folder.
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// What is added to the ledger.
+    #[command(subcommand)]
+    pub edit: Edit,
+}
+
+/// What is added to a ledger.
+#[derive(Debug, clap::Subcommand)]
+pub enum Edit {
+    /// Correct the displacement of a trial; the former one stays in the ledger.
+    Displacement {
+        /// The trial.
+        trial: u32,
+        /// The displacement of the tail, + headward.
+        #[arg(value_name = "MM", allow_negative_numbers = true)]
+        displacement_mm: Millimetres,
+        /// Why.
+        reason: Vec<String>,
+    },
+    /// Take the displacement of a trial back: it is asked for again.
+    Undo {
+        /// The trial.
+        trial: u32,
+    },
+    /// Leave a trial that is done out of the evaluation.
+    Exclude {
+        /// The trial.
+        trial: u32,
+        /// Why.
+        #[arg(required = true)]
+        reason: Vec<String>,
+    },
+    /// Skip a trial.
+    Skip {
+        /// The trial.
+        trial: u32,
+        /// Why.
+        reason: Vec<String>,
+    },
+    /// Take a trial in again that was excluded or skipped.
+    Include {
+        /// The trial.
+        trial: u32,
+    },
+    /// Do a trial once more: its last attempt does not count.
+    Repeat {
+        /// The trial.
+        trial: u32,
+        /// Why.
+        reason: Vec<String>,
+    },
+    /// Add a remark.
+    Note {
+        /// On this trial; otherwise on the whole campaign.
+        #[arg(long, value_name = "N")]
+        trial: Option<u32>,
+        /// The remark.
+        #[arg(required = true)]
+        text: Vec<String>,
+    },
+}
 
 pub(crate) fn campaign(
     subcommand: &CampaignSubcommand,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     match subcommand {
         CampaignSubcommand::New(args) => {
-            let folder = create(&args.plan, args.out.as_deref(), finder, screen)?;
+            let folder = create(&args.plan, args.out.as_deref(), places, screen)?;
             let campaign = folder.campaign();
             screen.say(&format!(
                 "`retrograde campaign run {}` begins.",
@@ -57,22 +192,28 @@ pub(crate) fn campaign(
                     help: "leave `--out` out, or give a plan".to_owned(),
                 });
             }
-            resume(&args.what, &args.session, finder, screen)
+            resume("campaign run", &args.what, &args.session, places, screen)
         }
         CampaignSubcommand::Run(args) => {
             admit(&args.session, screen)?;
-            let folder = create(&args.what, args.out.as_deref(), finder, screen)?;
-            carry_out(folder, &args.session, finder, screen)
+            let folder = create(&args.what, args.out.as_deref(), places, screen)?;
+            carry_out("campaign run", folder, &args.session, places, screen)
         }
-        CampaignSubcommand::Resume(args) => resume(&args.folder, &args.session, finder, screen),
+        CampaignSubcommand::Resume(args) => resume(
+            "campaign resume",
+            &args.folder,
+            &args.session,
+            places,
+            screen,
+        ),
         CampaignSubcommand::Status(args) => {
-            let campaign = Campaign::read(&args.folder)?;
+            let campaign = Campaign::read(&args.folder).map_err(Own::from)?;
             for line in status(&campaign) {
                 screen.say(&line);
             }
             Ok(summary(&campaign))
         }
-        CampaignSubcommand::Edit(args) => edit(args, finder, screen),
+        CampaignSubcommand::Edit(args) => edit(args, places, screen),
     }
 }
 
@@ -91,15 +232,15 @@ fn admit(session: &SessionArgs, screen: &Screen<'_>) -> Result<(), Failure> {
 fn create(
     path: &Path,
     out: Option<&Path>,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Folder, Failure> {
     let text = limited::read_text(path, limited::BY_HAND).map_err(|io| Failure::Input {
         why: format!("{}: {io}", path.display()),
         help: "give a plan, such as `examples/paper.toml`".to_owned(),
     })?;
-    let plan = Plan::parse(&text, path)?;
-    let stamp = finder.connector.now().strftime("%Y%m%dT%H%M%SZ");
+    let plan = Plan::parse(&text, path).map_err(Own::from)?;
+    let stamp = places.connector.now().strftime("%Y%m%dT%H%M%SZ");
     let out = out.map_or_else(
         || PathBuf::from(CAMPAIGNS_FOLDER).join(format!("{}-{stamp}", plan.name)),
         Path::to_owned,
@@ -110,7 +251,7 @@ fn create(
             io,
         })?;
     }
-    let folder = Folder::create(&out, &text, path)?;
+    let folder = Folder::create(&out, &text, path).map_err(Own::from)?;
     let campaign = folder.campaign();
     screen.say(&format!(
         "Campaign {}: {} trials in {}, seed {}; {}.",
@@ -128,19 +269,20 @@ fn create(
 }
 
 fn resume(
+    command: &'static str,
     path: &Path,
     session: &SessionArgs,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     admit(session, screen)?;
-    let folder = open(path, finder, screen)?;
-    carry_out(folder, session, finder, screen)
+    let folder = open(path, places, screen)?;
+    carry_out(command, folder, session, places, screen)
 }
 
 /// Opens a folder for writing and tells what a crash has left.
-fn open(path: &Path, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
-    let (folder, told) = Folder::resume(path, finder.connector.now())?;
+fn open(path: &Path, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
+    let (folder, told) = Folder::resume(path, places.connector.now()).map_err(Own::from)?;
     for line in told {
         screen.say(&line);
     }
@@ -148,16 +290,17 @@ fn open(path: &Path, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Fol
 }
 
 fn carry_out(
+    command: &'static str,
     mut folder: Folder,
     session: &SessionArgs,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let path = folder.campaign().folder.clone();
     if folder.campaign().state.next().is_some() {
-        let ending = sit_down(&mut folder, session, finder, screen)?;
+        let ending = sit_down(command, &mut folder, session, places, screen)?;
         if ending == Ending::Left {
-            return Err(Failure::Left { folder: path });
+            return Err(Own::Left { folder: path }.into());
         }
     }
     let campaign = folder.campaign();
@@ -182,15 +325,17 @@ fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<PathBuf, Failure> 
         ));
         return Ok(page);
     }
-    let written = report::campaign::write(folder, Existing::Keep, &BandSource::default())?;
+    let written = report::campaign::write(folder, Existing::Keep, &BandSource::default())
+        .map_err(Own::from)?;
     screen.say(&format!("Report: {}", written.page.display()));
     Ok(written.page)
 }
 
 fn sit_down(
+    command: &'static str,
     folder: &mut Folder,
     session: &SessionArgs,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Ending, Failure> {
     let plan = folder.campaign().plan.clone();
@@ -198,10 +343,10 @@ fn sit_down(
     if session.yes {
         desk::can_answer(&plan)?;
     }
-    let mut rig = finder.connect(DeviceKind::Rig)?;
+    let mut rig = places.connect(DeviceKind::Rig, Need::Own(command))?;
     let capsule = plan
         .needs_capsule()
-        .then(|| finder.connect(DeviceKind::Capsule))
+        .then(|| places.connect(DeviceKind::Capsule, Need::Own(command)))
         .transpose()?;
     let origin = rig.origin().max(
         capsule
@@ -235,10 +380,10 @@ fn sit_down(
         None => {
             return Err(admit(session, screen)
                 .err()
-                .unwrap_or(Failure::Left { folder: path }));
+                .unwrap_or(Own::Left { folder: path }.into()));
         }
     };
-    let mut desk = Counter::new(screen, finder, who);
+    let mut desk = Counter::new(screen, places, who);
     let ended = Conduct::new(folder, &mut machines, &mut desk, &Models).carry_out(session.trials);
     ended.map_err(|broken| failure(broken, &path))
 }
@@ -249,7 +394,7 @@ fn failure(broken: Broken, folder: &Path) -> Failure {
         folder.display()
     );
     match broken {
-        Broken::Campaign(error) => error.into(),
+        Broken::Campaign(error) => Own::from(error).into(),
         Broken::Experiment(error) => error.into(),
         Broken::Ended {
             action,
@@ -406,8 +551,8 @@ fn summary(campaign: &Campaign) -> Value {
 
 // Edits.
 
-fn edit(args: &EditArgs, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut folder = open(&args.folder, finder, screen)?;
+fn edit(args: &EditArgs, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let mut folder = open(&args.folder, places, screen)?;
     let Some(origin) = folder.campaign().origin() else {
         return Err(Failure::Input {
             why: "the campaign has not begun, so there is nothing to edit".to_owned(),
@@ -415,7 +560,9 @@ fn edit(args: &EditArgs, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result
         });
     };
     let row = edited(&args.edit, folder.campaign(), origin)?;
-    folder.append(row, finder.connector.now(), origin)?;
+    folder
+        .append(row, places.connector.now(), origin)
+        .map_err(Own::from)?;
     for line in status(folder.campaign()) {
         screen.say(&line);
     }
@@ -481,51 +628,4 @@ fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<Row, Failu
             row
         }
     })
-}
-
-// Verification.
-
-pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let folder = &args.folder;
-    let verified = verification::verify(folder)?;
-    for finding in &verified.findings {
-        screen.say(&format!("{finding}\n  remedy: {}", finding.remedy));
-    }
-    if !verified.findings.is_empty() {
-        return Err(Failure::Changed {
-            folder: folder.clone(),
-            findings: verified.findings,
-        });
-    }
-    let has_manifest = folder.join(manifest::NAME).exists();
-    if !has_manifest && verified.records == 0 {
-        return Err(CampaignError::misuse(
-            folder,
-            format!("there is no {} and no record of a trial", manifest::NAME),
-            "give the folder of a campaign, or of records",
-        )
-        .into());
-    }
-    screen.say(&match has_manifest {
-        true => format!(
-            "{}: {} files are as {} says; {} records are whole and in order.",
-            folder.display(),
-            verified.files,
-            manifest::NAME,
-            verified.records,
-        ),
-        false => format!(
-            "{}: there is no {}, so nothing shows whether files were changed; {} records have all their rows in order.",
-            folder.display(),
-            manifest::NAME,
-            verified.records,
-        ),
-    });
-    Ok(json!({
-        "campaign": verified.campaign,
-        "manifest": has_manifest,
-        "files": verified.files,
-        "records": verified.records,
-        "findings": [],
-    }))
 }

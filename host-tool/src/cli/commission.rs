@@ -4,38 +4,80 @@ mod terminal;
 
 use std::path::PathBuf;
 
+use clap::Args;
 use client::identity::kind_name;
 use client::subject::Subject;
 use commissioning::hands::{Bench, Hands, Nobody};
-use commissioning::procedure;
 use commissioning::record::{Commissioning, Outcome};
 use commissioning::session::{self, Broken, Ending};
-use commissioning::steps;
 use commissioning::work::{Options, Work};
+use commissioning::{procedure, steps};
+use operations::arguments::{DATA_FOLDER, MachineKind};
+use operations::failure::Failure;
+use operations::interrupt;
+use operations::places::{Need, Places};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
-
-use crate::cli::args::CommissionArgs;
-use crate::cli::failure::{Failure, Unfinished};
-use crate::cli::finding::Finder;
-use crate::cli::screen::Screen;
-use crate::cli::{flash, interrupt};
 use terminal::Terminal;
+
+use crate::cli::failure::{Own, Unfinished};
+use crate::cli::flash;
+use crate::cli::screen::Screen;
+
+/// Arguments of `commission`.
+#[derive(Debug, Args)]
+pub struct CommissionArgs {
+    /// The machine.
+    pub machine: MachineKind,
+    /// Ask nobody. What needs a hand at the machine is recorded as not shown, unless the virtual bench lends its own.
+    #[arg(long)]
+    pub yes: bool,
+    /// Where the virtual bench's hands listen, as `virtual-bench serve` says.
+    #[arg(long, value_name = "HOST:PORT", requires = "yes")]
+    pub hands: Option<String>,
+    /// Folder of the record.
+    #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
+    pub out: PathBuf,
+    /// The record, instead of a file in the folder that is named after the board.
+    #[arg(long, value_name = "FILE", conflicts_with = "out")]
+    pub record: Option<PathBuf>,
+    /// The image (ELF) that should be on the rig; by default the one built in this workspace.
+    #[arg(long, value_name = "ELF")]
+    pub image: Option<PathBuf>,
+    /// Strokes of the read-back test without motor power: an even number, 2 to 20000. The test of edge timing makes as
+    /// many, 200 at most.
+    #[arg(long, value_name = "N", default_value = "10000", value_parser = strokes)]
+    pub strokes: u16,
+    /// Cycles of the run at the end.
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=100))]
+    pub cycles: u16,
+    /// How long the board's clock is compared with the host's, in s.
+    #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=3600))]
+    pub clock_s: u16,
+}
+
+/// Whole cycles only: an odd number would have to become another one.
+fn strokes(text: &str) -> Result<u16, String> {
+    let value = text.parse::<u16>().ok();
+    value
+        .filter(|strokes| (2..=20_000).contains(strokes) && strokes.is_multiple_of(2))
+        .ok_or_else(|| "use an even number from 2 to 20000, for a cycle is two strokes".to_owned())
+}
 
 pub(crate) fn commission(
     args: &CommissionArgs,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let kind = args.machine.into();
-    let mut hands = hands(args, kind, finder, screen)?;
-    let mut device = finder.connect(kind)?;
+    let mut hands = hands(args, kind, places, screen)?;
+    let mut device = places.connect(kind, Need::Own("commission"))?;
     let subject = Subject::of(&mut device)?;
     let path = args
         .record
         .clone()
         .unwrap_or_else(|| args.out.join(subject.file_name()));
-    let mut record = Commissioning::resume(&path, &subject, finder.connector.now())?;
+    let mut record = Commissioning::resume(&path, &subject, places.connector.now())?;
     let all = steps::of(kind);
     let open = procedure::open(all, &record, &subject);
     screen.say(&format!(
@@ -64,10 +106,14 @@ pub(crate) fn commission(
         clock_us: u64::from(args.clock_s) * 1_000_000,
         image: image(args, kind),
     };
-    let reopen = || finder.connect(kind).map_err(|failure| failure.to_string());
+    let reopen = || {
+        places
+            .connect(kind, Need::Own("commission"))
+            .map_err(|failure| failure.to_string())
+    };
     let mut say = |text: &str| screen.say(text);
     let mut work = Work::new(device, subject, options, &mut *hands, &mut say, &reopen);
-    let now = || finder.connector.now();
+    let now = || places.connector.now();
     let ended = session::carry_out(&mut work, &mut record, &path, &now);
     let left = matches!(ended, Ok(Ending::Left(_)));
     if left && work.device.interrupted().is_none() {
@@ -92,7 +138,7 @@ pub(crate) fn commission(
             .iter()
             .any(|step| step.outcome != Outcome::Passed)
     );
-    Err(Failure::Commission {
+    Err(Own::Commission {
         ending: Unfinished::NotShown,
         why: format!(
             "commissioning is not complete: {} of {} steps were not shown: {}",
@@ -104,14 +150,15 @@ pub(crate) fn commission(
             "the reasons are in {}; the same command goes on where it is open",
             path.display()
         ),
-    })
+    }
+    .into())
 }
 
 /// Who is at the machine.
 fn hands(
     args: &CommissionArgs,
     kind: DeviceKind,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Box<dyn Hands>, Failure> {
     if let Some(place) = &args.hands {
@@ -124,9 +171,9 @@ fn hands(
         return Ok(Box::new(bench));
     }
     if args.yes {
-        return Ok(finder
+        return Ok(places
             .connector
-            .hands(kind, finder.address(kind))
+            .hands(kind, places.address(kind))
             .unwrap_or_else(|| Box::new(Nobody)));
     }
     match screen.keyboard.take() {
@@ -153,25 +200,28 @@ fn ended_as(ended: Result<Ending, Broken>, path: &std::path::Path) -> Result<(),
     );
     match ended {
         Ok(Ending::Through) => Ok(()),
-        Ok(Ending::Defect(step, why)) => Err(Failure::Commission {
+        Ok(Ending::Defect(step, why)) => Err(Own::Commission {
             ending: Unfinished::Defect,
             why: format!("{step}: {why}"),
             help: format!("mend it; {help}"),
-        }),
-        Ok(Ending::Left(step)) => Err(Failure::Commission {
+        }
+        .into()),
+        Ok(Ending::Left(step)) => Err(Own::Commission {
             ending: Unfinished::Left,
             why: step.map_or_else(
                 || "left between two steps".to_owned(),
                 |step| format!("left at the step {step}, which has no result"),
             ),
             help,
-        }),
+        }
+        .into()),
         Err(Broken::Client(error)) => Err(error.into()),
         Err(Broken::Record(error)) => Err(error.into()),
-        Err(Broken::NoHands(why)) => Err(Failure::Commission {
+        Err(Broken::NoHands(why)) => Err(Own::Commission {
             ending: Unfinished::Left,
             why,
             help,
-        }),
+        }
+        .into()),
     }
 }

@@ -6,10 +6,10 @@ use analysis::science::posterior::Posterior;
 use locomotion::comparison::Sheet;
 use locomotion::model::Model;
 use locomotion::prior;
+use operations::failure::Failure;
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Calculation;
-use crate::cli::failure::Failure;
 
 pub(crate) fn compare(
     work: &mut Calculation<'_, '_>,

@@ -2,11 +2,12 @@
 
 use analysis::science::{charts, crescent, table};
 use locomotion::beam::{NoAnswer, Validation, band, thread};
-use locomotion::comparison::INDENTATIONS_MM;
+use locomotion::paper::INDENTATIONS_MM;
+use operations::failure::Failure;
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Calculation;
-use crate::cli::failure::Failure;
+use crate::cli::failure::Own;
 use crate::cli::model::ModelArgs;
 
 /// Fewest draws that make a band.
@@ -79,7 +80,7 @@ pub(crate) fn crescent(
     work.csv("crescent-inputs.csv", &crescent::inputs(), &origin)?;
     let parameters: Vec<_> = thread::PARAMETERS.map(table::row).into();
     work.csv("crescent-parameters.csv", &parameters, &origin)?;
-    let svg = charts::crescent(&drawn, &forces, &rows)?;
+    let svg = charts::crescent(&drawn, &forces, &rows).map_err(Own::from)?;
     work.file("crescent.svg", svg.as_bytes())?;
     let files = work.say_files();
     Ok(json!({

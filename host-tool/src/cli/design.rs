@@ -7,10 +7,11 @@ use analysis::science::{charts, drawing};
 use clap::Args;
 use locomotion::kinematics::Design;
 use locomotion::range::{Ends, OutOfRange};
+use operations::failure::Failure;
 use serde_json::{Value, json};
 
 use crate::cli::calculation::write;
-use crate::cli::failure::Failure;
+use crate::cli::failure::Own;
 use crate::cli::model::ModelArgs;
 use crate::cli::optimise::{OptimiseArgs, optimise};
 use crate::cli::screen::Screen;
@@ -140,7 +141,7 @@ pub(crate) fn design(args: &DesignArgs, screen: &mut Screen<'_>) -> Result<Value
         screen.say(&format!("drawing:  {}", path.display()));
     }
     if let Some(path) = &args.map {
-        let svg = charts::maps(&design::maps(&design, args.indentation_mm)?)?;
+        let svg = charts::maps(&design::maps(&design, args.indentation_mm)?).map_err(Own::from)?;
         write(path, svg.as_bytes())?;
         screen.say(&format!("map:      {}", path.display()));
     }

@@ -4,20 +4,20 @@
 use std::panic::resume_unwind;
 use std::thread;
 
-use client::Device;
+use client::address::Address;
 use client::diagnosis::Sign;
 use client::error::ClientError;
-use client::identity;
-use client::link::address::Address;
 use client::link::{OpenError, Reason};
+use client::{Device, identity};
+use miette::Diagnostic;
+use operations::arguments::Which;
+use operations::connector::{Candidate, Purpose};
+use operations::failure::{CommandFailure, DONE, FAILED, FAULT, Failure, NO_DEVICE};
+use operations::places::{KINDS, Places, past_owners};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
-use crate::cli::args::Which;
-use crate::cli::failure::Failure;
-use crate::cli::finding::{Finder, KINDS, past_owners};
 use crate::cli::screen::Screen;
-use crate::connector::{Candidate, Purpose};
 
 /// A place to look at.
 struct Place {
@@ -58,7 +58,7 @@ impl Finding {
         Self {
             code: code(failure),
             text: failure.to_string(),
-            remedy: miette::Diagnostic::help(failure).map(|help| help.to_string()),
+            remedy: Diagnostic::help(failure).map(|help| help.to_string()),
             exit_code: failure.exit_code(),
             ..Self::fine(place, "", String::new())
         }
@@ -126,39 +126,39 @@ fn code(failure: &Failure) -> &'static str {
 
 pub(crate) fn doctor(
     which: &Which,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let places = places(which, finder);
+    let looked_at = to_look_at(which, places);
     let mut findings: Vec<Finding> = thread::scope(|scope| {
-        let looks: Vec<_> = places
+        let looks: Vec<_> = looked_at
             .iter()
-            .map(|place| scope.spawn(|| look(place, finder)))
+            .map(|place| scope.spawn(|| look(place, places)))
             .collect();
         looks
             .into_iter()
             .flat_map(|look| look.join().unwrap_or_else(|panic| resume_unwind(panic)))
             .collect()
     });
-    findings.extend(together(which, finder, &findings));
+    findings.extend(together(which, places, &findings));
     for finding in &findings {
         screen.say(&finding.line());
     }
     if findings.iter().any(|finding| finding.exit_code != 0) {
-        return Err(Failure::Sick { findings });
+        return Err(Sick { findings }.into());
     }
     let findings: Vec<_> = findings.iter().map(Finding::json).collect();
     Ok(json!({ "findings": findings }))
 }
 
 /// The places that the user named, or all ports.
-fn places(which: &Which, finder: &Finder<'_>) -> Vec<Place> {
+fn to_look_at(which: &Which, places: &Places<'_>) -> Vec<Place> {
     let wanted = |kind: &DeviceKind| which.machine.is_none_or(|machine| *kind == machine.into());
-    let mut places = vec![];
+    let mut all = vec![];
     let mut searched = false;
     for kind in KINDS.into_iter().filter(wanted) {
-        match finder.address(kind) {
-            Some(address) if *address != Address::Auto => places.push(Place {
+        match places.address(kind) {
+            Some(address) if *address != Address::Auto => all.push(Place {
                 wanted: Some(kind),
                 candidate: Candidate {
                     address: address.clone(),
@@ -171,18 +171,18 @@ fn places(which: &Which, finder: &Finder<'_>) -> Vec<Place> {
             None => {}
         }
     }
-    if searched || places.is_empty() {
-        let all = finder.connector.candidates().into_iter();
-        places.extend(all.map(|candidate| Place {
+    if searched || all.is_empty() {
+        let found = places.connector.candidates().into_iter();
+        all.extend(found.map(|candidate| Place {
             wanted: None,
             candidate,
         }));
     }
-    places
+    all
 }
 
 /// What is at one place, and what is wrong with the machine there.
-fn look(place: &Place, finder: &Finder<'_>) -> Vec<Finding> {
+fn look(place: &Place, places: &Places<'_>) -> Vec<Finding> {
     let candidate = &place.candidate;
     let name = match place.wanted {
         Some(kind) => format!("{} at {}", identity::kind_name(kind), candidate.address),
@@ -192,13 +192,13 @@ fn look(place: &Place, finder: &Finder<'_>) -> Vec<Finding> {
         let text = "not an ST-LINK: another instrument may be there, so it was not asked; `--rig` or `--capsule` with this port asks it";
         return vec![Finding::fine(name, "not_asked", text.to_owned())];
     }
-    match past_owners(|| examine(place, finder)) {
+    match past_owners(|| examine(place, places)) {
         Ok((kind, text, trouble)) => {
             let mut fine = Finding::fine(name.clone(), "fine", text);
             fine.found = Some(kind);
             let trouble = trouble.map(|(code, text, remedy)| Finding {
                 remedy: Some(remedy.to_owned()),
-                exit_code: crate::cli::failure::FAULT,
+                exit_code: FAULT,
                 found: Some(kind),
                 ..Finding::fine(name, code, text)
             });
@@ -211,18 +211,18 @@ fn look(place: &Place, finder: &Finder<'_>) -> Vec<Finding> {
 /// What a machine itself says is wrong: in a word, in full, and the remedy.
 type Trouble = Option<(&'static str, String, &'static str)>;
 
-fn examine(place: &Place, finder: &Finder<'_>) -> Result<(DeviceKind, String, Trouble), Failure> {
+fn examine(place: &Place, places: &Places<'_>) -> Result<(DeviceKind, String, Trouble), Failure> {
     let address = &place.candidate.address;
     let kind = place.candidate.kind.unwrap_or(DeviceKind::Rig);
-    let baud = finder.cli.baud;
-    let link = finder.connector.open(kind, address, baud, Purpose::Look)?;
-    let nonce = finder.connector.nonce();
+    let baud = places.baud;
+    let link = places.connector.open(kind, address, baud, Purpose::Look)?;
+    let nonce = places.connector.nonce();
     let mut device = Device::new(link, nonce);
     device.expect_haste();
     let identity = device.hello(nonce)?;
     device.require(place.wanted.unwrap_or(identity.device))?;
     if place.wanted.is_some() {
-        finder.require_name(&mut device)?;
+        places.require_name(&mut device)?;
     }
     let mut text = identity::line(&identity);
     if let Some(owner) = device.owner() {
@@ -253,14 +253,14 @@ fn examine(place: &Place, finder: &Finder<'_>) -> Result<(DeviceKind, String, Tr
 }
 
 /// What is wrong with all places together.
-fn together(which: &Which, finder: &Finder<'_>, findings: &[Finding]) -> Vec<Finding> {
+fn together(which: &Which, places: &Places<'_>, findings: &[Finding]) -> Vec<Finding> {
     let found = |kind| {
         let fine = findings.iter().filter(|finding| finding.code == "fine");
         fine.filter(|finding| finding.found == Some(kind)).count()
     };
     let mut more = vec![];
     for kind in KINDS {
-        let asked = match (which.machine, finder.address(kind)) {
+        let asked = match (which.machine, places.address(kind)) {
             (Some(machine), _) if kind != machine.into() => false,
             (_, Some(Address::Auto) | None) => true,
             (_, Some(_)) => false,
@@ -272,7 +272,7 @@ fn together(which: &Which, finder: &Finder<'_>, findings: &[Finding]) -> Vec<Fin
                     "say which one: `--{name} WHERE`, or RETROGRADE_{}",
                     name.to_uppercase()
                 )),
-                exit_code: crate::cli::failure::NO_DEVICE,
+                exit_code: NO_DEVICE,
                 ..Finding::fine(
                     name.to_owned(),
                     "several",
@@ -295,7 +295,27 @@ fn together(which: &Which, finder: &Finder<'_>, findings: &[Finding]) -> Vec<Fin
 }
 
 /// How many places have something wrong, in one sentence.
-pub(crate) fn summary(findings: &[Finding]) -> String {
+/// The doctor has found something wrong.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+#[error("{}", summary(findings))]
+#[diagnostic(code(retrograde::doctor), help("each finding above has its remedy"))]
+struct Sick {
+    findings: Vec<Finding>,
+}
+
+impl CommandFailure for Sick {
+    fn exit_code(&self) -> u8 {
+        let codes = self.findings.iter().map(Finding::exit_code);
+        // A place without a machine outweighs what a machine says.
+        codes.filter(|code| *code != DONE).min().unwrap_or(FAILED)
+    }
+
+    fn describe(&self, value: &mut Value) {
+        value["findings"] = self.findings.iter().map(Finding::json).collect();
+    }
+}
+
+fn summary(findings: &[Finding]) -> String {
     let wrong = findings.iter().filter(|finding| finding.exit_code != 0);
     let list: Vec<_> = wrong
         .map(|finding| format!("{}: {}", finding.place, finding.code))

@@ -14,10 +14,11 @@ use calibration::prior::{Point, UNKNOWNS, Values, parts, unknowns, with_body};
 use clap::Args;
 use client::identity::Origin;
 use locomotion::model::{Model, Setting, Value as Given};
+use operations::failure::Failure;
 use serde_json::{Value, json};
 
 use crate::cli::calculation::write;
-use crate::cli::failure::Failure;
+use crate::cli::failure::Own;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
 
@@ -59,23 +60,22 @@ const PLACES: usize = 12;
 /// Step of the rollers for the bands of the figure, mm: their errors do not show there.
 const FIGURE_STEP_MM: f64 = 0.25;
 
-impl From<TrialsError> for Failure {
-    fn from(error: TrialsError) -> Self {
-        let why = error.to_string();
-        match error {
-            TrialsError::Campaign(error) => error.into(),
-            TrialsError::Changed { folder, findings } => Self::Changed { folder, findings },
-            TrialsError::Csv { .. } => Self::Input {
-                why,
-                help: "docs/host-tool.md lists the columns; rows are counted from the one after the header"
-                    .to_owned(),
-            },
-            TrialsError::NoUncertainty(_) => Self::Input {
-                why,
-                help: "`uncertainty_mm` in `[displacement]` of the next plan, or `--uncertainty-mm MM`: the standard deviation of one displacement, of reading and repetition together"
-                    .to_owned(),
-            },
-        }
+/// The failure of observations that cannot be read.
+fn unusable(error: TrialsError) -> Failure {
+    let why = error.to_string();
+    match error {
+        TrialsError::Campaign(error) => Own::from(error).into(),
+        TrialsError::Changed { folder, findings } => Own::Changed { folder, findings }.into(),
+        TrialsError::Csv { .. } => Failure::Input {
+            why,
+            help: "docs/host-tool.md lists the columns; rows are counted from the one after the header"
+                .to_owned(),
+        },
+        TrialsError::NoUncertainty(_) => Failure::Input {
+            why,
+            help: "`uncertainty_mm` in `[displacement]` of the next plan, or `--uncertainty-mm MM`: the standard deviation of one displacement, of reading and repetition together"
+                .to_owned(),
+        },
     }
 }
 
@@ -89,7 +89,7 @@ struct Read {
 fn read(args: &FitArgs) -> Result<Read, Failure> {
     let mut all: Vec<Trials> = vec![];
     for path in &args.sources {
-        all.push(observations::read(path, args.uncertainty_mm)?);
+        all.push(observations::read(path, args.uncertainty_mm).map_err(unusable)?);
     }
     let origin = all.first().map_or(Origin::Unknown, |one| one.origin);
     if let Some(other) = all.iter().find(|one| one.origin != origin) {
@@ -461,6 +461,7 @@ fn figure(
         model_file::fitted_name(posterior),
         &shown,
         &found.conditions,
-    )?;
+    )
+    .map_err(Own::from)?;
     Ok((svg, shown))
 }

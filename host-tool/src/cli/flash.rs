@@ -5,17 +5,35 @@ use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use clap::Args;
 use client::door::lock::Doorway;
 use client::identity::{self, IdentityRecord};
 use commissioning::flashing::{self, Image};
+use operations::arguments::MachineKind;
+use operations::failure::Failure;
+use operations::places::{Need, Places};
 use protocol::rig::GetRigHealth;
 use protocol::system::{BuildProfile, DeviceKind, Identity};
 use serde_json::{Value, json};
 
-use crate::cli::args::FlashArgs;
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
+use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
+
+/// Arguments of `flash`.
+#[derive(Debug, Args)]
+pub struct FlashArgs {
+    /// The machine.
+    pub machine: MachineKind,
+    /// The image (ELF); by default the one built in this workspace.
+    #[arg(long, value_name = "ELF")]
+    pub image: Option<PathBuf>,
+    /// The debug probe, `VID:PID:SERIAL`, if several are connected.
+    #[arg(long, value_name = "PROBE")]
+    pub probe: Option<String>,
+    /// Only look at the image; needs no probe and no board.
+    #[arg(long)]
+    pub dry_run: bool,
+}
 
 const CHIP: &str = "STM32F411RETx";
 
@@ -35,17 +53,17 @@ pub(crate) fn built(machine: DeviceKind) -> PathBuf {
 
 pub(crate) fn flash(
     args: &FlashArgs,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let kind = args.machine.into();
     let name = identity::kind_name(kind);
     let path = args.image.clone().unwrap_or_else(|| built(kind));
     if !path.exists() {
-        return Err(Failure::Flash {
+        return Err(Own::Flash {
             why: format!("there is no image at {}", path.display()),
             help: "build the images with `cargo xtask images` in the workspace, or give one with `--image ELF`".to_owned(),
-        });
+        }.into());
     }
     let image = flashing::inspect(&path, kind).map_err(|unfit| Failure::Input {
         why: format!("{} cannot be flashed: {unfit}", path.display()),
@@ -54,7 +72,7 @@ pub(crate) fn flash(
             built(kind).display()
         ),
     })?;
-    leave_alone(kind, finder)?;
+    leave_alone(kind, places)?;
     screen.say(&format!(
         "{}: image of the {name}, {} bytes of flash, fingerprint {:08x}. It leaves settings and events as they are.",
         path.display(),
@@ -86,7 +104,7 @@ pub(crate) fn flash(
         .collect::<Vec<_>>();
     probe_rs(&["download", "--chip", CHIP, &text], &probe, screen)?;
     probe_rs(&["reset", "--chip", CHIP], &probe, screen)?;
-    let identity = ask(kind, &image, finder)?;
+    let identity = ask(kind, &image, places)?;
     screen.say(&format!("Flashed. {}", identity::line(&identity)));
     if identity.profile == BuildProfile::Debug {
         screen.say("warning: this image was built without optimisation; `cargo xtask images` builds the one for use");
@@ -95,8 +113,8 @@ pub(crate) fn flash(
 }
 
 /// Refuses while another process works with the machine: a reset would end what it does.
-fn leave_alone(kind: DeviceKind, finder: &Finder<'_>) -> Result<(), Failure> {
-    let Some(address) = finder.address(kind) else {
+fn leave_alone(kind: DeviceKind, places: &Places<'_>) -> Result<(), Failure> {
+    let Some(address) = places.address(kind) else {
         return Ok(());
     };
     let Some(doorway) = Doorway::of(address)? else {
@@ -116,10 +134,10 @@ fn leave_alone(kind: DeviceKind, finder: &Finder<'_>) -> Result<(), Failure> {
 }
 
 /// Asks the board who it is now.
-fn ask(kind: DeviceKind, image: &Image, finder: &Finder<'_>) -> Result<Identity, Failure> {
+fn ask(kind: DeviceKind, image: &Image, places: &Places<'_>) -> Result<Identity, Failure> {
     let begin = Instant::now();
     loop {
-        let found = finder.connect(kind).and_then(|mut device| {
+        let found = places.connect(kind, Need::Look).and_then(|mut device| {
             let running = match kind {
                 DeviceKind::Rig => Some(device.call(GetRigHealth)?.image_hash),
                 DeviceKind::Capsule => None,
@@ -132,21 +150,21 @@ fn ask(kind: DeviceKind, image: &Image, finder: &Finder<'_>) -> Result<Identity,
                 return Ok(identity);
             }
             Ok((_, running)) => {
-                return Err(Failure::Flash {
+                return Err(Own::Flash {
                     why: format!(
                         "probe-rs has flashed a board, but the machine here runs image {:08x}, not {:08x}",
                         running.unwrap_or_default(),
                         image.fingerprint
                     ),
                     help: "was it another board? `probe-rs list` shows the probes, `retrograde devices` the machines".to_owned(),
-                });
+                }.into());
             }
             Err(_) if begin.elapsed() < START => thread::sleep(AGAIN),
             Err(failure) => {
-                return Err(Failure::Flash {
+                return Err(Own::Flash {
                     why: format!("flashed and reset, but the board was not found again: {failure}"),
                     help: "look at its LED, then at `retrograde devices`; say where it is with `--rig` or `--capsule`".to_owned(),
-                });
+                }.into());
             }
         }
     }
@@ -158,7 +176,7 @@ fn probe_rs(args: &[&str], probe: &[&str], screen: &mut Screen<'_>) -> Result<()
         .args(args)
         .args(probe)
         .output()
-        .map_err(|io| Failure::Flash {
+        .map_err(|io| Own::Flash {
             why: format!("probe-rs does not start: {io}"),
             help: "install it: `cargo install probe-rs-tools --locked`".to_owned(),
         })?;
@@ -168,12 +186,12 @@ fn probe_rs(args: &[&str], probe: &[&str], screen: &mut Screen<'_>) -> Result<()
         return Ok(());
     }
     let last = text.lines().rev().find(|line| !line.trim().is_empty());
-    Err(Failure::Flash {
+    Err(Own::Flash {
         why: format!(
             "probe-rs {} failed: {}",
             args.first().unwrap_or(&""),
             last.unwrap_or("it gave no reason").trim()
         ),
         help: "is exactly one board plugged in? `probe-rs list` shows the probes, `--probe VID:PID:SERIAL` chooses one".to_owned(),
-    })
+    }.into())
 }

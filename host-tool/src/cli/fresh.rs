@@ -2,24 +2,24 @@
 //! needs that does it first, in the same command. A real machine is never moved without having been told.
 
 use client::Device;
-use client::link::address::Address;
+use client::address::Address;
+use operations::failure::Failure;
+use operations::places::Places;
 use protocol::system::DeviceKind;
 use trials::experiment;
 
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
-use crate::cli::machines::homed_text;
 use crate::cli::screen::Screen;
+use operations::ending::homed_text;
 
 /// Homes a virtual rig, references a virtual capsule, if it is new.
 pub(crate) fn prepare(
     kind: DeviceKind,
     device: &mut Device,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<(), Failure> {
-    let made_anew = |address: &Address| finder.connector.is_made_anew(address);
-    if !finder.address(kind).is_some_and(made_anew) {
+    let made_anew = |address: &Address| places.connector.is_made_anew(address);
+    if !places.address(kind).is_some_and(made_anew) {
         return Ok(());
     }
     match kind {

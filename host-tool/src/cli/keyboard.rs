@@ -5,8 +5,9 @@ use std::sync::mpsc;
 use std::thread;
 
 use client::{Pace, Pacer};
+use operations::interrupt;
 
-use crate::cli::{Keyboard, interrupt};
+use crate::cli::screen::Keyboard;
 
 /// What can be typed during a run.
 pub(crate) fn hint(single: bool) -> &'static str {

@@ -8,8 +8,7 @@ use analysis::science::model_file::{self, Choice, Given, ModelError};
 use analysis::science::posterior::Posterior;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 use locomotion::model::{Model, Setting};
-
-use crate::cli::failure::Failure;
+use operations::failure::Failure;
 
 /// A model as options give it.
 #[derive(Clone, Debug, Default)]

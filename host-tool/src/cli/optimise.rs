@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use analysis::report::figures::ModelName;
+use analysis::figures::ModelName;
 use analysis::science::design::{CAPSULE_MM, LEAST_ALPHA_DEG, PAPER_INDENTATION_MM};
 use analysis::science::optimise::bodies::{Bodies, Care, Per};
 use analysis::science::optimise::limits::Limits;
@@ -16,10 +16,11 @@ use clap::{Args, ValueEnum};
 use locomotion::beam::Validation;
 use locomotion::kinematics::Design;
 use locomotion::model::Model;
+use operations::failure::Failure;
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Calculation;
-use crate::cli::failure::Failure;
+use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
 
 /// What the displacement is counted for.
@@ -208,7 +209,9 @@ pub(crate) fn optimise(
     };
     work.file(
         "optimise.svg",
-        charts::designs(figure, per, &rows)?.as_bytes(),
+        charts::designs(figure, per, &rows)
+            .map_err(Own::from)?
+            .as_bytes(),
     )?;
     let files = work.say_files();
     Ok(json!({ "origin": origin, "designs": rows, "verdict": verdict, "files": files }))

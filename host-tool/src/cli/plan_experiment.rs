@@ -2,24 +2,23 @@
 
 use std::path::PathBuf;
 
-use analysis::report::figures::ModelName;
+use analysis::figures::ModelName;
 use analysis::science::charts::trial_plan::trial_plan;
-use analysis::science::model_file;
 use analysis::science::posterior::Posterior;
-use analysis::science::table;
 use analysis::science::trial_plan::{self, Asked, Plan, Series};
-use analysis::science::values;
+use analysis::science::{model_file, table, values};
 use calibration::belief::{Belief, LEAST_SAMPLES};
 use calibration::design::{Effort, Estimate};
 use calibration::observation::{Kind, Lubrication};
 use calibration::prior::{Point, Values, unknowns};
 use calibration::tabulated::STEP_MM;
 use clap::{Args, ValueEnum};
-use locomotion::comparison::INDENTATIONS_MM;
+use locomotion::paper::INDENTATIONS_MM;
+use operations::failure::Failure;
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Calculation;
-use crate::cli::failure::Failure;
+use crate::cli::failure::Own;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
 
@@ -301,7 +300,10 @@ pub(crate) fn plan_experiment(
             asked.effort.draws,
         ),
     };
-    work.file("plan.svg", trial_plan(figure, &plan)?.as_bytes())?;
+    work.file(
+        "plan.svg",
+        trial_plan(figure, &plan).map_err(Own::from)?.as_bytes(),
+    )?;
     let files = work.say_files();
     if !plan.is_resolved() {
         work.screen.say(

@@ -1,26 +1,48 @@
 //! `records fetch`: what a machine itself still knows of its last action, into a file.
 
+use std::path::PathBuf;
+
+use clap::Args;
 use client::decimal;
 use client::identity::kind_name;
+use operations::arguments::{DATA_FOLDER, Which};
+use operations::failure::Failure;
+use operations::places::{Need, Places};
 use serde_json::{Map, Value, json};
 use trials::fetched::{self, Fetched, Kept, Nothing};
 
-use crate::cli::args::{FetchArgs, RecordsSubcommand};
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
+
+/// What to do with the machines' own records.
+#[derive(Debug, clap::Subcommand)]
+pub enum RecordsSubcommand {
+    /// Write what a machine still knows of its last run or actuation into a file, for example after the computer died or
+    /// somebody pressed the start button. There is no telemetry in it. Changes nothing.
+    Fetch(FetchArgs),
+}
+
+/// Arguments of `records fetch`.
+#[derive(Debug, Args)]
+pub struct FetchArgs {
+    /// The machines.
+    #[command(flatten)]
+    pub which: Which,
+    /// Folder of the file.
+    #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
+    pub out: PathBuf,
+}
 
 pub(crate) fn records(
     subcommand: &RecordsSubcommand,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let RecordsSubcommand::Fetch(FetchArgs { which, out }) = subcommand;
     let mut files = Map::new();
-    for kind in finder.machines(which)? {
+    for kind in places.machines(which)? {
         let machine = kind_name(kind);
-        let mut device = finder.connect(kind)?;
-        match fetched::fetch(&mut device, finder.connector.now())? {
+        let mut device = places.connect(kind, Need::Look)?;
+        match fetched::fetch(&mut device, places.connector.now())? {
             Ok(fetched) => {
                 let path = fetched.write(out)?;
                 screen.say(&format!("{machine}: {}", text(&fetched)));

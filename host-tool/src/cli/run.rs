@@ -1,9 +1,11 @@
 //! The command `run`, alone or with a fold or an unfolding at a place of it.
 
 use analysis::report::section::actuation_rows;
-use client::Device;
-use client::decimal;
+use client::{Device, decimal};
 use commissioning::warning;
+use operations::arguments::{DATA_FOLDER, RunArgs};
+use operations::failure::Failure;
+use operations::places::{Need, Places};
 use protocol::capsule::CapsuleState;
 use protocol::rig::Run;
 use protocol::system::DeviceKind;
@@ -14,12 +16,9 @@ use trials::experiment::{self, RunTrial};
 use trials::plan;
 use trials::trial::Trial;
 
-use crate::cli::args::{DATA_FOLDER, RunArgs};
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
+use crate::cli::ended::{completed, recording};
 use crate::cli::fresh;
 use crate::cli::keyboard::{self, SingleKeys};
-use crate::cli::machines::{completed, recording};
 use crate::cli::screen::Screen;
 
 /// What is tied to the run, if anything is.
@@ -41,11 +40,11 @@ fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {
 /// A capsule that can do it, or why not. Nothing has moved yet.
 fn ready(
     shaping: Shaping,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Device, Failure> {
-    let mut capsule = finder.connect(DeviceKind::Capsule)?;
-    fresh::prepare(DeviceKind::Capsule, &mut capsule, finder, screen)?;
+    let mut capsule = places.connect(DeviceKind::Capsule, Need::Own("run"))?;
+    fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
     let status = capsule.capsule_status()?;
     let (begins, command) = match shaping {
         Shaping::Fold => (CapsuleState::Unfolded, "unfold"),
@@ -69,18 +68,18 @@ fn ready(
 
 pub(crate) fn run(
     args: &RunArgs,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let request = args.waves.request(args.on_link_loss);
     plan::check(&request)?;
     let tied = tied(args, &request)?;
     let partner = match tied {
-        Some((shaping, cue)) => Some((ready(shaping, finder, screen)?, shaping, cue)),
+        Some((shaping, cue)) => Some((ready(shaping, places, screen)?, shaping, cue)),
         None => None,
     };
-    let mut rig = finder.connect(DeviceKind::Rig)?;
-    fresh::prepare(DeviceKind::Rig, &mut rig, finder, screen)?;
+    let mut rig = places.connect(DeviceKind::Rig, Need::Own("run"))?;
+    fresh::prepare(DeviceKind::Rig, &mut rig, places, screen)?;
     let folders = [args.record.out.clone(), DATA_FOLDER.into()];
     if let Some(warning) = warning::of_record(&mut rig, &folders)? {
         screen.hint(&format!("warning: {warning}"));
@@ -94,13 +93,13 @@ pub(crate) fn run(
         screen.hint(keyboard::hint(single.is_some()));
         rig.set_pacer(keyboard::pacer(keyboard, single.is_some()));
     }
-    let of_run = recording(&args.record, "run", finder);
+    let of_run = recording(&args.record, "run", places);
     let Some((mut capsule, shaping, cue)) = partner else {
         let trial = experiment::run(&mut rig, request, &of_run, &mut screen.live())?;
         drop(single);
         return ended(&request, &trial, screen);
     };
-    let of_actuation = recording(&args.record, stem(shaping), finder);
+    let of_actuation = recording(&args.record, stem(shaping), places);
     let recordings = Recordings {
         run: &of_run,
         actuation: &of_actuation,

@@ -2,28 +2,28 @@
 
 use std::path::PathBuf;
 
-use analysis::report::figures::ModelName;
+use analysis::figures::ModelName;
 use analysis::science::bands::{self, Bands};
-use analysis::science::model_file;
 use analysis::science::posterior::Posterior;
 use analysis::science::series::{self, TubeCase, TubeRow, TubeRun};
 use analysis::science::values::Values;
-use analysis::science::{charts, snapshots, table};
+use analysis::science::{charts, model_file, snapshots, table};
 use clap::{Args, Subcommand};
-use locomotion::comparison::{self, INDENTATIONS_MM};
+use locomotion::comparison;
 use locomotion::folded::Contact;
 use locomotion::model::Model;
+use locomotion::paper::INDENTATIONS_MM;
 use locomotion::parameter::Label;
 use locomotion::prior::Words;
+use operations::failure::Failure;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use crate::cli::calculation::Calculation;
-use crate::cli::compare;
-use crate::cli::crescent;
-use crate::cli::failure::Failure;
+use crate::cli::failure::Own;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
+use crate::cli::{compare, crescent};
 
 /// Arguments of `simulate`.
 #[derive(Debug, Args)]
@@ -222,7 +222,7 @@ impl Session<'_, '_> {
         self.keep("friction", &rows);
         self.csv("friction.csv", &rows)?;
         self.csv("friction-time.csv", &series::tube_moments(&runs))?;
-        let svg = charts::friction(self.name(), &runs, &rows)?;
+        let svg = charts::friction(self.name(), &runs, &rows).map_err(Own::from)?;
         self.work.file("friction.svg", svg.as_bytes())
     }
 
@@ -247,7 +247,7 @@ impl Session<'_, '_> {
         self.keep("pressure", &rows);
         self.csv("pressure.csv", &rows)?;
         self.csv("pressure-time.csv", &series::tube_moments(&runs))?;
-        let svg = charts::pressure(self.name(), &runs, &rows)?;
+        let svg = charts::pressure(self.name(), &runs, &rows).map_err(Own::from)?;
         self.work.file("pressure.svg", svg.as_bytes())
     }
 
@@ -262,7 +262,7 @@ impl Session<'_, '_> {
             .iter()
             .flat_map(|(_, friction)| series::pressure_cases(*friction))
             .collect();
-        let tube_bands = self.tube_bands(&comparison::pressures_pa().collect::<Vec<_>>())?;
+        let tube_bands = self.tube_bands(&locomotion::paper::pressures_pa().collect::<Vec<_>>())?;
         let ends = self.work.map(&ends, |case| series::tube_run(pipe, case))?;
         let tube = series::tube_rows(&ends, &tube_bands, series::paper_on_pressure_mm);
         self.title(
@@ -290,7 +290,7 @@ impl Session<'_, '_> {
         self.say_what_a_band_is(Words::Rig);
         self.keep("roller", &rows);
         self.csv("roller.csv", &rows)?;
-        let svg = charts::comparison(self.name(), &rows, &tube)?;
+        let svg = charts::comparison(self.name(), &rows, &tube).map_err(Own::from)?;
         self.work.file("roller.svg", svg.as_bytes())
     }
 
@@ -309,7 +309,7 @@ impl Session<'_, '_> {
         }
         self.keep("isolated", &rows);
         self.csv("isolated.csv", &rows)?;
-        let svg = charts::isolated(self.name(), &rows)?;
+        let svg = charts::isolated(self.name(), &rows).map_err(Own::from)?;
         self.work.file("isolated.svg", svg.as_bytes())
     }
 
@@ -358,7 +358,7 @@ impl Session<'_, '_> {
             }),
         );
         self.csv("fold.csv", &test.course)?;
-        let svg = charts::fold(self.name(), &test)?;
+        let svg = charts::fold(self.name(), &test).map_err(Own::from)?;
         self.work.file("fold.svg", svg.as_bytes())
     }
 
@@ -398,7 +398,7 @@ impl Session<'_, '_> {
         self.keep("sweep", &rows);
         self.csv("sweep-tube.csv", &rows)?;
         let (x, y) = ("peristaltic pressure / Pa", "displacement / mm");
-        let svg = charts::sweep(self.name(), x, y, &points, &bands)?;
+        let svg = charts::sweep(self.name(), x, y, &points, &bands).map_err(Own::from)?;
         self.work.file("sweep-tube.svg", svg.as_bytes())
     }
 
@@ -420,7 +420,7 @@ impl Session<'_, '_> {
         self.keep("sweep", &rows);
         self.csv("sweep-roller.csv", &rows)?;
         let (x, y) = ("peristaltic indentation / mm", "displacement / mm");
-        let svg = charts::sweep(self.name(), x, y, &points, &bands)?;
+        let svg = charts::sweep(self.name(), x, y, &points, &bands).map_err(Own::from)?;
         self.work.file("sweep-roller.svg", svg.as_bytes())
     }
 

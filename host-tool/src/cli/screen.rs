@@ -1,12 +1,13 @@
 //! Output of a command. Results and progress go to standard output; with `--json` progress goes to standard error.
 
-use std::io::{self, Write};
+use std::io::{self, BufRead, Write};
 
+use operations::failure::{DONE, Failure};
 use serde_json::Value;
 use trials::progress::Live;
 
-use crate::cli::Keyboard;
-use crate::cli::failure::{DONE, Failure};
+/// What a person types, line by line.
+pub type Keyboard = Box<dyn BufRead + Send>;
 
 /// The two streams of a command.
 pub(crate) struct Screen<'a> {

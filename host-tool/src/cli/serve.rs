@@ -1,23 +1,48 @@
 //! The command `serve`.
 
-use serde_json::{Value, json};
+use std::net::SocketAddr;
+use std::path::PathBuf;
 
-use crate::cli::args::{ServeArgs, Which};
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
-use crate::cli::interrupt;
+use clap::Args;
+use operations::arguments::{DATA_FOLDER, Which};
+use operations::failure::Failure;
+use operations::interrupt;
+use operations::places::Places;
+use serde_json::{Value, json};
+use serve::Options;
+
 use crate::cli::screen::Screen;
-use crate::serve::{self, Options};
+
+/// Arguments of `serve`.
+#[derive(Debug, Args)]
+pub struct ServeArgs {
+    /// Where to listen; port 0 takes a free one. With an address that others can reach, whoever reads along in that
+    /// network reads the token and can move the machines: there is no encryption.
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7080")]
+    pub listen: SocketAddr,
+    /// Read the token from this file, and make one there if there is none. Otherwise each start has a new one.
+    #[arg(long, value_name = "FILE")]
+    pub token_file: Option<PathBuf>,
+    /// A name by which browsers call this computer, beside `localhost` and numbers; repeat it for several.
+    #[arg(long = "host", value_name = "NAME")]
+    pub hosts: Vec<String>,
+    /// Folder of the records.
+    #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
+    pub out: PathBuf,
+    /// The campaign whose next step is shown; by default the newest one that is not complete.
+    #[arg(long, value_name = "DIR")]
+    pub campaign: Option<PathBuf>,
+}
 
 pub(crate) fn serve(
     args: &ServeArgs,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let mut machines = vec![];
-    for kind in finder.machines(&Which { machine: None })? {
-        let address = finder.resolve(kind)?;
-        if finder.connector.is_made_anew(&address) {
+    for kind in places.machines(&Which { machine: None })? {
+        let address = places.resolve(kind)?;
+        if places.connector.is_made_anew(&address) {
             return Err(Failure::Input {
                 why: format!("there is no machine at `{address}` that lasts: each command makes a new one"),
                 help: "`virtual-bench serve` lends both machines; give their places with `--rig tcp:HOST:PORT --capsule tcp:HOST:PORT`".to_owned(),
@@ -34,7 +59,7 @@ pub(crate) fn serve(
         machines,
     };
     let pressed = interrupt::install();
-    let url = serve::serve(options, finder, &pressed, &mut |text| {
+    let url = serve::serve(options, places, &pressed, &mut |text| {
         screen.tell(text);
     })?;
     Ok(json!({ "served": url }))

@@ -1,23 +1,68 @@
 //! Commands for settings and name of a machine. Nothing is written to flash while something moves.
 
 mod import;
+mod values;
 
 use std::collections::BTreeMap;
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use client::Device;
-use client::identity;
-use protocol::settings::{FactoryReset, GetName, GetSetting, MAX_NAME, Name, Setting, SettingKey};
+use client::{Device, identity};
+use operations::arguments::MachineKind;
+use operations::failure::Failure;
+use operations::places::{Need, Places};
+use protocol::settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey};
 use protocol::system::DeviceKind;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::cli::args::{MachineKind, SettingsSubcommand};
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
 use crate::cli::screen::Screen;
+use crate::cli::settings::values::{Key, checked_name, value_of};
+
+/// What to do with settings.
+#[derive(Debug, clap::Subcommand)]
+pub enum SettingsSubcommand {
+    /// Show all settings with unit and range.
+    List,
+    /// Show one setting.
+    Get {
+        /// Its name.
+        key: Key,
+    },
+    /// Change one setting and store it in flash. Not while something moves.
+    Set {
+        /// Its name.
+        key: Key,
+        /// Its value, a whole number in the unit of its name.
+        #[arg(allow_negative_numbers = true)]
+        value: String,
+    },
+    /// Write all settings to a JSON file.
+    Export {
+        /// The file.
+        file: PathBuf,
+        /// Replace an existing file.
+        #[arg(long)]
+        force: bool,
+    },
+    /// Set all settings from a JSON file written by `export`, or none if one is refused.
+    Import {
+        /// The file.
+        file: PathBuf,
+    },
+    /// Show the machine's name, or change it.
+    Name {
+        /// At most 24 bytes.
+        name: Option<String>,
+    },
+    /// Set all settings and the name to their defaults.
+    Reset {
+        /// Do not ask for confirmation.
+        #[arg(long)]
+        yes: bool,
+    },
+}
 
 /// Contents of a settings file.
 #[derive(Debug, Serialize)]
@@ -29,37 +74,37 @@ struct Exported {
 pub(crate) fn settings(
     of: Option<MachineKind>,
     subcommand: &SettingsSubcommand,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     // Arguments are checked before a machine is looked for.
     let kind = of.map_or(DeviceKind::Rig, DeviceKind::from);
     match subcommand {
-        SettingsSubcommand::List => list(&mut finder.connect(kind)?, kind, screen),
+        SettingsSubcommand::List => list(&mut places.connect(kind, Need::Look)?, kind, screen),
         SettingsSubcommand::Get { key } => {
-            let mut machine = finder.connect(owner(key.0, of)?)?;
+            let mut machine = places.connect(owner(key.0, of)?, Need::Look)?;
             let value = machine.call(GetSetting { key: key.0 })?.value;
             screen.say(&value.to_string());
             Ok(json!({ key.0.name(): value }))
         }
         SettingsSubcommand::Set { key, value } => {
             let (key, value) = (key.0, value_of(key.0, value)?);
-            let set = finder
-                .connect(owner(key, of)?)?
+            let set = places
+                .connect(owner(key, of)?, Need::Own("settings set"))?
                 .call(Setting { key, value })?;
             screen.say(&format!("{} = {}", set.key.name(), set.value));
             Ok(json!({ set.key.name(): set.value }))
         }
-        SettingsSubcommand::Export { file, force } => export(file, *force, kind, finder, screen),
+        SettingsSubcommand::Export { file, force } => export(file, *force, kind, places, screen),
         SettingsSubcommand::Import { file } => {
             let wanted = import::read(file, kind)?;
-            let mut rig = finder.connect(kind)?;
+            let mut rig = places.connect(kind, Need::Own("settings import"))?;
             let changed = import::import(&mut rig, file, wanted)?;
             screen.say(&format!("{changed} settings changed"));
             Ok(json!({ "changed": changed }))
         }
         SettingsSubcommand::Name { name: None } => {
-            let name = finder.connect(kind)?.call(GetName)?.name;
+            let name = places.connect(kind, Need::Name(None))?.call(GetName)?.name;
             screen.say(&name);
             Ok(json!({ "name": name.as_str() }))
         }
@@ -68,7 +113,9 @@ pub(crate) fn settings(
                 why,
                 help: "use letters, digits and spaces".to_owned(),
             })?;
-            let name = finder.connect(kind)?.call(Name { name })?;
+            let name = places
+                .connect(kind, Need::Name(Some("settings name")))?
+                .call(Name { name })?;
             screen.say(&name.name);
             Ok(json!({ "name": name.name.as_str() }))
         }
@@ -83,7 +130,9 @@ pub(crate) fn settings(
                     help: "`retrograde settings export FILE` keeps what is there; then `retrograde settings reset --yes`".to_owned(),
                 });
             }
-            finder.connect(kind)?.call(FactoryReset)?;
+            places
+                .connect(kind, Need::Own("settings reset"))?
+                .call(FactoryReset)?;
             screen.say("all settings and the name are at their defaults");
             Ok(json!({ "reset": true }))
         }
@@ -94,7 +143,7 @@ fn export(
     file: &Path,
     force: bool,
     kind: DeviceKind,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let exists = || Failure::Refused {
@@ -104,7 +153,7 @@ fn export(
     if !force && file.exists() {
         return Err(exists());
     }
-    let exported = exported(&mut finder.connect(kind)?, kind)?;
+    let exported = exported(&mut places.connect(kind, Need::Look)?, kind)?;
     let text = serde_json::to_string_pretty(&exported).unwrap_or_default() + "\n";
     let mut options = OpenOptions::new();
     options.write(true);
@@ -174,42 +223,4 @@ fn owner(key: SettingKey, of: Option<MachineKind>) -> Result<DeviceKind, Failure
         why: format!("{} is no setting of this machine", key.name()),
         help: "nothing was sent; leave `--of` away".to_owned(),
     })
-}
-
-/// Reads a value and checks it against the range of its setting.
-///
-/// # Errors
-/// [`Failure::Input`] if it is not a whole number, [`Failure::Refused`] if it is out of range.
-fn value_of(key: SettingKey, text: &str) -> Result<u32, Failure> {
-    let range = key.range();
-    let (name, min, max) = (key.name(), range.min, range.max);
-    if text.is_empty() || !text.bytes().all(|byte| byte.is_ascii_digit()) {
-        let unit = match key.unit() {
-            "1" => String::new(),
-            unit => format!(" {unit}"),
-        };
-        return Err(Failure::Input {
-            why: format!(
-                "{name} cannot be {text}: settings are whole numbers in the unit of their name, {min} to {max}{unit} here"
-            ),
-            help: "nothing was sent; `retrograde settings list` shows all with unit and range"
-                .to_owned(),
-        });
-    }
-    text.parse()
-        .ok()
-        .filter(|value| (min..=max).contains(value))
-        .ok_or_else(|| Failure::Refused {
-            why: format!("{name} is {text}, allowed is {min} to {max}"),
-            help: "nothing was sent".to_owned(),
-        })
-}
-
-/// Checks that a name is short enough for the rig and has no control characters.
-fn checked_name(name: &str) -> Result<heapless::String<MAX_NAME>, String> {
-    if name.contains(char::is_control) {
-        return Err("the name has a control character".to_owned());
-    }
-    name.try_into()
-        .map_err(|_| format!("the name has {} bytes, {MAX_NAME} are allowed", name.len()))
 }

@@ -2,33 +2,46 @@
 
 pub mod draw;
 mod feed;
-pub mod panel;
 pub mod terminal;
 
 use std::io::{self, IsTerminal};
-use std::sync::Arc;
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
+use std::sync::{Arc, OnceLock};
 use std::thread::{self, Scope};
 use std::time::{Duration, Instant};
 
-use client::Pace;
-use client::identity;
+use clap::Args;
+use client::decimal::ShortSeconds;
+use client::{Pace, identity};
 use crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use operations::arguments::{Which, above_zero};
+use operations::failure::Failure;
+use operations::panel::{Contact, Panel};
+use operations::places::Places;
 use protocol::system::{DeviceKind, Urgent};
 use ratatui_core::terminal::Terminal;
 use serde_json::{Map, Value, json};
 
-use crate::cli::args::WatchArgs;
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
 use crate::cli::keyboard;
 use crate::cli::screen::Screen;
 use crate::cli::watch::draw::{Look, draw};
 use crate::cli::watch::feed::{Feed, Shared};
-use crate::cli::watch::panel::{Contact, Panel};
 use crate::cli::watch::terminal::Output;
+
+/// Arguments of `watch`.
+#[derive(Debug, Args)]
+pub struct WatchArgs {
+    /// The machines.
+    #[command(flatten)]
+    pub which: Which,
+    /// Print a line per machine and second instead, as without a terminal.
+    #[arg(long)]
+    pub plain: bool,
+    /// End after this time in s; otherwise with q, or with a signal.
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = above_zero::<ShortSeconds>)]
+    pub for_s: Option<ShortSeconds>,
+}
 
 /// Interval between two drawings.
 const DRAW: Duration = Duration::from_millis(50);
@@ -62,12 +75,12 @@ fn signalled() -> Arc<AtomicBool> {
 
 pub(crate) fn watch(
     args: &WatchArgs,
-    finder: &Finder<'_>,
+    places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let mut machines = vec![];
-    for kind in finder.machines(&args.which)? {
-        machines.push(Shared::new(kind, finder.resolve(kind)?));
+    for kind in places.machines(&args.which)? {
+        machines.push(Shared::new(kind, places.resolve(kind)?));
     }
     let signalled = signalled();
     let full = !args.plain && !screen.json && screen.terminal && is_full_screen();
@@ -84,7 +97,7 @@ pub(crate) fn watch(
             let (sender, receiver) = channel();
             paces.push(sender);
             let feed = Feed {
-                finder,
+                places,
                 shared,
                 leaving: &leaving,
                 paces: receiver,
@@ -93,7 +106,7 @@ pub(crate) fn watch(
         }
         let view = View {
             scope,
-            finder,
+            places,
             machines: &machines,
             paces,
             signalled: &signalled,
@@ -143,7 +156,7 @@ fn is_full_screen() -> bool {
 /// What the person sees and does.
 struct View<'scope, 'env> {
     scope: &'scope Scope<'scope, 'env>,
-    finder: &'env Finder<'env>,
+    places: &'env Places<'env>,
     machines: &'env [Shared],
     /// To the feeds, in the order of the machines.
     paces: Vec<Sender<Pace>>,
@@ -233,11 +246,11 @@ impl View<'_, '_> {
 
     fn stop(&self, urgent: Urgent) {
         for machine in self.machines {
-            machine.stop(self.finder, urgent);
+            machine.stop(self.places, urgent);
             if matches!(machine.panel().contact, Contact::Lost(_)) {
                 // The feed may be busy for seconds with a line that does not open.
-                let finder = self.finder;
-                self.scope.spawn(move || machine.stop_directly(finder));
+                let places = self.places;
+                self.scope.spawn(move || machine.stop_directly(places));
             }
         }
     }

@@ -1,7 +1,7 @@
-//! A fold or an unfolding that begins at a place of a run, and when it did by the clocks of both machines.
+//! A fold or an unfolding that begins at a position of a run, and its timing by the clocks of both machines.
 //!
-//! The rig tells the host by an event or a sample, the host tells the capsule. Nothing waits for the capsule meanwhile: the rig
-//! must hear the host in time, whatever becomes of the other link.
+//! The rig tells the host by an event or a sample, and the host tells the capsule. The host never blocks on the
+//! capsule: the rig must keep hearing from it, whatever happens to the other link.
 
 use std::path::Path;
 
@@ -20,13 +20,13 @@ use crate::cue::{Coordination, Cue};
 use crate::experiment::{self, ActuationTrial, ExperimentError, RunTrial, after_stops};
 use crate::trial::{Action, Ending, Recorder, Recording, Screw, Trial};
 
-/// Which of the two.
+/// Fold or unfold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Shaping {
-    /// The origami is unfolded until then.
+    /// The origami is unfolded before it.
     Fold,
-    /// The origami is folded until then.
+    /// The origami is folded before it.
     Unfold,
 }
 
@@ -39,7 +39,7 @@ impl From<Shaping> for ActuationKind {
     }
 }
 
-/// A run and the actuation that was tied to it.
+/// A run and the actuation coordinated with it.
 pub struct Coordinated {
     /// The run.
     pub run: RunTrial,
@@ -49,19 +49,19 @@ pub struct Coordinated {
     pub coordination: Coordination,
 }
 
-/// Where both are recorded.
+/// Where to record both.
 pub struct Recordings<'a> {
-    /// Of the run.
+    /// For the run.
     pub run: &'a Recording,
-    /// Of the actuation.
+    /// For the actuation.
     pub actuation: &'a Recording,
 }
 
-/// Executes a run, and an actuation that begins at its cue. The run goes on whatever becomes of the actuation.
+/// Executes a run, and an actuation that begins at its cue. The run continues even if the actuation fails.
 ///
 /// # Errors
-/// The rig refused or was lost, or a record could not be written; the actuation's record is complete all the same. All files
-/// exist before anything moves.
+/// The rig refused or was lost, or a record could not be written; the actuation's record is complete even then. All
+/// files exist before anything moves.
 pub fn run(
     (rig, capsule): (&mut Device, &mut Device),
     run: Run,
@@ -109,13 +109,13 @@ pub fn run(
     })
 }
 
-/// How long an answer is waited for in one piece, us.
+/// Longest single wait for an answer, us.
 const SHORT_US: u64 = 5_000;
 
-/// How far the actuation has come.
+/// Progress of the actuation.
 enum Phase {
     Waiting,
-    /// The carriage was there at a time of the rig's clock; due at a time of the rig's link, once that is known.
+    /// The carriage was at the cue. `cue_us` is by the rig's clock, `due_us` by the rig's link.
     Cued {
         cue_us: u64,
         clock: Option<Clock>,
@@ -130,22 +130,22 @@ enum Phase {
     Failed(ClientError),
 }
 
-/// The capsule, looked after in the turns of the rig's wait.
+/// The capsule, served while the host waits for the rig.
 struct Partner<'a> {
     capsule: &'a mut Device,
     shaping: Shaping,
     cue: Cue,
     dwell_us: u64,
     recorder: Recorder,
-    /// Time of the rig's link and of the capsule's at one instant.
+    /// The same instant by the rig's link and by the capsule's link.
     together_us: (u64, u64),
-    /// When the capsule has last heard something.
+    /// Time of the last request to the capsule, by its link.
     told_us: u64,
     /// When the actuation began, by the capsule's clock.
     began_us: Option<u64>,
     screw: Screw,
     stroke_um: u32,
-    /// The rig's last sample before the place: its time in us and position in nm.
+    /// The rig's last sample before the cue: its time in us and position in nm.
     before: Option<(u64, i64)>,
     phase: Phase,
 }
@@ -178,14 +178,14 @@ impl Partner<'_> {
         };
     }
 
-    /// The carriage is there at this time, with its position in nm, on its way to or past the place.
+    /// Notes a sample (time in us, position in nm); sets the cue once the carriage is at its position or past it.
     fn passed(&mut self, now: (u64, i64), at_um: u32) {
         let place_nm = i64::from(at_um) * 1_000;
         if now.1 < place_nm {
             self.before = Some(now);
             return;
         }
-        // Between two samples it moves all but evenly.
+        // Interpolate linearly: between two samples the speed is nearly constant.
         let cue_us = match self.before {
             Some((time_us, before_nm)) => {
                 let (way, part) = (now.1 - before_nm, place_nm - before_nm);
@@ -198,7 +198,7 @@ impl Partner<'_> {
         self.cued(cue_us);
     }
 
-    /// Lets the capsule's link come to the same instant, and asks what is due.
+    /// Advances the capsule's link to the same instant, and sends the request that is due.
     fn attend(&mut self, now_us: u64, clock: Option<Clock>) -> Result<(), ClientError> {
         let (rig_us, capsule_us) = self.together_us;
         let until_us = capsule_us + now_us.saturating_sub(rig_us);
@@ -214,7 +214,7 @@ impl Partner<'_> {
             asked,
         } = &mut self.phase
         {
-            // By the clocks as they stand when it happens.
+            // Keep the first clock relation known after the cue.
             *known = known.or(clock);
             let due_us = *due_us.get_or_insert(now_us + self.dwell_us);
             let accepted = match self.shaping {
@@ -249,7 +249,7 @@ impl Partner<'_> {
         mut self,
         run: Option<&Path>,
     ) -> (Result<ActuationTrial, ExperimentError>, Coordination) {
-        // The run may have ended between the command and its answer; then the capsule moves all the same.
+        // If the run ended between the command and its answer, the capsule moves nevertheless: wait for the answer.
         while self.capsule.is_posted() && !matches!(self.phase, Phase::Failed(_)) {
             let (rig_us, capsule_us) = self.together_us;
             let on_us = self.capsule.now_us() - capsule_us + SHORT_US;
@@ -293,6 +293,9 @@ impl Partner<'_> {
         );
         self.recorder.coordinated(coordination.clone());
         let lost = self.capsule.lost_events();
+        // Discard what it still sends.
+        let _ = self.capsule.set_telemetry(0);
+        // The last exchange: an emergency stop goes out with any before it, and has to be in the record.
         if let Ok(record) = &outcome {
             let ending = Ending::Actuation(*record);
             self.recorder.latched(after_stops(self.capsule, &ending));
@@ -301,8 +304,6 @@ impl Partner<'_> {
             Ok(record) => self.recorder.finish(Ending::Actuation(*record), lost),
             Err(why) => self.recorder.finish(Ending::Lost(why.clone()), lost),
         };
-        // What it still sends is thrown away.
-        let _ = self.capsule.set_telemetry(0);
         self.capsule.records(None);
         let trial = match (finished, outcome) {
             (Err(error), _) => Err(error.into()),
@@ -362,7 +363,7 @@ impl Observer for Partner<'_> {
         let away = self.cue.stroke();
         match (event.what, self.cue.at_um) {
             (What::Rig(RigEvent::RunStarted { .. }), None) if away == 0 => {
-                // The dwell is between cycles.
+                // There is no dwell before the first cycle.
                 self.dwell_us = 0;
                 self.cued(event.time_us);
             }
@@ -371,7 +372,7 @@ impl Observer for Partner<'_> {
             {
                 self.cued(event.time_us + self.dwell_us);
             }
-            // Where the carriage turns, no sample may show it beyond.
+            // If the cue is at the turning point, no sample may lie beyond it: use the end of the stroke.
             (What::Rig(RigEvent::StrokeDone { stroke, .. }), Some(at_um)) if stroke == away => {
                 self.passed((event.time_us, i64::from(self.stroke_um) * 1_000), at_um);
             }

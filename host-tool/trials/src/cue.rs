@@ -1,38 +1,39 @@
-//! A place of a run at which an actuation begins, and the record of when it did.
+//! A position of a run at which an actuation begins, and the record of its timing.
 
 use client::decimal;
 use protocol::rig::Run;
 use serde::{Deserialize, Serialize};
 
-/// A place of a run.
+/// A position of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Cue {
     /// The cycle, from 1.
     pub cycle: u16,
-    /// Where the carriage passes on its way away from home, um; none for the start of the cycle, after the dwell.
+    /// Position that the carriage passes on its way away from home, um; none for the start of the cycle, after the
+    /// dwell.
     pub at_um: Option<u32>,
 }
 
-/// Why a run has no such place.
+/// Why a run cannot have this cue.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CueError {
-    /// There are fewer cycles.
+    /// The run has fewer cycles.
     #[error("there is no cycle {cycle}: the run has {cycles}, and they count from 1")]
     NoCycle {
-        /// The one that was asked for.
+        /// The requested cycle.
         cycle: u16,
-        /// Those of the run.
+        /// Cycles of the run.
         cycles: u16,
     },
-    /// The carriage does not pass there.
+    /// The carriage does not pass this position.
     #[error("the carriage does not pass {} mm: the stroke is {} mm", decimal::write((*at_um).into(), 3), decimal::write((*stroke_um).into(), 3))]
     NotPassed {
-        /// The place that was asked for.
+        /// The requested position.
         at_um: u32,
         /// The stroke of the run.
         stroke_um: u32,
     },
-    /// It would be noticed too late.
+    /// The telemetry is too slow to notice it in time.
     #[error(
         "the rig tells its position every {telemetry_ms} ms: at a place of a stroke that is too seldom, {MOST_TELEMETRY_MS} ms at most"
     )]
@@ -42,11 +43,11 @@ pub enum CueError {
     },
 }
 
-/// Longest interval of telemetry at which a place of a stroke is noticed soon enough, ms.
+/// Longest telemetry interval that notices a position of a stroke in time, ms.
 const MOST_TELEMETRY_MS: u16 = 10;
 
 impl Cue {
-    /// Whether the run comes there, and telemetry at this interval shows it.
+    /// Checks that the run reaches the cue, and that telemetry at this interval shows it.
     ///
     /// # Errors
     /// [`CueError`].
@@ -69,25 +70,25 @@ impl Cue {
         }
     }
 
-    /// The stroke away from home of that cycle, from 0.
+    /// Number of the stroke away from home of that cycle, from 0.
     pub(crate) fn stroke(&self) -> u32 {
         2 * u32::from(self.cycle.saturating_sub(1))
     }
 }
 
-/// When it began, in the sidecar of the actuation. Where two numbers stand, the true one lies between them.
+/// Timing of the actuation, in its sidecar. A pair of numbers is a range that contains the true one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Coordination {
     /// File name of the run's sidecar.
     pub run: String,
-    /// Where it was to begin.
+    /// Its cue.
     pub cue: Cue,
-    /// When the carriage was there, by the rig's clock, us; none if it did not get there.
+    /// When the carriage was at the cue, by the rig's clock, us; none if it did not get there.
     pub cue_time_us: Option<u64>,
     /// When the actuation began, by the capsule's clock, us; none if it did not.
     pub began_time_us: Option<u64>,
-    /// The capsule's time less the rig's, us.
+    /// The capsule's time minus the rig's, us.
     pub capsule_ahead_us: Option<(i64, i64)>,
-    /// From the carriage to the actuation, us.
+    /// From the carriage at the cue to the start of the actuation, us.
     pub latency_us: Option<(i64, i64)>,
 }

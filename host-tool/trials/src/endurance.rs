@@ -1,4 +1,4 @@
-//! Endurance: folds and unfoldings in turn, each pair a row of a CSV file that is written before the next one begins.
+//! Endurance: repeated folds and unfoldings. Each pair is a row of a CSV file, written before the next one begins.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -15,57 +15,58 @@ use crate::force::UM_MS2_PER_MA;
 use crate::trial::{RecordError, Status, create_new, json};
 use crate::writer::replace;
 
-/// Thread that is slack in a fold from the unfolded end, the motor at its speed; the firmware measures there, too, um.
+/// Range of a fold in which the thread is slack and the motor is at speed, um; the firmware measures in the same
+/// range.
 const SLACK_UM: std::ops::Range<i32> = 800..2_200;
 
-/// One pair. Lengths are thread from the zero, as the capsule counts it.
+/// One fold and unfolding. Lengths are thread from the zero, as the capsule counts it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Pair {
-    /// From 1.
+    /// Number of the pair, from 1.
     pub pair: u32,
     /// Duration of the fold.
     pub fold_ms: u32,
-    /// Where it ended.
+    /// Thread at its end.
     pub folded_um: i32,
-    /// Where its load was first felt; 0: never.
+    /// Thread at which the load first rose; 0: never.
     pub engaged_um: i32,
     /// Current at its end.
     pub fold_end_ma: u16,
-    /// Mean current over the slack, less what made the motor faster; empty if too few readings were heard there.
+    /// Mean current over the slack, minus the part that accelerates the motor; empty with too few readings there.
     pub no_load_ma: Option<f64>,
     /// Energy of the fold.
     pub fold_mj: u32,
-    /// Lowest battery voltage in it.
+    /// Lowest battery voltage during the fold.
     pub fold_battery_mv: u16,
     /// Duration of the unfolding.
     pub unfold_ms: u32,
-    /// Where it ended.
+    /// Thread at its end.
     pub unfolded_um: i32,
     /// Energy of the unfolding.
     pub unfold_mj: u32,
-    /// Lowest battery voltage in it.
+    /// Lowest battery voltage during the unfolding.
     pub unfold_battery_mv: u16,
-    /// Whether a real capsule did it.
+    /// Whether the capsule is real.
     pub origin: Origin,
 }
 
-/// How one figure changed.
+/// Change of one quantity over the pairs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Drift {
-    /// Of the first pair.
+    /// Value of the first pair.
     pub first: f64,
-    /// Of the last one.
+    /// Value of the last pair.
     pub last: f64,
-    /// Least.
+    /// Least value.
     pub least: f64,
-    /// Largest.
+    /// Greatest value.
     pub most: f64,
-    /// Of the straight line through all of them, per 100 pairs; none for fewer than three.
+    /// Slope of the straight line through all values, per 100 pairs; none for fewer than three.
     pub per_100_pairs: Option<f64>,
 }
 
 impl Drift {
-    /// Of figures with the number of their pair; none without one.
+    /// From values with the number of their pair; none without values.
     #[must_use]
     pub fn of(figures: &[(f64, f64)]) -> Option<Self> {
         let ((_, first), (_, last)) = (*figures.first()?, *figures.last()?);
@@ -88,7 +89,7 @@ impl Drift {
     }
 }
 
-/// What drifts.
+/// The drift of each quantity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Drifts {
     /// Folded end.
@@ -125,29 +126,29 @@ impl Drifts {
     }
 }
 
-/// What is known of an endurance run, also while it runs.
+/// Summary of an endurance run, also while it runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Endurance {
     /// How it ended.
     pub status: Status,
     /// Why, unless it is complete.
     pub error: Option<String>,
-    /// Whether a real capsule did it.
+    /// Whether the capsule is real.
     pub origin: Origin,
     /// Its start.
     pub started_utc: Timestamp,
-    /// Pairs asked for.
+    /// Number of requested pairs.
     pub asked: u32,
-    /// Whole pairs that were done.
+    /// Number of complete pairs.
     pub done: u32,
-    /// Over the whole pairs.
+    /// Drift over the complete pairs.
     pub drift: Drifts,
 }
 
-/// An endurance run with its two files.
+/// An endurance run and its two files.
 #[derive(Debug)]
 pub struct Run {
-    /// What is known of it.
+    /// Summary so far.
     pub endurance: Endurance,
     /// The pairs.
     pub csv: PathBuf,
@@ -190,10 +191,11 @@ impl Run {
         Ok(run)
     }
 
-    /// Folds and unfolds until all is done, something is wrong, or the operator stops it. `tell` hears of each pair.
+    /// Folds and unfolds until all pairs are done, a motion fails, or the operator stops it. Calls `tell` after each
+    /// pair.
     ///
     /// # Errors
-    /// The capsule refused or was lost, or a file could not be written. The summary says how far it came all the same.
+    /// The capsule refused or was lost, or a file could not be written. The summary shows the progress even then.
     pub fn carry_out(
         &mut self,
         capsule: &mut Device,
@@ -210,7 +212,7 @@ impl Run {
         }
         self.write_summary()?;
         match result {
-            // Stopped between two motions: that is an ending, no failure.
+            // A stop between two motions is a normal end, not a failure.
             Err(ExperimentError::Client(ClientError::Interrupted { .. })) => Ok(()),
             result => result,
         }
@@ -256,7 +258,7 @@ impl Run {
         Ok(())
     }
 
-    /// False if the motion did not end as it should.
+    /// Whether the motion ended normally; otherwise notes how it ended.
     fn goes_on(&mut self, record: &ActuationRecord) -> bool {
         if record.outcome == ActuationOutcome::Complete {
             return true;
@@ -286,8 +288,8 @@ impl Run {
     }
 }
 
-/// Readings of the capsule's own recording over the slack of the fold that has just ended: time, ms; thread, um; current,
-/// mA. Only its first part is fetched. None of a recording that has lost its beginning.
+/// Readings over the slack, from the capsule's recording of the fold that has just ended: time, ms; thread, um;
+/// current, mA. Fetches the first part of the recording only. Empty if the recording has lost its beginning.
 fn over_the_slack(capsule: &mut Device, actuation: u32) -> Result<Vec<[f64; 3]>, ClientError> {
     let mut readings = vec![];
     let mut from = 0;
@@ -301,7 +303,7 @@ fn over_the_slack(capsule: &mut Device, actuation: u32) -> Result<Vec<[f64; 3]>,
                 return Ok(readings);
             }
             if point.drive_mv <= 0 {
-                // Braked: what counts begins after it.
+                // The motor was braked: start over after it.
                 readings.clear();
             } else if point.thread_um >= SLACK_UM.start {
                 readings.push([
@@ -314,17 +316,17 @@ fn over_the_slack(capsule: &mut Device, actuation: u32) -> Result<Vec<[f64; 3]>,
         if part.points.is_empty() {
             return Ok(readings);
         }
-        // No more than the capsule keeps.
+        // Fits: a recording has at most 2800 readings.
         from += part.points.len() as u32;
     }
 }
 
-/// Readings over each of which a speed is taken, at both ends.
+/// Number of readings over which a speed is taken, at both ends.
 const SPEED: usize = 12;
-/// Fewer readings tell too little.
+/// Fewest readings for a mean current.
 const LEAST_READINGS: usize = 40;
 
-/// Mean current, less what has made the motor faster meanwhile; to 0.01 mA.
+/// Mean current minus the part that accelerates the motor, to 0.01 mA.
 fn no_load_ma(readings: &[[f64; 3]]) -> Option<f64> {
     if readings.len() < LEAST_READINGS {
         return None;
@@ -336,7 +338,7 @@ fn no_load_ma(readings: &[[f64; 3]]) -> Option<f64> {
     let (before, at) = speed(&readings[..=SPEED])?;
     let (after, later) = speed(&readings[readings.len() - SPEED - 1..])?;
     let accelerating_ma = (after - before) / (later - at) / UM_MS2_PER_MA;
-    // Between the middles of the two.
+    // Average between the middles of the two speed measurements.
     let between = &readings[SPEED / 2 + 1..readings.len() - SPEED / 2];
     let mean_ma = between.iter().map(|[.., ma]| ma).sum::<f64>() / between.len() as f64;
     let no_load_ma = mean_ma - accelerating_ma;
@@ -360,7 +362,7 @@ mod tests {
                 .collect()
         };
         assert_eq!(no_load_ma(&readings(0.0)), Some(20.0));
-        // 0.02 um/ms per ms takes 3.88 mA.
+        // An acceleration of 0.02 um/ms per ms takes 3.88 mA.
         assert_eq!(no_load_ma(&readings(0.02)), Some(16.12));
         assert_eq!(no_load_ma(&readings(0.0)[..39]), None);
         assert_eq!(no_load_ma(&[[1.0, 1.0, 16.0]; 40]), None, "at one instant");

@@ -44,7 +44,7 @@ pub const DEFAULT_TELEMETRY_MS: u16 = 10;
 /// Why a recorded action failed.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum ExperimentError {
-    /// The device or the link to it.
+    /// The device or the link to it failed.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Client(#[from] ClientError),
@@ -52,7 +52,7 @@ pub enum ExperimentError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Record(#[from] RecordError),
-    /// The action ended, but its record is not whole.
+    /// The action ended, but its record is incomplete.
     #[error("{ended}; but {record}")]
     #[diagnostic(
         code(retrograde::record),
@@ -61,12 +61,12 @@ pub enum ExperimentError {
         )
     )]
     Unrecorded {
-        /// What the device says of the action.
+        /// The device's account of the action.
         ended: String,
-        /// Why the record is not whole.
+        /// Why the record is incomplete.
         record: RecordError,
     },
-    /// A step of the experiment did not end as planned, so the remaining steps were not begun.
+    /// A step of the experiment did not end as planned, so the remaining steps were skipped.
     #[error("{step} ended as {status:?}{}", reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
     #[diagnostic(
         code(retrograde::incomplete),
@@ -127,7 +127,7 @@ pub struct ActuationTrial {
     pub sidecar: PathBuf,
 }
 
-/// Executes one run and records it, however it ends.
+/// Executes one run and records it, whatever its outcome.
 ///
 /// # Errors
 /// The rig refused or was lost, or the record could not be written. Both files exist before anything moves.
@@ -172,7 +172,7 @@ pub fn run(
     })
 }
 
-/// Moves the carriage once and records it, however it ends.
+/// Moves the carriage once and records it, whatever the outcome.
 ///
 /// # Errors
 /// The rig refused or was lost, or the record could not be written. Both files exist before anything moves.
@@ -194,7 +194,7 @@ pub fn move_to(
     rig.records(Some(&sidecar));
     let outcome = (|| {
         rig.set_telemetry(recording.telemetry_ms)?;
-        // What a move before this one has left is not of this one.
+        // Discard telemetry and events of an earlier move.
         rig.take_telemetry();
         rig.take_events()?;
         let accepted = rig.call(requested)?;
@@ -226,12 +226,12 @@ pub fn move_to(
     })
 }
 
-/// What the capsule is to do.
+/// A motion of the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Motion {
     /// Kind of actuation.
     pub kind: ActuationKind,
-    /// Thread at which a partial fold stops; the others have ends of their own.
+    /// Thread at which a partial fold stops; the other motions have their own ends.
     pub target_um: i32,
 }
 
@@ -242,7 +242,7 @@ impl From<ActuationKind> for Motion {
 }
 
 impl Motion {
-    /// A fold or an unfolding that stops with so much thread on the spool.
+    /// A fold or an unfolding that stops with this much thread on the spool.
     #[must_use]
     pub const fn fold_to(target_um: i32) -> Self {
         Self {
@@ -252,7 +252,7 @@ impl Motion {
     }
 }
 
-/// An actuation as its files are called.
+/// Prefix of the actuation's files.
 #[must_use]
 pub const fn stem(kind: ActuationKind) -> &'static str {
     match kind {
@@ -265,7 +265,7 @@ pub const fn stem(kind: ActuationKind) -> &'static str {
     }
 }
 
-/// What the capsule does meanwhile.
+/// The capsule's activity during the actuation, in words.
 #[must_use]
 pub const fn doing(kind: ActuationKind) -> &'static str {
     match kind {
@@ -278,7 +278,7 @@ pub const fn doing(kind: ActuationKind) -> &'static str {
     }
 }
 
-/// Executes one actuation and records it, however it ends.
+/// Executes one actuation and records it, whatever its outcome.
 ///
 /// # Errors
 /// The capsule refused or was lost, or the record could not be written. Both files exist before anything moves.
@@ -330,7 +330,7 @@ pub fn actuate(
     })
 }
 
-/// Passes everything to the record and to the observer, who also hears what becomes of the record.
+/// Passes everything on to the record and to the observer; also tells the observer about failures of the record.
 struct Recorded<'a> {
     recorder: &'a mut Recorder,
     observer: &'a mut dyn Observer,
@@ -371,7 +371,7 @@ impl Observer for Recorded<'_> {
     }
 }
 
-/// What the device says of an action, in a sentence.
+/// The device's account of an action, in a sentence.
 fn verdict(ending: &Ending) -> String {
     match ending {
         Ending::Run(record) => format!(
@@ -392,8 +392,8 @@ fn verdict(ending: &Ending) -> String {
     }
 }
 
-/// The fault after the stops that ended an action or came right behind its end. One that cannot be asked for any more is
-/// not in the record.
+/// The fault after an action that ended by a stop, or that a stop followed immediately. If the device no longer
+/// answers, the fault is missing in the record.
 pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String> {
     let is_stopped = match ending {
         Ending::Run(record) => record.outcome == RunOutcome::Stopped,
@@ -407,8 +407,8 @@ pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String
     device.latched_fault().ok().flatten()
 }
 
-/// Writes the end of a trial, then stops the telemetry. A record that could not be written hides neither what the device
-/// did nor how it was lost.
+/// Stops the telemetry, then writes the end of a trial. A failed record hides neither what the device did nor how it
+/// was lost.
 fn end<T>(
     device: &mut Device,
     recorder: Recorder,
@@ -434,11 +434,11 @@ fn finish<T>(
         Ok(value) => {
             let ending = ending(&value);
             let ended = verdict(&ending);
-            recorder.latched(after_stops(device, &ending));
-            let finished = recorder.finish(ending, lost_events);
-            // The action has ended and is recorded. A device that does not answer now is found by whoever needs it next.
+            // Ignore the error: the action has ended. The next request will notice a device that does not answer.
             let _ = device.set_telemetry(0);
-            match finished {
+            // The last exchange: an emergency stop goes out with any before it, and has to be in the record.
+            recorder.latched(after_stops(device, &ending));
+            match recorder.finish(ending, lost_events) {
                 Ok(trial) => Ok((trial, value)),
                 Err(record) => Err(ExperimentError::Unrecorded { ended, record }),
             }
@@ -469,7 +469,7 @@ pub(crate) fn identity(device: &Device, wanted: DeviceKind) -> Result<Identity, 
 /// # Errors
 /// As [`Device::home`] and [`Device::wait_homing`].
 pub fn home(rig: &mut Device, observer: &mut dyn Observer) -> Result<Homed, ClientError> {
-    // The end of a homing that another host has begun must not be taken for the end of this one.
+    // Discard old events: the end of another host's homing must not count as the end of this one.
     rig.take_events()?;
     let accepted = rig.home()?;
     rig.wait_homing(&accepted, observer)
@@ -495,7 +495,8 @@ impl Shape {
     }
 }
 
-/// Sees the experiment's steps and their results. By default every method but [`Hooks::observer`] does nothing.
+/// Observes the experiment's steps and their results. By default every method except [`Hooks::observer`] does
+/// nothing.
 pub trait Hooks {
     /// A step is about to begin.
     fn begins(&mut self, step: &str) {
@@ -529,7 +530,7 @@ pub trait Hooks {
     }
 }
 
-/// What the experiment does and where it is recorded.
+/// The experiment's run and the folder of its records.
 #[derive(Clone, Debug)]
 pub struct Procedure {
     /// The run, carried out once unfolded and once folded.
@@ -572,7 +573,7 @@ impl Experiment {
 }
 
 /// The paper's experiment: identities; reference and home; run unfolded; fold; the same run folded; unfold. Each step
-/// begins only if the one before is complete. `now` is called once per record.
+/// begins only if the previous one is complete. Calls `now` once per record.
 ///
 /// # Errors
 /// The first step that was refused, lost, or did not end as planned.

@@ -1,6 +1,7 @@
-//! What a machine itself still knows of its last action: after a host that died, or a run that the start button began.
+//! Fetches a machine's own record of its last action: after the host died, or after a run that the start button
+//! began.
 //!
-//! There is no telemetry in it, and no plan: the machine keeps neither.
+//! It has no telemetry and no plan, because the machine keeps neither.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -21,7 +22,7 @@ use crate::writer::create;
 /// Version of the format; incremented when a field changes its meaning.
 pub const FORMAT: u32 = 1;
 
-/// The record of an action as the machine keeps it.
+/// The record of an action, as the machine keeps it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kept {
@@ -36,22 +37,22 @@ pub enum Kept {
     Actuation(ActuationRecord),
 }
 
-/// Everything that was asked for.
+/// A machine's last action, as fetched.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Fetched {
     /// [`FORMAT`].
     pub format: u32,
-    /// What this file is.
+    /// Kind of this file.
     pub kind: &'static str,
-    /// Whether a real machine says this.
+    /// Whether the machine is real.
     pub origin: Origin,
-    /// When it was asked for, by this computer.
+    /// Time of the request, by the computer's clock.
     pub fetched_utc: Timestamp,
-    /// The same instant by the machine's clock, us since its start: the events below are on that clock.
+    /// The same instant by the machine's clock, us since its start. The events below use that clock.
     pub fetched_device_us: u64,
     /// The machine.
     pub device: IdentityRecord,
-    /// Its image and its settings, as they are now.
+    /// Its image at the time of the request.
     pub image: String,
     /// Settings by name; the capsule has none.
     pub settings: std::collections::BTreeMap<String, u32>,
@@ -61,7 +62,7 @@ pub struct Fetched {
     pub record: Kept,
     /// Events since the start of the machine, the oldest of which may be lost.
     pub events: Vec<Event>,
-    /// So many events before these are lost.
+    /// Number of events lost before these.
     pub lost_events: u32,
 }
 
@@ -74,7 +75,7 @@ pub enum Nothing {
     Running,
 }
 
-/// Asks a machine for its last action. Changes nothing.
+/// Asks a machine for its last action. Changes nothing on the machine.
 ///
 /// # Errors
 /// As [`Device::call`].
@@ -137,7 +138,7 @@ pub fn fetch(device: &mut Device, now: Timestamp) -> Result<Result<Fetched, Noth
 }
 
 impl Fetched {
-    /// Writes it into a new file in `folder`, which is made if it is missing. Overwrites nothing.
+    /// Writes it into a new file in `folder`, which is created if it is missing. Overwrites nothing.
     ///
     /// # Errors
     /// It cannot be written.

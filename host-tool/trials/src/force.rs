@@ -1,8 +1,9 @@
-//! Force against thread, from a recording: as far as a current can say it.
+//! Force against thread, estimated from the current of a recording.
 //!
-//! Above the no-load current, a force F at the thread takes `F * 1.5 mm / (120 * 0.8) * friction / 2.11 mNm/A` while the
-//! thread is wound. The worm's friction is not known: a coefficient of 0.10 to 0.20 makes that 18.1 to 29.0 mA per newton,
-//! so a force is a range. While the thread is paid out the worm holds most of it, and nothing can be said.
+//! While the thread is wound, a force F at the thread adds `F * 1.5 mm / (120 * 0.8) * friction / 2.11 mNm/A` to the
+//! no-load current. The worm's friction is unknown: a coefficient of 0.10 to 0.20 gives 18.1 to 29.0 mA per newton,
+//! so a force is a range. While the thread is paid out, the worm holds most of the force and the current does not
+//! show it.
 
 use std::io::Write;
 
@@ -14,11 +15,11 @@ use serde::Serialize;
 const MA_PER_N: (f64, f64) = (18.1, 29.0);
 /// Readings over which the current is averaged.
 const AVERAGED: usize = 8;
-/// Readings without a pause of the drive, after which the motor has taken up its speed again.
+/// Readings of uninterrupted drive after which the motor is back at speed.
 const DRIVEN: usize = 40;
-/// Readings over each of which a speed is taken.
+/// Number of readings over which a speed is taken.
 const SPEED: usize = 12;
-/// Change of speed, um/ms per ms, that a mA makes: friction without load over inertia.
+/// Change of speed per mA, um/ms per ms: friction without load over inertia.
 pub(crate) const UM_MS2_PER_MA: f64 = 4_200.0 * 1.2272e-6;
 
 /// A row of the file.
@@ -34,7 +35,7 @@ struct Row {
     origin: Origin,
 }
 
-/// Least and most force at a reading, N, above the current without load; none where the current does not tell.
+/// Least and greatest force at a reading, N, above the no-load current; none where the current does not show it.
 #[must_use]
 pub fn force_n(points: &[TracePoint], index: usize, no_load_ma: u16) -> Option<(f64, f64)> {
     let last = points.get((index + 1).checked_sub(DRIVEN)?..=index)?;
@@ -55,7 +56,7 @@ pub fn force_n(points: &[TracePoint], index: usize, no_load_ma: u16) -> Option<(
     Some((pull_ma / MA_PER_N.1, pull_ma / MA_PER_N.0))
 }
 
-/// Writes a recording as CSV, with the force where it can be told.
+/// Writes a recording as CSV, with the force where the current shows it.
 ///
 /// # Errors
 /// Those of the file.
@@ -69,7 +70,7 @@ pub fn write(
     for (index, point) in points.iter().enumerate() {
         let force = no_load_ma.and_then(|no_load_ma| force_n(points, index, no_load_ma));
         csv.serialize(Row {
-            // No more than the capsule keeps.
+            // Fits: a recording has at most 2800 readings.
             time_ms: index as u32,
             thread_um: point.thread_um,
             current_ma: point.current_ma,
@@ -88,7 +89,7 @@ pub fn write(
 mod tests {
     use super::*;
 
-    /// At 10 mm/s, then faster by so many um/ms in each ms.
+    /// Winds at 10 mm/s, and accelerates by `faster` um/ms in each ms.
     fn winding(current_ma: u16, faster: f64) -> Vec<TracePoint> {
         (0..100)
             .map(|ms| {
@@ -107,7 +108,7 @@ mod tests {
     fn a_current_is_a_range_of_forces() {
         let (least, most) = force_n(&winding(16 + 141, 0.0), 99, 16).expect("it is wound");
         assert!((least - 4.86).abs() < 0.01 && (most - 7.79).abs() < 0.01);
-        // 0.1 um/ms per ms takes 19.4 mA.
+        // An acceleration of 0.1 um/ms per ms takes 19.4 mA.
         let (_, most) = force_n(&winding(16 + 141, 0.1), 99, 16).expect("it is wound");
         assert!((most - 6.72).abs() < 0.15, "{most}");
     }

@@ -5,9 +5,9 @@
 //! k i       = k I0 + J w' + S g up(mu) F(x)        winding the thread; F by the beam estimate, x travel
 //! k |i|     = k I0 + J |w|' + S g down(mu) F(x)    paying it out: the worm locks, so this is driven, too
 //! ```
-//! The readings are averaged over blocks of 20 ms. `R` and `k` follow from the first line by least squares; no-load current,
-//! slack and the two slopes from the others; friction of the worm from the ratio of the slopes, stiffness from their size.
-//! Gears, spool, lead angle and rotor are taken as designed: `docs/capsule.md`.
+//! The readings are averaged over blocks of 20 ms. Least squares give `R` and `k` from the first line; no-load
+//! current, slack and the two slopes from the others. The ratio of the slopes gives the friction of the worm, their
+//! size the stiffness. Gears, spool, lead angle and rotor are taken as designed: `docs/capsule.md`.
 
 use locomotion::kinematics::Design;
 use protocol::capsule::TracePoint;
@@ -15,21 +15,21 @@ use serde::Serialize;
 
 use crate::force::UM_MS2_PER_MA;
 
-/// Readings of a block, 1 ms apart.
+/// Readings per block, 1 ms apart.
 const BLOCK: usize = 20;
-/// Blocks that a fold and an unfolding must have each.
+/// Fewest blocks of a fold, and of an unfolding.
 const LEAST_BLOCKS: usize = 12;
-/// Slower than this the motor may stand within a period, mm/s.
+/// Least speed of a block, mm/s: below it the motor may stop within a period.
 const LEAST_SPEED_MM_S: f64 = 1.0;
-/// With more than this the speed changes too fast for its estimate, mA.
+/// Greatest accelerating current of a block, mA: above it the speed changes too fast for its estimate.
 const MOST_ACCELERATING_MA: f64 = 10.0;
-/// The same for the difference of two changes from block to block, mm/s.
+/// Greatest difference between two successive changes of speed, mm/s, for the same reason.
 const MOST_BENT_MM_S: f64 = 0.3;
-/// Slack that is looked for, in hundredths of a millimetre: that of a calibration is 0 to 3 mm.
+/// Range of the search for the slack, in hundredths of a millimetre: a calibration leaves 0 to 3 mm.
 const SLACK_HUNDREDTHS: (i32, i32) = (-15, 315);
-/// So much before the folded end something harder than the origami may be met, mm.
+/// Range before the folded end that is ignored, mm: there the thread may pull on something harder than the origami.
 const BEFORE_END_MM: f64 = 0.7;
-/// Half a step of the recording's drive and of its voltage: both are rounded towards zero.
+/// Half a step of the recorded drive and of the recorded voltage: both are rounded towards zero.
 const HALF_DRIVE_STEP_MV: f64 = 20.0;
 const HALF_BATTERY_STEP_MV: f64 = 5.0;
 
@@ -38,27 +38,30 @@ const FILTER_MS: f64 = 0.16;
 
 /// Thread per radian of the motor, mm: spool of 1.5 mm, gears of 4 and 30 (design).
 const MM_PER_RAD: f64 = 1.5 / 120.0;
-/// Torque of the motor per newton at the thread without friction in the worm, N m: the planetary gear has 0.8 (data sheet).
+/// Torque of the motor per newton at the thread without friction in the worm, N m. The planetary gear has an
+/// efficiency of 0.8 (data sheet).
 const TORQUE_PER_N: f64 = 1.5e-3 / 120.0 / 0.8;
 /// Lead angle of the worm, degrees (design).
 const LEAD_DEG: f64 = 4.0;
 /// Force per indentation by the beam estimate, N/mm; E = 50 MPa, b = 10 mm, t = 0.8 mm.
 const BEAM_N_PER_MM: f64 = 0.2055;
 
-/// Gain of the current amplifier, as a share: its shunt and resistors [assumed]. All that rests on a current is uncertain by it.
+/// Uncertainty of the current amplifier's gain, as a share: its shunt and resistors [assumed]. It affects every value
+/// that comes from a current.
 const GAIN: f64 = 0.03;
 /// `R T2 / 12 L2` of the bridge's slow decay, mA per volt: 6.2 ohm, 12.5 us, 53 uH (data sheet).
 const RISE_MA_PER_V: f64 = 28.7;
-/// What is left of the amplifier's offset, mA.
+/// Remaining offset of the amplifier, mA.
 const OFFSET_MA: f64 = 1.0;
-/// The amplifier's output follows the bridge's pulses: so far may a reading at 100 mA be from their mean, mA [assumed].
+/// Largest difference of a reading at 100 mA from the mean current, mA [assumed]: the amplifier's output follows the
+/// bridge's pulses.
 const RIPPLE_MA: f64 = 1.0;
-/// Voltage of the cell against the converter's reference, as a share.
+/// Uncertainty of the cell's voltage against the converter's reference, as a share.
 const VOLTAGE: f64 = 0.003;
-/// Standard deviations of an expanded uncertainty.
+/// Expanded uncertainty in standard deviations.
 const COVERAGE: f64 = 2.0;
 
-/// A value with its expanded uncertainty (k = 2): the true one is within `uncertainty` of it in 95 of 100 cases.
+/// A value with its expanded uncertainty (k = 2): the true value is within `uncertainty` of it in 95 of 100 cases.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
     /// Best value.
@@ -67,7 +70,7 @@ pub struct Estimate {
     pub uncertainty: f64,
 }
 
-/// What is known of a capsule after a fold and an unfolding.
+/// Parameters of a capsule, from a fold and an unfolding.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Identified {
     /// Winding, bridge and cell in series, ohm.
@@ -92,7 +95,7 @@ pub enum IdentifyError {
     TooShort {
         /// Fold or unfolding.
         motion: &'static str,
-        /// How many there are.
+        /// Number of usable blocks.
         blocks: usize,
     },
     /// The readings contradict the model.
@@ -100,20 +103,20 @@ pub enum IdentifyError {
     NoFit(&'static str),
 }
 
-/// Averages over some readings in which the motor is driven steadily.
+/// Averages over readings in which the motor is driven steadily.
 #[derive(Clone, Copy, Debug)]
 struct Block {
     /// Mean of the thread on the spool, mm.
     thread_mm: f64,
-    /// How far the thread moves meanwhile, mm.
+    /// Change of the thread during the block, mm.
     way_mm: f64,
     /// Speed in the direction of the drive, mm/s.
     speed_mm_s: f64,
     /// Mean current of a period, mA.
     current_ma: f64,
-    /// Of that, what the change of speed takes, mA.
+    /// Part of it that accelerates the motor, mA.
     accelerating_ma: f64,
-    /// Mean share of the period that is driven.
+    /// Mean driven share of the period.
     duty: f64,
     /// Voltage of the cell under this load, mV.
     battery_mv: f64,
@@ -128,7 +131,8 @@ pub fn identify(fold: &[TracePoint], unfold: &[TracePoint]) -> Result<Identified
     let unfolding = blocks("unfolding", unfold, -1.0)?;
     let (circuit_ohm, constant) = circuit(&folding, &unfolding)?;
     let found = mechanics(&folding, &unfolding, constant.value)?;
-    // What the amplifier's ripple may do to them. Where that leaves no fit, nothing can be said.
+    // The same fit with the amplifier's ripple added: the difference is its uncertainty. Without such a fit there is
+    // no result.
     let rippled = |blocks: &[Block]| -> Vec<Block> { blocks.iter().map(Block::rippled).collect() };
     let other = mechanics(&rippled(&folding), &rippled(&unfolding), constant.value)?;
     let estimate = |index: usize, otherwise: f64| {
@@ -155,7 +159,7 @@ fn mechanics(
     constant_mvs: f64,
 ) -> Result<[(f64, f64); 4], IdentifyError> {
     let Fit {
-        // The amplifier's offset is taken anew before each motion, so each has its own no-load current.
+        // The amplifier's offset is measured again before each motion, so each has its own no-load current.
         values: [folding_ma, unfolding_ma, up, down, slack_mm],
         deviations,
         ..
@@ -170,7 +174,7 @@ fn mechanics(
     let (friction, most) = friction(ratio)
         .zip(friction(ratio + ratio_deviation))
         .ok_or(too_much)?;
-    // mA mV s/rad are uN m.
+    // mA mV s/rad is uN m.
     let stiffness = up * constant_mvs * 1e-6 / TORQUE_PER_N / raising(friction);
     let share = up_share.hypot(raising(most) / raising(friction) - 1.0);
     Ok([
@@ -185,13 +189,13 @@ fn mechanics(
 }
 
 impl Block {
-    /// What the cell gives: the motor's current in the pulses, and what it rises above its mean in them.
+    /// Current of the cell: the motor's current in the pulses, and the ripple above its mean.
     fn drawn_ma(&self) -> f64 {
         let both = self.duty * (1.0 - self.duty);
         self.duty * self.current_ma + RISE_MA_PER_V * self.battery_mv * 1e-3 * both * both
     }
 
-    /// As the amplifier's ripple might show it.
+    /// The block with the amplifier's ripple added.
     fn rippled(&self) -> Self {
         let share = self.current_ma / 100.0;
         Self {
@@ -201,7 +205,7 @@ impl Block {
     }
 }
 
-/// The steady blocks of a recording; `sign` is that of its drive.
+/// The steady blocks of a recording; `sign` is that of the drive.
 fn blocks(
     motion: &'static str,
     points: &[TracePoint],
@@ -221,7 +225,7 @@ fn blocks(
                 if bent_mm_s.abs() > MOST_BENT_MM_S {
                     return None;
                 }
-                // um/ms are mm/s.
+                // um/ms is mm/s.
                 let gained = (after.speed_mm_s - before.speed_mm_s) / (2 * BLOCK) as f64;
                 Some(Block {
                     accelerating_ma: gained / UM_MS2_PER_MA,
@@ -249,7 +253,8 @@ fn thread_mm(point: &TracePoint) -> f64 {
     f64::from(point.thread_um) * 1e-3
 }
 
-/// Averages; none if the motor is not driven all the time. Each reading shows what the drive of the one before has made.
+/// Averages of a block; none if the motor is not driven throughout. Each reading shows the effect of the previous
+/// reading's drive.
 fn block(readings: &[TracePoint], sign: f64) -> Option<Block> {
     let (driven, shown) = (&readings[..BLOCK], &readings[1..]);
     let mean = |points: &[TracePoint], of: &dyn Fn(&TracePoint) -> f64| {
@@ -258,7 +263,7 @@ fn block(readings: &[TracePoint], sign: f64) -> Option<Block> {
     let battery_mv = |point: &TracePoint| f64::from(point.battery_mv) + HALF_BATTERY_STEP_MV;
     let is_driven = |point: &TracePoint| f64::from(point.drive_mv) * sign > 0.0;
     let way_mm = thread_mm(&readings[BLOCK]) - thread_mm(&readings[0]);
-    // A current is that of the millisecond before it is read, and the amplifier's filter is late.
+    // A current reading is that of the preceding millisecond, and the amplifier's filter delays it further.
     let late = (0.5 + FILTER_MS) / BLOCK as f64;
     driven.iter().all(is_driven).then(|| Block {
         thread_mm: mean(shown, &thread_mm) - late * way_mm,
@@ -283,7 +288,7 @@ fn circuit(folding: &[Block], unfolding: &[Block]) -> Result<(Estimate, Estimate
     let cell = fit(&sagging).ok_or(IdentifyError::NoFit("the current never changes"))?;
     let [open_mv, cell_ohm] = cell.values;
     let row = |block: &Block, folds: f64| {
-        // What the offset makes of the current is a voltage of its own in each motion. The cell gives all of its current in the
+        // The amplifier's offset acts as an extra voltage in each motion. The cell delivers all of its current in the
         // pulses.
         let speed = block.speed_mm_s / MM_PER_RAD;
         (
@@ -296,8 +301,8 @@ fn circuit(folding: &[Block], unfolding: &[Block]) -> Result<(Estimate, Estimate
     let mut rows: Vec<_> = folded.chain(unfolded).collect();
     let together = IdentifyError::NoFit("speed and current change together");
     let unbound = fit(&rows).ok_or(together)?;
-    // A capsule that turns at one speed nearly all the time does not tell its back-EMF from the offsets, and the noise of
-    // its speed pulls the constant down. How large an offset can be is known: that is a reading, too.
+    // If the speed hardly varies, the back-EMF cannot be told from the offsets, and noise in the speed pulls the
+    // constant down. Add the known size of the offset as a reading.
     let noise_mv = (unbound.squares / rows.len() as f64).sqrt();
     let weight = noise_mv / (OFFSET_MA / COVERAGE * unbound.values[0].abs());
     rows.push(([0.0, 0.0, weight, 0.0], 0.0));
@@ -323,7 +328,8 @@ fn circuit(folding: &[Block], unfolding: &[Block]) -> Result<(Estimate, Estimate
     ))
 }
 
-/// No-load current folding and unfolding in mA, mA per newton of the beam estimate likewise, slack in mm.
+/// Fits no-load current folding and unfolding in mA, mA per newton of the beam estimate folding and unfolding, slack
+/// in mm.
 fn load(folding: &[Block], unfolding: &[Block]) -> Result<Fit<5>, IdentifyError> {
     let steady = |block: &Block| block.current_ma - block.accelerating_ma;
     let rows = |slack_mm: f64| -> Vec<([f64; 4], f64)> {
@@ -346,7 +352,7 @@ fn load(folding: &[Block], unfolding: &[Block]) -> Result<Fit<5>, IdentifyError>
             .min_by(|(_, one), (_, other)| one.squares.total_cmp(&other.squares))
             .ok_or(no_fit)
     };
-    // The range of a calibration, and a step more at either end. There is one valley.
+    // Search the range of a calibration, and one step more at either end. The sum of squares has a single minimum.
     let (least, most) = SLACK_HUNDREDTHS;
     let (near, _) = best(&mut (least..=most).step_by(15))?;
     let (slack, coarse) = best(&mut (near - 15..=near + 15).step_by(2))?;
@@ -356,7 +362,8 @@ fn load(folding: &[Block], unfolding: &[Block]) -> Result<Fit<5>, IdentifyError>
         ));
     }
     let slack_mm = f64::from(slack) * 0.01;
-    // One step of Gauss and Newton from there: the slack's own share, and the covariance of all five.
+    // Take one Gauss-Newton step from there: it gives the slack's remaining share, and the covariance of all five
+    // values.
     let [.., up, down] = coarse.values;
     const STEP_MM: f64 = 0.01;
     let bent: Vec<([f64; 5], f64)> = rows(slack_mm)
@@ -380,16 +387,17 @@ fn load(folding: &[Block], unfolding: &[Block]) -> Result<Fit<5>, IdentifyError>
     Ok(fine)
 }
 
-/// Mean force over a block by Simpson's rule: near the end it bends upwards within one.
+/// Mean force over a block by Simpson's rule, because near the end it bends upwards within a block.
 fn mean_n(block: &Block, slack_mm: f64) -> f64 {
     let (middle, half) = (block.thread_mm - slack_mm, block.way_mm / 2.0);
     (beam_n(middle - half) + 4.0 * beam_n(middle) + beam_n(middle + half)) / 6.0
 }
 
-/// Force of the origami at a travel by the beam estimate, N: `F = 0.2055 a / (d d0 / d a)` with the paper's Eqs. (2) to (5), (7).
+/// Force of the origami at a travel by the beam estimate, N: `F = 0.2055 a / (d d0 / d a)` with the paper's Eqs. (2)
+/// to (5), (7).
 fn beam_n(travel_mm: f64) -> f64 {
     let design = Design::paper_ratios();
-    // Beyond the end of the kinematics there is no origami left to fold; nothing is fitted there.
+    // Beyond the end of the kinematics there is no origami left to fold; no block there enters a fit.
     let indentation = design.indentation_for_thread_mm(travel_mm.max(0.0));
     let slope = |a_mm: f64| design.slope_by_indentation(a_mm).ok();
     indentation
@@ -398,13 +406,13 @@ fn beam_n(travel_mm: f64) -> f64 {
         .unwrap_or(f64::MAX)
 }
 
-/// Torque of the motor over the ideal one while the worm raises its load.
+/// Torque of the motor, relative to a worm without friction, while the worm raises its load.
 fn raising(friction: f64) -> f64 {
     let lead = LEAD_DEG.to_radians();
     (lead + friction.atan()).tan() / lead.tan()
 }
 
-/// Coefficient of friction at which lowering takes this share of raising; none if it would be 1 or more.
+/// Coefficient of friction for which lowering takes `ratio` of the torque of raising; none if it would be 1 or more.
 fn friction(ratio: f64) -> Option<f64> {
     let lead = LEAD_DEG.to_radians();
     let share = |angle: f64| (angle - lead).tan() / (angle + lead).tan();
@@ -427,13 +435,13 @@ fn friction(ratio: f64) -> Option<f64> {
 #[derive(Clone, Copy, Debug)]
 struct Fit<const N: usize> {
     values: [f64; N],
-    /// Standard deviations; neighbours' residuals may be alike.
+    /// Standard deviations, corrected for correlated residuals.
     deviations: [f64; N],
-    /// Sum of the residuals' squares.
+    /// Sum of squared residuals.
     squares: f64,
 }
 
-/// Least squares for `rows` of factors and what they should give; none if they do not determine the values.
+/// Least squares for `rows` of factors and results; none if they do not determine the values.
 fn fit<const N: usize>(rows: &[([f64; N], f64)]) -> Option<Fit<N>> {
     let mut normal = [[0.0; N]; N];
     let mut right = [0.0; N];
@@ -457,7 +465,7 @@ fn fit<const N: usize>(rows: &[([f64; N], f64)]) -> Option<Fit<N>> {
     let squares: f64 = residuals.iter().map(|residual| residual * residual).sum();
     let free = rows.len().checked_sub(N).filter(|free| *free > 0)? as f64;
     let products: f64 = residuals.windows(2).map(|pair| pair[0] * pair[1]).sum();
-    // With more than this, the variance would rest on the estimate of the likeness alone.
+    // Limit the correlation: above 0.9 the variance would depend on its estimate alone.
     let alike = if squares > 0.0 {
         (products / squares).clamp(0.0, 0.9)
     } else {
@@ -471,7 +479,7 @@ fn fit<const N: usize>(rows: &[([f64; N], f64)]) -> Option<Fit<N>> {
     })
 }
 
-/// Inverse by Gauss and Jordan with the largest pivot; none if there is none.
+/// Inverse by Gauss-Jordan elimination with the largest pivot; none if the matrix is singular.
 fn inverse<const N: usize>(mut matrix: [[f64; N]; N]) -> Option<[[f64; N]; N]> {
     let mut result = [[0.0; N]; N];
     for (i, row) in result.iter_mut().enumerate() {
@@ -510,7 +518,7 @@ mod tests {
 
     #[test]
     fn a_fit_finds_a_line_and_says_how_well() {
-        // 3 + 2 x, with as much above as below, in turn.
+        // 3 + 2 x, with alternating deviations of equal size.
         let rows = |scatter: f64| -> Vec<([f64; 2], f64)> {
             (0..100)
                 .map(|x| (f64::from(x), if x % 2 == 0 { scatter } else { -scatter }))
@@ -521,7 +529,7 @@ mod tests {
         assert!((exact.values[0] - 3.0).abs() < 1e-9 && (exact.values[1] - 2.0).abs() < 1e-12);
         assert!(exact.deviations[0] < 1e-6);
         let loose = fit(&rows(1.0)).expect("determined");
-        // Of the mean of 100 with a deviation of 1, at the end of a line: 0.2.
+        // Standard deviation of the mean of 100 values with deviation 1, at the end of a line: 0.2.
         assert!((0.1..0.3).contains(&loose.deviations[0]), "{loose:?}");
         let errors = [loose.values[0] - 3.0, loose.values[1] - 2.0];
         assert!(errors[0].abs() < 0.1 && errors[1].abs() < 0.01, "{loose:?}");
@@ -545,7 +553,7 @@ mod tests {
         let same: Vec<_> = (0..10).map(|_| ([1.0, 5.0], 2.0)).collect();
         assert!(fit(&same).is_none());
         assert!(fit::<2>(&[]).is_none());
-        // As many values as rows leave nothing to judge them by.
+        // With as many values as rows, nothing is left to judge them by.
         assert!(fit(&[([1.0, 0.0], 1.0), ([0.0, 1.0], 2.0)]).is_none());
     }
 
@@ -557,7 +565,7 @@ mod tests {
             let found = friction(down / raising(truth)).expect("a worm");
             assert!((found - truth).abs() < 1e-6, "{truth}: {found}");
         }
-        // A coefficient above 1 is no worm's, and is not told as 1.
+        // No worm has a coefficient above 1, and the result is not clamped to 1.
         assert_eq!(friction(0.8), None);
     }
 

@@ -1,14 +1,14 @@
-//! What is done once and recorded.
+//! Actions that are executed once and recorded.
 //!
 //! * [`trial`]: the record of an action: telemetry CSV and JSON sidecar.
-//! * [`writer`]: files that are written on a thread of their own, or replaced as a whole.
-//! * [`sidecar`]: the heading of a record, and JSON files that are no trial.
+//! * [`writer`]: writes files on a thread of its own, or replaces them as a whole.
+//! * [`sidecar`]: the heading of a record, and JSON files of other kinds.
 //! * [`experiment`]: recorded actions, and the paper's experiment.
-//! * [`coordination`]: an actuation that begins at a place of a run, its [`cue`].
+//! * [`coordination`]: an actuation that begins at a position of a run, its [`cue`].
 //! * [`plan`]: a run, calculated before it is sent.
 //! * [`progress`]: progress for people, as a bar or as lines.
-//! * [`fetched`]: a machine's own memory of its last action.
-//! * [`endurance`]: folds and unfoldings in turn, and what drifts.
+//! * [`fetched`]: a machine's own record of its last action.
+//! * [`endurance`]: repeated folds and unfoldings, and the drift over them.
 //! * [`force`]: force against thread from a recording.
 //! * [`identify`]: a capsule's parameters, from its recordings.
 #![forbid(unsafe_code)]
@@ -22,6 +22,7 @@ pub mod force;
 pub mod identify;
 pub mod plan;
 pub mod progress;
+pub mod recorded;
 pub mod sidecar;
 pub mod trial;
 pub mod writer;

@@ -1,4 +1,4 @@
-//! Plans a run before it is sent, with the same arithmetic as the rig, as a summary and edge by edge.
+//! Plans a run before it is sent, with the same arithmetic as the rig; gives a summary and all edges.
 
 use std::io::{self, Write};
 
@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use crate::trial::{Achieved, Screw};
 
-/// Limits by the default settings. A rig applies its own settings, which may differ.
+/// Limits of the default settings. A rig applies its own settings, which may differ.
 pub const REFERENCE_LIMITS: Limits = Limits {
     max_speed_um_s: SettingKey::MaxSpeedUmS.range().default,
     max_accel_um_s2: SettingKey::MaxAccelUmS2.range().default,
@@ -30,11 +30,11 @@ const WIDEST_LIMITS: Limits = Limits {
     min_turnaround_ticks: 0,
 };
 
-/// Refuses what every rig would refuse, before a link is opened. The rig itself checks what depends on its screw and
+/// Refuses, before a link is opened, what every rig would refuse. The rig itself checks what depends on its screw and
 /// limits.
 ///
 /// # Errors
-/// What is wrong with the request, and what to do about it.
+/// The defect of the request, with advice.
 pub fn check(run: &Run) -> Result<(), RunError> {
     match planning::solve(run, &Axis::REFERENCE, &WIDEST_LIMITS) {
         Err(
@@ -44,7 +44,7 @@ pub fn check(run: &Run) -> Result<(), RunError> {
             | RunError::Profile(_),
         )
         | Ok(_) => Ok(()),
-        // What is proposed instead has to be possible on a rig as delivered, not only on the fastest one.
+        // Propose an alternative that is possible on a rig with default settings, not only on the fastest one.
         Err(error @ RunError::TotalTooShort { .. }) => {
             match planning::solve(run, &Axis::REFERENCE, &REFERENCE_LIMITS) {
                 Err(
@@ -61,7 +61,7 @@ pub fn check(run: &Run) -> Result<(), RunError> {
     }
 }
 
-/// The greatest speed of a stroke, um/s, as the reference rig would solve the run; none if it cannot.
+/// The peak speed of the run, um/s, as solved for the reference rig; none if that cannot run it.
 #[must_use]
 pub fn peak_um_s(run: &Run) -> Option<u32> {
     let axis = &Axis::REFERENCE;
@@ -74,7 +74,7 @@ pub fn peak_um_s(run: &Run) -> Option<u32> {
 pub struct Summary {
     /// As requested.
     pub requested: Run,
-    /// Screw and stroke it was solved for.
+    /// Screw and stroke that it was solved for.
     pub screw: Screw,
     /// As the rig would execute it.
     pub achieved: Achieved,
@@ -104,8 +104,8 @@ pub fn summary(run: &Run, axis: &Axis, plan: &RunPlan) -> Summary {
     }
 }
 
-/// Writes every step edge of a plan as CSV: stroke from 0, position after the edge, and its tick of 10 ns from the
-/// instant of the start, also in seconds.
+/// Writes every step edge of a plan as CSV: stroke from 0, position after the edge, and time since the start in ticks
+/// of 10 ns and in seconds.
 ///
 /// # Errors
 /// Those of the writer.
@@ -228,7 +228,7 @@ mod tests {
             ..PAPER_RUN
         };
         assert!(refused(speed(0)));
-        // Faster than the rig as delivered, but that is the rig's to say.
+        // Faster than the default settings allow, but the rig decides that.
         assert!(!refused(speed(60_000)));
     }
 }

@@ -13,7 +13,7 @@ use protocol::system::{Event, What};
 /// Interval between two plain lines, us of the machine's time.
 const LINE_US: u64 = 5_000_000;
 
-/// One line of 80 columns, cut off at the width of the terminal: a bar of two lines would wipe what is printed above it.
+/// One line of 80 columns, cut off at the width of the terminal: a bar of two lines would erase text above it.
 const BAR: &str = "  {bar:20} {percent:>3} % {wide_msg}";
 
 /// Prints the progress of an action. All times are the machine's, so they mean the same on the virtual bench.
@@ -22,7 +22,7 @@ pub struct Live<'a> {
     terminal: bool,
     bar: Option<ProgressBar>,
     next_line_us: u64,
-    /// The run was held at the last report.
+    /// Whether the run was held at the last report.
     held: bool,
 }
 
@@ -41,7 +41,7 @@ impl<'a> Live<'a> {
     fn line(&mut self, text: &str) {
         match &self.bar {
             Some(bar) => bar.println(text),
-            // A closed pipe must not stop the machine's supervision.
+            // Ignore the error: a closed pipe must not stop the machine's supervision.
             None => drop(writeln!(self.out, "{text}")),
         }
     }
@@ -162,7 +162,7 @@ impl Observer for Live<'_> {
     }
 }
 
-/// Says what was refused, and why.
+/// The refused action and the reason, in words.
 fn refused_text(pace: Pace, refusal: &Refusal) -> String {
     let what = match pace {
         Pace::Hold => "not held",
@@ -171,7 +171,7 @@ fn refused_text(pace: Pace, refusal: &Refusal) -> String {
     format!("  {what}: {refusal}")
 }
 
-/// Says what was begun and how long it takes.
+/// The action that has begun and its duration, in words.
 #[must_use]
 pub fn begun_text(begun: &Begun) -> String {
     match begun {

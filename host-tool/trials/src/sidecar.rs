@@ -1,4 +1,4 @@
-//! The JSON file of a record: its heading in a list, and what another JSON file may be.
+//! The JSON file of a record: its heading in a list, and the kinds of other JSON files.
 
 use std::path::Path;
 
@@ -33,7 +33,7 @@ pub fn heading(trial: &Trial) -> String {
     }
 }
 
-/// What else a JSON file of this program may be.
+/// Description of a JSON file of this program that is no trial; none if it is none of ours.
 pub fn other(file: &Path) -> Option<String> {
     let text = limited::read_text(file, limited::RECORD).ok()?;
     let value: Value = serde_json::from_str(&text).ok()?;
@@ -47,7 +47,8 @@ pub fn other(file: &Path) -> Option<String> {
     Some(format!("the record of {what}, which is no trial"))
 }
 
-/// What to tell of a JSON file that is no trial; nothing of records of other kinds and of files that are not beside telemetry.
+/// Message on a JSON file that cannot be read as a trial; none for records of other kinds and for files without
+/// telemetry beside them.
 #[must_use]
 pub fn unreadable(file: &Path, error: RecordError) -> Option<String> {
     let told = file.with_extension("csv").exists() && other(file).is_none();

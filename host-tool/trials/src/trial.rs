@@ -8,10 +8,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead};
 use std::path::{Path, PathBuf};
 
-use client::decimal;
 use client::identity::{IdentityRecord, Origin};
-use client::limited;
-use client::{Begun, Observer, Progress, Recorded};
+use client::{Begun, Observer, Progress, decimal, limited};
 use jiff::Timestamp;
 use miette::Diagnostic;
 use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome, ActuationRecord};
@@ -24,6 +22,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::cue::Coordination;
 use crate::writer::{Appender, Writer, replace};
+
+/// A folder with this file is that of a campaign, which ends its own records.
+pub const CAMPAIGN_PLAN: &str = "plan.toml";
 
 /// Version of the sidecar's format; incremented when a field changes its meaning.
 pub const FORMAT: u32 = 1;
@@ -747,47 +748,6 @@ impl Observer for Recorder {
     fn progress(&mut self, _: &Progress) {
         self.flush();
     }
-}
-
-/// A row of a recording.
-#[derive(Debug, Serialize)]
-struct RecordedRow {
-    time_ms: u32,
-    thread_um: i32,
-    current_ma: u16,
-    battery_mv: u16,
-    drive_mv: i16,
-    origin: Origin,
-}
-
-/// Writes the recording of an actuation into a new CSV file of `folder`, and returns its path.
-///
-/// # Errors
-/// It cannot be written.
-pub fn write_recorded(
-    folder: &Path,
-    now: Timestamp,
-    recorded: &Recorded,
-    origin: Origin,
-) -> Result<PathBuf, RecordError> {
-    fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
-    let stamp = now.strftime("%Y%m%dT%H%M%SZ");
-    let name = format!("trace-{}-{stamp}", recorded.actuation);
-    let (path, file) = create_new(folder, &name)?;
-    let mut csv = csv::Writer::from_writer(file);
-    for (time_ms, point) in (0..).zip(&recorded.points) {
-        csv.serialize(RecordedRow {
-            time_ms,
-            thread_um: point.thread_um,
-            current_ma: point.current_ma,
-            battery_mv: point.battery_mv,
-            drive_mv: point.drive_mv,
-            origin,
-        })
-        .map_err(|error| RecordError::write(&path, error))?;
-    }
-    csv.flush().map_err(|io| RecordError::write(&path, io))?;
-    Ok(path)
 }
 
 /// Creates a CSV file under a name that neither a CSV nor a sidecar has.

@@ -1,4 +1,4 @@
-//! Writes a record's files on a thread of its own: a disk that hesitates delays neither the link nor a stop.
+//! Writes a record's files on a thread of its own, so that a slow disk delays neither the link nor a stop.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -7,13 +7,13 @@ use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 
-/// What is to be written, in this order.
+/// A task of the writing thread; tasks run in order.
 enum Job {
     Append(Vec<u8>),
     Replace(PathBuf, Vec<u8>),
 }
 
-/// What could not be written.
+/// A failed write.
 #[derive(Clone, Debug)]
 pub(crate) struct WriteError {
     /// The file.
@@ -24,7 +24,7 @@ pub(crate) struct WriteError {
 
 /// A file that grows, and others that are replaced meanwhile.
 ///
-/// What is still to be written waits in memory, so nobody waits for the disk before [`Writer::finish`].
+/// Pending writes wait in memory, so no caller waits for the disk before [`Writer::finish`].
 #[derive(Debug)]
 pub(crate) struct Writer {
     jobs: Sender<Job>,
@@ -34,7 +34,7 @@ pub(crate) struct Writer {
 }
 
 impl Writer {
-    /// Appends to `file`, which is at `path`.
+    /// Writes to the end of `file`, whose path is `path`.
     pub(crate) fn new(path: PathBuf, file: File) -> Self {
         let (jobs, given) = mpsc::channel();
         let failed = Arc::new(OnceLock::new());
@@ -46,12 +46,12 @@ impl Writer {
         }
     }
 
-    /// What could not be written so far, as soon as the system has said so. It does not wait.
+    /// The first failed write so far. Does not wait.
     pub(crate) fn failure(&self) -> Option<&WriteError> {
         self.failed.get()
     }
 
-    /// Appends to the file what is written into it, and never fails.
+    /// A writer that appends to the file; writing to it never fails.
     pub(crate) fn appender(&self) -> Appender {
         Appender(self.jobs.clone())
     }
@@ -61,10 +61,10 @@ impl Writer {
         let _ = self.jobs.send(Job::Replace(path, bytes));
     }
 
-    /// Waits until everything is written; all appenders have to be gone.
+    /// Waits until everything is written; drop all appenders first.
     ///
     /// # Errors
-    /// The first thing that could not be written, all later ones of that file neither.
+    /// The first failed write. After a failed append, nothing more is appended to that file.
     pub(crate) fn finish(self) -> Result<(), WriteError> {
         drop(self.jobs);
         self.thread.join().expect("it does not panic");
@@ -75,13 +75,13 @@ impl Writer {
     }
 }
 
-/// The end that grows.
+/// Appends to the growing file.
 #[derive(Debug)]
 pub(crate) struct Appender(Sender<Job>);
 
 impl Write for Appender {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        // The thread runs until the last appender is gone; errors are told by `finish`.
+        // Cannot fail: the thread runs until the last appender is dropped. `finish` reports errors.
         let _ = self.0.send(Job::Append(bytes.to_vec()));
         Ok(bytes.len())
     }
@@ -95,19 +95,19 @@ fn write(path: &Path, mut file: File, jobs: Receiver<Job>, failed: &OnceLock<Wri
     let mut appends = true;
     for job in jobs {
         let written = match job {
-            // After a gap nothing more, or rows would be missing in the middle.
+            // Append nothing after a failure: rows would be missing in the middle.
             Job::Append(_) if !appends => continue,
             Job::Append(bytes) => {
                 let written = file.write_all(&bytes);
                 appends = written.is_ok();
                 written.map_err(|io| (path.to_owned(), io))
             }
-            // Tried all the same: it says how the trial ended.
+            // Try this even after a failure: it says how the trial ended.
             Job::Replace(path, bytes) => replace(&path, &bytes).map_err(|io| (path, io)),
         };
         if let Err((path, io)) = written {
             let why = io.to_string();
-            // Only the first one is kept: it is the cause.
+            // Keep the first failure only: it is the cause.
             let _ = failed.set(WriteError { path, why });
         }
     }
@@ -121,17 +121,18 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     fs::rename(written(path, bytes)?, path)
 }
 
-/// As [`replace`], for a file that must not be there yet.
+/// As [`replace`], for a file that must not exist yet.
 ///
 /// # Errors
-/// As [`replace`]; [`io::ErrorKind::AlreadyExists`] leaves what is there as it is.
+/// As [`replace`]; with [`io::ErrorKind::AlreadyExists`] the existing file is unchanged.
 pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    // Whoever has the name first keeps it. Empty until the rename, which no reader takes for a whole file.
+    // The first process to create the name keeps it. Until the rename the file is empty, and no reader takes it for
+    // complete.
     drop(File::create_new(path)?);
     replace(path, bytes).inspect_err(|_| drop(fs::remove_file(path)))
 }
 
-/// The bytes in a file beside `path`.
+/// Writes the bytes to a file beside `path`.
 fn written(path: &Path, bytes: &[u8]) -> io::Result<PathBuf> {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(".part");
@@ -139,7 +140,7 @@ fn written(path: &Path, bytes: &[u8]) -> io::Result<PathBuf> {
     let mut file = File::create(&part)?;
     file.write_all(bytes)
         .and_then(|()| file.sync_all())
-        // A part that nobody will ever complete is not left behind.
+        // Remove the part, because nothing will complete it.
         .inspect_err(|_| drop(fs::remove_file(&part)))?;
     Ok(part)
 }
@@ -168,7 +169,7 @@ mod tests {
         assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 2);
     }
 
-    /// A reader that does not read is a disk that does not write.
+    /// A pipe whose reader does not read acts as a disk that does not write.
     #[cfg(unix)]
     #[test]
     fn a_disk_that_stands_delays_nobody() {
@@ -207,12 +208,12 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.csv");
         fs::write(&path, b"").expect("new");
-        // Opened for reading only: nothing can be appended.
+        // Open for reading only, so that appending fails.
         let writer = Writer::new(path.clone(), File::open(&path).expect("there"));
         let sidecar = folder.path().join("a.json");
         assert!(writer.failure().is_none());
         writer.appender().write_all(b"row\n").expect("never fails");
-        // Told while more may come, not only at the end.
+        // The failure is visible while more may come, not only at the end.
         let begun = Instant::now();
         while writer.failure().is_none() && begun.elapsed() < Duration::from_secs(20) {
             thread::sleep(Duration::from_millis(1));

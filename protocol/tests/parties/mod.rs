@@ -1,4 +1,4 @@
-//! What the tests of the link need beside the client: noise, raw bytes, and a device that counts what it executes.
+//! Helpers for the tests of the link: noise, raw bytes, and a device that counts its executions.
 
 use protocol::{
     frame::{Deframer, Encoded, Header, Kind, encode},
@@ -35,11 +35,11 @@ impl serde::Serialize for Raw {
     }
 }
 
-/// The device of these tests: counts what it executes.
+/// A device that counts its executions.
 pub struct Device {
     pub deframer: Deframer,
     pub session: Session,
-    /// Requests handed in for execution.
+    /// Requests handed over for execution.
     pub executions: u32,
     /// The interval of each [`Request::SetTelemetry`] that was executed.
     pub executed: Vec<u16>,

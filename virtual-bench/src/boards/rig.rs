@@ -14,7 +14,7 @@
 use std::path::PathBuf;
 
 use crate::bench::{Bench, BenchError, BenchOptions, images};
-use crate::emulator::{Pads, Pin, Wiring};
+use crate::emulator::{OutputEdge, Pads, Pin, Unnoticed, Wiring};
 use crate::plants::rig::{Rig, RigOptions, Switch};
 
 const STEP: Pin = Pin::new('A', 10);
@@ -215,6 +215,36 @@ impl Wiring for RigBoard {
         if let Some(next_ns) = self.rig.next_ns() {
             pads.wake_at(next_ns);
         }
+    }
+
+    fn unnoticed(&self, pads: &mut Pads<'_>) -> Option<Unnoticed> {
+        let [read_back, capture] = self.rig.jumpers();
+        let counted = read_back.leads()? && pads.function(READ_BACK) == AF_TIMER;
+        let captured = capture.leads()? && pads.function(CAPTURE) == AF_CAPTURE;
+        let is_driven = pads.function(STEP) == AF_TIMER && pads.tim1_armed();
+        let has_been_told = self.read_back == Some(counted && self.step_high)
+            && self.captured == Some(captured && self.step_high);
+        (is_driven && has_been_told).then(|| Unnoticed {
+            pulses: self.rig.unnoticed_steps(),
+            syncs: pads.function(SYNC) == AF_TIMER,
+            counted,
+            captured,
+        })
+    }
+
+    fn unseen_edge(&mut self, edge: OutputEdge, leads: &Unnoticed) {
+        let OutputEdge { at_ns, high, .. } = edge;
+        if edge.channel == SYNC_CHANNEL {
+            if leads.syncs {
+                self.sync(high, at_ns);
+            }
+            return;
+        }
+        self.step_high = high;
+        self.rig.set_armed(true);
+        self.rig.step(high, at_ns);
+        self.read_back = Some(leads.counted && high);
+        self.captured = Some(leads.captured && high);
     }
 
     fn flash_began(&mut self) {

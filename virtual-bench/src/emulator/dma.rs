@@ -1,5 +1,5 @@
-//! A DMA controller whose bursts take time: the words of TIM1's burst come one after the other, and whoever stops in
-//! between has stopped within a burst. The emulator's own transfers all happen in one instant.
+//! A DMA controller with a ring, see [`super::ring`], or with bursts that take time: the words of TIM1's burst come one after
+//! the other, and whoever stops in between has stopped within a burst. The emulator's own transfers all happen in one instant.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::st::tim::UPDATE_REQUEST;
@@ -8,6 +8,7 @@ use rigless::soc::stm32f427::peripherals::dma::Dma;
 use rigless::time::{EventId, VirtualNanos};
 
 use super::forward::forward;
+use super::ring::{Place, Ring};
 
 /// How long a burst takes. The manuals give no figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,22 +33,45 @@ pub(super) struct Paced {
     /// The controller sees that it does.
     shown: bool,
     next_word: Option<EventId>,
+    /// The stream that is the bench's own, where there is one.
+    pub(super) ring: Option<Ring>,
 }
 
 impl Paced {
+    /// `dma` with its own streams only, and this timing of TIM1's bursts.
     pub(super) fn new(dma: Dma, beats: Option<Beats>) -> Self {
         Self {
             dma,
             beats,
+            ring: None,
             requested: false,
             shown: false,
             next_word: None,
         }
     }
 
-    /// How long bursts take from now on.
-    pub(super) fn set_beats(&mut self, beats: Option<Beats>) {
-        self.beats = beats;
+    /// How long bursts take from now on, where they take time at all: a ring's take none.
+    pub(super) fn set_beats(&mut self, beats: Beats) {
+        let paced = self.beats.replace(beats);
+        assert!(paced.is_some(), "bursts have to take time from the start");
+    }
+
+    /// The same with a ring at `place`.
+    pub(super) fn with_ring(self, place: Option<Place>) -> Self {
+        let ring = place.map(Ring::new);
+        Self { ring, ..self }
+    }
+
+    /// The emulator's controller keeps the interrupts of all streams. A write that clears no flag has it look at them.
+    pub(super) fn refresh(
+        &mut self,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let flagged = self.ring.as_mut().map(|ring| &mut ring.flagged);
+        if flagged.is_some_and(std::mem::take) {
+            Device::write(&mut self.dma, Register::Hifcr, 0, registers, context);
+        }
     }
 
     fn show(
@@ -74,7 +98,43 @@ impl Paced {
 impl Device for Paced {
     type Register = Register;
 
-    forward!(dma: layout, read, peek, write, on_refused, poll, reset_line);
+    forward!(dma: layout, read, peek, poll);
+
+    fn write(
+        &mut self,
+        register: Register,
+        value: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        if let Some(ring) = &mut self.ring
+            && let Some(row) = ring.row(register)
+            && ring.write(row, registers, context)
+        {
+            if !ring.is_running() {
+                // The emulator's stream knows no request that came meanwhile.
+                let change = ring.standing();
+                Device::on_request(&mut self.dma, change, registers, context);
+            }
+            return self.refresh(registers, context);
+        }
+        Device::write(&mut self.dma, register, value, registers, context);
+    }
+
+    fn on_refused(
+        &mut self,
+        token: u64,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        if let Some(ring) = &mut self.ring
+            && ring.answers(token).is_some()
+        {
+            ring.refused(registers);
+            return self.refresh(registers, context);
+        }
+        Device::on_refused(&mut self.dma, token, registers, context);
+    }
 
     fn on_event(
         &mut self,
@@ -97,6 +157,14 @@ impl Device for Paced {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
+        if let Some(ring) = &mut self.ring
+            && ring.hears(request.instance, request.request)
+        {
+            ring.request(request.level == Level::High, registers, context);
+            if ring.is_running() {
+                return;
+            }
+        }
         let Some(beats) = self
             .beats
             .filter(|_| request.instance == TIMER && request.request == UPDATE_REQUEST)
@@ -121,6 +189,12 @@ impl Device for Paced {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
+        if let Some(ring) = &mut self.ring
+            && let Some(stored) = ring.answers(token)
+        {
+            ring.answered(stored, value, registers, context);
+            return self.refresh(registers, context);
+        }
         let word = token == STORE_OF_STREAM_5 && self.beats.is_some();
         if word && self.shown {
             self.show(Level::Low, registers, context);
@@ -134,5 +208,8 @@ impl Device for Paced {
     fn reset(&mut self) {
         Device::reset(&mut self.dma);
         (self.requested, self.shown, self.next_word) = (false, false, None);
+        if let Some(ring) = &mut self.ring {
+            ring.reset();
+        }
     }
 }

@@ -10,6 +10,8 @@ use rigless::soc::stm32f427::peripherals::dma::{Dma, Wire};
 use rigless::soc::stm32f427::peripherals::{adc, usart};
 use rigless::soc::{EraseBlocks, Region};
 
+use super::ring::Place;
+
 /// First byte of the flash.
 pub(super) const FLASH_BASE: u64 = 0x0800_0000;
 /// Bytes of flash (RM0383 table 4).
@@ -103,6 +105,22 @@ static DMA2_REQUESTS: [Wire; 2] = [
     wire("ADC1", adc::DMA_REQUEST, 0, &[0, 4]),
     wire("TIM1", UPDATE_REQUEST, 6, &[5]),
 ];
+
+/// The ring of the step timer's periods and that of the captured instants, which the tables above have as well.
+pub(super) const PERIODS: Place = Place {
+    stream: 5,
+    channel: 6,
+    instance: "TIM1",
+    request: UPDATE_REQUEST,
+};
+pub(super) const CAPTURES: Place = Place {
+    stream: 4,
+    channel: 6,
+    instance: "TIM5",
+    request: CHANNEL_REQUESTS[1],
+};
+/// TIM5_CCR2 (RM0383 table 1 and section 13.4.14).
+pub(super) const TIM5_CCR2: u64 = 0x4000_0C38;
 
 /// Both controllers with the STM32F411's requests.
 pub(super) fn controllers() -> [Dma; 2] {

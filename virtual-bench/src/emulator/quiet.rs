@@ -16,6 +16,22 @@ use super::forward::forward;
 const CAPTURE_REQUEST: u64 = 1 << 10;
 const RISING_EDGES: u64 = 1 << 4;
 
+/// CR1: it counts, down; SMCR: on the external trigger, with any filter (RM0383 sections 13.4.1 and 13.4.3).
+const COUNTS: u64 = 1 << 0;
+const DOWN: u64 = 1 << 4;
+const BY_TRIGGER: u64 = 1 << 14;
+const FILTER: u64 = 0xF << 8;
+/// Registers that stay as they were after the reset in the uses known here.
+const NOT_USED: [Register; 7] = [
+    Register::Cr2,
+    Register::Psc,
+    Register::Ccmr2Input,
+    Register::Ccr1,
+    Register::Ccr3,
+    Register::Ccr4,
+    Register::Dcr,
+];
+
 /// The timer. It takes its place on the bus.
 #[derive(Debug)]
 pub(super) struct Quiet {
@@ -28,6 +44,8 @@ pub(super) struct Quiet {
     awaited: Option<(EventId, VirtualNanos)>,
     /// When the timer wanted to be woken last.
     unheard: VirtualNanos,
+    /// When an input rose last, and how much later that had passed its filter, ns.
+    filtered: Option<(u64, u64)>,
 }
 
 impl Quiet {
@@ -43,6 +61,7 @@ impl Quiet {
             every_event,
             awaited: None,
             unheard: VirtualNanos(0),
+            filtered: None,
         })
     }
 
@@ -51,6 +70,12 @@ impl Quiet {
         self.tim = tim;
         self.awaited = None;
         self.unheard = VirtualNanos(0);
+        self.filtered = None;
+    }
+
+    /// Brings it up to date, as a look at a register without side effects does.
+    pub(super) fn settle(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        Device::read(&mut self.tim, Register::Cr1, registers, context);
     }
 
     /// Something outside the chip changes at one of the inputs. To high, or to low.
@@ -72,6 +97,10 @@ impl Quiet {
         };
         self.nowhere.reset();
         self.unheard = at;
+        if high {
+            let now_ns = context.now().0;
+            self.filtered = Some((now_ns, at.0 - now_ns));
+        }
         if is_noticed(high, registers) {
             self.await_at(at, context);
         }
@@ -92,6 +121,97 @@ impl Quiet {
         };
         registers.set(Register::Dier, value);
         Device::write(self, Register::Dier, value, registers, context);
+    }
+
+    /// Whether it does nothing but count rising edges of its external trigger, in the 32 bits it has.
+    pub(super) fn counts_edges(&self, registers: &RegisterFile) -> bool {
+        registers.get(Register::Cr1) & !DOWN == COUNTS
+            && registers.get(Register::Smcr) & !FILTER == BY_TRIGGER
+            && registers.get(Register::Arr) == u64::from(u32::MAX)
+            && NOT_USED
+                .iter()
+                .all(|&register| registers.get(register) == 0)
+            && registers.get(Register::Ccmr1Input) == 0
+            && registers.get(Register::Dier) == 0
+            && registers.get(Register::Ccer) == 0
+            && self.awaited.is_none()
+    }
+
+    /// Edges before its count comes near the end of its range, or to 0.
+    pub(super) fn edges_left(&self, registers: &RegisterFile, now: VirtualNanos) -> u64 {
+        let count = self.count(registers, now);
+        let room = match registers.get(Register::Cr1) & DOWN {
+            0 => u64::from(u32::MAX) - count,
+            _ => count,
+        };
+        // Near 0 the next edge may be the one that makes it 0; edges may be on their way through the filter.
+        let margin = 8;
+        let is_near_zero = count < margin || count > u64::from(u32::MAX) - margin;
+        if is_near_zero {
+            0
+        } else {
+            room.saturating_sub(margin)
+        }
+    }
+
+    /// Whether it does nothing but capture rising edges at channel 2, for DMA. How much later than an edge, ns, if that is known
+    /// for edges in step with the last one.
+    pub(super) fn captures_edges(
+        &self,
+        registers: &RegisterFile,
+        edge_ns: u64,
+        tick_ns: u64,
+    ) -> Option<u64> {
+        let (last_ns, after_ns) = self.filtered?;
+        let captures = registers.get(Register::Cr1) == COUNTS
+            && registers.get(Register::Smcr) == 0
+            && registers.get(Register::Arr) == u64::from(u32::MAX)
+            && NOT_USED
+                .iter()
+                .all(|&register| registers.get(register) == 0)
+            && registers.get(Register::Ccmr1Input) & 0x0FFF == 0x0100
+            && registers.get(Register::Dier) == CAPTURE_REQUEST
+            && registers.get(Register::Ccer) == RISING_EDGES
+            && self.awaited.is_none()
+            && after_ns < 400
+            && last_ns % tick_ns == edge_ns % tick_ns;
+        captures.then_some(after_ns)
+    }
+
+    /// The count, also in time to come.
+    pub(super) fn count(&self, registers: &RegisterFile, at: VirtualNanos) -> u64 {
+        Device::peek(&self.tim, Register::Cnt, registers, at).unwrap_or(0)
+    }
+
+    /// Counts edges that were kept from it, which all have passed the filter before `at`.
+    pub(super) fn skip(&mut self, edges: u64, at: VirtualNanos, registers: &mut RegisterFile) {
+        let (_, mut unheard) = self.nowhere.drive(at, 0);
+        Device::read(&mut self.tim, Register::Cr1, registers, &mut unheard);
+        let count = Device::peek(&self.tim, Register::Cnt, registers, at).unwrap_or(0);
+        let count = match registers.get(Register::Cr1) & DOWN {
+            0 => count + edges,
+            _ => count - edges,
+        };
+        let kept = registers.get(Register::Cnt);
+        Device::write(&mut self.tim, Register::Cnt, count, registers, &mut unheard);
+        registers.set(Register::Cnt, kept);
+        self.nowhere.reset();
+    }
+
+    /// Captures a rising edge that was kept from it, at `edge` and through the filter at `at`. Its instant has been moved to memory.
+    pub(super) fn capture(
+        &mut self,
+        edge: VirtualNanos,
+        at: VirtualNanos,
+        registers: &mut RegisterFile,
+        change: impl FnOnce(&mut Tim<General>, &mut RegisterFile, &mut DeviceContext<'_>),
+    ) {
+        let (_, mut unheard) = self.nowhere.drive(edge, 0);
+        change(&mut self.tim, registers, &mut unheard);
+        let (_, mut unheard) = self.nowhere.drive(at, 0);
+        Device::read(&mut self.tim, Register::Ccr2, registers, &mut unheard);
+        self.nowhere.reset();
+        self.unheard = at;
     }
 
     fn await_at(&mut self, at: VirtualNanos, context: &mut DeviceContext<'_>) {
@@ -152,8 +272,8 @@ impl Device for Quiet {
             return Device::on_event(&mut self.tim, event, registers, context);
         }
         self.awaited = None;
-        // The timer does not know this event. Reading a register without side effects brings it up to date.
-        Device::read(&mut self.tim, Register::Cr1, registers, context);
+        // The timer does not know this event.
+        self.settle(registers, context);
     }
 
     fn on_request(

@@ -2,9 +2,13 @@
 
 use super::forward::forward;
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
-use rigless::soc::Layout;
 use rigless::soc::st::tim::{Channel, Family, Tim, UPDATE_REQUEST};
-use rigless::time::EventId;
+use rigless::soc::stm32f427::generated::tim1;
+use rigless::soc::stm32f427::peripherals::tim::Advanced;
+use rigless::soc::{Bus, Layout};
+use rigless::time::{EventId, VirtualNanos};
+
+use super::course::{Course, Slot, Standing};
 
 /// A change of one compare output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,6 +35,12 @@ pub(super) struct Watched<F: Family> {
     moe_was_set: bool,
     /// The shortcut for bursts; none without it.
     burst: Option<Burst<F::Register>>,
+    /// It stands still while its course is followed elsewhere, see [`super::course`].
+    pub(super) parked: bool,
+    /// The event that the timer waits for without knowing it.
+    awaited: Option<EventId>,
+    /// When an event came while it stood still.
+    missed: Option<VirtualNanos>,
 }
 
 /// Offsets of registers (RM0383 section 12.4).
@@ -41,12 +51,15 @@ const ARR: u32 = 0x2C;
 const DCR: u32 = 0x48;
 const DMAR: u32 = 0x4C;
 /// Words of a burst {ARR, RCR, CCR1, CCR2, CCR3}, and DCR that asks for it.
-const WORDS: usize = 5;
+pub(super) const WORDS: usize = 5;
+/// Of one burst.
+pub(super) type Words = [u64; WORDS];
 const BURST: u64 = ((WORDS as u64 - 1) << 8) | (ARR as u64 / 4);
 /// The word for CCR2: its channel is not used, and the word is always the same.
 const NOT_PRELOADED: usize = 3;
 /// In CR1 and in CCMRx, and what else in CCMRx makes a channel an input.
 const PRELOADED_PERIOD: u64 = 1 << 7;
+const COUNTS: u64 = 1 << 0;
 const PRELOADED_ODD_CHANNEL: u64 = 1 << 3;
 const INPUTS: u64 = 0x0303;
 
@@ -65,7 +78,12 @@ struct Burst<R> {
     /// The burst in progress goes past the timer.
     past: bool,
     /// What went past the timer last.
-    words: Option<[u64; WORDS]>,
+    words: Option<Words>,
+    /// What went past it before that, and when the update came that makes it the period that is played; none while the processor
+    /// has a hand in it.
+    playing: Option<(Words, u64)>,
+    /// Bursts that went past it since the processor wrote one of their registers.
+    undisturbed: u64,
 }
 
 impl<R: Layout> Burst<R> {
@@ -85,6 +103,8 @@ impl<R: Layout> Burst<R> {
             next: 0,
             past: false,
             words: None,
+            playing: None,
+            undisturbed: 0,
         })
     }
 
@@ -117,6 +137,7 @@ impl<R: Layout> Burst<R> {
 
     fn reset(&mut self) {
         (self.next, self.past, self.words) = (0, false, None);
+        (self.playing, self.undisturbed) = (None, 0);
     }
 }
 
@@ -140,6 +161,9 @@ impl<F: Family> Watched<F> {
             edges: Vec::new(),
             moe_reads_from_ns: 0,
             moe_was_set: false,
+            parked: false,
+            awaited: None,
+            missed: None,
         }
     }
 
@@ -159,6 +183,7 @@ impl<F: Family> Watched<F> {
         };
         let (index, past) = burst.next(registers);
         if !past {
+            (burst.playing, burst.undisturbed) = (None, 0);
             return false;
         }
         let target = burst.targets[index];
@@ -168,7 +193,14 @@ impl<F: Family> Watched<F> {
             Device::write(&mut self.tim, target, value, registers, context);
         }
         if index == WORDS - 1 {
-            burst.words = Some(burst.targets.map(|target| registers.get(target)));
+            let arrived = burst.targets.map(|target| registers.get(target));
+            let counts = registers.get(burst.cr1) & COUNTS != 0;
+            let before = burst.words.replace(arrived);
+            let is_known = counts && burst.undisturbed > 0;
+            burst.playing = before
+                .filter(|_| is_known)
+                .map(|words| (words, context.now().0));
+            burst.undisturbed += 1;
             // The timer takes an acknowledgement of its request only where a burst has one word.
             let dcr = registers.get(burst.dcr);
             registers.set(burst.dcr, 0);
@@ -187,9 +219,11 @@ impl<F: Family> Watched<F> {
         context: &mut DeviceContext<'_>,
     ) {
         let Some(burst) = &mut self.burst else { return };
-        let Some((nth, words)) = burst.word_of(register).zip(burst.words) else {
+        let Some(nth) = burst.word_of(register) else {
             return;
         };
+        (burst.playing, burst.undisturbed) = (None, 0);
+        let Some(words) = burst.words else { return };
         let landed = registers.get(register);
         registers.set(register, words[nth]);
         Device::read(&mut self.tim, burst.cr1, registers, context);
@@ -215,6 +249,144 @@ impl<F: Family> Watched<F> {
     }
 }
 
+/// Registers of the step timer as a course needs them: it counts up, on its own clock, each of its outputs is high at the beginning
+/// of a period, and nobody but DMA hears of an update (RM0383 section 12.4).
+const AS_STEP_TIMER: [(tim1::Register, u64); 7] = [
+    (tim1::Register::Cr1, PRELOADED_PERIOD | COUNTS),
+    (tim1::Register::Cr2, 0),
+    (tim1::Register::Smcr, 0),
+    (tim1::Register::Psc, 0),
+    (tim1::Register::Ccmr1Output, 0x68),
+    (tim1::Register::Ccmr2Output, 0x68),
+    (tim1::Register::Ccer, 0x101),
+];
+/// DIER with the update's DMA request, and with the break's interrupt beside it.
+const REQUESTS: u64 = 1 << 8;
+const BREAK_INTERRUPT: u64 = 1 << 7;
+/// SR after a whole period: the update's flag and those of all channels; and the break's.
+const ALL_FLAGS: u64 = 0x1F;
+const BROKEN: u64 = 1 << 7;
+/// BDTR: an update does not set MOE.
+const AOE: u64 = 1 << 14;
+/// EGR: begins a period at once.
+const UPDATE: u64 = 1 << 0;
+/// Registers of a burst.
+const OF_BURST: [tim1::Register; WORDS] = [
+    tim1::Register::Arr,
+    tim1::Register::Rcr,
+    tim1::Register::Ccr1,
+    tim1::Register::Ccr2,
+    tim1::Register::Ccr3,
+];
+
+impl Watched<Advanced> {
+    /// Where the timer stands and how long its ticks are, ns, if its course follows from the ring.
+    pub(super) fn standing(
+        &self,
+        registers: &RegisterFile,
+        now: VirtualNanos,
+    ) -> Option<(Standing, u64)> {
+        let burst = self.burst.as_ref()?;
+        let ((playing, updated_ns), preloaded) = burst.playing.zip(burst.words)?;
+        let bdtr = registers.get(tim1::Register::Bdtr);
+        let is_step_timer = AS_STEP_TIMER
+            .iter()
+            .all(|&(register, value)| registers.get(register) == value)
+            && registers.get(tim1::Register::Dier) & !BREAK_INTERRUPT == REQUESTS
+            && registers.get(tim1::Register::Sr) & (ALL_FLAGS | BROKEN) == ALL_FLAGS
+            && bdtr & (MOE | AOE) == MOE
+            && burst.next == 0;
+        if !is_step_timer || now.0 < updated_ns {
+            return None;
+        }
+        let count = |at_ns: u64| {
+            let at = VirtualNanos(at_ns);
+            Device::peek(&self.tim, tim1::Register::Cnt, registers, at)
+        };
+        // Ticks of whole nanoseconds only.
+        let in_us = count(now.0 + 1_000)?.checked_sub(count(now.0)?)?;
+        let tick_ns = 1_000_u64
+            .checked_div(in_us)
+            .filter(|tick_ns| tick_ns * in_us == 1_000)?;
+        let (playing, preloaded) = (Slot(playing), Slot(preloaded));
+        let round_ns = (playing.0[0] + 1) * tick_ns;
+        let round = (now.0 - updated_ns) / round_ns;
+        let standing = Standing {
+            playing,
+            preloaded,
+            begun_ns: updated_ns + round * round_ns,
+            left: (playing.0[1] & 0xFF).checked_sub(round)?,
+        };
+        let counted = (now.0 - standing.begun_ns) / tick_ns;
+        (count(now.0) == Some(counted)).then_some((standing, tick_ns))
+    }
+
+    /// Puts the timer where its course has come to at `to`; `nowhere` is a bus on which nobody listens.
+    pub(super) fn resume(
+        &mut self,
+        course: &Course,
+        to: VirtualNanos,
+        nowhere: &mut Bus,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let Standing {
+            playing,
+            preloaded,
+            begun_ns,
+            left,
+        } = course.at;
+        if begun_ns != course.first_ns {
+            let kept = [tim1::Register::Dier, tim1::Register::Sr]
+                .map(|register| (register, registers.get(register)));
+            registers.set(tim1::Register::Dier, 0);
+            // A period of nothing blocks the counter, until the present round begins.
+            let present = [playing.0[0], left, playing.0[2], playing.0[3], playing.0[4]];
+            for (words, at_ns) in [([0; WORDS], course.from_ns), (present, begun_ns)] {
+                for (register, word) in OF_BURST.into_iter().zip(words) {
+                    registers.set(register, word);
+                }
+                nowhere.reset();
+                let (_, mut unheard) = nowhere.drive(VirtualNanos(at_ns), 0);
+                Device::write(
+                    &mut self.tim,
+                    tim1::Register::Egr,
+                    UPDATE,
+                    registers,
+                    &mut unheard,
+                );
+            }
+            for (register, value) in kept {
+                registers.set(register, value);
+            }
+            for (register, word) in OF_BURST.into_iter().zip(preloaded.0) {
+                registers.write_over_bus(register, word);
+            }
+            if let Some(burst) = &mut self.burst {
+                let round_ns = (playing.0[0] + 1) * course.tick_ns;
+                let updated_ns = begun_ns - ((playing.0[1] & 0xFF) - left) * round_ns;
+                burst.playing = Some((playing.0, updated_ns));
+                burst.words = Some(preloaded.0);
+            }
+        }
+        let planned = nowhere.next_event();
+        nowhere.reset();
+        let (_, mut unheard) = nowhere.drive(to, 0);
+        Device::read(&mut self.tim, tim1::Register::Cr1, registers, &mut unheard);
+        // Without a new plan the timer waits for what it asked for before, which may have come and been missed.
+        let missed = self.missed.take();
+        let next = nowhere.next_event().or(planned).or(missed);
+        nowhere.reset();
+        self.awaited = next.map(|at| context.schedule(at)).or(self.awaited);
+        self.parked = false;
+        for &number in self.watched {
+            let channel = Channel::new(number).expect("a channel");
+            let high = self.tim.output(channel, registers) == Some(Level::High);
+            self.high[usize::from(number) - 1] = high;
+        }
+    }
+}
+
 impl<F: Family> Device for Watched<F> {
     type Register = F::Register;
 
@@ -226,6 +398,7 @@ impl<F: Family> Device for Watched<F> {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
+        assert!(!self.parked, "a timer that stands still is read");
         if register.spec().offset == DMAR {
             // Nobody does that. It steps the burst, so that the two would no longer agree.
             self.burst = None;
@@ -246,6 +419,7 @@ impl<F: Family> Device for Watched<F> {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
+        assert!(!self.parked, "a timer that stands still is written");
         if register.spec().offset == DMAR {
             if !self.pass(value, registers, context) {
                 Device::write(&mut self.tim, register, value, registers, context);
@@ -271,7 +445,18 @@ impl<F: Family> Device for Watched<F> {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        Device::on_event(&mut self.tim, event, registers, context);
+        if self.parked {
+            self.missed = Some(context.now());
+            return;
+        }
+        if self.awaited == Some(event) {
+            self.awaited = None;
+            // Reading a register without side effects brings the timer up to date.
+            let first = F::Register::from_index(0).expect("a register");
+            Device::read(&mut self.tim, first, registers, context);
+        } else {
+            Device::on_event(&mut self.tim, event, registers, context);
+        }
         self.note(registers, context.now().0);
     }
 
@@ -303,12 +488,14 @@ impl<F: Family> Device for Watched<F> {
 
     fn reset(&mut self) {
         Device::reset(&mut self.tim);
+        (self.parked, self.awaited, self.missed) = (false, None, None);
         if let Some(burst) = &mut self.burst {
             burst.reset();
         }
     }
 
     fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        (self.parked, self.awaited, self.missed) = (false, None, None);
         if let Some(burst) = &mut self.burst {
             burst.reset();
         }

@@ -212,7 +212,9 @@ impl Capsule {
             if self.plant.is_quiet() {
                 self.supply_mv = self.regulated_mv();
                 let next = self.faults.next_ns().unwrap_or(until_ns);
-                self.now_ns = next.clamp(self.now_ns + 1, until_ns);
+                let next = next.clamp(self.now_ns + 1, until_ns);
+                self.plant.rest((next - self.now_ns) as f64 * 1e-9);
+                self.now_ns = next;
                 continue;
             }
             let step_ns = STEP_NS.min(until_ns - self.now_ns);

@@ -386,6 +386,39 @@ impl Rig {
         self.capture.keeps_from_dma()
     }
 
+    /// The jumpers to the read-back and to the capture input.
+    #[must_use]
+    pub fn jumpers(&self) -> [&Wire; 2] {
+        [&self.read_back, &self.capture]
+    }
+
+    /// Steps from now on, in this direction, that only move the carriage: no switch changes with them, no fault is due with them, and
+    /// none is lost.
+    #[must_use]
+    pub fn unnoticed_steps(&self) -> u64 {
+        if !self.enabled || !self.supplied || self.lose > 0 {
+            return 0;
+        }
+        let RigOptions {
+            flag, limit, stops, ..
+        } = self.options;
+        let at = self.carriage;
+        let left = self.away != self.options.reversed;
+        let (to_stop, changes) = if left {
+            (stops.1 - at, [flag - at, limit - 1 - at])
+        } else {
+            (at - stops.0, [at - flag - 1, at - limit])
+        };
+        let to_change = changes.into_iter().filter(|&steps| steps >= 0);
+        let steps = to_change.fold(to_stop, i64::min).max(0).unsigned_abs();
+        let made = self.edges.len() as u64;
+        let to_fault = self
+            .faults
+            .next_edge()
+            .map(|number| number.saturating_sub(made + 1));
+        to_fault.map_or(steps, |to_fault| steps.min(to_fault))
+    }
+
     /// Plans a fault.
     pub fn plan(&mut self, when: When, action: Action) {
         self.faults.plan(when, action);

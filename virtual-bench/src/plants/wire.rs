@@ -116,6 +116,17 @@ impl Wire {
         (comes && self.spike_until_ns.is_none()).then_some(at_ns + self.delay_ns)
     }
 
+    /// Whether it leads, if nothing but STEP changes what comes through.
+    #[must_use]
+    pub fn leads(&self) -> Option<bool> {
+        let plain = self.fault.is_none()
+            && self.spike_until_ns.is_none()
+            && self.delay_ns == 0
+            && self.jitter_ns == 0
+            && self.keeping == Keeping::Nothing;
+        plain.then_some(self.whole)
+    }
+
     /// Time has come to `now_ns`.
     pub fn advance(&mut self, now_ns: u64) {
         self.spike_until_ns = self.spike_until_ns.filter(|&until_ns| now_ns < until_ns);

@@ -5,9 +5,9 @@ use std::fs;
 use std::path::Path;
 
 use analysis::report::evaluation::evaluate;
-use campaign::folder::Campaign;
+use campaign::contents::Campaign;
+use campaign::form::Form;
 use campaign::ledger::{Source, Standing};
-use campaign::order::Form;
 use campaign::verify::verify;
 use host_tool::cli;
 use virtual_bench::connector::BenchPorts;

@@ -235,7 +235,7 @@ fn a_thread_that_slips_little_by_little_is_named_in_the_end() {
     capsule.check_clean();
 }
 
-/// The library is tried with this latency (`firmware-capsule/tests/plant`): with more, a jam near the end pulls harder.
+/// The library is tried with this latency (`simulated-machines/src/plant.rs`): with more, a jam near the end pulls harder.
 #[test]
 fn a_duty_follows_its_reading_as_soon_as_the_library_is_tried_with() {
     let mut capsule = referenced();

@@ -1,13 +1,13 @@
 //! The command line against the rig's image: what cannot be done is refused with a text that helps, and no edge leaves
 //! the pin.
 
-use client::link::address::Address;
+use client::address::Address;
 use client::link::{Link, OpenError};
 
 use crate::common::RigRun;
 use host_tool::cli;
-use host_tool::connector::{Candidate, Connector, Ports, Purpose};
 use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Ports, Purpose};
 use protocol::system::DeviceKind;
 use virtual_bench::bench::Bench;
 use virtual_bench::boards::rig::RigBoard;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use client::Device;
-use client::link::address::Address;
+use client::address::Address;
 use client::link::{Link, OpenError};
 use client::subject::Subject;
 use commissioning::halt::Halt;
@@ -18,8 +18,8 @@ use commissioning::session::{Ending, carry_out};
 use commissioning::steps;
 use commissioning::work::{Options, Work};
 use host_tool::cli;
-use host_tool::connector::{Candidate, Connector, Ports, Purpose};
 use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Ports, Purpose};
 use protocol::rig::GetRigHealth;
 use protocol::system::{DeviceKind, Urgent};
 use virtual_bench::bench::{Bench, BenchOptions};

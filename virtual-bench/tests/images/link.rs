@@ -347,44 +347,72 @@ fn what_is_no_host_does_not_keep_a_run_going() {
 /// How whoever takes the line over looks at the rig: `watch`, `serve`, and a `watch` with five windows at its door.
 const LOOKS_US: [u64; 3] = [250_000, 100_000, 20_000];
 
+/// A run whose host is gone after `for_us`, and the rig's next client, which looks at it.
+fn orphaned(run: Run, for_us: u64) -> (RigRun, Device, u64) {
+    let mut rig = quickly_homed();
+    rig.device.run(run).expect("accepted");
+    rig.device.idle(for_us, &mut Unobserved).expect("there");
+    let link = Box::new(VirtualLink::new(&rig.bench, "virtual rig"));
+    let gone_us = link.now_us();
+    let mut other = Device::connect(link, DeviceKind::Rig, 77).expect("it answers");
+    other.set_telemetry(50).expect("telemetry");
+    (rig, other, gone_us)
+}
+
+/// Looks every so often for so long; gives the time after the beginning of the last edge.
+fn look_on(rig: &RigRun, other: &mut Device, gone_us: u64, look_us: u64, for_us: u64) -> u64 {
+    let (mut last_us, mut edges) = (gone_us, rig.edge_count());
+    let mut look = gone_us;
+    while other.now_us() < gone_us + for_us {
+        other.observe(5_000, &mut Unobserved).expect("there");
+        if other.now_us() >= look {
+            other.rig_status().expect("an answer");
+            look += look_us;
+        }
+        let count = rig.edge_count();
+        if count > edges {
+            (last_us, edges) = (other.now_us(), count);
+        }
+    }
+    last_us - gone_us
+}
+
 /// The life of a run is that of whoever began it: questions of somebody else do not keep it going.
 #[test]
 fn a_bystander_does_not_keep_a_run_going_whose_host_is_gone() {
     for look_us in LOOKS_US {
         for trial in 0..trials(2, 20) {
             let mut dice = Dice(0x5107 + trial);
-            let mut rig = quickly_homed();
             let run = Run {
                 link_loss: LinkLossPolicy::Stop,
                 ..quick(200, 20_000, 40_000, 500_000)
             };
-            rig.device.run(run).expect("accepted");
-            let for_us = dice.roll(100_000..3_000_000);
-            rig.device.idle(for_us, &mut Unobserved).expect("there");
-            let link = Box::new(VirtualLink::new(&rig.bench, "virtual rig"));
-            let gone_us = link.now_us();
-            let mut other = Device::connect(link, DeviceKind::Rig, 77).expect("it answers");
-            other.set_telemetry(50).expect("telemetry");
-            let (mut last_us, mut edges) = (gone_us, rig.edge_count());
-            let mut look = gone_us;
-            while other.now_us() < gone_us + 2_500_000 {
-                other.observe(5_000, &mut Unobserved).expect("there");
-                if other.now_us() >= look {
-                    other.rig_status().expect("an answer");
-                    look += look_us;
-                }
-                let count = rig.edge_count();
-                if count > edges {
-                    (last_us, edges) = (other.now_us(), count);
-                }
-            }
-            let after_ms = (last_us - gone_us) / 1_000;
-            assert!(
-                (900..=1_100).contains(&after_ms),
-                "looks every {look_us} us, trial {trial}: the last edge after {after_ms} ms"
-            );
+            let (mut rig, mut other, gone_us) = orphaned(run, dice.roll(100_000..3_000_000));
+            let after_ms = look_on(&rig, &mut other, gone_us, look_us, 2_500_000) / 1_000;
+            eprintln!("looks every {look_us} us, trial {trial}: the last edge after {after_ms} ms");
+            assert!((900..=1_100).contains(&after_ms), "{after_ms} ms");
             let record = other.run_record().expect("a record");
             assert_eq!(record.outcome, RunOutcome::LinkLost);
+            rig.device = other;
+            rig.check_clean(0);
+        }
+    }
+}
+
+#[test]
+fn a_run_that_was_to_finish_finishes_whoever_looks_on() {
+    for look_us in LOOKS_US {
+        for trial in 0..trials(1, 20) {
+            let mut dice = Dice(0xf171 + trial);
+            let run = Run {
+                link_loss: LinkLossPolicy::Finish,
+                ..quick(3, 20_000, 40_000, 500_000)
+            };
+            let (mut rig, mut other, gone_us) = orphaned(run, dice.roll(100_000..500_000));
+            let after_ms = look_on(&rig, &mut other, gone_us, look_us, 4_500_000) / 1_000;
+            assert!((2_500..=4_000).contains(&after_ms), "{after_ms} ms");
+            let record = other.run_record().expect("a record");
+            assert_eq!(record.outcome, RunOutcome::Complete);
             rig.device = other;
             rig.check_clean(0);
         }

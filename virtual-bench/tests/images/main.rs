@@ -3,6 +3,7 @@
 
 mod common;
 
+mod accepted;
 mod campaign;
 mod capsule;
 mod capsule_settings;

@@ -312,7 +312,15 @@ fn a_halt_within_a_burst_shifts_no_word() {
 #[test]
 fn a_timer_that_is_reset_is_counted() {
     let mut dice = Dice(0x5EED_0C77);
-    let mut rig = quickly_homed();
+    let fast = Beats {
+        first_ns: 500,
+        apart_ns: 100,
+    };
+    let mut options = BenchOptions::new(board::image());
+    options.chip.burst = Some(fast);
+    let mut rig = start(RigOptions::default(), options);
+    home_quickly(&mut rig);
+    rig.home();
     let resets = |rig: &mut RigRun| {
         let hardware = rig.device.call(GetRigHardware).expect("counters");
         assert_eq!(hardware.dma_errors, 0);
@@ -332,14 +340,14 @@ fn a_timer_that_is_reset_is_counted() {
             first_ns: 500,
             apart_ns: 80_000,
         };
-        burst(&rig, Some(slow)).expect("the bench runs");
+        burst(&rig, slow).expect("the bench runs");
         let at_ns = rig.bench.now_ns() + dice.roll(20_000_000..50_000_000);
         rig.look(move |rig| rig.plan(When::At(at_ns), Action::Disturb(Switch::EStop, 1_000_000)));
         let record = rig.device.wait_run(&accepted, &mut Unobserved);
         let outcome = record.expect("a record").outcome;
         assert_eq!(outcome, RunOutcome::Faulted(RigFault::EStopLoop));
         rig.idle(5_000);
-        burst(&rig, None).expect("the bench runs");
+        burst(&rig, fast).expect("the bench runs");
         rig.device.acknowledge().expect("the loop is closed");
         rig.home();
         let edges = rig.edge_count();

@@ -32,8 +32,32 @@ struct Left {
     syncs: Vec<u64>,
     /// Records, telemetry, log, and what the bench counted.
     told: String,
-    ram: Fingerprint,
+    /// Registers and RAM, at some instants within the run and at the end.
+    chip: Vec<(Vec<Option<u32>>, Fingerprint)>,
     now_ns: u64,
+}
+
+/// Registers of the step timer, its read-back and capture, and of both DMA controllers' status and streams 4 and 5.
+fn registers() -> impl Iterator<Item = u32> {
+    let timers = [0x4001_0000, 0x4000_0000, 0x4000_0C00_u32];
+    let timers = timers.into_iter().flat_map(|at| (at..at + 0x50).step_by(4));
+    let controllers = [0x4002_6000, 0x4002_6400_u32];
+    let controllers = controllers
+        .into_iter()
+        .flat_map(|at| (at..at + 8).chain(at + 0x70..at + 0xA0).step_by(4));
+    timers.chain(controllers)
+}
+
+fn chip(rig: &RigRun) -> (Vec<Option<u32>>, Fingerprint) {
+    let seen = rig.bench.visit(|visit| {
+        let mut hash = Sha256::new();
+        for address in RAM.step_by(4) {
+            hash.update(visit.word(address).unwrap_or_default().to_le_bytes());
+        }
+        let seen = registers().map(|address| visit.register(address)).collect();
+        (seen, Fingerprint(hash.finalize().into()))
+    });
+    seen.expect("the bench runs")
 }
 
 fn scenario(number: u64, options: BenchOptions) -> Left {
@@ -69,6 +93,11 @@ fn scenario(number: u64, options: BenchOptions) -> Left {
     let mut told = Vec::new();
     let mut tell = |what: &dyn Debug| told.push(format!("{what:?}"));
     tell(&accepted);
+    let mut looks = Vec::new();
+    for _ in 0..dice.roll(0..6) {
+        rig.bench.advance_us(dice.roll(1..40_000)).expect(&story);
+        looks.push(chip(&rig));
+    }
     match number % 5 {
         0 => {
             rig.bench.advance_us(at_us).expect(&story);
@@ -105,19 +134,13 @@ fn scenario(number: u64, options: BenchOptions) -> Left {
         )
     }));
     told.push(rig.log());
-    let ram = rig.bench.visit(|visit| {
-        let mut hash = Sha256::new();
-        for address in RAM.step_by(4) {
-            hash.update(visit.word(address).unwrap_or_default().to_le_bytes());
-        }
-        Fingerprint(hash.finalize().into())
-    });
+    looks.push(chip(&rig));
     Left {
         story,
         edges: rig.edges(0).sha256(),
         syncs: rig.look(|rig| rig.syncs().to_vec()),
         told: told.join("\n"),
-        ram: ram.expect("the bench runs"),
+        chip: looks,
         now_ns: rig.bench.now_ns(),
     }
 }
@@ -166,6 +189,7 @@ fn mishap(number: u64, dice: &mut Dice, rig: &RigRun) -> Option<(When, Action)> 
 fn what_is_left_out_is_noticed_by_nobody() {
     let mut stories = 0;
     for number in 0..trials(5, 60) {
+        eprintln!("scenario {number}");
         let every_event = |every_event| {
             let mut options = BenchOptions::new(board::image());
             options.chip.every_event = every_event;

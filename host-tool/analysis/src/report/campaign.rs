@@ -1,7 +1,8 @@
-//! The report of a campaign: one page, its figures as SVG and PDF, and its tables as CSV, in the folder `report` of the campaign.
+//! The report of a campaign: one page, its figures as SVG and PDF, and its tables as CSV, in the campaign's folder
+//! `report`.
 //!
-//! A cell with a number that was worked out has the attribute `data-is`, its place in the tables: `docs/examples/check_report.py`
-//! works each of them out again from the campaign's own files and compares.
+//! A cell with a computed number has the attribute `data-is` with its place in the tables.
+//! `docs/examples/check_report.py` computes each of them again from the campaign's own files and compares.
 
 use std::fmt::Display;
 use std::fs;
@@ -20,15 +21,15 @@ use miette::Diagnostic;
 use serde::Serialize;
 use trials::trial::RecordError;
 
+use crate::figures::Figure;
 use crate::report::campaign_band::{BandSource, ModelBand, band};
 use crate::report::campaign_figures::{carriage, figure7, figure8, passes, run_over_plan};
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, motion_of};
-use crate::report::figures::Figure;
 use crate::report::section::{reasons, status};
 use crate::report::{Existing, ReportError, page, put};
 use crate::science::table;
 
-/// Why a campaign's report could not be written.
+/// Why a campaign's report was not written.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum CampaignReportError {
     /// The folder.
@@ -41,7 +42,7 @@ pub enum CampaignReportError {
     Report(#[from] ReportError),
 }
 
-/// What was written, and what must not be believed of it.
+/// The files written, and warnings about them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Written {
     /// The page.
@@ -52,27 +53,27 @@ pub struct Written {
     pub planned: usize,
     /// Trials that count.
     pub counted: usize,
-    /// Trials that do not, and why.
+    /// Trials that do not count, with the reasons.
     pub left_out: Vec<(u32, String)>,
-    /// Those of them that are done, but whose records cannot be relied on.
+    /// Number of those that are done but have unreliable records.
     pub defects: usize,
-    /// What `verify` has found.
+    /// Findings of `verify`.
     pub findings: Vec<String>,
     /// Where the data come from.
     pub origin: Origin,
 }
 
-/// Where the reports of a campaign are; `verify` leaves it out.
+/// Folder of a campaign's reports; `verify` ignores it.
 #[must_use]
 pub fn report_folder(campaign: &Path) -> PathBuf {
     campaign.join(manifest::NOT_COVERED)
 }
 
-/// Verifies a campaign, works out what it amounts to, and writes page, figures and tables, with a model's band behind the series.
+/// Verifies a campaign, evaluates it, and writes page, figures and tables, with a model's band behind the series.
 ///
 /// # Errors
-/// It cannot be read, the page is there already, or something cannot be written. Each file is written whole or not at all,
-/// the page last.
+/// It cannot be read, the page already exists, or something cannot be written. Each file is written completely or not
+/// at all, the page last.
 pub fn write(
     folder: &Path,
     existing: Existing,
@@ -94,7 +95,7 @@ pub fn write(
     let mut files = vec![];
     let mut keep = |name: &str, bytes: &[u8]| {
         let path = into.join(name);
-        // Figures and tables go with their page, so they are replaced with it.
+        // Figures and tables belong to their page, so they are replaced with it.
         put(&path, bytes, Existing::Replace)?;
         files.push(path);
         Ok::<_, ReportError>(())
@@ -154,7 +155,7 @@ pub fn write(
     })
 }
 
-/// A figure of an earlier report, of trials that no longer count.
+/// Removes a figure that an earlier report drew of trials that no longer count.
 fn remove_stale(path: &Path) -> Result<(), ReportError> {
     match fs::remove_file(path) {
         Err(io) if io.kind() != ErrorKind::NotFound => Err(RecordError::write(path, io).into()),
@@ -275,7 +276,7 @@ fn summary(evaluation: &Evaluation) -> Markup {
     }
 }
 
-/// A number that the check works out again.
+/// A number that `check_report.py` computes again.
 fn cell(is: &str, value: impl Display) -> Markup {
     html! { span data-is=(is) { (value.to_string()) } }
 }
@@ -303,7 +304,7 @@ fn condition_key(row: &ConditionRow) -> String {
     )
 }
 
-/// The conditions for these purposes; `kind` heads the column that tells them apart.
+/// Table of the conditions for these purposes; `kind` heads the column that distinguishes the purposes.
 fn conditions(evaluation: &Evaluation, purposes: &[Purpose], kind: Option<&str>) -> Markup {
     let rows = || {
         let rows = evaluation.conditions.iter();

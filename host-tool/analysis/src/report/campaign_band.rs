@@ -1,6 +1,6 @@
-//! The model's band behind the displacements of a campaign: what the paper's words, or a calibration, leave open.
+//! The model's band behind the displacements of a campaign: the range left by the paper's words or by a calibration.
 
-use campaign::folder::TRIALS;
+use campaign::files::TRIALS;
 use campaign::manifest::hex;
 use campaign::plan::{Lubrication, Purpose};
 use locomotion::model::{Model, Setting, Value};
@@ -11,17 +11,17 @@ use crate::report::evaluation::Evaluation;
 use crate::science::bands::{self, Bands, Body};
 use crate::science::posterior::Posterior;
 
-/// Most bodies of which a band is drawn: more of them move its edges by less than the line's width.
+/// Most bodies for a band: more of them move its edges by less than the width of the line.
 const MOST_BODIES: usize = 110;
-/// Indentations at which it is worked out.
+/// Number of indentations at which the band is computed.
 const DEPTHS: u32 = 5;
 
-/// Whose bodies are drawn.
+/// Origin of the bodies of a band.
 #[derive(Clone, Debug)]
 pub struct BandSource {
     /// Design and rig.
     pub model: Model,
-    /// Bodies of a calibration; none: those that agree with the paper's words.
+    /// Bodies of a calibration; without it, those that agree with the paper's words.
     pub posterior: Option<Posterior>,
 }
 
@@ -35,7 +35,7 @@ impl Default for BandSource {
 }
 
 impl BandSource {
-    /// Some of the bodies, evenly taken, and a sentence on what they are.
+    /// At most `MOST_BODIES` of the bodies, evenly taken, and a sentence that describes them.
     fn bodies(&self, model: &Model) -> (Vec<Body>, String) {
         let (all, of) = match &self.posterior {
             Some(posterior) => (bands::fitted(model, posterior), posterior.what()),
@@ -57,7 +57,7 @@ impl BandSource {
     }
 }
 
-/// A band, and what has to be said of it.
+/// A band with its descriptions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelBand {
     /// From left to right and back: indentation and displacement, mm.
@@ -68,8 +68,8 @@ pub struct ModelBand {
     pub meaning: String,
 }
 
-/// The band of a campaign's series, from its least indentation to its greatest: net displacement of its run. None with
-/// fewer than two indentations, and where the model does not cover them.
+/// The band of a campaign's net displacement, from its least indentation to its greatest. None with fewer than two
+/// indentations, or if the model does not cover them.
 #[must_use]
 pub fn band(evaluation: &Evaluation, source: &BandSource) -> Option<ModelBand> {
     let walls = [Lubrication::Dry, Lubrication::Lubricated];
@@ -119,7 +119,7 @@ pub fn band(evaluation: &Evaluation, source: &BandSource) -> Option<ModelBand> {
     })
 }
 
-/// Whether the trials of this campaign are among those of a posterior.
+/// Whether a posterior was fitted to trials of this campaign.
 fn rests_on(posterior: &Posterior, evaluation: &Evaluation) -> bool {
     let Some(hash) = evaluation.manifest.0.get(TRIALS) else {
         return false;

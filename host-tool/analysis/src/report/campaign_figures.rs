@@ -1,26 +1,23 @@
-//! The figures of a campaign: displacement against indentation (the paper's Fig. 7), folded against unfolded (its Fig. 8),
-//! and each run against its plan.
+//! The figures of a campaign: displacement against indentation (the paper's Fig. 7), folded against unfolded (its
+//! Fig. 8), and each run against its plan.
 
-use campaign::order::{Form, doing};
+use campaign::form::Form;
+use campaign::order::doing;
 use campaign::plan::{Lubrication, Purpose};
 use plotters::style::RGBColor;
 use trials::trial::{Action, RigSample, Screw};
 
+use crate::figures::palette::{BAND, DRY, IN_RUN, MEASURED, MEASURED as WET, PLANNED};
+use crate::figures::{
+    Chart, Curve, Figure, FigureError, Heading, Mark, Source, figure, planned, sampled, thinned,
+};
 use crate::report::campaign_band::ModelBand;
 use crate::report::check;
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
-use crate::report::figures::{
-    Chart, Curve, Figure, FigureError, Heading, MEASURED, Mark, PLANNED, Source, figure, planned,
-    sampled, thinned,
-};
 
-const DRY: RGBColor = RGBColor(0xc0, 0x6a, 0x10);
-const WET: RGBColor = MEASURED;
-const BAND: RGBColor = RGBColor(0x4a, 0x4a, 0x4a);
-const IN_RUN: RGBColor = RGBColor(0x3a, 0x8a, 0x4c);
 /// Points of a band's edge.
 const EDGE: u32 = 48;
-/// Stretches of time of which a run's figure shows the extremes.
+/// Number of time intervals for which a run's figure shows the extremes.
 const STRETCHES: usize = 250;
 
 fn curve(label: impl Into<String>, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> Curve {
@@ -47,7 +44,8 @@ fn bar(x: f64, mean: f64, sd: f64, half_width: f64) -> [(f64, f64); 8] {
     ]
 }
 
-/// Displacement against indentation, before the model's band if there is one; none without a trial that counts.
+/// Displacement against indentation, with the model's band behind it if there is one; none without a trial that
+/// counts.
 #[must_use]
 pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figure> {
     let mut curves = vec![];
@@ -86,7 +84,7 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figu
         });
         let label = format!("{name}, n = {}", points.len());
         curves.push(curve(label, colour, Mark::Dots(7), points));
-        // Of different width, so that both can be seen where they cover each other.
+        // Use different widths, so that both bars are visible where they overlap.
         let half_width = if lubrication == Lubrication::Dry {
             0.08
         } else {
@@ -97,7 +95,7 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figu
     if curves.is_empty() {
         return None;
     }
-    // Below all else.
+    // Insert first, so that the band is behind all curves.
     if let Some(band) = band {
         curves.insert(0, curve(band.label, BAND, Mark::Area, band.outline.clone()));
     }
@@ -158,8 +156,8 @@ fn bars<'a>(rows: impl Iterator<Item = &'a ConditionRow>, half_width: f64) -> Ve
     .collect()
 }
 
-/// Folded against unfolded over time; none without a trial that counts. The displacement is read at the beginning, where it
-/// is zero, and at the end; between them is the carriage.
+/// Folded against unfolded over time; none without a trial that counts. The displacement is known at the beginning,
+/// where it is zero, and at the end; between them the figure shows the carriage.
 #[must_use]
 pub fn figure8(evaluation: &Evaluation) -> Option<Figure> {
     let shapes = [
@@ -242,14 +240,14 @@ fn samples(run: &Part) -> Option<(Vec<RigSample>, u64, Screw)> {
     };
     let (samples, _) = check::read::<RigSample>(&run.sidecar, &run.trial);
     let start_us = match &run.trial.action {
-        // No event tells when a move begins: its record does just before.
+        // No event marks the start of a move, but its record begins just before.
         Action::Move { .. } => samples.first()?.time_us,
         _ => check::run_start_us(&run.trial)?,
     };
     (!samples.is_empty()).then_some((samples, start_us, *screw))
 }
 
-/// The carriage in a pass; none without telemetry.
+/// Position of the carriage during a pass; none without telemetry.
 ///
 /// # Errors
 /// If the drawing library fails.
@@ -267,7 +265,7 @@ pub fn carriage(name: &str, pass: &Part) -> Result<Option<String>, FigureError> 
     figure(&Heading::new(name, Source::Records(origin)), vec![chart]).map(Some)
 }
 
-/// A run over its plan, and what is between them; none without telemetry or plan.
+/// A run over its plan, and the difference; none without telemetry or plan.
 ///
 /// # Errors
 /// If the drawing library fails.

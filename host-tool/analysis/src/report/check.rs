@@ -1,6 +1,6 @@
-//! Holds a trial's telemetry against its sidecar: a record that contradicts itself must not look complete.
+//! Checks a trial's telemetry against its sidecar, so that a contradictory record does not look complete.
 //!
-//! Pure but for [`read`]. Each defect is a sentence with its numbers.
+//! Pure, except for [`read`]. Each defect is a sentence with its numbers.
 
 use std::path::Path;
 
@@ -12,20 +12,20 @@ use protocol::system::What;
 use serde::Deserialize;
 use trials::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial};
 
-/// A sample is sent a little late when the device has something more urgent to do, us.
+/// Tolerance for a late sample, us: the device sends it late when it has something more urgent to do.
 const LATE_US: u64 = 10_000;
-/// The thread may settle so much between the end of a motion and the last sample, um.
+/// Distance that the thread may settle between the end of a motion and the last sample, um.
 const SETTLES_UM: u32 = 300;
 
-/// What a row of either machine has.
+/// Common fields of the telemetry rows of both machines.
 pub trait Sample: for<'de> Deserialize<'de> {
     /// Device time, us.
     fn time_us(&self) -> u64;
     /// Samples lost just before.
     fn missed(&self) -> u16;
-    /// As the row says.
+    /// Origin as the row states it.
     fn origin(&self) -> Origin;
-    /// A number of the row that is none, or contradicts another one.
+    /// An invalid number of the row, or one that contradicts another.
     fn wrong(&self, trial: &Trial) -> Option<String>;
 }
 
@@ -76,7 +76,7 @@ impl Sample for CapsuleSample {
     }
 }
 
-/// Reads the telemetry as far as it can be read; what is wrong with the file is among the defects.
+/// Reads the telemetry up to the first unreadable row; reports what is wrong with the file as defects.
 pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
     let path = sidecar.with_file_name(&trial.telemetry);
     let name = &trial.telemetry;
@@ -89,7 +89,7 @@ pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
         match row {
             Ok(sample) => samples.push(sample),
             Err(error) => {
-                // What comes after it is not trusted.
+                // Do not trust the rows after it.
                 let row = samples.len() + 1;
                 return (
                     samples,
@@ -101,7 +101,7 @@ pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
     (samples, vec![])
 }
 
-/// What is wrong with a rig's trial.
+/// Defects of a rig's run.
 #[must_use]
 pub fn run(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
     let mut defects = telemetry(trial, samples);
@@ -137,7 +137,7 @@ pub fn run(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
     defects
 }
 
-/// What is wrong with the record of a move.
+/// Defects of the record of a move.
 #[must_use]
 pub fn movement(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
     let mut defects = telemetry(trial, samples);
@@ -189,7 +189,7 @@ pub fn movement(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
             sample.position_steps
         ));
     }
-    // What was not recorded has no length: the samples have to last as long as the move, but for one at either end.
+    // A move has no recorded duration: the samples have to span it, except for one interval at either end.
     if let [first, .., last] = samples {
         let lasted_us = last.time_us.saturating_sub(first.time_us);
         let every_us = samples
@@ -209,7 +209,7 @@ pub fn movement(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
     defects
 }
 
-/// What is wrong with a capsule's trial.
+/// Defects of a capsule's trial.
 #[must_use]
 pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Vec<String> {
     let mut defects = telemetry(trial, samples);
@@ -259,7 +259,7 @@ pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Vec<String> {
     defects
 }
 
-/// Start of a run by its event, device time.
+/// Start of a run according to its event, device time.
 #[must_use]
 pub fn run_start_us(trial: &Trial) -> Option<u64> {
     let started = |what: &What| matches!(what, What::Rig(RigEvent::RunStarted { .. }));
@@ -267,7 +267,7 @@ pub fn run_start_us(trial: &Trial) -> Option<u64> {
     Some(event.time_us)
 }
 
-/// Start of an actuation by its event, device time.
+/// Start of an actuation according to its event, device time.
 #[must_use]
 pub fn actuation_start_us(trial: &Trial) -> Option<u64> {
     let started = |what: &What| matches!(what, What::Capsule(CapsuleEvent::Started { .. }));
@@ -281,11 +281,11 @@ fn agree(holds: bool, otherwise: &str, defects: &mut Vec<String>) {
     }
 }
 
-/// What both machines' telemetry has in common.
+/// Checks that apply to the telemetry of both machines.
 fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Vec<String> {
     let mut defects = vec![];
     let name = &trial.telemetry;
-    // While it was running, the sidecar did not know how many there would be.
+    // While a trial runs, its sidecar does not know the final number of samples.
     if trial.status != Status::Running {
         if samples.len() as u64 != trial.samples {
             defects.push(format!(
@@ -346,7 +346,7 @@ fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Vec<String> {
     defects
 }
 
-/// Time between samples, us: the middle one of those without a loss.
+/// Time between samples, us: the median of those without a loss between them.
 fn interval_us<T: Sample>(samples: &[T]) -> Option<u64> {
     let mut all: Vec<u64> = samples
         .windows(2)
@@ -357,7 +357,7 @@ fn interval_us<T: Sample>(samples: &[T]) -> Option<u64> {
     all.get(all.len() / 2).copied()
 }
 
-/// Longest time that these samples may be apart when so many were lost between them.
+/// Longest plausible time between two samples with `missed` lost ones between them.
 fn longest_us(interval_us: u64, missed: u16) -> u64 {
     let missed_us = interval_us.saturating_mul(u64::from(missed) + 1);
     missed_us.saturating_add(LATE_US.max(interval_us - interval_us.div_ceil(10)))
@@ -382,7 +382,7 @@ fn gaps<T: Sample>(trial: &Trial, samples: &[T], defects: &mut Vec<String>) {
     }
 }
 
-/// The telemetry begins with the motion and ends with it.
+/// Checks that the telemetry begins and ends with the motion.
 fn covers<T: Sample>(
     trial: &Trial,
     samples: &[T],
@@ -410,7 +410,7 @@ fn covers<T: Sample>(
         ));
     }
     let end_us = start_us.saturating_add(duration_us);
-    // Samples that the link lost after the last row are told by no row.
+    // No row reports samples that the link lost after the last row.
     if last.time_us().saturating_add(longest_us(interval_us, 2)) < end_us {
         defects.push(format!(
             "{name} ends {} s before the motion",
@@ -419,7 +419,7 @@ fn covers<T: Sample>(
     }
 }
 
-/// Plan and execution of a run that is called complete.
+/// Compares plan and execution of a run whose status is complete.
 fn planned_and_done(
     trial: &Trial,
     screw: &Screw,
@@ -494,8 +494,8 @@ fn planned_and_done(
     }
 }
 
-/// The way of the telemetry against the counted steps. A reversal between two samples hides at most what the rig can go
-/// meanwhile, there and back.
+/// Compares the distance in the telemetry with the counted steps. A reversal between two samples hides at most the
+/// distance that the rig can travel meanwhile, there and back.
 fn travelled(
     screw: &Screw,
     achieved: &Achieved,

@@ -1,28 +1,32 @@
-//! What a campaign amounts to: which trials count and why others do not, means, deviations and lines, and what the rig and
-//! the capsule recorded of each trial. Its rows are the tables of the report.
+//! Evaluates a campaign: which trials count and why others do not, means, deviations and lines, and the records of
+//! rig and capsule for each trial. Its rows are the tables of the report.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use campaign::CampaignError;
-use campaign::folder::{ATTEMPTS, Campaign};
+use campaign::contents::Campaign;
+use campaign::differences::Finding;
+use campaign::differences::read_manifest;
+use campaign::files::ATTEMPTS;
+use campaign::form::Form;
 use campaign::ledger::{Attempt, Outcome, Source, Standing, TrialState};
 use campaign::manifest::{self, Manifest};
-use campaign::order::{Condition, Form};
+use campaign::order::Condition;
 use campaign::plan::{Lubrication, Millimetres, Purpose};
 use campaign::readings::{Quantity, Summary};
 use campaign::statistics::{Line, Spread};
-use campaign::verify::{self, Finding};
+use campaign::verify;
 use client::identity::{IdentityRecord, Origin};
 use client::limited;
 use serde::{Serialize, Serializer};
 use trials::trial::{Action, CapsuleSample, RigSample, Trial};
 
+use crate::figures::position_at;
 use crate::report::check;
-use crate::report::figures::position_at;
 
-/// A number with so many decimals as are shown, on the page and in the tables alike.
+/// A number printed with `DECIMALS` decimals, the same on the page and in the tables.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rounded<const DECIMALS: usize>(pub f64);
 
@@ -47,7 +51,7 @@ impl<const DECIMALS: usize> Serialize for Rounded<DECIMALS> {
     }
 }
 
-/// Displacements after the strokes of a run, in one cell with blanks between them; empty if they are left out.
+/// Displacements after the strokes of a run, in one cell, separated by blanks; empty if there are none.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct StrokesMm(pub Vec<Millimetres>);
 
@@ -73,18 +77,18 @@ pub struct TrialRow {
     pub indentation: String,
     /// Shape of the body.
     pub shape: Form,
-    /// Which of the repeats.
+    /// Number of the repeat.
     pub repeat: u32,
-    /// It is in means and lines.
+    /// Whether it is part of means and lines.
     pub counts: bool,
-    /// Why it is not.
+    /// Why it does not count.
     pub reason: Option<String>,
-    /// It is done, but its record cannot be relied on.
+    /// Whether it is done but its record is unreliable.
     #[serde(skip)]
     pub has_defect: bool,
-    /// Attempts at it.
+    /// Number of attempts.
     pub attempts: usize,
-    /// The one that stands.
+    /// The attempt that counts.
     pub attempt: Option<u32>,
     /// Its indentation a_n by Eq. 8.
     pub indentation_mm: Option<Millimetres>,
@@ -98,13 +102,13 @@ pub struct TrialRow {
     pub planned_steps: Option<u64>,
     /// Steps that the generator emitted.
     pub commanded_steps: Option<u64>,
-    /// Steps that were seen at the pin.
+    /// Steps counted at the pin.
     pub counted_steps: Option<u64>,
     /// Largest residual of the position ledger.
     pub worst_residual_steps: Option<i32>,
-    /// Largest difference of a sample's position from the plan, either way.
+    /// Largest deviation of a sample's position from the plan, in either direction.
     pub greatest_deviation_mm: Option<Rounded<4>>,
-    /// Duration of the run by the step timer, less the plan's, ticks of 10 ns.
+    /// Duration of the run by the step timer minus that of the plan, ticks of 10 ns.
     pub late_ticks: Option<i64>,
     /// False pulses on the limit inputs.
     pub glitches: Option<u32>,
@@ -120,7 +124,7 @@ pub struct TrialRow {
     pub telemetry: Option<String>,
     /// Its hash by the manifest.
     pub telemetry_sha256: Option<String>,
-    /// Where all this comes from.
+    /// Origin of the data.
     pub origin: Origin,
 }
 
@@ -139,13 +143,13 @@ pub struct ConditionRow {
     pub planned: usize,
     /// Trials that count.
     pub n: usize,
-    /// Mean of a_n over them.
+    /// Mean of a_n over the trials that count.
     pub indentation_mm: Option<Rounded<3>>,
     /// Mean of their displacements.
     pub mean_mm: Option<Rounded<3>>,
     /// Standard deviation of the sample.
     pub sd_mm: Option<Rounded<3>>,
-    /// Where all this comes from.
+    /// Origin of the data.
     pub origin: Origin,
 }
 
@@ -154,19 +158,19 @@ pub struct ConditionRow {
 pub struct LineRow {
     /// State of the walls.
     pub lubrication: Lubrication,
-    /// Trials.
+    /// Number of trials.
     pub n: usize,
     /// Rise, mm of displacement per mm of indentation.
     pub slope: Rounded<4>,
-    /// Half the width of its interval with 95 %.
+    /// Half the width of its 95 % interval.
     pub slope_half_95: Option<Rounded<4>>,
-    /// Value without indentation.
+    /// Value at zero indentation.
     pub intercept_mm: Rounded<4>,
-    /// Share of the spread that the line explains.
+    /// Share of the variance that the line explains.
     pub r_squared: Option<Rounded<4>>,
     /// Standard deviation about the line.
     pub residual_sd_mm: Option<Rounded<4>>,
-    /// Where all this comes from.
+    /// Origin of the data.
     pub origin: Origin,
 }
 
@@ -175,19 +179,19 @@ pub struct LineRow {
 pub struct AttemptRow {
     /// The trial.
     pub trial: u32,
-    /// From 1.
+    /// Number of the attempt, from 1.
     pub attempt: u32,
     /// When it began.
     pub began_utc: String,
     /// How it ended.
     pub outcome: Option<Outcome>,
-    /// The trial rests on it.
+    /// Whether the trial uses this attempt.
     pub stands: bool,
     /// Why it does not.
     pub reason: Option<String>,
     /// The camera's file.
     pub camera_file: Option<String>,
-    /// Where all this comes from.
+    /// Origin of the data.
     pub origin: Origin,
 }
 
@@ -196,7 +200,7 @@ pub struct AttemptRow {
 pub struct ReadingsRow {
     /// Number of the set.
     pub readings_set: u32,
-    /// What was measured.
+    /// Measured quantity.
     pub quantity: Quantity,
     /// Name of the indentation; empty for the width.
     pub indentation: Option<String>,
@@ -206,22 +210,22 @@ pub struct ReadingsRow {
     pub mean_mm: Rounded<4>,
     /// Standard deviation of the sample.
     pub sd_mm: Rounded<4>,
-    /// The greatest less the least.
+    /// Greatest reading minus least.
     pub spread_mm: Millimetres,
     /// a_n = (D - i_n)/2 with the last D, Eq. 8.
     pub indentation_mm: Option<Rounded<4>>,
-    /// Where all this comes from.
+    /// Origin of the data.
     pub origin: Origin,
 }
 
-/// A record of a machine that is part of a trial.
+/// A machine's record that is part of a trial.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
     /// Its sidecar.
     pub sidecar: PathBuf,
-    /// What it says.
+    /// Its content.
     pub trial: Trial,
-    /// What is wrong with it.
+    /// Its defects.
     pub defects: Vec<String>,
 }
 
@@ -230,9 +234,9 @@ pub struct Part {
 pub struct Evaluation {
     /// The campaign.
     pub campaign: Campaign,
-    /// Where its data come from.
+    /// Origin of the data.
     pub origin: Origin,
-    /// What `verify` has found.
+    /// Findings of `verify`.
     pub findings: Vec<Finding>,
     /// The hashes, as listed.
     pub manifest: Manifest,
@@ -254,18 +258,18 @@ pub struct Evaluation {
     pub devices: Vec<IdentityRecord>,
     /// Names and versions of the tools that recorded.
     pub tools: Vec<String>,
-    /// How the rig was, by the records of the attempts that stand: name, image, commissioning.
+    /// State of the rig in the records of the attempts that count: name, image, commissioning.
     pub rigs: Vec<[String; 3]>,
 }
 
-/// Reads a campaign's folder, verifies it first, and works out what it amounts to.
+/// Reads a campaign's folder, verifies it first, and evaluates it.
 ///
 /// # Errors
 /// It is no campaign, or one whose ledger cannot be read.
 pub fn evaluate(folder: &Path) -> Result<Evaluation, CampaignError> {
     let findings = verify::verify(folder)?.findings;
     let campaign = Campaign::read(folder)?;
-    let manifest = verify::manifest(folder)?.unwrap_or_default();
+    let manifest = read_manifest(folder)?.unwrap_or_default();
     let manifest_sha256 = manifest::hash_file(&folder.join(manifest::NAME))
         .map(|hash| manifest::hex(&hash))
         .unwrap_or_default();
@@ -306,7 +310,7 @@ pub fn evaluate(folder: &Path) -> Result<Evaluation, CampaignError> {
     Ok(evaluation)
 }
 
-/// The records in the folder of the attempt that stands.
+/// The records in the folder of the attempt that counts.
 fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
     let Some(attempt) = state.attempt() else {
         return vec![];
@@ -319,7 +323,7 @@ fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
     files.sort();
     let mut parts: Vec<Part> = files
         .into_iter()
-        // Other JSON files are no records of a machine; `verify` looks after them.
+        // Other JSON files are not records of a machine; `verify` checks them.
         .filter_map(|sidecar| Some((Trial::read(&sidecar).ok()?, sidecar)))
         .map(|(trial, sidecar)| {
             let defects = match &trial.action {
@@ -366,7 +370,8 @@ pub fn motion_of(parts: &[Part], purpose: Purpose) -> Option<&Part> {
     }
 }
 
-/// Position of each sample, less that of the plan at its time: (s, mm). None for a run that was held, or not planned.
+/// Position of each sample minus that of the plan at the same time: (s, mm). None for a run that was held or not
+/// planned.
 #[must_use]
 pub fn deviations(trial: &Trial, samples: &[RigSample]) -> Option<Vec<(f64, f64)>> {
     let Action::Run {
@@ -392,7 +397,7 @@ pub fn deviations(trial: &Trial, samples: &[RigSample]) -> Option<Vec<(f64, f64)
 }
 
 impl Evaluation {
-    /// The file's path within the folder, as the manifest has it.
+    /// The file's path within the folder, as in the manifest.
     #[must_use]
     pub fn within(&self, file: &Path) -> String {
         let file = file.strip_prefix(&self.campaign.folder).unwrap_or(file);
@@ -400,13 +405,13 @@ impl Evaluation {
         parts.collect::<Vec<_>>().join("/")
     }
 
-    /// The file's hash by the manifest.
+    /// The file's hash according to the manifest.
     #[must_use]
     pub fn hash(&self, file: &Path) -> Option<String> {
         Some(manifest::hex(self.manifest.0.get(&self.within(file))?))
     }
 
-    /// Why a trial does not count by the ledger; none for one that is done.
+    /// Why a trial does not count according to the ledger; none for one that is done.
     fn not_done(state: &TrialState) -> Option<String> {
         let of = |what: &str, why: &str| match why {
             "" => what.to_owned(),
@@ -434,7 +439,7 @@ impl Evaluation {
         }
     }
 
-    /// Why the record of a trial that is done cannot be relied on.
+    /// Why the record of a finished trial is unreliable.
     fn record_defect(&self, state: &TrialState, parts: &[Part]) -> Option<String> {
         let attempt = state.attempt()?;
         let folder = format!(
@@ -573,7 +578,7 @@ impl Evaluation {
         }
     }
 
-    /// Trials for a purpose that count: (a_n, displacement), mm.
+    /// (a_n, displacement) of the trials that count for a purpose, mm.
     #[must_use]
     pub fn points(&self, purpose: Purpose, lubrication: Lubrication) -> Vec<(f64, f64)> {
         self.trials
@@ -618,7 +623,7 @@ impl Evaluation {
             .into_values()
             .map(|(condition, rows)| {
                 let counted: Vec<&&TrialRow> = rows.iter().filter(|row| row.counts).collect();
-                // In whole micrometres, so that a mean is exact and `campaign status` rounds the same one.
+                // Compute in whole micrometres: the mean is then exact, and `campaign status` rounds the same one.
                 let spread_um = |of: fn(&TrialRow) -> Option<Millimetres>| {
                     let values = counted.iter().filter_map(|row| of(row));
                     Spread::of(&values.map(|value| value.um as f64).collect::<Vec<_>>())
@@ -668,7 +673,7 @@ impl Evaluation {
     }
 }
 
-/// What was kept of the rig before an attempt; none if it was not kept.
+/// The rig's state recorded before an attempt; none if it was not recorded.
 fn conditions(folder: &Path) -> Option<[String; 3]> {
     let text = limited::read_text(&folder.join("conditions.json"), limited::RECORD).ok()?;
     let conditions: serde_json::Value = serde_json::from_str(&text).ok()?;

@@ -1,9 +1,10 @@
-//! The page around a report: style for light and dark, telephone and print, and the banner that says what it is worth.
+//! The page around a report: style for light and dark, telephone and print, and the banner on the origin of the data.
 
 use client::identity::Origin;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-/// Colours come twice: the figures' are attributes of their elements, so the dark page changes them by their values.
+/// Each colour appears twice: the figures' colours are attributes of their elements, so the dark page changes them by
+/// value.
 const STYLE: &str = "\
 :root{color-scheme:light;--ink:#222;--soft:#555;--line:#ddd;--page:#fff;--ok:#176b2c;--bad:#a51d1d;--link:#1f5aa8;--alarm:#a51d1d}\
 @media screen and (prefers-color-scheme:dark){:root{color-scheme:dark;--ink:#e6e6e6;--soft:#a9adb5;--line:#3a3e45;--page:#15171a;\
@@ -31,7 +32,7 @@ figure,tr,.banner,li,.trial{break-inside:avoid}.trial{font-size:8.5pt;grid-templ
 .banner{-webkit-print-color-adjust:exact;print-color-adjust:exact}a{color:inherit;text-decoration:none}\
 section>p,section>ul{break-after:avoid}figure{grid-template-columns:minmax(0,1fr) minmax(0,1fr)}figure.one{grid-template-columns:1fr;max-width:150mm}}";
 
-/// A whole page that loads nothing.
+/// A complete page that loads nothing.
 pub(crate) fn page(title: &str, body: &Markup) -> String {
     html! {
         (DOCTYPE)
@@ -48,7 +49,7 @@ pub(crate) fn page(title: &str, body: &Markup) -> String {
     .into_string()
 }
 
-/// What the page is worth, by the origins of everything on it; nothing to say of measurements alone.
+/// The banner on the origins of everything on the page; empty if all of it is measured.
 pub(crate) fn banner(origins: &[Origin]) -> Markup {
     let count = |wanted: Origin| origins.iter().filter(|origin| **origin == wanted).count();
     let (simulated, unknown) = (count(Origin::Virtual), count(Origin::Unknown));
@@ -66,7 +67,7 @@ pub(crate) fn banner(origins: &[Origin]) -> Markup {
     }
 }
 
-/// Beside a heading, unless it is a measurement.
+/// A tag for a heading; empty for a measurement.
 pub(crate) fn tag(origin: Origin) -> Markup {
     html! {
         @match origin {
@@ -77,7 +78,7 @@ pub(crate) fn tag(origin: Origin) -> Markup {
     }
 }
 
-/// Names and values.
+/// A table of names and values.
 pub(crate) fn rows<'a>(rows: impl IntoIterator<Item = (&'a str, String)>) -> Markup {
     html! {
         div.wide.short { table { tbody {

@@ -1,4 +1,4 @@
-//! One trial of the report: what was asked for, what came of it, its figures, its defects, where it is from.
+//! One trial of the report: its request, its result, its figures, its defects and its origin.
 
 use std::path::Path;
 
@@ -11,17 +11,18 @@ use trials::trial::{
     Achieved, Action, CapsuleSample, Executed, Moved, RigSample, Screw, Status, Trial,
 };
 
-use crate::report::figures::{FigureError, actuation_figures, planned, run_figures};
-use crate::report::{Remark, check, page};
+use crate::figures::{FigureError, actuation_figures, planned, run_figures};
+use crate::report::remark::Remark;
+use crate::report::{check, page};
 
-/// A trial with what is wrong with its record.
+/// The section of a trial and the defects of its record.
 pub(crate) struct Section {
-    /// What is wrong, empty if nothing is.
+    /// Defects; empty if there are none.
     pub(crate) defects: Vec<String>,
     pub(crate) body: Markup,
 }
 
-/// The section of a trial. What cannot be read is a defect, not an error: the page says so.
+/// Makes the section of a trial. Unreadable files are defects, not errors: the page lists them.
 pub(crate) fn section<'a>(
     sidecar: &Path,
     trial: &Trial,
@@ -165,7 +166,7 @@ fn run(
     })
 }
 
-/// What the rig found when it timed its own steps.
+/// Result of the rig's timing of its own steps.
 fn intervals(executed: &Executed) -> String {
     let Executed {
         edges_timed,
@@ -224,7 +225,7 @@ fn actuation_section(
     })
 }
 
-/// The capsule itself judges no current of the inrush.
+/// The capsule ignores the inrush current when it measures its peak.
 const AFTER_INRUSH: &str = "largest current after the inrush, by the capsule";
 
 /// An actuation's record as names and values with units.
@@ -329,7 +330,7 @@ pub(crate) fn in_short(trial: &Trial) -> String {
     }
 }
 
-/// How it ended, and whether its record can be trusted.
+/// How it ended, and whether its record is reliable.
 pub(crate) fn status(status: Status, defects: &[String]) -> Markup {
     let (text, good) = match status {
         Status::Running => ("not ended: the host ended first", false),

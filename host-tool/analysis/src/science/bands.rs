@@ -1,4 +1,4 @@
-//! Prior bands: what the bodies that agree with the paper's words do in one case.
+//! Prior bands: displacements, in one case, of the bodies that agree with the paper's words.
 
 use locomotion::model::Model;
 use locomotion::prior::{self, Band, Words, agreeing};
@@ -7,9 +7,9 @@ use locomotion::{roller, tube};
 
 use crate::science::posterior::Posterior;
 
-/// Most cases of which bands are worked out: each costs some hundred runs.
+/// Most cases with bands: each costs some hundred runs.
 pub const MOST: usize = 100;
-/// Step of the roller, mm, and of the walls, mm: errors of some tenths of a millimetre do not show in a band.
+/// Step of the roller, mm, and of the walls, mm: errors of some tenths of a millimetre are invisible in a band.
 const ROLLER_STEP_MM: f64 = 0.25;
 const WALL_STEP_MM: f64 = 0.08;
 
@@ -17,12 +17,12 @@ const WALL_STEP_MM: f64 = 0.08;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Bands {
     of_cases: Vec<(f64, Band)>,
-    /// They are of a posterior, not of the prior.
+    /// Whether the bodies are those of a posterior; otherwise of the prior.
     pub fitted: bool,
 }
 
 impl Bands {
-    /// Of cases and of each body's displacement in each of them.
+    /// From the cases and each body's displacement in each of them.
     #[must_use]
     pub fn of(cases: &[f64], values: &[Vec<f64>]) -> Self {
         let band = |(place, case): (usize, &f64)| {
@@ -35,7 +35,7 @@ impl Bands {
         }
     }
 
-    /// The same, of the bodies of a posterior.
+    /// The same bands, marked as those of a posterior.
     #[must_use]
     pub fn fitted(self, fitted: bool) -> Self {
         Self { fitted, ..self }
@@ -54,7 +54,7 @@ impl Bands {
         found.map(|(_, band)| *band)
     }
 
-    /// The outline of all bands from left to right and back, for a figure.
+    /// The outline of all bands, from left to right and back, for a figure.
     #[must_use]
     pub fn outline(&self) -> Vec<(f64, f64)> {
         let mut sorted = self.of_cases.clone();
@@ -65,7 +65,7 @@ impl Bands {
     }
 }
 
-/// The different cases, if they are few enough for bands.
+/// The distinct cases, if they are few enough for bands.
 #[must_use]
 pub fn few(cases: &[f64]) -> Option<Vec<f64>> {
     let mut different = cases.to_vec();
@@ -74,10 +74,10 @@ pub fn few(cases: &[f64]) -> Option<Vec<f64>> {
     (different.len() <= MOST).then_some(different)
 }
 
-/// A body that agrees with the words, and its number among them.
+/// A body that agrees with the words, and its index among them.
 pub type Body = (usize, Model);
 
-/// The bodies that agree with the words, otherwise as the model.
+/// The model with each of the bodies that agree with the words.
 #[must_use]
 pub fn bodies(model: &Model, words: Words) -> Vec<Body> {
     agreeing(words)
@@ -86,7 +86,7 @@ pub fn bodies(model: &Model, words: Words) -> Vec<Body> {
         .collect()
 }
 
-/// The bodies of a posterior, otherwise as the model.
+/// The model with each of the bodies of a posterior.
 #[must_use]
 pub fn fitted(model: &Model, posterior: &Posterior) -> Vec<Body> {
     posterior.bodies(model).into_iter().enumerate().collect()
@@ -105,8 +105,8 @@ pub fn on_rig((_, model): &Body, indentations_mm: &[f64]) -> Result<Vec<f64>, Ou
         .collect()
 }
 
-/// Displacement of a body in the tube at each pressure, mm. Each body lies at another place: where the paper's lay is not
-/// known either.
+/// Displacement of a body in the tube at each pressure, mm. Each body starts at another place, because the paper does
+/// not say where its body lay.
 ///
 /// # Errors
 /// A pressure that the model does not cover.
@@ -121,7 +121,7 @@ pub fn in_tube((number, model): &Body, pressures_pa: &[f64]) -> Result<Vec<f64>,
         .collect()
 }
 
-/// A band for people: without digits that it does not have.
+/// A band for people, rounded to its significant digits.
 #[must_use]
 pub fn text(low: Option<f64>, high: Option<f64>) -> String {
     let number = |mm: f64| match mm.abs() {
@@ -134,7 +134,7 @@ pub fn text(low: Option<f64>, high: Option<f64>) -> String {
     }
 }
 
-/// What a prior band is, in a sentence.
+/// Describes a prior band in a sentence.
 #[must_use]
 pub fn meaning(words: Words) -> String {
     let (world, kept) = match words {

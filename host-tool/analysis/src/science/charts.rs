@@ -1,4 +1,4 @@
-//! The series as figures: the models' values, with the paper's where its text gives a number. The label of each curve
+//! The series as figures: the models' values, and the paper's where its text gives a number. The label of each curve
 //! names the origin of its values.
 
 pub mod trial_plan;
@@ -8,7 +8,8 @@ use calibration::predictive::{Band, Span};
 use locomotion::beam::Validation;
 use plotters::style::RGBColor;
 
-use crate::report::figures::{Chart, Curve, FigureError, Heading, Mark, ModelName, figure};
+use crate::figures::palette::{BAND, MEASURED as MODEL, PAPER, PLANNED as SECOND};
+use crate::figures::{Chart, Curve, FigureError, Heading, Mark, ModelName, figure};
 use crate::science::bands::Bands;
 use crate::science::crescent::{ForceRow, ThreadRow};
 use crate::science::design::{Curves, Maps};
@@ -18,11 +19,6 @@ use crate::science::optimise::bodies::Per;
 use crate::science::series::{
     FRICTION_SERIES_PA, FoldTest, IsolatedRow, PAPER_ON_FRICTION_MM, RollerRow, TubeRow, TubeRun,
 };
-
-const MODEL: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
-const SECOND: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
-const BAND: RGBColor = RGBColor(0x4a, 0x4a, 0x4a);
-const PAPER: RGBColor = RGBColor(0xc2, 0x1f, 0x26);
 
 /// Most entries in the legend of a family; of a larger family it names only the first and the last.
 const LEGEND: usize = 12;
@@ -36,12 +32,12 @@ fn curve(label: &str, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> 
     }
 }
 
-/// A curve in two parts: what the bodies that agree with the paper's words span, if it is known.
+/// The prior band as an area, if it is known.
 fn band(points: Vec<(f64, f64)>) -> Option<Curve> {
     band_of(points, false)
 }
 
-/// As [`band`], of a posterior instead of the prior.
+/// As [`band`], for a posterior instead of the prior if `fitted`.
 fn band_of(points: Vec<(f64, f64)>, fitted: bool) -> Option<Curve> {
     let label = if fitted {
         "posterior band: 90 % of fitted bodies"
@@ -70,7 +66,7 @@ fn chart(x_label: &'static str, y_label: &str, curves: Vec<Curve>) -> Chart {
     }
 }
 
-/// A figure of two curves of the model.
+/// A figure with two curves of the model.
 fn two_curves(
     heading: &Heading,
     x_label: &'static str,
@@ -110,7 +106,7 @@ fn family(members: Vec<(String, Vec<(f64, f64)>)>, width: u32) -> Vec<Curve> {
         .collect()
 }
 
-/// The courses of runs, with a label for each.
+/// The course of each run over time, with a label.
 fn courses(runs: &[TubeRun], label: impl Fn(&TubeRun) -> String) -> Vec<(String, Vec<(f64, f64)>)> {
     let course = |run: &TubeRun| {
         let points = run.course.iter().map(|at| (at.time_s, at.tail_mm));
@@ -119,7 +115,7 @@ fn courses(runs: &[TubeRun], label: impl Fn(&TubeRun) -> String) -> Vec<(String,
     runs.iter().map(course).collect()
 }
 
-/// Tail and head at the end of runs.
+/// Displacement of tail and head at the end of each run.
 fn ends(rows: &[TubeRow], x: impl Fn(&TubeRow) -> f64) -> [Curve; 2] {
     let of = |value: fn(&TubeRow) -> f64| rows.iter().map(|row| (x(row), value(row))).collect();
     [
@@ -138,8 +134,8 @@ fn ends(rows: &[TubeRow], x: impl Fn(&TubeRow) -> f64) -> [Curve; 2] {
     ]
 }
 
-/// Like Fig. 4(a): displacement over time at each friction, and at the end over friction. The paper's sentence is a
-/// line: it has no values for single frictions.
+/// Like Fig. 4(a): displacement over time at each friction, and at the end over friction. The paper's sentence is
+/// drawn as a line, because it has no values for single frictions.
 ///
 /// # Errors
 /// If the drawing library fails.
@@ -225,7 +221,7 @@ pub fn pressure(
     )
 }
 
-/// Where the paper's text has a number.
+/// The points for which the paper's text has a number.
 fn about(rows: &[TubeRow]) -> Vec<(f64, f64)> {
     let about = |row: &TubeRow| Some((row.pressure_pa, row.paper_about_mm?));
     let mut points: Vec<_> = rows.iter().filter_map(about).collect();
@@ -259,7 +255,8 @@ pub fn comparison(
         let label = format!("friction {friction:.2} (model)");
         curve(&label, colour, Mark::Line(width), points)
     };
-    // Wide below narrow, so that both can be seen: with a fixed friction ratio the model gives them the same values.
+    // Draw the wide curve below the narrow one, so that both are visible: with a fixed friction ratio their values
+    // are equal.
     let fitted = rig.iter().any(|row| row.posterior_5_mm.is_some());
     let lubricated = rig.iter().filter(|row| row.lubrication == "with");
     let ends = lubricated.map(|row| {
@@ -346,7 +343,7 @@ pub fn isolated(model: ModelName, rows: &[IsolatedRow]) -> Result<String, Figure
 }
 
 /// The crescent as a beam: force over indentation, displacement over thread with its band, share that reverses.
-/// `drawn` says of how many draws.
+/// `drawn` describes the draws.
 ///
 /// # Errors
 /// If the drawing library fails.
@@ -427,7 +424,7 @@ pub fn crescent(
     )
 }
 
-/// What a posterior says over the indentation, a chart for each kind of displacement, with what was measured.
+/// Predictions of a posterior over the indentation, one chart for each kind of displacement, with the measurements.
 ///
 /// # Errors
 /// If the drawing library fails.
@@ -518,7 +515,8 @@ pub fn sweep(
     figure(&heading, vec![chart(x_label, y_label, curves)])
 }
 
-/// Designs of a search: displacement over length with its band, and with how many bodies each one beats the compared one.
+/// Designs of a search: displacement over length with its band, and the share of bodies with which each beats the
+/// compared one.
 ///
 /// # Errors
 /// If the drawing library fails.

@@ -6,22 +6,22 @@ use locomotion::beam::crescent::{Shape, Wing};
 use locomotion::roller;
 use serde::Serialize;
 
-/// Frictions for which the least alpha is given: the ends of the paper's range, and its middle for the forces.
+/// Frictions for the least alpha: the ends of the paper's range, and its middle, which the forces use.
 pub const FRICTIONS: [f64; 3] = [0.08, 0.15, 0.20];
 
-/// Print error for which the least alpha is given, mm (section II.D).
+/// Print error for the least alpha, mm (section II.D).
 pub const PRINT_MM: f64 = 0.15;
 
 /// Force on one wing at one indentation, N.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ForceRow {
-    /// How deep the roller comes over the tip, mm.
+    /// How deep the roller presses over the tip, mm.
     pub indentation_mm: f64,
     /// Without friction.
     pub force_n: f64,
-    /// The tip drags tailward on a wall with friction 0.15: the body moves headward.
+    /// The tip drags tailward on a wall with friction 0.15, as when the body moves headward.
     pub easy_n: f64,
-    /// The same, headward: the body moves tailward.
+    /// The tip drags headward, as when the body moves tailward.
     pub hard_n: f64,
     /// Energy of bending without friction, N mm.
     pub energy_n_mm: f64,
@@ -95,7 +95,7 @@ pub struct ThreadRow {
     pub reversed: f64,
 }
 
-/// Lengths of thread of the curve, mm.
+/// Thread lengths of the curve, mm.
 #[must_use]
 pub fn threads_mm() -> Vec<f64> {
     (0..=22).map(f64::from).collect()
@@ -132,7 +132,7 @@ pub struct InputRow {
     pub source: &'static str,
 }
 
-/// What the draws are drawn from.
+/// The uncertain inputs that the draws vary.
 #[must_use]
 pub fn inputs() -> Vec<InputRow> {
     let row = |input: &Uncertain| InputRow {

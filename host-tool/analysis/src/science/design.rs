@@ -1,5 +1,5 @@
-//! One origami in numbers: its lengths, its shortening over the indentation, the range that each angle may have, and the
-//! paper's requirements.
+//! One origami in numbers: its lengths, its shortening over the indentation, the admissible range of each angle, and
+//! the paper's requirements.
 
 use locomotion::kinematics::{
     BestAlpha, Design, RULES, best_alpha, printed_eq6_residual, repaired_eq6_residual,
@@ -7,7 +7,8 @@ use locomotion::kinematics::{
 use locomotion::range::OutOfRange;
 use serde::Serialize;
 
-/// The smallest alpha that worked in the paper, degrees. The equations do not contain the limit of the material.
+/// The smallest alpha that worked in the paper, degrees. The limit comes from the material; the equations do not
+/// contain it.
 pub const LEAST_ALPHA_DEG: f64 = 12.53;
 /// The paper's greatest indentation, mm.
 pub const PAPER_INDENTATION_MM: f64 = 5.05;
@@ -56,14 +57,14 @@ pub struct RuleRow {
     pub objection: Option<&'static str>,
 }
 
-/// Eq. (6) at the drawn indentation. It has no root, so it yields no alpha.
+/// Eq. (6) at the indentation of the drawings. It has no root, so it yields no alpha.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Equation6 {
     /// Left minus right side as printed: a pure number minus a mixture of mm and 1/mm.
     pub printed_residual: f64,
     /// Left minus right side with the right side `((h-a)/h)^2`; above 0 for every alpha below 51.827 degrees.
     pub repaired_residual: f64,
-    /// The derivative that Eq. (6) was meant to set to zero: d d0/d alpha, mm per radian.
+    /// The derivative that Eq. (6) should set to zero: d d0/d alpha, mm per radian.
     pub true_derivative_mm: f64,
 }
 
@@ -72,9 +73,9 @@ pub struct Equation6 {
 pub struct Best {
     /// The best alpha, degrees.
     pub alpha_deg: f64,
-    /// d with this alpha at the drawn indentation, mm.
+    /// d with this alpha at the indentation of the drawings, mm.
     pub shortening_mm: f64,
-    /// Why this alpha is the best.
+    /// Reason in words.
     pub reason: &'static str,
 }
 
@@ -105,13 +106,13 @@ pub struct Report {
     pub core_length_mm: f64,
     /// L(0), mm, the last wing included.
     pub length_mm: f64,
-    /// d(h), mm: the greatest length that a thread can draw in.
+    /// d(h), mm: the longest thread that can be drawn in.
     pub largest_shortening_mm: f64,
-    /// Thread that makes it as narrow as a capsule of 13 mm, mm, if it can be.
+    /// Thread that narrows it to a capsule of 13 mm, mm, if that is possible.
     pub thread_to_capsule_mm: Option<f64>,
-    /// Alpha must lie between these for the given beta, ends excluded, degrees.
+    /// Range of alpha for the given beta, ends excluded, degrees.
     pub alpha_window_deg: (f64, f64),
-    /// Beta must lie between these for the given alpha, ends excluded, degrees.
+    /// Range of beta for the given alpha, ends excluded, degrees.
     pub beta_window_deg: (f64, f64),
     /// The indentation of the drawings, mm.
     pub indentation_mm: f64,
@@ -119,13 +120,13 @@ pub struct Report {
     pub squeezed: Vec<Squeezed>,
     /// The paper's requirements.
     pub rules: Vec<RuleRow>,
-    /// None if no alpha below this beta is known to work.
+    /// None if this beta leaves no alpha that is known to work.
     pub best_alpha: Option<Best>,
     /// The error in the paper's Eq. (6).
     pub equation_6: Equation6,
 }
 
-/// All numbers of a design; `indentation_mm` is the one of the drawings and is added to the table. `least_alpha_deg` is
+/// All numbers of a design. `indentation_mm` is that of the drawings and is added to the table. `least_alpha_deg` is
 /// the limit of the material, by default the paper's 12.53 degrees.
 ///
 /// # Errors
@@ -181,7 +182,8 @@ pub fn report(
     })
 }
 
-/// The indentation of the drawings: as given, else the paper's, or half of h if the design is too narrow for that.
+/// The indentation of the drawings: as given, or the paper's, or half of h if the design is too narrow for the
+/// paper's.
 fn drawn(design: &Design<f64>, asked_mm: Option<f64>) -> f64 {
     let h = design.half_gap_mm();
     asked_mm.unwrap_or(if PAPER_INDENTATION_MM <= h {
@@ -199,7 +201,7 @@ fn angles_deg(design: &Design<f64>) -> (f64, f64) {
     )
 }
 
-/// Whole millimetres, or tenths of a large h; and the drawn one and h itself.
+/// Whole millimetres, or tenths of a large h; plus the indentation of the drawings and h itself.
 fn indentations(h: f64, drawn_mm: f64) -> Vec<f64> {
     let step = if h <= 12.0 { 1.0 } else { h / 10.0 };
     let mut all: Vec<_> = (0..=12u8)
@@ -317,7 +319,7 @@ pub fn maps(design: &Design<f64>, indentation_mm: Option<f64>) -> Result<Maps, O
             .into_iter()
             .filter(move |angle| *angle > FROM_END_DEG && *angle < high)
     };
-    // Sixty points from one end of a window to the other.
+    // Sixty points from one end of the range to the other.
     let span = |low: f64, high: f64| {
         let (low, high) = (low + FROM_END_DEG, high - FROM_END_DEG);
         (0..=60u8)

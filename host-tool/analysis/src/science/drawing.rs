@@ -1,4 +1,4 @@
-//! Drawings to scale: one unit of the SVG is one millimetre, also in print.
+//! Drawings to scale: one unit of the SVG is one millimetre, in print too.
 
 use std::fmt::{Display, Write};
 
@@ -20,7 +20,7 @@ text{font-family:sans-serif;font-size:2.4px;fill:#333}\
 .dimension{fill:none;stroke:#333;stroke-width:.15}.arrow{fill:#333}\
 .start{stroke:#1f5aa8;stroke-width:.5}.end{stroke:#c21f26;stroke-width:.5}";
 
-/// What drawings and maps of a design show: no body and no fit.
+/// Origin line for drawings and maps of a design: they involve neither a body nor a fit.
 pub const KINEMATICS: &str =
     "model: kinematics, Eqs. (1) to (7) of the paper, rigid sides; calculated, not a measurement";
 
@@ -45,7 +45,7 @@ impl Drawing {
         }
     }
 
-    /// The whole file, with its title and the origin of its values.
+    /// The whole file, with a title and a line on the origin of its values.
     #[must_use]
     pub fn finish(self, title: &str, origin: &str) -> String {
         let Self {
@@ -62,7 +62,7 @@ impl Drawing {
         )
     }
 
-    /// Appends an element. Writing to a string cannot fail.
+    /// Appends an element. Cannot fail: it writes to a string.
     fn put(&mut self, element: std::fmt::Arguments<'_>) {
         let _ = self.body.write_fmt(element);
         self.body.push('\n');
@@ -172,7 +172,7 @@ impl Drawing {
         self.text(anchor, (x + aside, middle), text);
     }
 
-    /// A body about the axis y = 0.
+    /// Draws a body about the axis y = 0.
     pub fn body(&mut self, body: &Body) {
         let root = body.core_mm / 2.0;
         for crescent in &body.crescents {
@@ -229,22 +229,22 @@ impl Display for Escaped<'_> {
     }
 }
 
-/// A crescent in place: a triangle on either side of the core, with its tip towards the tail.
+/// A crescent at its position: a triangle on either side of the core, with its tip towards the tail.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crescent {
     /// Foot of the short side, mm along the axis, + to the head.
     pub tail_root_mm: f64,
     /// Foot of the long side, mm.
     pub head_root_mm: f64,
-    /// The tip, mm along the axis.
+    /// Position of the tip along the axis, mm.
     pub tip_mm: f64,
-    /// The tip, mm from the axis.
+    /// Distance of the tip from the axis, mm.
     pub reach_mm: f64,
     /// Its indentation, mm.
     pub indentation_mm: f64,
 }
 
-/// A body in place.
+/// A body at its position.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Body {
     core_mm: f64,
@@ -300,13 +300,13 @@ impl Body {
     }
 }
 
-/// The structure unsqueezed and squeezed by `a_mm`, side by side and to scale, as in the paper's Fig. 2, with the tail at
-/// the left. The heads of both cores lie at the same place of their parts.
+/// The structure unsqueezed and squeezed by `a_mm`, side by side and to scale, as in the paper's Fig. 2, with the
+/// tail at the left. The head of the core lies at the same place in both halves.
 ///
 /// # Errors
 /// `a_mm` outside `0..=h`.
 pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> {
-    // Room for the text beside and below a small structure.
+    // Leave room for the text beside and below a small structure.
     const MARGIN: f64 = 18.0;
     const LEAST_PART: f64 = 70.0;
     let m = usize::from(design.crescents());

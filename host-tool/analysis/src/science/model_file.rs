@@ -1,51 +1,51 @@
-//! A model as people give it, in a file or as options, and what a model calls itself.
+//! Reads models from files and options, writes them, and describes them in words.
 
 use std::fmt::Write;
 
 use locomotion::model::{Model, Setting, Unsuitable, Value};
 use toml::{Table, Value as Item};
 
-use crate::report::figures::ModelName;
+use crate::figures::ModelName;
 use crate::science::posterior::{self, Posterior};
 
-/// Why values make no model.
+/// Why a model cannot be built from the given values.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ModelError {
-    /// It is no TOML.
+    /// The file is not valid TOML.
     #[error("it cannot be read: {0}")]
     Syntax(String),
-    /// There is no body of that name.
+    /// No body has this name.
     #[error("there is no body {0:?}: choose {names}", names = names())]
     Body(String),
-    /// There is no such parameter.
+    /// No parameter has this name.
     #[error("there is no parameter {0}{near}", near = near(.0))]
     Unknown(String),
-    /// The value cannot be one of this parameter.
+    /// The parameter cannot take this value.
     #[error("{key}: {why}")]
     Unsuitable {
         /// The parameter.
         key: &'static str,
-        /// Why.
+        /// The reason.
         why: Unsuitable,
     },
-    /// The posterior in it cannot be used.
+    /// The file's posterior cannot be used.
     #[error("its section [posterior]: {0}; `retrograde fit` writes it anew")]
     Posterior(String),
-    /// A parameter of the posterior was set to something else.
+    /// A parameter of the posterior was also set to another value.
     #[error("{0} is fitted: the file's posterior says what it is")]
     Fitted(&'static str),
-    /// One thing was said in two ways.
+    /// Two keys set the same parameter.
     #[error("{0} and {1} set the same: give one of them")]
     Twice(&'static str, &'static str),
 }
 
-/// The names of the bodies, for people.
+/// The names of the bodies as a list for people.
 #[must_use]
 pub fn names() -> String {
     Model::ALL.map(|model| model.name).join(", ")
 }
 
-/// The parameters that a key which does not exist may have meant.
+/// Suggestions for a key that does not exist: parameters with similar names.
 fn near(key: &str) -> String {
     let (section, name) = key.rsplit_once('.').unwrap_or(("", key));
     let keys = |alike: &dyn Fn(&str, &str) -> bool| -> Vec<&str> {
@@ -70,7 +70,7 @@ fn near(key: &str) -> String {
     }
 }
 
-/// A value as it was given.
+/// A value as it was written.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Given {
     /// A number.
@@ -86,24 +86,24 @@ impl From<&str> for Given {
     }
 }
 
-/// A parameter and the value that was given for it.
+/// A parameter and the value written for it.
 pub type Choice = (&'static Setting, Given);
 
-/// What a model file says.
+/// Content of a model file.
 #[derive(Clone, Debug, Default)]
 pub struct ModelFile {
-    /// The body that it begins with.
+    /// The body that it starts from.
     pub body: Option<String>,
     /// Its values.
     pub choices: Vec<Choice>,
-    /// Bodies that were fitted to trials.
+    /// Bodies fitted to trials.
     pub posterior: Option<Posterior>,
 }
 
-/// The key of the body that a file begins with. Not `body`: that is a section.
+/// Key of the body that a file starts from. Not `body`, which is a section.
 const FROM_BODY: &str = "from_body";
 
-/// Reads a model file: `from_body = "one"`, and sections with the keys of the parameters. Unknown keys are refused.
+/// Reads a model file: `from_body = "one"`, and sections with the keys of the parameters. Refuses unknown keys.
 ///
 /// # Errors
 /// [`ModelError`]; ranges are checked by [`Model::check`].
@@ -145,10 +145,10 @@ fn choice(key: &str, item: Item) -> Result<Choice, ModelError> {
     Ok((setting, given))
 }
 
-/// A body with values in place of its own. Ranges are checked by [`Model::check`].
+/// A named body with some values replaced. Does not check ranges; [`Model::check`] does.
 ///
 /// # Errors
-/// No such body, a value that its parameter cannot have, one parameter given in two ways.
+/// No such body, a value that its parameter cannot take, one parameter set by two keys.
 pub fn build(body: &str, choices: &[Choice]) -> Result<Model, ModelError> {
     let mut model = Model::named(body).ok_or_else(|| ModelError::Body(body.to_owned()))?;
     for (setting, given) in choices {
@@ -171,7 +171,7 @@ pub fn build(body: &str, choices: &[Choice]) -> Result<Model, ModelError> {
     Ok(model)
 }
 
-/// A model as a file that [`read`] reads back to the bit.
+/// Writes a model as a file; [`read`] restores it bit for bit.
 #[must_use]
 pub fn write(model: &Model) -> String {
     write_with(model, None)
@@ -214,7 +214,7 @@ pub fn write_with(model: &Model, posterior: Option<&Posterior>) -> String {
     text
 }
 
-/// As [`origin`] of a model that may be a sample of a posterior.
+/// As [`origin`], for a model that may be a sample of a posterior.
 #[must_use]
 pub fn origin_with(model: &Model, posterior: Option<&Posterior>) -> String {
     let Some(posterior) = posterior else {
@@ -247,7 +247,7 @@ pub fn origin_with(model: &Model, posterior: Option<&Posterior>) -> String {
     )
 }
 
-/// What a figure calls a posterior.
+/// Name of a posterior in a figure.
 #[must_use]
 pub fn fitted_name(posterior: &Posterior) -> ModelName {
     let doubt = if posterior.reliable {
@@ -267,7 +267,7 @@ pub fn fitted_name(posterior: &Posterior) -> ModelName {
     }
 }
 
-/// As [`name`] of a model that may be a sample of a posterior.
+/// As [`name`], for a model that may be a sample of a posterior.
 #[must_use]
 pub fn name_with(model: &Model, posterior: Option<&Posterior>) -> ModelName {
     match posterior {
@@ -279,7 +279,7 @@ pub fn name_with(model: &Model, posterior: Option<&Posterior>) -> ModelName {
     }
 }
 
-/// As [`short_origin`] of a model that may be a sample of a posterior.
+/// As [`short_origin`], for a model that may be a sample of a posterior.
 #[must_use]
 pub fn short_origin_with(model: &Model, posterior: Option<&Posterior>) -> String {
     match posterior {
@@ -291,7 +291,7 @@ pub fn short_origin_with(model: &Model, posterior: Option<&Posterior>) -> String
     }
 }
 
-/// Where a model's values come from, in full.
+/// Origin of a model's values, in full.
 #[must_use]
 pub fn origin(model: &Model) -> String {
     let changes: Vec<_> = model
@@ -315,7 +315,7 @@ pub fn origin(model: &Model) -> String {
     )
 }
 
-/// Where a model's values come from, in a few letters: for each row of a table.
+/// Origin of a model's values, in a few letters for each row of a table.
 #[must_use]
 pub fn short_origin(model: &Model) -> String {
     match model.changes().count() {
@@ -325,7 +325,7 @@ pub fn short_origin(model: &Model) -> String {
     }
 }
 
-/// What a figure calls the model.
+/// Name of the model in a figure.
 #[must_use]
 pub fn name(model: &Model) -> ModelName {
     let changed = match model.changes().count() {

@@ -1,30 +1,32 @@
-//! Displacements for a calibration: from the folder of a campaign that verifies, and from CSV files that people write.
+//! Displacements for a calibration: from the folder of a verified campaign, and from CSV files that people write.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use calibration::observation::{Kind, Lubrication, MOST_CYCLES, Observation};
 use campaign::CampaignError;
-use campaign::folder::{Campaign, TRIALS};
+use campaign::contents::Campaign;
+use campaign::differences::Finding;
+use campaign::files::TRIALS;
+use campaign::form::Form;
 use campaign::ledger::Standing;
 use campaign::manifest::{self, hex};
-use campaign::order::Form;
 use campaign::plan::{self, Purpose};
-use campaign::verify::{Finding, verify};
+use campaign::verify::verify;
 use client::identity::Origin;
 use client::limited;
 use serde::Serialize;
 
-/// A file that a calibration rests on.
+/// A file that a calibration uses.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SourceFile {
-    /// As it was given.
+    /// Its path, as given.
     pub path: String,
     /// Its SHA-256.
     pub sha256: String,
 }
 
-/// An observation, and where it stands.
+/// An observation and its place in the source.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measured {
     /// The displacement.
@@ -33,7 +35,7 @@ pub struct Measured {
     pub place: String,
 }
 
-/// A displacement that is not used, and why.
+/// A displacement that is not used, and the reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct LeftOut {
     /// `trial 7` of a campaign, `row 3` of a file.
@@ -42,22 +44,22 @@ pub struct LeftOut {
     pub why: String,
 }
 
-/// What one folder or file has.
+/// Content of one folder or file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trials {
     /// Its path, as given.
     pub path: PathBuf,
-    /// What can be used.
+    /// Usable displacements.
     pub measured: Vec<Measured>,
-    /// What cannot.
+    /// Displacements that are not used.
     pub left_out: Vec<LeftOut>,
-    /// Hashes of what was read.
+    /// Hashes of the files read.
     pub files: Vec<SourceFile>,
     /// Where the values come from.
     pub origin: Origin,
-    /// Stroke of the rollers, mm, where the source says so.
+    /// Stroke of the rollers, mm, if the source states it.
     pub stroke_mm: Option<f64>,
-    /// The uncertainty that the source states, where another one was given and taken instead, mm.
+    /// The uncertainty that the source states, if another one was given and replaced it, mm.
     pub overridden_mm: Option<f64>,
 }
 
@@ -67,12 +69,12 @@ pub enum TrialsError {
     /// The folder is no campaign, or cannot be read.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
-    /// The folder was changed.
+    /// The folder was changed since it was written.
     #[error("{folder} was changed", folder = folder.display())]
     Changed {
         /// The folder.
         folder: PathBuf,
-        /// What was found in it.
+        /// The changes found.
         findings: Vec<Finding>,
     },
     /// The CSV file cannot be used.
@@ -80,21 +82,21 @@ pub enum TrialsError {
     Csv {
         /// The file.
         path: PathBuf,
-        /// Why, with the number of the row.
+        /// The reason, with the number of the row.
         why: String,
     },
-    /// The campaign's plan does not say how exact its displacements are.
+    /// The campaign's plan does not state the uncertainty of its displacements.
     #[error("{path} does not say how exact its displacements are", path = .0.display())]
     NoUncertainty(PathBuf),
 }
 
 const FOLDED: &str = "folded: the folded block's model has none of the parameters that are fitted";
 
-/// Displacements of the folder or the file at a path. `uncertainty_mm` is the standard deviation of each of them: in a folder
-/// instead of what its plan states, in a file where the row does not say it.
+/// Reads the displacements of a folder or file. `uncertainty_mm` is the standard deviation of each of them. For a
+/// folder it replaces the value of the plan; for a file it applies to rows without one.
 ///
 /// # Errors
-/// What is wrong with the source first.
+/// The first defect of the source.
 pub fn read(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsError> {
     if path.is_dir() {
         campaign(path, uncertainty_mm)
@@ -125,7 +127,7 @@ fn campaign(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsEr
                 why,
             });
         };
-        // Attempts that did not count stay listed, also where a later one does.
+        // List every attempt that did not count, even if a later one does.
         for attempt in trial.attempts.iter().filter(|attempt| !attempt.stands()) {
             let how = attempt
                 .outcome
@@ -196,7 +198,8 @@ fn campaign(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsEr
         });
         let mut before = 0.0;
         for (number, after) in (1..).zip(after.unwrap_or_default()) {
-            // The body begins at its mark; after that a stroke is the difference of two readings.
+            // The body begins at its mark, so the first stroke takes one reading; later strokes are the difference of
+            // two readings.
             let readings: f64 = if number == 1 { 1.0 } else { 2.0 };
             let uncertainty_mm = uncertainty_mm * readings.sqrt();
             measured.push(Measured {
@@ -232,7 +235,7 @@ fn campaign(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsEr
     })
 }
 
-/// The columns of a CSV file of trials. The first four are required.
+/// Columns of a CSV file of trials. The first four are required.
 pub const COLUMNS: [&str; 10] = [
     "kind",
     "indentation_mm",
@@ -265,7 +268,7 @@ fn csv_file(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsEr
 /// Reads the bytes of a CSV file of trials.
 ///
 /// # Errors
-/// What is wrong first, with the number of the row: 1 is the one after the header.
+/// The first defect, with the number of the row: 1 is the one after the header.
 pub fn parse(bytes: &[u8], uncertainty_mm: Option<f64>) -> Result<Trials, String> {
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)

@@ -1,4 +1,4 @@
-//! How probable it is that each of the paper's sentences is met: the bodies that are asked, and the answers as rows.
+//! How probable it is that each of the paper's sentences is met: the bodies to evaluate, and the results as rows.
 
 use locomotion::comparison::{
     Asked, Bodies, Chosen, Odds, ROWS, Row, Share, Sheet, Table, Values, odds,
@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use crate::science::posterior::Posterior;
 
-/// A body that is asked, and in which worlds.
+/// A body to evaluate, and the worlds to evaluate it in.
 #[derive(Clone, Copy, Debug)]
 pub struct Question {
     model: Model,
@@ -18,7 +18,7 @@ pub struct Question {
 }
 
 impl Question {
-    /// Its answers, to all rows with a condition in its worlds.
+    /// Evaluates every row with a condition in these worlds.
     ///
     /// # Errors
     /// A model with a value outside its range.
@@ -27,14 +27,15 @@ impl Question {
     }
 }
 
-/// All bodies that are asked, in one list: threads share it evenly.
+/// All bodies to evaluate, in one list, so that threads share them evenly.
 #[derive(Clone, Debug)]
 pub struct Poll {
-    /// The model itself, draws of the prior, those that agree with the words on the rig and on the tube, a posterior's.
+    /// The model itself, then draws of the prior, draws that agree with the words on the rig and on the tube, draws
+    /// of a posterior.
     pub questions: Vec<Question>,
-    /// How many there are of each.
+    /// Number of each.
     pub bodies: Bodies,
-    /// How many independent draws those of the posterior are worth.
+    /// Effective number of independent draws of the posterior.
     independent: f64,
 }
 
@@ -43,8 +44,8 @@ const TUBE: &[Words] = &[Words::Tube];
 const BOTH: &[Words] = &[Words::Rig, Words::Tube];
 
 impl Poll {
-    /// So many draws of the prior, all that agree with the words, and all of a posterior, otherwise as the model. A posterior of
-    /// trials on the rig is asked about the rig only.
+    /// Collects `bodies` draws of the prior, all that agree with the words, and all of a posterior; other parameters
+    /// are the model's. Evaluates a posterior of trials on the rig on the rig only.
     #[must_use]
     pub fn new(model: &Model, posterior: Option<&Posterior>, bodies: u16) -> Self {
         let first = draws().take(bodies.into());
@@ -78,7 +79,7 @@ impl Poll {
         }
     }
 
-    /// The odds of each row from the answers to all questions, in their order.
+    /// Computes the odds of each row from the answers to all questions, in their order.
     #[must_use]
     pub fn odds(&self, sheet: &Sheet, answers: &[Values]) -> [Odds; ROWS] {
         let mut rest = answers;
@@ -121,7 +122,7 @@ pub struct Judged {
     pub quantity: &'static str,
     /// The paper's value or trend.
     pub paper: &'static str,
-    /// What the sentence asks of the value; none if it asks nothing.
+    /// Requirement of the sentence on the value; none if it has none.
     pub condition: Option<String>,
     /// The model's value.
     pub model: Option<f64>,
@@ -129,46 +130,46 @@ pub struct Judged {
     pub unit: &'static str,
     /// Whether the model's value meets the condition.
     pub met: Option<bool>,
-    /// Whether the bodies that were asked have different values. If not, a share is 0 or 1 with certainty and has no
+    /// Whether the evaluated bodies differ in their values. If not, the share is certainly 0 or 1 and has no
     /// interval.
     pub body_decides: Option<bool>,
     /// Share of the bodies of the prior that meet it.
     pub prior_share: Option<f64>,
-    /// 95 % interval of that probability, from.
+    /// Lower end of the 95 % interval of that probability.
     pub prior_low: Option<f64>,
-    /// To.
+    /// Upper end.
     pub prior_high: Option<f64>,
-    /// How many were asked.
+    /// Number of bodies evaluated.
     pub prior_bodies: Option<usize>,
     /// Share of the bodies that agree with the words.
     pub words_share: Option<f64>,
-    /// 95 % interval, from.
+    /// Lower end of the 95 % interval.
     pub words_low: Option<f64>,
-    /// To.
+    /// Upper end.
     pub words_high: Option<f64>,
-    /// How many were asked.
+    /// Number of bodies evaluated.
     pub words_bodies: Option<usize>,
-    /// Whether these bodies were chosen by this row: `wholly`, `partly`. Then the share of them is no evidence.
+    /// Whether this row selected these bodies: `wholly` or `partly`. Their share is then no evidence.
     pub words_chosen_by_it: Option<&'static str>,
     /// Share of the bodies of the posterior.
     pub posterior_share: Option<f64>,
-    /// 95 % interval, from.
+    /// Lower end of the 95 % interval.
     pub posterior_low: Option<f64>,
-    /// To.
+    /// Upper end.
     pub posterior_high: Option<f64>,
-    /// How many were asked.
+    /// Number of bodies evaluated.
     pub posterior_bodies: Option<usize>,
-    /// What agreement proves.
+    /// Value of an agreement as evidence.
     pub worth: String,
     /// Comment.
     pub remark: &'static str,
 }
 
-/// Share, interval and bodies.
+/// Share, lower and upper end of its interval, number of bodies.
 type Cells = (Option<f64>, Option<f64>, Option<f64>, Option<usize>);
 
 impl Judged {
-    /// Of a row and its odds; `fitted` if there is a posterior.
+    /// From a row and its odds; `fitted` if there is a posterior.
     #[must_use]
     pub fn of(row: &Row, odds: &Odds, fitted: bool) -> Self {
         let sure = |met: bool| (Some(f64::from(u8::from(met))), None, None, None);

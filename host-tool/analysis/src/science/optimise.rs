@@ -1,11 +1,11 @@
-//! Inverse design: which designs within limits go farthest for their length, and how sure that is.
+//! Inverse design: which designs within limits move farthest for their length, and how certain that is.
 //!
-//! * [`limits`]: what a design has to keep, and what it takes.
-//! * [`bodies`]: how far a design goes, over the bodies that are possible and over places.
-//! * [`search`]: proposals from a seed, and which of several designs no other one beats.
+//! * [`limits`]: limits on a design, and the values of a design that they apply to.
+//! * [`bodies`]: displacement of a design over all possible bodies and over places.
+//! * [`search`]: proposals from a seed, and the Pareto front of several designs.
 //!
-//! The result is as wide as what is known of the body: each design is judged with the same bodies, so that the share of
-//! them in which one beats another says how sure that ranking is.
+//! The result is as uncertain as the knowledge of the body. Each design is evaluated with the same bodies, so the
+//! share of bodies with which one beats another says how certain that ranking is.
 
 pub mod bodies;
 pub mod limits;
@@ -18,7 +18,7 @@ use crate::science::optimise::bodies::{Bodies, Care, Per};
 use crate::science::optimise::limits::{Limits, Needs};
 use crate::science::optimise::search::Proposal;
 
-/// A design with what it takes and how far it goes.
+/// A design with its requirements and its displacement.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
     /// `front`, or the name of the design that the front is compared with.
@@ -29,33 +29,33 @@ pub struct Row {
     pub beta_deg: f64,
     /// c/W.
     pub core_ratio: f64,
-    /// Number m.
+    /// Number m of crescents.
     pub crescents: u8,
     /// Overall length at rest, mm.
     pub length_mm: f64,
-    /// Thread that folds it to the wanted width, mm.
+    /// Thread that folds it to the required width, mm.
     pub thread_mm: f64,
-    /// Distance psi between crescents when it is folded or under the wave, mm.
+    /// Smaller of the distances psi between crescents, folded and under the wave, mm.
     pub spacing_mm: f64,
     /// Force of the wave on one wing, N, by the beam model.
     pub force_n: f64,
     /// Mean displacement over bodies and places, mm, + headward.
     pub displacement_mm: f64,
-    /// 5 % of the bodies that agree with the words go less far, mm.
+    /// 5 % of the bodies that agree with the words move less far, mm.
     pub prior_5_mm: Option<f64>,
-    /// 95 % of them go less far, mm.
+    /// 95 % of them move less far, mm.
     pub prior_95_mm: Option<f64>,
-    /// The same of the bodies of a posterior, in place of the prior's.
+    /// The same for bodies of a posterior, in place of the prior's.
     pub posterior_5_mm: Option<f64>,
-    /// 95 % of them go less far, mm.
+    /// 95 % of them move less far, mm.
     pub posterior_95_mm: Option<f64>,
-    /// Share of the bodies with which it goes farther than the design that it is compared with; none for that one.
+    /// Share of the bodies with which it moves farther than the compared design; none for the compared design itself.
     pub beats: Option<f64>,
-    /// How many of the listed designs are no longer and go no less far.
+    /// How many of the listed designs are no longer, move no less far, and are better in one of the two.
     pub dominated_by: usize,
-    /// The limits that it does not keep; empty for every design of the front.
+    /// Limits that it breaks; empty for every design of the front.
     pub breaks: String,
-    /// The bounds of the search on which it lies: there the bound decides, not the model.
+    /// Bounds of the search on which it lies: there the bound decides, not the model.
     pub at_bound: String,
     /// Displacement with each body, in their order.
     #[serde(skip)]
@@ -63,7 +63,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// Of a design, judged with all bodies.
+    /// Evaluates a design with all bodies.
     ///
     /// # Errors
     /// A design that the model does not cover.
@@ -103,7 +103,7 @@ impl Row {
         })
     }
 
-    /// What the bodies span, mm: of the prior or of a posterior.
+    /// Band over the bodies, mm, of the posterior or else of the prior.
     #[must_use]
     pub fn band_mm(&self) -> (Option<f64>, Option<f64>) {
         (
@@ -112,7 +112,7 @@ impl Row {
         )
     }
 
-    /// Share of the bodies with which this design goes farther than the other one.
+    /// Share of the bodies with which this design moves farther than the other one.
     #[must_use]
     pub fn share_beating(&self, other: &Self) -> f64 {
         let pairs = self.each_mm.iter().zip(&other.each_mm);
@@ -120,7 +120,7 @@ impl Row {
         better as f64 / self.each_mm.len().max(1) as f64
     }
 
-    /// No longer, no less far, and one of them better.
+    /// Whether it is no longer and moves no less far than the other, and is better in one of them.
     #[must_use]
     pub fn dominates(&self, other: &Self) -> bool {
         search::dominates(self.place(), other.place())
@@ -132,8 +132,8 @@ impl Row {
     }
 }
 
-/// The designs that none of the others dominates, by length, and the compared one at the end, with how they stand to each
-/// other.
+/// The designs that no other one dominates, sorted by length, then the compared one. Fills in how they compare with
+/// each other.
 #[must_use]
 pub fn ranked(candidates: Vec<Row>, compared: Row) -> Vec<Row> {
     let places: Vec<_> = candidates.iter().map(Row::place).collect();
@@ -156,12 +156,12 @@ pub fn ranked(candidates: Vec<Row>, compared: Row) -> Vec<Row> {
     rows
 }
 
-/// The mean; of nothing, no number.
+/// The mean; NaN for no values.
 pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// Which of the front's designs answers "what instead of the compared one": the farthest that is no longer.
+/// The design of the front to use instead of the compared one: the farthest moving that is no longer.
 #[must_use]
 pub fn instead_of<'a>(front: &'a [Row], compared: &Row) -> Option<&'a Row> {
     front

@@ -1,4 +1,4 @@
-//! A posterior in a model file: bodies drawn by `retrograde fit`, and what they rest on.
+//! The posterior in a model file: bodies drawn by `retrograde fit`, and the trials behind them.
 
 use std::fmt::Write;
 
@@ -14,7 +14,7 @@ pub const FORMAT: u32 = 1;
 /// The section of a model file.
 pub const SECTION: &str = "posterior";
 
-/// What one source gave.
+/// Trials from one source.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SourceRecord {
@@ -26,12 +26,12 @@ pub struct SourceRecord {
     pub sha256: Vec<String>,
     /// The trials or rows that were used.
     pub used: Vec<String>,
-    /// Those that were not, and why.
+    /// The trials or rows that were not used, and the reasons.
     pub left_out: Vec<String>,
 }
 
 impl SourceRecord {
-    /// Of what was read.
+    /// Collects the record of a source.
     #[must_use]
     pub fn new(
         path: &str,
@@ -52,7 +52,7 @@ impl SourceRecord {
     }
 }
 
-/// A posterior as a file has it.
+/// A posterior as it is in a file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Posterior {
@@ -60,25 +60,25 @@ pub struct Posterior {
     pub format: u32,
     /// Where the displacements come from.
     pub origin: Origin,
-    /// What made it: program and versions.
+    /// Program and versions that made it.
     pub made_by: String,
-    /// Seed of everything.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// How it was sampled.
+    /// Description of the sampling.
     pub sampler: String,
-    /// Greatest R-hat of all unknowns.
+    /// Greatest R-hat among the unknowns.
     pub r_hat: f64,
-    /// Least bulk effective sample size.
+    /// Least bulk effective sample size among the unknowns.
     pub ess: f64,
-    /// Whether R-hat, effective sample size and the accuracy of the tables are good enough to rely on it.
+    /// Whether R-hat, effective sample size and the accuracy of the tables make it reliable.
     pub reliable: bool,
-    /// Number of the sample that the values of the file are, from 1: the one nearest to the medians.
+    /// Number, from 1, of the sample whose values the file has: the one nearest to the medians.
     pub point: usize,
     /// Names of the columns of `samples`.
     pub parameters: Vec<String>,
     /// The bodies, evenly taken from all draws.
     pub samples: Vec<Vec<f64>>,
-    /// What it rests on.
+    /// The trials it was fitted to.
     pub source: Vec<SourceRecord>,
 }
 
@@ -86,7 +86,7 @@ impl Posterior {
     /// Reads the section of a file.
     ///
     /// # Errors
-    /// What is wrong with it, for people.
+    /// The first defect, for people.
     pub fn read(item: toml::Value) -> Result<Self, String> {
         let this: Self = item
             .try_into()
@@ -118,7 +118,7 @@ impl Posterior {
         Ok(this)
     }
 
-    /// As the section of a file.
+    /// Formats the section of a file.
     #[must_use]
     pub fn text(&self) -> String {
         let mut text = format!("\n[{SECTION}]\n");
@@ -160,14 +160,14 @@ impl Posterior {
         text
     }
 
-    /// The bodies, otherwise as a model.
+    /// The model with each of the bodies.
     #[must_use]
     pub fn bodies(&self, model: &Model) -> Vec<Model> {
         let body = |sample: &Vec<f64>| {
             let mut body = *model;
             for (key, value) in self.parameters.iter().zip(sample).take(OF_BODY) {
                 if let Some(setting) = Setting::named(key) {
-                    // Numbers, all of them: `read` has checked the names.
+                    // Cannot fail: all are numbers, and `read` has checked the names.
                     let _ = body.set(setting, Value::Number(*value));
                 }
             }
@@ -176,19 +176,19 @@ impl Posterior {
         self.samples.iter().map(body).collect()
     }
 
-    /// The parameters of the body that it speaks about.
+    /// The parameters of the body that it determines.
     #[must_use]
     pub fn of_body(&self) -> &[String] {
         &self.parameters[..OF_BODY]
     }
 
-    /// What a band of it is, in a sentence.
+    /// Describes a band of it in a sentence.
     #[must_use]
     pub fn meaning(&self) -> String {
         format!("5 to 95 % of {}", self.what())
     }
 
-    /// What its bodies are, for a sentence.
+    /// Describes its bodies, for use in a sentence.
     #[must_use]
     pub fn what(&self) -> String {
         let trials: usize = self.source.iter().map(|source| source.used.len()).sum();
@@ -205,7 +205,7 @@ impl Posterior {
     }
 }
 
-/// As a string of TOML: what JSON escapes, TOML reads alike, and no other control character is left.
+/// Formats a TOML string: TOML reads JSON's escapes the same way, and no other control character remains.
 fn quoted(text: &str) -> String {
     let text: String = text
         .chars()

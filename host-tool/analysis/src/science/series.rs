@@ -1,8 +1,9 @@
-//! The paper's series and free sweeps. The runs are independent, so any number of threads gives the same rows in the same
-//! order, bit for bit.
+//! The paper's series and free sweeps. The runs are independent, so any number of threads gives the same rows in the
+//! same order, bit for bit.
 
-use locomotion::comparison::{INDENTATIONS_MM, frictions, pressures_pa};
+use locomotion::comparison::frictions;
 use locomotion::model::Model;
+use locomotion::paper::{INDENTATIONS_MM, pressures_pa};
 use locomotion::range::OutOfRange;
 use locomotion::{folded, roller, tube};
 use rayon::prelude::*;
@@ -33,7 +34,7 @@ impl Workers {
         Ok(Self { pool })
     }
 
-    /// Does work whose parallel parts use these threads.
+    /// Runs `work` with its parallel parts on these threads.
     pub fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
         self.pool.install(work)
     }
@@ -176,15 +177,15 @@ pub struct TubeRow {
     pub least_mm: f64,
     /// Greatest displacement of the tail over the placements, mm.
     pub greatest_mm: f64,
-    /// Prior band: 5 % of the bodies that agree with the words go less far, mm.
+    /// Prior band: 5 % of the bodies that agree with the words move less far, mm.
     pub prior_5_mm: Option<f64>,
-    /// Prior band: 95 % of them go less far, mm.
+    /// Prior band: 95 % of them move less far, mm.
     pub prior_95_mm: Option<f64>,
-    /// The paper's text on it ("about"), mm.
+    /// Number in the paper's text ("about"), mm.
     pub paper_about_mm: Option<f64>,
 }
 
-/// The ends of runs, each beside its prior band and the paper's text on it.
+/// The end of each run, with its prior band and the number in the paper's text.
 #[must_use]
 pub fn tube_rows(
     runs: &[TubeRun],
@@ -208,10 +209,11 @@ pub fn tube_rows(
     runs.iter().map(row).collect()
 }
 
-/// The paper's words on the friction series (II.C): about 14 mm at each friction. One sentence, not 25 values.
+/// The paper's number for the friction series (II.C): about 14 mm at each friction. It is one sentence, not 25
+/// values.
 pub const PAPER_ON_FRICTION_MM: f64 = 14.0;
 
-/// The paper's words on the pressure series (II.C): from about 1 mm to about 15 mm.
+/// The paper's numbers for the pressure series (II.C): from about 1 mm to about 15 mm.
 #[must_use]
 pub fn paper_on_pressure_mm(case: &TubeCase) -> Option<f64> {
     match case.pressure_pa {
@@ -276,15 +278,15 @@ pub struct RollerRow {
     pub indentation_mm: f64,
     /// Displacement of the tail after all cycles, mm, + headward.
     pub displacement_mm: f64,
-    /// Displacement of the head after all cycles, mm: the same where the rollers have left the body.
+    /// Displacement of the head after all cycles, mm: equal to the tail's once the rollers have left the body.
     pub head_displacement_mm: f64,
-    /// Prior band: 5 % of the bodies that agree with the words go less far, mm.
+    /// Prior band: 5 % of the bodies that agree with the words move less far, mm.
     pub prior_5_mm: Option<f64>,
-    /// Prior band: 95 % of them go less far, mm.
+    /// Prior band: 95 % of them move less far, mm.
     pub prior_95_mm: Option<f64>,
-    /// Posterior band in its place, with a model that was fitted to trials: 5 % of its bodies go less far, mm.
+    /// Posterior band instead, for a model that was fitted to trials: 5 % of its bodies move less far, mm.
     pub posterior_5_mm: Option<f64>,
-    /// 95 % of them go less far, mm.
+    /// 95 % of them move less far, mm.
     pub posterior_95_mm: Option<f64>,
 }
 
@@ -309,7 +311,7 @@ impl RollerRow {
         }
     }
 
-    /// Ends of its band, whichever it is.
+    /// Ends of its band: of the posterior or else of the prior.
     #[must_use]
     pub fn band_mm(&self) -> (Option<f64>, Option<f64>) {
         (
@@ -362,7 +364,8 @@ pub fn roller_run(mut params: roller::Params, case: &RollerCase) -> Result<Rolle
     })
 }
 
-/// As [`roller_run`], for the two series of [`lubrication_cases`], whose name goes into the row with its prior band.
+/// As [`roller_run`], for one run of the two series of [`lubrication_cases`]; adds the name of the series and the
+/// band.
 ///
 /// # Errors
 /// As [`roller_run`].
@@ -378,7 +381,7 @@ pub fn lubricated_run(
     })
 }
 
-/// One roller pass in each direction over a fresh body.
+/// Displacements by one roller pass in each direction over a fresh body.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct IsolatedRow {
     /// Indentation of the rollers, mm.
@@ -452,7 +455,7 @@ pub fn fold_test(
     let rows = (params.stroke_mm / FOLD_ROW_MM).ceil() as u32;
     let mut course = vec![];
     for stroke in 0..params.cycles * 2 {
-        // The first row of a stroke is the last of the one before.
+        // The first row of a stroke is the last of the previous one: skip it, except for the first stroke.
         for row in u32::from(stroke > 0)..=rows {
             let gone_mm = params.stroke_mm * f64::from(row) / f64::from(rows);
             let carriage_mm = if stroke % 2 == 0 {

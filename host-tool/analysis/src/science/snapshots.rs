@@ -74,7 +74,7 @@ pub struct SnapshotRow {
 /// # Errors
 /// A model with a value outside its range.
 pub fn tube(model: &Model) -> Result<Strip, OutOfRange> {
-    // One body has one place: the middle of those of which the series take the mean.
+    // A picture shows one starting place: the middle of those over which the series average.
     let mut params = model.tube()?;
     params.body.tail_mm += params.segment_mm / 2.0;
     let design = params.body.design;
@@ -84,7 +84,7 @@ pub fn tube(model: &Model) -> Result<Strip, OutOfRange> {
         let mut tube = tube::Tube::new(params, pressure_pa)?;
         let mut column = vec![];
         for time_s in TUBE_S {
-            // Stops within half a step of the moment, because sums of steps are not exact.
+            // Stop within half a step of the moment, because sums of steps are inexact.
             while tube.time_s() < time_s - params.step_s / 2.0 {
                 tube.step()?;
             }
@@ -119,7 +119,7 @@ pub fn roller(model: &Model) -> Result<Strip, OutOfRange> {
         let mut column = vec![];
         let mut done = 0;
         for strokes in STROKES {
-            // Whole strokes first, so that each reversal is at an end of the rail.
+            // Make whole strokes first, so that each reversal is at an end of the rail.
             while f64::from(done + 1) <= strokes {
                 done += 1;
                 bench.carriage_to(if done % 2 == 1 { params.stroke_mm } else { 0.0 })?;
@@ -184,7 +184,7 @@ impl Strip {
         rows
     }
 
-    /// The strip, to scale; `origin` says of which model.
+    /// Draws the strip to scale; `origin` names the model.
     #[must_use]
     pub fn svg(&self, origin: &str) -> String {
         const GAP: f64 = 8.0;

@@ -38,14 +38,14 @@ pub fn csv_of<T: Serialize>(rows: &[T], origin: &str) -> Result<Vec<u8>, csv::Er
         .map_err(|error| error.into_error().into())
 }
 
-/// One parameter of the model, and where its value comes from.
+/// One parameter of the model and the origin of its value.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ParameterRow {
     /// Section and name, as in a model file.
     pub name: &'static str,
     /// Value in `unit`.
     pub value: f64,
-    /// The word by which it was set, if it was: the value follows from others then.
+    /// The word that set it, if a word did; the value then follows from other parameters.
     pub word: Option<&'static str>,
     /// Unit; empty for a pure number.
     pub unit: &'static str,

@@ -1,4 +1,4 @@
-//! Which trials to make next: candidates, the paper's procedure beside them, and what each is worth.
+//! Plans the next trials: candidates, the paper's procedure beside them, and the expected information of each.
 
 use calibration::belief::Belief;
 use calibration::design::{Effort, Estimate, Judged, Step, choose, judge};
@@ -6,8 +6,8 @@ use calibration::history::Trial;
 use calibration::observation::{Case, Kind, Lubrication};
 use calibration::prior::Point;
 use calibration::tabulated::Tabulated;
-use locomotion::comparison::INDENTATIONS_MM;
 use locomotion::model::Model;
+use locomotion::paper::INDENTATIONS_MM;
 use locomotion::range::OutOfRange;
 use serde::Serialize;
 
@@ -15,15 +15,15 @@ use serde::Serialize;
 pub const PAPER_CYCLES: u16 = 5;
 /// Repeats of each of the paper's conditions.
 pub const PAPER_REPEATS: usize = 10;
-/// Mean correction of a gain, nats, from which on its trials are too exact for the number of draws.
+/// Mean correction of a gain, nats, above which the trials are too exact for the number of draws.
 pub const GREATEST_CORRECTION: f64 = 0.1;
 
-/// What is measured, and on which wall.
+/// Kind, indentation and wall of a trial.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Condition {
     /// Kind and indentation.
     pub case: Case,
-    /// The model does not know it; but what it gets wrong differs with it.
+    /// The model does not depend on it, but the model's error differs between the walls.
     pub lubrication: Lubrication,
 }
 
@@ -32,71 +32,71 @@ pub struct Condition {
 pub struct Planned {
     /// The condition.
     pub condition: Condition,
-    /// How many displacements are taken together.
+    /// Number of displacements that are averaged.
     pub repeats: usize,
 }
 
-/// What is asked for.
+/// Options of a plan.
 #[derive(Clone, Debug)]
 pub struct Asked {
     /// Kinds that may be measured.
     pub kinds: Vec<Kind>,
     /// Indentations that may be set, mm.
     pub indentations_mm: Vec<f64>,
-    /// Walls that may be had.
+    /// Available walls.
     pub walls: Vec<Lubrication>,
-    /// Trials to choose.
+    /// Number of trials to choose.
     pub trials: usize,
-    /// Displacements of a trial.
+    /// Displacements per trial.
     pub repeats: usize,
     /// Standard deviation of one displacement, mm.
     pub uncertainty_mm: f64,
-    /// How exactly.
+    /// Accuracy of the estimates.
     pub effort: Effort,
-    /// Seed of everything.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
-/// A series of trials, and what it is worth.
+/// A series of trials and its expected information.
 #[derive(Clone, Debug)]
 pub struct Series {
-    /// What it is.
+    /// Name of the series.
     pub name: &'static str,
     /// Its trials.
     pub trials: Vec<Planned>,
-    /// Their worth.
+    /// Expected information.
     pub judged: Judged,
 }
 
 impl Series {
-    /// Displacements of all trials.
+    /// Number of displacements in all trials.
     #[must_use]
     pub fn displacements(&self) -> usize {
         self.trials.iter().map(|one| one.repeats).sum()
     }
 
-    /// What all of them tell, nats.
+    /// Expected information of all trials together, nats.
     #[must_use]
     pub fn sum(&self) -> Estimate {
         self.judged.sums[self.judged.sums.len() - 1]
     }
 }
 
-/// A plan.
+/// The recommended trials, and others for comparison.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// All candidates.
     pub candidates: Vec<Condition>,
     /// The choice, step by step.
     pub steps: Vec<Step>,
-    /// Recommended; the paper's procedure with as many displacements; the paper's procedure.
+    /// Recommended; the paper's procedure with the same number of displacements; the paper's procedure in full.
     pub series: [Series; 3],
     /// Greatest error of the table, mm: root of the mean square over bodies.
     pub table_error_mm: f64,
 }
 
-/// The paper's procedure with so many displacements: net displacements at its indentations, dry and lubricated, dealt out
-/// evenly.
+/// The paper's procedure with `displacements` displacements: net displacements at its indentations, dry and
+/// lubricated, distributed evenly.
 #[must_use]
 pub fn paper(displacements: usize) -> Vec<Planned> {
     let walls = [Lubrication::Dry, Lubrication::Lubricated];
@@ -122,7 +122,7 @@ pub fn paper(displacements: usize) -> Vec<Planned> {
         .collect()
 }
 
-/// Everything that may be measured, wall by wall.
+/// All possible conditions, wall by wall.
 fn candidates(asked: &Asked) -> Vec<Condition> {
     let mut all = vec![];
     for lubrication in &asked.walls {
@@ -139,7 +139,7 @@ fn candidates(asked: &Asked) -> Vec<Condition> {
     all
 }
 
-/// Plans. None if belief and model hardly overlap.
+/// Makes a plan. None if belief and model hardly overlap.
 ///
 /// # Errors
 /// An indentation or a body that the model does not cover.
@@ -189,7 +189,7 @@ pub fn plan(base: &Model, belief: &Belief, asked: &Asked) -> Result<Option<Plan>
     ]
     .map(|(name, planned): (_, Vec<Planned>)| {
         let trials: Vec<Trial> = planned.iter().map(trial).collect();
-        // By other histories than those that chose, or what was chosen by luck would be praised for it.
+        // Judge by other histories than those that chose. Otherwise a lucky choice would be overrated.
         let judged = judge(belief, &response, &trials, effort, seed ^ AFRESH)?;
         Some(Series {
             name,
@@ -208,21 +208,21 @@ pub fn plan(base: &Model, belief: &Belief, asked: &Asked) -> Result<Option<Plan>
     }))
 }
 
-/// Makes another seed of a seed.
+/// Changes a seed, for independent histories.
 const AFRESH: u64 = 1 << 62;
 
 /// A row of the table.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// Which series.
+    /// Name of the series.
     pub series: &'static str,
     /// Number in it, from 1.
     pub trial: usize,
-    /// As `fit` reads it.
+    /// Kind of displacement, in the words of `fit`.
     pub kind: &'static str,
-    /// Of `net`: cycles of the run.
+    /// For `net`: cycles of the run.
     pub cycles: Option<u16>,
-    /// Of `stroke`: its number.
+    /// For `stroke`: its number.
     pub stroke: Option<u16>,
     /// Indentation, mm.
     pub indentation_mm: f64,
@@ -232,19 +232,19 @@ pub struct Row {
     pub repeats: usize,
     /// Standard deviation of each, mm.
     pub uncertainty_mm: f64,
-    /// Expected information on the body after the trials before, nats.
+    /// Expected information on the body, given the trials before, nats.
     pub gain_nats: f64,
     /// Its standard error.
     pub gain_error_nats: f64,
-    /// Of this and all trials before, jointly.
+    /// Joint information of this and all trials before, nats.
     pub sum_nats: f64,
     /// Its standard error.
     pub sum_error_nats: f64,
-    /// Other candidates that tell as much, within the error.
+    /// Other candidates with as much information, within the error.
     pub ties: String,
 }
 
-/// Kind as `fit` reads it, cycles, stroke.
+/// Kind in the words of `fit`, cycles, stroke.
 #[must_use]
 pub fn columns(kind: Kind) -> (&'static str, Option<u16>, Option<u16>) {
     match kind {
@@ -256,7 +256,7 @@ pub fn columns(kind: Kind) -> (&'static str, Option<u16>, Option<u16>) {
 }
 
 impl Plan {
-    /// The candidates that tell as much as the one of a step, within the error.
+    /// The candidates with as much information as the one of a step, within the error.
     #[must_use]
     pub fn ties(&self, step: usize) -> Vec<String> {
         let name = |place: &usize| {
@@ -304,7 +304,7 @@ impl Plan {
         rows
     }
 
-    /// Whether the numbers of draws sufficed for trials as exact as these.
+    /// Whether the number of draws was large enough for trials of this accuracy.
     #[must_use]
     pub fn is_resolved(&self) -> bool {
         self.series
@@ -313,7 +313,7 @@ impl Plan {
     }
 }
 
-/// A displacement that is to be measured, as a row of what `fit` reads.
+/// A displacement to be measured, as a row for `fit`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Empty {
     kind: &'static str,

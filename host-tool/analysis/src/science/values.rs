@@ -1,5 +1,5 @@
-//! Lists and ranges of numbers as people write them: `7000`, `0.08,0.20`, `3000:7000:400`. Read in millionths, so that
-//! every member is the float nearest to its decimals.
+//! Lists and ranges of numbers as people write them: `7000`, `0.08,0.20`, `3000:7000:400`. They are read in
+//! millionths, so that every member is the float nearest to its decimals.
 
 use std::str::FromStr;
 
@@ -11,7 +11,7 @@ pub const MOST: usize = 10_000;
 /// Decimals that a number may have.
 const DECIMALS: u32 = 6;
 const SCALE: f64 = 1e6;
-/// Up to this many millionths, division by [`SCALE`] gives the float nearest to the decimals.
+/// Largest number, in millionths, for which division by [`SCALE`] gives the float nearest to the decimals.
 const LARGEST: u64 = 1_000_000_000_000;
 
 /// Numbers in the order as written; never empty.
@@ -64,7 +64,8 @@ impl FromStr for Values {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use locomotion::comparison::{frictions, pressures_pa};
+    use locomotion::comparison::frictions;
+    use locomotion::paper::pressures_pa;
 
     fn values(text: &str) -> Result<Vec<f64>, String> {
         text.parse().map(|Values(values)| values)

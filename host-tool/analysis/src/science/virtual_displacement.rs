@@ -1,5 +1,5 @@
-//! What the locomotion models say about an attempt: the displacement of a body on the virtual bench, whose rollers touch
-//! nothing. It is driven by the telemetry, so by what the carriage did.
+//! The modelled displacement of an attempt on the virtual bench, where the rollers touch nothing. The recorded
+//! telemetry drives the model, so it follows what the carriage really did.
 
 use std::error::Error;
 use std::fs;
@@ -7,8 +7,9 @@ use std::path::Path;
 
 use campaign::chance::Chance;
 use campaign::conduct::modelled::{DisplacementModel, Modelled, Wanted};
+use campaign::form::Form;
 use campaign::ledger::Source;
-use campaign::order::{Form, Planned};
+use campaign::order::Planned;
 use campaign::plan::{Lubrication, Millimetres, Plan};
 use locomotion::kinematics::Design;
 use locomotion::model::Model;
@@ -20,7 +21,7 @@ use trials::trial::{Action, RecordError, RigSample, Screw, Status, Trial};
 use crate::science::model_file;
 use crate::science::series::LUBRICATION;
 
-/// Slack of the thread before it pulls, mm: that of the bench's capsule.
+/// Slack of the thread before it pulls, mm: the same as in the bench's capsule.
 const SLACK_MM: f64 = 1.0;
 
 /// Why there is no model displacement.
@@ -63,7 +64,7 @@ impl DisplacementModel for Models {
     }
 }
 
-/// The displacement that the models give for an attempt with this indentation, with the scatter that the plan declares.
+/// The modelled displacement of an attempt with this indentation, with the scatter that the plan declares.
 ///
 /// # Errors
 /// [`ModelError`].
@@ -136,7 +137,8 @@ pub fn displacement(
     Ok(noted(plan, planned, attempt, 0, mm, name, friction))
 }
 
-/// What a run with the unfolded body had moved it by after one of its strokes, from 1; after the last one it is the net displacement.
+/// Displacement of the unfolded body after one of the run's strokes, counted from 1; after the last one it is the net
+/// one.
 ///
 /// # Errors
 /// [`ModelError`].
@@ -165,7 +167,7 @@ pub fn after_stroke(
         .map(|sample| sample.stroke as usize)
         .collect::<Vec<_>>();
     strokes.dedup();
-    // Those up to this one and the one after it have to be there, each once.
+    // All strokes up to this one, and the next one, must be present once each.
     if strokes.iter().take(stroke + 1).copied().ne(0..=stroke) {
         return Err(ModelError::Strokes);
     }
@@ -180,7 +182,7 @@ pub fn after_stroke(
     Ok(noted(plan, planned, attempt, draws, mm, name, friction))
 }
 
-/// One stroke over a fresh body that lies where the plan says.
+/// Simulates one stroke over a fresh body at the plan's position.
 fn pass(
     plan: &Plan,
     planned: &Planned,
@@ -201,14 +203,15 @@ fn pass(
     for sample in samples {
         body.carriage_to(screw.mm(f64::from(sample.position_steps)))?;
     }
-    // The last sample may lie before the end.
+    // The last sample may lie before the end: move the carriage there.
     if let Some(rest_mm) = rest_mm {
         body.carriage_to(rest_mm)?;
     }
     Ok(body.displacement_mm())
 }
 
-/// A displacement with the scatter that the plan declares, and in words how it was made. `draws` tells the strokes of a run apart.
+/// Adds the scatter that the plan declares to a displacement, and describes how it was made. `draws` distinguishes
+/// the strokes of a run.
 fn noted(
     plan: &Plan,
     planned: &Planned,
@@ -222,7 +225,7 @@ fn noted(
     let mut text = format!("{name} ({body}), friction {friction}");
     let scatter = plan.virtual_bench;
     let source = if scatter.scatter_mm.um > 0 {
-        // The same in a campaign that was interrupted.
+        // The seed does not depend on the session, so an interrupted campaign gives the same values.
         let seed = u64::from(scatter.seed) << 32
             | u64::from(planned.trial) << 8
             | u64::from(attempt & 0xFF);
@@ -246,7 +249,7 @@ fn noted(
     }
 }
 
-/// The ends of the paper's range of friction, as `simulate roller` has them.
+/// An end of the paper's range of friction, as in `simulate roller`.
 fn friction(lubrication: Lubrication) -> f64 {
     let [(_, with), (_, without)] = LUBRICATION;
     match lubrication {
@@ -255,11 +258,11 @@ fn friction(lubrication: Lubrication) -> f64 {
     }
 }
 
-/// A fold that was completed.
+/// A completed fold.
 struct Fold {
-    /// The thread that it wound up, mm.
+    /// Thread wound up, mm.
     thread_mm: f64,
-    /// When the carriage was where it was to begin, by the rig's clock, us; none if it was folded before the run.
+    /// Time of the cue for the fold by the rig's clock, us; none if the fold came before the run.
     cue_us: Option<u64>,
 }
 

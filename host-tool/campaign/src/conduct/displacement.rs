@@ -1,17 +1,18 @@
-//! The displacement of a trial that was completed: asked for, or that of a model, and what may be answered instead.
+//! The displacement of a completed trial: asks the operator or a model, and handles other answers.
 
 use client::identity::Origin;
 use protocol::capsule::{ActuationKind, CapsuleState};
 
 use crate::conduct::modelled::{Modelled, Wanted};
 use crate::conduct::{Broken, Conduct, Then};
+use crate::form::Form;
 use crate::ledger::{Attempt, Event, Outcome, Row, Source};
-use crate::order::{Form, Planned};
+use crate::order::Planned;
 use crate::plan::Millimetres;
 use crate::prompts::{Answer, Question};
 
 impl Conduct<'_> {
-    /// Asks for what is missing of an attempt that was completed: the displacements after strokes first, then the net one.
+    /// Asks for the missing displacements of a completed attempt: first those after strokes, then the net one.
     pub(super) fn measure(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
         let trial = planned.trial;
         let missing = self.missing_stroke(planned);
@@ -65,7 +66,7 @@ impl Conduct<'_> {
             .say("  nothing can be measured on the virtual bench: Enter takes the model's value");
     }
 
-    /// What may be answered instead of a value.
+    /// Handles an answer that is not a value.
     pub(super) fn instead(
         &mut self,
         planned: &Planned,
@@ -127,7 +128,7 @@ impl Conduct<'_> {
         Ok(())
     }
 
-    /// What the models say: after a stroke, or of the whole trial.
+    /// The modelled displacement: after a stroke, or of the whole trial.
     fn model(
         &self,
         planned: &Planned,
@@ -161,11 +162,12 @@ impl Conduct<'_> {
         })
     }
 
-    /// The body has been measured: the thread need not stay under tension.
+    /// Unfolds the capsule after the body has been measured, so that the thread does not stay under tension.
     fn unfold_after(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
         let campaign = self.folder.campaign();
         let began = |row: &&Row| row.event == Event::Began;
-        // A displacement that is entered again says nothing about what the capsule does now.
+        // Unfold only for the latest attempt: a corrected displacement says nothing about the present state of the
+        // capsule.
         let is_last =
             campaign.rows.iter().rfind(began).is_some_and(|row| {
                 (row.trial, row.attempt) == (Some(planned.trial), Some(attempt))

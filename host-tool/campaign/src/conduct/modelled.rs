@@ -1,4 +1,5 @@
-//! The displacement of a body that is not there: virtual rollers touch nothing, so a model says what it would have been.
+//! The interface of a displacement model. On the virtual bench the rollers touch nothing, so a model gives the
+//! displacement.
 
 use std::error::Error;
 use std::path::Path;
@@ -7,18 +8,18 @@ use crate::ledger::Source;
 use crate::order::Planned;
 use crate::plan::{Millimetres, Plan};
 
-/// A displacement that was calculated, and how.
+/// A calculated displacement and its description.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Modelled {
     /// The displacement, rounded to the caliper's resolution.
     pub value: Millimetres,
-    /// With or without scatter.
+    /// The model, with or without scatter.
     pub source: Source,
     /// Model and scatter in words, for the record.
     pub text: String,
 }
 
-/// The attempt whose displacement is wanted.
+/// The attempt to calculate a displacement for.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted<'a> {
     /// The campaign's plan.
@@ -31,11 +32,11 @@ pub struct Wanted<'a> {
     pub indentation_mm: f64,
     /// The record of the run.
     pub sidecar: &'a Path,
-    /// After this stroke, from 1, instead of after the whole trial.
+    /// Displacement after this stroke, from 1, instead of after the whole trial.
     pub after_stroke: Option<usize>,
 }
 
-/// A model of the displacement. A campaign carries none itself.
+/// A model of the displacement. This crate has none itself.
 pub trait DisplacementModel {
     /// The displacement in this attempt, with the scatter that the plan declares.
     ///

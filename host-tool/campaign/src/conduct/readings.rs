@@ -1,4 +1,4 @@
-//! The caliper's readings of a session: what has to be read before a trial, and the questions that they raise.
+//! The caliper's readings of a session: the readings that a trial needs, and the questions that they raise.
 
 use client::identity::Origin;
 use jiff::Timestamp;
@@ -10,7 +10,7 @@ use crate::prompts::{Answer, Question};
 use crate::readings::{Kind, Quantity, ReadingRow, Set, Summary, questions, refusal};
 
 impl Conduct<'_> {
-    /// Makes sure that D is known and that the rollers are clamped for this trial's block.
+    /// Makes sure that D is known and the rollers are clamped for this trial's block.
     pub(super) fn set_up(&mut self, planned: &Planned) -> Result<Then, Broken> {
         let open = self.folder.campaign().readings.open().cloned();
         if let Some(set) = open {
@@ -52,7 +52,7 @@ impl Conduct<'_> {
         self.prepare(todo, Quantity::BetweenCrests, Some(name.clone()))
     }
 
-    /// The rollers are where the last readings say, and those were made for this block.
+    /// Whether the last readings are of this indentation and were made for this block.
     fn is_clamped_for(&self, planned: &Planned) -> bool {
         let campaign = self.folder.campaign();
         let Some(set) = campaign.readings.clamped() else {
@@ -171,7 +171,7 @@ impl Conduct<'_> {
         }
     }
 
-    /// Mean, spread and a_n of readings, at once.
+    /// Shows mean, spread and a_n of the readings so far.
     fn show(&mut self, values: &[Millimetres], indentation: Option<&str>, set: &Set) {
         let Some(summary) = Summary::of(values) else {
             return;

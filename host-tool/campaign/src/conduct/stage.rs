@@ -1,5 +1,5 @@
-//! The rollers go to where a trial begins while the body is out of their way: in a plan with isolated passes they stand at either
-//! end after a trial, and between the ends lies the body.
+//! Moves the rollers to the start of a trial while the body is out of their way. In a plan with isolated passes the
+//! rollers stop at either end after a trial, and the body lies between the ends.
 
 use client::error::ClientError;
 use protocol::error::Refusal;
@@ -11,11 +11,11 @@ use crate::conduct::{Broken, Conduct, Then};
 use crate::order::Planned;
 use crate::prompts::{Answer, Question, clearing};
 
-/// How fast the carriage goes to where a trial begins, um/s.
+/// Speed of the carriage on its way to the start of a trial, um/s.
 const STAGE_UM_S: u32 = 20_000;
 
 impl Conduct<'_> {
-    /// Makes sure that the rollers stand where the trial begins, before the body is laid in.
+    /// Makes sure that the rollers are at the start of the trial before the body is laid in.
     pub(super) fn stage(&mut self, planned: &Planned) -> Result<Then, Broken> {
         if self.is_staged(planned)? {
             return Ok(Then::Go);
@@ -31,15 +31,15 @@ impl Conduct<'_> {
         }
         let begins_um = self.begins_um(planned);
         match self.drive_to(planned.block, begins_um) {
-            // No attempt has begun, so there is nothing to note.
+            // No attempt has begun, so there is nothing to record.
             Err(_) if self.machines.rig.interrupted().is_some() => Ok(Then::Leave),
             Err(broken) => Err(broken),
             Ok(()) => Ok(Then::Look),
         }
     }
 
-    /// The rollers stand where the trial begins, and nobody has had a hand at them since they were homed. A plan without passes asks
-    /// for nothing: its carriage goes to 0 within the attempt.
+    /// Whether the rollers are at the start of the trial, and were homed in this session and block. Always true in a
+    /// plan without passes: its carriage goes to 0 within the attempt.
     pub(super) fn is_staged(&mut self, planned: &Planned) -> Result<bool, Broken> {
         if self.folder.campaign().plan.passes.is_none() {
             return Ok(true);
@@ -53,7 +53,7 @@ impl Conduct<'_> {
             && status.position_steps == begins)
     }
 
-    /// Where the carriage stands when a trial begins.
+    /// Position of the carriage at the start of a trial.
     fn begins_um(&self, planned: &Planned) -> u32 {
         match planned.purpose.pass() {
             Some(Direction::Home) => self.folder.campaign().plan.run.stroke_um,
@@ -61,8 +61,8 @@ impl Conduct<'_> {
         }
     }
 
-    /// The carriage to a position. A hand at the rollers may have turned the screw, so each block and each session begins with
-    /// homing.
+    /// Moves the carriage to a position. Homes first in each block and each session: handling the rollers may have
+    /// turned the screw.
     pub(super) fn drive_to(&mut self, block: u32, position_um: u32) -> Result<(), Broken> {
         let status = self.machines.rig.rig_status()?;
         no_fault(&status)?;

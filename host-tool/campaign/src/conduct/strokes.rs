@@ -7,7 +7,7 @@ use crate::order::Planned;
 use crate::prompts::{Answer, Question};
 
 impl Conduct<'_> {
-    /// The stroke after which the displacement is missing, from 1, and of how many; none if nothing is.
+    /// The first stroke without a displacement, from 1, and the number of strokes; none if none is missing.
     pub(super) fn missing_stroke(&self, planned: &Planned) -> Option<(usize, usize)> {
         let campaign = self.folder.campaign();
         let count = campaign.plan.strokes_of(planned.purpose, planned.shape)?;

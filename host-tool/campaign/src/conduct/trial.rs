@@ -15,8 +15,9 @@ use trials::trial::{RecordError, Recording, Status, json as json_text};
 use trials::writer::replace;
 
 use crate::conduct::{Broken, Conduct, Then};
+use crate::form::Form;
 use crate::ledger::{Event, Outcome, Row, Standing};
-use crate::order::{Form, Planned, doing};
+use crate::order::{Planned, doing};
 use crate::plan::{Millimetres, Purpose};
 use crate::prompts::{Answer, Question, camera_file, checks};
 use crate::remaining;
@@ -130,7 +131,7 @@ impl Conduct<'_> {
         });
         let ended = self.row(row.saying(reason));
         let sealed = self.folder.seal_attempt(trial, attempt);
-        // The first of several reasons is the one to tell.
+        // The first of several errors is the one to report.
         let stopped = matches!(&result, Err(broken) if broken.outcome() == Outcome::Stopped);
         match result {
             Err(_) if stopped && ended.is_ok() => {
@@ -148,7 +149,7 @@ impl Conduct<'_> {
         }
     }
 
-    /// Everything that moves in an attempt.
+    /// Makes all motions of an attempt.
     fn act(
         &mut self,
         planned: &Planned,
@@ -216,7 +217,7 @@ impl Conduct<'_> {
         Ok(())
     }
 
-    /// One stroke over the body that lies there. The rollers already stand where it begins.
+    /// Makes one stroke over the body. The rollers are already at its start.
     fn pass(
         &mut self,
         planned: &Planned,
@@ -232,7 +233,7 @@ impl Conduct<'_> {
             speed_um_s: plan.passes.map_or(0, |passes| passes.speed_um_s),
         };
         let recording = self.recording(folder, "pass", planned);
-        // A move cannot be held; the key that stops has to work.
+        // A move cannot be held, but the key that stops must work.
         if let Some(pacer) = self.desk.pacer() {
             self.machines.rig.set_pacer(pacer);
         }
@@ -279,7 +280,7 @@ impl Conduct<'_> {
         }
     }
 
-    /// Folds or unfolds the capsule if it is not what the trial wants; recorded.
+    /// Folds or unfolds the capsule if the trial needs the other shape; records it.
     fn shape(&mut self, wanted: Form, folder: &Path) -> Result<(), Broken> {
         let status = self.capsule()?.capsule_status()?;
         let not_ready = |help: &str| {
@@ -305,7 +306,7 @@ impl Conduct<'_> {
             | CapsuleState::Checking => return not_ready("wait until it stands"),
         }
         if status.state == CapsuleState::Folded && wanted == Form::Folded {
-            // Its record of the fold is that of another attempt, and the body may have slipped in it since.
+            // The record of its fold belongs to another attempt, and the body may have slipped since.
             self.desk
                 .say("The capsule is folded still: it is unfolded, and folded anew.");
         }
@@ -351,7 +352,7 @@ impl Conduct<'_> {
         self.machines.capsule.as_mut().ok_or_else(no_capsule)
     }
 
-    /// What the records of the run do not say: under which conditions, with which machines, and how they were set.
+    /// Writes what the records of the run lack: the conditions, the machines and their settings.
     fn write_conditions(
         &self,
         planned: &Planned,
@@ -394,7 +395,7 @@ fn no_capsule() -> Broken {
     }
 }
 
-/// When each stroke began, by the rig's clock: at these instants the sync pulses go to the camera.
+/// Writes when each stroke began, by the rig's clock: the instants of the sync pulses to the camera.
 fn write_pulses(
     folder: &Path,
     events: &[protocol::system::Event],
@@ -402,7 +403,7 @@ fn write_pulses(
 ) -> Result<(), RecordError> {
     let path = folder.join("sync.csv");
     let mut text = String::from("stroke,time_us,origin\n");
-    // The strokes of a campaign follow each other without a pause.
+    // The strokes of a campaign follow each other without dwell, so each one begins when the previous one ends.
     let mut begins = events
         .iter()
         .filter(|event| {

@@ -7,9 +7,11 @@
 //! a stop since it last looked.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::hash::{BuildHasher, RandomState};
+use std::hash::BuildHasher;
+use std::hash::RandomState;
 use std::io;
-use std::net::{SocketAddr, ToSocketAddrs};
+use std::net::SocketAddr;
+use std::net::ToSocketAddrs;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
@@ -17,9 +19,9 @@ use std::time::SystemTime;
 use protocol::system::Urgent;
 use serde::{Deserialize, Serialize};
 
-use crate::door::Owner;
+use crate::address::Address;
 use crate::door::stream::{Listener, Stream};
-use crate::link::address::Address;
+use crate::link::owner::{Owner, StopMark};
 use crate::link::{OpenError, Reason};
 
 /// Names another folder for locks and doors.
@@ -27,23 +29,16 @@ pub const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
 
 /// What the owner leaves for others.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Plate {
-    pub(crate) owner: Owner,
+pub struct Plate {
+    /// Who owns the line.
+    pub owner: Owner,
     /// Of a loopback door.
-    pub(crate) port: Option<u16>,
+    pub port: Option<u16>,
     /// Of a loopback door.
-    pub(crate) token: String,
+    pub token: String,
     /// The record that the owner writes: should it be killed, the next one ends it.
     #[serde(default)]
-    pub(crate) recording: Option<PathBuf>,
-}
-
-/// Which stop and which emergency stop were the last ones on a line, whichever process wanted them. Two marks that differ
-/// say that one was wanted between them: what was ordered before it must no longer move anything.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct StopMark {
-    stop: Option<SystemTime>,
-    estop: Option<SystemTime>,
+    pub recording: Option<PathBuf>,
 }
 
 /// Where lock and door of one line are.
@@ -66,35 +61,13 @@ pub struct Lock {
     _file: File,
 }
 
-impl StopMark {
-    /// The last stop on the line behind this doorway; where there is none, no other process can send one.
-    #[must_use]
-    pub fn of(doorway: Option<&Doorway>) -> Self {
-        doorway.map_or_else(Self::default, Doorway::stop_mark)
-    }
-
-    /// What it was at an earlier time of this computer: a stop since then is not in it. One from the future, after the
-    /// clock was set back, counts as an old one.
-    #[must_use]
-    pub fn at(self, time: SystemTime) -> Self {
-        let until_now = |stop: &SystemTime| *stop <= time || *stop > SystemTime::now();
-        Self {
-            stop: self.stop.filter(until_now),
-            estop: self.estop.filter(until_now),
-        }
-    }
-
-    /// The strongest stop between an earlier mark and this one.
-    #[must_use]
-    pub fn since(self, earlier: Self) -> Option<Urgent> {
-        if self.estop != earlier.estop {
-            return Some(Urgent::EStop);
-        }
-        (self.stop != earlier.stop).then_some(Urgent::Stop)
-    }
-}
-
 impl Doorway {
+    /// The last stops on the line behind this doorway; where there is none, no other process can send one.
+    #[must_use]
+    pub fn last_stops(doorway: Option<&Self>) -> StopMark {
+        doorway.map_or_else(StopMark::default, Self::stop_mark)
+    }
+
     /// Lock and door of the line behind an address; `None` where there is no line to own.
     ///
     /// # Errors
@@ -171,6 +144,8 @@ impl Doorway {
             .open(self.file("lock"))
             .map_err(|why| self.error(why))?;
         match file.try_lock() {
+            // Somebody listens at the door: the line is theirs, though a cleaner of `/tmp` has taken their lock away.
+            Ok(()) if cfg!(unix) && self.connect(None).is_ok() => Ok(None),
             Ok(()) => {
                 // What an owner that was killed has left.
                 let left = self.plate().and_then(|plate| plate.recording);
@@ -224,7 +199,7 @@ impl Doorway {
     }
 
     /// Who owns the line, as far as it has said so.
-    pub(crate) fn plate(&self) -> Option<Plate> {
+    pub fn plate(&self) -> Option<Plate> {
         serde_json::from_slice(&fs::read(self.file("owner")).ok()?).ok()
     }
 
@@ -244,7 +219,7 @@ impl Doorway {
     }
 
     /// Goes to the door. A socket is found by its own name: it needs no plate, which somebody may have cleaned away.
-    pub(crate) fn connect(&self, plate: Option<&Plate>) -> io::Result<Stream> {
+    pub fn connect(&self, plate: Option<&Plate>) -> io::Result<Stream> {
         if plate.is_none() && !cfg!(unix) {
             return Err(io::ErrorKind::NotFound.into());
         }
@@ -254,7 +229,7 @@ impl Doorway {
 
 impl Lock {
     /// Opens the door, and says who opened it.
-    pub(crate) fn listen(&self) -> Result<(Listener, Plate), OpenError> {
+    pub fn listen(&self) -> Result<(Listener, Plate), OpenError> {
         let doorway = &self.doorway;
         #[cfg(unix)]
         let listener = Listener::unix(&doorway.file("door"));
@@ -287,14 +262,15 @@ impl Lock {
     }
 
     /// The owner records there from now on, or no longer. A full disk is told by the record itself.
-    pub(crate) fn records(&self, sidecar: Option<&Path>) {
+    pub fn records(&self, sidecar: Option<&Path>) {
         let mut plate = self.plate();
         plate.recording = sidecar.and_then(|path| std::path::absolute(path).ok());
         let _ = self.put_up(&plate);
         *self.left() = None;
     }
 
-    pub(crate) fn left_record(&self) -> Option<PathBuf> {
+    /// The record that the last owner left unfinished.
+    pub fn left_record(&self) -> Option<PathBuf> {
         self.left().clone()
     }
 
@@ -309,7 +285,8 @@ impl Lock {
         self.put_up(&self.plate())
     }
 
-    pub(crate) fn doorway(&self) -> &Doorway {
+    /// Lock and door of the line.
+    pub fn doorway(&self) -> &Doorway {
         &self.doorway
     }
 }

@@ -14,9 +14,10 @@ use protocol::session::{Decision, Session, Ticket};
 use protocol::system::{Done, Identity, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
 
-use crate::door::lock::{Doorway, Plate, StopMark};
+use crate::door::lock::{Doorway, Plate};
 use crate::door::stream::{Listener, Stream, read_line};
 use crate::door::{Knock, LONGEST_LINE, VERSION, Welcome, admits};
+use crate::link::owner::{Question, StopMark};
 
 /// Bytes that wait for an owner that does not read: 90 s of a full line. Beyond that new ones are lost.
 const UNREAD: usize = 1 << 20;
@@ -31,7 +32,7 @@ const BREATH: Duration = Duration::from_millis(10);
 pub const GUESTS: usize = 32;
 
 /// Frames that wait for a guest that does not read; beyond that it misses some.
-pub(crate) const WAITING_FRAMES: usize = 512;
+pub const WAITING_FRAMES: usize = 512;
 
 /// How long a guest may take to say what it is, and how long one that can only stop may be silent.
 const KNOCKING: Duration = Duration::from_secs(2);
@@ -42,42 +43,8 @@ const GUEST_STACK: usize = 256 * 1024;
 /// The first sequence number of guests' stops on the line, far from the owner's, which count from 0.
 const FIRST_SEQ: u16 = 0x8000;
 
-/// A guest's question to the machine, which the owner asks.
-pub struct Question {
-    /// The request. [`admits`] has let it through.
-    pub request: Request,
-    asked: Instant,
-    answer: Box<dyn FnOnce(Option<Reply>) + Send>,
-}
-
-impl Question {
-    /// The same question of several guests.
-    fn shared_with(self, others: VecDeque<Self>) -> Self {
-        let Self {
-            request,
-            asked,
-            answer,
-        } = self;
-        Self {
-            request,
-            asked,
-            answer: Box::new(move |reply| {
-                for other in others {
-                    other.answer(reply.clone());
-                }
-                answer(reply);
-            }),
-        }
-    }
-
-    /// Hands the answer to the guest; `None` if there was none.
-    pub fn answer(self, reply: Option<Reply>) {
-        (self.answer)(reply);
-    }
-}
-
 /// What owner, pump and guests share.
-pub(crate) struct Core {
+pub struct Core {
     state: Mutex<State>,
     woken: Condvar,
     out: Mutex<Out>,
@@ -155,11 +122,8 @@ struct Out {
 }
 
 impl Core {
-    pub(crate) fn new(
-        line: Box<dyn Write + Send>,
-        yields: bool,
-        doorway: Option<Doorway>,
-    ) -> Arc<Self> {
+    /// The owner's side of the line that `line` writes to; with `yields` it gives the line up when somebody wants it.
+    pub fn new(line: Box<dyn Write + Send>, yields: bool, doorway: Option<Doorway>) -> Arc<Self> {
         Arc::new(Self {
             state: Mutex::new(State::default()),
             woken: Condvar::new(),
@@ -168,7 +132,7 @@ impl Core {
                 next_seq: FIRST_SEQ,
                 stops: 0,
                 noticed: 0,
-                mark: StopMark::of(doorway.as_ref()),
+                mark: Doorway::last_stops(doorway.as_ref()),
             }),
             closing: AtomicBool::new(false),
             yields: AtomicBool::new(yields),
@@ -186,12 +150,13 @@ impl Core {
         self.out.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(crate) fn is_closing(&self) -> bool {
+    /// The owner is leaving.
+    pub fn is_closing(&self) -> bool {
         self.closing.load(Ordering::Relaxed)
     }
 
     /// Ends all threads that wait for guests.
-    pub(crate) fn close(&self) {
+    pub fn close(&self) {
         self.closing.store(true, Ordering::Relaxed);
         // Threads of guests may live on for a moment, the line must not: somebody is about to open it.
         self.out().line = Box::new(Closed);
@@ -205,7 +170,7 @@ impl Core {
 
     /// Writes the owner's frame. A request that comes after a stop which the owner has not noticed yet is left out: it
     /// might start again what was stopped. The client repeats what it still wants.
-    pub(crate) fn send(&self, bytes: &[u8]) -> io::Result<()> {
+    pub fn send(&self, bytes: &[u8]) -> io::Result<()> {
         let request = header(bytes).is_some_and(|header| header.kind == Kind::Request);
         let mut out = self.out();
         if request && out.stops != out.noticed {
@@ -215,12 +180,12 @@ impl Core {
     }
 
     /// What is ordered from now on was wanted at this mark: a stop since then is one that the owner has not noticed yet.
-    pub(crate) fn ordered_at(&self, mark: StopMark) {
+    pub fn ordered_at(&self, mark: StopMark) {
         self.out().mark = mark;
     }
 
     /// Waits for bytes until `deadline`; 0 then, and when there is something else to see to.
-    pub(crate) fn receive(&self, into: &mut [u8], deadline: Instant) -> Result<usize, String> {
+    pub fn receive(&self, into: &mut [u8], deadline: Instant) -> Result<usize, String> {
         let mut state = self.state();
         loop {
             if !state.unread.is_empty() {
@@ -244,15 +209,16 @@ impl Core {
         }
     }
 
-    pub(crate) fn introduce(&self, identity: &Identity) {
+    /// The owner has met the machine.
+    pub fn introduce(&self, identity: &Identity) {
         self.state().identity = Some(*identity);
     }
 
     /// The strongest stop that others have sent so far: guests, and processes that went past this door.
-    pub(crate) fn stopped(&self) -> Option<Urgent> {
+    pub fn stopped(&self) -> Option<Urgent> {
         let mut out = self.out();
         out.noticed = out.stops;
-        let mark = StopMark::of(self.doorway.as_ref());
+        let mark = Doorway::last_stops(self.doorway.as_ref());
         let elsewhere = mark.since(std::mem::replace(&mut out.mark, mark));
         drop(out);
         let mut state = self.state();
@@ -262,12 +228,13 @@ impl Core {
         state.stopped
     }
 
-    pub(crate) fn is_line_wanted(&self) -> bool {
+    /// A guest wants the line.
+    pub fn is_line_wanted(&self) -> bool {
         self.wanted.load(Ordering::Relaxed)
     }
 
     /// Offers the line to others, or does so no longer: whoever wanted it until now has to ask again.
-    pub(crate) fn offer_line(&self, offered: bool) {
+    pub fn offer_line(&self, offered: bool) {
         let _state = self.state();
         self.yields.store(offered, Ordering::Relaxed);
         if !offered {
@@ -288,14 +255,15 @@ impl Core {
     }
 
     /// Forgets the stops that the owner has noticed. One that it has not stays.
-    pub(crate) fn forget_stop(&self) {
+    pub fn forget_stop(&self) {
         let out = self.out();
         if out.stops == out.noticed {
             self.state().stopped = None;
         }
     }
 
-    pub(crate) fn question(&self, now: Instant) -> Option<Question> {
+    /// The next question of a guest for the machine.
+    pub fn question(&self, now: Instant) -> Option<Question> {
         let mut state = self.state();
         let early = |last: Instant| now.duration_since(last) < BREATH;
         if state.questions.is_empty() || state.last_question.is_some_and(early) {
@@ -329,7 +297,7 @@ impl Core {
     // The line.
 
     /// Hands the machine's bytes to the owner.
-    pub(crate) fn arrived(&self, bytes: &[u8]) {
+    pub fn arrived(&self, bytes: &[u8]) {
         let mut state = self.state();
         if state.unread.len() + bytes.len() <= UNREAD {
             state.unread.extend(bytes);
@@ -337,7 +305,8 @@ impl Core {
         self.woken.notify_all();
     }
 
-    pub(crate) fn lost(&self, why: String) {
+    /// Ends all guests: the line is lost.
+    pub fn lost(&self, why: String) {
         let mut state = self.state();
         state.lost.get_or_insert(why);
         // Without the line there is nothing to see here.
@@ -348,7 +317,7 @@ impl Core {
     }
 
     /// Passes a frame of the machine on to whom it concerns; `wire` are its bytes.
-    pub(crate) fn passed(&self, frame: &Frame<'_>, wire: &[u8]) {
+    pub fn passed(&self, frame: &Frame<'_>, wire: &[u8]) {
         match frame.header.kind {
             Kind::Telemetry | Kind::Event => {
                 for guest in self.state().guests.values().filter(|guest| guest.looks) {
@@ -475,7 +444,7 @@ impl Write for Closed {
 }
 
 /// Lets guests in until the core closes.
-pub(crate) fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
+pub fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
     loop {
         let stream = listener.accept();
         if core.is_closing() {
@@ -535,7 +504,7 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
 }
 
 /// What a guest says first, if it may come in.
-pub(crate) fn knocked(line: &[u8], plate: &Plate) -> io::Result<Knock> {
+pub fn knocked(line: &[u8], plate: &Plate) -> io::Result<Knock> {
     let knock: Knock = serde_json::from_slice(line)?;
     if knock.token != plate.token {
         return Err(io::ErrorKind::PermissionDenied.into());
@@ -553,7 +522,7 @@ struct Asking {
 }
 
 /// A guest that was let in; it leaves with this value.
-pub(crate) struct Visit {
+pub struct Visit {
     core: Arc<Core>,
     number: u64,
     /// It may do more than stop.
@@ -571,7 +540,7 @@ impl Drop for Visit {
 
 impl Visit {
     /// `None` if the line is gone.
-    pub(crate) fn new(
+    pub fn new(
         core: &Arc<Core>,
         shut: Box<dyn Fn() + Send>,
         frames: SyncSender<Vec<u8>>,
@@ -592,7 +561,7 @@ impl Visit {
     }
 
     /// What the guest is told first.
-    pub(crate) fn welcome(&self, knock: &Knock, plate: &Plate) -> io::Result<Vec<u8>> {
+    pub fn welcome(&self, knock: &Knock, plate: &Plate) -> io::Result<Vec<u8>> {
         if knock.wants_line {
             self.core.want_line();
         }
@@ -621,7 +590,7 @@ impl Visit {
     }
 
     /// Takes the guest's bytes.
-    pub(crate) fn take(&mut self, bytes: &[u8], now: Instant) -> io::Result<()> {
+    pub fn take(&mut self, bytes: &[u8], now: Instant) -> io::Result<()> {
         let mut deframer = std::mem::take(&mut self.deframer);
         let frames = bytes
             .iter()
@@ -747,184 +716,4 @@ fn header(bytes: &[u8]) -> Option<Header> {
 }
 
 #[cfg(test)]
-mod tests {
-    use std::sync::mpsc::{Receiver, channel};
-
-    use protocol::rig;
-    use protocol::table::Endpoint;
-
-    use super::*;
-
-    /// A line that keeps what is written to it.
-    struct Tap(std::sync::mpsc::Sender<Vec<u8>>);
-
-    impl Write for Tap {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            let _ = self.0.send(bytes.to_vec());
-            Ok(bytes.len())
-        }
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
-
-    fn core() -> (Arc<Core>, Receiver<Vec<u8>>) {
-        let (tap, written) = channel();
-        (Core::new(Box::new(Tap(tap)), false, None), written)
-    }
-
-    #[test]
-    fn a_line_that_is_no_longer_offered_is_given_to_nobody() {
-        let (core, _written) = core();
-        assert!(!core.want_line() && !core.is_line_wanted());
-        core.offer_line(true);
-        assert!(core.want_line() && core.is_line_wanted());
-        // The owner begins to work: whoever wanted the line has to ask again.
-        core.offer_line(false);
-        assert!(!core.is_line_wanted() && !core.want_line());
-        assert!(!core.is_line_wanted());
-    }
-
-    fn request(seq: u16) -> Encoded {
-        let header = Header {
-            kind: Kind::Request,
-            session: 1,
-            seq,
-        };
-        encode(header, &rig::Home.into_request()).expect("fits")
-    }
-
-    const STOP: Header = Header {
-        kind: Kind::Urgent,
-        session: 3,
-        seq: 7,
-    };
-
-    #[test]
-    fn a_command_that_comes_after_a_stop_nobody_has_noticed_is_not_sent() {
-        let (core, written) = core();
-        core.send(&request(1)).expect("sent");
-        assert_eq!(written.try_iter().count(), 1);
-        core.stop(0, STOP, Urgent::Stop).expect("sent");
-        assert_eq!(written.try_iter().count(), 1);
-        core.send(&request(1)).expect("left out");
-        assert_eq!(written.try_iter().count(), 0);
-        assert_eq!(core.stopped(), Some(Urgent::Stop));
-        core.send(&request(2)).expect("sent");
-        assert_eq!(written.try_iter().count(), 1);
-        // The owner's own stop never waits.
-        core.stop(0, STOP, Urgent::EStop).expect("sent");
-        let own = encode(STOP, &Urgent::EStop).expect("fits");
-        core.send(&own).expect("sent");
-        assert_eq!(written.try_iter().count(), 2);
-        assert_eq!(core.stopped(), Some(Urgent::EStop));
-    }
-
-    #[test]
-    fn a_repeated_stop_keeps_its_number_and_another_gets_the_next() {
-        let (core, written) = core();
-        let other = Header { seq: 8, ..STOP };
-        for header in [STOP, STOP, other] {
-            core.stop(0, header, Urgent::Stop).expect("sent");
-        }
-        let numbers: Vec<_> = written
-            .try_iter()
-            .map(|frame| header(&frame).expect("a frame").seq)
-            .collect();
-        assert_eq!(numbers, [FIRST_SEQ, FIRST_SEQ, FIRST_SEQ + 1]);
-    }
-
-    #[test]
-    fn a_question_that_waited_too_long_is_not_asked() {
-        let (core, _written) = core();
-        let (answers, answered) = channel();
-        let question = |asked| {
-            let answers = answers.clone();
-            Question {
-                request: rig::Resume.into_request(),
-                asked,
-                answer: Box::new(move |reply| answers.send(reply).expect("heard")),
-            }
-        };
-        let long_ago = Instant::now() - STALE - Duration::from_millis(1);
-        core.ask(question(long_ago));
-        assert!(core.question(Instant::now()).is_none());
-        assert_eq!(answered.try_recv(), Ok(None));
-        thread::sleep(BREATH);
-        core.ask(question(Instant::now()));
-        assert!(core.question(Instant::now()).is_some());
-        // The next one has to wait, however often the owner looks.
-        core.ask(question(Instant::now()));
-        assert!(core.question(Instant::now()).is_none());
-    }
-
-    #[test]
-    fn what_many_want_to_see_is_asked_once_and_what_they_want_done_as_often_as_they_say() {
-        let (core, _written) = core();
-        let (answers, answered) = channel();
-        let ask = |guest: u32, request: Request| {
-            let answers = answers.clone();
-            core.ask(Question {
-                request,
-                asked: Instant::now(),
-                answer: Box::new(move |reply| answers.send((guest, reply)).expect("heard")),
-            });
-        };
-        let status = || rig::GetRigStatus.into_request();
-        for guest in 0..5 {
-            ask(guest, status());
-        }
-        ask(5, rig::Resume.into_request());
-        ask(6, status());
-        ask(7, rig::Resume.into_request());
-        let reply = Reply::Wire(WireError::Malformed);
-        let first = core.question(Instant::now()).expect("one");
-        assert_eq!(first.request, status());
-        first.answer(Some(reply.clone()));
-        let mut guests: Vec<_> = answered.try_iter().collect();
-        guests.sort_by_key(|(guest, _)| *guest);
-        let told = |guest| (guest, Some(reply.clone()));
-        assert_eq!(guests, [0, 1, 2, 3, 4, 6].map(told));
-        for guest in [5, 7] {
-            thread::sleep(BREATH);
-            core.question(Instant::now()).expect("another").answer(None);
-            assert_eq!(answered.try_iter().collect::<Vec<_>>(), [(guest, None)]);
-        }
-        thread::sleep(BREATH);
-        assert!(core.question(Instant::now()).is_none());
-    }
-
-    /// The door of a system without Unix sockets.
-    #[test]
-    fn at_a_loopback_door_the_token_decides() {
-        let (core, written) = core();
-        let listener = Listener::loopback().expect("a free port");
-        let plate = Plate {
-            owner: crate::door::Owner::this_process(),
-            port: listener.port(),
-            token: "secret".to_owned(),
-            recording: None,
-        };
-        let (served, shown) = (Arc::clone(&core), plate.clone());
-        thread::spawn(move || serve(&listener, &shown, &served));
-        let visit = |token: &str| {
-            let mut stream = Stream::connect("".as_ref(), plate.port).expect("open");
-            let knock = format!("{{\"retrograde_window\":1,\"token\":\"{token}\"}}\n");
-            let stop = encode(STOP, &Urgent::EStop).expect("fits");
-            // Without waiting for the welcome.
-            stream.write_all(knock.as_bytes()).expect("sent");
-            let _ = stream.write_all(&stop);
-            read_line(&mut stream, LONGEST_LINE)
-        };
-        for wrong in ["", "guess"] {
-            assert!(visit(wrong).is_err());
-            assert!(written.recv_timeout(Duration::from_millis(100)).is_err());
-        }
-        let welcome = visit("secret").expect("welcome");
-        let welcome: Welcome = serde_json::from_slice(&welcome).expect("JSON");
-        assert_eq!(welcome.owner, plate.owner);
-        let sent = written.recv_timeout(Duration::from_secs(2)).expect("sent");
-        assert_eq!(header(&sent).expect("a frame").kind, Kind::Urgent);
-        core.close();
-    }
-}
+mod tests;

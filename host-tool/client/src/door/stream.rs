@@ -2,13 +2,14 @@
 
 use std::io::{self, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
-#[cfg(unix)]
-use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::Path;
 use std::time::Duration;
 
+#[cfg(unix)]
+use std::os::unix::net::{UnixListener, UnixStream};
+
 /// A listening door.
-pub(crate) enum Listener {
+pub enum Listener {
     /// Guarded by the permissions of its folder.
     #[cfg(unix)]
     Unix(UnixListener),
@@ -18,7 +19,7 @@ pub(crate) enum Listener {
 
 /// One guest's connection, on either side.
 #[derive(Debug)]
-pub(crate) enum Stream {
+pub enum Stream {
     #[cfg(unix)]
     Unix(UnixStream),
     Loopback(TcpStream),
@@ -27,18 +28,18 @@ pub(crate) enum Stream {
 impl Listener {
     /// Listens at the socket.
     #[cfg(unix)]
-    pub(crate) fn unix(socket: &Path) -> io::Result<Self> {
+    pub fn unix(socket: &Path) -> io::Result<Self> {
         UnixListener::bind(socket).map(Self::Unix)
     }
 
     /// Listens at a free port of the loopback interface.
     #[cfg_attr(unix, allow(dead_code))]
-    pub(crate) fn loopback() -> io::Result<Self> {
+    pub fn loopback() -> io::Result<Self> {
         TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map(Self::Loopback)
     }
 
     /// The port, for a loopback door.
-    pub(crate) fn port(&self) -> Option<u16> {
+    pub fn port(&self) -> Option<u16> {
         match self {
             #[cfg(unix)]
             Self::Unix(_) => None,
@@ -46,7 +47,7 @@ impl Listener {
         }
     }
 
-    pub(crate) fn accept(&self) -> io::Result<Stream> {
+    pub fn accept(&self) -> io::Result<Stream> {
         match self {
             #[cfg(unix)]
             Self::Unix(listener) => listener.accept().map(|(stream, _)| Stream::Unix(stream)),
@@ -61,7 +62,7 @@ impl Listener {
 
 impl Stream {
     /// Connects to the socket, or to the port if there is one.
-    pub(crate) fn connect(socket: &Path, port: Option<u16>) -> io::Result<Self> {
+    pub fn connect(socket: &Path, port: Option<u16>) -> io::Result<Self> {
         let Some(port) = port else {
             #[cfg(unix)]
             return UnixStream::connect(socket).map(Self::Unix);
@@ -76,7 +77,7 @@ impl Stream {
         Ok(Self::Loopback(stream))
     }
 
-    pub(crate) fn try_clone(&self) -> io::Result<Self> {
+    pub fn try_clone(&self) -> io::Result<Self> {
         Ok(match self {
             #[cfg(unix)]
             Self::Unix(stream) => Self::Unix(stream.try_clone()?),
@@ -84,7 +85,7 @@ impl Stream {
         })
     }
 
-    pub(crate) fn set_read_timeout(&self, limit: Option<Duration>) -> io::Result<()> {
+    pub fn set_read_timeout(&self, limit: Option<Duration>) -> io::Result<()> {
         match self {
             #[cfg(unix)]
             Self::Unix(stream) => stream.set_read_timeout(limit),
@@ -92,7 +93,7 @@ impl Stream {
         }
     }
 
-    pub(crate) fn set_write_timeout(&self, limit: Option<Duration>) -> io::Result<()> {
+    pub fn set_write_timeout(&self, limit: Option<Duration>) -> io::Result<()> {
         match self {
             #[cfg(unix)]
             Self::Unix(stream) => stream.set_write_timeout(limit),
@@ -100,7 +101,7 @@ impl Stream {
         }
     }
 
-    pub(crate) fn shut(&self) {
+    pub fn shut(&self) {
         // A connection that is gone already needs no end.
         let _ = match self {
             #[cfg(unix)]
@@ -135,7 +136,7 @@ impl Write for Stream {
 }
 
 /// Reads a line of at most `limit` bytes, and not a byte beyond its end.
-pub(crate) fn read_line(from: &mut impl Read, limit: usize) -> io::Result<Vec<u8>> {
+pub fn read_line(from: &mut impl Read, limit: usize) -> io::Result<Vec<u8>> {
     let mut line = vec![];
     let mut byte = [0];
     loop {

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use crate::door::lock::Doorway;
 use crate::door::stream::{Stream, read_line};
-use crate::door::{Knock, LONGEST_LINE, Owner, VERSION, Welcome};
+use crate::door::{Knock, LONGEST_LINE, VERSION, Welcome};
+use crate::link::owner::Owner;
 use crate::link::tcp::{nothing_yet, timeout, wall_us};
 use crate::link::{Link, LinkError};
 

@@ -1,13 +1,12 @@
 //! A link to a machine at a serial port, which this process opens exclusively.
 
-use std::fs;
-use std::io;
 use std::path::Path;
 use std::time::{Duration, Instant};
+use std::{fs, io};
 
 use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
 
-use crate::link::shared::{Halves, READ};
+use crate::link::halves::{Halves, READ};
 use crate::link::tcp::{nothing_yet, timeout, wall_us};
 use crate::link::{Link, LinkError, OpenError, Reason};
 use crate::named;

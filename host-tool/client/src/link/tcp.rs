@@ -1,10 +1,11 @@
 //! A link to a machine behind a TCP server, which passes on the bytes of its serial port in real time.
 
 use std::io::{self, ErrorKind, Read, Write};
-use std::net::{TcpStream, ToSocketAddrs};
+use std::net::TcpStream;
+use std::net::ToSocketAddrs;
 use std::time::{Duration, Instant};
 
-use crate::link::shared::{Halves, READ};
+use crate::link::halves::{Halves, READ};
 use crate::link::{Link, LinkError, OpenError, Reason};
 
 /// Time limit for a write: a server that reads nothing for so long is stuck.

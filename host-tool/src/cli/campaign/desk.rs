@@ -6,18 +6,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use client::error::ClientError;
-use client::{Interrupt, Observer, Pace, Pacer};
-use jiff::Timestamp;
-
-use crate::cli::failure::Failure;
-use crate::cli::finding::Finder;
-use crate::cli::screen::Screen;
-use crate::cli::{Keyboard, interrupt};
 use campaign::conduct::Desk;
 use campaign::plan::{Millimetres, Plan};
 use campaign::prompts::{Halt, Question};
 use campaign::readings::Quantity;
+use client::error::ClientError;
+use client::{Interrupt, Observer, Pace, Pacer};
+use jiff::Timestamp;
+use operations::failure::Failure;
+use operations::interrupt;
+use operations::places::Places;
+
+use crate::cli::screen::{Keyboard, Screen};
 
 /// Interval between two looks at the keyboard.
 const TURN: Duration = Duration::from_millis(10);
@@ -73,17 +73,17 @@ pub(super) fn can_answer(plan: &Plan) -> Result<(), Failure> {
 /// The terminal or its replacement.
 pub(super) struct Counter<'a, 'b> {
     screen: &'a mut Screen<'b>,
-    finder: &'a Finder<'a>,
+    places: &'a Places<'a>,
     who: Who,
     interrupt: Interrupt,
 }
 
 impl<'a, 'b> Counter<'a, 'b> {
     /// From now on Ctrl-C leaves a question, too.
-    pub(super) fn new(screen: &'a mut Screen<'b>, finder: &'a Finder<'a>, who: Who) -> Self {
+    pub(super) fn new(screen: &'a mut Screen<'b>, places: &'a Places<'a>, who: Who) -> Self {
         Self {
             screen,
-            finder,
+            places,
             who,
             interrupt: interrupt::install(),
         }
@@ -159,7 +159,7 @@ impl Desk for Counter<'_, '_> {
     }
 
     fn now(&self) -> Timestamp {
-        self.finder.connector.now()
+        self.places.connector.now()
     }
 }
 

@@ -5,13 +5,12 @@ use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::thread;
 use std::time::Duration;
 
-use client::Interrupt;
-use client::decimal;
+use client::{Interrupt, decimal};
 use commissioning::halt::Halt;
 use commissioning::hands::{Act, Hands, Part, Reading, Say, Watch};
 use commissioning::session::wrapped;
 
-use crate::cli::Keyboard;
+use crate::cli::screen::Keyboard;
 
 /// Interval between two looks at the keyboard.
 const TURN: Duration = Duration::from_millis(20);

@@ -5,18 +5,17 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
 
-use client::Device;
 use client::error::ClientError;
-use client::identity;
 use client::limited::{self, BY_HAND};
+use client::{Device, identity};
+use operations::failure::Failure;
 use protocol::settings::{GetName, GetSetting, MAX_NAME, Name, Setting};
 use protocol::system::DeviceKind;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde_json::Value;
 
-use crate::cli::args::Key;
-use crate::cli::failure::Failure;
-use crate::cli::settings::{checked_name, value_of};
+use crate::cli::failure::Own;
+use crate::cli::settings::values::{Key, checked_name, value_of};
 
 /// The file. Unknown and repeated fields are errors.
 #[derive(serde::Deserialize)]
@@ -144,7 +143,7 @@ struct Change {
 /// Sets the values that differ; returns the number of settings changed.
 ///
 /// # Errors
-/// [`Failure::Import`], which lists the changes that could not be undone.
+/// [`Own::Import`], which lists the changes that could not be undone.
 pub(super) fn import(rig: &mut Device, file: &Path, wanted: Wanted) -> Result<usize, Failure> {
     let mut changes = vec![];
     for to in wanted.settings {
@@ -163,12 +162,13 @@ pub(super) fn import(rig: &mut Device, file: &Path, wanted: Wanted) -> Result<us
     let mut done = vec![];
     match apply(rig, changes, &mut done) {
         Ok(()) => Ok(count),
-        Err((setting, cause)) => Err(Failure::Import {
+        Err((setting, cause)) => Err(Own::Import {
             file: file.to_owned(),
             setting,
             cause: Box::new(cause),
             changed: put_back(rig, done),
-        }),
+        }
+        .into()),
     }
 }
 

@@ -2,15 +2,13 @@
 
 use std::time::Instant;
 
-use client::decimal;
-use client::identity;
+use client::{decimal, identity};
+use operations::panel::{Contact, Notice, Panel, left_text, millimetres, run_text};
 use protocol::capsule::{CapsuleState, CapsuleStatus};
 use protocol::rig::{RigState, RigStatus};
 use ratatui_core::buffer::Buffer;
 use ratatui_core::layout::Rect;
 use ratatui_core::style::{Color, Style};
-
-use crate::cli::watch::panel::{Contact, Notice, Panel, left_text, millimetres, run_text};
 
 /// The least columns and rows.
 pub const LEAST: (u16, u16) = (80, 24);

@@ -6,22 +6,21 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::address::Address;
 use client::error::ClientError;
 use client::link::LinkError;
-use client::link::address::Address;
 use client::{Device, Interrupt, Observer, Pace};
+use operations::connector::Purpose;
+use operations::delivery::DO_NOW;
+use operations::failure::Failure;
+use operations::left;
+use operations::panel::{self, Contact, MOVES_ALREADY, Notice, Panel};
+use operations::places::{Places, Target};
+use operations::stops::{Ask, Stops};
 use protocol::error::Refusal;
 use protocol::rig;
 use protocol::system::{DeviceKind, Event, Urgent};
 use protocol::table::Telemetry;
-
-use crate::cli::failure::Failure;
-use crate::cli::finding::{Finder, Target};
-use crate::cli::stops::DO_NOW;
-use crate::cli::watch::panel::{self, Contact, MOVES_ALREADY, Notice, Panel};
-use crate::connector::Purpose;
-use crate::left;
-use crate::stops::{Ask, Stops};
 
 /// Interval of telemetry if this process owns the line: as often as the screen is drawn.
 const TELEMETRY_MS: u16 = 50;
@@ -65,8 +64,8 @@ impl Shared {
     }
 
     /// Stops the machine as soon as the feed sees it, within 20 ms.
-    pub(crate) fn stop(&self, finder: &Finder<'_>, urgent: Urgent) {
-        if let Some(doorway) = finder.connector.doorway(&self.address) {
+    pub(crate) fn stop(&self, places: &Places<'_>, urgent: Urgent) {
+        if let Some(doorway) = places.connector.doorway(&self.address) {
             doorway.mark_stop(urgent);
         }
         self.asks().push(self.stops.ask(urgent));
@@ -94,7 +93,7 @@ impl Shared {
     }
 
     /// Sends the stop that a key wants over a line of its own: there is no connection, or it has not confirmed it.
-    pub(crate) fn stop_directly(&self, finder: &Finder<'_>) {
+    pub(crate) fn stop_directly(&self, places: &Places<'_>) {
         let Some(urgent) = self.stops.unconfirmed() else {
             return;
         };
@@ -103,7 +102,7 @@ impl Shared {
             kind: Some(self.kind),
             address: Some(self.address.clone()),
         };
-        let result = finder.urgent(&target, urgent);
+        let result = places.urgent(&target, urgent);
         self.tell(match result {
             Ok(_) => {
                 self.confirmed(urgent, asked);
@@ -148,7 +147,7 @@ impl Observer for Seen<'_> {
 
 /// One machine to watch.
 pub(crate) struct Feed<'a> {
-    pub(crate) finder: &'a Finder<'a>,
+    pub(crate) places: &'a Places<'a>,
     pub(crate) shared: &'a Shared,
     /// The person leaves.
     pub(crate) leaving: &'a AtomicBool,
@@ -161,7 +160,7 @@ impl Feed<'_> {
     pub(crate) fn follow(&self) {
         while !self.is_leaving() {
             let result = self.connection();
-            self.shared.stop_directly(self.finder);
+            self.shared.stop_directly(self.places);
             let failure = match result {
                 Ok(()) if self.is_leaving() => return,
                 Ok(()) => {
@@ -184,7 +183,7 @@ impl Feed<'_> {
             drop(panel);
             let begin = Instant::now();
             while begin.elapsed() < AGAIN && !self.is_leaving() {
-                self.shared.stop_directly(self.finder);
+                self.shared.stop_directly(self.places);
                 thread::sleep(Duration::from_millis(10));
             }
         }
@@ -196,21 +195,21 @@ impl Feed<'_> {
 
     /// Connects, and follows until the connection is lost, the person leaves, or somebody else needs the line.
     fn connection(&self) -> Result<(), Failure> {
-        let finder = self.finder;
-        let link = finder.connector.open(
+        let places = self.places;
+        let link = places.connector.open(
             self.shared.kind,
             &self.shared.address,
-            finder.cli.baud,
+            places.baud,
             Purpose::Watch,
         )?;
-        let nonce = finder.connector.nonce();
+        let nonce = places.connector.nonce();
         let mut device = Device::new(link, nonce);
         // Keys are seen to between two looks.
         device.expect_haste();
         device.set_interrupt(self.shared.interrupt());
         device.hello(nonce)?;
         device.require(self.shared.kind)?;
-        finder.require_name(&mut device)?;
+        places.require_name(&mut device)?;
         let owned = device.owner().is_none();
         if owned {
             device.set_telemetry(TELEMETRY_MS)?;

@@ -1,12 +1,12 @@
-//! A plan of trials as a figure: what the trials tell together, and what a first trial of each kind would tell.
+//! A plan of trials as a figure: the joint information of the trials, and that of a first trial of each kind.
 
 use plotters::style::RGBColor;
 
-use crate::report::figures::{Curve, FigureError, Heading, Mark, ModelName, figure};
+use crate::figures::{Curve, FigureError, Heading, Mark, ModelName, figure};
 use crate::science::charts::{BAND, MODEL, PAPER, chart, curve, family};
 use crate::science::trial_plan::{Plan, Series};
 
-/// Sum over the displacements so far, from nothing, and its standard errors.
+/// Joint information over the number of displacements, from zero, with its standard errors.
 fn sums(series: &Series) -> Vec<(f64, f64, f64)> {
     let mut made = 0;
     let mut points = vec![(0.0, 0.0, 0.0)];
@@ -41,7 +41,7 @@ pub fn trial_plan(model: ModelName, plan: &Plan) -> Result<String, FigureError> 
         line(recommended, "recommended trials (model)", MODEL),
         line(as_many, "the paper's procedure (model)", PAPER),
     ];
-    // Before anything is measured both walls tell the same.
+    // Before any measurement both walls give the same information.
     let wall = plan.candidates[0].lubrication;
     let first = (plan.candidates.iter().zip(&plan.steps[0].gains))
         .filter(|(candidate, _)| candidate.lubrication == wall);

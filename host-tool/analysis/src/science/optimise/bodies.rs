@@ -1,4 +1,4 @@
-//! How far a design goes by one wave, over bodies whose coupling, friction ratio and preload are not known, each at
+//! Displacement of a design by one wave, over bodies with unknown coupling, friction ratio and preload, each at
 //! another place.
 
 use locomotion::kinematics::Design;
@@ -9,20 +9,20 @@ use locomotion::roller;
 
 use crate::science::posterior::Posterior;
 
-/// Places follow each other by this part of a spacing, the golden section: any number of them covers it evenly.
+/// Offset from one starting place to the next, as a share of a spacing: the golden section spreads any number evenly.
 const PLACES: f64 = 0.618_033_988_749_894_9;
 
-/// For what a displacement is counted.
+/// Reference of a displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Per {
-    /// For one wave and its way back.
+    /// One wave and its way back.
     Wave,
-    /// The same, divided by the number of crescents.
+    /// One wave and its way back, divided by the number of crescents.
     Crescent,
 }
 
 impl Per {
-    /// For people.
+    /// The reference in words.
     #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
@@ -32,17 +32,17 @@ impl Per {
     }
 }
 
-/// How exactly a design is judged.
+/// Accuracy of an evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Care {
-    /// While it is searched: with about `SEARCHED` of the bodies and a coarse step. All designs come out 0.7 % too far.
+    /// For the search: about `SEARCHED` of the bodies and a coarse step. It overestimates all displacements by 0.7 %.
     Searched,
-    /// For the table: with all bodies; the step changes no mean by 0.03 mm.
+    /// For the table: all bodies, and a step that changes no mean by 0.03 mm.
     Listed,
 }
 
 impl Care {
-    /// Every so many of `count` bodies, and the step of the roller, mm.
+    /// Takes every n-th of `count` bodies, and the step of the roller, mm.
     fn effort(self, count: usize) -> (usize, f64) {
         match self {
             Self::Searched => ((count / SEARCHED).max(1), 0.25),
@@ -51,19 +51,19 @@ impl Care {
     }
 }
 
-/// With so many bodies, or all if there are fewer, a design is judged while it is searched.
+/// Approximate number of bodies during the search; all if there are fewer.
 const SEARCHED: usize = 48;
 
-/// Bodies, as they are on the rig.
+/// Bodies on the rig.
 #[derive(Clone, Debug)]
 pub struct Bodies {
     params: Vec<roller::Params>,
-    /// They are of a posterior, not of the prior.
+    /// Whether they are those of a posterior; otherwise of the prior.
     fitted: bool,
 }
 
 impl Bodies {
-    /// The bodies that agree with the paper's words on the rig, otherwise as the model.
+    /// The model with each of the bodies that agree with the paper's words on the rig.
     ///
     /// # Errors
     /// A model with a value outside its range.
@@ -77,7 +77,7 @@ impl Bodies {
         })
     }
 
-    /// The bodies of a posterior, otherwise as the model.
+    /// The model with each of the bodies of a posterior.
     ///
     /// # Errors
     /// A model with a value outside its range.
@@ -89,20 +89,20 @@ impl Bodies {
         })
     }
 
-    /// How many.
+    /// Number of bodies.
     #[must_use]
     pub fn count(&self) -> usize {
         self.params.len()
     }
 
-    /// Whether they are of a posterior.
+    /// Whether they are those of a posterior.
     #[must_use]
     pub fn fitted(&self) -> bool {
         self.fitted
     }
 
-    /// Displacement of a design by one wave from head to tail and back, mm, + headward, with each body. The wave begins and
-    /// ends clear of the body, so that no end of a stroke counts.
+    /// Displacement of a design with each body, mm, + headward, by one wave from head to tail and back. The wave
+    /// begins and ends clear of the body, so that the ends of a stroke have no effect.
     ///
     /// # Errors
     /// An indentation or a design that the model does not cover.
@@ -145,7 +145,7 @@ mod tests {
         values.iter().sum::<f64>() / values.len() as f64
     }
 
-    /// The paper's design at a fifth of the step, at other places and with a longer way to either side.
+    /// The paper's design with a fifth of the step, at other places and with longer travel to either side.
     #[test]
     fn step_and_place_hardly_change_the_mean() {
         let design = Design::paper_printed();

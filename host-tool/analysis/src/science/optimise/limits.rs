@@ -1,4 +1,4 @@
-//! What a design has to keep: length, thread to fold it, room for the folded sides, force, the least alpha and the least
+//! Limits on a design: length, thread to fold it, room for the folded sides, force, the least alpha and the least
 //! core.
 
 use locomotion::beam::NoAnswer;
@@ -6,48 +6,52 @@ use locomotion::beam::crescent::{Shape, Wing};
 use locomotion::kinematics::Design;
 use locomotion::range::{Ends, OutOfRange, check};
 
+/// Largest alpha of the search, degrees.
+pub const MOST_ALPHA_DEG: f64 = 40.0;
+/// Largest c/W of the search.
+pub const MOST_CORE_RATIO: f64 = 0.6;
+
 /// Angles are printed to two decimals: an alpha this little below the least one keeps it, degrees.
 const PRINTED_DEG: f64 = 0.005;
 
 /// The limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Overall length at rest, mm, at most.
+    /// Greatest overall length at rest, mm.
     pub length_mm: f64,
     /// Width to which the thread has to fold it, mm.
     pub folded_width_mm: f64,
-    /// Thread for that, mm, at most.
+    /// Greatest length of thread for that, mm.
     pub thread_mm: f64,
-    /// Distance psi between crescents when it is folded or under the wave, mm, at least: both sides lie in it.
+    /// Least distance psi between crescents, folded and under the wave, mm: both sides have to fit into it.
     pub spacing_mm: f64,
-    /// Force of the wave on one wing, N, at most.
+    /// Greatest force of the wave on one wing, N.
     pub force_n: f64,
-    /// Indentation of the wave, mm, at which all of this is asked.
+    /// Indentation of the wave at which all limits apply, mm.
     pub indentation_mm: f64,
-    /// Alpha, degrees, at least.
+    /// Least alpha, degrees.
     pub least_alpha_deg: f64,
-    /// c/W, at least: no model here knows when a core bends.
+    /// Least c/W: no model here predicts when a core bends.
     pub least_core_ratio: f64,
     /// Radius of the roller that makes the wave, mm.
     pub radius_mm: f64,
 }
 
-/// What a design takes.
+/// The values of a design that the limits apply to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Needs {
     /// Overall length at rest, mm.
     pub length_mm: f64,
-    /// Thread that folds it to the wanted width, mm; no number if its core is wider.
+    /// Thread that folds it to the required width, mm; NaN if its core is wider.
     pub thread_mm: f64,
-    /// Distance psi between crescents when it is folded or under the wave, whichever squeezes it more, mm; no number if
-    /// its core is wider.
+    /// Smaller of the distances psi between crescents, folded and under the wave, mm; NaN if its core is wider.
     pub spacing_mm: f64,
-    /// Force of the wave on one wing without friction, N; no number if the beam has no answer.
+    /// Force of the wave on one wing without friction, N; NaN if the beam model has no answer.
     pub force_n: f64,
 }
 
 impl Limits {
-    /// Refuses limits that no design could be asked for, in a structure of this width.
+    /// Refuses limits that are impossible for a structure of this width.
     ///
     /// # Errors
     /// The first limit outside its range.
@@ -101,19 +105,19 @@ impl Limits {
             "least alpha",
             "deg",
             self.least_alpha_deg,
-            (0.0, super::search::MOST_ALPHA_DEG),
+            (0.0, MOST_ALPHA_DEG),
             "the search goes up to there",
         )?;
         over(
             "least core ratio c/W",
             "",
             self.least_core_ratio,
-            (0.0, super::search::MOST_CORE_RATIO),
+            (0.0, MOST_CORE_RATIO),
             "the search goes up to there",
         )
     }
 
-    /// What a design takes at these limits' indentation and folded width.
+    /// Computes a design's values at these limits' indentation and folded width.
     ///
     /// # Errors
     /// Folded width and indentation that [`Limits::check`] refuses.
@@ -147,12 +151,12 @@ impl Limits {
         Ok(squeezed.value.inward_n)
     }
 
-    /// The limits that a design does not keep, by the names of their options.
+    /// Limits that a design breaks, by the names of their options.
     #[must_use]
     pub fn broken(&self, design: &Design<f64>, needs: &Needs) -> Vec<&'static str> {
         let alpha_deg = design.tan_alpha().atan().to_degrees();
         let ratio = design.core_mm() / design.width_mm();
-        // No number keeps no limit.
+        // NaN breaks every limit.
         let kept = |value: f64, most: f64| value <= most;
         [
             ("most-length-mm", kept(needs.length_mm, self.length_mm)),

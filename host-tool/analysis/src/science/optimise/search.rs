@@ -1,41 +1,37 @@
-//! Proposals of designs from a seed: first spread evenly (a Latin hypercube), then near the best ones, and which of
-//! several designs no other one beats in length and displacement.
+//! Proposes designs from a seed: first spread evenly (a Latin hypercube), then near the best ones. Finds those that
+//! no other design beats in both length and displacement.
 //!
-//! Four numbers from 0 to 1 are a design: alpha, beta, c/W and the share of the crescents that fit into the length.
+//! A design is four numbers from 0 to 1: alpha, beta, c/W and the share of the crescents that fit into the length.
 
 use campaign::chance::Chance;
 use locomotion::kinematics::{Design, MAX_CRESCENTS};
 use locomotion::range::OutOfRange;
 
-use crate::science::optimise::limits::Limits;
+use crate::science::optimise::limits::{Limits, MOST_ALPHA_DEG, MOST_CORE_RATIO};
 
-/// Numbers that are free in a design.
+/// Free numbers of a design.
 pub const FREE: usize = 4;
-/// Largest alpha of the search, degrees.
-pub const MOST_ALPHA_DEG: f64 = 40.0;
 /// Largest beta of the search, degrees.
 pub const MOST_BETA_DEG: f64 = 70.0;
-/// Largest c/W of the search.
-pub const MOST_CORE_RATIO: f64 = 0.6;
-/// Beta is at least this much above alpha, degrees: below it the crescents are thinner than a print.
+/// Least difference of beta and alpha, degrees: below it the crescents are thinner than a printer can print.
 pub const LEAST_BETWEEN_DEG: f64 = 2.0;
 
-/// A design that is to be tried.
+/// A design to be tried.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Proposal {
-    /// Where it lies between the bounds, 0 to 1.
+    /// Position between the bounds, 0 to 1.
     pub unit: [f64; FREE],
     /// The design.
     pub design: Design<f64>,
-    /// The bounds on which it lies.
+    /// Bounds on which it lies.
     pub at_bound: Vec<&'static str>,
 }
 
 impl Proposal {
-    /// The design at this place between the bounds.
+    /// The design at a position between the bounds.
     ///
     /// # Errors
-    /// A width that is none.
+    /// An invalid width.
     pub fn new(unit: [f64; FREE], width_mm: f64, limits: &Limits) -> Result<Self, OutOfRange> {
         let between = |part: f64, low: f64, high: f64| low + part * (high - low);
         let alpha_deg = between(unit[0], limits.least_alpha_deg, MOST_ALPHA_DEG);
@@ -49,7 +45,7 @@ impl Proposal {
             ("least alpha", "largest alpha"),
             ("least beta", "largest beta"),
             ("least core", "largest core"),
-            ("", ""), // few and many crescents are no bound of the search but of the length
+            ("", ""), // the number of crescents is bounded by the length, not by the search
         ];
         let at_bound = unit.iter().zip(names).filter_map(|(part, (low, high))| {
             let name = match *part {
@@ -68,7 +64,7 @@ impl Proposal {
 }
 
 impl Proposal {
-    /// A given design, with the nearest place between the bounds.
+    /// A given design, with the nearest position between the bounds.
     ///
     /// # Errors
     /// None for a design.
@@ -91,14 +87,14 @@ impl Proposal {
     }
 }
 
-/// How many crescents like those of a design fit into the length, at least 1.
+/// Number of such crescents that fit into the length, at least 1.
 fn most_crescents(design: &Design<f64>, limits: &Limits) -> Result<f64, OutOfRange> {
     let room_mm = limits.length_mm - design.wing_reach_mm(0.0)?;
     let most = (room_mm / design.spacing_mm()).floor();
     Ok(most.clamp(1.0, MAX_CRESCENTS.into()))
 }
 
-/// Places spread so that each of the numbers takes every one of `count` equal parts once.
+/// Positions spread so that each of the numbers takes every one of `count` equal parts once.
 pub fn hypercube(count: usize, chance: &mut Chance) -> Vec<[f64; FREE]> {
     let mut places = vec![[0.0; FREE]; count];
     for number in 0..FREE {
@@ -111,7 +107,7 @@ pub fn hypercube(count: usize, chance: &mut Chance) -> Vec<[f64; FREE]> {
     places
 }
 
-/// A place near one parent, with some numbers of the other. A step over a bound ends on it.
+/// A position near one parent, with some numbers of the other. A step beyond a bound ends on it.
 pub fn child(one: [f64; FREE], other: [f64; FREE], reach: f64, chance: &mut Chance) -> [f64; FREE] {
     let mut place = one;
     for (number, others) in place.iter_mut().zip(other) {
@@ -125,17 +121,17 @@ pub fn child(one: [f64; FREE], other: [f64; FREE], reach: f64, chance: &mut Chan
     place
 }
 
-/// Whether a design of this length and displacement is no longer and goes no less far, and is better in one of them.
+/// Whether the first design is no longer and moves no less far than the other, and is better in one of them.
 #[must_use]
 pub fn dominates(one: (f64, f64), other: (f64, f64)) -> bool {
     one.0 <= other.0 && one.1 >= other.1 && one != other
 }
 
-/// What goes less far goes nowhere, mm: the ripple of the model.
+/// Displacements below this count as none, mm: the ripple of the model.
 pub const NOWHERE_MM: f64 = 0.05;
 
-/// The designs, by their length and displacement, that go somewhere and that no other one dominates, from short to long.
-/// Of equal ones the first.
+/// Indices of the designs that move at all and that no other one dominates, from short to long. Of equal designs it
+/// keeps the first.
 #[must_use]
 pub fn front(places: &[(f64, f64)]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..places.len()).collect();
@@ -152,7 +148,7 @@ pub fn front(places: &[(f64, f64)]) -> Vec<usize> {
     order
 }
 
-/// At most `most` of these, evenly, with both ends; the places of those that are kept.
+/// At most `most` of these, evenly spread, with both ends.
 #[must_use]
 pub fn thinned(front: &[usize], most: usize) -> Vec<usize> {
     let last = front.len().saturating_sub(1);
@@ -179,7 +175,7 @@ mod tests {
         }
     }
 
-    /// Against the definition, over random places with many that are equal in one of the two.
+    /// Compares with the definition, over random places of which many are equal in one of the two.
     #[test]
     fn the_front_is_what_nothing_dominates() {
         let mut chance = Chance::new(9);

@@ -1,0 +1,308 @@
+//! The server in this process, without sockets and threads, for tests: requests go through the router, orders and stops through
+//! the real keepers and errands, each to its end before the answer is read. Time is that of the links.
+
+use std::collections::BTreeMap;
+use std::future::{Future, poll_fn};
+use std::path::Path;
+use std::pin::pin;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, channel, sync_channel};
+use std::sync::{Arc, OnceLock};
+use std::task::Poll;
+
+use axum::Router;
+use axum::body::{Body, to_bytes};
+use axum::extract::Request;
+use axum::http::header::CONTENT_TYPE;
+use client::address::Address;
+use client::link::serial::DEFAULT_BAUD;
+use client::link::{Link, LinkError, OpenError};
+use jiff::Timestamp;
+use protocol::system::DeviceKind;
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::Semaphore;
+use tower_service::Service as _;
+
+use operations::connector::{Candidate, Connector, Purpose};
+use operations::names::Names;
+use operations::places::Places;
+use serve::ORDERS;
+use serve::access::{Access, Peer};
+use serve::board::{Board, Machine};
+use serve::errands::{self, Errand};
+use serve::http::{self, App};
+use serve::keeper::Keeper;
+
+/// The instance of this server: what keys of its commands begin with.
+pub const INSTANCE: &str = "i";
+
+/// No order takes so long, us of its link.
+const LONGEST_US: u64 = 24 * 3_600 * 1_000_000;
+
+/// The answer to a request.
+#[derive(Clone, Debug)]
+pub struct Answer {
+    /// Its status.
+    pub status: u16,
+    /// Its headers.
+    pub headers: BTreeMap<String, String>,
+    /// Its body; empty for a stream, which would not end.
+    pub body: Vec<u8>,
+}
+
+/// A request.
+#[derive(Clone, Copy, Debug)]
+pub struct Asked<'a> {
+    /// It comes from this computer.
+    pub here: bool,
+    /// Method.
+    pub method: &'a str,
+    /// Path, with what follows it.
+    pub uri: &'a str,
+    /// Names and values.
+    pub headers: &'a [(&'a str, &'a [u8])],
+    /// Its body.
+    pub body: &'a [u8],
+}
+
+/// A server.
+pub struct Server<'a> {
+    router: Router,
+    board: &'a Board,
+    places: &'a Places<'a>,
+    keepers: Vec<Keeper<'a>>,
+    errands: Receiver<Errand>,
+    leaving: &'a AtomicBool,
+}
+
+/// Ends the keeper when nothing is ordered any more.
+struct Ends<'a> {
+    connector: &'a dyn Connector,
+    board: Arc<Board>,
+    leaving: Arc<AtomicBool>,
+}
+
+impl Connector for Ends<'_> {
+    fn open(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+        purpose: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        match self.connector.open(kind, address, baud, purpose) {
+            Ok(link) => Ok(Box::new(EndingLink {
+                kind,
+                link,
+                board: Arc::clone(&self.board),
+                leaving: Arc::clone(&self.leaving),
+            })),
+            Err(error) => {
+                self.leaving.store(true, Ordering::SeqCst);
+                Err(error)
+            }
+        }
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        self.connector.candidates()
+    }
+
+    fn nonce(&self) -> u32 {
+        self.connector.nonce()
+    }
+
+    fn now(&self) -> Timestamp {
+        self.connector.now()
+    }
+}
+
+struct EndingLink {
+    kind: DeviceKind,
+    link: Box<dyn Link>,
+    board: Arc<Board>,
+    leaving: Arc<AtomicBool>,
+}
+
+impl Drop for EndingLink {
+    fn drop(&mut self) {
+        // Nobody waits here for another attempt.
+        self.leaving.store(true, Ordering::SeqCst);
+    }
+}
+
+impl Link for EndingLink {
+    fn place(&self) -> String {
+        self.link.place()
+    }
+
+    fn now_us(&self) -> u64 {
+        self.link.now_us()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.link.send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        let received = self.link.receive(buffer, deadline_us);
+        assert!(self.now_us() < LONGEST_US, "an order without an end");
+        if received.is_err() || self.board.actions.are_over(self.kind) && matches!(received, Ok(0))
+        {
+            self.leaving.store(true, Ordering::SeqCst);
+        }
+        received
+    }
+}
+
+/// Lets `act` ask a new server for these machines, which keeps its records in `out`.
+pub fn with<R>(
+    connector: &dyn Connector,
+    machines: &[(DeviceKind, Address)],
+    token: &str,
+    out: &Path,
+    act: impl FnOnce(&mut Server<'_>) -> R,
+) -> R {
+    let (mut kept, mut orders) = (vec![], vec![]);
+    for (kind, address) in machines {
+        let (sender, receiver) = sync_channel(ORDERS);
+        kept.push(Machine::new(*kind, address.clone(), sender));
+        orders.push(receiver);
+    }
+    let board = Arc::new(Board::new(INSTANCE.to_owned(), kept, out.to_owned()));
+    let leaving = Arc::new(AtomicBool::new(true));
+    let connector = Ends {
+        connector,
+        board: Arc::clone(&board),
+        leaving: Arc::clone(&leaving),
+    };
+    let places = Places {
+        rig: Some(Address::Auto),
+        capsule: Some(Address::Auto),
+        names: Names::default(),
+        baud: DEFAULT_BAUD,
+        connector: &connector,
+    };
+    let (sender, errands) = channel();
+    let keepers = board
+        .machines
+        .iter()
+        .zip(orders)
+        .map(|(machine, orders)| Keeper {
+            places: &places,
+            board: &board,
+            machine,
+            orders,
+            leaving: &leaving,
+            pressed: Arc::new(|| None),
+        });
+    let mut server = Server {
+        router: http::router(Arc::new(App {
+            board: Arc::clone(&board),
+            access: Access::new(token.to_owned(), vec![]),
+            errands: sender,
+            listing: Semaphore::new(1),
+            planning: Semaphore::new(1),
+        })),
+        board: &board,
+        places: &places,
+        keepers: keepers.collect(),
+        errands,
+        leaving: &leaving,
+    };
+    act(&mut server)
+}
+
+/// What waiting and files of the requests need.
+fn runtime() -> &'static Runtime {
+    static RUNTIME: OnceLock<Runtime> = OnceLock::new();
+    RUNTIME.get_or_init(|| {
+        let mut builder = Builder::new_current_thread();
+        builder.enable_time().build().expect("memory")
+    })
+}
+
+impl Server<'_> {
+    /// The answer, and all that is done for it; `None` if this cannot be a request.
+    pub fn ask(&mut self, asked: Asked<'_>) -> Option<Answer> {
+        let mut request = Request::builder().method(asked.method).uri(asked.uri);
+        for (name, value) in asked.headers {
+            request = request.header(*name, *value);
+        }
+        let peer = Peer { here: asked.here };
+        let body = Body::from(asked.body.to_vec());
+        let request = request.extension(peer).body(body).ok()?;
+        let mut router = self.router.clone();
+        let mut answering = pin!(async move {
+            let Ok(response) = router.call(request).await;
+            let (head, body) = response.into_parts();
+            let headers: BTreeMap<_, _> = head
+                .headers
+                .iter()
+                .map(|(name, value)| (name.to_string(), text(value.as_bytes())))
+                .collect();
+            let is_stream = head
+                .headers
+                .get(CONTENT_TYPE)
+                .is_some_and(|kind| kind == "text/event-stream");
+            let body = match is_stream {
+                true => vec![],
+                false => to_bytes(body, usize::MAX).await.unwrap_or_default().into(),
+            };
+            Answer {
+                status: head.status.as_u16(),
+                headers,
+                body,
+            }
+        });
+        let answer = runtime().block_on(poll_fn(|context| {
+            loop {
+                if let Poll::Ready(answer) = answering.as_mut().poll(context) {
+                    return Poll::Ready(answer);
+                }
+                if !self.work() {
+                    return Poll::Pending;
+                }
+            }
+        }));
+        self.work();
+        Some(answer)
+    }
+
+    /// Does what was asked for; false if that was nothing.
+    fn work(&self) -> bool {
+        let mut worked = false;
+        for errand in self.errands.try_iter() {
+            worked = true;
+            match errand {
+                Errand::Stop {
+                    machine,
+                    urgent,
+                    wait,
+                } => {
+                    if let Some(machine) = self.board.machine(machine) {
+                        errands::stop(self.places, self.board, machine, urgent, vec![wait]);
+                    }
+                }
+                Errand::Ask { question, reply } => {
+                    let _ = reply.send(errands::ask(self.places, self.board, question));
+                }
+                Errand::End => {}
+            }
+        }
+        for keeper in &self.keepers {
+            let is_over = || self.board.actions.are_over(keeper.machine.kind);
+            if !is_over() {
+                worked = true;
+                self.leaving.store(false, Ordering::SeqCst);
+                keeper.keep();
+                assert!(is_over(), "an order that nobody takes");
+            }
+        }
+        worked
+    }
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}

@@ -1,0 +1,14 @@
+//! Results that stand beside the records.
+
+use std::path::PathBuf;
+
+/// A table of results that are not in the records, such as a verdict from the pins or a modelled displacement.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Remark {
+    /// Sidecar of the trial it belongs to; none for a remark on the whole report.
+    pub sidecar: Option<PathBuf>,
+    /// Heading.
+    pub title: String,
+    /// Names and values.
+    pub rows: Vec<(String, String)>,
+}

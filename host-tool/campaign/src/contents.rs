@@ -1,0 +1,185 @@
+//! All that is known of a campaign, read from its folder.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use client::identity::Origin;
+use client::limited;
+use serde::de::DeserializeOwned;
+
+use crate::CampaignError;
+use crate::files::{ATTEMPTS, ORDER, PLAN, READINGS, TRIALS};
+use crate::ledger::{Attempt, Row, State};
+use crate::order::{Planned, order};
+use crate::plan::{Millimetres, Plan};
+use crate::readings::{ReadingRow, Readings};
+
+pub(crate) const TRIALS_HEADER: &str = "row,time_utc,event,trial,attempt,outcome,displacement_mm,source,readings_set,indentation_mm,camera_file,text,origin\n";
+pub(crate) const READINGS_HEADER: &str =
+    "row,time_utc,readings_set,quantity,indentation,event,reading,value_mm,text,origin\n";
+
+/// All that is known of a campaign.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Campaign {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// What is to be done.
+    pub plan: Plan,
+    /// In which order.
+    pub order: Vec<Planned>,
+    /// What happened, row by row.
+    pub rows: Vec<Row>,
+    /// What that amounts to.
+    pub state: State,
+    /// What the caliper said, row by row.
+    pub reading_rows: Vec<ReadingRow>,
+    /// What that amounts to.
+    pub readings: Readings,
+}
+
+impl Campaign {
+    /// Reads a folder and changes nothing. A last line that is not whole, because it is being written or a crash has cut it,
+    /// is left out.
+    ///
+    /// # Errors
+    /// The first file that cannot be read or contradicts the others. Hashes are not compared: [`crate::verify::verify`] does that.
+    pub fn read(folder: &Path) -> Result<Self, CampaignError> {
+        let path = folder.join(PLAN);
+        let text =
+            limited::read_text(&path, limited::BY_HAND).map_err(|io| not_a_campaign(&path, io))?;
+        let plan = Plan::parse(&text, &path)?;
+        let order = order(&plan);
+        let path = folder.join(ORDER);
+        let found =
+            limited::read_text(&path, limited::RECORD).map_err(|io| not_a_campaign(&path, io))?;
+        if found != order_text(&order) {
+            let why = "it is not the order that the plan and its seed give";
+            return Err(CampaignError::new(&path, why, RESTORE));
+        }
+        let path = folder.join(TRIALS);
+        let rows: Vec<Row> = rows(&path, TRIALS_HEADER)?;
+        let state = State::replay(&order, &rows)
+            .map_err(|error| CampaignError::new(&path, error, RESTORE))?;
+        let path = folder.join(READINGS);
+        let reading_rows: Vec<ReadingRow> = self::rows(&path, READINGS_HEADER)?;
+        let readings = Readings::replay(&reading_rows)
+            .map_err(|error| CampaignError::new(&path, error, RESTORE))?;
+        if let (Some(one), Some(other)) = (state.sequence.origin(), readings.sequence.origin())
+            && one != other
+        {
+            let why = format!("its origin is {other}, that of {TRIALS} is {one}");
+            return Err(CampaignError::new(&path, why, RESTORE));
+        }
+        Ok(Self {
+            folder: folder.to_owned(),
+            plan,
+            order,
+            rows,
+            state,
+            reading_rows,
+            readings,
+        })
+    }
+
+    /// The folder of an attempt.
+    #[must_use]
+    pub fn attempt_folder(&self, trial: u32, attempt: u32) -> PathBuf {
+        self.folder
+            .join(ATTEMPTS)
+            .join(Attempt::folder(trial, attempt))
+    }
+
+    /// The sidecar of an attempt's run or pass; none if it was not begun.
+    #[must_use]
+    pub fn run_sidecar(&self, trial: u32, attempt: u32) -> Option<PathBuf> {
+        run_sidecar(&self.attempt_folder(trial, attempt))
+    }
+
+    /// Why this cannot be the net displacement of a trial whose displacements after strokes are all there; none if it can.
+    #[must_use]
+    pub fn disagreement(&self, trial: u32, net: Millimetres) -> Option<String> {
+        let state = self.state.trial(trial)?;
+        let count = (self.plan).strokes_of(state.planned.purpose, state.planned.shape)?;
+        let last = *state.attempt()?.all_strokes(count)?.last()?;
+        let within = self.plan.displacement.agreement();
+        ((net.um - last.um).abs() > within.um).then(|| {
+            format!(
+                "{net} mm: after the last stroke it was {last} mm, and the two may differ by {within} mm: enter it again, or `undo` takes the last stroke back"
+            )
+        })
+    }
+
+    /// Where its data come from; none before there are any.
+    #[must_use]
+    pub fn origin(&self) -> Option<Origin> {
+        (self.state.sequence.origin()).or(self.readings.sequence.origin())
+    }
+}
+
+/// The sidecar of the run or the pass in the folder of an attempt.
+fn run_sidecar(folder: &Path) -> Option<PathBuf> {
+    let mut found: Vec<_> = fs::read_dir(folder)
+        .ok()?
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            let is_motion = name.starts_with("run-") || name.starts_with("pass-");
+            is_motion && name.ends_with(".json")
+        })
+        .collect();
+    found.sort();
+    found.pop()
+}
+
+/// What to do about a file that was changed by something else than this program.
+pub(crate) const RESTORE: &str =
+    "restore the folder from a copy; `retrograde verify` names every file that was changed";
+
+/// A folder that cannot be used as a campaign.
+pub(crate) fn not_a_campaign(path: &Path, why: impl ToString) -> CampaignError {
+    CampaignError::misuse(
+        path,
+        why,
+        "give the folder of a campaign, which `retrograde campaign new PLAN.toml` makes",
+    )
+}
+
+/// The text of `order.csv`.
+#[must_use]
+pub fn order_text(order: &[Planned]) -> String {
+    let mut csv = csv::Writer::from_writer(vec![]);
+    for planned in order {
+        csv.serialize(planned).expect("numbers and names");
+    }
+    let bytes = csv.into_inner().expect("memory");
+    String::from_utf8(bytes).expect("ASCII")
+}
+
+/// The whole lines of a file that grows, without its header.
+pub(crate) fn rows<T: DeserializeOwned>(
+    path: &Path,
+    header: &str,
+) -> Result<Vec<T>, CampaignError> {
+    let text = limited::read_text(path, limited::RECORD).map_err(|io| not_a_campaign(path, io))?;
+    parse_rows(&text, header).map_err(|why| CampaignError::new(path, why, RESTORE))
+}
+
+pub(crate) fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Result<Vec<T>, String> {
+    let Some(body) = text.strip_prefix(header) else {
+        return Err("its first line is not that of this format".to_owned());
+    };
+    let whole = body.rfind('\n').map_or(0, |end| end + 1);
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .from_reader(&body.as_bytes()[..whole]);
+    let names = csv::StringRecord::from(header.trim_end().split(',').collect::<Vec<_>>());
+    let mut rows = vec![];
+    for (number, record) in (1..).zip(reader.records()) {
+        let row = record
+            .and_then(|record| record.deserialize(Some(&names)))
+            .map_err(|error| format!("row {number}: {error}"))?;
+        rows.push(row);
+    }
+    Ok(rows)
+}

@@ -1,0 +1,276 @@
+//! What differs between a folder and its manifest, and what of that a crash can have left.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::Path;
+
+use client::limited;
+
+use crate::CampaignError;
+use crate::contents::Campaign;
+use crate::files::{ATTEMPTS, READINGS, TRIALS};
+use crate::ledger::Attempt;
+use crate::manifest::{self, Hash, Manifest, PART, contents, hash_file};
+
+/// The files that grow by lines.
+const GROWING: [&str; 2] = [READINGS, TRIALS];
+
+/// Something that is not as it was written.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Finding {
+    /// The file, relative to the folder.
+    pub path: String,
+    /// What is wrong with it.
+    pub what: String,
+    /// What to do.
+    pub remedy: String,
+}
+
+impl Finding {
+    pub(crate) fn new(path: &str, what: impl Into<String>, remedy: &str) -> Self {
+        Self {
+            path: path.to_owned(),
+            what: what.into(),
+            remedy: remedy.to_owned(),
+        }
+    }
+}
+
+impl std::fmt::Display for Finding {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}: {}", self.path, self.what)
+    }
+}
+
+pub(crate) const COPY: &str = "restore it from a copy";
+pub(crate) const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
+
+/// Reads the manifest of a folder; none if there is none.
+///
+/// # Errors
+/// It is not one.
+pub fn read_manifest(folder: &Path) -> Result<Option<Manifest>, CampaignError> {
+    let path = folder.join(manifest::NAME);
+    let text = match limited::read_text(&path, limited::RECORD) {
+        Ok(text) => text,
+        Err(io) if io.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(io) => return Err(CampaignError::new(&path, io, COPY)),
+    };
+    Manifest::parse(&text)
+        .map(Some)
+        .map_err(|why| CampaignError::new(&path, why, COPY))
+}
+
+/// What differs between a folder and its manifest.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Differences {
+    /// Files that the manifest does not know, with their hashes.
+    pub added: BTreeMap<String, Hash>,
+    /// Files that are gone, with the hashes that they had.
+    pub missing: BTreeMap<String, Hash>,
+    /// Files with other contents, with the hashes that they have.
+    pub changed: BTreeMap<String, Hash>,
+    /// Files that have grown by so many whole lines, and whether a part of a line follows.
+    pub grown: BTreeMap<String, (usize, bool)>,
+    /// What is neither a file nor a folder.
+    pub strange: Vec<String>,
+    /// Files that were compared.
+    pub compared: usize,
+}
+
+/// What a crash can have left.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Left {
+    /// Files that have grown, by so many lines.
+    pub(crate) grown: Vec<(String, usize)>,
+    /// Files whose last line is not whole.
+    pub(crate) torn: Vec<String>,
+    /// Files that were about to replace others.
+    pub(crate) parts: Vec<String>,
+    /// Folders of attempts that are not in the manifest yet.
+    pub(crate) attempts: Vec<String>,
+}
+
+impl Differences {
+    /// Compares every file.
+    ///
+    /// # Errors
+    /// Some part of the folder cannot be read.
+    pub fn between(folder: &Path, manifest: &Manifest) -> io::Result<Self> {
+        let there = contents(folder)?;
+        let mut differences = Self {
+            strange: there.strange,
+            missing: manifest.0.clone(),
+            ..Self::default()
+        };
+        for path in there.files {
+            let Some(listed) = differences.missing.remove(&path) else {
+                let hash = hash_file(&folder.join(&path))?;
+                differences.added.insert(path, hash);
+                continue;
+            };
+            differences.compared += 1;
+            let hash = hash_file(&folder.join(&path))?;
+            if hash == listed {
+                continue;
+            }
+            let grown = GROWING
+                .contains(&&*path)
+                .then(|| grown(&folder.join(&path), &listed))
+                .transpose()?
+                .flatten();
+            match grown {
+                Some(by) => {
+                    differences.grown.insert(path, by);
+                }
+                None => {
+                    differences.changed.insert(path, hash);
+                }
+            }
+        }
+        Ok(differences)
+    }
+
+    /// For people. `listed` is the manifest that was compared.
+    #[must_use]
+    pub fn findings(&self, listed: &Manifest) -> Vec<Finding> {
+        let mut findings = vec![];
+        let same = |hash: &Hash, among: &BTreeMap<String, Hash>| {
+            among
+                .iter()
+                .find(|(_, other)| *other == hash)
+                .map(|(path, _)| path.clone())
+        };
+        for (path, hash) in &self.missing {
+            findings.push(match same(hash, &self.added) {
+                Some(other) => Finding::new(
+                    path,
+                    format!("is missing, and {other} has its contents: was it renamed?"),
+                    "give it its name again",
+                ),
+                None => Finding::new(path, "is missing", COPY),
+            });
+        }
+        for (path, hash) in &self.changed {
+            findings.push(match same(hash, &listed.0) {
+                Some(other) => Finding::new(
+                    path,
+                    format!("has the contents of {other}: were files exchanged?"),
+                    COPY,
+                ),
+                None => Finding::new(path, "was changed", COPY),
+            });
+        }
+        for (path, (lines, torn)) in &self.grown {
+            let what = match (lines, torn) {
+                (0, _) => "has a part of a line more than SHA256SUMS knows".to_owned(),
+                (lines, false) => format!("has {lines} whole lines more than SHA256SUMS knows"),
+                (lines, true) => {
+                    format!("has {lines} whole lines and a part of one more than SHA256SUMS knows")
+                }
+            };
+            findings.push(Finding::new(
+                path,
+                what,
+                "was the tool killed or the power lost? `retrograde campaign resume` takes them up and says so; otherwise restore it from a copy",
+            ));
+        }
+        for path in self.added.keys() {
+            findings.push(Finding::new(path, "is not in SHA256SUMS", UNKNOWN));
+        }
+        for path in &self.strange {
+            findings.push(Finding::new(
+                path,
+                "is neither a file nor a folder, or has a name that cannot be listed",
+                UNKNOWN,
+            ));
+        }
+        findings
+    }
+
+    /// What a crash can have left, if that is all there is.
+    ///
+    /// # Errors
+    /// The first thing that a crash cannot have left.
+    pub(crate) fn left_by_a_crash(&self, campaign: &Campaign) -> Result<Left, CampaignError> {
+        let mut left = Left::default();
+        let other = |path: &str, what: &str| {
+            CampaignError::new(
+                &campaign.folder.join(path),
+                format!("{what}, and no crash does that"),
+                "restore it from a copy, then again; `retrograde verify` names all such files",
+            )
+        };
+        if let Some(path) = self.missing.keys().next() {
+            return Err(other(path, "it is missing"));
+        }
+        if let Some(path) = self.changed.keys().next() {
+            return Err(other(path, "it was changed"));
+        }
+        if let Some(path) = self.strange.first() {
+            return Err(other(path, "it is neither a file nor a folder"));
+        }
+        for (path, (lines, torn)) in &self.grown {
+            if *lines > 0 {
+                left.grown.push((path.clone(), *lines));
+            }
+            if *torn {
+                left.torn.push(path.clone());
+            }
+        }
+        for path in self.added.keys() {
+            if path.ends_with(PART) {
+                left.parts.push(path.clone());
+                continue;
+            }
+            let attempt = path
+                .strip_prefix(ATTEMPTS)
+                .and_then(|path| path.strip_prefix('/'))
+                .and_then(|path| path.split_once('/'))
+                .map(|(attempt, _)| attempt);
+            match attempt {
+                Some(attempt) if is_new(attempt, campaign) => {
+                    if left.attempts.last().map(String::as_str) != Some(attempt) {
+                        left.attempts.push(attempt.to_owned());
+                    }
+                }
+                _ => return Err(other(path, "it is not in SHA256SUMS")),
+            }
+        }
+        Ok(left)
+    }
+}
+
+/// Only the attempt that was made last can have files that the manifest does not know.
+fn is_new(attempt: &str, campaign: &Campaign) -> bool {
+    let began = campaign.rows.iter().rev().find_map(|row| {
+        (row.event == crate::ledger::Event::Began)
+            .then(|| Attempt::folder(row.trial.unwrap_or(0), row.attempt.unwrap_or(0)))
+    });
+    began.as_deref() == Some(attempt)
+}
+
+/// By how many whole lines a file has grown since it had this hash, and whether a part of a line follows; none if its beginning
+/// was changed.
+fn grown(path: &Path, listed: &Hash) -> io::Result<Option<(usize, bool)>> {
+    let bytes = limited::read(path, limited::RECORD)?;
+    let mut hash = hmac_sha256::Hash::new();
+    let mut lines = bytes.split_inclusive(|byte| *byte == b'\n');
+    for line in lines.by_ref() {
+        if !line.ends_with(b"\n") {
+            return Ok(None);
+        }
+        hash.update(line);
+        if hash.finalize() == *listed {
+            let (mut whole, mut torn) = (0, false);
+            for line in lines {
+                match line.ends_with(b"\n") {
+                    true => whole += 1,
+                    false => torn = true,
+                }
+            }
+            return Ok(Some((whole, torn)));
+        }
+    }
+    Ok(None)
+}

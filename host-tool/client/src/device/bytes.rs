@@ -1,0 +1,408 @@
+//! From a request to its answer: bytes, repetitions, stops ahead of everything else.
+
+use protocol::client::{Client, Output, Poll};
+use protocol::error::WireError;
+use protocol::rig::{RigState, RunOutcome};
+use protocol::system::{DeviceKind, Urgent};
+use protocol::table::{Endpoint, Impact, Reply, Request, Response};
+
+use crate::device::observer::{Clock, Observer};
+use crate::device::{Device, Posted, Turn, moves};
+use crate::diagnosis::{OVERHEARD, Sign};
+use crate::door;
+use crate::error::ClientError;
+
+/// The longest wait for bytes before the [`Interrupt`] is polled again, us.
+const SLICE_US: u64 = 20_000;
+
+/// Whether a stop makes the host forget it: once the operator has stopped, it must not be repeated.
+fn is_abandonable(impact: Impact) -> bool {
+    !matches!(impact, Impact::None | Impact::Pace)
+}
+
+/// Samples that are kept until somebody takes them; beyond that the oldest are dropped.
+const TELEMETRY_INBOX: usize = 4_096;
+
+impl Device {
+    /// Sends a request; [`Device::attend`] returns the answer. One at a time, and no other request before its answer.
+    ///
+    /// # Errors
+    /// [`ClientError::Owned`], [`ClientError::Interrupted`] or [`ClientError::SessionLost`]; then it was not sent.
+    pub fn post<E: Endpoint>(&mut self, request: E) -> Result<(), ClientError> {
+        let request = request.into_request();
+        self.ask_interrupt();
+        self.admit(&request)?;
+        let (name, impact) = (request.name(), request.impact());
+        if impact != Impact::None && self.interrupted.is_some() {
+            return Err(ClientError::Interrupted { request: name });
+        }
+        self.commanding = is_abandonable(impact);
+        if self.client.request(&request).is_err() {
+            return Err(self.session_lost());
+        }
+        self.posted = Some(Posted {
+            name,
+            impact,
+            at_us: self.now_us(),
+        });
+        Ok(())
+    }
+
+    /// Whether a posted request has no answer yet.
+    #[must_use]
+    pub fn is_posted(&self) -> bool {
+        self.posted.is_some()
+    }
+
+    /// Sends and receives what is there until `until_us` on the link's clock, at once if that is past; hands out what comes.
+    /// Returns the answer to what was posted, if it has come.
+    ///
+    /// # Errors
+    /// As [`Device::call`] of what was posted.
+    pub fn attend(
+        &mut self,
+        until_us: u64,
+        observer: &mut dyn Observer,
+    ) -> Result<Option<Response>, ClientError> {
+        if self.posted.is_none() {
+            self.serve()?;
+        }
+        let mut answer = None;
+        // Once more after the end: a turn either sends or receives.
+        let mut last = false;
+        while !last && answer.is_none() {
+            last = self.now_us() >= until_us;
+            let pending = self.posted;
+            answer = match (self.turn(until_us)?, pending) {
+                (Turn::UrgentUnanswered, _) => return Err(self.stop_unconfirmed()),
+                (Turn::Answered(output), Some(posted)) => Some((posted, Some(output))),
+                (Turn::Unanswered, Some(posted)) => Some((posted, None)),
+                (Turn::Nothing, Some(posted))
+                    if is_abandonable(posted.impact) && !self.commanding =>
+                {
+                    Some((posted, None))
+                }
+                _ => None,
+            };
+        }
+        self.hand_out(observer);
+        let Some((posted, answer)) = answer else {
+            return Ok(None);
+        };
+        self.posted = None;
+        self.answered(posted, answer).map(Some)
+    }
+
+    pub(crate) fn exchange(&mut self, request: &Request) -> Result<Response, ClientError> {
+        let (name, impact) = (request.name(), request.impact());
+        self.ask_interrupt();
+        let command = impact != Impact::None;
+        self.admit(request)?;
+        if command && self.interrupted.is_some() {
+            while self.urgent_pending {
+                self.step(u64::MAX)?;
+            }
+            return Err(ClientError::Interrupted { request: name });
+        }
+        self.commanding = is_abandonable(impact);
+        let at_us = self.now_us();
+        let answer = self.asked(!command, |client| client.request(request));
+        let answer = match answer {
+            Ok(answer) => answer,
+            Err(error) => {
+                self.commanding = false;
+                return Err(error);
+            }
+        };
+        let posted = Posted {
+            name,
+            impact,
+            at_us,
+        };
+        self.answered(posted, answer)
+    }
+
+    /// Refuses what the owner of the line would not do for this process.
+    pub(crate) fn admit(&self, request: &Request) -> Result<(), ClientError> {
+        match self.link.owner() {
+            Some(owner) if !door::admits(request) => Err(ClientError::Owned {
+                place: self.place(),
+                request: request.name(),
+                owner: Box::new(owner.clone()),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// What the answer to a request means, or its absence.
+    pub(crate) fn answered(
+        &mut self,
+        posted: Posted,
+        answer: Option<Output>,
+    ) -> Result<Response, ClientError> {
+        let Posted {
+            name: request_name,
+            impact,
+            at_us,
+        } = posted;
+        let place = self.place();
+        let command = impact != Impact::None;
+        let abandoned = is_abandonable(impact) && !std::mem::take(&mut self.commanding);
+        match answer {
+            _ if abandoned => Err(ClientError::Interrupted {
+                request: request_name,
+            }),
+            Some(Output::Accepted(response)) => {
+                self.note_clock(at_us, &response);
+                self.note_motion(impact, &response);
+                Ok(response)
+            }
+            Some(Output::Refused(refusal)) => Err(ClientError::Refused {
+                place,
+                request: request_name,
+                impact,
+                refusal,
+            }),
+            Some(Output::Rejected(WireError::NoSession)) => Err(self.session_lost()),
+            Some(Output::Rejected(error)) => Err(ClientError::Rejected {
+                place,
+                request: request_name,
+                error,
+            }),
+            _ if !command && self.link.owner().is_some() => Err(ClientError::OwnerBusy {
+                place,
+                request: request_name,
+                owner: self
+                    .link
+                    .owner()
+                    .map(ToString::to_string)
+                    .unwrap_or_default(),
+            }),
+            // What was asked last says nothing about what moves.
+            _ if !command && self.moves => Err(ClientError::Silent {
+                place,
+                action: "a motion",
+            }),
+            _ if command => Err(ClientError::OutcomeUnknown {
+                place,
+                request: request_name,
+            }),
+            _ => Err(ClientError::NoReply {
+                place,
+                request: request_name,
+            }),
+        }
+    }
+
+    /// Notes the device's time, if an answer tells it. The last one counts: clocks drift.
+    pub(crate) fn note_clock(&mut self, asked_us: u64, response: &Response) {
+        let device_us = match response {
+            Response::GetRigStatus(status) => status.time_us,
+            Response::GetCapsuleStatus(status) => status.time_us,
+            _ => return,
+        };
+        self.clock = Some(Clock::of(asked_us, device_us, self.now_us()));
+    }
+
+    /// Notes what an answer says of the motion.
+    pub(crate) fn note_motion(&mut self, impact: Impact, response: &Response) {
+        self.moves = match response {
+            Response::GetRigStatus(status) => matches!(
+                status.state,
+                RigState::Homing | RigState::Running | RigState::Moving | RigState::Stopping
+            ),
+            Response::GetCapsuleStatus(status) => moves(status.state),
+            Response::GetRunRecord(record) => record.outcome == RunOutcome::Running,
+            Response::Resume(_) => true,
+            _ => self.moves || impact == Impact::Motion,
+        };
+    }
+
+    /// The fault that is latched after everything that the operator has asked for: another stop may go out while the device
+    /// answers, and an emergency stop costs the position also of a machine that stands already.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn latched_fault(&mut self) -> Result<Option<String>, ClientError> {
+        loop {
+            let asked = self.interrupted();
+            let fault = match self.identity.map(|identity| identity.device) {
+                Some(DeviceKind::Capsule) => self.capsule_status()?.fault.map(|f| f.to_string()),
+                _ => self.rig_status()?.fault.map(|fault| fault.to_string()),
+            };
+            if self.interrupted() == asked {
+                return Ok(fault);
+            }
+        }
+    }
+
+    /// Asks, and waits for the answer as [`Device::answer`] does. What `may_repeat` is asked again while the owner of the
+    /// line is busy.
+    pub(crate) fn asked<E>(
+        &mut self,
+        may_repeat: bool,
+        ask: impl Fn(&mut Client) -> Result<(), E>,
+    ) -> Result<Option<Output>, ClientError> {
+        let begin_us = self.link.now_us();
+        loop {
+            if ask(&mut self.client).is_err() {
+                return Err(self.session_lost());
+            }
+            let answer = self.answer()?;
+            let waited_us = self.link.now_us() - begin_us;
+            if answer.is_some()
+                || !may_repeat
+                || self.link.owner().is_none()
+                || self.interrupted.is_some()
+                || waited_us >= self.owner_patience_us
+            {
+                return Ok(answer);
+            }
+        }
+    }
+
+    /// Waits for the answer to the pending request; `None` if there was none, or if a stop has cancelled it.
+    pub(crate) fn answer(&mut self) -> Result<Option<Output>, ClientError> {
+        let commanding = self.commanding;
+        loop {
+            match self.turn(u64::MAX)? {
+                Turn::Answered(output) => return Ok(Some(output)),
+                Turn::Unanswered => return Ok(None),
+                Turn::UrgentUnanswered => return Err(self.stop_unconfirmed()),
+                Turn::Nothing if commanding && !self.commanding && !self.urgent_pending => {
+                    return Ok(None);
+                }
+                Turn::Nothing => {}
+            }
+        }
+    }
+
+    /// Asks what another process wants to know, while no request is pending.
+    pub(crate) fn serve(&mut self) -> Result<(), ClientError> {
+        if self.urgent_pending || !self.client.is_open() {
+            return Ok(());
+        }
+        let Some(question) = self.link.question() else {
+            return Ok(());
+        };
+        let (reply, result) = match self.exchange(&question.request) {
+            Ok(response) => (Some(Reply::Accepted(response)), Ok(())),
+            Err(ClientError::Refused { refusal, .. }) => (Some(Reply::Refused(refusal)), Ok(())),
+            Err(ClientError::Rejected { error, .. }) => (Some(Reply::Wire(error)), Ok(())),
+            // The other process finds silence. So will this one, if it lasts.
+            Err(
+                ClientError::NoReply { .. }
+                | ClientError::OutcomeUnknown { .. }
+                | ClientError::Interrupted { .. },
+            ) => (None, Ok(())),
+            Err(error) => (None, Err(error)),
+        };
+        question.answer(reply);
+        result
+    }
+
+    /// As [`Device::turn`], while no request is pending.
+    pub(crate) fn step(&mut self, deadline_us: u64) -> Result<(), ClientError> {
+        self.serve()?;
+        match self.turn(deadline_us)? {
+            Turn::UrgentUnanswered => Err(self.stop_unconfirmed()),
+            Turn::Nothing | Turn::Answered(_) | Turn::Unanswered => Ok(()),
+        }
+    }
+
+    /// Sends what is due, or receives for [`SLICE_US`] at most, and not beyond `deadline_us`.
+    pub(crate) fn turn(&mut self, deadline_us: u64) -> Result<Turn, ClientError> {
+        self.ask_interrupt();
+        let now_us = self.link.now_us();
+        let until_us = match self.client.poll(now_us) {
+            Poll::Transmit(frame) => {
+                self.link.send(&frame)?;
+                return Ok(Turn::Nothing);
+            }
+            // A pending request waits until the urgent stop is done, so this time-out is the stop's.
+            Poll::TimedOut if self.urgent_pending => {
+                self.urgent_pending = false;
+                return Ok(Turn::UrgentUnanswered);
+            }
+            Poll::TimedOut => return Ok(Turn::Unanswered),
+            Poll::WaitUntil(time_us) => time_us.min(deadline_us),
+        };
+        let mut bytes = [0; 512];
+        let count = self
+            .link
+            .receive(&mut bytes, until_us.min(now_us.saturating_add(SLICE_US)))?;
+        if let Some(overheard) = &mut self.overheard {
+            let room = OVERHEARD.saturating_sub(overheard.len());
+            overheard.extend(&bytes[..count.min(room)]);
+        }
+        let mut turn = Turn::Nothing;
+        for byte in &bytes[..count] {
+            match self.client.receive(*byte) {
+                None => {}
+                Some(Output::Telemetry { missed, sample }) => {
+                    if self.telemetry.len() == TELEMETRY_INBOX {
+                        self.telemetry.pop_front();
+                    }
+                    self.telemetry.push_back((missed, sample));
+                }
+                Some(Output::Event(event)) => self.note_event(event),
+                Some(Output::UrgentDone(_)) => {
+                    self.urgent_pending = false;
+                }
+                // Only one request is pending at a time, so there is only one answer.
+                Some(output) => turn = Turn::Answered(output),
+            }
+        }
+        Ok(turn)
+    }
+
+    pub(crate) fn ask_interrupt(&mut self) {
+        let wanted = self.interrupt.as_ref().and_then(|interrupt| interrupt());
+        // A stop that came from elsewhere is the operator's as well. It is sent again, which does no harm.
+        let wanted = match (wanted, self.link.stopped()) {
+            (Some(Urgent::EStop), _) | (_, Some(Urgent::EStop)) => Some(Urgent::EStop),
+            (here, elsewhere) => here.or(elsewhere),
+        };
+        let stronger = match (self.interrupted, wanted) {
+            (None, Some(urgent)) => Some(urgent),
+            (Some(Urgent::Stop), Some(Urgent::EStop)) => Some(Urgent::EStop),
+            _ => None,
+        };
+        if let Some(urgent) = stronger {
+            self.interrupted = Some(urgent);
+            if std::mem::take(&mut self.commanding) {
+                // Repeated after the stop, the command would start what the operator has just stopped. Only a new
+                // client forgets it. That also ends the session, which a stop does not need.
+                self.client = self.client.renewed();
+            }
+            self.client.urgent(urgent);
+            self.urgent_pending = true;
+        }
+    }
+
+    pub(crate) fn session_lost(&self) -> ClientError {
+        ClientError::SessionLost {
+            place: self.place(),
+        }
+    }
+
+    pub(crate) fn no_answer(&self, sign: Sign) -> ClientError {
+        if let Some(owner) = self.link.owner() {
+            return ClientError::OwnerBusy {
+                place: self.place(),
+                request: "Hello",
+                owner: owner.to_string(),
+            };
+        }
+        ClientError::NoAnswer {
+            place: self.place(),
+            sign,
+        }
+    }
+
+    pub(crate) fn stop_unconfirmed(&self) -> ClientError {
+        ClientError::StopUnconfirmed {
+            place: self.place(),
+        }
+    }
+}

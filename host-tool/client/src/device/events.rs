@@ -1,0 +1,95 @@
+//! Events without gaps, and telemetry.
+
+use protocol::capsule::CapsuleEvent;
+use protocol::rig::RigEvent;
+use protocol::system::{Event, What};
+use protocol::table::Telemetry;
+
+use crate::device::Device;
+use crate::device::observer::Observer;
+use crate::error::ClientError;
+
+/// After this event the machine stands, or brakes.
+fn is_end(event: &Event) -> bool {
+    matches!(
+        event.what,
+        What::Rig(
+            RigEvent::Homed { .. }
+                | RigEvent::RunEnded { .. }
+                | RigEvent::Stopped { .. }
+                | RigEvent::Faulted(_)
+        ) | What::Capsule(CapsuleEvent::Ended { .. })
+    )
+}
+
+impl Device {
+    /// Telemetry since the last call, oldest first, each sample with the number of those lost before it.
+    pub fn take_telemetry(&mut self) -> Vec<(u16, Telemetry)> {
+        self.telemetry.drain(..).collect()
+    }
+
+    /// Events since the last call, in order and without gaps.
+    ///
+    /// # Errors
+    /// As [`Device::call`]: missing events are fetched again.
+    pub fn take_events(&mut self) -> Result<Vec<Event>, ClientError> {
+        self.fetch_events()?;
+        Ok(self.events.drain(..).collect())
+    }
+
+    pub(crate) fn hand_out(&mut self, observer: &mut dyn Observer) {
+        for event in self.events.drain(..) {
+            observer.event(&event);
+        }
+        self.hand_out_telemetry(observer);
+    }
+
+    pub(crate) fn hand_out_telemetry(&mut self, observer: &mut dyn Observer) {
+        for (missed, sample) in self.telemetry.drain(..) {
+            observer.telemetry(&sample, missed);
+        }
+    }
+
+    /// Receives until `until_us` without a request.
+    pub(crate) fn listen(&mut self, until_us: u64) -> Result<(), ClientError> {
+        while self.now_us() < until_us {
+            self.step(until_us)?;
+        }
+        Ok(())
+    }
+
+    pub(crate) fn note_event(&mut self, event: Event) {
+        // The largest index is that of no event: whoever asks for it gets none.
+        if event.index >= self.next_event && event.index != u32::MAX {
+            self.early.insert(event.index, event);
+        }
+        while let Some(event) = self.early.remove(&self.next_event) {
+            self.next_event += 1;
+            self.moves &= !is_end(&event);
+            self.events.push_back(event);
+        }
+    }
+
+    /// Fetches all events that the device has and this client has not.
+    pub(crate) fn fetch_events(&mut self) -> Result<(), ClientError> {
+        loop {
+            let from = self.next_event;
+            let piece = self.events(from)?;
+            if piece.oldest > self.next_event {
+                self.lost_events = self
+                    .lost_events
+                    .saturating_add(piece.oldest - self.next_event);
+                self.next_event = piece.oldest;
+                self.early = self.early.split_off(&piece.oldest);
+            }
+            for event in &piece.events {
+                self.note_event(*event);
+            }
+            if self.next_event >= piece.next || self.next_event == from {
+                return Ok(());
+            }
+        }
+    }
+
+    // Bytes.
+}

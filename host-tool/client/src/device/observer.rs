@@ -1,0 +1,193 @@
+//! What a caller sees of a motion, and what the operator wants meanwhile.
+
+use std::sync::Arc;
+
+use protocol::capsule::ActuationAccepted;
+use protocol::error::Refusal;
+use protocol::rig::{HomeAccepted, MoveAccepted, RunAccepted};
+use protocol::system::{Event, Urgent};
+use protocol::table::Telemetry;
+
+/// Returns the stop that the operator wants; polled at least every 20 ms of link time. It is a level, not an edge: once
+/// it has returned a stop it keeps doing so, and may only escalate to an emergency stop.
+pub type Interrupt = Arc<dyn Fn() -> Option<Urgent> + Send + Sync>;
+
+/// What the operator may want during a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// Hold it.
+    Hold,
+    /// Resume it.
+    Resume,
+}
+
+/// Returns what the operator wants next; polled at least every 20 ms of link time while waiting. Each answer is sent
+/// once, and the device accepts or refuses it.
+pub type Pacer = Box<dyn FnMut() -> Option<Pace> + Send>;
+
+/// An action that was accepted and has begun.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+// One exists at a time, on the stack.
+#[allow(clippy::large_enum_variant)]
+pub enum Begun {
+    /// Homing.
+    Homing(HomeAccepted),
+    /// A run.
+    Run(RunAccepted),
+    /// Referencing, folding or unfolding.
+    Actuation(ActuationAccepted),
+    /// A move to a position.
+    Move(MoveAccepted),
+}
+
+/// How far an action has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// Homing.
+    Homing {
+        /// Since its acceptance, us.
+        elapsed_us: u64,
+        /// It ends within this time, us, successfully or with a fault.
+        at_most_us: u64,
+        /// Position, um; meaningful only if the rig was homed before.
+        position_um: i32,
+    },
+    /// A run; a move is one stroke.
+    Run {
+        /// Into the run, us, without the time it was held; at most `total_us`, although a hold and a resume make the
+        /// run a little longer.
+        elapsed_us: u64,
+        /// Duration of the whole run, us.
+        total_us: u64,
+        /// Stroke in progress, from 0.
+        stroke: u32,
+        /// Strokes of the run.
+        strokes: u32,
+        /// Position by the read-back counter, um.
+        position_um: i32,
+        /// It is held there.
+        held: bool,
+    },
+    /// Referencing, folding or unfolding.
+    Actuation {
+        /// Since its acceptance, us.
+        elapsed_us: u64,
+        /// It ends within this time, us, successfully or with a fault.
+        at_most_us: u64,
+        /// Thread wound up, um.
+        thread_um: i32,
+        /// Motor current, mA.
+        current_ma: u16,
+    },
+}
+
+/// Sees what happens during a wait. By default every method does nothing.
+pub trait Observer {
+    /// An action has begun.
+    fn begun(&mut self, begun: &Begun) {
+        let _ = begun;
+    }
+    /// A telemetry sample; `missed` samples were lost just before it.
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        let _ = (sample, missed);
+    }
+    /// An event. Each comes once and in order; one that is lost on the link is fetched again.
+    fn event(&mut self, event: &Event) {
+        let _ = event;
+    }
+    /// Called about four times a second, more often if the rig wants to hear the host more often.
+    fn progress(&mut self, progress: &Progress) {
+        let _ = progress;
+    }
+    /// The record cannot be written; the machine goes on, and so does the wait.
+    fn unrecorded(&mut self, why: &str) {
+        let _ = why;
+    }
+    /// The device refused what the [`Pacer`] wanted; the wait goes on.
+    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
+        let _ = (pace, refusal);
+    }
+    /// Called in each turn of the wait for a run or an actuation, at least every 20 ms while no request is pending, with
+    /// the link's clock. It must not take long: until it returns, nobody listens to the device.
+    fn turn(&mut self, now_us: u64, clock: Option<Clock>) {
+        let _ = (now_us, clock);
+    }
+}
+
+/// How a device's clock stands to that of its link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Clock {
+    /// Link's time less device's, us: at least, at most. The device has read its clock between a request and its answer.
+    pub ahead_us: (i64, i64),
+}
+
+impl Clock {
+    /// What an exchange shows in which the device said `device_us`.
+    pub(crate) fn of(asked_us: u64, device_us: u64, answered_us: u64) -> Self {
+        // A device that says it has run for 300,000 years must not end its host.
+        let ahead = |link_us: u64| {
+            link_us
+                .cast_signed()
+                .saturating_sub(device_us.cast_signed())
+        };
+        Self {
+            ahead_us: (ahead(asked_us), ahead(answered_us)),
+        }
+    }
+
+    /// Time that has passed on the link but not for the device since it was `then`, us, at least.
+    pub(crate) fn behind_us(self, then: Self) -> u64 {
+        let behind_us = self.ahead_us.0.saturating_sub(then.ahead_us.1);
+        u64::try_from(behind_us).unwrap_or(0)
+    }
+}
+
+/// Passes everything to two observers.
+pub struct Both<'a>(pub &'a mut dyn Observer, pub &'a mut dyn Observer);
+
+impl Observer for Both<'_> {
+    fn begun(&mut self, begun: &Begun) {
+        self.0.begun(begun);
+        self.1.begun(begun);
+    }
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.0.telemetry(sample, missed);
+        self.1.telemetry(sample, missed);
+    }
+    fn event(&mut self, event: &Event) {
+        self.0.event(event);
+        self.1.event(event);
+    }
+    fn progress(&mut self, progress: &Progress) {
+        self.0.progress(progress);
+        self.1.progress(progress);
+    }
+    fn unrecorded(&mut self, why: &str) {
+        self.0.unrecorded(why);
+        self.1.unrecorded(why);
+    }
+    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
+        self.0.refused(pace, refusal);
+        self.1.refused(pace, refusal);
+    }
+    fn turn(&mut self, now_us: u64, clock: Option<Clock>) {
+        self.0.turn(now_us, clock);
+        self.1.turn(now_us, clock);
+    }
+}
+
+/// Ignores everything.
+#[derive(Clone, Copy, Debug)]
+pub struct Unobserved;
+impl Observer for Unobserved {}
+
+/// Result of homing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Homed {
+    /// Position of the flag in the second pass, relative to the first pass, steps.
+    pub repeat_steps: i32,
+    /// Shift of the reference since the previous homing, steps; 0 if the position was not trusted before.
+    pub shift_steps: i32,
+    /// From the acceptance of the request to the end, us.
+    pub duration_us: u64,
+}

@@ -1,0 +1,154 @@
+//! Typed requests of a machine.
+
+use protocol::capsule::{self, ActuationAccepted, ActuationRecord, CapsuleStatus};
+use protocol::rig::{self, HomeAccepted, RigStatus, RunAccepted, RunRecord};
+use protocol::system::{
+    Acknowledge, Events, GetEvents, GetLastWords, KeepAlive, SetTelemetry, Urgent,
+};
+use protocol::table::Endpoint;
+
+use crate::device::Device;
+use crate::error::ClientError;
+
+impl Device {
+    /// Sends any request of the table and unwraps its response.
+    ///
+    /// # Errors
+    /// [`ClientError`]; [`ClientError::OutcomeUnknown`] if a command was sent and not answered.
+    pub fn call<E: Endpoint>(&mut self, request: E) -> Result<E::Response, ClientError> {
+        let request = request.into_request();
+        let name = request.name();
+        let response = self.exchange(&request)?;
+        E::from_response(response).ok_or_else(|| ClientError::WrongResponse {
+            place: self.place(),
+            request: name,
+        })
+    }
+
+    /// Tells the device that the host is there.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn keep_alive(&mut self) -> Result<(), ClientError> {
+        self.call(KeepAlive).map(|_| ())
+    }
+
+    /// Text of the last panic or processor fault; empty if there was none.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn last_words(&mut self) -> Result<String, ClientError> {
+        Ok(self.call(GetLastWords)?.text.as_str().to_owned())
+    }
+
+    /// Sets the interval of telemetry in ms, 5..=1000, or 0 for none.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn set_telemetry(&mut self, period_ms: u16) -> Result<(), ClientError> {
+        self.call(SetTelemetry { period_ms }).map(|_| ())
+    }
+
+    /// Some events from the device's ring, from index `from` on.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn events(&mut self, from: u32) -> Result<Events, ClientError> {
+        self.call(GetEvents { from })
+    }
+
+    /// Clears a latched fault after its cause was removed. Moves nothing.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn acknowledge(&mut self) -> Result<(), ClientError> {
+        self.call(Acknowledge).map(|_| ())
+    }
+
+    /// Status of the rig.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn rig_status(&mut self) -> Result<RigStatus, ClientError> {
+        self.call(rig::GetRigStatus)
+    }
+
+    /// Begins homing; [`Device::wait_homing`] waits for its end.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn home(&mut self) -> Result<HomeAccepted, ClientError> {
+        self.call(rig::Home)
+    }
+
+    /// Begins a run; [`Device::wait_run`] waits for its end. Nothing is checked here: the device decides.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn run(&mut self, run: rig::Run) -> Result<RunAccepted, ClientError> {
+        self.call(run)
+    }
+
+    /// Record of the last run.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn run_record(&mut self) -> Result<RunRecord, ClientError> {
+        self.call(rig::GetRunRecord)
+    }
+
+    /// Status of the capsule.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn capsule_status(&mut self) -> Result<CapsuleStatus, ClientError> {
+        self.call(capsule::GetCapsuleStatus)
+    }
+
+    /// Begins to find the thread's zero; [`Device::wait_actuation`] waits for its end.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn reference(&mut self) -> Result<ActuationAccepted, ClientError> {
+        self.call(capsule::Reference)
+    }
+
+    /// Begins to fold; [`Device::wait_actuation`] waits for its end.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn fold(&mut self) -> Result<ActuationAccepted, ClientError> {
+        self.call(capsule::Fold)
+    }
+
+    /// Begins to unfold; [`Device::wait_actuation`] waits for its end.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn unfold(&mut self) -> Result<ActuationAccepted, ClientError> {
+        self.call(capsule::Unfold)
+    }
+
+    /// Record of the last actuation.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn actuation_record(&mut self) -> Result<ActuationRecord, ClientError> {
+        self.call(capsule::GetActuationRecord)
+    }
+
+    /// Stops the machine, ahead of everything else; needs no session and no matching protocol.
+    ///
+    /// # Errors
+    /// [`ClientError::StopUnconfirmed`] if the device did not confirm, or the link's.
+    pub fn urgent(&mut self, urgent: Urgent) -> Result<(), ClientError> {
+        self.client.urgent(urgent);
+        self.urgent_pending = true;
+        while self.urgent_pending {
+            self.step(u64::MAX)?;
+        }
+        Ok(())
+    }
+
+    // Bytes.
+}

@@ -1,0 +1,498 @@
+//! Waiting for the end of a motion, with its progress.
+
+use protocol::capsule::{self, ActuationAccepted, ActuationRecord, CapsuleEvent};
+use protocol::rig::{
+    self, HomeAccepted, MoveAccepted, RigEvent, RigState, RigStatus, RunAccepted, RunOutcome,
+    RunRecord,
+};
+use protocol::system::{Event, Urgent, What};
+
+use crate::device::observer::{Begun, Clock, Homed, Observer, Pace, Progress, Unobserved};
+use crate::device::{Device, moves};
+use crate::error::ClientError;
+
+/// Interval between two requests for the status of a move, us.
+const POLL_US: u64 = 50_000;
+
+/// Interval between two looks at the record of an actuation that has ended, us: several readings of the capsule.
+const BRAKING_US: u64 = 20_000;
+
+/// How much later than announced an action may end before it is stopped as overdue, us.
+const OVERDUE_US: u64 = 3_000_000;
+/// Factor by which a device's clock may be slower than the link's: an emulator on a busy computer, not a time base that
+/// stands.
+const SLOWEST: u64 = 20;
+
+/// Readings of a recording, beyond which it is that of no capsule: they keep the last 2,000.
+const MOST_POINTS: usize = 10_000;
+
+/// What an error means while something may move: a request without an answer changes nothing, but nobody knows what the
+/// machine does.
+pub fn while_moving(action: &'static str, error: ClientError) -> ClientError {
+    match error {
+        ClientError::NoReply { place, .. } | ClientError::Silent { place, .. } => {
+            ClientError::Silent { place, action }
+        }
+        error => error,
+    }
+}
+
+/// Upper limit for the duration of homing, us: both passes over the whole allowed travel, with a margin.
+#[must_use]
+pub fn homing_limit_us(accepted: &HomeAccepted) -> u64 {
+    let travel_us = |um: u64, um_s: u32| um * 1_000_000 / u64::from(um_s.max(1));
+    let travel_um = u64::from(accepted.max_travel_um);
+    // The slow pass only covers the distance back from the first pass, a small part of the travel.
+    2 * travel_us(travel_um, accepted.seek_um_s)
+        + travel_us(travel_um / 4, accepted.locate_um_s)
+        + 5_000_000
+}
+
+/// The recording of an actuation, its readings 1 ms apart.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Recorded {
+    /// Number of the actuation; 0 if there was none.
+    pub actuation: u32,
+    /// The last [`protocol::capsule::KEPT_TRACE_POINTS`] readings.
+    pub points: Vec<capsule::TracePoint>,
+}
+
+/// State of an action that is waited for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ActionState {
+    Running,
+    /// Held: its time limit moves on.
+    Paused,
+    /// Running again after a hold, which makes it this much longer than announced, us.
+    Extended(u64),
+    Ended,
+}
+
+impl From<bool> for ActionState {
+    fn from(ended: bool) -> Self {
+        if ended { Self::Ended } else { Self::Running }
+    }
+}
+
+impl Device {
+    /// Waits until homing ends.
+    ///
+    /// # Errors
+    /// [`ClientError::NotHomed`], [`ClientError::Overdue`], or as [`Device::call`].
+    pub fn wait_homing(
+        &mut self,
+        accepted: &HomeAccepted,
+        observer: &mut dyn Observer,
+    ) -> Result<Homed, ClientError> {
+        observer.begun(&Begun::Homing(*accepted));
+        let start_us = self.now_us();
+        let mut found = None;
+        let at_most_us = homing_limit_us(accepted);
+        self.wait("homing", at_most_us, observer, |device, event, observer| {
+            if let Some(event) = event {
+                return Ok(match event.what {
+                    What::Rig(RigEvent::Homed {
+                        repeat_steps,
+                        shift_steps,
+                    }) => {
+                        found = Some((repeat_steps, shift_steps));
+                        true
+                    }
+                    // The event may be an older one that was still in transit, so the status decides.
+                    What::Rig(RigEvent::Faulted(_) | RigEvent::Stopped { .. }) => !matches!(
+                        device.rig_status()?.state,
+                        RigState::Homing | RigState::Stopping
+                    ),
+                    _ => false,
+                });
+            }
+            let status = device.rig_status()?;
+            observer.progress(&Progress::Homing {
+                elapsed_us: device.now_us() - start_us,
+                at_most_us,
+                position_um: status.position_um,
+            });
+            Ok(!matches!(
+                status.state,
+                RigState::Homing | RigState::Stopping
+            ))
+        })?;
+        match found {
+            Some((repeat_steps, shift_steps)) => Ok(Homed {
+                repeat_steps,
+                shift_steps,
+                duration_us: self.now_us() - start_us,
+            }),
+            None => Err(ClientError::NotHomed {
+                fault: self.rig_status()?.fault,
+            }),
+        }
+    }
+
+    /// Waits until a run ends, however it ends, and returns the device's record of it.
+    ///
+    /// # Errors
+    /// [`ClientError::Overdue`], or as [`Device::call`].
+    pub fn wait_run(
+        &mut self,
+        accepted: &RunAccepted,
+        observer: &mut dyn Observer,
+    ) -> Result<RunRecord, ClientError> {
+        observer.begun(&Begun::Run(*accepted));
+        let total_us = accepted.total_ticks.div_ceil(100);
+        // Braking and accelerating again take no longer than the ramps of a stroke.
+        let detour_us = accepted.forward.ramp_ticks.max(accepted.back.ramp_ticks) / 50;
+        let (mut elapsed_us, mut paused_us, mut held_since_us) = (0, 0_u64, None);
+        self.wait("the run", total_us, observer, |device, event, observer| {
+            if let Some(event) = event {
+                return Ok(match event.what {
+                    What::Rig(RigEvent::RunEnded { run, .. }) if run == accepted.run => {
+                        ActionState::Ended
+                    }
+                    What::Rig(RigEvent::Held { .. }) => {
+                        held_since_us = Some(event.time_us);
+                        ActionState::Running
+                    }
+                    What::Rig(RigEvent::Resumed) => {
+                        let held_us = held_since_us
+                            .take()
+                            .map_or(0, |since_us| event.time_us.saturating_sub(since_us));
+                        paused_us = paused_us.saturating_add(held_us);
+                        ActionState::Extended(detour_us)
+                    }
+                    _ => ActionState::Running,
+                });
+            }
+            let status = device.rig_status()?;
+            if status.state == RigState::Running && held_since_us.is_none() {
+                elapsed_us = status.elapsed_us.saturating_sub(paused_us).min(total_us);
+            }
+            observer.progress(&Progress::Run {
+                elapsed_us,
+                total_us,
+                stroke: status.stroke,
+                strokes: u32::from(accepted.requested.cycles) * 2,
+                position_um: status.position_um,
+                held: status.state == RigState::Held,
+            });
+            Ok(match status.state {
+                RigState::Running | RigState::Stopping => ActionState::Running,
+                RigState::Held => ActionState::Paused,
+                _ => ActionState::Ended,
+            })
+        })?;
+        self.run_record()
+    }
+
+    /// Waits until a move ends, however it ends, and returns how it did and the rig's status then.
+    ///
+    /// # Errors
+    /// [`ClientError::Overdue`], or as [`Device::call`].
+    pub fn wait_move(
+        &mut self,
+        accepted: &MoveAccepted,
+        observer: &mut dyn Observer,
+    ) -> Result<(RunOutcome, RigStatus), ClientError> {
+        observer.begun(&Begun::Move(*accepted));
+        let begun_us = self.now_us();
+        let total_us = accepted.stroke.duration_ticks.div_ceil(100);
+        let mut link_lost = false;
+        self.wait("the move", total_us, observer, |device, event, observer| {
+            link_lost |= event.is_some_and(|event| event.what == What::LinkLost);
+            // Events only hasten the look: an older one may still be in transit.
+            let status = device.rig_status()?;
+            observer.progress(&Progress::Run {
+                elapsed_us: (device.now_us() - begun_us).min(total_us),
+                total_us,
+                stroke: 0,
+                strokes: 1,
+                position_um: status.position_um,
+                held: false,
+            });
+            Ok(!matches!(
+                status.state,
+                RigState::Moving | RigState::Stopping
+            ))
+        })?;
+        let status = self.rig_status()?;
+        let outcome = match status.fault {
+            Some(fault) => RunOutcome::Faulted(fault),
+            None if status.position_steps == accepted.to_steps => RunOutcome::Complete,
+            None if link_lost => RunOutcome::LinkLost,
+            None => RunOutcome::Stopped,
+        };
+        Ok((outcome, status))
+    }
+
+    /// Waits for the end of a move or a stop and returns the rig's status. Does not wait for the end of a run.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn wait_rest(&mut self) -> Result<RigStatus, ClientError> {
+        loop {
+            let status = self
+                .rig_status()
+                .map_err(|error| while_moving("the motion", error))?;
+            if !matches!(status.state, RigState::Moving | RigState::Stopping) {
+                return Ok(status);
+            }
+            self.idle(POLL_US, &mut Unobserved)
+                .map_err(|error| while_moving("the motion", error))?;
+        }
+    }
+
+    /// Fetches the recording of the capsule's last actuation, once it has ended: until then it grows.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn trace(&mut self) -> Result<Recorded, ClientError> {
+        let mut recorded = Recorded::default();
+        while moves(self.capsule_status()?.state) {
+            self.idle(POLL_US, &mut Unobserved)?;
+        }
+        loop {
+            let from = recorded.points.len() as u32;
+            let part = self.call(capsule::GetTrace { from })?;
+            if part.actuation != recorded.actuation && from > 0 {
+                recorded = Recorded::default();
+                continue;
+            }
+            recorded.actuation = part.actuation;
+            if part.points.is_empty() {
+                return Ok(recorded);
+            }
+            recorded.points.extend(part.points);
+            if recorded.points.len() > MOST_POINTS {
+                return Err(ClientError::WrongResponse {
+                    place: self.place(),
+                    request: "GetTrace",
+                });
+            }
+        }
+    }
+
+    /// Waits until an actuation of the capsule ends, however it ends, and its motor stands, and returns the device's
+    /// record of it.
+    ///
+    /// # Errors
+    /// [`ClientError::Overdue`], or as [`Device::call`].
+    pub fn wait_actuation(
+        &mut self,
+        accepted: &ActuationAccepted,
+        observer: &mut dyn Observer,
+    ) -> Result<ActuationRecord, ClientError> {
+        observer.begun(&Begun::Actuation(*accepted));
+        let start_us = self.now_us();
+        let at_most_us = u64::from(accepted.timeout_ms) * 1_000;
+        self.wait(
+            "the actuation",
+            at_most_us,
+            observer,
+            |device, event, observer| {
+                if let Some(event) = event {
+                    return Ok(matches!(
+                        event.what,
+                        What::Capsule(CapsuleEvent::Ended { actuation, .. })
+                            if actuation == accepted.actuation
+                    ));
+                }
+                let status = device.capsule_status()?;
+                observer.progress(&Progress::Actuation {
+                    elapsed_us: device.now_us() - start_us,
+                    at_most_us,
+                    thread_um: status.thread_um,
+                    current_ma: status.current_ma,
+                });
+                Ok(!moves(status.state))
+            },
+        )?;
+        self.final_record(observer)
+            .map_err(|error| while_moving("the actuation", error))
+    }
+
+    /// The record of the actuation that has just ended, when it no longer changes: while the motor is braked, it runs
+    /// on for a tenth of a millimetre of thread.
+    pub(crate) fn final_record(
+        &mut self,
+        observer: &mut dyn Observer,
+    ) -> Result<ActuationRecord, ClientError> {
+        let mut record = self.actuation_record()?;
+        loop {
+            self.idle(BRAKING_US, observer)?;
+            let later = self.actuation_record()?;
+            if later == record || later.actuation != record.actuation {
+                return Ok(record);
+            }
+            record = later;
+        }
+    }
+
+    /// Waits for `duration_us` of link time with keep-alives; passes telemetry and events to the observer.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn idle(
+        &mut self,
+        duration_us: u64,
+        observer: &mut dyn Observer,
+    ) -> Result<(), ClientError> {
+        let end_us = self.now_us().saturating_add(duration_us);
+        while self.now_us() < end_us {
+            let until_us = self.now_us().saturating_add(self.keep_alive_us).min(end_us);
+            self.listen(until_us)?;
+            self.keep_alive()?;
+            self.hand_out(observer);
+        }
+        self.fetch_events()?;
+        self.hand_out(observer);
+        Ok(())
+    }
+
+    /// Receives for `duration_us` of link time without a request of its own, and hands out what comes as it comes. What
+    /// another process asks through the door is asked.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn observe(
+        &mut self,
+        duration_us: u64,
+        observer: &mut dyn Observer,
+    ) -> Result<(), ClientError> {
+        let end_us = self.now_us().saturating_add(duration_us);
+        while self.now_us() < end_us {
+            self.step(end_us)?;
+            if !self.early.is_empty() {
+                self.fetch_events()?;
+            }
+            self.hand_out(observer);
+        }
+        Ok(())
+    }
+
+    /// Waits until the stop that was sent is confirmed, if one was.
+    ///
+    /// # Errors
+    /// [`ClientError::StopUnconfirmed`] if the device did not confirm, or the link's.
+    pub fn settle(&mut self) -> Result<(), ClientError> {
+        while self.urgent_pending {
+            self.step(u64::MAX)?;
+        }
+        Ok(())
+    }
+
+    /// Forgets the stop that the interrupt or another process has wanted: commands are sent again. For a process that goes
+    /// on after a stop, once it is settled.
+    pub fn forget_stop(&mut self) {
+        self.interrupted = None;
+        self.link.forget_stop();
+    }
+
+    /// Sends nothing for `duration_us` of link time, as a host that is gone. The operator's stop goes out all the same.
+    ///
+    /// # Errors
+    /// The link's, or [`ClientError::StopUnconfirmed`].
+    pub fn fall_silent(&mut self, duration_us: u64) -> Result<(), ClientError> {
+        self.listen(self.now_us().saturating_add(duration_us))
+    }
+
+    /// As [`Device::wait_for`]; a link that falls silent meanwhile is no small matter.
+    fn wait<C: Into<ActionState>>(
+        &mut self,
+        action: &'static str,
+        at_most_us: u64,
+        observer: &mut dyn Observer,
+        state: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<C, ClientError>,
+    ) -> Result<(), ClientError> {
+        self.wait_for(action, at_most_us, observer, state)
+            .map_err(|error| while_moving(action, error))
+    }
+
+    /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every
+    /// `keep_alive_us` without one. Then it requests the device's status, which is also the keep-alive and shows the end even if its
+    /// event was lost.
+    fn wait_for<C: Into<ActionState>>(
+        &mut self,
+        action: &'static str,
+        at_most_us: u64,
+        observer: &mut dyn Observer,
+        mut state: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<C, ClientError>,
+    ) -> Result<(), ClientError> {
+        let start_us = self.now_us();
+        let mut start_clock = self.clock;
+        let mut limit_us = at_most_us.saturating_add(OVERDUE_US);
+        let mut asked_us = start_us;
+        let mut over = false;
+        loop {
+            if !self.early.is_empty() {
+                self.fetch_events()?;
+            }
+            while let Some(event) = self.events.pop_front() {
+                observer.event(&event);
+                match state(self, Some(&event), observer)?.into() {
+                    ActionState::Ended => over = true,
+                    ActionState::Extended(us) => limit_us = limit_us.saturating_add(us),
+                    ActionState::Running | ActionState::Paused => {}
+                }
+            }
+            self.hand_out_telemetry(observer);
+            if over {
+                return Ok(());
+            }
+            self.pace(observer)?;
+            observer.turn(self.now_us(), self.clock);
+            let now_us = self.now_us();
+            if now_us >= asked_us.saturating_add(self.keep_alive_us) {
+                match state(self, None, observer)?.into() {
+                    ActionState::Ended => {
+                        // The action has ended: an event that has not arrived by now was lost.
+                        over = true;
+                        self.fetch_events()?;
+                        continue;
+                    }
+                    ActionState::Paused => limit_us = limit_us.saturating_add(now_us - asked_us),
+                    ActionState::Running | ActionState::Extended(_) => {}
+                }
+                asked_us = now_us;
+                start_clock = start_clock.or(self.clock);
+                if self.passed_us(start_us, start_clock) > limit_us {
+                    self.urgent(Urgent::Stop)?;
+                    return Err(ClientError::Overdue {
+                        place: self.place(),
+                        action,
+                        limit_ms: limit_us / 1_000,
+                    });
+                }
+            }
+            self.step(asked_us.saturating_add(self.keep_alive_us))?;
+        }
+    }
+
+    /// Time since the link's clock was at `start_us` and the device's at `start_clock`, us. The device's clock counts, so
+    /// that an emulated device that cannot keep up is not overdue; a clock slower than [`SLOWEST`] is broken.
+    fn passed_us(&self, start_us: u64, start_clock: Option<Clock>) -> u64 {
+        let passed_us = self.now_us() - start_us;
+        let behind_us = start_clock
+            .zip(self.clock)
+            .map_or(0, |(then, now)| now.behind_us(then));
+        passed_us.saturating_sub(behind_us).max(passed_us / SLOWEST)
+    }
+
+    /// Sends what the pacer returns. After a stop it no longer matters that this is not sent.
+    pub(crate) fn pace(&mut self, observer: &mut dyn Observer) -> Result<(), ClientError> {
+        let Some(pace) = self.pacer.as_mut().and_then(|pacer| pacer()) else {
+            return Ok(());
+        };
+        let answer = match pace {
+            Pace::Hold => self.call(rig::Hold),
+            Pace::Resume => self.call(rig::Resume),
+        };
+        match answer {
+            Ok(_) | Err(ClientError::Interrupted { .. }) => Ok(()),
+            Err(ClientError::Refused { refusal, .. }) => {
+                observer.refused(pace, &refusal);
+                Ok(())
+            }
+            Err(error) => Err(error),
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! The door, its owner and its guests within one process.
+
+use std::sync::mpsc::{Receiver, channel};
+
+use protocol::rig;
+use protocol::table::Endpoint;
+
+use super::*;
+
+/// A line that keeps what is written to it.
+struct Tap(std::sync::mpsc::Sender<Vec<u8>>);
+
+impl Write for Tap {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let _ = self.0.send(bytes.to_vec());
+        Ok(bytes.len())
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn core() -> (Arc<Core>, Receiver<Vec<u8>>) {
+    let (tap, written) = channel();
+    (Core::new(Box::new(Tap(tap)), false, None), written)
+}
+
+#[test]
+fn a_line_that_is_no_longer_offered_is_given_to_nobody() {
+    let (core, _written) = core();
+    assert!(!core.want_line() && !core.is_line_wanted());
+    core.offer_line(true);
+    assert!(core.want_line() && core.is_line_wanted());
+    // The owner begins to work: whoever wanted the line has to ask again.
+    core.offer_line(false);
+    assert!(!core.is_line_wanted() && !core.want_line());
+    assert!(!core.is_line_wanted());
+}
+
+fn request(seq: u16) -> Encoded {
+    let header = Header {
+        kind: Kind::Request,
+        session: 1,
+        seq,
+    };
+    encode(header, &rig::Home.into_request()).expect("fits")
+}
+
+const STOP: Header = Header {
+    kind: Kind::Urgent,
+    session: 3,
+    seq: 7,
+};
+
+#[test]
+fn a_command_that_comes_after_a_stop_nobody_has_noticed_is_not_sent() {
+    let (core, written) = core();
+    core.send(&request(1)).expect("sent");
+    assert_eq!(written.try_iter().count(), 1);
+    core.stop(0, STOP, Urgent::Stop).expect("sent");
+    assert_eq!(written.try_iter().count(), 1);
+    core.send(&request(1)).expect("left out");
+    assert_eq!(written.try_iter().count(), 0);
+    assert_eq!(core.stopped(), Some(Urgent::Stop));
+    core.send(&request(2)).expect("sent");
+    assert_eq!(written.try_iter().count(), 1);
+    // The owner's own stop never waits.
+    core.stop(0, STOP, Urgent::EStop).expect("sent");
+    let own = encode(STOP, &Urgent::EStop).expect("fits");
+    core.send(&own).expect("sent");
+    assert_eq!(written.try_iter().count(), 2);
+    assert_eq!(core.stopped(), Some(Urgent::EStop));
+}
+
+#[test]
+fn a_repeated_stop_keeps_its_number_and_another_gets_the_next() {
+    let (core, written) = core();
+    let other = Header { seq: 8, ..STOP };
+    for header in [STOP, STOP, other] {
+        core.stop(0, header, Urgent::Stop).expect("sent");
+    }
+    let numbers: Vec<_> = written
+        .try_iter()
+        .map(|frame| header(&frame).expect("a frame").seq)
+        .collect();
+    assert_eq!(numbers, [FIRST_SEQ, FIRST_SEQ, FIRST_SEQ + 1]);
+}
+
+#[test]
+fn a_question_that_waited_too_long_is_not_asked() {
+    let (core, _written) = core();
+    let (answers, answered) = channel();
+    let question = |asked| {
+        let answers = answers.clone();
+        Question {
+            request: rig::Resume.into_request(),
+            asked,
+            answer: Box::new(move |reply| answers.send(reply).expect("heard")),
+        }
+    };
+    let long_ago = Instant::now() - STALE - Duration::from_millis(1);
+    core.ask(question(long_ago));
+    assert!(core.question(Instant::now()).is_none());
+    assert_eq!(answered.try_recv(), Ok(None));
+    thread::sleep(BREATH);
+    core.ask(question(Instant::now()));
+    assert!(core.question(Instant::now()).is_some());
+    // The next one has to wait, however often the owner looks.
+    core.ask(question(Instant::now()));
+    assert!(core.question(Instant::now()).is_none());
+}
+
+#[test]
+fn what_many_want_to_see_is_asked_once_and_what_they_want_done_as_often_as_they_say() {
+    let (core, _written) = core();
+    let (answers, answered) = channel();
+    let ask = |guest: u32, request: Request| {
+        let answers = answers.clone();
+        core.ask(Question {
+            request,
+            asked: Instant::now(),
+            answer: Box::new(move |reply| answers.send((guest, reply)).expect("heard")),
+        });
+    };
+    let status = || rig::GetRigStatus.into_request();
+    for guest in 0..5 {
+        ask(guest, status());
+    }
+    ask(5, rig::Resume.into_request());
+    ask(6, status());
+    ask(7, rig::Resume.into_request());
+    let reply = Reply::Wire(WireError::Malformed);
+    let first = core.question(Instant::now()).expect("one");
+    assert_eq!(first.request, status());
+    first.answer(Some(reply.clone()));
+    let mut guests: Vec<_> = answered.try_iter().collect();
+    guests.sort_by_key(|(guest, _)| *guest);
+    let told = |guest| (guest, Some(reply.clone()));
+    assert_eq!(guests, [0, 1, 2, 3, 4, 6].map(told));
+    for guest in [5, 7] {
+        thread::sleep(BREATH);
+        core.question(Instant::now()).expect("another").answer(None);
+        assert_eq!(answered.try_iter().collect::<Vec<_>>(), [(guest, None)]);
+    }
+    thread::sleep(BREATH);
+    assert!(core.question(Instant::now()).is_none());
+}
+
+/// The door of a system without Unix sockets.
+#[test]
+fn at_a_loopback_door_the_token_decides() {
+    let (core, written) = core();
+    let listener = Listener::loopback().expect("a free port");
+    let plate = Plate {
+        owner: crate::link::owner::Owner::this_process(),
+        port: listener.port(),
+        token: "secret".to_owned(),
+        recording: None,
+    };
+    let (served, shown) = (Arc::clone(&core), plate.clone());
+    thread::spawn(move || serve(&listener, &shown, &served));
+    let visit = |token: &str| {
+        let mut stream = Stream::connect("".as_ref(), plate.port).expect("open");
+        let knock = format!("{{\"retrograde_window\":1,\"token\":\"{token}\"}}\n");
+        let stop = encode(STOP, &Urgent::EStop).expect("fits");
+        // Without waiting for the welcome.
+        stream.write_all(knock.as_bytes()).expect("sent");
+        let _ = stream.write_all(&stop);
+        read_line(&mut stream, LONGEST_LINE)
+    };
+    for wrong in ["", "guess"] {
+        assert!(visit(wrong).is_err());
+        assert!(written.recv_timeout(Duration::from_millis(100)).is_err());
+    }
+    let welcome = visit("secret").expect("welcome");
+    let welcome: Welcome = serde_json::from_slice(&welcome).expect("JSON");
+    assert_eq!(welcome.owner, plate.owner);
+    let sent = written.recv_timeout(Duration::from_secs(2)).expect("sent");
+    assert_eq!(header(&sent).expect("a frame").kind, Kind::Urgent);
+    core.close();
+}

@@ -1,0 +1,113 @@
+//! What became of a stop, machine by machine.
+
+use protocol::system::Urgent;
+use serde_json::{Value, json};
+
+/// What to do when a machine may not have been stopped.
+pub const DO_NOW: &str = "press the emergency stop button or cut the motor supply NOW; or press Ctrl-C twice in the terminal whose `retrograde` moves the machine";
+
+/// What became of a stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Delivery {
+    /// The machine has confirmed it.
+    Stopped,
+    /// It was sent, and the machine did not confirm it.
+    NotConfirmed,
+    /// It was not sent.
+    NotDelivered,
+}
+
+impl Delivery {
+    /// For `--json`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Stopped => "stopped",
+            Self::NotConfirmed => "not_confirmed",
+            Self::NotDelivered => "not_delivered",
+        }
+    }
+}
+
+/// What became of the stop of one machine.
+#[derive(Clone, Debug)]
+pub struct Told {
+    /// The machine, as the user would name it: `rig at /dev/ttyACM0`.
+    pub machine: String,
+    /// What became of the stop.
+    pub delivery: Delivery,
+    /// Why it is not known to stand; empty if it is.
+    pub why: String,
+}
+
+impl Told {
+    /// For a person.
+    #[must_use]
+    pub fn line(&self, urgent: Urgent) -> String {
+        let machine = &self.machine;
+        match (self.delivery, urgent) {
+            (Delivery::Stopped, Urgent::Stop) => format!("{machine}: stopped"),
+            (Delivery::Stopped, Urgent::EStop) => format!(
+                "{machine}: emergency stop latched; acknowledge before anything moves again"
+            ),
+            (Delivery::NotConfirmed, _) => {
+                format!("{machine}: sent, NOT CONFIRMED: {}", self.why)
+            }
+            (Delivery::NotDelivered, _) => format!("{machine}: NOT DELIVERED: {}", self.why),
+        }
+    }
+
+    /// For `--json`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        json!({
+            "machine": self.machine,
+            "outcome": self.delivery.name(),
+            "why": self.why,
+        })
+    }
+}
+
+/// Which machines did not confirm, in one sentence.
+#[must_use]
+pub fn summary(told: &[Told]) -> String {
+    let of = |delivery, text: &str| {
+        let machines: Vec<_> = told
+            .iter()
+            .filter(|told| told.delivery == delivery)
+            .map(|told| format!("{} ({})", told.machine, told.why))
+            .collect();
+        (!machines.is_empty()).then(|| format!("{text} {}", machines.join(", ")))
+    };
+    let parts = [
+        of(Delivery::NotDelivered, "the stop was NOT DELIVERED to"),
+        of(Delivery::NotConfirmed, "the stop was NOT CONFIRMED by"),
+    ];
+    parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(machine: &str, delivery: Delivery) -> Told {
+        Told {
+            machine: machine.to_owned(),
+            delivery,
+            why: "why".to_owned(),
+        }
+    }
+
+    #[test]
+    fn the_summary_names_each_machine_that_may_move_and_no_other() {
+        let all = [
+            told("rig at a", Delivery::NotDelivered),
+            told("capsule at b", Delivery::Stopped),
+            told("rig at c", Delivery::NotConfirmed),
+        ];
+        assert_eq!(
+            summary(&all),
+            "the stop was NOT DELIVERED to rig at a (why); the stop was NOT CONFIRMED by rig at c (why)"
+        );
+    }
+}

@@ -1,0 +1,89 @@
+//! How a motion of the rig has ended.
+
+use client::Device;
+use client::decimal;
+use protocol::rig::{self, RigState, RigStatus};
+use trials::trial::Status;
+
+use crate::failure::Failure;
+
+/// Holds the run that goes on, and waits until the carriage stands.
+///
+/// # Errors
+/// The run has ended meanwhile, or was resumed by somebody else.
+pub fn held(rig: &mut Device) -> Result<RigStatus, Failure> {
+    rig.call(rig::Hold)?;
+    let status = rig.wait_rest()?;
+    if status.state == RigState::Running {
+        return Err(Failure::Refused {
+            why: "the run was held, and goes on again: somebody has resumed it, the start button does that"
+                .to_owned(),
+            help: "`retrograde hold` holds it again, `retrograde stop` ends it".to_owned(),
+        });
+    }
+    if status.state != RigState::Held {
+        return Err(match Status::from(rig.run_record()?.outcome) {
+            Status::Complete => Failure::Refused {
+                why: "too late, the run is complete".to_owned(),
+                help: format!("nothing is held; the rig is at {} mm", millimetres(&status)),
+            },
+            ending => ended("the run", ending, &status, None),
+        });
+    }
+    Ok(status)
+}
+
+/// The failure of a motion that ended early.
+#[must_use]
+pub fn cut_short(action: &'static str, rig: &Device, status: &RigStatus) -> Failure {
+    let (ending, reason) = match (status.fault, rig.interrupted()) {
+        (Some(_), _) => (Status::Faulted, None),
+        (None, Some(_)) => (Status::Stopped, None),
+        (None, None) => (
+            Status::Stopped,
+            Some("by the start button, or because the rig did not hear this tool in time"),
+        ),
+    };
+    ended(action, ending, status, reason)
+}
+
+fn ended(
+    action: &'static str,
+    ending: Status,
+    status: &RigStatus,
+    reason: Option<&str>,
+) -> Failure {
+    let place = millimetres(status);
+    Failure::Ended {
+        action,
+        status: ending,
+        reason: status
+            .fault
+            .map(|fault| fault.to_string())
+            .or(reason.map(str::to_owned)),
+        help: if status.fault.is_some() {
+            format!(
+                "the carriage is at {place} mm by the step counter; `retrograde ack rig`, then `retrograde home`"
+            )
+        } else {
+            format!("the carriage is at {place} mm")
+        },
+    }
+}
+
+/// Where the carriage is, in mm.
+#[must_use]
+pub fn millimetres(status: &RigStatus) -> String {
+    decimal::write_signed(status.position_um.into(), 3)
+}
+
+/// The result of homing in one line.
+#[must_use]
+pub fn homed_text(homed: &client::Homed) -> String {
+    format!(
+        "Homed in {} s; the two passes differ by {} steps, the reference moved by {} steps.",
+        decimal::write(homed.duration_us / 1_000, 3),
+        homed.repeat_steps,
+        homed.shift_steps
+    )
+}

@@ -1,0 +1,411 @@
+//! Failures as the user sees them: text, code, help, exit code.
+
+use std::io;
+use std::path::PathBuf;
+
+use client::decimal;
+use client::error::ClientError;
+use client::identity;
+use client::link::OpenError;
+use client::wording;
+use locomotion::range::OutOfRange;
+use miette::Diagnostic;
+use motion::axis::AxisError;
+use motion::run::RunError;
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+use trials::experiment::ExperimentError;
+use trials::trial::{RecordError, Status};
+
+use crate::delivery::{self, Delivery, Told};
+
+/// Success.
+pub const DONE: u8 = 0;
+/// A file or this program failed.
+pub const FAILED: u8 = 1;
+/// The command line cannot be understood.
+pub const USAGE: u8 = 2;
+/// Refused by the check or by the device; nothing moved.
+pub const REFUSED: u8 = 3;
+/// No device, the wrong one, several, or the link was lost.
+pub const NO_DEVICE: u8 = 4;
+/// Firmware and host tool do not match.
+pub const MISMATCH: u8 = 5;
+/// The device latched a fault, or ended the action by itself.
+pub const FAULT: u8 = 6;
+/// Whether the command was carried out is unknown: look at the machine.
+pub const UNKNOWN: u8 = 7;
+/// A stop did not reach a machine.
+pub const NOT_DELIVERED: u8 = 8;
+/// Stopped by the operator.
+pub const STOPPED: u8 = 130;
+
+/// A failure that only one command has.
+pub trait CommandFailure: Diagnostic + Send + Sync {
+    /// The exit code; the table is in `docs/host-tool.md`.
+    fn exit_code(&self) -> u8;
+
+    /// Adds what `--json` shows beside the error.
+    fn describe(&self, value: &mut Value) {
+        let _ = value;
+    }
+}
+
+/// A [`CommandFailure`], shown as it is.
+#[derive(Debug)]
+pub struct OfCommand(Box<dyn CommandFailure>);
+
+impl std::fmt::Display for OfCommand {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl std::error::Error for OfCommand {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.0.source()
+    }
+}
+
+impl Diagnostic for OfCommand {
+    fn code<'a>(&'a self) -> Option<Box<dyn std::fmt::Display + 'a>> {
+        self.0.code()
+    }
+
+    fn help<'a>(&'a self) -> Option<Box<dyn std::fmt::Display + 'a>> {
+        self.0.help()
+    }
+}
+
+impl<T: CommandFailure + 'static> From<T> for Failure {
+    fn from(failure: T) -> Self {
+        Self::Command(OfCommand(Box::new(failure)))
+    }
+}
+
+/// Why a command failed.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+pub enum Failure {
+    /// The device or the link to it.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Client(#[from] ClientError),
+    /// The link could not be opened.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Open(#[from] OpenError),
+    /// A recorded action failed.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Experiment(#[from] ExperimentError),
+    /// A record could not be written or read.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Record(#[from] RecordError),
+    /// The run is infeasible.
+    #[error("{}", wording::infeasible(.0))]
+    #[diagnostic(
+        code(retrograde::infeasible),
+        help("{}nothing was sent; `retrograde plan` tries runs without a rig", way_out(.0))
+    )]
+    Run(#[from] RunError),
+    /// The screw is impossible.
+    #[error("{}", wording::axis(.0))]
+    #[diagnostic(code(retrograde::axis))]
+    Axis(#[from] AxisError),
+    /// A number that the models do not cover.
+    #[error("{0}")]
+    #[diagnostic(code(retrograde::range))]
+    Range(#[from] OutOfRange),
+    /// No machine of the wanted kind was found.
+    #[error("no {} found; {there}", identity::kind_name(*.wanted))]
+    #[diagnostic(
+        code(retrograde::not_found),
+        help("plug the board in, or say where it is: `--{} /dev/ttyACM0` or `tcp:HOST:PORT`", identity::kind_name(*.wanted))
+    )]
+    NotFound {
+        /// The wanted kind.
+        wanted: DeviceKind,
+        /// What was found instead.
+        there: String,
+    },
+    /// Several of the wanted kind were found.
+    #[error("several {}s found: {there}", identity::kind_name(*.wanted))]
+    #[diagnostic(
+        code(retrograde::ambiguous),
+        help("choose one: `--{} WHERE`; nothing but requests for an identity was sent", identity::kind_name(*.wanted))
+    )]
+    Ambiguous {
+        /// The wanted kind.
+        wanted: DeviceKind,
+        /// All of them.
+        there: String,
+    },
+    /// Nothing was found at all.
+    #[error("no machine found; {there}")]
+    #[diagnostic(
+        code(retrograde::not_found),
+        help(
+            "plug a board in, or say where it is: `--rig /dev/ttyACM0`, `--capsule tcp:HOST:PORT`"
+        )
+    )]
+    NothingFound {
+        /// What was found instead.
+        there: String,
+    },
+    /// The action did not end as planned.
+    #[error("{action} {}{}", ended(*.status), reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
+    #[diagnostic(code(retrograde::ended), help("{help}"))]
+    Ended {
+        /// The action, such as `the run`.
+        action: &'static str,
+        /// How it ended.
+        status: Status,
+        /// The fault, if there was one.
+        reason: Option<String>,
+        /// What the user can do now.
+        help: String,
+    },
+    /// A file could not be written.
+    #[error("{path}: {io}", path = path.display())]
+    #[diagnostic(
+        code(retrograde::file),
+        help("choose a file in a folder that can be written, with free space")
+    )]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// The operating system's reason.
+        io: io::Error,
+    },
+    /// The result could not be written. What was asked for has been done.
+    #[error("standard output: {io}; the command was carried out, its result is lost")]
+    #[diagnostic(
+        code(retrograde::output),
+        help(
+            "write to a device with free space; do not repeat a command that moves without looking"
+        )
+    )]
+    Output {
+        /// The operating system's reason.
+        io: io::Error,
+    },
+    /// Refused by this program itself, or requested too late.
+    #[error("{why}")]
+    #[diagnostic(code(retrograde::refused), help("{help}"))]
+    Refused {
+        /// The reason.
+        why: String,
+        /// What the user can do.
+        help: String,
+    },
+    /// A file or an argument that cannot be used.
+    #[error("{why}")]
+    #[diagnostic(code(retrograde::input), help("{help}"))]
+    Input {
+        /// The reason.
+        why: String,
+        /// What the user can do.
+        help: String,
+    },
+    /// A stop that not every machine has confirmed.
+    #[error("{}", delivery::summary(told))]
+    #[diagnostic(code(retrograde::stop), help("{}", delivery::DO_NOW))]
+    Stops {
+        /// What became of it, for each machine.
+        told: Vec<Told>,
+    },
+    /// The rig was called by a name that it does not carry.
+    #[error("{}; nothing was moved", wrong_name(name, place, carried))]
+    #[diagnostic(
+        code(retrograde::wrong_name),
+        help(
+            "are two rigs exchanged? `retrograde devices` shows all names and places. If this is the right one, `retrograde --rig {name} settings name {name}` gives it its name"
+        )
+    )]
+    WrongName {
+        /// What the link leads to.
+        place: String,
+        /// The name by which it was called.
+        name: String,
+        /// The name that it carries; empty if it has none.
+        carried: String,
+    },
+    /// What only one command can fail with.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Command(OfCommand),
+}
+
+/// What is wrong about a name.
+pub fn wrong_name(name: &str, place: &str, carried: &str) -> String {
+    match carried {
+        "" => format!("the rig at {place} carries no name, and should be `{name}`"),
+        carried => format!("the rig at {place} is called `{carried}`, not `{name}`"),
+    }
+}
+
+/// For `--json`, a command line that cannot be understood; `text` is what a person is told.
+pub fn usage(text: &str) -> Value {
+    let mut parts = text.trim().splitn(2, "\n\n");
+    let mut part = || parts.next().unwrap_or_default().trim().to_owned();
+    let message = part();
+    json!({
+        "ok": false,
+        "exit_code": USAGE,
+        "error": {
+            "code": "retrograde::usage",
+            "message": message.trim_start_matches("error: "),
+            "help": part(),
+        },
+    })
+}
+
+/// The options that make the run feasible, from the planner's numbers.
+fn way_out(error: &RunError) -> String {
+    match *error {
+        RunError::TotalTooShort {
+            minimal_total_us,
+            minimal_accel_um_s2: Some(um_s2),
+        } => format!(
+            "`--duration-s {}`, or `--accel-mm-s2 {}`, if the rig's limits allow it; ",
+            decimal::write(minimal_total_us, 6),
+            decimal::write(um_s2.into(), 3)
+        ),
+        RunError::TotalTooShort {
+            minimal_total_us, ..
+        }
+        | RunError::PeakAboveLimit {
+            minimal_total_us: Some(minimal_total_us),
+            ..
+        } => format!("`--duration-s {}`; ", decimal::write(minimal_total_us, 6)),
+        _ => String::new(),
+    }
+}
+
+fn ended(status: Status) -> &'static str {
+    match status {
+        Status::Complete => "is complete",
+        Status::Stopped => "was stopped on request; the position is kept",
+        Status::LinkLost => {
+            "was stopped by the device, which had not heard from the host for too long"
+        }
+        Status::Faulted => "ended by a fault",
+        Status::Running | Status::Unknown => "has an unknown outcome",
+    }
+}
+
+impl Failure {
+    /// With its remedy, in one line.
+    #[must_use]
+    pub fn in_one_line(&self) -> String {
+        let help = self.help().map(|help| format!("; {help}"));
+        let text = format!("{self}{}", help.unwrap_or_default());
+        text.split_whitespace().collect::<Vec<_>>().join(" ")
+    }
+
+    /// The exit code; the table is in `docs/host-tool.md`.
+    #[must_use]
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Client(error) => client_code(error),
+            Self::Open(_)
+            | Self::NotFound { .. }
+            | Self::Ambiguous { .. }
+            | Self::WrongName { .. }
+            | Self::NothingFound { .. } => NO_DEVICE,
+            Self::Experiment(ExperimentError::Client(error)) => client_code(error),
+            Self::Experiment(ExperimentError::Incomplete { status, .. })
+            | Self::Ended { status, .. } => status_code(*status),
+            Self::Command(failure) => failure.0.exit_code(),
+            Self::Stops { told } => {
+                let undelivered = |told: &Told| told.delivery == Delivery::NotDelivered;
+                if told.iter().any(undelivered) {
+                    NOT_DELIVERED
+                } else {
+                    UNKNOWN
+                }
+            }
+            Self::Input { .. } | Self::Range(_) => USAGE,
+            Self::Run(_) | Self::Axis(_) | Self::Refused { .. } => REFUSED,
+            Self::Experiment(ExperimentError::Record(_) | ExperimentError::Unrecorded { .. })
+            | Self::Record(_)
+            | Self::File { .. }
+            | Self::Output { .. } => FAILED,
+        }
+    }
+
+    /// For `--json`.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        let mut value = json!({
+            "ok": false,
+            "exit_code": self.exit_code(),
+            "error": {
+                "code": self.code().map(|code| code.to_string()),
+                "message": self.to_string(),
+                "help": self.help().map(|help| help.to_string()),
+            },
+        });
+        if let Self::Stops { told } = self {
+            value["machines"] = told.iter().map(Told::json).collect();
+        }
+        if let Self::Command(failure) = self {
+            failure.0.describe(&mut value);
+        }
+        value
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let code = self
+            .code()
+            .map(|code| format!("[{code}]"))
+            .unwrap_or_default();
+        let help = self
+            .help()
+            .map(|help| format!("\n  help: {}", help.to_string().replace('\n', "\n        ")))
+            .unwrap_or_default();
+        format!("error{code}: {self}{help}")
+    }
+}
+
+/// The exit code of an error of the client.
+#[must_use]
+pub fn client_code(error: &ClientError) -> u8 {
+    match error {
+        ClientError::Link(_)
+        | ClientError::NoAnswer { .. }
+        | ClientError::WrongDevice { .. }
+        | ClientError::NoReply { .. }
+        | ClientError::OwnerBusy { .. }
+        | ClientError::SessionLost { .. } => NO_DEVICE,
+        ClientError::Mismatch { .. } => MISMATCH,
+        ClientError::Refused { .. } | ClientError::Rejected { .. } | ClientError::Owned { .. } => {
+            REFUSED
+        }
+        ClientError::OutcomeUnknown { .. }
+        | ClientError::StopUnconfirmed { .. }
+        | ClientError::Silent { .. }
+        | ClientError::WrongResponse { .. } => UNKNOWN,
+        ClientError::Overdue { .. } => FAULT,
+        ClientError::NotHomed { fault } => {
+            if fault.is_some() {
+                FAULT
+            } else {
+                STOPPED
+            }
+        }
+        ClientError::Interrupted { .. } => STOPPED,
+    }
+}
+
+fn status_code(status: Status) -> u8 {
+    match status {
+        Status::Complete => DONE,
+        Status::Stopped => STOPPED,
+        Status::LinkLost | Status::Faulted => FAULT,
+        Status::Running | Status::Unknown => UNKNOWN,
+    }
+}

@@ -1,0 +1,346 @@
+//! Who may do what: the name by which the server was called, the page that caused a request, the token.
+//!
+//! Three attacks by way of a browser are met here. A page elsewhere sends requests to this computer: `Origin` and
+//! `Sec-Fetch-Site` tell. A page elsewhere makes its own name point to this computer (DNS rebinding): `Host` has that name.
+//! Somebody else in the network sends requests himself: he has no token.
+
+use std::hash::{BuildHasher, RandomState};
+
+use axum::http::header::{AUTHORIZATION, HOST, ORIGIN};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, Method, StatusCode, Uri};
+
+/// The fewest characters of a token.
+pub const LEAST_TOKEN: usize = 16;
+
+/// Headers by which proxies say that a request comes from somewhere else.
+const PASSED_ON: [&str; 14] = [
+    "forwarded",
+    "x-forwarded-for",
+    "x-forwarded-host",
+    "x-forwarded-proto",
+    "x-forwarded-port",
+    "x-forwarded-server",
+    "x-real-ip",
+    "x-client-ip",
+    "x-cluster-client-ip",
+    "true-client-ip",
+    "cf-connecting-ip",
+    "fastly-client-ip",
+    "x-original-host",
+    "via",
+];
+
+/// What a request wants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Demand {
+    /// The page itself, which shows nothing before it has asked for more.
+    Page,
+    /// To look.
+    Look,
+    /// To stop.
+    Stop,
+    /// To move or change something.
+    Change,
+}
+
+/// Where a request comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Peer {
+    /// From this computer.
+    pub here: bool,
+}
+
+/// Why a request is refused.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Denied {
+    /// The status of the answer.
+    pub status: StatusCode,
+    /// The reason.
+    pub why: String,
+    /// What to do.
+    pub help: &'static str,
+}
+
+/// Lets requests in.
+#[derive(Clone, Debug)]
+pub struct Access {
+    token: String,
+    hosts: Vec<String>,
+}
+
+/// What a request wants, by its method and path. What is not known to be harmless changes something.
+#[must_use]
+pub fn demand(method: &Method, path: &str) -> Demand {
+    let reads = method == Method::GET || method == Method::HEAD;
+    match path {
+        "/" if reads => Demand::Page,
+        "/api/v1/stop" | "/api/v1/estop" => Demand::Stop,
+        // It calculates.
+        "/api/v1/plan" => Demand::Look,
+        _ if reads => Demand::Look,
+        _ => Demand::Change,
+    }
+}
+
+/// A new token, 32 hexadecimal digits.
+#[must_use]
+pub fn new_token() -> String {
+    // The keys of the standard library's hasher come from the system's source of randomness.
+    let random = || RandomState::new().hash_one("retrograde serve");
+    format!("{:016x}{:016x}", random(), random())
+}
+
+impl Access {
+    /// With this token, for a computer that is also called by these names.
+    #[must_use]
+    pub fn new(token: String, hosts: Vec<String>) -> Self {
+        Self { token, hosts }
+    }
+
+    /// The token.
+    #[must_use]
+    pub fn token(&self) -> &str {
+        &self.token
+    }
+
+    /// Refuses what must not be done for this request.
+    ///
+    /// # Errors
+    /// [`Denied`], for the answer.
+    pub fn check(
+        &self,
+        peer: Peer,
+        demand: Demand,
+        uri: &Uri,
+        headers: &HeaderMap,
+    ) -> Result<(), Denied> {
+        let host = self.check_host(uri, headers)?;
+        if demand != Demand::Page {
+            check_origin(&host, headers)?;
+        }
+        // What was passed on comes from wherever it was passed on from.
+        let passed_on = PASSED_ON.iter().any(|name| headers.contains_key(*name));
+        let needed = match demand {
+            Demand::Page => false,
+            Demand::Look | Demand::Stop => !peer.here || passed_on,
+            Demand::Change => true,
+        };
+        if needed && !self.has_token(headers) {
+            return Err(Denied {
+                status: StatusCode::UNAUTHORIZED,
+                why: match headers.contains_key(AUTHORIZATION) {
+                    true => "the token is wrong; nothing was done".to_owned(),
+                    false => {
+                        "this request needs the token and has none; nothing was done".to_owned()
+                    }
+                },
+                help: "open the address that `retrograde serve` prints, with all that is behind `#`; a program sends `Authorization: Bearer TOKEN`",
+            });
+        }
+        Ok(())
+    }
+
+    fn check_host(&self, uri: &Uri, headers: &HeaderMap) -> Result<Authority, Denied> {
+        let denied = |why: String| Denied {
+            status: StatusCode::FORBIDDEN,
+            why,
+            help: "use the address that `retrograde serve` prints; `--host NAME` lets another name of this computer in",
+        };
+        let mut hosts = headers.get_all(HOST).iter();
+        let (Some(host), None) = (hosts.next(), hosts.next()) else {
+            return Err(denied("the request has not one `Host`".to_owned()));
+        };
+        let host: Option<Authority> = host.to_str().ok().and_then(|text| text.parse().ok());
+        let Some(host) = host else {
+            return Err(denied("the request has no usable `Host`".to_owned()));
+        };
+        for name in [Some(&host), uri.authority()].into_iter().flatten() {
+            if !self.is_ours(name.host()) {
+                return Err(denied(format!(
+                    "`{}` is no name of this server: another page may have made it point here; nothing was done",
+                    name.host()
+                )));
+            }
+        }
+        Ok(host)
+    }
+
+    fn is_ours(&self, name: &str) -> bool {
+        let number = name.trim_start_matches('[').trim_end_matches(']');
+        // A number cannot be made to point elsewhere.
+        number.parse::<std::net::IpAddr>().is_ok()
+            || name.eq_ignore_ascii_case("localhost")
+            || self
+                .hosts
+                .iter()
+                .any(|ours| name.eq_ignore_ascii_case(ours))
+    }
+
+    fn has_token(&self, headers: &HeaderMap) -> bool {
+        let given = headers
+            .get(AUTHORIZATION)
+            .and_then(|value| value.as_bytes().strip_prefix(b"Bearer "));
+        given.is_some_and(|given| is_same(given, self.token.as_bytes()))
+    }
+}
+
+/// Compares in a time that does not tell where two texts of one length differ.
+fn is_same(one: &[u8], other: &[u8]) -> bool {
+    let differences = one.iter().zip(other).fold(0, |all, (a, b)| all | (a ^ b));
+    one.len() == other.len() && differences == 0
+}
+
+/// Refuses what another page has caused.
+fn check_origin(host: &Authority, headers: &HeaderMap) -> Result<(), Denied> {
+    let denied = |what: &str| Denied {
+        status: StatusCode::FORBIDDEN,
+        why: format!("{what} has caused this request; nothing was done"),
+        help: "use the page that this server shows; a program sends no `Origin`",
+    };
+    for origin in headers.get_all(ORIGIN) {
+        let text = origin.to_str().unwrap_or_default();
+        let authority = ["http://", "https://"]
+            .iter()
+            .find_map(|scheme| text.strip_prefix(scheme));
+        if authority.is_none_or(|text| !text.eq_ignore_ascii_case(host.as_str())) {
+            return Err(denied(&format!("a page of `{text}`")));
+        }
+    }
+    match headers.get("sec-fetch-site").map(|value| value.as_bytes()) {
+        None | Some(b"same-origin" | b"none") => Ok(()),
+        Some(_) => Err(denied("another page")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HERE: Peer = Peer { here: true };
+    const ELSEWHERE: Peer = Peer { here: false };
+
+    fn check(peer: Peer, demand: Demand, headers: &[(&'static str, &str)]) -> Option<StatusCode> {
+        let access = Access::new("0123456789abcdef".to_owned(), vec!["bench.lab".to_owned()]);
+        let mut map = HeaderMap::new();
+        for (name, value) in headers {
+            map.append(*name, value.parse().expect("a header"));
+        }
+        let denied = access.check(peer, demand, &Uri::from_static("/x"), &map);
+        denied.err().map(|denied| denied.status)
+    }
+
+    const BEARER: (&str, &str) = ("authorization", "Bearer 0123456789abcdef");
+
+    #[test]
+    fn only_the_token_moves_and_no_stop_from_here_needs_one() {
+        let host = ("host", "127.0.0.1:7080");
+        for (peer, demand, without) in [
+            (HERE, Demand::Page, None),
+            (HERE, Demand::Look, None),
+            (HERE, Demand::Stop, None),
+            (HERE, Demand::Change, Some(StatusCode::UNAUTHORIZED)),
+            (ELSEWHERE, Demand::Page, None),
+            (ELSEWHERE, Demand::Look, Some(StatusCode::UNAUTHORIZED)),
+            (ELSEWHERE, Demand::Stop, Some(StatusCode::UNAUTHORIZED)),
+            (ELSEWHERE, Demand::Change, Some(StatusCode::UNAUTHORIZED)),
+        ] {
+            assert_eq!(check(peer, demand, &[host]), without, "{peer:?} {demand:?}");
+            assert_eq!(check(peer, demand, &[host, BEARER]), None, "{demand:?}");
+            for wrong in [
+                "Bearer ",
+                "Bearer 0123456789abcdee",
+                "Bearer 0123456789abcdef0",
+                "Basic x",
+            ] {
+                let wrong = ("authorization", wrong);
+                assert_eq!(check(peer, demand, &[host, wrong]), without, "{wrong:?}");
+            }
+        }
+        for name in ["x-real-ip", "via"] {
+            assert!(PASSED_ON.contains(&name), "all that such a proxy sends");
+        }
+        for name in PASSED_ON {
+            let passed_on = (name, "10.0.0.9");
+            let denied = check(HERE, Demand::Stop, &[host, passed_on]);
+            assert_eq!(denied, Some(StatusCode::UNAUTHORIZED), "{name}");
+            assert_eq!(check(HERE, Demand::Stop, &[host, passed_on, BEARER]), None);
+        }
+    }
+
+    #[test]
+    fn a_name_that_is_not_ours_is_refused_whatever_is_wanted() {
+        for good in [
+            "localhost",
+            "LOCALHOST:1",
+            "127.0.0.1:7080",
+            "[::1]:7080",
+            "10.0.0.5",
+            "bench.lab:80",
+        ] {
+            assert_eq!(
+                check(HERE, Demand::Change, &[("host", good), BEARER]),
+                None,
+                "{good}"
+            );
+        }
+        for bad in [
+            "evil.example",
+            "127.0.0.1.evil.example:7080",
+            "localhost.evil.example",
+            "bench.lab.evil.example",
+            "",
+        ] {
+            for demand in [Demand::Page, Demand::Look, Demand::Stop, Demand::Change] {
+                let denied = check(HERE, demand, &[("host", bad), BEARER]);
+                assert_eq!(denied, Some(StatusCode::FORBIDDEN), "{bad} {demand:?}");
+            }
+        }
+        let twice = [("host", "localhost"), ("host", "evil.example"), BEARER];
+        assert!(check(HERE, Demand::Look, &twice).is_some());
+        assert!(check(HERE, Demand::Look, &[]).is_some());
+    }
+
+    #[test]
+    fn what_another_page_causes_is_refused_even_with_the_token() {
+        let host = ("host", "127.0.0.1:7080");
+        let ours = ("origin", "http://127.0.0.1:7080");
+        assert_eq!(check(HERE, Demand::Change, &[host, ours, BEARER]), None);
+        for origin in [
+            "https://evil.example",
+            "http://127.0.0.1:8888",
+            "http://localhost:7080",
+            "null",
+            "http://127.0.0.1:7080.evil.example",
+        ] {
+            for demand in [Demand::Look, Demand::Stop, Demand::Change] {
+                let denied = check(HERE, demand, &[host, ("origin", origin), BEARER]);
+                assert_eq!(denied, Some(StatusCode::FORBIDDEN), "{origin} {demand:?}");
+            }
+        }
+        for site in ["cross-site", "same-site"] {
+            let site = ("sec-fetch-site", site);
+            assert!(check(HERE, Demand::Look, &[host, site]).is_some());
+            // A link elsewhere may lead to the page.
+            assert_eq!(check(HERE, Demand::Page, &[host, site]), None);
+        }
+    }
+
+    #[test]
+    fn what_is_not_known_to_be_harmless_changes_something() {
+        assert_eq!(demand(&Method::GET, "/"), Demand::Page);
+        assert_eq!(demand(&Method::POST, "/"), Demand::Change);
+        assert_eq!(demand(&Method::GET, "/api/v1/state"), Demand::Look);
+        assert_eq!(demand(&Method::POST, "/api/v1/estop"), Demand::Stop);
+        assert_eq!(demand(&Method::DELETE, "/api/v1/state"), Demand::Change);
+        assert_eq!(demand(&Method::POST, "/api/v1/rig/run"), Demand::Change);
+    }
+
+    #[test]
+    fn two_tokens_differ() {
+        let (one, other) = (new_token(), new_token());
+        assert_eq!(one.len(), 32);
+        assert_ne!(one, other);
+        assert_ne!(one[..16], one[16..]);
+    }
+}

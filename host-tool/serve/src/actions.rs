@@ -1,0 +1,304 @@
+//! Commands and what has become of them, each executed once however often it is requested.
+
+use std::collections::VecDeque;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use client::identity::kind_name;
+use jiff::Timestamp;
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+use tokio::sync::watch;
+
+use operations::failure::{FAULT, Failure, NO_DEVICE, REFUSED, STOPPED, UNKNOWN};
+
+/// Actions that are remembered.
+pub const KEPT: usize = 512;
+
+/// How far an action has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// The machine has not answered yet.
+    Starting,
+    /// The machine has accepted it.
+    UnderWay,
+    /// Ended as planned.
+    Complete,
+    /// Stopped on request.
+    Stopped,
+    /// Stopped by the machine, because it did not hear the server.
+    LinkLost,
+    /// Ended by a fault.
+    Faulted,
+    /// Not begun.
+    Refused,
+    /// Not begun, or its record could not be written.
+    Failed,
+    /// Nobody knows.
+    Unknown,
+}
+
+impl Standing {
+    pub fn is_over(self) -> bool {
+        !matches!(self, Self::Starting | Self::UnderWay)
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Starting => "starting",
+            Self::UnderWay => "under_way",
+            Self::Complete => "complete",
+            Self::Stopped => "stopped",
+            Self::LinkLost => "link_lost",
+            Self::Faulted => "faulted",
+            Self::Refused => "refused",
+            Self::Failed => "failed",
+            Self::Unknown => "unknown",
+        }
+    }
+
+    /// What a failure leaves of an action.
+    fn of(failure: &Failure) -> Self {
+        match failure {
+            Failure::Ended { status, .. } => match status {
+                trials::trial::Status::LinkLost => Self::LinkLost,
+                trials::trial::Status::Stopped => Self::Stopped,
+                trials::trial::Status::Faulted => Self::Faulted,
+                _ => Self::Unknown,
+            },
+            failure => match failure.exit_code() {
+                REFUSED => Self::Refused,
+                STOPPED => Self::Stopped,
+                FAULT => Self::Faulted,
+                UNKNOWN => Self::Unknown,
+                _ => Self::Failed,
+            },
+        }
+    }
+}
+
+/// A command and what has become of it.
+#[derive(Clone, Debug)]
+pub struct Action {
+    pub number: u64,
+    key: String,
+    /// Of the request, so that its key is not used for another one.
+    print: [u8; 32],
+    pub machine: DeviceKind,
+    pub kind: &'static str,
+    pub standing: Standing,
+    pub requested: Value,
+    pub accepted: Value,
+    pub progress: Value,
+    pub result: Value,
+    /// The failure as with `--json`, and its exit code.
+    pub failure: Option<(u8, Value)>,
+    pub files: Value,
+    started: Timestamp,
+    ended: Option<Timestamp>,
+}
+
+/// What a request is at its arrival.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Arrival {
+    /// To be executed, under this number.
+    New(u64),
+    /// Here before, under this number.
+    Again(u64),
+    /// Its key belongs to another request.
+    Contradiction,
+}
+
+/// What is to be done.
+pub struct Command {
+    pub key: String,
+    pub print: [u8; 32],
+    pub machine: DeviceKind,
+    pub kind: &'static str,
+    pub requested: Value,
+}
+
+/// All actions of this server.
+#[derive(Debug)]
+pub struct Actions {
+    instance: String,
+    list: Mutex<VecDeque<Action>>,
+    changes: watch::Sender<u64>,
+}
+
+impl Actions {
+    pub fn new(instance: String) -> Self {
+        Self {
+            instance,
+            list: Mutex::default(),
+            changes: watch::Sender::new(0),
+        }
+    }
+
+    fn list(&self) -> MutexGuard<'_, VecDeque<Action>> {
+        self.list.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes a request; the same one again is no new action.
+    pub fn arrive(&self, command: Command, now: Timestamp) -> Arrival {
+        let mut list = self.list();
+        if let Some(known) = list.iter().find(|action| action.key == command.key) {
+            return match known.print == command.print {
+                true => Arrival::Again(known.number),
+                false => Arrival::Contradiction,
+            };
+        }
+        let number = list.back().map_or(1, |last| last.number + 1);
+        if list.len() == KEPT {
+            list.pop_front();
+        }
+        list.push_back(Action {
+            number,
+            key: command.key,
+            print: command.print,
+            machine: command.machine,
+            kind: command.kind,
+            standing: Standing::Starting,
+            requested: command.requested,
+            accepted: Value::Null,
+            progress: Value::Null,
+            result: Value::Null,
+            failure: None,
+            files: Value::Null,
+            started: now,
+            ended: None,
+        });
+        Arrival::New(number)
+    }
+
+    pub fn get(&self, number: u64) -> Option<Action> {
+        let list = self.list();
+        list.iter().find(|action| action.number == number).cloned()
+    }
+
+    /// The number behind an `id`.
+    pub fn number(&self, id: &str) -> Option<u64> {
+        let (instance, number) = id.rsplit_once('-')?;
+        (instance == self.instance).then(|| number.parse().ok())?
+    }
+
+    /// Changes an action, and wakes who waits for that.
+    pub fn update(&self, number: u64, change: impl FnOnce(&mut Action)) -> Option<Action> {
+        let mut list = self.list();
+        let action = list.iter_mut().find(|action| action.number == number)?;
+        change(action);
+        let action = action.clone();
+        drop(list);
+        self.changes.send_modify(|count| *count += 1);
+        Some(action)
+    }
+
+    /// Notes the end of an action.
+    pub fn end(
+        &self,
+        number: u64,
+        result: Value,
+        failure: Option<&Failure>,
+        now: Timestamp,
+    ) -> Option<Action> {
+        self.update(number, |action| {
+            action.standing = failure.map_or(Standing::Complete, Standing::of);
+            // The machine had accepted it, and then it was gone.
+            let gone = failure.is_some_and(|failure| failure.exit_code() == NO_DEVICE);
+            if gone && !action.accepted.is_null() {
+                action.standing = Standing::Unknown;
+            }
+            action.result = result;
+            action.failure =
+                failure.map(|failure| (failure.exit_code(), failure.json()["error"].clone()));
+            action.ended = Some(now);
+        })
+    }
+
+    /// None of this machine goes on.
+    pub fn are_over(&self, machine: DeviceKind) -> bool {
+        let list = self.list();
+        let mut ours = list.iter().filter(|action| action.machine == machine);
+        ours.all(|action| action.standing.is_over())
+    }
+
+    pub fn changes(&self) -> watch::Receiver<u64> {
+        self.changes.subscribe()
+    }
+
+    pub fn json(&self, action: &Action) -> Value {
+        json!({
+            "id": format!("{}-{}", self.instance, action.number),
+            "machine": kind_name(action.machine),
+            "kind": action.kind,
+            "state": action.standing.name(),
+            "requested": action.requested,
+            "accepted": action.accepted,
+            "progress": action.progress,
+            "result": action.result,
+            "error": action.failure.as_ref().map(|(_, error)| error),
+            "files": action.files,
+            "started_utc": action.started,
+            "ended_utc": action.ended,
+        })
+    }
+
+    /// All that are remembered, the oldest first.
+    pub fn all(&self) -> Vec<Value> {
+        let list = self.list().clone();
+        list.iter().map(|action| self.json(action)).collect()
+    }
+
+    /// The one of this machine that is under way, or its latest.
+    pub fn latest(&self, machine: DeviceKind) -> Value {
+        let list = self.list();
+        let ours = || list.iter().rev().filter(|action| action.machine == machine);
+        let under_way = ours().find(|action| action.standing == Standing::UnderWay);
+        // A hold or a resume does not hide the run that it was for.
+        let ended = ours().max_by_key(|action| action.ended);
+        let shown = under_way.or(ended).cloned();
+        drop(list);
+        shown.map_or(Value::Null, |action| self.json(&action))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn command(key: &str, print: u8) -> Command {
+        Command {
+            key: key.to_owned(),
+            print: [print; 32],
+            machine: DeviceKind::Rig,
+            kind: "home",
+            requested: Value::Null,
+        }
+    }
+
+    #[test]
+    fn a_request_is_one_action_however_often_it_comes() {
+        let actions = Actions::new("i".to_owned());
+        let arrive = |key, print| actions.arrive(command(key, print), Timestamp::UNIX_EPOCH);
+        assert_eq!(arrive("a", 1), Arrival::New(1));
+        assert_eq!(arrive("a", 1), Arrival::Again(1));
+        assert_eq!(arrive("a", 2), Arrival::Contradiction);
+        assert_eq!(arrive("b", 1), Arrival::New(2));
+        actions.end(1, Value::Null, None, Timestamp::UNIX_EPOCH);
+        assert_eq!(arrive("a", 1), Arrival::Again(1));
+        assert_eq!(actions.number("i-2"), Some(2));
+        assert_eq!(actions.number("j-2"), None);
+    }
+
+    #[test]
+    fn memory_is_bounded_and_the_latest_are_kept() {
+        let actions = Actions::new("i".to_owned());
+        for number in 0..=KEPT {
+            let key = number.to_string();
+            actions.arrive(command(&key, 0), Timestamp::UNIX_EPOCH);
+        }
+        assert_eq!(actions.all().len(), KEPT);
+        assert!(actions.get(1).is_none());
+        let again = actions.arrive(command("1", 0), Timestamp::UNIX_EPOCH);
+        assert_eq!(again, Arrival::Again(2));
+    }
+}

@@ -1,0 +1,424 @@
+//! What keepers, requests and readers share, and how it is shown.
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::SyncSender;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use client::Interrupt;
+use client::address::Address;
+use client::door::lock::Doorway;
+use client::identity::{self, IdentityRecord, Origin, kind_name};
+use client::link::owner::StopMark;
+use jiff::Timestamp;
+use protocol::rig::RigStatus;
+use protocol::system::{DeviceKind, Event, Identity, Urgent};
+use protocol::table::Telemetry;
+use serde_json::{Map, Value, json};
+use tokio::sync::Notify;
+
+use crate::actions::{Action, Actions};
+use crate::orders::Work;
+use crate::stream::Stream;
+use operations::failure::Failure;
+use operations::panel::{Contact, Notice, Panel, event_text, in_run};
+use operations::stops::{Ask, Stops, stronger};
+
+/// Samples are told in portions of this time.
+const PORTION: Duration = Duration::from_millis(50);
+
+/// Samples that wait for the end of a portion: more do not come within it.
+const WAITING_SAMPLES: usize = 64;
+
+/// Events of a machine that the state shows.
+const SHOWN_EVENTS: usize = 12;
+
+/// What a keeper is to do.
+pub struct Order {
+    pub action: u64,
+    pub work: Work,
+    pub at: Instant,
+    /// The last stop before it: of this server, and of any process.
+    pub after: (u64, StopMark),
+}
+
+/// A jog that goes on as long as it is renewed.
+#[derive(Clone, Copy, Debug)]
+pub struct Lease {
+    pub action: u64,
+    /// Renewals so far.
+    pub n: u64,
+    pub renewed: Instant,
+    /// The time within which the next renewal has to come.
+    pub within: Duration,
+    /// The latest renewal was not passed on yet.
+    pub due: bool,
+}
+
+/// One machine.
+pub struct Machine {
+    pub kind: DeviceKind,
+    pub address: Address,
+    panel: Mutex<Panel>,
+    identity: Mutex<Option<(Identity, String)>>,
+    pub stops: Arc<Stops>,
+    /// Lock and door of its line, since there was one.
+    doorway: Mutex<Option<Doorway>>,
+    /// This server moves it.
+    pub acting: Arc<AtomicBool>,
+    pub orders: SyncSender<Order>,
+    pub lease: Mutex<Option<Lease>>,
+    samples: Mutex<(Vec<Value>, Instant)>,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Nobody panics while holding one; if somebody did, what is there is shown.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+pub fn stop_name(urgent: Urgent) -> &'static str {
+    match urgent {
+        Urgent::Stop => "stop",
+        Urgent::EStop => "EMERGENCY STOP",
+    }
+}
+
+impl Machine {
+    pub fn new(kind: DeviceKind, address: Address, orders: SyncSender<Order>) -> Self {
+        Self {
+            kind,
+            panel: Mutex::new(Panel::new(kind, address.to_string())),
+            address,
+            identity: Mutex::default(),
+            stops: Arc::default(),
+            doorway: Mutex::default(),
+            acting: Arc::default(),
+            orders,
+            lease: Mutex::default(),
+            samples: Mutex::new((vec![], Instant::now())),
+        }
+    }
+
+    pub fn panel(&self) -> MutexGuard<'_, Panel> {
+        lock(&self.panel)
+    }
+
+    pub fn lease(&self) -> MutexGuard<'_, Option<Lease>> {
+        lock(&self.lease)
+    }
+
+    pub fn meet(&self, identity: Option<&Identity>, place: String) {
+        *lock(&self.identity) = identity.map(|identity| (*identity, place));
+    }
+
+    // Stops.
+
+    /// From now on this is the line that the machine is at.
+    pub fn is_behind(&self, doorway: Option<Doorway>) {
+        *lock(&self.doorway) = doorway;
+    }
+
+    /// Somebody wants a stop. The keeper sends it as soon as it sees this, within 20 ms if there is a connection.
+    pub fn stop(&self, urgent: Urgent) -> Ask {
+        if let Some(doorway) = &*lock(&self.doorway) {
+            doorway.mark_stop(urgent);
+        }
+        self.stops.ask(urgent)
+    }
+
+    /// What comes now is newer than this.
+    pub fn last_stop(&self) -> (u64, StopMark) {
+        (
+            self.stops.asked(),
+            Doorway::last_stops(lock(&self.doorway).as_ref()),
+        )
+    }
+
+    /// What stops the machine: a request, and Ctrl-C if this server moves it.
+    pub fn interrupt(&self, pressed: Interrupt) -> Interrupt {
+        let (stops, acting) = (Arc::clone(&self.stops), Arc::clone(&self.acting));
+        Arc::new(move || {
+            let pressed = match acting.load(Ordering::SeqCst) {
+                true => pressed(),
+                // Others' work is none of Ctrl-C's business.
+                false => None,
+            };
+            stronger(stops.wanted(), pressed)
+        })
+    }
+}
+
+/// Everything that is known.
+pub struct Board {
+    pub instance: String,
+    pub machines: Vec<Machine>,
+    pub actions: Actions,
+    pub stream: Arc<Stream>,
+    /// Something has changed that readers should see soon.
+    pub changed: Notify,
+    /// Folder of the records.
+    pub out: PathBuf,
+    campaign: Mutex<Value>,
+}
+
+impl Board {
+    pub fn new(instance: String, machines: Vec<Machine>, out: PathBuf) -> Self {
+        Self {
+            actions: Actions::new(instance.clone()),
+            instance,
+            machines,
+            stream: Arc::new(Stream::new()),
+            changed: Notify::new(),
+            out,
+            campaign: Mutex::new(Value::Null),
+        }
+    }
+
+    pub fn machine(&self, kind: DeviceKind) -> Option<&Machine> {
+        self.machines.iter().find(|machine| machine.kind == kind)
+    }
+
+    pub fn show_campaign(&self, campaign: Value) {
+        *lock(&self.campaign) = campaign;
+    }
+
+    pub fn notice(&self, machine: &Machine, notice: Notice) {
+        machine.panel().notice = Some(notice);
+        self.changed.notify_one();
+    }
+
+    pub fn contact(&self, machine: &Machine, contact: Contact) {
+        machine.panel().contact = contact;
+        self.changed.notify_one();
+    }
+
+    /// Takes a sample; it is told with others of the same portion.
+    pub fn sample(&self, machine: &Machine, sample: &Telemetry, missed: u16) {
+        let shown = {
+            let mut panel = machine.panel();
+            panel.sample(sample, missed, Instant::now());
+            sample_json(sample, missed, panel.rig.as_ref())
+        };
+        let full = {
+            let mut samples = lock(&machine.samples);
+            samples.0.push(shown);
+            samples.0.len() >= WAITING_SAMPLES
+        };
+        if full {
+            self.flush(machine, true);
+        }
+    }
+
+    /// Tells the samples of a portion that is over.
+    pub fn flush(&self, machine: &Machine, now: bool) {
+        let mut samples = lock(&machine.samples);
+        if samples.0.is_empty() || (!now && samples.1.elapsed() < PORTION) {
+            return;
+        }
+        samples.1 = Instant::now();
+        let portion = std::mem::take(&mut samples.0);
+        drop(samples);
+        self.stream.tell_samples(machine.kind, portion);
+    }
+
+    pub fn event(&self, machine: &Machine, event: &Event) {
+        machine.panel().event(event);
+        let data = json!({
+            "machine": kind_name(machine.kind),
+            "index": event.index,
+            "time_us": event.time_us,
+            "text": event_text(event),
+            "what": event.what,
+        });
+        self.stream.tell("event", &data);
+        self.changed.notify_one();
+    }
+
+    /// The machine has accepted an action.
+    pub fn accepted(&self, number: u64, accepted: Value) {
+        let action = self.actions.update(number, |action| {
+            action.standing = crate::actions::Standing::UnderWay;
+            action.accepted = accepted;
+        });
+        self.tell_action(action);
+    }
+
+    pub fn ended(&self, number: u64, result: Value, failure: Option<&Failure>) {
+        let action = self.actions.end(number, result, failure, Timestamp::now());
+        self.tell_action(action);
+    }
+
+    fn tell_action(&self, action: Option<Action>) {
+        if let Some(action) = action {
+            self.stream.tell("action", &self.actions.json(&action));
+            self.changed.notify_one();
+        }
+    }
+
+    /// Tells readers the state.
+    pub fn tell_state(&self) {
+        if self.stream.is_read() {
+            self.stream.tell("state", &self.json());
+        }
+    }
+
+    /// The state.
+    pub fn json(&self) -> Value {
+        let mut machines = Map::new();
+        for machine in &self.machines {
+            machines.insert(
+                kind_name(machine.kind).to_owned(),
+                self.machine_json(machine),
+            );
+        }
+        json!({
+            "instance": self.instance,
+            "version": env!("CARGO_PKG_VERSION"),
+            "time_utc": Timestamp::now(),
+            "machines": machines,
+            "campaign": *lock(&self.campaign),
+        })
+    }
+
+    fn machine_json(&self, machine: &Machine) -> Value {
+        let now = Instant::now();
+        let panel = machine.panel().clone();
+        let (contact, contact_text) = match &panel.contact {
+            Contact::Lost(why) => ("lost", why.clone()),
+            Contact::Owned => ("owned", "this server owns the line".to_owned()),
+            Contact::Window(owner) => ("window", format!("through {owner}")),
+        };
+        let met = lock(&machine.identity).clone();
+        let origin = met.as_ref().map_or(Origin::Unknown, |(identity, place)| {
+            Origin::of(identity, place)
+        });
+        let quality = &panel.quality;
+        let notice = panel.notice.as_ref().map(|notice| match notice {
+            Notice::Done(text) => json!({ "good": true, "text": text }),
+            Notice::Bad(text) => json!({ "good": false, "text": text }),
+        });
+        let skipped = panel.events.len().saturating_sub(SHOWN_EVENTS);
+        let events: Vec<_> = panel
+            .events
+            .iter()
+            .skip(skipped)
+            .map(|(time_us, text)| json!({ "time_us": time_us, "text": text }))
+            .collect();
+        let mut value = json!({
+            "place": panel.place,
+            "contact": contact,
+            "contact_text": contact_text,
+            "identity": met.as_ref().map(|(identity, place)| identity_json(identity, place)),
+            "origin": origin,
+            "link": {
+                "samples_per_s": quality.samples_per_s(now),
+                "missed_samples": quality.missed,
+                "bad_frames": quality.bad_frames,
+                "losses": quality.losses,
+                "answer_ms": quality.round_trip.map(|time| time.as_millis() as u64),
+                "silent_ms": quality.heard.map(|then| now.saturating_duration_since(then).as_millis() as u64),
+            },
+            "notice": notice,
+            "events": events,
+            "action": self.actions.latest(machine.kind),
+        });
+        let Some(object) = value.as_object_mut() else {
+            return value;
+        };
+        if let Some(status) = &panel.rig {
+            object.insert("state".into(), json!(status.state));
+            object.insert("fault".into(), fault_json(status.fault));
+            object.insert("needs_acknowledge".into(), json!(status.needs_acknowledge));
+            object.insert("homed".into(), json!(status.homed));
+            object.insert("position_um".into(), json!(status.position_um));
+            object.insert("speed_um_s".into(), json!(panel.speed_um_s(now)));
+            object.insert("stroke_length_um".into(), json!(status.stroke_um));
+            object.insert("home_flag_open".into(), json!(status.inputs.home_flag));
+            object.insert("far_limit_open".into(), json!(status.inputs.far_limit));
+            object.insert("estop_loop_open".into(), json!(status.inputs.estop_loop));
+            object.insert("run".into(), run_json(status, panel.run_thousandths()));
+            object.insert("status".into(), json!(status));
+        } else if let Some(status) = &panel.capsule {
+            object.insert("state".into(), json!(status.state));
+            object.insert("fault".into(), fault_json(status.fault));
+            object.insert("needs_acknowledge".into(), json!(status.needs_acknowledge));
+            object.insert("referenced".into(), json!(status.referenced));
+            object.insert("thread_um".into(), json!(status.thread_um));
+            object.insert("current_ma".into(), json!(status.current_ma));
+            object.insert("battery_mv".into(), json!(status.battery_mv));
+            object.insert("status".into(), json!(status));
+        } else {
+            object.insert("state".into(), Value::Null);
+        }
+        value
+    }
+}
+
+fn fault_json(fault: Option<impl std::fmt::Display>) -> Value {
+    fault.map_or(Value::Null, |fault| json!({ "text": fault.to_string() }))
+}
+
+fn identity_json(found: &Identity, place: &str) -> Value {
+    let record = IdentityRecord::new(found, place);
+    json!({
+        "device": kind_name(found.device),
+        "protocol": format!("{}.{}", found.protocol.major, found.protocol.minor),
+        "revision": identity::revision(&found.revision),
+        "reset_cause": identity::reset_cause(found.reset_cause),
+        "uid": found.uid.iter().map(|byte| format!("{byte:02x}")).collect::<String>(),
+        "record": record,
+    })
+}
+
+/// The run that goes on, if one does.
+fn run_json(status: &RigStatus, thousandths: Option<u64>) -> Value {
+    if !in_run(status) {
+        return Value::Null;
+    }
+    let all = u64::from(status.strokes) * 1_000;
+    let running = status.state == protocol::rig::RigState::Running;
+    let left_s = thousandths
+        .filter(|done| running && (1_000..=all).contains(done))
+        .map(|done| (status.elapsed_us.saturating_mul(all - done) / done).div_ceil(1_000_000));
+    json!({
+        "number": status.run,
+        "stroke": status.stroke,
+        "strokes": status.strokes,
+        "elapsed_us": status.elapsed_us,
+        "thousandths": thousandths,
+        "left_s": left_s,
+    })
+}
+
+fn sample_json(sample: &Telemetry, missed: u16, status: Option<&RigStatus>) -> Value {
+    match sample {
+        Telemetry::Rig(sample) => {
+            // The panel has worked it out with the screw of the rig's own status.
+            let position_um = status.map(|status| status.position_um);
+            json!({
+                "time_us": sample.time_us,
+                "state": sample.state,
+                "position_um": position_um,
+                "position_steps": sample.position_steps,
+                "commanded_steps": sample.commanded_steps,
+                "speed_um_s": sample.speed_um_s,
+                "stroke": sample.stroke,
+                "residual_steps": sample.residual_steps,
+                "home_flag_open": sample.inputs.home_flag,
+                "far_limit_open": sample.inputs.far_limit,
+                "estop_loop_open": sample.inputs.estop_loop,
+                "missed": missed,
+            })
+        }
+        Telemetry::Capsule(sample) => json!({
+            "time_us": sample.time_us,
+            "state": sample.state,
+            "thread_um": sample.thread_um,
+            "current_ma": sample.current_ma,
+            "battery_mv": sample.battery_mv,
+            "drive_mv": sample.drive_mv,
+            "missed": missed,
+        }),
+    }
+}

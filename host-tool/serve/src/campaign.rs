@@ -1,0 +1,58 @@
+//! What the page shows of a campaign that goes on in a terminal.
+
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+
+use campaign::catalogue::{self, Kind, Wanted};
+use campaign::contents::Campaign;
+use campaign::ledger::Standing;
+use campaign::order::doing;
+use campaign::remaining;
+use operations::arguments::CAMPAIGNS_FOLDER;
+
+/// The newest campaign that is not complete.
+pub fn newest() -> Option<PathBuf> {
+    let wanted = Wanted {
+        outcome: Some("open".to_owned()),
+        ..Wanted::default()
+    };
+    let found = catalogue::list(&[PathBuf::from(CAMPAIGNS_FOLDER)], false, &wanted);
+    let mut campaigns = found.entries.into_iter().rev();
+    campaigns
+        .find(|entry| entry.kind == Kind::Campaign)
+        .map(|entry| entry.path)
+}
+
+/// Its name, how far it has come, and what is next; why not, if it cannot be read.
+pub fn json(folder: &Path) -> Value {
+    let campaign = match Campaign::read(folder) {
+        Ok(campaign) => campaign,
+        Err(error) => return json!({ "folder": folder, "error": error.to_string() }),
+    };
+    let state = &campaign.state;
+    let done = state
+        .trials
+        .iter()
+        .filter(|trial| trial.standing() == Standing::Done);
+    let next = state.next().map(|next| {
+        format!(
+            "trial {}: {} {} {}",
+            next.planned.trial,
+            next.planned.indentation,
+            next.planned.lubrication.name(),
+            doing(next.planned.purpose, next.planned.shape)
+        )
+    });
+    let left = next
+        .is_some()
+        .then(|| remaining::text(remaining::remaining_s(&campaign).0));
+    json!({
+        "name": campaign.plan.name,
+        "folder": folder,
+        "done": done.count(),
+        "trials": state.trials.len(),
+        "next": next,
+        "left_text": left,
+    })
+}

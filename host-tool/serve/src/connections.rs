@@ -1,0 +1,225 @@
+//! Which connections are served, and which one goes when there are too many: a stop always finds a place.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::task::AbortHandle;
+
+/// Connections at a time from this computer, and from elsewhere: those cannot take the place of a stop from here.
+const MOST: [usize; 2] = [256, 128];
+
+/// Connections beyond these, each for a stop and nothing else.
+const FOR_STOPS: usize = 64;
+
+/// What a connection does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Doing {
+    /// It waits for its first or next request.
+    Nothing,
+    /// A reader of the stream follows it, or has ceased to read.
+    Following,
+    /// A request is being answered.
+    Answering,
+}
+
+/// For whom there is room.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Room {
+    Here,
+    Elsewhere,
+    /// For a stop and nothing else.
+    Stop,
+}
+
+#[derive(Debug)]
+struct Entry {
+    number: u64,
+    room: Room,
+    doing: Doing,
+    end: Option<AbortHandle>,
+}
+
+#[derive(Debug, Default)]
+struct Table {
+    next: u64,
+    /// The one that has done something least recently comes first.
+    entries: Vec<Entry>,
+}
+
+/// All connections.
+#[derive(Debug, Default)]
+pub struct Connections(Mutex<Table>);
+
+/// The place of one connection, until it is dropped.
+#[derive(Debug)]
+pub struct Place {
+    all: Arc<Connections>,
+    number: u64,
+    /// Beyond the most: only a stop is answered.
+    pub is_for_stops: bool,
+}
+
+impl Table {
+    fn count(&self, room: Room) -> usize {
+        let of = self.entries.iter().filter(|entry| entry.room == room);
+        of.count()
+    }
+
+    /// Ends the connection that has been idle for longest; false if all are at work.
+    fn make_room(&mut self, room: Room) -> bool {
+        let found = [Doing::Nothing, Doing::Following].iter().find_map(|doing| {
+            self.entries
+                .iter()
+                .position(|entry| entry.room == room && entry.doing == *doing)
+        });
+        if let Some(index) = found
+            && let Some(end) = self.entries.remove(index).end
+        {
+            end.abort();
+        }
+        found.is_some()
+    }
+
+    fn enter(&mut self, here: bool) -> Option<(u64, bool)> {
+        let room = if here { Room::Here } else { Room::Elsewhere };
+        let rooms = [(room, MOST[usize::from(!here)]), (Room::Stop, FOR_STOPS)];
+        let (room, _) = rooms
+            .into_iter()
+            .find(|(room, most)| self.count(*room) < *most || self.make_room(*room))?;
+        let number = self.next;
+        self.next += 1;
+        self.entries.push(Entry {
+            number,
+            room,
+            doing: Doing::Nothing,
+            end: None,
+        });
+        Some((number, room == Room::Stop))
+    }
+}
+
+impl Connections {
+    // Nobody panics while holding it; if somebody did, a stop would have to find a place all the same.
+    fn table(&self) -> MutexGuard<'_, Table> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A place for one more connection. `None` if so many stops are being answered that there is none for another.
+    pub fn enter(self: &Arc<Self>, here: bool) -> Option<Place> {
+        let (number, is_for_stops) = self.table().enter(here)?;
+        Some(Place {
+            all: Arc::clone(self),
+            number,
+            is_for_stops,
+        })
+    }
+
+    /// How the connection of this place is ended when there is no other room.
+    pub fn ended_by(&self, number: u64, end: AbortHandle) {
+        let mut table = self.table();
+        let entry = table
+            .entries
+            .iter_mut()
+            .find(|entry| entry.number == number);
+        if let Some(entry) = entry {
+            entry.end = Some(end);
+        }
+    }
+}
+
+impl Place {
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// From now on it does this.
+    pub fn does(&self, doing: Doing) {
+        let mut table = self.all.table();
+        let found = table
+            .entries
+            .iter()
+            .position(|entry| entry.number == self.number);
+        if let Some(index) = found {
+            let entry = table.entries.remove(index);
+            table.entries.push(Entry { doing, ..entry });
+        }
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let number = self.number;
+        self.all
+            .table()
+            .entries
+            .retain(|entry| entry.number != number);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn enter(all: &Arc<Connections>, here: bool, count: usize) -> Vec<Place> {
+        let places: Vec<_> = (0..count).filter_map(|_| all.enter(here)).collect();
+        assert_eq!(places.len(), count);
+        places
+    }
+
+    fn is_there(place: &Place) -> bool {
+        let table = place.all.table();
+        let mut numbers = table.entries.iter().map(|entry| entry.number);
+        numbers.any(|number| number == place.number)
+    }
+
+    #[test]
+    fn the_one_that_has_been_idle_for_longest_goes() {
+        let all = Arc::default();
+        let places = enter(&all, true, MOST[0]);
+        places[0].does(Doing::Answering);
+        places[1].does(Doing::Following);
+        places[2].does(Doing::Answering);
+        places[2].does(Doing::Nothing);
+        let more = enter(&all, true, MOST[0] - 3);
+        assert!(
+            more.iter()
+                .all(|place| !place.is_for_stops && is_there(place))
+        );
+        let left: Vec<_> = (0..MOST[0])
+            .filter(|index| is_there(&places[*index]))
+            .collect();
+        assert_eq!(left, [0, 1, 2]);
+        // After the idle ones a reader.
+        for place in &more {
+            place.does(Doing::Answering);
+        }
+        let last = enter(&all, true, 1);
+        last[0].does(Doing::Answering);
+        assert!(is_there(&places[1]) && !is_there(&places[2]));
+        let _reader_goes = enter(&all, true, 1);
+        assert!(is_there(&places[0]) && !is_there(&places[1]));
+    }
+
+    #[test]
+    fn a_stop_finds_a_place_while_all_others_are_at_work() {
+        let all = Arc::default();
+        let busy = enter(&all, true, MOST[0]);
+        for place in &busy {
+            place.does(Doing::Answering);
+        }
+        let stops = enter(&all, true, 3 * FOR_STOPS);
+        assert!(stops.iter().all(|place| place.is_for_stops));
+        assert_eq!(
+            stops.iter().filter(|place| is_there(place)).count(),
+            FOR_STOPS
+        );
+        assert!(is_there(&stops[3 * FOR_STOPS - 1]));
+        // Connections from elsewhere have room of their own.
+        assert!(
+            enter(&all, false, 1)
+                .iter()
+                .all(|place| !place.is_for_stops)
+        );
+        drop(busy);
+        assert!(enter(&all, true, 1).iter().all(|place| !place.is_for_stops));
+    }
+}

@@ -1,0 +1,230 @@
+//! What does not pass through a keeper, each on a thread of its own: stops, which wait for nothing, and questions that are
+//! asked through the door, as other processes ask them, so that they are answered while the keeper works.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::{self, Scope};
+use std::time::{Duration, Instant};
+
+use client::Device;
+use client::identity::kind_name;
+use protocol::rig;
+use protocol::settings::{GetSetting, SettingKey};
+use protocol::system::{DeviceKind, Urgent};
+use serde_json::{Value, json};
+use tokio::sync::oneshot;
+
+use crate::board::{Board, Machine, stop_name};
+use operations::connector::Purpose;
+use operations::delivery::{DO_NOW, Delivery, Told};
+use operations::failure::Failure;
+use operations::panel::Notice;
+use operations::places::{Places, Target, past_owners};
+use operations::stops::Ask;
+
+/// Questions on their way at a time.
+const QUESTIONS: usize = 4;
+
+/// How long the keeper may take to confirm a stop that did not get through on its own way.
+const KEEPERS: Duration = Duration::from_secs(1);
+
+/// A question about a machine.
+#[derive(Clone, Copy, Debug)]
+pub enum Question {
+    /// Of the rig.
+    Health,
+    /// Of this machine.
+    Settings(DeviceKind),
+}
+
+impl Question {
+    fn about(self) -> DeviceKind {
+        match self {
+            Self::Health => DeviceKind::Rig,
+            Self::Settings(kind) => kind,
+        }
+    }
+}
+
+/// Somebody who waits for a stop.
+pub struct Wait {
+    pub ask: Ask,
+    pub reply: oneshot::Sender<Told>,
+}
+
+/// What is to be done.
+pub enum Errand {
+    Stop {
+        machine: DeviceKind,
+        urgent: Urgent,
+        wait: Wait,
+    },
+    Ask {
+        question: Question,
+        reply: oneshot::Sender<Result<Value, Failure>>,
+    },
+    /// The server ends.
+    End,
+}
+
+/// Questions on their way.
+#[derive(Debug, Default)]
+pub struct Questions(AtomicUsize);
+
+/// One more question on its way, as long as it lives.
+struct Counted<'a>(&'a AtomicUsize);
+
+impl<'a> Counted<'a> {
+    fn take(Questions(count): &'a Questions) -> Option<Self> {
+        let more = |before: usize| (before < QUESTIONS).then_some(before + 1);
+        count
+            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, more)
+            .ok()
+            .map(|_| Self(count))
+    }
+}
+
+impl Drop for Counted<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+/// Sends errands off until the server ends.
+pub fn run<'scope>(
+    scope: &'scope Scope<'scope, '_>,
+    places: &'scope Places<'scope>,
+    board: &'scope Board,
+    questions: &'scope Questions,
+    errands: &Receiver<Errand>,
+) {
+    // Its own courier for each strength: an emergency stop waits for no other stop.
+    let mut couriers = vec![];
+    for machine in &board.machines {
+        for urgent in [Urgent::Stop, Urgent::EStop] {
+            let (waits, waiting) = channel();
+            couriers.push((machine.kind, urgent, waits));
+            scope.spawn(move || {
+                while let Ok(first) = waiting.recv() {
+                    let all = std::iter::once(first).chain(waiting.try_iter()).collect();
+                    stop(places, board, machine, urgent, all);
+                }
+            });
+        }
+    }
+    for errand in errands {
+        match errand {
+            Errand::End => return,
+            Errand::Stop {
+                machine,
+                urgent,
+                wait,
+            } => {
+                let courier = couriers
+                    .iter()
+                    .find(|courier| (courier.0, courier.1) == (machine, urgent));
+                if let Some((.., waits)) = courier {
+                    // It lives as long as this thread.
+                    let _ = waits.send(wait);
+                }
+            }
+            Errand::Ask { question, reply } => match Counted::take(questions) {
+                None => {
+                    let _ = reply.send(Err(Failure::NothingFound {
+                        there: "too many questions at once: ask again".to_owned(),
+                    }));
+                }
+                Some(counted) => {
+                    scope.spawn(move || {
+                        let answer = ask(places, board, question);
+                        drop(counted);
+                        let _ = reply.send(answer);
+                    });
+                }
+            },
+        }
+    }
+}
+
+/// Stops a machine once for all who wait for it: through the door of its owner, which is the keeper's more often than not, or
+/// over a line of its own; and if that fails, waits for the keeper, which sends it, too.
+pub fn stop(
+    places: &Places<'_>,
+    board: &Board,
+    machine: &Machine,
+    urgent: Urgent,
+    waits: Vec<Wait>,
+) {
+    let target = Target {
+        kind: Some(machine.kind),
+        address: Some(machine.address.clone()),
+    };
+    let stops = &machine.stops;
+    // Whoever waits has asked by now.
+    let asked = stops.asked();
+    let told = target.told(places.urgent(&target, urgent));
+    if told.delivery == Delivery::Stopped {
+        stops.confirm(urgent, asked);
+    } else {
+        let begin = Instant::now();
+        let is_open = |wait: &Wait| !stops.is_confirmed(wait.ask);
+        while begin.elapsed() < KEEPERS && waits.iter().any(is_open) {
+            thread::sleep(Duration::from_millis(5));
+        }
+        if waits.iter().any(is_open) {
+            let name = stop_name(urgent);
+            let notice = format!("{name} NOT CONFIRMED: {DO_NOW} ({})", told.why);
+            board.notice(machine, Notice::Bad(notice));
+        }
+    }
+    for Wait { ask, reply } in waits {
+        let mut told = told.clone();
+        if stops.is_confirmed(ask) {
+            told.delivery = Delivery::Stopped;
+            told.why = String::new();
+        }
+        stops.withdraw(ask);
+        // Whoever wanted it may have left.
+        let _ = reply.send(told);
+    }
+}
+
+pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Value, Failure> {
+    let Some(machine) = board.machine(question.about()) else {
+        let name = kind_name(question.about());
+        return Err(Failure::Input {
+            why: format!("this server has no {name}"),
+            help: format!("start it with `--{name} WHERE`"),
+        });
+    };
+    past_owners(|| {
+        let link =
+            places
+                .connector
+                .open(machine.kind, &machine.address, places.baud, Purpose::Look)?;
+        let nonce = places.connector.nonce();
+        let mut device = Device::new(link, nonce);
+        device.hello(nonce)?;
+        device.require(machine.kind)?;
+        match question {
+            Question::Health => Ok(json!({
+                "health": device.call(rig::GetRigHealth)?,
+                "hardware": device.call(rig::GetRigHardware)?,
+            })),
+            Question::Settings(kind) => {
+                let settings = SettingKey::of(kind)
+                    .map(|key| {
+                        let value = device.call(GetSetting { key })?.value;
+                        let range = key.range();
+                        Ok(json!({
+                            "name": key.name(), "value": value, "unit": key.unit(),
+                            "min": range.min, "max": range.max, "default": range.default,
+                            "purpose": key.doc(),
+                        }))
+                    })
+                    .collect::<Result<Vec<_>, Failure>>()?;
+                Ok(json!({ "settings": settings }))
+            }
+        }
+    })
+}

@@ -1,0 +1,760 @@
+//! The requests: HTTP/1.1 with JSON. docs/serve.md describes them for people, docs/openapi.json for programs.
+
+use std::convert::Infallible;
+use std::io::Read;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::mpsc::{Sender, TrySendError};
+use std::time::{Duration, Instant};
+
+use axum::Router;
+use axum::body::{Body, Bytes, to_bytes};
+use axum::extract::{Extension, Path, Request, State};
+use axum::http::header::{
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
+    X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+};
+use axum::http::{HeaderMap, StatusCode};
+use axum::middleware::{Next, from_fn_with_state};
+use axum::response::Response;
+use axum::routing::{get, post};
+use client::identity::kind_name;
+use futures_util::stream::unfold;
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use jiff::Timestamp;
+use motion::axis::Axis;
+use operations::delivery::{Delivery, Told};
+use operations::failure::Failure;
+use protocol::system::{DeviceKind, Urgent};
+use serde_json::{Map, Value, json};
+use tokio::net::TcpListener;
+use tokio::sync::{Semaphore, oneshot};
+use tokio::time::timeout;
+use tower_service::Service as _;
+use trials::plan::{self, REFERENCE_LIMITS};
+
+use crate::access::{Access, Demand, Denied, Peer, demand};
+use crate::actions::{Action, Arrival, Command, Standing};
+use crate::answers::{Instead, answer, bad, boxed, closing, failed, good, status};
+use crate::board::{Board, Machine, Order};
+use crate::bodies::{LONGEST_BODY, object};
+use crate::connections::{Connections, Doing};
+use crate::errands::{Errand, Question, Wait};
+use crate::orders::{self, Work};
+use crate::records::{is_record, list, open};
+
+/// What programs read.
+pub const OPENAPI: &str = include_str!("../../../docs/openapi.json");
+/// What people see.
+const PAGE: &str = include_str!("page.html");
+/// Stands in the page for what makes its own script and style, and no others, admissible.
+const NONCE: &str = "@NONCE@";
+
+/// All requests: method and path, as in [`OPENAPI`].
+pub const ROUTES: [(&str, &str); 28] = [
+    ("get", "/"),
+    ("get", "/openapi.json"),
+    ("get", "/api/v1/state"),
+    ("get", "/api/v1/stream"),
+    ("get", "/api/v1/actions"),
+    ("get", "/api/v1/actions/{id}"),
+    ("get", "/api/v1/records"),
+    ("get", "/api/v1/records/{name}"),
+    ("get", "/api/v1/rig/health"),
+    ("get", "/api/v1/rig/settings"),
+    ("get", "/api/v1/capsule/settings"),
+    ("post", "/api/v1/plan"),
+    ("post", "/api/v1/stop"),
+    ("post", "/api/v1/estop"),
+    ("post", "/api/v1/rig/home"),
+    ("post", "/api/v1/rig/run"),
+    ("post", "/api/v1/rig/move"),
+    ("post", "/api/v1/rig/jog"),
+    ("post", "/api/v1/rig/jog/renew"),
+    ("post", "/api/v1/rig/hold"),
+    ("post", "/api/v1/rig/resume"),
+    ("post", "/api/v1/rig/ack"),
+    ("post", "/api/v1/capsule/ack"),
+    ("post", "/api/v1/capsule/reference"),
+    ("post", "/api/v1/capsule/calibrate"),
+    ("post", "/api/v1/capsule/check"),
+    ("post", "/api/v1/capsule/fold"),
+    ("post", "/api/v1/capsule/unfold"),
+];
+
+/// Priority of plans, as of `nice`: below everything else that the server does.
+#[cfg(target_os = "linux")]
+const LAST: i32 = 15;
+/// How long a stop waits for a body that says which machine: nobody waits for the rest of a request to stop a machine.
+const STOP_BODY: Duration = Duration::from_millis(20);
+/// How long the head of a request may take, and how long a connection may wait for its next request.
+const HEAD: Duration = Duration::from_secs(10);
+/// What waits for a reader within this process, bytes.
+const BUFFER: usize = 64 * 1024;
+/// The longest wait for the end of an action, s.
+const LONGEST_WAIT_S: u64 = 60;
+/// Stops are confirmed, or not, by then.
+const STOPPING: Duration = Duration::from_secs(10);
+
+/// What requests need.
+pub struct App {
+    /// What is known of the machines.
+    pub board: Arc<Board>,
+    /// Who may do what.
+    pub access: Access,
+    /// Stops and questions.
+    pub errands: Sender<Errand>,
+    /// One list of records at a time.
+    pub listing: Semaphore,
+    /// One plan at a time, beside the threads that answer.
+    pub planning: Semaphore,
+}
+
+type Shared = State<Arc<App>>;
+
+/// The requests.
+pub fn router(app: Arc<App>) -> Router {
+    Router::new()
+        .route("/", get(page))
+        .route("/openapi.json", get(openapi))
+        .route("/api/v1/state", get(state))
+        .route("/api/v1/stream", get(stream))
+        .route("/api/v1/actions", get(actions))
+        .route("/api/v1/actions/{id}", get(action))
+        .route("/api/v1/records", get(records))
+        .route("/api/v1/records/{name}", get(record))
+        .route("/api/v1/rig/health", get(health))
+        .route("/api/v1/rig/settings", get(rig_settings))
+        .route("/api/v1/capsule/settings", get(capsule_settings))
+        .route("/api/v1/plan", post(plan_run))
+        .route("/api/v1/stop", post(stop))
+        .route("/api/v1/estop", post(estop))
+        .route("/api/v1/rig/jog/renew", post(renew))
+        .route("/api/v1/{machine}/{command}", post(command))
+        .fallback(nothing_there)
+        .method_not_allowed_fallback(wrong_method)
+        .layer(from_fn_with_state(Arc::clone(&app), guard))
+        .with_state(app)
+}
+
+/// Serves connections until the task ends.
+pub async fn listen(listener: TcpListener, router: Router) {
+    let connections = Arc::<Connections>::default();
+    loop {
+        let Ok((stream, peer)) = listener.accept().await else {
+            // Too many open files, most likely: some will be closed.
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            continue;
+        };
+        let peer = Peer {
+            here: is_here(peer, stream.local_addr().ok()),
+        };
+        let Some(place) = connections.enter(peer.here) else {
+            continue;
+        };
+        let number = place.number();
+        // A stop must not wait for more data.
+        let _ = stream.set_nodelay(true);
+        let router = router.clone();
+        let connection = tokio::spawn(async move {
+            let place = &place;
+            let service = service_fn(move |request: hyper::Request<hyper::body::Incoming>| {
+                let mut request = request.map(Body::new);
+                request.extensions_mut().insert(peer);
+                let mut router = router.clone();
+                async move {
+                    if place.is_for_stops && !is_stop(&request) {
+                        return Ok(full());
+                    }
+                    place.does(Doing::Answering);
+                    let response = router.call(request).await?;
+                    place.does(match is_stream(&response) {
+                        true => Doing::Following,
+                        false => Doing::Nothing,
+                    });
+                    Ok::<_, Infallible>(response)
+                }
+            });
+            // A browser that goes away is of no concern.
+            let _ = http1::Builder::new()
+                .timer(TokioTimer::new())
+                .header_read_timeout(HEAD)
+                .max_buf_size(BUFFER)
+                .serve_connection(TokioIo::new(stream), service)
+                .await;
+        });
+        connections.ended_by(number, connection.abort_handle());
+    }
+}
+
+fn is_stop(request: &Request) -> bool {
+    demand(request.method(), request.uri().path()) == Demand::Stop
+}
+
+fn is_stream(response: &Response) -> bool {
+    response
+        .headers()
+        .get(CONTENT_TYPE)
+        .is_some_and(|kind| kind == "text/event-stream")
+}
+
+/// The answer to all but stops when there are too many connections.
+fn full() -> Response {
+    let response = bad(
+        StatusCode::SERVICE_UNAVAILABLE,
+        "too many connections at once; nothing was done",
+        "close pages and programs that nobody needs; a stop is taken all the same",
+    );
+    closing(response)
+}
+
+/// The other end is on this computer.
+fn is_here(peer: SocketAddr, local: Option<SocketAddr>) -> bool {
+    let ip = peer.ip().to_canonical();
+    ip.is_loopback() || local.is_some_and(|local| local.ip().to_canonical() == ip)
+}
+
+/// Lets a request in, or not, and says to browsers what the answer may be used for.
+async fn guard(
+    State(app): Shared,
+    Extension(peer): Extension<Peer>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let demand = demand(request.method(), request.uri().path());
+    let checked = app
+        .access
+        .check(peer, demand, request.uri(), request.headers());
+    let mut response = match checked {
+        Ok(()) => next.run(request).await,
+        Err(Denied { status, why, help }) => closing(bad(status, &why, help)),
+    };
+    let headers = response.headers_mut();
+    for (name, value) in [
+        (CACHE_CONTROL, "no-store"),
+        (REFERRER_POLICY, "no-referrer"),
+        (X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (X_FRAME_OPTIONS, "DENY"),
+        (
+            HeaderName::from_static("cross-origin-opener-policy"),
+            "same-origin",
+        ),
+        (
+            HeaderName::from_static("cross-origin-resource-policy"),
+            "same-origin",
+        ),
+    ] {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    if demand != Demand::Page {
+        let nothing = HeaderValue::from_static("default-src 'none'; frame-ancestors 'none'");
+        headers.insert(CONTENT_SECURITY_POLICY, nothing);
+    }
+    response
+}
+
+async fn nothing_there(request: Request) -> Response {
+    let why = format!("there is nothing at {}", request.uri().path());
+    bad(
+        StatusCode::NOT_FOUND,
+        &why,
+        "docs/serve.md and /openapi.json list all requests",
+    )
+}
+
+async fn wrong_method(request: Request) -> Response {
+    let why = format!(
+        "{} cannot be done with {}",
+        request.method(),
+        request.uri().path()
+    );
+    bad(
+        StatusCode::METHOD_NOT_ALLOWED,
+        &why,
+        "docs/serve.md and /openapi.json list all requests",
+    )
+}
+
+// To look.
+
+async fn page() -> Response {
+    let nonce = crate::access::new_token();
+    let mut response = Response::new(Body::from(PAGE.replace(NONCE, &nonce)));
+    let headers = response.headers_mut();
+    headers.insert(
+        CONTENT_TYPE,
+        HeaderValue::from_static("text/html; charset=utf-8"),
+    );
+    let policy = format!(
+        "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    );
+    if let Ok(policy) = HeaderValue::from_str(&policy) {
+        headers.insert(CONTENT_SECURITY_POLICY, policy);
+    }
+    response
+}
+
+async fn openapi() -> Response {
+    let mut response = Response::new(Body::from(OPENAPI));
+    let json = HeaderValue::from_static("application/json");
+    response.headers_mut().insert(CONTENT_TYPE, json);
+    response
+}
+
+async fn state(State(app): Shared) -> Response {
+    good(app.board.json())
+}
+
+async fn stream(State(app): Shared) -> Response {
+    let Some(body) = app.board.stream.body(&app.board.json()) else {
+        return closing(bad(
+            StatusCode::SERVICE_UNAVAILABLE,
+            "100 readers are there already",
+            "close a page that nobody looks at; `GET /api/v1/state` works all the same",
+        ));
+    };
+    let mut response = Response::new(body);
+    let events = HeaderValue::from_static("text/event-stream");
+    response.headers_mut().insert(CONTENT_TYPE, events);
+    response
+}
+
+async fn actions(State(app): Shared) -> Response {
+    good(json!({ "actions": app.board.actions.all() }))
+}
+
+async fn action(State(app): Shared, Path(id): Path<String>, request: Request) -> Response {
+    let wait_s = match wait_s(request.uri().query().unwrap_or_default()) {
+        Ok(wait_s) => wait_s,
+        Err(why) => return bad(StatusCode::BAD_REQUEST, &why, "nothing was done"),
+    };
+    let unknown = || {
+        bad(
+            StatusCode::NOT_FOUND,
+            "there is no such action: it is too long ago, or the server was started again since",
+            "`GET /api/v1/actions` lists those that are known",
+        )
+    };
+    let Some(number) = app.board.actions.number(&id) else {
+        return unknown();
+    };
+    let over = |action: &Action| action.standing.is_over();
+    let limit = Duration::from_secs(wait_s);
+    match timeout(limit, wait(&app.board, number, over)).await {
+        Ok(Some(action)) => good(json!({ "action": app.board.actions.json(&action) })),
+        Ok(None) => unknown(),
+        // Not over yet.
+        Err(_) => match app.board.actions.get(number) {
+            Some(action) => good(json!({ "action": app.board.actions.json(&action) })),
+            None => unknown(),
+        },
+    }
+}
+
+fn wait_s(query: &str) -> Result<u64, String> {
+    let mut wait_s = 0;
+    for pair in query.split('&').filter(|pair| !pair.is_empty()) {
+        let value = pair
+            .strip_prefix("wait_s=")
+            .ok_or("the only parameter is `wait_s`")?;
+        wait_s = value
+            .parse()
+            .ok()
+            .filter(|wait_s| *wait_s <= LONGEST_WAIT_S)
+            .ok_or_else(|| format!("wait_s is a whole number from 0 to {LONGEST_WAIT_S}"))?;
+    }
+    Ok(wait_s)
+}
+
+/// Waits until an action is as wanted; `None` if it is not known.
+async fn wait(board: &Board, number: u64, until: impl Fn(&Action) -> bool) -> Option<Action> {
+    let mut changes = board.actions.changes();
+    loop {
+        changes.borrow_and_update();
+        let action = board.actions.get(number)?;
+        if until(&action) {
+            return Some(action);
+        }
+        changes.changed().await.ok()?;
+    }
+}
+
+async fn health(State(app): Shared) -> Response {
+    ask(&app, Question::Health).await
+}
+
+async fn rig_settings(State(app): Shared) -> Response {
+    ask(&app, Question::Settings(DeviceKind::Rig)).await
+}
+
+async fn capsule_settings(State(app): Shared) -> Response {
+    ask(&app, Question::Settings(DeviceKind::Capsule)).await
+}
+
+async fn ask(app: &App, question: Question) -> Response {
+    let (reply, answered) = oneshot::channel();
+    let _ = app.errands.send(Errand::Ask { question, reply });
+    match answered.await {
+        Ok(Ok(value)) => good(value),
+        Ok(Err(failure)) => failed(&failure),
+        Err(_) => ends(),
+    }
+}
+
+fn ends() -> Response {
+    bad(
+        StatusCode::SERVICE_UNAVAILABLE,
+        "the server ends",
+        "start it again",
+    )
+}
+
+async fn plan_run(State(app): Shared, headers: HeaderMap, body: Body) -> Response {
+    let body = match object(&headers, body).await {
+        Ok(body) => body,
+        Err(response) => return *response,
+    };
+    let Ok(_one) = app.planning.acquire().await else {
+        return ends();
+    };
+    // Not on a thread that answers: it takes long enough to delay a stop.
+    match tokio::task::spawn_blocking(move || planned(&body)).await {
+        Ok(Ok(summary)) => good(json!({ "plan": summary })),
+        Ok(Err(failure)) => failed(&failure),
+        Err(_) => ends(),
+    }
+}
+
+fn planned(body: &Map<String, Value>) -> Result<Value, Failure> {
+    // On Linux that is the priority of this thread: where all cores are busy, a stop goes first.
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::setpriority_process(None, LAST);
+    let run = orders::run(body)?;
+    let axis = Axis::REFERENCE;
+    let plan = planning::solve(&run, &axis, &REFERENCE_LIMITS)?;
+    Ok(json!(plan::summary(&run, &axis, &plan)))
+}
+
+async fn records(State(app): Shared) -> Response {
+    let Ok(_one) = app.listing.acquire().await else {
+        return ends();
+    };
+    let folder = app.board.out.clone();
+    match tokio::task::spawn_blocking(move || list(&folder)).await {
+        Ok(list) => good(list),
+        Err(_) => ends(),
+    }
+}
+
+async fn record(State(app): Shared, Path(name): Path<String>) -> Response {
+    let kind = if name.ends_with(".csv") {
+        "text/csv"
+    } else {
+        "application/json"
+    };
+    let file = match is_record(&name) {
+        true => open(app.board.out.join(&name)).await,
+        false => None,
+    };
+    let Some(file) = file else {
+        return bad(
+            StatusCode::NOT_FOUND,
+            "there is no such record",
+            "`GET /api/v1/records` lists all",
+        );
+    };
+    // In pieces: a record of a day is larger than what should wait here.
+    let pieces = unfold(Some(file), |file| async {
+        let file = file?;
+        let read = tokio::task::spawn_blocking(move || {
+            let mut file = file;
+            let mut piece = vec![0; BUFFER];
+            let count = file.read(&mut piece)?;
+            piece.truncate(count);
+            Ok::<_, std::io::Error>((file, piece))
+        });
+        match read.await.map_err(std::io::Error::other).flatten() {
+            Ok((_, piece)) if piece.is_empty() => None,
+            Ok((file, piece)) => Some((Ok(Bytes::from(piece)), Some(file))),
+            Err(why) => Some((Err(why), None)),
+        }
+    });
+    let mut response = Response::new(Body::from_stream(pieces));
+    let kind = HeaderValue::from_static(kind);
+    response.headers_mut().insert(CONTENT_TYPE, kind);
+    response
+}
+
+// To stop.
+
+async fn stop(state: Shared, body: Body) -> Response {
+    stop_all(state, Urgent::Stop, body).await
+}
+
+async fn estop(state: Shared, body: Body) -> Response {
+    stop_all(state, Urgent::EStop, body).await
+}
+
+async fn stop_all(State(app): Shared, urgent: Urgent, body: Body) -> Response {
+    // What cannot be understood, or does not come at once, stops everything.
+    let body = timeout(STOP_BODY, to_bytes(body, LONGEST_BODY)).await;
+    let only = body
+        .ok()
+        .and_then(Result::ok)
+        .and_then(|body| serde_json::from_slice::<Value>(&body).ok())
+        .and_then(|body| body["machine"].as_str().and_then(machine_of));
+    let kinds: Vec<_> = app
+        .board
+        .machines
+        .iter()
+        .map(|machine| machine.kind)
+        .filter(|kind| only.is_none_or(|only| only == *kind))
+        .collect();
+    if kinds.is_empty() {
+        return no_machine(only.unwrap_or(DeviceKind::Rig));
+    }
+    let mut replies = vec![];
+    for machine in kinds.iter().filter_map(|kind| app.board.machine(*kind)) {
+        let (reply, told) = oneshot::channel();
+        // Both ways at once: the keeper's, and one past it.
+        let wait = Wait {
+            ask: machine.stop(urgent),
+            reply,
+        };
+        let machine = machine.kind;
+        let _ = app.errands.send(Errand::Stop {
+            machine,
+            urgent,
+            wait,
+        });
+        replies.push(told);
+    }
+    let mut told = vec![];
+    for (kind, reply) in kinds.iter().zip(replies) {
+        told.push(match timeout(STOPPING, reply).await {
+            Ok(Ok(told)) => told,
+            _ => Told {
+                machine: kind_name(*kind).to_owned(),
+                delivery: Delivery::NotConfirmed,
+                why: "no answer within 10 s".to_owned(),
+            },
+        });
+    }
+    if told.iter().any(|told| told.delivery != Delivery::Stopped) {
+        return failed(&Failure::Stops { told });
+    }
+    let machines: Vec<_> = told.iter().map(Told::json).collect();
+    good(json!({ "machines": machines }))
+}
+
+// To move and to change.
+
+fn machine_of(name: &str) -> Option<DeviceKind> {
+    match name {
+        "rig" => Some(DeviceKind::Rig),
+        "capsule" => Some(DeviceKind::Capsule),
+        _ => None,
+    }
+}
+
+fn no_machine(kind: DeviceKind) -> Response {
+    let name = kind_name(kind);
+    bad(
+        StatusCode::NOT_FOUND,
+        &format!("this server has no {name}"),
+        &format!("start it with `--{name} WHERE`"),
+    )
+}
+
+/// The key of a command, if it is one of this server.
+fn key(headers: &HeaderMap, instance: &str) -> Result<String, Instead> {
+    let denied = |why: &str| {
+        boxed(
+            StatusCode::PRECONDITION_REQUIRED,
+            why,
+            "send `Idempotency-Key: INSTANCE-ANYTHING`: INSTANCE is in `GET /api/v1/state`, ANYTHING is new for each command, so that none is executed twice",
+        )
+    };
+    let Some(key) = headers.get("idempotency-key") else {
+        return Err(denied("the command has no key; nothing was done"));
+    };
+    let key = key.to_str().unwrap_or_default();
+    let own = |c: char| c.is_ascii_alphanumeric() || c == '-';
+    match key
+        .strip_prefix(instance)
+        .and_then(|rest| rest.strip_prefix('-'))
+    {
+        Some(rest) if (1..=64).contains(&rest.len()) && rest.chars().all(own) => Ok(key.to_owned()),
+        Some(_) => Err(denied(
+            "the key has to end in 1 to 64 letters, digits and `-`; nothing was done",
+        )),
+        None => Err(denied(
+            "the key is not of this server: it was started again since; nothing was done, look at the machine first",
+        )),
+    }
+}
+
+async fn command(
+    State(app): Shared,
+    Path((machine, name)): Path<(String, String)>,
+    headers: HeaderMap,
+    body: Body,
+) -> Response {
+    match order(&app, &machine, &name, &headers, body).await {
+        Ok(response) => response,
+        Err(response) => *response,
+    }
+}
+
+async fn order(
+    app: &App,
+    machine: &str,
+    name: &str,
+    headers: &HeaderMap,
+    body: Body,
+) -> Result<Response, Instead> {
+    let unknown = || {
+        boxed(
+            StatusCode::NOT_FOUND,
+            "there is no such command; nothing was done",
+            "docs/serve.md and /openapi.json list all",
+        )
+    };
+    let kind = machine_of(machine).ok_or_else(unknown)?;
+    // Before the body is waited for.
+    let after = app.board.machine(kind).map(Machine::last_stop);
+    let body = object(headers, body).await?;
+    let work = Work::read(kind, name, &body)
+        .ok_or_else(unknown)?
+        .map_err(|failure| Box::new(failed(&failure)))?;
+    let board = &app.board;
+    let (Some(keeper), Some(after)) = (board.machine(kind), after) else {
+        return Err(Box::new(no_machine(kind)));
+    };
+    let print =
+        hmac_sha256::Hash::hash(format!("{machine}/{name} {}", Value::Object(body)).as_bytes());
+    let command = Command {
+        key: key(headers, &board.instance)?,
+        print,
+        machine: kind,
+        kind: work.kind(),
+        requested: work.requested(),
+    };
+    let short = work.is_short();
+    let number = match board.actions.arrive(command, Timestamp::now()) {
+        Arrival::Again(number) => number,
+        Arrival::Contradiction => {
+            return Err(boxed(
+                StatusCode::UNPROCESSABLE_ENTITY,
+                "this key was used for another request; nothing was done",
+                "make a new key for each command",
+            ));
+        }
+        Arrival::New(number) => {
+            let order = Order {
+                action: number,
+                work,
+                at: Instant::now(),
+                after,
+            };
+            if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
+                keeper.orders.try_send(order)
+            {
+                let failure = Failure::NothingFound {
+                    there: format!("too many orders for the {machine} at once; nothing was sent"),
+                };
+                board.ended(number, Value::Null, Some(&failure));
+            }
+            number
+        }
+    };
+    let until = |action: &Action| {
+        action.standing.is_over() || (!short && action.standing == Standing::UnderWay)
+    };
+    let action = wait(board, number, until)
+        .await
+        .ok_or_else(|| Box::new(ends()))?;
+    let mut value = json!({ "ok": true, "action": board.actions.json(&action) });
+    let code = match &action.failure {
+        None if action.standing.is_over() => StatusCode::OK,
+        None => StatusCode::ACCEPTED,
+        Some((code, error)) => {
+            value["ok"] = json!(false);
+            value["exit_code"] = json!(code);
+            value["error"] = error.clone();
+            status(*code)
+        }
+    };
+    Ok(answer(code, &value))
+}
+
+async fn renew(State(app): Shared, headers: HeaderMap, body: Body) -> Response {
+    let body = match object(&headers, body).await {
+        Ok(body) => body,
+        Err(response) => return *response,
+    };
+    let (id, n) = (body.get("action"), body.get("n").and_then(Value::as_u64));
+    let (Some(id), Some(n)) = (id.and_then(Value::as_str), n) else {
+        return bad(
+            StatusCode::BAD_REQUEST,
+            "a renewal has the fields `action`, the id of the jog, and `n`, 1, 2, 3 and so on; nothing was done",
+            "the jog ends by itself if nobody renews it",
+        );
+    };
+    let number = app.board.actions.number(id);
+    let Some(machine) = app.board.machine(DeviceKind::Rig) else {
+        return no_machine(DeviceKind::Rig);
+    };
+    let mut lease = machine.lease();
+    match lease.as_mut() {
+        Some(lease) if Some(lease.action) == number && lease.renewed.elapsed() < lease.within => {
+            // One that comes twice, or late, renews nothing.
+            if n > lease.n {
+                lease.n = n;
+                lease.renewed = Instant::now();
+                lease.due = true;
+            }
+            good(json!({}))
+        }
+        _ => bad(
+            StatusCode::CONFLICT,
+            "this jog has ended; nothing was moved by this request",
+            "begin a new one",
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_records_are_handed_out() {
+        for good in ["run-20260131T120000Z.csv", "fold-20260131T120000Z-2.json"] {
+            assert!(is_record(good), "{good}");
+        }
+        for bad in [
+            "../secret.json",
+            "a/b.csv",
+            "..csv",
+            ".x.json",
+            "run.svg",
+            "",
+            "a\\b.csv",
+            "a%2f.csv",
+        ] {
+            assert!(!is_record(bad), "{bad}");
+        }
+    }
+
+    #[test]
+    fn this_computer_is_known_by_both_ends() {
+        let at = |text: &str| text.parse::<SocketAddr>().expect("an address");
+        assert!(is_here(at("127.0.0.1:5"), None));
+        assert!(is_here(at("[::ffff:127.0.0.1]:5"), None));
+        assert!(is_here(at("10.0.0.5:5"), Some(at("10.0.0.5:7080"))));
+        assert!(!is_here(at("10.0.0.6:5"), Some(at("10.0.0.5:7080"))));
+    }
+}

@@ -1,0 +1,788 @@
+//! Keeps one machine, on a thread of its own: owns its line or looks through the door of its owner, does what is ordered,
+//! and tells what happens. A stop does not pass through here; this thread only notices it.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use client::error::ClientError;
+use client::link::LinkError;
+use client::{Begun, Device, Interrupt, Observer, Pace, Progress, while_moving};
+use commissioning::warning;
+use operations::arguments::{DATA_FOLDER, RecordArgs};
+use operations::connector::Purpose;
+use operations::failure::{Failure, NO_DEVICE, UNKNOWN};
+use operations::panel::{self, Contact, MOVES_ALREADY, Notice};
+use operations::places::Places;
+use operations::{ending, left, reached};
+use protocol::error::Refusal;
+use protocol::rig::{self, RigEvent, RigState, RigStatus};
+use protocol::settings::{GetSetting, SettingKey};
+use protocol::system::{Event, Urgent, What};
+use protocol::table::Telemetry;
+use serde_json::{Value, json};
+use trials::experiment::{self, Motion};
+use trials::trial::{Achieved, Recording};
+
+use crate::board::{Board, Lease, Machine, Order};
+use crate::orders::Work;
+use crate::results::server_ends;
+use crate::results::{ended, files, lost, overtaken, place};
+
+/// Interval of telemetry while nothing is recorded, ms.
+const TELEMETRY_MS: u16 = 50;
+
+/// Interval between two questions for the status, us.
+const ASK_US: u64 = 250_000;
+
+/// How long bytes are waited for before orders are looked at, us.
+const SLICE_US: u64 = 10_000;
+
+/// Interval between two questions for the status of a motion, us.
+const POLL_US: u64 = 50_000;
+
+/// An order that has waited for longer is refused: nobody expects a machine to move by now.
+const STALE: Duration = Duration::from_secs(5);
+
+/// How long an owner that only looks may take to give its line up.
+const YIELDING: Duration = Duration::from_secs(3);
+
+/// How long a line that has become free is left to others: it may have been given up for one that waits.
+const LEFT_TO_OTHERS: Duration = Duration::from_millis(200);
+
+/// Interval between two attempts to connect.
+const AGAIN: Duration = Duration::from_millis(500);
+
+/// What an action leaves.
+struct Outcome {
+    result: Value,
+    files: Value,
+    failure: Option<Failure>,
+}
+
+impl From<Value> for Outcome {
+    fn from(result: Value) -> Self {
+        Self {
+            result,
+            files: Value::Null,
+            failure: None,
+        }
+    }
+}
+
+/// A hold or a resume that waits for its end within a run.
+type Pacing = Arc<Mutex<Option<(u64, Pace, bool)>>>;
+
+pub struct Keeper<'a> {
+    pub places: &'a Places<'a>,
+    pub board: &'a Board,
+    pub machine: &'a Machine,
+    pub orders: Receiver<Order>,
+    /// The server ends.
+    pub leaving: &'a AtomicBool,
+    pub pressed: Interrupt,
+}
+
+impl Keeper<'_> {
+    /// Keeps the machine until the server ends, whatever becomes of the line.
+    pub fn keep(&self) {
+        // An order that waits for the line.
+        let mut waiting = None;
+        while !self.is_leaving() {
+            let failure = match self.connection(&mut waiting) {
+                Ok(()) if self.is_leaving() => break,
+                Ok(()) => {
+                    // Somebody waits for the line, or this server does.
+                    self.pause(
+                        if waiting.is_some() {
+                            Duration::from_millis(20)
+                        } else {
+                            AGAIN
+                        },
+                        None,
+                    );
+                    continue;
+                }
+                Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))) => {
+                    // It has ended, as commands do: the line is free.
+                    self.pause(LEFT_TO_OTHERS, None);
+                    continue;
+                }
+                Err(failure) => failure,
+            };
+            let mut panel = self.machine.panel();
+            if !matches!(panel.contact, Contact::Lost(_)) {
+                panel.quality.losses += 1;
+            }
+            drop(panel);
+            self.board
+                .contact(self.machine, Contact::Lost(failure.in_one_line()));
+            if let Some(order) = waiting.take() {
+                self.refuse(&order, &lost(&failure));
+            }
+            self.pause(AGAIN, Some(&failure));
+        }
+        self.board.flush(self.machine, true);
+        while let Ok(order) = self.orders.try_recv() {
+            self.refuse(&order, &server_ends());
+        }
+    }
+
+    fn is_leaving(&self) -> bool {
+        self.leaving.load(Ordering::Relaxed)
+    }
+
+    /// Waits; without a connection, orders are refused meanwhile.
+    fn pause(&self, limit: Duration, failure: Option<&Failure>) {
+        let begin = Instant::now();
+        while begin.elapsed() < limit && !self.is_leaving() {
+            if let Some(failure) = failure {
+                while let Ok(order) = self.orders.try_recv() {
+                    self.refuse(&order, &lost(failure));
+                }
+            }
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    fn refuse(&self, order: &Order, failure: &Failure) {
+        self.board.ended(order.action, Value::Null, Some(failure));
+    }
+
+    /// Connects, and keeps the machine until the connection is lost, the server ends, or somebody else needs the line.
+    fn connection(&self, waiting: &mut Option<Order>) -> Result<(), Failure> {
+        let (places, machine) = (self.places, self.machine);
+        machine.is_behind(places.connector.doorway(&machine.address));
+        let link =
+            places
+                .connector
+                .open(machine.kind, &machine.address, places.baud, Purpose::Watch)?;
+        let nonce = places.connector.nonce();
+        let mut device = Device::new(link, nonce);
+        device.expect_haste();
+        device.set_interrupt(machine.interrupt(Arc::clone(&self.pressed)));
+        device.hello(nonce)?;
+        device.require(machine.kind)?;
+        places.require_name(&mut device)?;
+        machine.meet(device.identity(), device.place());
+        let owned = device.owner().is_none();
+        if owned {
+            device.set_telemetry(TELEMETRY_MS)?;
+        }
+        // Before the first sample: it takes the screw to know where the carriage is.
+        self.ask(&mut device)?;
+        self.board.contact(
+            machine,
+            match device.owner() {
+                None => Contact::Owned,
+                Some(owner) => Contact::Window(owner.to_string()),
+            },
+        );
+        if owned && self.machine.panel().moves() {
+            self.board
+                .notice(self.machine, Notice::Bad(MOVES_ALREADY.to_owned()));
+        }
+        let result = self.watch(&mut device, waiting);
+        if owned && result.is_ok() {
+            // The line is given up in any case.
+            let _ = device.set_telemetry(0);
+        }
+        result
+    }
+
+    fn watch(&self, device: &mut Device, waiting: &mut Option<Order>) -> Result<(), Failure> {
+        let mut asked_us = None;
+        while !self.is_leaving() && !device.is_line_wanted() {
+            let now_us = device.now_us();
+            let due = asked_us.is_none_or(|asked_us| now_us >= asked_us + ASK_US);
+            if self.machine.panel().take_changed() || due {
+                asked_us = Some(now_us);
+                match self.ask(device) {
+                    // The owner works; it answers later.
+                    Ok(()) | Err(ClientError::OwnerBusy { .. }) => {}
+                    Err(error) => return Err(error.into()),
+                }
+            }
+            self.settle(device)?;
+            if asked_us == Some(now_us)
+                && !self.machine.panel().moves()
+                && let Some(said) = left::end_record(device)?
+            {
+                self.board.notice(self.machine, Notice::Bad(said));
+            }
+            let order = waiting.take().or_else(|| self.orders.try_recv().ok());
+            if let Some(order) = order {
+                asked_us = None;
+                if self.needs_line(device, &order) {
+                    *waiting = Some(order);
+                    return Ok(());
+                }
+                self.carry_out(device, order)?;
+            }
+            device.observe(SLICE_US, &mut Seen(self))?;
+            self.board.flush(self.machine, false);
+        }
+        // The last request may have been a stop.
+        self.settle(device)?;
+        Ok(())
+    }
+
+    /// The order is for the owner of the line, and the owner gives it up.
+    fn needs_line(&self, device: &mut Device, order: &Order) -> bool {
+        device.owner().is_some()
+            && order.work.is_for_owner()
+            && order.at.elapsed() < YIELDING
+            && device.want_line()
+    }
+
+    fn ask(&self, device: &mut Device) -> Result<(), ClientError> {
+        panel::ask(device, || self.machine.panel())
+    }
+
+    /// Waits until a stop that was sent is confirmed, and is ready for the next order.
+    fn settle(&self, device: &mut Device) -> Result<(), ClientError> {
+        let stops = &self.machine.stops;
+        if device.interrupted().is_none() {
+            return Ok(());
+        }
+        device.settle()?;
+        // What was sent may be older than what somebody waits for.
+        if let Some(urgent) = stops.unconfirmed() {
+            let asked = stops.asked();
+            device.urgent(urgent)?;
+            stops.confirm(urgent, asked);
+        }
+        let Some(urgent) = device.interrupted() else {
+            return Ok(());
+        };
+        self.board.notice(
+            self.machine,
+            Notice::Done(match urgent {
+                Urgent::Stop => "stop confirmed".to_owned(),
+                Urgent::EStop => {
+                    "EMERGENCY STOP latched; acknowledge it before anything moves".to_owned()
+                }
+            }),
+        );
+        device.forget_stop();
+        Ok(())
+    }
+
+    // Orders.
+
+    /// Does what is ordered. An error means that the connection has to be made again.
+    fn carry_out(&self, device: &mut Device, order: Order) -> Result<(), Failure> {
+        let Order {
+            action,
+            work,
+            at,
+            after: (stop, mark),
+        } = order;
+        let stops = &self.machine.stops;
+        if stops.since(stop).is_some() || self.machine.last_stop().1 != mark {
+            let failure = overtaken();
+            self.board.ended(action, Value::Null, Some(&failure));
+            return Ok(());
+        }
+        if at.elapsed() > STALE {
+            let failure = Failure::Refused {
+                why: format!(
+                    "the order came too late: the server was busy with the line for {} s",
+                    at.elapsed().as_secs()
+                ),
+                help: "nothing was moved; look at the machine, then again".to_owned(),
+            };
+            self.board.ended(action, Value::Null, Some(&failure));
+            return Ok(());
+        }
+        let acting = work.is_for_owner();
+        if acting {
+            device.offer_line(false);
+            self.machine.acting.store(true, Ordering::SeqCst);
+        }
+        let kind = work.kind();
+        // A stop that comes from now on is seen between any two frames.
+        stops.begin_order(stop);
+        device.ordered_at(mark);
+        let result = self.act(device, action, &work);
+        stops.end_order();
+        self.machine.acting.store(false, Ordering::SeqCst);
+        let (outcome, lost) = match result {
+            Ok(outcome) => (outcome, false),
+            Err(failure) => {
+                let lost = matches!(failure.exit_code(), NO_DEVICE | UNKNOWN);
+                let outcome = Outcome {
+                    result: Value::Null,
+                    files: Value::Null,
+                    failure: Some(failure),
+                };
+                (outcome, lost)
+            }
+        };
+        let notice = match &outcome.failure {
+            None => Notice::Done(format!("{kind}: done")),
+            Some(failure) => Notice::Bad(failure.in_one_line()),
+        };
+        // Whoever hears of the end finds the machine as it is then, and all samples until then told.
+        self.board.flush(self.machine, true);
+        let settled = match lost {
+            true => Ok(()),
+            false => self.settle(device).and_then(|()| self.ask(device)),
+        };
+        self.board.actions.update(action, |action| {
+            if !outcome.files.is_null() {
+                action.files.clone_from(&outcome.files);
+            }
+        });
+        self.board
+            .ended(action, outcome.result, outcome.failure.as_ref());
+        self.board.notice(self.machine, notice);
+        settled?;
+        if lost {
+            return Err(outcome.failure.unwrap_or_else(server_ends));
+        }
+        if acting {
+            device.offer_line(true);
+            if device.owner().is_none() {
+                device.set_telemetry(TELEMETRY_MS)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn act(&self, device: &mut Device, action: u64, work: &Work) -> Result<Outcome, Failure> {
+        if work.is_for_owner()
+            && let Some(owner) = device.owner()
+        {
+            return Err(Failure::Client(ClientError::Owned {
+                place: device.place(),
+                request: work.kind(),
+                owner: Box::new(owner.clone()),
+            }));
+        }
+        let mut busy = Busy {
+            keeper: self,
+            action,
+            kind: work.kind(),
+            pacing: Pacing::default(),
+        };
+        match work {
+            Work::Home => {
+                let homed = experiment::home(device, &mut busy)?;
+                Ok(json!(homed).into())
+            }
+            Work::Run(run, record) => self.run(device, action, *run, record, busy),
+            Work::Actuate(motion, record) => self.actuate(device, action, *motion, record, busy),
+            Work::Move(to) => self.move_to(device, action, *to, &mut busy),
+            Work::Jog(jog) => {
+                let result = self.jog(device, action, *jog, &mut busy);
+                // Whatever has ended it: no renewal counts any more.
+                *self.machine.lease() = None;
+                result
+            }
+            Work::Hold => {
+                let status = ending::held(device)?;
+                Ok(json!({ "position_um": status.position_um }).into())
+            }
+            Work::Resume => {
+                device.call(rig::Resume)?;
+                let status = device.rig_status()?;
+                Ok(json!({ "position_um": status.position_um }).into())
+            }
+            Work::Acknowledge => {
+                device.acknowledge()?;
+                Ok(json!({ "acknowledged": true }).into())
+            }
+        }
+    }
+
+    fn recording(&self, stem: &str, args: &RecordArgs) -> Recording {
+        Recording {
+            folder: self.board.out.clone(),
+            stem: stem.to_owned(),
+            now: self.places.connector.now(),
+            note: args.note.clone(),
+            telemetry_ms: args.telemetry_ms,
+        }
+    }
+
+    fn run(
+        &self,
+        rig: &mut Device,
+        action: u64,
+        run: rig::Run,
+        record: &RecordArgs,
+        mut busy: Busy<'_>,
+    ) -> Result<Outcome, Failure> {
+        let folders = [self.board.out.clone(), DATA_FOLDER.into()];
+        if let Some(warning) = warning::of_record(rig, &folders)? {
+            self.board
+                .notice(self.machine, Notice::Bad(format!("warning: {warning}")));
+        }
+        let pacing = Arc::clone(&busy.pacing);
+        rig.set_pacer(Box::new(move || {
+            let mut pacing = held(&pacing);
+            let (_, pace, sent) = pacing.as_mut()?;
+            (!std::mem::replace(sent, true)).then_some(*pace)
+        }));
+        let trial = experiment::run(rig, run, &self.recording("run", record), &mut busy);
+        rig.set_pacer(Box::new(|| None));
+        // A hold that came too late for this run.
+        let too_late = Failure::Refused {
+            why: "too late, the run has ended".to_owned(),
+            help: "nothing is held; the state says where the rig is".to_owned(),
+        };
+        busy.paced(|_| Err(&too_late));
+        let trial = trial?;
+        let at = trial.sidecar.display();
+        let help = format!("the data is in {at}; a new run has to start at 0: home first");
+        let failure = ended("the run", &trial.trial, help);
+        self.board
+            .actions
+            .update(action, |action| action.progress = Value::Null);
+        Ok(Outcome {
+            result: json!(trial.trial.action)["executed"].clone(),
+            files: files(&trial.csv, &trial.sidecar),
+            failure,
+        })
+    }
+
+    fn actuate(
+        &self,
+        capsule: &mut Device,
+        action: u64,
+        motion: Motion,
+        record: &RecordArgs,
+        mut busy: Busy<'_>,
+    ) -> Result<Outcome, Failure> {
+        let kind = motion.kind;
+        if let Some((status, _)) = reached::reached(kind, capsule)? {
+            return Ok(json!({ "already": true, "thread_um": status.thread_um }).into());
+        }
+        let recording = self.recording(experiment::stem(kind), record);
+        let trial = experiment::actuate(capsule, motion, &recording, &mut busy)?;
+        let help = format!("the data is in {}", trial.sidecar.display());
+        let failure = ended(experiment::doing(kind), &trial.trial, help);
+        self.board
+            .actions
+            .update(action, |action| action.progress = Value::Null);
+        Ok(Outcome {
+            result: json!(trial.record),
+            files: files(&trial.csv, &trial.sidecar),
+            failure,
+        })
+    }
+
+    fn move_to(
+        &self,
+        rig: &mut Device,
+        action: u64,
+        to: rig::MoveTo,
+        busy: &mut Busy<'_>,
+    ) -> Result<Outcome, Failure> {
+        let accepted = match rig.call(to) {
+            Err(error) if reached::is_there(&error) => {
+                let status = rig.rig_status()?;
+                let mut result = place(&status);
+                result["already"] = json!(true);
+                return Ok(result.into());
+            }
+            accepted => accepted?,
+        };
+        self.board.accepted(action, json!(accepted));
+        let status = self.until_rest(rig, busy)?;
+        if status.fault.is_some() || status.position_steps != accepted.to_steps {
+            return Ok(Outcome {
+                result: place(&status),
+                files: Value::Null,
+                failure: Some(ending::cut_short("the move", rig, &status)),
+            });
+        }
+        Ok(place(&status).into())
+    }
+
+    /// Listens until the carriage stands; the questions keep the rig going.
+    fn until_rest(&self, rig: &mut Device, busy: &mut Busy<'_>) -> Result<RigStatus, Failure> {
+        let silent = |error| while_moving("the motion", error);
+        loop {
+            let status = rig.rig_status().map_err(silent)?;
+            self.machine.panel().rig_status(&status, Instant::now());
+            if !matches!(status.state, RigState::Moving | RigState::Stopping) {
+                return Ok(status);
+            }
+            rig.observe(POLL_US, busy).map_err(silent)?;
+            busy.look();
+        }
+    }
+
+    /// Each renewal is passed on to the rig once. Nothing else keeps the jog going, so that it ends by itself wherever
+    /// the chain from the browser's finger to the rig breaks.
+    fn jog(
+        &self,
+        rig: &mut Device,
+        action: u64,
+        jog: rig::Jog,
+        busy: &mut Busy<'_>,
+    ) -> Result<Outcome, Failure> {
+        let key = SettingKey::DeadManMs;
+        let dead_man_ms = u64::from(rig.call(GetSetting { key })?.value);
+        // Shorter than the rig's own: a renewal that comes later would begin a new jog.
+        let within = Duration::from_millis(dead_man_ms * 5 / 6);
+        rig.call(jog)?;
+        *self.machine.lease() = Some(Lease {
+            action,
+            n: 0,
+            renewed: Instant::now(),
+            within,
+            due: false,
+        });
+        let accepted =
+            json!({ "renew_within_ms": within.as_millis() as u64, "dead_man_ms": dead_man_ms });
+        self.board.accepted(action, accepted);
+        let silent = |error| while_moving("the jog", error);
+        let mut asked_us = rig.now_us();
+        loop {
+            rig.observe(SLICE_US, busy).map_err(silent)?;
+            busy.look();
+            if rig.interrupted().is_some() {
+                break;
+            }
+            let renewal = {
+                let mut lease = self.machine.lease();
+                match lease.as_mut() {
+                    Some(lease) if lease.renewed.elapsed() < lease.within => {
+                        std::mem::take(&mut lease.due)
+                    }
+                    // Nobody has renewed it in time: from now on nobody can.
+                    _ => {
+                        *lease = None;
+                        break;
+                    }
+                }
+            };
+            if renewal {
+                match rig.call(jog) {
+                    Ok(_) => {}
+                    // It has just ended; the status says how.
+                    Err(ClientError::Refused { .. } | ClientError::Interrupted { .. }) => break,
+                    Err(error) => return Err(error.into()),
+                }
+            }
+            if rig.now_us() >= asked_us + POLL_US {
+                asked_us = rig.now_us();
+                let status = rig.rig_status().map_err(silent)?;
+                self.machine.panel().rig_status(&status, Instant::now());
+                if status.state != RigState::Moving {
+                    break;
+                }
+            }
+        }
+        *self.machine.lease() = None;
+        rig.urgent(Urgent::Stop)?;
+        let status = self.until_rest(rig, busy)?;
+        let emergency = rig.interrupted() == Some(Urgent::EStop);
+        Ok(Outcome {
+            result: place(&status),
+            files: Value::Null,
+            failure: (status.fault.is_some() || emergency)
+                .then(|| ending::cut_short("the jog", rig, &status)),
+        })
+    }
+}
+
+fn held(pacing: &Pacing) -> MutexGuard<'_, Option<(u64, Pace, bool)>> {
+    pacing.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Sees what happens while nothing is ordered.
+struct Seen<'a>(&'a Keeper<'a>);
+
+impl Observer for Seen<'_> {
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.0.board.sample(self.0.machine, sample, missed);
+    }
+    fn event(&mut self, event: &Event) {
+        self.0.board.event(self.0.machine, event);
+    }
+}
+
+/// Sees what happens during an action, and what is ordered meanwhile.
+struct Busy<'a> {
+    keeper: &'a Keeper<'a>,
+    action: u64,
+    kind: &'static str,
+    pacing: Pacing,
+}
+
+impl Busy<'_> {
+    /// Takes what was ordered meanwhile: a hold or a resume within a run, and nothing else.
+    fn look(&mut self) {
+        let keeper = self.keeper;
+        while let Ok(order) = keeper.orders.try_recv() {
+            let pace = match order.work {
+                Work::Hold => Some(Pace::Hold),
+                Work::Resume => Some(Pace::Resume),
+                _ => None,
+            };
+            let mut pacing = held(&self.pacing);
+            match pace {
+                Some(pace) if self.kind == "run" && pacing.is_none() => {
+                    *pacing = Some((order.action, pace, false));
+                }
+                _ => {
+                    drop(pacing);
+                    let machine = client::identity::kind_name(keeper.machine.kind);
+                    let failure = Failure::Refused {
+                        why: format!("the {machine} is busy: `{}` is under way", self.kind),
+                        help: "nothing was moved by this request; wait for the end, or stop it"
+                            .to_owned(),
+                    };
+                    keeper.refuse(&order, &failure);
+                }
+            }
+        }
+        keeper.board.flush(keeper.machine, false);
+    }
+
+    /// The end of the hold or the resume that waits for it.
+    fn paced<'f>(&mut self, end: impl FnOnce(Pace) -> Result<Value, &'f Failure>) {
+        let Some((action, pace, _)) = held(&self.pacing).take() else {
+            return;
+        };
+        let board = self.keeper.board;
+        match end(pace) {
+            Ok(result) => board.ended(action, result, None),
+            Err(failure) => {
+                board.ended(action, Value::Null, Some(failure));
+                board.notice(self.keeper.machine, Notice::Bad(failure.in_one_line()));
+            }
+        }
+    }
+}
+
+impl Observer for Busy<'_> {
+    fn begun(&mut self, begun: &Begun) {
+        if let (Begun::Run(accepted), Some(status)) = (begun, &mut self.keeper.machine.panel().rig)
+        {
+            // Until the next question nobody else tells the panel.
+            status.run = accepted.run;
+            status.strokes = u32::from(accepted.requested.cycles) * 2;
+            status.elapsed_us = 0;
+        }
+        let accepted = match begun {
+            Begun::Homing(accepted) => json!(accepted),
+            Begun::Run(accepted) => json!(Achieved::from(accepted)),
+            Begun::Actuation(accepted) => json!(accepted),
+            Begun::Move(accepted) => json!(accepted),
+        };
+        self.keeper.board.accepted(self.action, accepted);
+    }
+
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.keeper
+            .board
+            .sample(self.keeper.machine, sample, missed);
+    }
+
+    fn event(&mut self, event: &Event) {
+        self.keeper.board.event(self.keeper.machine, event);
+        let at = |steps: i32| json!({ "position_steps": steps, "position_um": self.keeper.machine.panel().rig.map(|status| status.position_um) });
+        let waiting = held(&self.pacing).map(|(_, pace, _)| pace);
+        match (event.what, waiting) {
+            (What::Rig(RigEvent::Held { position_steps }), Some(Pace::Hold)) => {
+                let result = at(position_steps);
+                self.paced(|_| Ok(result));
+            }
+            (What::Rig(RigEvent::Resumed), Some(Pace::Resume)) => {
+                let steps = self
+                    .keeper
+                    .machine
+                    .panel()
+                    .rig
+                    .map_or(0, |status| status.position_steps);
+                let result = at(steps);
+                self.paced(|_| Ok(result));
+            }
+            _ => {}
+        }
+    }
+
+    fn progress(&mut self, progress: &Progress) {
+        let shown = match *progress {
+            Progress::Homing {
+                elapsed_us,
+                at_most_us,
+                position_um,
+            } => {
+                json!({ "elapsed_us": elapsed_us, "total_us": at_most_us, "position_um": position_um })
+            }
+            Progress::Run {
+                elapsed_us,
+                total_us,
+                stroke,
+                strokes,
+                position_um,
+                held,
+            } => json!({
+                "elapsed_us": elapsed_us, "total_us": total_us, "stroke": stroke, "strokes": strokes,
+                "position_um": position_um, "held": held,
+            }),
+            Progress::Actuation {
+                elapsed_us,
+                at_most_us,
+                thread_um,
+                current_ma,
+            } => json!({
+                "elapsed_us": elapsed_us, "total_us": at_most_us, "thread_um": thread_um, "current_ma": current_ma,
+            }),
+        };
+        let keeper = self.keeper;
+        keeper
+            .board
+            .actions
+            .update(self.action, |action| action.progress = shown);
+        {
+            // The wait has asked for the status; the panel learns what telemetry does not say.
+            let mut panel = keeper.machine.panel();
+            if let (
+                Progress::Run {
+                    elapsed_us,
+                    strokes,
+                    ..
+                },
+                Some(status),
+            ) = (progress, &mut panel.rig)
+            {
+                status.elapsed_us = *elapsed_us;
+                status.strokes = *strokes;
+            }
+        }
+        self.look();
+    }
+
+    fn unrecorded(&mut self, why: &str) {
+        let notice = format!("NOT RECORDED from here on: {why}; the machine goes on");
+        self.keeper
+            .board
+            .notice(self.keeper.machine, Notice::Bad(notice));
+    }
+
+    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
+        let failure = Failure::Client(ClientError::Refused {
+            place: self.keeper.machine.address.to_string(),
+            request: match pace {
+                Pace::Hold => "Hold",
+                Pace::Resume => "Resume",
+            },
+            impact: protocol::table::Impact::Pace,
+            refusal: *refusal,
+        });
+        self.paced(|_| Err(&failure));
+    }
+
+    fn turn(&mut self, _now_us: u64, _clock: Option<client::Clock>) {
+        self.look();
+    }
+}

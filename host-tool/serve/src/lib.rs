@@ -1,0 +1,400 @@
+//! A long-lived owner of both machines, for browsers and for programs in any language. docs/serve.md is its manual.
+//!
+//! ```text
+//!  browser, program --HTTP--> http: access, orders --bounded channel--> keeper (one thread a machine) --> line
+//!                                   |                                                                      ^
+//!                                   +-- a stop --> errands (a thread of its own) --> door of the line's owner
+//!  browser <--server-sent events-- stream (a ring of fixed size) <-- board <-- keeper
+//! ```
+//!
+//! * [`access`]: who may do what.
+//! * `http`: the requests; `bodies`, `answers`, and `records` that are handed out.
+//! * `connections`: which are served, and which one goes when there are too many.
+//! * `orders`: from the body of a request to what is to be done, by way of the command line.
+//! * `actions`: commands and what has become of them; each is executed once.
+//! * `keeper`: one machine: connection, orders, telemetry.
+//! * `results`: what has become of an order.
+//! * `errands`: stops and questions, which do not pass through a keeper.
+//! * `board`: what all of them share, and how it is shown.
+//! * `stream`: what is told to all readers.
+//! * `campaign`: the next step of a campaign that goes on elsewhere.
+//!
+//! Fuzzing drives board, keeper and errands without sockets; that is why they are public.
+
+pub mod access;
+#[doc(hidden)]
+pub mod actions;
+mod answers;
+#[doc(hidden)]
+pub mod board;
+mod bodies;
+mod campaign;
+mod connections;
+#[doc(hidden)]
+pub mod errands;
+pub mod http;
+#[doc(hidden)]
+pub mod keeper;
+#[doc(hidden)]
+pub mod orders;
+mod records;
+mod results;
+pub mod stream;
+
+use std::fs::{self, OpenOptions};
+use std::io::{self, Write};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{channel, sync_channel};
+use std::sync::{Arc, mpsc};
+use std::thread;
+use std::time::Duration;
+
+use client::Interrupt;
+use client::address::Address;
+use client::door::lock;
+use client::identity::kind_name;
+use protocol::system::DeviceKind;
+use serde_json::json;
+use tokio::net::{TcpListener, TcpSocket};
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::Semaphore;
+use tokio::time::{interval, sleep, timeout};
+
+use crate::access::{Access, LEAST_TOKEN, new_token};
+use crate::board::{Board, Machine};
+use crate::errands::{Errand, Questions};
+use crate::http::App;
+use crate::keeper::Keeper;
+use operations::failure::Failure;
+use operations::places::Places;
+
+/// Orders that wait for a keeper.
+pub const ORDERS: usize = 8;
+/// What the system keeps for a reader that does not read, bytes.
+const SEND_BUFFER: u32 = 64 * 1024;
+/// Connections that wait to be accepted. A burst of more would cost a stop a second: the system then drops the first
+/// packet of its connection, and sends it again after that time.
+const BACKLOG: u32 = 1_024;
+/// Interval between two states.
+const STATE: Duration = Duration::from_millis(250);
+/// Interval between two looks at the campaign, and at which is the newest.
+const CAMPAIGN: Duration = Duration::from_secs(5);
+/// Interval between two looks at whether the server ends.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// What is served, and where.
+#[derive(Debug)]
+pub struct Options {
+    /// Where to listen.
+    pub listen: SocketAddr,
+    /// The file of the token; without it each start has a new one.
+    pub token_file: Option<PathBuf>,
+    /// Names by which browsers call this computer.
+    pub hosts: Vec<String>,
+    /// Folder of the records.
+    pub out: PathBuf,
+    /// The campaign whose next step is shown, instead of the newest one.
+    pub campaign: Option<PathBuf>,
+    /// The machines.
+    pub machines: Vec<(DeviceKind, Address)>,
+}
+
+/// Serves until the operator ends it; returns the address.
+///
+/// # Errors
+/// Nothing can be served there, or the token's file cannot be used.
+pub fn serve(
+    options: Options,
+    places: &Places<'_>,
+    pressed: &Interrupt,
+    say: &mut dyn FnMut(&str),
+) -> Result<String, Failure> {
+    let token = match &options.token_file {
+        None => new_token(),
+        Some(file) => token_of(file)?,
+    };
+    let runtime = Builder::new_multi_thread()
+        .worker_threads(2)
+        .max_blocking_threads(8)
+        .enable_io()
+        .enable_time()
+        .build()
+        .map_err(|why| no_place(options.listen, &why))?;
+    let listener = bind(&runtime, options.listen).map_err(|why| no_place(options.listen, &why))?;
+    let at = listener.local_addr().unwrap_or(options.listen);
+    let url = url(at);
+
+    let instance = new_token()[..12].to_owned();
+    let (mut machines, mut orders) = (vec![], vec![]);
+    for (kind, address) in &options.machines {
+        let (sender, receiver) = sync_channel(ORDERS);
+        machines.push(Machine::new(*kind, address.clone(), sender));
+        orders.push(receiver);
+    }
+    let board = Arc::new(Board::new(instance.clone(), machines, options.out));
+    let (errands, to_do) = channel();
+    let app = Arc::new(App {
+        board: Arc::clone(&board),
+        access: Access::new(token.clone(), options.hosts),
+        errands: errands.clone(),
+        listing: Semaphore::new(1),
+        planning: Semaphore::new(1),
+    });
+
+    let plate = Plate::put_up(&json!({
+        "url": url, "token": token, "instance": instance, "pid": std::process::id(),
+    }));
+    for text in introduction(&options.machines, at, &url, &token) {
+        say(&text);
+    }
+    if let Err(why) = &plate {
+        say(&format!(
+            "programs will not find this server by themselves: {why}"
+        ));
+    }
+
+    let leaving = AtomicBool::new(false);
+    let questions = Questions::default();
+    thread::scope(|scope| {
+        // Also when something panics here.
+        let leave = Leave(&leaving, errands);
+        for (machine, orders) in board.machines.iter().zip(orders) {
+            let keeper = Keeper {
+                places,
+                board: &board,
+                machine,
+                orders,
+                leaving: &leaving,
+                pressed: Arc::clone(pressed),
+            };
+            scope.spawn(move || keeper.keep());
+        }
+        let (board, questions) = (&*board, &questions);
+        scope.spawn(move || errands::run(scope, places, board, questions, &to_do));
+        runtime.spawn(http::listen(listener, http::router(Arc::clone(&app))));
+        runtime.spawn(tell_states(Arc::clone(&app)));
+        runtime.spawn(look_at_campaign(Arc::clone(&app), options.campaign));
+        // A machine that is being moved has to stand before its keeper leaves, and stops are taken until then.
+        runtime.block_on(async {
+            while pressed().is_none() {
+                sleep(LOOK).await;
+            }
+            leaving.store(true, Ordering::Relaxed);
+            while board
+                .machines
+                .iter()
+                .any(|machine| machine.acting.load(Ordering::SeqCst))
+            {
+                sleep(LOOK).await;
+            }
+        });
+        board.stream.close();
+        drop(leave);
+    });
+    runtime.shutdown_timeout(Duration::from_millis(500));
+    drop(plate);
+    Ok(url)
+}
+
+/// Ends keepers and errands.
+struct Leave<'a>(&'a AtomicBool, mpsc::Sender<Errand>);
+
+impl Drop for Leave<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+        let _ = self.1.send(Errand::End);
+    }
+}
+
+fn bind(runtime: &Runtime, at: SocketAddr) -> io::Result<TcpListener> {
+    let _within = runtime.enter();
+    let socket = if at.is_ipv4() {
+        TcpSocket::new_v4()?
+    } else {
+        TcpSocket::new_v6()?
+    };
+    // On Windows this would let another program take the port.
+    #[cfg(unix)]
+    socket.set_reuseaddr(true)?;
+    socket.set_send_buffer_size(SEND_BUFFER)?;
+    socket.bind(at)?;
+    socket.listen(BACKLOG)
+}
+
+fn no_place(at: SocketAddr, why: &io::Error) -> Failure {
+    Failure::Input {
+        why: format!("cannot listen at {at}: {why}"),
+        help: "another program has it, or this computer has no such address: choose with `--listen 127.0.0.1:PORT`; port 0 takes a free one".to_owned(),
+    }
+}
+
+/// The address for a browser on this computer.
+fn url(at: SocketAddr) -> String {
+    let host = match at {
+        SocketAddr::V4(v4) if v4.ip().is_unspecified() => "127.0.0.1".to_owned(),
+        SocketAddr::V6(v6) if v6.ip().is_unspecified() => "[::1]".to_owned(),
+        SocketAddr::V4(v4) => v4.ip().to_string(),
+        SocketAddr::V6(v6) => format!("[{}]", v6.ip()),
+    };
+    format!("http://{host}:{}/", at.port())
+}
+
+fn introduction(
+    machines: &[(DeviceKind, Address)],
+    at: SocketAddr,
+    url: &str,
+    token: &str,
+) -> Vec<String> {
+    let places: Vec<_> = machines
+        .iter()
+        .map(|(kind, address)| format!("{} at {address}", kind_name(*kind)))
+        .collect();
+    let mut lines = vec![
+        places.join(", "),
+        "Open this address; it carries the token, so keep it to yourself:".to_owned(),
+        format!("  {url}#token={token}"),
+    ];
+    if !at.ip().is_loopback() {
+        lines.push(format!(
+            "WARNING: everybody in the network of {} can reach this server. Without the token they can do nothing; but nothing is encrypted, and who reads along reads the token and can move the machines. `ssh -L {port}:127.0.0.1:{port} COMPUTER` needs no `--listen`.",
+            at.ip(),
+            port = at.port(),
+        ));
+    }
+    lines.push("Ctrl-C ends it; what it moves is stopped first.".to_owned());
+    lines
+}
+
+/// The token in a file; a new one, if there is no file.
+fn token_of(file: &Path) -> Result<String, Failure> {
+    let failed = |io: io::Error| Failure::File {
+        path: file.to_owned(),
+        io,
+    };
+    match fs::read_to_string(file) {
+        Ok(text) => {
+            let token = text.trim();
+            if token.len() < LEAST_TOKEN || !token.chars().all(|c| c.is_ascii_alphanumeric()) {
+                return Err(Failure::Input {
+                    why: format!(
+                        "{}: a token has at least {LEAST_TOKEN} letters and digits, and nothing else",
+                        file.display()
+                    ),
+                    help: "remove the file: a new one is made".to_owned(),
+                });
+            }
+            Ok(token.to_owned())
+        }
+        Err(why) if why.kind() == io::ErrorKind::NotFound => {
+            let token = new_token();
+            private(file, &format!("{token}\n")).map_err(failed)?;
+            Ok(token)
+        }
+        Err(why) => Err(failed(why)),
+    }
+}
+
+/// Writes a new file that only this user can read.
+fn private(file: &Path, text: &str) -> io::Result<()> {
+    let mut options = OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::OpenOptionsExt;
+        options.mode(0o600);
+    }
+    options.open(file)?.write_all(text.as_bytes())
+}
+
+/// Where programs of the same user find the server.
+struct Plate {
+    file: PathBuf,
+    text: String,
+}
+
+impl Plate {
+    fn put_up(content: &serde_json::Value) -> Result<Self, String> {
+        let folder = lock::folder()?;
+        let (new, file) = (folder.join("serve.new"), folder.join("serve.json"));
+        let text = content.to_string();
+        let _ = fs::remove_file(&new);
+        private(&new, &text)
+            .and_then(|()| fs::rename(&new, &file))
+            .map_err(|why| format!("{}: {why}", file.display()))?;
+        Ok(Self { file, text })
+    }
+}
+
+impl Drop for Plate {
+    fn drop(&mut self) {
+        // Another server may have put up its own.
+        if fs::read_to_string(&self.file).is_ok_and(|text| text == self.text) {
+            let _ = fs::remove_file(&self.file);
+        }
+    }
+}
+
+/// Tells the state again and again, and soon after something has changed.
+async fn tell_states(app: Arc<App>) {
+    loop {
+        let _ = timeout(STATE, app.board.changed.notified()).await;
+        app.board.tell_state();
+        sleep(LOOK).await;
+    }
+}
+
+async fn look_at_campaign(app: Arc<App>, given: Option<PathBuf>) {
+    let mut looks = interval(CAMPAIGN);
+    loop {
+        looks.tick().await;
+        let given = given.clone();
+        let look = tokio::task::spawn_blocking(move || {
+            let folder = given.or_else(campaign::newest);
+            folder.map(|folder| campaign::json(&folder))
+        });
+        if let Ok(found) = look.await {
+            app.board.show_campaign(found.unwrap_or_default());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_token_is_kept_in_a_file_of_its_own() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("token");
+        let token = token_of(&file).expect("made");
+        assert_eq!(token_of(&file).expect("read"), token);
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::MetadataExt;
+            let mode = fs::metadata(&file).expect("there").mode();
+            assert_eq!(mode & 0o077, 0);
+        }
+        for bad in ["", "short", "with spaces in it, and long enough"] {
+            fs::write(&file, bad).expect("written");
+            let why = token_of(&file).expect_err("bad").to_string();
+            assert!(why.contains("at least 16 letters"), "{why}");
+        }
+    }
+
+    #[test]
+    fn what_listening_elsewhere_means_is_said() {
+        let say = |at: &str| {
+            let at = at.parse().expect("an address");
+            introduction(&[], at, &url(at), "t").join("\n")
+        };
+        assert!(!say("127.0.0.1:7080").contains("WARNING"));
+        let elsewhere = say("0.0.0.0:7080");
+        assert!(
+            elsewhere.contains("http://127.0.0.1:7080/#token=t"),
+            "{elsewhere}"
+        );
+        assert!(elsewhere.contains("nothing is encrypted"), "{elsewhere}");
+    }
+}

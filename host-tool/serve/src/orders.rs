@@ -1,0 +1,358 @@
+//! From the body of a request to what is to be done: by way of the arguments of the command line, so that fields, defaults and
+//! texts of refusals are the same.
+
+use clap::{Args, Command};
+use protocol::capsule::ActuationKind;
+use protocol::rig::{Jog, MoveTo, Run};
+use protocol::system::DeviceKind;
+use serde_json::{Map, Value, json};
+use trials::experiment::Motion;
+use trials::plan;
+
+use operations::arguments::{JogArgs, MoveArgs, PartialArgs, RecordArgs, RunArgs};
+use operations::failure::{self, Failure};
+use operations::folding;
+
+/// What is to be done by a machine.
+#[derive(Debug)]
+pub enum Work {
+    Home,
+    Run(Run, RecordArgs),
+    Move(MoveTo),
+    Jog(Jog),
+    Hold,
+    Resume,
+    Acknowledge,
+    Actuate(Motion, RecordArgs),
+}
+
+/// A field of a request is an option of the command, or its argument.
+const RECORD: [&str; 2] = ["telemetry_ms", "note"];
+const FOLD: [&str; 5] = [
+    "thread_mm",
+    "indentation_mm",
+    "slack_mm",
+    "telemetry_ms",
+    "note",
+];
+const RUN: [&str; 14] = [
+    "cycles",
+    "stroke_mm",
+    "duration_s",
+    "speed_mm_s",
+    "return_speed_mm_s",
+    "waves_per_minute",
+    "preset",
+    "accel_mm_s2",
+    "far_dwell_s",
+    "home_dwell_s",
+    "start_delay_s",
+    "on_link_loss",
+    "telemetry_ms",
+    "note",
+];
+
+impl Work {
+    /// Reads the body of `POST /api/v1/MACHINE/NAME`; `None` if there is no such command.
+    pub fn read(
+        machine: DeviceKind,
+        name: &str,
+        body: &Map<String, Value>,
+    ) -> Option<Result<Self, Failure>> {
+        let alone = |work| words(&[], None, body).map(|_| work);
+        let actuation = |kind: ActuationKind| {
+            parse(&RECORD, None, body).map(|record| Self::Actuate(kind.into(), record))
+        };
+        Some(match (machine, name) {
+            (DeviceKind::Rig, "home") => alone(Self::Home),
+            (DeviceKind::Rig, "run") => waves(body).map(|(run, record)| Self::Run(run, record)),
+            (DeviceKind::Rig, "move") => {
+                parse(&["speed_mm_s"], Some("position_mm"), body).map(|args: MoveArgs| {
+                    Self::Move(MoveTo {
+                        position_um: args.position_mm.0,
+                        speed_um_s: args.speed_mm_s.0,
+                    })
+                })
+            }
+            (DeviceKind::Rig, "jog") => {
+                parse(&["speed_mm_s"], Some("direction"), body).map(|args: JogArgs| {
+                    Self::Jog(Jog {
+                        sense: args.direction,
+                        speed_um_s: args.speed_mm_s.0,
+                    })
+                })
+            }
+            (DeviceKind::Rig, "hold") => alone(Self::Hold),
+            (DeviceKind::Rig, "resume") => alone(Self::Resume),
+            (_, "ack") => alone(Self::Acknowledge),
+            (DeviceKind::Capsule, "fold") => {
+                parse(&FOLD, None, body).and_then(|args: PartialArgs| {
+                    Ok(Self::Actuate(folding::motion(&args)?, args.fold.record))
+                })
+            }
+            (DeviceKind::Capsule, "unfold") => actuation(ActuationKind::Unfold),
+            (DeviceKind::Capsule, "reference") => actuation(ActuationKind::Reference),
+            (DeviceKind::Capsule, "calibrate") => actuation(ActuationKind::Calibrate),
+            (DeviceKind::Capsule, "check") => actuation(ActuationKind::CheckFolded),
+            _ => return None,
+        })
+    }
+
+    /// Its name, as in the path of its request.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::Home => "home",
+            Self::Run(..) => "run",
+            Self::Move(_) => "move",
+            Self::Jog(_) => "jog",
+            Self::Hold => "hold",
+            Self::Resume => "resume",
+            Self::Acknowledge => "ack",
+            Self::Actuate(motion, _) => match motion.kind {
+                ActuationKind::Reference => "reference",
+                ActuationKind::Calibrate => "calibrate",
+                ActuationKind::CheckFolded => "check",
+                ActuationKind::Fold | ActuationKind::FoldTo => "fold",
+                ActuationKind::Unfold => "unfold",
+            },
+        }
+    }
+
+    /// What is asked of the machine.
+    pub fn requested(&self) -> Value {
+        match self {
+            Self::Run(run, _) => json!(run),
+            Self::Move(to) => json!(to),
+            Self::Jog(jog) => json!(jog),
+            Self::Actuate(motion, _) if motion.kind == ActuationKind::FoldTo => {
+                json!({ "thread_um": motion.target_um })
+            }
+            _ => json!({}),
+        }
+    }
+
+    /// Only the owner of the line may ask for it.
+    pub fn is_for_owner(&self) -> bool {
+        !matches!(self, Self::Hold | Self::Resume | Self::Acknowledge)
+    }
+
+    /// Its end is soon, so that the answer waits for it.
+    pub fn is_short(&self) -> bool {
+        !self.is_for_owner()
+    }
+}
+
+/// A run as `POST /api/v1/plan` has it.
+pub fn run(body: &Map<String, Value>) -> Result<Run, Failure> {
+    waves(body).map(|(run, _)| run)
+}
+
+fn waves(body: &Map<String, Value>) -> Result<(Run, RecordArgs), Failure> {
+    let args: RunArgs = parse(&RUN, None, body)?;
+    let run = args.waves.request(args.on_link_loss);
+    plan::check(&run)?;
+    Ok((run, args.record))
+}
+
+/// The arguments of a command. The command line as a whole has a hundred times as many, and building it takes longer than the
+/// rest of a request.
+fn parse<A: Args>(
+    options: &[&str],
+    argument: Option<&str>,
+    body: &Map<String, Value>,
+) -> Result<A, Failure> {
+    let words = words(options, argument, body)?;
+    let command = A::augment_args(Command::new("retrograde").no_binary_name(true));
+    let parsed = command
+        .try_get_matches_from(words)
+        .and_then(|matches| A::from_arg_matches(&matches));
+    parsed.map_err(|error| {
+        let usage = failure::usage(&error.render().to_string());
+        let why = usage["error"]["message"].as_str().unwrap_or_default();
+        Failure::Input {
+            why: why.to_owned(),
+            help: match argument {
+                Some(field) if !body.contains_key(field) => {
+                    format!("nothing was done; the field `{field}` is missing")
+                }
+                _ => {
+                    "nothing was done; fields are the options of the command line, with `_` for `-`"
+                        .to_owned()
+                }
+            },
+        }
+    })
+}
+
+/// The fields as words of a command line.
+fn words(
+    options: &[&str],
+    argument: Option<&str>,
+    body: &Map<String, Value>,
+) -> Result<Vec<String>, Failure> {
+    let mut words = vec![];
+    let mut last = None;
+    for (field, value) in body {
+        let known = options.contains(&field.as_str());
+        if !known && argument != Some(field) {
+            let fields: Vec<_> = argument.iter().chain(options).copied().collect();
+            return Err(Failure::Input {
+                why: format!("there is no field `{}` here", shown(field)),
+                help: match fields.is_empty() {
+                    true => "this request has no fields: send {}".to_owned(),
+                    false => format!("nothing was done; the fields are {}", fields.join(", ")),
+                },
+            });
+        }
+        let Some(text) = text(field, value)? else {
+            continue;
+        };
+        match known {
+            true => words.push(format!("--{}={text}", field.replace('_', "-"))),
+            false => last = Some(text),
+        }
+    }
+    if let Some(last) = last {
+        words.extend(["--".to_owned(), last]);
+    }
+    Ok(words)
+}
+
+/// The value as on the command line; `None` if it is null.
+fn text(field: &str, value: &Value) -> Result<Option<String>, Failure> {
+    Ok(Some(match value {
+        Value::Null => return Ok(None),
+        Value::String(text) => text.clone(),
+        Value::Number(number) => match (number.as_u64(), number.as_f64()) {
+            (Some(whole), _) => whole.to_string(),
+            // The shortest text that means the same number.
+            (None, Some(decimal)) => decimal.to_string(),
+            (None, None) => number.to_string(),
+        },
+        _ => {
+            return Err(Failure::Input {
+                why: format!(
+                    "the field `{}` is neither a number nor a text",
+                    shown(field)
+                ),
+                help: "nothing was done; write for example 130, 12.5 or \"12.5\"".to_owned(),
+            });
+        }
+    }))
+}
+
+/// The name of an unknown field, not too long and on one line.
+fn shown(field: &str) -> String {
+    let clean = field.chars().map(|c| if c.is_control() { ' ' } else { c });
+    clean.take(40).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use trials::experiment::PAPER_RUN;
+
+    use super::*;
+
+    fn read(machine: DeviceKind, name: &str, body: Value) -> Result<Work, Failure> {
+        let Value::Object(body) = body else {
+            panic!("an object");
+        };
+        Work::read(machine, name, &body).expect("a command")
+    }
+
+    fn refused(name: &str, body: Value) -> String {
+        read(DeviceKind::Rig, name, body)
+            .expect_err("refused")
+            .to_string()
+    }
+
+    #[test]
+    fn an_empty_run_is_the_papers() {
+        let work = read(DeviceKind::Rig, "run", json!({})).expect("good");
+        let Work::Run(run, record) = work else {
+            panic!("a run");
+        };
+        assert_eq!((run, record.telemetry_ms), (PAPER_RUN, 10));
+    }
+
+    #[test]
+    fn numbers_and_texts_mean_the_same() {
+        for value in [json!(12.5), json!("12.5"), json!("12.500")] {
+            let body = json!({ "position_mm": value, "speed_mm_s": 3 });
+            let Ok(Work::Move(to)) = read(DeviceKind::Rig, "move", body) else {
+                panic!("a move");
+            };
+            assert_eq!((to.position_um, to.speed_um_s), (12_500, 3_000));
+        }
+        assert!(read(DeviceKind::Rig, "jog", json!({ "direction": "away" })).is_ok());
+    }
+
+    #[test]
+    fn bad_input_gets_the_texts_of_the_command_line() {
+        for (name, body, text) in [
+            (
+                "run",
+                json!({ "stroke_mm": -5 }),
+                "negative: use a number of at least 0",
+            ),
+            (
+                "run",
+                json!({ "stroke_mm": "1,5" }),
+                "has a comma: write a point",
+            ),
+            (
+                "run",
+                json!({ "stroke_mm": 1.23456 }),
+                "more than 3 decimals",
+            ),
+            ("run", json!({ "cycles": "--estop" }), "invalid value"),
+            (
+                "run",
+                json!({ "duration_s": 40, "speed_mm_s": 5 }),
+                "cannot be used with",
+            ),
+            ("run", json!({ "telemetry_ms": 1 }), "1 is not in 5..=1000"),
+            ("run", json!({ "duration_s": 1 }), "too little time"),
+            (
+                "run",
+                json!({ "out": "/etc" }),
+                "there is no field `out` here",
+            ),
+            (
+                "run",
+                json!({ "rig": "tcp:elsewhere:1" }),
+                "there is no field `rig` here",
+            ),
+            (
+                "run",
+                json!({ "note": ["x"] }),
+                "neither a number nor a text",
+            ),
+            ("move", json!({}), "required arguments were not provided"),
+            (
+                "move",
+                json!({ "position_mm": "--speed-mm-s=9" }),
+                "invalid value",
+            ),
+            ("jog", json!({ "direction": "left" }), "away, home"),
+            (
+                "home",
+                json!({ "fast": true }),
+                "there is no field `fast` here",
+            ),
+        ] {
+            let said = refused(name, body.clone());
+            assert!(said.contains(text), "{name} {body}: {said}");
+        }
+    }
+
+    #[test]
+    fn a_note_is_a_note_whatever_is_in_it() {
+        let note = "--on-link-loss=finish \n $(x)";
+        let work = read(DeviceKind::Rig, "run", json!({ "note": note })).expect("good");
+        let Work::Run(run, record) = work else {
+            panic!("a run");
+        };
+        assert_eq!((run, record.note.as_deref()), (PAPER_RUN, Some(note)));
+    }
+}

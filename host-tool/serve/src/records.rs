@@ -1,0 +1,53 @@
+//! Records that are listed and handed out.
+
+use std::path::{Path as FilePath, PathBuf};
+
+use campaign::catalogue::{self, Kind, Wanted};
+use serde_json::{Value, json};
+
+/// The records in a folder.
+pub fn list(folder: &FilePath) -> Value {
+    let folders = [folder.to_owned()];
+    let found = catalogue::list(&folders, false, &Wanted::default());
+    let name = |path: &FilePath| {
+        path.file_name()
+            .map(|name| name.to_string_lossy().into_owned())
+    };
+    let records: Vec<_> = found
+        .entries
+        .iter()
+        .filter(|entry| entry.kind == Kind::Trial && entry.path.parent() == Some(folder))
+        .map(|entry| {
+            let csv = entry.path.with_extension("csv");
+            json!({
+                "name": name(&entry.path),
+                "kind": "trial",
+                "started_utc": entry.started_utc,
+                "what": entry.what,
+                "note": entry.specimen,
+                "outcome": entry.outcome,
+                "origin": entry.origin,
+                "csv": csv.is_file().then(|| name(&csv)),
+            })
+        })
+        .collect();
+    json!({ "records": records, "unreadable": found.unreadable })
+}
+
+/// A name that this program gives to a record.
+pub fn is_record(name: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    !name.starts_with('.')
+        && name.chars().all(plain)
+        && (name.ends_with(".csv") || name.ends_with(".json"))
+}
+
+/// Opens the file of a record.
+pub async fn open(path: PathBuf) -> Option<std::fs::File> {
+    let opened = tokio::task::spawn_blocking(move || {
+        // Not through a link that leads elsewhere.
+        let found = std::fs::symlink_metadata(&path).ok()?;
+        found.is_file().then(|| std::fs::File::open(&path).ok())?
+    });
+    opened.await.ok()?
+}

@@ -1,0 +1,50 @@
+//! What has become of an order: where the carriage is, which files there are, why it failed.
+
+use operations::failure::Failure;
+use protocol::rig::RigStatus;
+use serde_json::{Value, json};
+use trials::trial::{Status, Trial};
+
+pub fn place(status: &RigStatus) -> Value {
+    json!({ "position_um": status.position_um, "position_steps": status.position_steps })
+}
+
+pub fn files(csv: &std::path::Path, sidecar: &std::path::Path) -> Value {
+    let name = |path: &std::path::Path| {
+        path.file_name()
+            .map(|name| name.to_string_lossy().into_owned())
+    };
+    json!({ "csv": name(csv), "sidecar": name(sidecar) })
+}
+
+pub fn ended(action: &'static str, trial: &Trial, help: String) -> Option<Failure> {
+    (trial.status != Status::Complete).then(|| Failure::Ended {
+        action,
+        status: trial.status,
+        reason: trial.error.clone(),
+        help,
+    })
+}
+
+/// What an order finds without a connection.
+pub fn lost(failure: &Failure) -> Failure {
+    Failure::NothingFound {
+        there: format!("nothing was sent: {}", failure.in_one_line()),
+    }
+}
+
+/// What an order finds that is older than a stop.
+pub fn overtaken() -> Failure {
+    Failure::Refused {
+        why: "a stop came after this order".to_owned(),
+        help: "nothing was moved; look at the machine, then order it again".to_owned(),
+    }
+}
+
+/// What an order finds when the server ends.
+pub fn server_ends() -> Failure {
+    Failure::Refused {
+        why: "the server ends".to_owned(),
+        help: "nothing was moved; start it again".to_owned(),
+    }
+}

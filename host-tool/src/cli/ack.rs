@@ -1,0 +1,59 @@
+//! `ack`: acknowledges latched faults.
+
+use client::error::ClientError;
+use client::identity;
+use operations::arguments::Which;
+use operations::failure::Failure;
+use operations::places::{Need, Places};
+use protocol::error::Refusal;
+use serde_json::{Value, json};
+
+use crate::cli::screen::Screen;
+
+pub(crate) fn acknowledge(
+    which: &Which,
+    places: &Places<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let (mut acknowledged, mut nothing) = (vec![], None);
+    let mut failed = None;
+    // One machine without a fault must not keep the other from being acknowledged.
+    for kind in places.machines(which)? {
+        let name = identity::kind_name(kind);
+        let result = places.connect(kind, Need::Look).and_then(|mut device| {
+            device.acknowledge()?;
+            Ok(device.place())
+        });
+        match result {
+            Ok(place) => {
+                screen.say(&format!(
+                    "{name} at {place}: fault acknowledged; nothing moved"
+                ));
+                acknowledged.push(name);
+            }
+            Err(Failure::Client(ClientError::Refused {
+                place,
+                request,
+                impact,
+                refusal: refusal @ Refusal::NothingToAcknowledge,
+            })) => {
+                screen.say(&format!("{name} at {place}: {refusal}"));
+                nothing.get_or_insert(ClientError::Refused {
+                    place,
+                    request,
+                    impact,
+                    refusal,
+                });
+            }
+            Err(failure) => {
+                screen.say(&format!("{name}: {failure}"));
+                failed.get_or_insert(failure);
+            }
+        }
+    }
+    match (failed, nothing) {
+        (Some(failure), _) => Err(failure),
+        (None, Some(nothing)) if acknowledged.is_empty() => Err(nothing.into()),
+        (None, _) => Ok(json!({ "acknowledged": acknowledged })),
+    }
+}

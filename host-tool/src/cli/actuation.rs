@@ -1,0 +1,108 @@
+//! A recorded motion of the capsule: `fold`, `unfold`, and those of `capsule`.
+
+use std::path::Path;
+
+use analysis::report::section::actuation_rows;
+use client::Device;
+use operations::arguments::RecordArgs;
+use operations::failure::Failure;
+use operations::places::{Need, Places};
+use protocol::capsule::{ActuationKind, CapsuleState};
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+use trials::experiment::{self, Motion};
+
+use crate::cli::ended::{completed, recording};
+use crate::cli::screen::Screen;
+use crate::cli::trace::TraceFile;
+use crate::cli::{already, fresh};
+
+pub(crate) fn actuate(
+    command: &'static str,
+    motion: impl Into<Motion>,
+    args: &RecordArgs,
+    trace: Option<&Path>,
+    places: &Places<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let motion = motion.into();
+    let kind = motion.kind;
+    let what = match kind {
+        ActuationKind::Reference => {
+            "Reference: wind slowly to the end force, then pay out to zero. Without a calibration it is one: begin unfolded."
+        }
+        ActuationKind::Calibrate => {
+            "Calibrate: what is now is unfolded. Wind slowly to the end force, pay out again, and keep how far that was."
+        }
+        ActuationKind::CheckFolded => "Check: wind gently to the end force, and stay folded.",
+        ActuationKind::Fold => {
+            "Fold: wind the thread until the motor current at the calibrated end says that the origami is folded."
+        }
+        ActuationKind::Unfold => "Unfold: pay the thread out to its zero.",
+        ActuationKind::FoldTo => {
+            "Partial fold: wind or pay out to a length of thread, and stay there."
+        }
+    };
+    let mut capsule = places.connect(DeviceKind::Capsule, Need::Own(command))?;
+    if matches!(
+        kind,
+        ActuationKind::Fold | ActuationKind::Unfold | ActuationKind::FoldTo
+    ) {
+        fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
+    }
+    if let Some(result) = already::actuated(kind, &mut capsule, screen)? {
+        return Ok(result);
+    }
+    screen.say(what);
+    let recording = recording(args, experiment::stem(kind), places);
+    let trace = trace.map(TraceFile::create).transpose()?;
+    let trial = match experiment::actuate(&mut capsule, motion, &recording, &mut screen.live()) {
+        Ok(trial) => trial,
+        Err(error) => {
+            if let Some(trace) = trace {
+                trace.discard();
+            }
+            return Err(error.into());
+        }
+    };
+    for (name, value) in actuation_rows(kind, &trial.record) {
+        screen.say(&format!("  {name}: {value}"));
+    }
+    tell_drift(kind, &mut capsule, screen);
+    screen.say(&format!(
+        "  {}\n  {}",
+        trial.csv.display(),
+        trial.sidecar.display()
+    ));
+    let help = format!(
+        "the data is in {}; `retrograde info` shows the capsule's state",
+        trial.sidecar.display()
+    );
+    // After a fault the recording is worth most; that it cannot be had must not hide the fault.
+    let traced = trace.map(|trace| trace.fill(&mut capsule, &trial.record));
+    if let Some(Ok((path, readings))) = &traced {
+        screen.say(&format!("  {}: {readings} ms", path.display()));
+    }
+    completed(
+        experiment::doing(kind),
+        trial.trial.status,
+        trial.trial.error.as_ref(),
+        help,
+    )?;
+    let traced = traced.transpose()?.map(|(path, _)| path);
+    Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar, "trace": traced }))
+}
+
+/// A fold may be complete and yet cost the reference, because its end has wandered.
+fn tell_drift(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) {
+    let mut drifted = || {
+        let status = capsule.capsule_status();
+        status.is_ok_and(|status| status.state == CapsuleState::WasFolded)
+    };
+    if kind == ActuationKind::Fold && drifted() {
+        screen.hint(
+            "it is folded, but the folded end has wandered, and the reference is gone: `retrograde capsule check` finds \
+             it again without unfolding. Should it wander again, a thread slips or stretches, or the origami has changed",
+        );
+    }
+}

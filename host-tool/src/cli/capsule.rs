@@ -1,0 +1,47 @@
+//! The capsule's own commands.
+
+use operations::arguments::RecordArgs;
+use operations::failure::Failure;
+use operations::places::Places;
+use protocol::capsule::ActuationKind;
+use serde_json::Value;
+
+use crate::cli::actuation::actuate;
+use crate::cli::cycle::{CycleArgs, cycle};
+use crate::cli::identify::identify;
+use crate::cli::screen::Screen;
+use crate::cli::trace::{TraceArgs, trace};
+
+/// The capsule's own commands.
+#[derive(Debug, clap::Subcommand)]
+pub enum CapsuleSubcommand {
+    /// Find the thread's zero, recorded. Required before folding.
+    Reference(RecordArgs),
+    /// "This is unfolded": measure how far it is to the end force, and keep it in the capsule's flash. Once per capsule.
+    Calibrate(RecordArgs),
+    /// After a reset: wind gently to the end force, and stay folded. Nothing is paid out.
+    Check(RecordArgs),
+    /// Fetch the recording of the last actuation, one reading per millisecond, also after a fault: a CSV file.
+    Trace(TraceArgs),
+    /// Endurance: fold and unfold N times, each pair a row of a CSV file, with a summary of what drifts. The first fault
+    /// ends it; Ctrl-C ends it with a controlled stop.
+    Cycle(CycleArgs),
+    /// Fold and unfold once, and find resistance, motor constant, friction, stiffness and slack from the two recordings.
+    Identify(RecordArgs),
+}
+
+pub(crate) fn capsule(
+    subcommand: &CapsuleSubcommand,
+    places: &Places<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let (command, kind, args) = match subcommand {
+        CapsuleSubcommand::Trace(args) => return trace(args, places, screen),
+        CapsuleSubcommand::Cycle(args) => return cycle(args, places, screen),
+        CapsuleSubcommand::Identify(args) => return identify(args, places, screen),
+        CapsuleSubcommand::Reference(args) => ("capsule reference", ActuationKind::Reference, args),
+        CapsuleSubcommand::Calibrate(args) => ("capsule calibrate", ActuationKind::Calibrate, args),
+        CapsuleSubcommand::Check(args) => ("capsule check", ActuationKind::CheckFolded, args),
+    };
+    actuate(command, kind, args, None, places, screen)
+}

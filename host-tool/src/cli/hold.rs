@@ -1,0 +1,30 @@
+//! `hold` and `resume`: a run that pauses and goes on.
+
+use operations::ending::{held, millimetres};
+use operations::failure::Failure;
+use operations::places::{Need, Places};
+use protocol::rig;
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+
+use crate::cli::screen::Screen;
+
+pub(crate) fn hold(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let status = held(&mut places.connect(DeviceKind::Rig, Need::Look)?)?;
+    screen.say(&format!(
+        "Held at {} mm; `retrograde resume` continues the run, `retrograde stop` ends it.",
+        millimetres(&status)
+    ));
+    Ok(json!({ "held": true, "status": status }))
+}
+
+pub(crate) fn resume(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let mut rig = places.connect(DeviceKind::Rig, Need::Look)?;
+    rig.call(rig::Resume)?;
+    let status = rig.rig_status()?;
+    screen.say(&format!(
+        "The run goes on from {} mm. Its link-loss policy still applies: with `stop`, it stops when it hears no host.",
+        millimetres(&status)
+    ));
+    Ok(json!({ "resumed": true, "status": status }))
+}

@@ -1,0 +1,115 @@
+//! `capsule identify`: the constants of motor, friction and spring from two recordings.
+
+use std::path::PathBuf;
+use trials::recorded::write_recorded;
+
+use client::{Device, Recorded};
+use operations::arguments::RecordArgs;
+use operations::failure::Failure;
+use operations::places::{Need, Places};
+use protocol::capsule::ActuationKind;
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+use trials::experiment;
+use trials::identify::{self, Estimate, Identified};
+
+use crate::cli::ended::{completed, recording};
+use crate::cli::fresh;
+use crate::cli::screen::Screen;
+use crate::cli::study::begin_unfolded;
+use crate::cli::trace::fetch;
+
+pub(crate) fn identify(
+    args: &RecordArgs,
+    places: &Places<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let mut capsule = places.connect(DeviceKind::Capsule, Need::Own("capsule identify"))?;
+    fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
+    begin_unfolded("an identification", &mut capsule)?;
+    screen.say("Identify: fold and unfold once, and fetch what the capsule records of them.");
+    let fold = motion(ActuationKind::Fold, &mut capsule, args, places, screen)?;
+    let unfold = motion(ActuationKind::Unfold, &mut capsule, args, places, screen)?;
+    let identified =
+        identify::identify(&fold.recorded.points, &unfold.recorded.points).map_err(|why| {
+            Failure::Refused {
+                why: format!("{why}; the capsule is well, and unfolded"),
+                help: "look at the two recordings: a weak cell or a wrong origami shows there"
+                    .to_owned(),
+            }
+        })?;
+    for (name, estimate, unit) in named(&identified) {
+        screen.say(&format!(
+            "  {name}: {:.3} +- {:.3} {unit}",
+            estimate.value, estimate.uncertainty
+        ));
+    }
+    screen.say("  95 of 100 capsules lie within; gears, spool and rotor are taken as designed.");
+    let motions = [&fold, &unfold];
+    for Motion { csv, sidecar, .. } in motions {
+        screen.say(&format!("  {}\n  {}", csv.display(), sidecar.display()));
+    }
+    Ok(json!({
+        "identified": identified,
+        "recordings": motions.map(|motion| &motion.csv),
+        "sidecars": motions.map(|motion| &motion.sidecar),
+    }))
+}
+
+/// A motion with its recording.
+struct Motion {
+    recorded: Recorded,
+    csv: PathBuf,
+    sidecar: PathBuf,
+}
+
+fn motion(
+    kind: ActuationKind,
+    capsule: &mut Device,
+    args: &RecordArgs,
+    places: &Places<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Motion, Failure> {
+    let (stem, action) = match kind {
+        ActuationKind::Unfold => ("identify-unfold", "unfolding"),
+        _ => ("identify-fold", "folding"),
+    };
+    let recording = recording(args, stem, places);
+    let trial = experiment::actuate(capsule, kind, &recording, &mut screen.live())?;
+    let help = format!(
+        "the data is in {}; `retrograde info` shows the capsule's state",
+        trial.sidecar.display()
+    );
+    completed(action, trial.trial.status, trial.trial.error.as_ref(), help)?;
+    let (recorded, _) = fetch(capsule, &trial.record)?;
+    Ok(Motion {
+        csv: write_recorded(
+            &args.out,
+            places.connector.now(),
+            &recorded,
+            capsule.origin(),
+        )?,
+        recorded,
+        sidecar: trial.sidecar,
+    })
+}
+
+/// For people: name, value, unit.
+fn named(identified: &Identified) -> [(&'static str, Estimate, &'static str); 6] {
+    let Identified {
+        circuit_ohm,
+        motor_constant_mvs,
+        no_load_ma,
+        worm_friction,
+        stiffness,
+        slack_mm,
+    } = *identified;
+    [
+        ("winding, bridge and cell", circuit_ohm, "ohm"),
+        ("motor constant", motor_constant_mvs, "mV s/rad"),
+        ("no-load current", no_load_ma, "mA"),
+        ("friction in the worm", worm_friction, ""),
+        ("stiffness over the beam estimate", stiffness, ""),
+        ("slack of the thread", slack_mm, "mm"),
+    ]
+}

@@ -1,0 +1,139 @@
+//! `info`: identity, state and last fault of the machines.
+
+use client::identity::{self, IdentityRecord};
+use client::{decimal, matches};
+use operations::arguments::Which;
+use operations::failure::Failure;
+use operations::places::{Need, Places};
+use protocol::capsule::CapsuleStatus;
+use protocol::rig::RigStatus;
+use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
+use serde_json::{Map, Value, json};
+
+use crate::cli::screen::Screen;
+
+pub(crate) fn info(
+    which: &Which,
+    places: &Places<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let mut all = Map::new();
+    for kind in places.machines(which)? {
+        let mut device = places.greet(kind, Need::Look)?;
+        let Some(identity) = device.identity().copied() else {
+            continue;
+        };
+        screen.say(&format!(
+            "{}: {}",
+            device.place(),
+            identity::line(&identity)
+        ));
+        let last_words = device.last_words()?;
+        if !last_words.is_empty() {
+            screen.say(&format!("  last words: {last_words}"));
+        }
+        if last_words.contains(" 0x") {
+            screen.say(&format!(
+                "  places in the source: `cargo xtask where {} \"{last_words}\"`, built from this firmware's commit",
+                identity::kind_name(kind)
+            ));
+        }
+        let status = if !matches(&identity) {
+            screen.say(&format!(
+                "  {}",
+                device
+                    .require(kind)
+                    .err()
+                    .map(|error| error.to_string())
+                    .unwrap_or_default()
+            ));
+            Value::Null
+        } else if kind == DeviceKind::Rig {
+            let status = device.rig_status()?;
+            screen.say(&rig_text(&status));
+            json!(status)
+        } else {
+            let status = device.capsule_status()?;
+            screen.say(&capsule_text(&status));
+            json!(status)
+        };
+        let chip = match matches(&identity) {
+            true => {
+                let chip = device.call(GetChip)?;
+                screen.say(&chip_text(&chip));
+                json!(chip)
+            }
+            false => Value::Null,
+        };
+        all.insert(
+            identity::kind_name(kind).to_owned(),
+            json!({
+                "place": device.place(),
+                "identity": IdentityRecord::new(&identity, &device.place()),
+                "last_words": last_words,
+                "status": status,
+                "chip": chip,
+            }),
+        );
+    }
+    Ok(Value::Object(all))
+}
+
+/// Clock, supply and option bytes in one line.
+fn chip_text(chip: &Chip) -> String {
+    format!(
+        "  clock: {}; supply {} 2.7 V; brown-out {}, option bytes {:08x}",
+        match chip.clock {
+            Clock::External => "8 MHz from the board",
+            Clock::Internal => "the chip's own, 1 %",
+        },
+        if chip.supply_low { "below" } else { "above" },
+        match chip.brown_out {
+            BrownOut::Off => "off",
+            BrownOut::Level1 => "level 1",
+            BrownOut::Level2 => "level 2",
+            BrownOut::Level3 => "level 3",
+        },
+        chip.option_bytes,
+    )
+}
+
+fn rig_text(status: &RigStatus) -> String {
+    let open = |open: bool| if open { "open" } else { "closed" };
+    let mut text = format!(
+        "  {:?}, {}, at {} mm ({} steps); stroke {} mm, lead {} mm, {} steps per turn\n  home flag {}, far limit {}, E-stop loop {}",
+        status.state,
+        if status.homed { "homed" } else { "not homed" },
+        decimal::write_signed(status.position_um.into(), 3),
+        status.position_steps,
+        decimal::write(status.stroke_um.into(), 3),
+        decimal::write(status.lead_um.into(), 3),
+        status.steps_per_rev,
+        open(status.inputs.home_flag),
+        open(status.inputs.far_limit),
+        open(status.inputs.estop_loop),
+    );
+    if let Some(fault) = status.fault {
+        text.push_str(&format!("\n  fault: {fault}"));
+    }
+    text
+}
+
+fn capsule_text(status: &CapsuleStatus) -> String {
+    let mut text = format!(
+        "  {:?}, {}, {} mm of thread wound, {} mA, battery {} V",
+        status.state,
+        if status.referenced {
+            "referenced"
+        } else {
+            "not referenced"
+        },
+        decimal::write_signed(status.thread_um.into(), 3),
+        status.current_ma,
+        decimal::write(status.battery_mv.into(), 3),
+    );
+    if let Some(fault) = status.fault {
+        text.push_str(&format!("\n  fault: {fault}"));
+    }
+    text
+}

@@ -1,0 +1,49 @@
+//! `move`: the rig goes to a position.
+
+use client::decimal;
+use operations::arguments::MoveArgs;
+use operations::ending::{cut_short, millimetres};
+use operations::failure::Failure;
+use operations::places::{Need, Places};
+use operations::reached::is_there;
+use protocol::rig;
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+
+use crate::cli::fresh;
+use crate::cli::screen::Screen;
+
+pub(crate) fn move_to(
+    args: &MoveArgs,
+    places: &Places<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let mut rig = places.connect(DeviceKind::Rig, Need::Own("move"))?;
+    fresh::prepare(DeviceKind::Rig, &mut rig, places, screen)?;
+    let accepted = match rig.call(rig::MoveTo {
+        position_um: args.position_mm.0,
+        speed_um_s: args.speed_mm_s.0,
+    }) {
+        Err(error) if is_there(&error) => {
+            let status = rig.rig_status()?;
+            screen.say(&format!(
+                "The carriage is at {} mm already; nothing moved.",
+                millimetres(&status)
+            ));
+            return Ok(json!({ "already": true, "status": status }));
+        }
+        accepted => accepted?,
+    };
+    screen.say(&format!(
+        "{} steps in {} s, {} mm/s at most.",
+        accepted.stroke.steps,
+        decimal::seconds(accepted.stroke.duration_ticks),
+        decimal::write(accepted.stroke.peak_um_s.into(), 3),
+    ));
+    let status = rig.wait_rest()?;
+    if status.fault.is_some() || status.position_steps != accepted.to_steps {
+        return Err(cut_short("the move", &rig, &status));
+    }
+    screen.say(&format!("The carriage is at {} mm.", millimetres(&status)));
+    Ok(json!({ "accepted": accepted, "status": status }))
+}

@@ -1,0 +1,124 @@
+//! `plan`: a run calculated without a rig.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use analysis::figures;
+use clap::Args;
+use client::decimal::{self, Milli};
+use motion::axis::{Axis, MAX_STROKE};
+use operations::arguments::{OnLinkLoss, Waves};
+use operations::failure::Failure;
+use serde_json::{Value, json};
+use trials::plan::{self, REFERENCE_LIMITS, Summary};
+
+use crate::cli::failure::Own;
+use crate::cli::screen::Screen;
+
+/// Arguments of `plan`.
+#[derive(Debug, Args)]
+pub struct PlanArgs {
+    /// The waves.
+    #[command(flatten)]
+    pub waves: Waves,
+    /// Travel per turn of the screw in mm.
+    #[arg(long, value_name = "MM", default_value = "4")]
+    pub lead_mm: Milli,
+    /// Full steps per turn, 200 or 400.
+    #[arg(long, default_value_t = 200)]
+    pub full_steps: u16,
+    /// Microsteps per full step.
+    #[arg(long, default_value_t = 16)]
+    pub microsteps: u16,
+    /// Write every step edge to this CSV file.
+    #[arg(long, value_name = "FILE")]
+    pub edges: Option<PathBuf>,
+    /// Draw position against time to this SVG file.
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
+}
+
+pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let run = args.waves.request(OnLinkLoss::Stop);
+    let axis = Axis::new(
+        args.lead_mm.0,
+        args.full_steps,
+        args.microsteps,
+        MAX_STROKE.0,
+    )?;
+    let plan = planning::solve(&run, &axis, &REFERENCE_LIMITS)?;
+    let summary = plan::summary(&run, &axis, &plan);
+    screen.say(&text(&summary));
+    if let Some(path) = &args.edges {
+        write_file(path, |out| plan::write_edges(&plan, out))?;
+        screen.say(&format!("edges:         {}", path.display()));
+    }
+    if let Some(path) = &args.plot {
+        let planned = figures::planned(&summary.screw, &run, &summary.achieved);
+        let svg = figures::plan_figure(planned).map_err(Own::from)?;
+        write_file(path, |out| out.write_all(svg.as_bytes()))?;
+        screen.say(&format!("plot:          {}", path.display()));
+    }
+    Ok(json!({ "plan": summary, "edges": args.edges, "plot": args.plot }))
+}
+
+fn write_file(
+    path: &Path,
+    write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+) -> Result<(), Failure> {
+    let written = || {
+        let mut out = BufWriter::new(File::create(path)?);
+        write(&mut out)?;
+        out.flush()
+    };
+    written().map_err(|io| Failure::File {
+        path: path.to_owned(),
+        io,
+    })
+}
+
+fn text(summary: &Summary) -> String {
+    let Summary {
+        requested,
+        screw,
+        achieved,
+        ..
+    } = summary;
+    let (forward, back) = (&achieved.forward, &achieved.back);
+    let milli = |value: u32| decimal::write(value.into(), 3);
+    let seconds = |ticks: u64| decimal::write(ticks, 8);
+    format!(
+        "\
+cycles:        {} of {} mm ({} mm achieved)
+duration:      {} s, a start delay of {} s included
+strokes:       {}, {} s out, {} s home
+ramps:         {} s out, {} s home
+peak speed:    {} mm/s out, {} mm/s home
+acceleration:  {} mm/s2 out, {} mm/s2 home
+dwell:         {} s at the far end, {} s at home
+step rate:     {} Hz at most
+edges:         {}, {} per stroke
+fingerprint:   {}",
+        requested.cycles,
+        milli(requested.stroke_um),
+        decimal::write_signed(screw.nm(forward.steps.into()), 6),
+        seconds(achieved.total_ticks),
+        decimal::write(requested.start_delay_us.into(), 6),
+        summary.strokes,
+        seconds(forward.duration_ticks),
+        seconds(back.duration_ticks),
+        seconds(forward.ramp_ticks),
+        seconds(back.ramp_ticks),
+        milli(forward.peak_um_s),
+        milli(back.peak_um_s),
+        milli(forward.accel_um_s2),
+        milli(back.accel_um_s2),
+        decimal::write(requested.far_dwell_us.into(), 6),
+        decimal::write(requested.home_dwell_us.into(), 6),
+        summary.peak_step_hz,
+        achieved.edges,
+        forward.steps,
+        achieved.plan_hash,
+    )
+}

@@ -1,0 +1,136 @@
+//! `report`: an HTML page of trials, or of a campaign.
+
+use std::path::{Path, PathBuf};
+
+use analysis::report::campaign_band::BandSource;
+use analysis::report::{self, Existing, campaign as campaign_report};
+use campaign::files::{ORDER, PLAN};
+use clap::Args;
+use operations::failure::Failure;
+use serde_json::{Value, json};
+
+use crate::cli::failure::Own;
+use crate::cli::model::ModelArgs;
+use crate::cli::screen::Screen;
+
+/// Arguments of `report`.
+#[derive(Debug, Args)]
+pub struct ReportArgs {
+    /// Records: JSON files of trials, or folders of them; or the folder of one campaign.
+    #[arg(required = true, value_name = "TRIAL")]
+    pub trials: Vec<PathBuf>,
+    /// The HTML file [default: report.html]; a campaign's report goes to its folder `report`.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Replace a report that is there already.
+    #[arg(long)]
+    pub force: bool,
+    /// Of a campaign: the model whose band stands behind its series, a file that `fit` or `simulate` wrote. Without it the
+    /// band is that of the bodies that agree with the paper's words.
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+}
+
+pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let existing = if args.force {
+        Existing::Replace
+    } else {
+        Existing::Keep
+    };
+    if let Some(folder) = args.trials.iter().find(|path| is_campaign(path)) {
+        return report_campaign(folder, args, existing, screen);
+    }
+    if args.model.is_some() {
+        return Err(Failure::Input {
+            why: "--model draws the band of a campaign, and no campaign is named".to_owned(),
+            help: "`retrograde report FOLDER --model FILE` with the folder of a campaign"
+                .to_owned(),
+        });
+    }
+    let out = args.out.clone().unwrap_or_else(|| "report.html".into());
+    let found = report::find(&args.trials).map_err(Own::from)?;
+    let report = report::write(&found, &[], &out, existing).map_err(Own::from)?;
+    screen.say(&format!(
+        "{} trials in {}",
+        found.sidecars.len(),
+        out.display()
+    ));
+    for damaged in &report.damaged {
+        screen.hint(&format!("damaged: {}", damaged.sidecar.display()));
+        for defect in &damaged.defects {
+            screen.hint(&format!("  {defect}"));
+        }
+    }
+    for left in &found.left_out {
+        screen.hint(&left.to_string());
+    }
+    let value = json!({
+        "trials": found.sidecars,
+        "report": out,
+        "damaged": report.damaged,
+        "left_out": found.left_out,
+    });
+    let lost = found.left_out.iter().filter(|left| left.is_record).count();
+    match (report.damaged.len(), lost) {
+        (0, 0) => Ok(value),
+        (damaged, lost) => Err(Own::ReportDefects {
+            page: out,
+            defects: format!(
+                "{damaged} of its trials contradict themselves, and {lost} records are left out"
+            ),
+            written: value,
+        }
+        .into()),
+    }
+}
+
+/// The plan alone makes no campaign: people keep plans in any folder.
+fn is_campaign(path: &Path) -> bool {
+    path.join(PLAN).is_file() && path.join(ORDER).is_file()
+}
+
+fn report_campaign(
+    folder: &Path,
+    args: &ReportArgs,
+    existing: Existing,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    if args.trials.len() > 1 || args.out.is_some() {
+        return Err(Failure::Input {
+            why: format!(
+                "{} is a campaign: its report is of it alone, and goes to its folder `report`",
+                folder.display()
+            ),
+            help: format!("`retrograde report {}`", folder.display()),
+        });
+    }
+    let file = ModelArgs::of_file(args.model.clone());
+    let source = BandSource {
+        model: file.model()?,
+        posterior: file.posterior()?,
+    };
+    let written = campaign_report::write(folder, existing, &source).map_err(Own::from)?;
+    screen.say(&format!(
+        "{} of {} trials count; origin {}",
+        written.counted, written.planned, written.origin
+    ));
+    for file in &written.files {
+        screen.say(&format!("  {}", file.display()));
+    }
+    for finding in &written.findings {
+        screen.hint(&format!("not as it was written: {finding}"));
+    }
+    for (trial, why) in &written.left_out {
+        screen.hint(&format!("trial {trial} does not count: {why}"));
+    }
+    match (written.findings.len(), written.defects) {
+        (0, 0) => Ok(json!(written)),
+        (findings, defects) => Err(Own::ReportDefects {
+            page: written.page.clone(),
+            defects: format!(
+                "`verify` has {findings} findings, and the records of {defects} trials cannot be relied on"
+            ),
+            written: json!(written),
+        }.into()),
+    }
+}

@@ -1,0 +1,127 @@
+//! `capsule trace`, and the file of `--trace`: the capsule's own recording.
+
+use std::fs::{self, OpenOptions};
+use std::path::{Path, PathBuf};
+use trials::recorded::write_recorded;
+
+use clap::Args;
+use client::{Device, Recorded};
+use operations::arguments::DATA_FOLDER;
+use operations::failure::Failure;
+use operations::places::{Need, Places};
+use protocol::capsule::{ActuationRecord, GetCapsuleTotals};
+use protocol::system::DeviceKind;
+use serde_json::{Value, json};
+use trials::force;
+use trials::trial::RecordError;
+
+use crate::cli::screen::Screen;
+
+/// Arguments of `capsule trace`.
+#[derive(Debug, Args)]
+pub struct TraceArgs {
+    /// Folder of the records.
+    #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
+    pub out: PathBuf,
+}
+
+pub(crate) fn trace(
+    args: &TraceArgs,
+    places: &Places<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let mut capsule = places.connect(DeviceKind::Capsule, Need::Own("capsule trace"))?;
+    let recorded = capsule.trace()?;
+    if recorded.points.is_empty() {
+        screen.say("The capsule has not moved since its start: there is no recording.");
+        return Ok(json!({ "actuation": null, "readings": 0, "csv": null }));
+    }
+    let csv = write_recorded(
+        &args.out,
+        places.connector.now(),
+        &recorded,
+        capsule.origin(),
+    )?;
+    screen.say(&format!(
+        "Actuation {}, its last {} ms.\n  {}",
+        recorded.actuation,
+        recorded.points.len(),
+        csv.display()
+    ));
+    Ok(json!({
+        "actuation": recorded.actuation,
+        "readings": recorded.points.len(),
+        "csv": csv,
+    }))
+}
+
+/// The file that `--trace` names, made before anything moves.
+pub(crate) struct TraceFile {
+    path: PathBuf,
+    file: fs::File,
+}
+
+impl TraceFile {
+    /// Creates it; overwrites none.
+    pub(crate) fn create(path: &Path) -> Result<Self, Failure> {
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
+        }
+        let opened = OpenOptions::new().write(true).create_new(true).open(path);
+        Ok(Self {
+            path: path.to_owned(),
+            file: opened.map_err(|io| Failure::Input {
+                why: format!("--trace {}: {io}; nothing moved", path.display()),
+                help: "name a new file in a folder that can be written".to_owned(),
+            })?,
+        })
+    }
+
+    /// Nothing has moved: it is not left behind.
+    pub(crate) fn discard(self) {
+        // An empty file that cannot be removed harms nobody.
+        let _ = fs::remove_file(&self.path);
+    }
+
+    /// Fetches the recording of the motion that has just ended; its path, and the number of readings. Without a recording
+    /// there is no file.
+    pub(crate) fn fill(
+        self,
+        capsule: &mut Device,
+        record: &ActuationRecord,
+    ) -> Result<(PathBuf, usize), Failure> {
+        let fetched = fetch(capsule, record);
+        let (recorded, no_load_ma) = match fetched {
+            Ok(fetched) => fetched,
+            Err(failure) => {
+                self.discard();
+                return Err(failure);
+            }
+        };
+        force::write(self.file, &recorded.points, no_load_ma, capsule.origin())
+            .map_err(|error| RecordError::write(&self.path, error))?;
+        Ok((self.path, recorded.points.len()))
+    }
+}
+
+/// The recording, and the no-load current of the calibration.
+pub(crate) fn fetch(
+    capsule: &mut Device,
+    record: &ActuationRecord,
+) -> Result<(Recorded, Option<u16>), Failure> {
+    let calibration = capsule.call(GetCapsuleTotals)?.calibration;
+    let recorded = capsule.trace()?;
+    if recorded.actuation != record.actuation {
+        return Err(Failure::Refused {
+            why: format!(
+                "the recording is that of actuation {}, not of {}: the capsule has moved since",
+                recorded.actuation, record.actuation
+            ),
+            help: "the record of the motion itself is kept; only its recording is lost".to_owned(),
+        });
+    }
+    Ok((
+        recorded,
+        calibration.map(|calibration| calibration.no_load_ma),
+    ))
+}

@@ -1,0 +1,1085 @@
+//! Campaigns without a machine: plans, orders, ledgers, readings, folders, and `verify`.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use campaign::chance::Chance;
+use campaign::contents::{Campaign, order_text};
+use campaign::files::{ATTEMPTS, READINGS, TRIALS};
+use campaign::folder::Folder;
+use campaign::form::Form;
+use campaign::ledger::{Event, Outcome, Row, Source, Standing, State};
+use campaign::manifest::{self, Manifest};
+use campaign::order::order;
+use campaign::plan::{Lubrication, Millimetres, Plan, Purpose};
+use campaign::readings::{Kind, Quantity, ReadingRow, Readings, Summary, questions, refusal};
+use campaign::verify::verify;
+use client::identity::Origin;
+use client::{Device, Unobserved};
+use jiff::Timestamp;
+use proptest::prelude::*;
+use protocol::system::DeviceKind;
+use simulated_machines::machine::{Script, link};
+use trials::experiment;
+use trials::trial::Recording;
+
+const PAPER: &str = include_str!("../../../examples/paper.toml");
+
+/// Two indentations, dry and lubricated, twice each, and a fold test: 10 trials.
+pub const SMALL: &str = r#"
+format = 1
+name = "small"
+seed = 3
+[metadata]
+operator = "A. Person"
+specimen = "none"
+silicone = "none"
+soap = "none"
+camera = "none"
+caliper = "none"
+caliper_resolution_mm = 0.01
+[run]
+cycles = 1
+stroke_mm = 1
+duration_s = 1
+telemetry_ms = 100
+[readings]
+count = 2
+spread_mm = 0.5
+width_about_mm = 24.4
+[[indentation]]
+name = "a1"
+about_mm = 1
+[[indentation]]
+name = "a2"
+about_mm = 5.05
+[series]
+lubrication = ["lubricated", "dry"]
+indentation = ["a1", "a2"]
+repeats = 2
+[fold_test]
+lubrication = "lubricated"
+indentation = "a2"
+repeats = 1
+"#;
+
+fn plan(text: &str) -> Plan {
+    Plan::parse(text, Path::new("plan.toml")).expect("a plan")
+}
+
+fn mm(text: &str) -> Millimetres {
+    text.parse().expect("a number")
+}
+
+// Plans.
+
+#[test]
+fn the_papers_plan_is_a_hundred_runs_and_the_fold_test() {
+    let plan = plan(PAPER);
+    let trials = order(&plan);
+    assert_eq!(trials.len(), 102);
+    let mut repeats: BTreeMap<_, BTreeSet<u32>> = BTreeMap::new();
+    for trial in &trials {
+        repeats
+            .entry(trial.condition())
+            .or_default()
+            .insert(trial.repeat);
+    }
+    for (condition, repeats) in &repeats {
+        let wanted = match condition.purpose {
+            Purpose::Series => 1..=10,
+            Purpose::FoldTest => 1..=1,
+            pass => panic!("the paper has no {pass:?}"),
+        };
+        assert!(repeats.iter().copied().eq(wanted), "{condition:?}");
+    }
+    assert_eq!(repeats.len(), 12);
+    assert_eq!(plan.run, experiment::PAPER_RUN);
+    assert_eq!(plan.run_s(), 40.0);
+}
+
+#[test]
+fn a_plan_that_cannot_be_carried_out_says_why() {
+    let cases = [
+        ("format = 1", "format = 2", "this tool reads 1"),
+        ("seed = 3", "seed = -3", "seed"),
+        ("seed = 3", "sede = 3", "unknown field `sede`"),
+        ("name = \"small\"", "name = \"../x\"", "letters, digits"),
+        (
+            "operator = \"A. Person\"",
+            "operator = \" \"",
+            "metadata.operator is empty",
+        ),
+        (
+            "operator = \"A. Person\"",
+            "operator = \"a\\nb\"",
+            "in one line",
+        ),
+        (
+            "caliper_resolution_mm = 0.01",
+            "caliper_resolution_mm = 0",
+            "0.001 to 1",
+        ),
+        (
+            "caliper_resolution_mm = 0.01",
+            "caliper_resolution_mm = nan",
+            "not a number",
+        ),
+        ("stroke_mm = 1", "stroke_mm = 1,5", "TOML parse error"),
+        ("stroke_mm = 1", "stroke_mm = -1", "run.stroke_mm: -1"),
+        ("stroke_mm = 1", "stroke_mm = 131", "run: "),
+        (
+            "stroke_mm = 1",
+            "stroke_mm = 1.00001",
+            "more than 3 decimals",
+        ),
+        ("duration_s = 1", "duration_s = 0.01", "run: "),
+        ("cycles = 1", "cycles = 0", "run: "),
+        ("telemetry_ms = 100", "telemetry_ms = 4", "5 to 1000"),
+        ("count = 2", "count = 0", "readings.count: 0"),
+        ("spread_mm = 0.5", "spread_mm = 0", "above 0"),
+        ("width_about_mm = 24.4", "width_about_mm = 0", "above 0"),
+        (
+            "width_about_mm = 24.4",
+            "width_about_mm = 10.1",
+            "the walls of 10.1 mm meet",
+        ),
+        (
+            "about_mm = 5.05",
+            "about_mm = 1",
+            "from the least to the greatest",
+        ),
+        (
+            "name = \"a2\"",
+            "name = \"a1\"",
+            "two indentations are called `a1`",
+        ),
+        ("name = \"a2\"", "name = \"a 2\"", "indentation.name"),
+        ("[\"a1\", \"a2\"]", "[\"a1\", \"a3\"]", "`a3` is not among"),
+        ("[\"a1\", \"a2\"]", "[\"a1\", \"a1\"]", "`a1` twice"),
+        ("[\"a1\", \"a2\"]", "[]", "at least one name"),
+        (
+            "[\"lubricated\", \"dry\"]",
+            "[\"dry\", \"dry\"]",
+            "`dry` twice",
+        ),
+        (
+            "[\"lubricated\", \"dry\"]",
+            "[\"wet\"]",
+            "unknown variant `wet`",
+        ),
+        ("repeats = 2", "repeats = 0", "series.repeats: 0"),
+        ("repeats = 1", "repeats = 1001", "fold_test.repeats: 1001"),
+        (
+            "repeats = 1",
+            "repeats = 1\nfold_at_cycle = 6",
+            "fold_test.fold_at_cycle: there is no cycle 6: the run has 1",
+        ),
+        (
+            "repeats = 1",
+            "repeats = 1\nfold_at_cycle = 0",
+            "fold_test.fold_at_cycle: there is no cycle 0",
+        ),
+    ];
+    for (good, bad, says) in cases {
+        let text = SMALL.replacen(good, bad, 1);
+        assert_ne!(text, SMALL, "{good}");
+        let error = Plan::parse(&text, Path::new("plan.toml")).expect_err(bad);
+        assert!(error.why.contains(says), "{bad}: {}", error.why);
+        assert!(error.remedy.contains("examples/paper.toml"));
+    }
+    let nothing = &SMALL[..SMALL.find("[series]").expect("there")];
+    let error = Plan::parse(nothing, Path::new("plan.toml")).expect_err("empty");
+    assert!(error.why.contains("nothing to do"), "{}", error.why);
+}
+
+const PASSES: &str = include_str!("../../../examples/passes.toml");
+
+#[test]
+fn the_plan_of_passes_is_as_many_each_way_and_runs_with_their_strokes() {
+    let plan = plan(PASSES);
+    let trials = order(&plan);
+    let count = |purpose| {
+        trials
+            .iter()
+            .filter(|trial| trial.purpose == purpose)
+            .count()
+    };
+    assert_eq!(count(Purpose::Series), 4);
+    assert_eq!(count(Purpose::AntegradePass), 10);
+    assert_eq!(count(Purpose::ReturningPass), 10);
+    // The rollers are clamped once for both ways.
+    assert_eq!(trials.last().expect("some").block, 4);
+    let repeats: BTreeSet<_> = trials
+        .iter()
+        .map(|trial| (trial.condition(), trial.repeat))
+        .collect();
+    assert_eq!(repeats.len(), trials.len());
+    assert_eq!(plan.strokes_of(Purpose::Series, Form::Unfolded), Some(10));
+    assert_eq!(
+        plan.strokes_of(Purpose::AntegradePass, Form::Unfolded),
+        None
+    );
+    assert_eq!(plan.strokes_of(Purpose::FoldTest, Form::Folded), None);
+    assert_eq!(plan.displacement.uncertainty_mm, Some(mm("0.2")));
+    // 130 mm in 4 s with ramps of 100 mm/s2.
+    let speed = plan.passes.expect("there").speed_um_s;
+    assert!((35_000..38_000).contains(&speed), "{speed}");
+    assert!(!plan.needs_capsule());
+}
+
+#[test]
+fn passes_that_would_not_be_isolated_are_refused() {
+    for (good, bad, says) in [
+        ("tail_mm = 40", "tail_mm = 19.9", "use 20 or more"),
+        ("tail_mm = 40", "tail_mm = 69", "leaves at most 68.8"),
+        ("stroke_mm = 130", "stroke_mm = 80", "leaves at most 18.8"),
+        (
+            "body_mm = 41.2",
+            "body_mm = 0",
+            "length of the body at rest",
+        ),
+        ("body_mm = 41.2 ", "", "missing field `body_mm`"),
+        ("repeats = 5", "repeats = 0", "passes.repeats: 0"),
+        ("per_stroke = true", "per_stroke = 1", "expected a boolean"),
+        ("cycles = 5", "cycles = 51", "at most 50 cycles"),
+        (
+            "uncertainty_mm = 0.2",
+            "uncertainty_mm = 0",
+            "no measurement is exact",
+        ),
+        (
+            "uncertainty_mm = 0.2",
+            "uncertainty_mm = -1",
+            "no measurement is exact",
+        ),
+    ] {
+        let mut text = PASSES.replacen(good, bad, 1);
+        if bad == "cycles = 51" {
+            text = text.replace("duration_s = 40", "duration_s = 408");
+        }
+        assert_ne!(text, PASSES, "{good}");
+        let error = Plan::parse(&text, Path::new("plan.toml")).expect_err(bad);
+        assert!(error.why.contains(says), "{bad}: {}", error.why);
+    }
+}
+
+/// Folders that were made before there were passes are read with the order that they have.
+#[test]
+fn the_order_of_the_papers_plan_stays() {
+    let hash = hmac_sha256::Hash::hash(order_text(&order(&plan(PAPER))).as_bytes());
+    assert_eq!(
+        manifest::hex(&hash),
+        "42d2b4d350d8798c2201c22fb1086d69d019dc2df2d3e6981307d72fd87d3d39"
+    );
+}
+
+#[test]
+fn lengths_are_read_as_they_are_written() {
+    let cases = [
+        ("12.34", 12_340),
+        ("-0.5", -500),
+        ("7", 7_000),
+        ("0.001", 1),
+    ];
+    for (text, um) in cases {
+        assert_eq!(text.parse(), Ok(Millimetres::from_um(um)));
+    }
+    for text in ["12,3", "3 mm", "1e3", "--1", "", "-", "+1", "1.0001"] {
+        assert!(text.parse::<Millimetres>().is_err(), "{text:?}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn every_length_survives_toml_and_csv(um in -999_999_999_i64..=999_999_999) {
+        let length = Millimetres::from_um(um);
+        #[derive(serde::Deserialize)]
+        struct One { value: Millimetres }
+        let read: One = toml::from_str(&format!("value = {length}")).expect("TOML");
+        prop_assert_eq!(read.value, length);
+        prop_assert_eq!(length.to_string().parse(), Ok(length));
+    }
+
+    #[test]
+    fn an_order_has_every_trial_once_in_blocks_and_dry_first(
+        seed in 0_u32..,
+        repeats in 1_u32..12,
+        folds in 1_u32..5,
+    ) {
+        let text = PAPER
+            .replace("seed = 20221", &format!("seed = {seed}"))
+            .replace("repeats = 10", &format!("repeats = {repeats}"))
+            .replace("repeats = 1\n", &format!("repeats = {folds}\n"));
+        let plan = plan(&text);
+        let trials = order(&plan);
+        prop_assert_eq!(order(&plan), trials.clone());
+        prop_assert_eq!(trials.len() as u32, if repeats == 1 { 10 * folds + 2 * folds } else { 10 * repeats + 2 * folds });
+        prop_assert!(trials.iter().zip(1..).all(|(trial, number)| trial.trial == number));
+        let distinct: BTreeSet<_> = trials.iter().map(|trial| (trial.condition(), trial.repeat)).collect();
+        prop_assert_eq!(distinct.len(), trials.len());
+        prop_assert!(trials.is_sorted_by_key(|trial| trial.lubrication));
+        prop_assert!(trials.is_sorted_by_key(|trial| trial.block));
+        let mut blocks: BTreeMap<u32, BTreeSet<_>> = BTreeMap::new();
+        for trial in &trials {
+            blocks.entry(trial.block).or_default().insert((trial.purpose, trial.lubrication, &trial.indentation));
+        }
+        prop_assert_eq!(blocks.len(), 11);
+        prop_assert!(blocks.values().all(|of_one| of_one.len() == 1));
+    }
+}
+
+#[test]
+fn another_seed_is_another_order() {
+    let texts: BTreeSet<String> = (0..50)
+        .map(|seed| {
+            let text = PAPER.replace("seed = 20221", &format!("seed = {seed}"));
+            order_text(&order(&plan(&text)))
+        })
+        .collect();
+    // Of 5! x 5! x 2 orders.
+    assert!(texts.len() >= 49, "{}", texts.len());
+}
+
+// Ledgers.
+
+const EVENTS: [Event; 11] = [
+    Event::Began,
+    Event::Ended,
+    Event::Displacement,
+    Event::Stroke,
+    Event::StrokesLeftOut,
+    Event::Undone,
+    Event::Repeated,
+    Event::Skipped,
+    Event::Excluded,
+    Event::Included,
+    Event::Note,
+];
+
+const OUTCOMES: [Outcome; 6] = [
+    Outcome::Complete,
+    Outcome::Refused,
+    Outcome::Stopped,
+    Outcome::LinkLost,
+    Outcome::Faulted,
+    Outcome::Lost,
+];
+
+/// A row that may or may not be possible now.
+fn any_row(chance: &mut Chance, trials: usize) -> Row {
+    let trial = chance.below(trials) as u32 + 1;
+    let attempt = chance.below(3) as u32 + 1;
+    let mut row = Row::of(EVENTS[chance.below(EVENTS.len())], trial, Some(attempt));
+    row.origin = Origin::Virtual;
+    row.outcome = Some(OUTCOMES[chance.below(8).saturating_sub(2)]);
+    row.displacement_mm = Some(Millimetres::from_um(chance.below(1_000) as i64));
+    row.source = Some(Source::Measured);
+    row.text = Some("because".to_owned());
+    row
+}
+
+/// The displacements that count, told from the rows alone in another way than the ledger does: backwards.
+fn counted(rows: &[Row], trial: u32) -> Option<Millimetres> {
+    let of: Vec<&Row> = rows.iter().filter(|row| row.trial == Some(trial)).collect();
+    let last = |wanted: &[Event]| {
+        of.iter()
+            .rposition(|row| wanted.contains(&row.event))
+            .map(|index| (index, of[index]))
+    };
+    let since = |index: usize, event: Event| of[index..].iter().any(|row| row.event == event);
+    let (began, _) = last(&[Event::Began])?;
+    let (ended, end) = last(&[Event::Ended])?;
+    let (measured, row) = last(&[Event::Displacement, Event::Undone])?;
+    let left_out = last(&[
+        Event::Skipped,
+        Event::Excluded,
+        Event::Included,
+        Event::Repeated,
+    ])
+    .is_some_and(|(_, row)| [Event::Skipped, Event::Excluded].contains(&row.event));
+    (began < ended
+        && ended < measured
+        && end.outcome == Some(Outcome::Complete)
+        && row.event == Event::Displacement
+        && !since(began, Event::Repeated)
+        && !left_out)
+        .then_some(row.displacement_mm)
+        .flatten()
+}
+
+proptest! {
+    #[test]
+    fn a_ledger_counts_what_its_rows_say(seed: u64) {
+        let order = order(&plan(SMALL));
+        let mut chance = Chance::new(seed);
+        let (mut state, mut rows) = (State::new(&order), vec![]);
+        // Few trials, so that many rows are possible.
+        for _ in 0..200 {
+            let mut row = any_row(&mut chance, 3);
+            row.row = state.sequence.next_row();
+            let before = state.clone();
+            match state.apply(&row) {
+                Ok(()) => rows.push(row),
+                Err(_) => prop_assert_eq!(&state, &before, "a refused row changes nothing"),
+            }
+        }
+        prop_assert!(rows.len() > 10, "{}", rows.len());
+        for trial in 1..=3 {
+            let state = state.trial(trial).expect("there");
+            prop_assert_eq!(state.counted().map(|counted| counted.value), counted(&rows, trial), "{:#?}", rows);
+        }
+        let n: usize = state.tallies(|_| 0).iter().map(|tally| tally.counted.len()).sum();
+        prop_assert_eq!(n, (1..=3).filter(|trial| counted(&rows, *trial).is_some()).count());
+        prop_assert_eq!(State::replay(&order, &rows), Ok(state));
+    }
+
+    /// Whatever is missing, doubled or exchanged within a ledger, replaying it says so.
+    #[test]
+    fn a_ledger_without_one_of_its_rows_is_found(seed: u64) {
+        let order = order(&plan(SMALL));
+        let mut chance = Chance::new(seed);
+        let (mut state, mut rows) = (State::new(&order), vec![]);
+        while rows.len() < 8 {
+            let mut row = any_row(&mut chance, 3);
+            row.row = state.sequence.next_row();
+            if state.apply(&row).is_ok() {
+                rows.push(row);
+            }
+        }
+        let (one, other) = (chance.below(8), chance.below(8));
+        let mut doubled = rows.clone();
+        doubled.insert(one, rows[one].clone());
+        prop_assert!(State::replay(&order, &doubled).is_err());
+        let mut exchanged = rows.clone();
+        exchanged.swap(one, other);
+        prop_assert_eq!(State::replay(&order, &exchanged).is_err(), one != other);
+        // Without its last row it is one that is still growing: the manifest finds that.
+        let removed = rows.remove(one);
+        prop_assert_eq!(State::replay(&order, &rows).is_err(), removed.row != 8);
+    }
+}
+
+/// Strokes come before the net displacement; undo takes back what was said last.
+#[test]
+fn strokes_are_entered_and_taken_back_one_by_one() {
+    let order = order(&plan(SMALL));
+    let mut state = State::new(&order);
+    let mut step = |event| {
+        let mut row = Row::of(event, 1, Some(1));
+        row.row = state.sequence.next_row();
+        row.origin = Origin::Board;
+        row.outcome = Some(Outcome::Complete);
+        row.displacement_mm = Some(Millimetres::from_um(i64::from(row.row)));
+        row.source = Some(Source::Measured);
+        let possible = state.apply(&row).is_ok();
+        let attempt = state.trial(1).expect("there").attempts.last().cloned();
+        let strokes = attempt.iter().flat_map(|one| one.strokes.clone());
+        let um: Vec<i64> = strokes.map(|mm| mm.um).collect();
+        let whole = attempt.is_some_and(|one| one.all_strokes(2).is_some());
+        (
+            possible,
+            um,
+            whole,
+            state.trial(1).expect("there").standing(),
+        )
+    };
+    use Standing::{Done, UnderWay, Unmeasured};
+    assert_eq!(step(Event::Began).3, UnderWay);
+    assert_eq!(step(Event::Stroke), (false, vec![], false, UnderWay));
+    step(Event::Ended);
+    assert_eq!(step(Event::Undone), (false, vec![], false, Unmeasured));
+    assert_eq!(step(Event::Stroke), (true, vec![3], false, Unmeasured));
+    assert_eq!(step(Event::Stroke), (true, vec![3, 4], true, Unmeasured));
+    assert_eq!(
+        step(Event::StrokesLeftOut),
+        (true, vec![3, 4], false, Unmeasured)
+    );
+    assert_eq!(step(Event::Stroke), (false, vec![3, 4], false, Unmeasured));
+    assert_eq!(step(Event::Undone), (true, vec![3, 4], true, Unmeasured));
+    assert_eq!(step(Event::Undone), (true, vec![3], false, Unmeasured));
+    step(Event::Stroke);
+    assert_eq!(step(Event::Displacement), (true, vec![3, 8], true, Done));
+    assert_eq!(step(Event::Stroke), (false, vec![3, 8], true, Done));
+    assert_eq!(step(Event::Undone), (true, vec![3, 8], true, Unmeasured));
+}
+
+/// A row of each kind in turn, and how the trial stands then.
+#[test]
+fn a_trial_goes_through_its_standings() {
+    let order = order(&plan(SMALL));
+    let mut state = State::new(&order);
+    let mut step = |event, attempt, outcome, standing| {
+        let mut row = Row::of(event, 1, Some(attempt));
+        row.row = state.sequence.next_row();
+        row.origin = Origin::Board;
+        row.outcome = outcome;
+        row.displacement_mm = Some(mm("12.5"));
+        row.source = Some(Source::Measured);
+        row.text = Some("slipped".to_owned());
+        state.apply(&row).expect("possible");
+        assert_eq!(
+            state.trial(1).expect("there").standing(),
+            standing,
+            "{event:?}"
+        );
+        state.next().expect("more to do").planned.trial
+    };
+    use Standing::{Done, Excluded, Open, Skipped, UnderWay, Unmeasured};
+    for outcome in OUTCOMES.into_iter().skip(1).zip(1..) {
+        step(Event::Began, outcome.1, None, UnderWay);
+        let next = step(Event::Ended, outcome.1, Some(outcome.0), Open);
+        assert_eq!(next, 1, "it is still to be done");
+    }
+    step(Event::Began, 6, None, UnderWay);
+    assert_eq!(
+        step(Event::Ended, 6, Some(Outcome::Complete), Unmeasured),
+        1
+    );
+    assert_eq!(step(Event::Displacement, 6, None, Done), 2);
+    assert_eq!(step(Event::Undone, 6, None, Unmeasured), 1);
+    step(Event::Displacement, 6, None, Done);
+    step(Event::Displacement, 6, None, Done);
+    assert_eq!(step(Event::Excluded, 6, None, Excluded), 2);
+    step(Event::Included, 6, None, Done);
+    assert_eq!(step(Event::Repeated, 6, None, Open), 1);
+    assert_eq!(step(Event::Skipped, 6, None, Skipped), 2);
+    step(Event::Included, 6, None, Open);
+    let trial = state.trial(1).expect("there");
+    assert_eq!(trial.attempts.len(), 6);
+    assert_eq!(trial.counted(), None);
+}
+
+#[test]
+fn measured_and_simulated_rows_do_not_mix() {
+    let order = order(&plan(SMALL));
+    let mut state = State::new(&order);
+    for (number, origin, good) in [(1, Origin::Virtual, true), (2, Origin::Board, false)] {
+        let mut row = Row::of(Event::Note, 1, None);
+        (row.row, row.origin) = (number, origin);
+        assert_eq!(state.apply(&row).is_ok(), good);
+    }
+}
+
+// Readings.
+
+fn reading(set: u32, indentation: Option<&str>, number: u32, value: &str) -> ReadingRow {
+    ReadingRow {
+        row: 0,
+        time_utc: Timestamp::UNIX_EPOCH,
+        readings_set: set,
+        quantity: match indentation {
+            Some(_) => Quantity::BetweenCrests,
+            None => Quantity::Width,
+        },
+        indentation: indentation.map(str::to_owned),
+        event: Kind::Reading,
+        reading: Some(number),
+        value_mm: Some(mm(value)),
+        text: None,
+        origin: Origin::Board,
+    }
+}
+
+fn accepted(of: &ReadingRow) -> ReadingRow {
+    ReadingRow {
+        event: Kind::Accepted,
+        reading: None,
+        value_mm: None,
+        ..of.clone()
+    }
+}
+
+fn apply(readings: &mut Readings, mut row: ReadingRow) {
+    row.row = readings.sequence.next_row();
+    readings.apply(&row).expect("possible");
+}
+
+fn measured(readings: &mut Readings, indentation: Option<&str>, values: &[&str]) {
+    let set = readings.sets.len() as u32 + 1;
+    for (value, number) in values.iter().zip(1..) {
+        apply(readings, reading(set, indentation, number, value));
+    }
+    apply(readings, accepted(&reading(set, indentation, 1, "1")));
+}
+
+#[test]
+fn five_readings_give_the_papers_indentation() {
+    let mut readings = Readings::default();
+    let width = ["24.38", "24.42", "24.40", "24.37", "24.43"];
+    measured(&mut readings, None, &width);
+    let summary = Summary::of(&readings.width().expect("measured").values).expect("five");
+    assert!((summary.mean_mm - 24.4).abs() < 1e-12);
+    assert_eq!(summary.spread(), mm("0.06"));
+    // Squares of 0.02, 0.02, 0, 0.03, 0.03: 0.0026 / 4.
+    assert!((summary.sd_mm - 0.00065_f64.sqrt()).abs() < 1e-12);
+    measured(
+        &mut readings,
+        Some("a5"),
+        &["14.30", "14.31", "14.29", "14.30", "14.30"],
+    );
+    let clamped = readings.clamped().expect("measured").clone();
+    // (24.40 - 14.30) / 2, Eq. (8).
+    let a = readings.indentation_mm(&clamped).expect("below D");
+    assert!((a - 5.05).abs() < 1e-12, "{a}");
+}
+
+#[test]
+fn readings_that_cannot_be_are_refused_and_odd_ones_questioned() {
+    let resolution = mm("0.02");
+    let refused = |quantity, value: &str| refusal(quantity, mm(value), Some(24.4), resolution);
+    for (quantity, value, says) in [
+        (Quantity::Width, "0", Some("above 0")),
+        (Quantity::Width, "-24.4", Some("above 0")),
+        (Quantity::Width, "2440000", Some("beyond any caliper")),
+        (Quantity::Width, "24.41", Some("resolution is 0.02 mm")),
+        (Quantity::Width, "24.42", None),
+        (Quantity::BetweenCrests, "24.4", Some("do not touch")),
+        (Quantity::BetweenCrests, "24.38", None),
+    ] {
+        let why = refused(quantity, value);
+        match says {
+            Some(says) => assert!(
+                why.as_deref().is_some_and(|why| why.contains(says)),
+                "{value}: {why:?}"
+            ),
+            None => assert_eq!(why, None, "{value}"),
+        }
+    }
+    let plan = plan(SMALL);
+    let mut readings = Readings::default();
+    measured(&mut readings, None, &["24.4", "24.4"]);
+    measured(&mut readings, Some("a2"), &["14.3", "14.3"]);
+    let asked =
+        |readings: &Readings| questions(&plan, readings, readings.sets.last().expect("one"));
+    assert_eq!(asked(&readings), Vec::<String>::new());
+    let mut deep = readings.clone();
+    measured(&mut deep, Some("a1"), &["14.3", "14.3"]);
+    assert!(
+        asked(&deep)[0].contains("a1 = 5.050 mm is not below a2 = 5.050 mm"),
+        "{:?}",
+        asked(&deep)
+    );
+    measured(&mut readings, Some("a1"), &["22.0", "22.6"]);
+    assert!(
+        asked(&readings)[0].contains("differ by 0.6 mm"),
+        "{:?}",
+        asked(&readings)
+    );
+    measured(&mut readings, Some("a2"), &["22.4", "22.4"]);
+    assert!(
+        asked(&readings)[0].contains("a2 = 1.000 mm does not rise above a1 = 1.050 mm"),
+        "{:?}",
+        asked(&readings)
+    );
+}
+
+// Folders.
+
+fn at(second: i64) -> Timestamp {
+    Timestamp::from_second(1_769_000_000 + second).expect("a time")
+}
+
+/// A campaign of which some trials are done, with real records.
+fn campaign(path: &Path) -> Folder {
+    let mut folder = Folder::create(path, SMALL, Path::new("small.toml")).expect("made");
+    let mut second = 0;
+    let mut now = || {
+        second += 1;
+        at(second)
+    };
+    let origin = Origin::Board;
+    for (set, indentation) in [(1, None), (2, Some("a1"))] {
+        for number in 1..=2 {
+            let value = if set == 1 { "24.4" } else { "22.4" };
+            let row = reading(set, indentation, number, value);
+            folder.append_reading(row, now(), origin).expect("written");
+        }
+        let row = accepted(&reading(set, indentation, 1, "1"));
+        folder.append_reading(row, now(), origin).expect("written");
+    }
+    let mut script = Script::new(DeviceKind::Rig);
+    script.ready = true;
+    let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 5).expect("there");
+    for trial in 1..=3 {
+        folder
+            .append(Row::of(Event::Began, trial, Some(1)), now(), origin)
+            .expect("written");
+        let recording = Recording {
+            folder: folder.campaign().attempt_folder(trial, 1),
+            stem: "run".to_owned(),
+            now: now(),
+            note: None,
+            telemetry_ms: 100,
+        };
+        let run = folder.campaign().plan.run;
+        experiment::run(&mut rig, run, &recording, &mut Unobserved).expect("run");
+        let mut row = Row::of(Event::Ended, trial, Some(1));
+        row.outcome = Some(Outcome::Complete);
+        folder.append(row, now(), origin).expect("written");
+        folder.seal_attempt(trial, 1).expect("written");
+        let mut row = Row::of(Event::Displacement, trial, Some(1));
+        row.displacement_mm = Some(mm(["4.2", "5", "-0.25"][trial as usize - 1]));
+        row.source = Some(Source::Measured);
+        folder.append(row, now(), origin).expect("written");
+    }
+    let note = Row::of(Event::Note, 2, None).saying(Some("a \"note\", with\na comma".to_owned()));
+    folder.append(note, now(), origin).expect("written");
+    folder
+}
+
+fn findings(folder: &Path) -> Vec<String> {
+    let verified = verify(folder).expect("a folder");
+    verified.findings.iter().map(ToString::to_string).collect()
+}
+
+#[test]
+fn a_folder_is_read_back_as_it_was_written() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let written = campaign(&path);
+    let read = Campaign::read(&path).expect("a campaign");
+    assert_eq!(read, *written.campaign());
+    assert_eq!(findings(&path), Vec::<String>::new());
+    let verified = verify(&path).expect("a folder");
+    assert_eq!(
+        (verified.campaign, verified.files, verified.records),
+        (true, 10, 3)
+    );
+    assert_eq!(
+        read.state
+            .trial(3)
+            .and_then(|trial| trial.counted())
+            .map(|mm| mm.value),
+        Some(mm("-0.25"))
+    );
+    assert_eq!(
+        read.state.trial(2).expect("there").notes,
+        ["a \"note\", with a comma"]
+    );
+    // One process writes.
+    let error = Folder::resume(&path, at(0)).err().expect("locked");
+    assert!(error.why.contains("another process"), "{}", error.why);
+    drop(written);
+    let (again, told) = Folder::resume(&path, at(0)).expect("free");
+    assert_eq!((again.campaign(), told), (&read, vec![]));
+    let error = Folder::create(&path, SMALL, Path::new("small.toml"))
+        .err()
+        .expect("there");
+    assert!(error.remedy.contains("campaign resume"), "{}", error.remedy);
+}
+
+/// Cut at any byte of what was added last, before or after the manifest knew it, a folder can be resumed and loses no whole
+/// line.
+#[test]
+fn a_crash_at_any_byte_loses_no_whole_line() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    drop(campaign(&path));
+    let manifest = fs::read(path.join(manifest::NAME)).expect("there");
+    let file = path.join(TRIALS);
+    let before = fs::read(&file).expect("there");
+    let rows = Campaign::read(&path).expect("a campaign").rows.len();
+    let mut folder = Folder::resume(&path, at(99)).expect("free").0;
+    let row = Row::of(Event::Note, 3, None).saying(Some("last".to_owned()));
+    folder.append(row, at(100), Origin::Board).expect("written");
+    drop(folder);
+    let after = fs::read(&file).expect("there");
+    for end in before.len()..=after.len() {
+        fs::write(path.join(manifest::NAME), &manifest).expect("written");
+        fs::write(&file, &after[..end]).expect("written");
+        let found = findings(&path);
+        assert_eq!(found.is_empty(), end == before.len(), "{end}: {found:?}");
+        let (folder, told) = Folder::resume(&path, at(101)).expect("a crash");
+        let whole = end == after.len();
+        assert_eq!(
+            folder.campaign().rows.len(),
+            rows + usize::from(whole),
+            "{end}"
+        );
+        assert_eq!(told.is_empty(), end == before.len(), "{end}: {told:?}");
+        drop(folder);
+        assert_eq!(findings(&path), Vec::<String>::new(), "{end}");
+    }
+}
+
+/// Killed between two steps of an attempt: what was completed by its record counts as such, all else is lost.
+#[test]
+fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let mut folder = campaign(&path);
+    folder
+        .append(Row::of(Event::Began, 4, Some(1)), at(200), Origin::Board)
+        .expect("written");
+    drop(folder);
+    // Its files, as those of trial 3: completed, and not in the manifest.
+    let [from, to] = ["003-1", "004-1"].map(|name| path.join(ATTEMPTS).join(name));
+    fs::create_dir(&to).expect("made");
+    for entry in fs::read_dir(&from).expect("there") {
+        let entry = entry.expect("an entry");
+        fs::copy(entry.path(), to.join(entry.file_name())).expect("copied");
+    }
+    fs::write(to.join("run.json.part"), "half").expect("written");
+    let (folder, told) = Folder::resume(&path, at(201)).expect("a crash");
+    assert_eq!(told.len(), 3, "{told:?}");
+    let trial = folder.campaign().state.trial(4).expect("there").clone();
+    assert_eq!(trial.standing(), Standing::Unmeasured);
+    assert_eq!(folder.campaign().state.next(), Some(&trial));
+    drop(folder);
+    assert_eq!(findings(&path), Vec::<String>::new());
+    let mut folder = Folder::resume(&path, at(202)).expect("free").0;
+    let mut row = Row::of(Event::Repeated, 4, Some(1));
+    row.text = Some("not seen".to_owned());
+    folder.append(row, at(203), Origin::Board).expect("written");
+    folder
+        .append(Row::of(Event::Began, 4, Some(2)), at(204), Origin::Board)
+        .expect("written");
+    drop(folder);
+    let (folder, _) = Folder::resume(&path, at(205)).expect("a crash");
+    let trial = folder.campaign().state.trial(4).expect("there");
+    assert_eq!(trial.standing(), Standing::Open);
+    assert_eq!(trial.attempts[1].outcome, Some(Outcome::Lost));
+}
+
+#[test]
+fn what_no_crash_does_is_not_resumed() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    drop(campaign(&path));
+    let resumed = || Folder::resume(&path, at(0)).err().map(|error| error.why);
+    fs::write(path.join("trials/001-1/extra.txt"), "x").expect("written");
+    assert!(resumed().is_some_and(|why| why.contains("not in SHA256SUMS")));
+    fs::remove_file(path.join("trials/001-1/extra.txt")).expect("there");
+    let trials = fs::read_to_string(path.join(TRIALS)).expect("there");
+    fs::write(path.join(TRIALS), trials.replace("4.2", "42")).expect("written");
+    assert!(resumed().is_some_and(|why| why.contains("changed")));
+    let shorter = &trials[..trials[..trials.len() - 1].rfind('\n').expect("lines") + 1];
+    fs::write(path.join(TRIALS), shorter).expect("written");
+    assert!(resumed().is_some_and(|why| why.contains("changed")));
+    fs::write(path.join(TRIALS), trials).expect("written");
+    assert_eq!(resumed(), None);
+}
+
+// Verification.
+
+/// What was done to a folder, and how to undo it.
+struct Change {
+    what: String,
+    /// One of these is named.
+    files: Vec<String>,
+    undo: Vec<(PathBuf, Option<Vec<u8>>)>,
+}
+
+/// One change, drawn by chance; none if it happened to change nothing.
+fn change(chance: &mut Chance, folder: &Path, files: &[String]) -> Option<Change> {
+    let name = files[chance.below(files.len())].clone();
+    let path = folder.join(&name);
+    let bytes = fs::read(&path).expect("there");
+    let mut undo = vec![(path.clone(), Some(bytes.clone()))];
+    let mut named = vec![name.clone()];
+    let lines: Vec<&[u8]> = bytes.split_inclusive(|byte| *byte == b'\n').collect();
+    let (one, other) = (chance.below(lines.len()), chance.below(lines.len()));
+    let mut new = None;
+    let what = match chance.below(10) {
+        0 | 1 => {
+            let mut flipped = bytes.clone();
+            let (place, bit) = (chance.below(flipped.len().max(1)), chance.below(8));
+            *flipped.get_mut(place)? ^= 1 << bit;
+            new = Some(flipped);
+            format!("bit {bit} of byte {place}")
+        }
+        2 => {
+            let mut left = lines.clone();
+            left.remove(one);
+            new = Some(left.concat());
+            format!("line {one} removed")
+        }
+        3 => {
+            let mut left = lines.clone();
+            left.swap(one, other);
+            new = Some(left.concat());
+            format!("lines {one} and {other} exchanged")
+        }
+        4 => {
+            let mut left = lines.clone();
+            left.insert(one, lines[one]);
+            new = Some(left.concat());
+            format!("line {one} doubled")
+        }
+        5 => {
+            let length = chance.below(bytes.len());
+            new = Some(bytes[..length].to_vec());
+            format!("cut to {length} bytes")
+        }
+        6 => {
+            fs::remove_file(&path).expect("there");
+            "removed".to_owned()
+        }
+        7 => {
+            let to = path.with_file_name("other.csv");
+            fs::rename(&path, &to).expect("there");
+            undo.push((to, None));
+            "renamed".to_owned()
+        }
+        8 => {
+            let added = path.with_file_name("added.json");
+            fs::write(&added, &bytes).expect("written");
+            named = vec![
+                added
+                    .strip_prefix(folder)
+                    .expect("within")
+                    .to_string_lossy()
+                    .into_owned(),
+            ];
+            undo.push((added, None));
+            "one added beside it".to_owned()
+        }
+        _ => {
+            let with = files[chance.below(files.len())].clone();
+            let theirs = fs::read(folder.join(&with)).expect("there");
+            undo.push((folder.join(&with), Some(theirs.clone())));
+            fs::write(folder.join(&with), &bytes).expect("written");
+            named.push(with.clone());
+            new = Some(theirs);
+            format!("exchanged with {with}")
+        }
+    };
+    if let Some(new) = new {
+        fs::write(&path, &new).expect("written");
+        if new == bytes {
+            return None;
+        }
+    }
+    Some(Change {
+        what: format!("{name}: {what}"),
+        files: named,
+        undo,
+    })
+}
+
+/// The file is named, what is wrong, and what to do.
+#[test]
+fn each_of_a_thousand_single_changes_is_found() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    drop(campaign(&path));
+    let mut files = manifest::contents(&path).expect("there").files;
+    files.push(manifest::NAME.to_owned());
+    let mut chance = Chance::new(20_261_122);
+    let mut done = 0;
+    while done < 1_000 {
+        let Some(change) = change(&mut chance, &path, &files) else {
+            continue;
+        };
+        done += 1;
+        let verified = verify(&path).expect("a folder");
+        let found = &verified.findings;
+        assert!(!found.is_empty(), "{} is not found", change.what);
+        let manifest = change.files.iter().any(|file| file == manifest::NAME);
+        // A changed path in the manifest makes the file unknown that it stood for.
+        let named = found
+            .iter()
+            .any(|finding| change.files.contains(&finding.path));
+        assert!(named || manifest, "{}: {found:?}", change.what);
+        assert!(found.iter().all(|finding| !finding.remedy.is_empty()));
+        for (path, bytes) in change.undo {
+            match bytes {
+                Some(bytes) => fs::write(path, bytes).expect("written"),
+                None => fs::remove_file(path).expect("there"),
+            }
+        }
+    }
+    assert_eq!(findings(&path), Vec::<String>::new());
+}
+
+/// Whoever changes a file and its hash is found by what the files say of each other.
+#[test]
+fn a_change_with_a_new_manifest_is_found_where_files_contradict_each_other() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    drop(campaign(&path));
+    let sidecar = Campaign::read(&path)
+        .expect("read")
+        .run_sidecar(1, 1)
+        .expect("there");
+    let telemetry = sidecar.with_extension("csv");
+    type Edit = fn(&str) -> String;
+    let without_last: Edit = |text| {
+        let end = text.trim_end().rfind('\n').expect("lines");
+        text[..=end].to_owned()
+    };
+    let reversed: Edit = |text| {
+        let (head, rows) = text.split_once('\n').expect("lines");
+        let mut rows: Vec<_> = rows.lines().collect();
+        rows.reverse();
+        format!("{head}\n{}\n", rows.join("\n"))
+    };
+    let without_second: Edit = |text| {
+        let lines: Vec<_> = text.lines().collect();
+        [&lines[..1], &lines[2..]].concat().join("\n") + "\n"
+    };
+    let cases: [(&Path, Edit, &str); 7] = [
+        (&telemetry, without_last, "rows, the record says"),
+        (&telemetry, reversed, "not in the order of time"),
+        (
+            &sidecar,
+            |text| text.replace("\"complete\"", "\"stopped\""),
+            "its record says stopped",
+        ),
+        (
+            &path.join(TRIALS),
+            without_second,
+            "row 1: it is numbered 2",
+        ),
+        (
+            &path.join(READINGS),
+            without_second,
+            "row 1: it is numbered 2",
+        ),
+        (
+            &path.join("order.csv"),
+            |text| text.replace("dry", "lubricated"),
+            "not the order",
+        ),
+        (
+            &path.join("plan.toml"),
+            |text| text.replace("seed = 3", "seed = 4"),
+            "not the order",
+        ),
+    ];
+    for (file, edit, says) in cases {
+        let before = fs::read_to_string(file).expect("there");
+        let after = edit(&before);
+        assert_ne!(after, before);
+        fs::write(file, after).expect("written");
+        let forged: Manifest = manifest::of_folder(&path).expect("read");
+        fs::write(path.join(manifest::NAME), forged.text()).expect("written");
+        let found = findings(&path);
+        assert!(
+            found.iter().any(|found| found.contains(says)),
+            "{file:?}: {found:?}"
+        );
+        fs::write(file, before).expect("written");
+    }
+}
+
+#[test]
+fn an_ordinary_folder_is_checked_as_far_as_it_can_be() {
+    let place = tempfile::tempdir().expect("a folder");
+    drop(campaign(&place.path().join("small")));
+    let records = place.path().join("small/trials/001-1");
+    let verified = verify(&records).expect("a folder");
+    assert_eq!(
+        (verified.campaign, verified.files, verified.records),
+        (false, 0, 1)
+    );
+    assert_eq!(verified.findings, vec![]);
+    let made = manifest::of_folder(&records).expect("read");
+    fs::write(records.join(manifest::NAME), made.text()).expect("written");
+    assert_eq!(verify(&records).expect("a folder").files, 2);
+    assert!(verify(&place.path().join("none")).is_err());
+    assert_eq!(Form::Folded.name(), "folded");
+    assert_eq!(Lubrication::Dry.name(), "dry");
+}

@@ -1,0 +1,714 @@
+//! The report of a campaign: what counts and what does not, its numbers, its files.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+use crate::support::tool::Memory;
+use analysis::report::Existing;
+use analysis::report::campaign::{Written, report_folder, write};
+use analysis::report::campaign_band::BandSource;
+use analysis::report::evaluation::evaluate;
+use analysis::science::observations::{self, TrialsError};
+use campaign::contents::Campaign;
+use campaign::folder::Folder;
+use campaign::ledger::{Event, Outcome, Row, Source};
+use campaign::manifest;
+use campaign::plan::{Millimetres, Purpose};
+use campaign::readings::{Kind, Quantity, ReadingRow};
+use campaign::statistics::{Line, Spread};
+use client::identity::Origin;
+use client::{Device, Unobserved};
+use jiff::Timestamp;
+use protocol::capsule::ActuationKind;
+use protocol::system::DeviceKind;
+use simulated_machines::machine::{Script, link};
+use trials::experiment::{self, Shape};
+use trials::trial::Recording;
+
+/// Three indentations, dry and lubricated, twice each, and a fold test: 14 trials.
+const PLAN: &str = r#"
+format = 1
+name = "small"
+seed = 3
+[metadata]
+operator = "A. <Person> & Co"
+specimen = "none"
+silicone = "none"
+soap = "none"
+camera = "none"
+caliper = "none"
+caliper_resolution_mm = 0.01
+[run]
+cycles = 2
+stroke_mm = 5
+duration_s = 3
+telemetry_ms = 50
+[readings]
+count = 2
+spread_mm = 0.5
+[[indentation]]
+name = "a1"
+[[indentation]]
+name = "a2"
+[[indentation]]
+name = "a3"
+[series]
+lubrication = ["lubricated", "dry"]
+indentation = ["a1", "a2", "a3"]
+repeats = 2
+[fold_test]
+lubrication = "lubricated"
+indentation = "a3"
+repeats = 1
+"#;
+
+fn mm(text: &str) -> Millimetres {
+    text.parse().expect("a number")
+}
+
+/// The displacement of a trial of this campaign, um: no two alike, and not on a line.
+fn displacement_um(trial: u32) -> i64 {
+    let trial = i64::from(trial);
+    2_000 + 731 * trial - 1_900 * (trial % 3) - 61 * trial * trial
+}
+
+struct Clock(i64);
+
+impl Clock {
+    fn now(&mut self) -> Timestamp {
+        self.0 += 1;
+        Timestamp::from_second(1_769_000_000 + self.0).expect("a time")
+    }
+}
+
+fn read(folder: &mut Folder, clock: &mut Clock, set: u32, name: Option<&str>, values: [&str; 2]) {
+    let quantity = match name {
+        None => Quantity::Width,
+        Some(_) => Quantity::BetweenCrests,
+    };
+    let mut row = ReadingRow {
+        row: 0,
+        time_utc: Timestamp::UNIX_EPOCH,
+        readings_set: set,
+        quantity,
+        indentation: name.map(str::to_owned),
+        event: Kind::Reading,
+        reading: None,
+        value_mm: None,
+        text: None,
+        origin: Origin::Board,
+    };
+    for (number, value) in (1..).zip(values) {
+        row.reading = Some(number);
+        row.value_mm = Some(mm(value));
+        folder
+            .append_reading(row.clone(), clock.now(), Origin::Board)
+            .expect("written");
+    }
+    row.event = Kind::Accepted;
+    (row.reading, row.value_mm) = (None, None);
+    folder
+        .append_reading(row, clock.now(), Origin::Board)
+        .expect("written");
+}
+
+/// All trials but the last are done; trial 2 needed two attempts, trial 5 is excluded.
+fn campaign(path: &Path) -> Folder {
+    let mut folder = Folder::create(path, PLAN, Path::new("small.toml")).expect("made");
+    let mut clock = Clock(0);
+    read(&mut folder, &mut clock, 1, None, ["24.40", "24.38"]);
+    let device = |kind| {
+        let mut script = Script::new(kind);
+        script.ready = true;
+        Device::connect(link(script).0, kind, 5).expect("there")
+    };
+    let (mut rig, mut capsule) = (device(DeviceKind::Rig), device(DeviceKind::Capsule));
+    let order = folder.campaign().order.clone();
+    let (mut set, mut block) = (1, 0);
+    for planned in &order[..order.len() - 1] {
+        if planned.block != block {
+            block = planned.block;
+            set += 1;
+            let (name, values) = match planned.indentation.as_str() {
+                "a1" => ("a1", ["22.40", "22.42"]),
+                "a2" => ("a2", ["18.41", "18.39"]),
+                _ => ("a3", ["14.30", "14.31"]),
+            };
+            read(&mut folder, &mut clock, set, Some(name), values);
+        }
+        let last = if planned.trial == 2 { 2 } else { 1 };
+        for attempt in 1..=last {
+            let readings = &folder.campaign().readings;
+            let a_mm = readings
+                .clamped()
+                .and_then(|set| readings.indentation_mm(set));
+            let mut row = Row::of(Event::Began, planned.trial, Some(attempt));
+            row.readings_set = Some(set);
+            row.indentation_mm = a_mm.map(|a| Millimetres::from_um((a * 1e3).round() as i64));
+            folder
+                .append(row, clock.now(), Origin::Board)
+                .expect("written");
+            let recording = |stem: &str, clock: &mut Clock| Recording {
+                folder: folder.campaign().attempt_folder(planned.trial, attempt),
+                stem: stem.to_owned(),
+                now: clock.now(),
+                note: None,
+                telemetry_ms: 50,
+            };
+            let folded = planned.shape == Shape::Folded.into();
+            if folded {
+                let recording = recording("fold", &mut clock);
+                let kind = ActuationKind::Fold;
+                experiment::actuate(&mut capsule, kind, &recording, &mut Unobserved).expect("fold");
+            }
+            let run = folder.campaign().plan.run;
+            let recording = recording("run", &mut clock);
+            experiment::run(&mut rig, run, &recording, &mut Unobserved).expect("run");
+            let mut row = Row::of(Event::Ended, planned.trial, Some(attempt));
+            row.outcome = Some(if attempt == last {
+                Outcome::Complete
+            } else {
+                Outcome::Stopped
+            });
+            folder
+                .append(row, clock.now(), Origin::Board)
+                .expect("written");
+            folder
+                .seal_attempt(planned.trial, attempt)
+                .expect("written");
+        }
+        let mut row = Row::of(Event::Displacement, planned.trial, Some(last));
+        row.displacement_mm = Some(Millimetres::from_um(displacement_um(planned.trial)));
+        row.source = Some(Source::Measured);
+        folder
+            .append(row, clock.now(), Origin::Board)
+            .expect("written");
+    }
+    let why = Some("the tail was <caught>".to_owned());
+    let row = Row::of(Event::Excluded, 5, Some(1)).saying(why);
+    folder
+        .append(row, clock.now(), Origin::Board)
+        .expect("written");
+    folder
+}
+
+/// A copy of it for each test.
+fn made() -> (tempfile::TempDir, PathBuf) {
+    static MADE: OnceLock<PathBuf> = OnceLock::new();
+    let made = MADE.get_or_init(|| {
+        let made = Path::new(env!("CARGO_TARGET_TMPDIR")).join("campaign-report");
+        // Of the last time, if there was one.
+        let _ = fs::remove_dir_all(&made);
+        drop(campaign(&made));
+        made
+    });
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    copy(made, &path);
+    (place, path)
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).expect("a folder");
+    for entry in fs::read_dir(from).expect("a folder").flatten() {
+        let to = to.join(entry.file_name());
+        if entry.path().is_dir() {
+            copy(&entry.path(), &to);
+        } else {
+            fs::copy(entry.path(), to).expect("copied");
+        }
+    }
+}
+
+fn page(written: &Written) -> String {
+    fs::read_to_string(&written.page).expect("a page")
+}
+
+#[test]
+fn a_campaign_becomes_a_page_figures_and_tables() {
+    let (_place, path) = made();
+    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    assert_eq!(written.findings, Vec::<String>::new());
+    assert_eq!((written.planned, written.counted), (14, 12));
+    let why = |trial| {
+        let left = written.left_out.iter().find(|(left, _)| *left == trial);
+        left.map(|(_, why)| why.as_str()).unwrap_or_default()
+    };
+    assert_eq!(why(5), "excluded: the tail was <caught>");
+    assert_eq!(why(14), "not done yet");
+    let names: Vec<_> = written
+        .files
+        .iter()
+        .map(|file| {
+            file.file_name()
+                .expect("a name")
+                .to_string_lossy()
+                .into_owned()
+        })
+        .collect();
+    let wanted = [
+        "figure7.svg",
+        "figure7.pdf",
+        "figure8.svg",
+        "figure8.pdf",
+        "trials.csv",
+        "attempts.csv",
+        "conditions.csv",
+        "lines.csv",
+        "readings.csv",
+        "report.html",
+    ];
+    assert_eq!(names, wanted);
+    let html = page(&written);
+    assert!(html.contains("A. &lt;Person&gt; &amp; Co") && html.contains("&lt;caught&gt;"));
+    assert!(!html.contains("<script") && !html.contains("src=") && !html.contains("http-equiv"));
+    assert!(!html.contains("class=\"banner\""), "measured and verified");
+    // Its two figures, and one for each run.
+    assert_eq!(html.matches("<svg").count(), 2 + 13);
+    // What the report makes is no change of the campaign.
+    assert_eq!(
+        write(&path, Existing::Replace, &BandSource::default())
+            .expect("again")
+            .findings,
+        Vec::<String>::new()
+    );
+    let error = write(&path, Existing::Keep, &BandSource::default()).expect_err("there");
+    assert!(error.to_string().contains("is there already"), "{error}");
+}
+
+#[test]
+fn a_campaign_that_has_not_begun_has_a_report_without_figures() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    drop(Folder::create(&path, PLAN, Path::new("small.toml")).expect("made"));
+    fs::create_dir(report_folder(&path)).expect("a folder");
+    let stale = report_folder(&path).join("figure7.svg");
+    fs::write(&stale, "of trials that no longer count").expect("written");
+    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    assert_eq!(
+        (written.planned, written.counted, written.left_out.len()),
+        (14, 0, 14)
+    );
+    assert!(!stale.exists());
+    let html = page(&written);
+    assert!(!html.contains("<svg") && html.contains("No trial of the series counts yet"));
+    assert!(html.contains("ORIGIN UNKNOWN"));
+}
+
+/// The means and lines are those of the trials that count, and of no other.
+#[test]
+fn the_numbers_are_those_of_the_trials_that_count() {
+    let (_place, path) = made();
+    let evaluation = evaluate(&path).expect("a campaign");
+    let order = Campaign::read(&path).expect("a campaign").order;
+    for row in &evaluation.conditions {
+        let of_it = |planned: &&campaign::order::Planned| {
+            (planned.purpose, planned.lubrication, planned.shape)
+                == (row.purpose, row.lubrication, row.shape)
+                && planned.indentation == row.indentation
+        };
+        let all: Vec<_> = order.iter().filter(of_it).collect();
+        let values: Vec<f64> = all
+            .iter()
+            .filter(|planned| ![5, 14].contains(&planned.trial))
+            .map(|planned| displacement_um(planned.trial) as f64)
+            .collect();
+        assert_eq!((row.planned, row.n), (all.len(), values.len()));
+        let spread = Spread::of(&values);
+        let mean_mm = spread.map(|spread| spread.mean / 1e3);
+        assert_eq!(row.mean_mm.map(|mean| mean.0), mean_mm);
+        let sd_um = spread.and_then(|spread| spread.sd);
+        assert_eq!(row.sd_mm.map(|sd| sd.0), sd_um.map(|sd| sd / 1e3));
+    }
+    for (row, line) in &evaluation.lines {
+        let points = evaluation.points(Purpose::Series, row.lubrication);
+        assert_eq!(Line::through(&points), Some(*line));
+        assert!(points.len() >= 5 && row.n == points.len());
+    }
+    let a = |name: &str| {
+        let row = evaluation
+            .conditions
+            .iter()
+            .find(|row| row.indentation == name);
+        row.and_then(|row| row.indentation_mm)
+            .expect("set")
+            .to_string()
+    };
+    // (24.39 - 22.41)/2, (24.39 - 18.40)/2, (24.39 - 14.305)/2 to the micrometre.
+    assert_eq!(
+        (a("a1"), a("a2"), a("a3")),
+        ("0.990".into(), "2.995".into(), "5.043".into())
+    );
+    let excluded = &evaluation.trials[4];
+    assert_eq!(
+        (excluded.counts, excluded.purpose),
+        (false, Purpose::Series)
+    );
+    for row in &evaluation.trials[..13] {
+        assert_eq!(
+            (row.planned_steps, row.counted_steps),
+            (Some(16_000), Some(16_000))
+        );
+        let deviation = row.greatest_deviation_mm.expect("a plan").0;
+        assert!(
+            deviation < 0.05,
+            "trial {}: {deviation} mm off the plan",
+            row.trial
+        );
+        assert_eq!(row.telemetry_sha256.as_ref().map(String::len), Some(64));
+    }
+}
+
+#[test]
+fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
+    let (_place, path) = made();
+    let telemetry = evaluate(&path).expect("a campaign").trials[2]
+        .telemetry
+        .clone();
+    let file = path.join(telemetry.expect("a run"));
+    let text = fs::read_to_string(&file).expect("there");
+    let half = text.len() / 2;
+    fs::write(&file, &text[..half]).expect("cut");
+    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    assert_eq!(written.counted, 11);
+    let (_, why) = written
+        .left_out
+        .iter()
+        .find(|(trial, _)| *trial == 3)
+        .expect("left out");
+    assert!(why.contains("not as it was written"), "{why}");
+    assert!(!written.findings.is_empty());
+    let html = page(&written);
+    assert!(html.contains("NOT AS IT WAS WRITTEN") && !html.contains("class=\"ok\">Verified"));
+    // A displacement in the ledger that was edited is a finding, too.
+    fs::write(&file, text).expect("as before");
+    let ledger = path.join("trials.csv");
+    let text = fs::read_to_string(&ledger).expect("there");
+    let edited = text.replacen(",0.77,", ",0.78,", 1);
+    assert_ne!(text, edited);
+    fs::write(&ledger, edited).expect("edited");
+    let written = write(&path, Existing::Replace, &BandSource::default()).expect("written");
+    assert!(page(&written).contains("NOT AS IT WAS WRITTEN"));
+    // A script sees it by the exit code; the page is there all the same.
+    fs::remove_file(&written.page).expect("removed");
+    let folder = path.display().to_string();
+    let (code, _, err) = Memory::with(vec![]).run(&["report", &folder]);
+    assert_eq!(code, 1, "{err}");
+    assert!(
+        err.contains("is written, but `verify` has") && err.contains("trials.csv"),
+        "{err}"
+    );
+    assert!(page(&written).contains("NOT AS IT WAS WRITTEN"));
+}
+
+/// The same campaign, as the virtual bench would have written it.
+#[test]
+fn a_virtual_campaign_cannot_pass_as_a_measurement() {
+    let (_place, path) = made();
+    for name in manifest::contents(&path).expect("a folder").files {
+        let file = path.join(name);
+        let text = fs::read_to_string(&file).expect("text");
+        let marked = text
+            .replace(",board\n", ",virtual\n")
+            .replace("\"origin\": \"board\"", "\"origin\": \"virtual\"")
+            .replace(",measured,", ",model_with_scatter,");
+        fs::write(&file, marked).expect("written");
+    }
+    let plan = path.join("plan.toml");
+    let text = fs::read_to_string(&plan).expect("text");
+    fs::write(&plan, text + "[virtual]\nscatter_mm = 0.25\nseed = 77\n").expect("written");
+    let sums = manifest::of_folder(&path).expect("a folder");
+    fs::write(path.join(manifest::NAME), sums.text()).expect("written");
+    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    assert_eq!((written.findings.len(), written.counted), (0, 12));
+    assert_eq!(written.origin, Origin::Virtual);
+    let html = page(&written);
+    assert!(
+        html.contains("VIRTUAL: this campaign was simulated."),
+        "{html}"
+    );
+    assert!(
+        html.contains("standard deviation of 0.25 mm was added, seed 77"),
+        "{html}"
+    );
+    assert!(!html.contains("Origin: board") && !html.contains(">measured<"));
+    for file in &written.files {
+        let bytes = fs::read(file).expect("there");
+        let text = String::from_utf8_lossy(&bytes);
+        assert!(text.contains("virtual"), "{file:?}");
+        if file.extension().is_some_and(|kind| kind == "csv") {
+            let mut rows = text.lines().skip(1);
+            assert!(rows.all(|row| row.ends_with(",virtual")), "{file:?}");
+        }
+    }
+    // One run of another origin does not count among them.
+    let telemetry = evaluate(&path).expect("a campaign").trials[2]
+        .telemetry
+        .clone();
+    let sidecar = path.join(telemetry.expect("a run")).with_extension("json");
+    let text = fs::read_to_string(&sidecar).expect("text");
+    fs::write(&sidecar, text.replace("\"virtual\"", "\"board\"")).expect("written");
+    let sums = manifest::of_folder(&path).expect("a folder");
+    fs::write(path.join(manifest::NAME), sums.text()).expect("written");
+    let written = write(&path, Existing::Replace, &BandSource::default()).expect("written");
+    assert_eq!((written.counted, written.defects), (11, 1));
+    // A script sees that as well.
+    let at = path.to_str().expect("UTF-8");
+    let (code, _, err) = Memory::with(vec![]).run(&["report", at, "--force"]);
+    assert_eq!(code, 1, "{err}");
+    assert!(
+        err.contains("the records of 1 trials cannot be relied on"),
+        "{err}"
+    );
+}
+
+#[test]
+fn the_command_says_what_it_wrote_and_what_does_not_count() {
+    let (_place, path) = made();
+    let memory = Memory::with(vec![]);
+    let at = path.to_str().expect("UTF-8");
+    let (code, out, err) = memory.run(&["report", at]);
+    assert_eq!(code, 0, "{err}");
+    assert!(
+        out.starts_with("12 of 14 trials count; origin board"),
+        "{out}"
+    );
+    assert!(err.contains("trial 5 does not count: excluded"), "{err}");
+    let (code, _, err) = memory.run(&["report", at]);
+    assert_eq!(code, 1, "{err}");
+    assert!(err.contains("--force"), "{err}");
+    let (code, out, _) = memory.run(&["--json", "report", at, "--force"]);
+    let json: serde_json::Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!((code, &json["counted"]), (0, &12.into()));
+    for wrong in [&["report", at, at][..], &["report", at, "--out", "x.html"]] {
+        let (code, _, err) = memory.run(wrong);
+        assert_eq!(code, 2, "{err}");
+        assert!(err.contains("is a campaign"), "{err}");
+    }
+}
+
+/// Behind the series stands what a model leaves open, and the page says whose bodies and what that is worth.
+#[test]
+fn a_models_band_stands_behind_the_series_and_says_what_it_is() {
+    let (place, path) = made();
+    let memory = Memory::with(vec![]);
+    let at = path.to_str().expect("UTF-8");
+    let said = |more: &[&str]| {
+        let (code, _, err) = memory.run(&[&["report", at, "--force"], more].concat());
+        assert_eq!(code, 0, "{err}");
+        let read = |name: &str| fs::read_to_string(path.join("report").join(name)).expect(name);
+        (read("report.html"), read("figure7.svg"))
+    };
+    let (page, prior) = said(&[]);
+    for says in [
+        "not validated against a rig",
+        "bodies that agree with the paper&#39;s words on the rig",
+    ] {
+        assert!(
+            page.contains(says) || page.contains(&says.replace("&#39;", "'")),
+            "{says}"
+        );
+    }
+    assert!(
+        prior.contains("model, 5 to 95 % of bodies that fit"),
+        "{prior}"
+    );
+    assert!(!page.contains("these very trials"));
+
+    let file = place.path().join("model.toml");
+    let sample = |ratio: f64| [0.15, ratio, 0.0007, 0.05];
+    let model =
+        crate::support::made_up::posterior(&file, "", &[sample(30.0), sample(40.0), sample(50.0)]);
+    let (page, fitted) = said(&["--model", &model]);
+    assert!(page.contains("3 of 3 bodies of the posterior"), "no bodies");
+    assert!(
+        fitted.contains("model, 5 to 95 % of fitted bodies"),
+        "{fitted}"
+    );
+    assert!(!page.contains("these very trials"));
+    assert!(fitted != prior);
+
+    // Its own data in a posterior: agreement is no evidence.
+    let listed = fs::read_to_string(path.join(manifest::NAME)).expect("a list");
+    let hash = listed.lines().find(|line| line.ends_with("  trials.csv"));
+    let hash = hash.expect("the ledger is listed");
+    let text = fs::read_to_string(&model).expect("a model");
+    fs::write(
+        &model,
+        text.replace("sha256 = []", &format!("sha256 = [\"{hash}\"]")),
+    )
+    .expect("written");
+    let (page, _) = said(&["--model", &model]);
+    assert!(page.contains("fitted to these very trials"), "not said");
+
+    let record = path.join("attempts");
+    let (code, _, err) =
+        memory.run(&["report", record.to_str().expect("UTF-8"), "--model", &model]);
+    assert!(code == 2 && err.contains("no campaign is named"), "{err}");
+}
+
+/// An independent program, in another language, works out every number of the page from the campaign's own files.
+#[test]
+fn every_number_of_the_page_is_worked_out_again() {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/check_report.py");
+    let python = |path: &Path| {
+        let mut command = Command::new("python3");
+        command.env("PYTHONDONTWRITEBYTECODE", "1");
+        command.arg(&script).arg(path).output()
+    };
+    let (_place, path) = made();
+    write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let Ok(output) = python(&path) else {
+        // Without Python there is no second opinion.
+        return;
+    };
+    let said = String::from_utf8_lossy(&output.stdout).into_owned()
+        + &String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    let count = said
+        .split(' ')
+        .next()
+        .and_then(|count| count.parse::<u32>().ok());
+    assert!(count.expect("a count") > 200, "{said}");
+    // It is no check that cannot fail: another line, another deviation.
+    let page = report_folder(&path).join("report.html");
+    let html = fs::read_to_string(&page).expect("a page");
+    for key in ["/r_squared\">", "/greatest_deviation_mm\">"] {
+        let at = html.find(key).expect(key) + key.len();
+        let mut wrong = html.clone();
+        let digit = if html[at..].starts_with('7') {
+            "8"
+        } else {
+            "7"
+        };
+        wrong.replace_range(at..=at, digit);
+        fs::write(&page, wrong).expect("edited");
+        let output = python(&path).expect("as before");
+        assert!(!output.status.success(), "{key}");
+    }
+}
+
+#[test]
+fn the_catalogue_finds_campaigns_and_trials_by_date_specimen_and_outcome() {
+    let (place, path) = made();
+    // Beside it, two ordinary trials: one as written, one that a crash has left.
+    let runs = evaluate(&path).expect("a campaign").parts;
+    let data = place.path().join("data/old");
+    fs::create_dir_all(&data).expect("a folder");
+    for (name, part) in [("run-a", &runs[0][0]), ("run-b", &runs[1][0])] {
+        let text = fs::read_to_string(&part.sidecar).expect("there");
+        let text = text.replace("\"note\": null", "\"note\": \"Specimen SEVEN\"");
+        fs::write(data.join(name).with_extension("json"), text).expect("written");
+    }
+    let left = data.join("run-b.json");
+    let text = fs::read_to_string(&left).expect("there");
+    fs::write(&left, text.replacen("\"complete\"", "\"running\"", 1)).expect("written");
+    fs::write(data.join("broken.json"), "{").expect("written");
+    fs::write(data.join("broken.csv"), "").expect("written");
+    fs::write(data.join("settings.json"), "{}").expect("written");
+
+    let memory = Memory::with(vec![]);
+    let at = place.path().to_str().expect("UTF-8").to_owned();
+    let ask = |more: &[&str]| -> (Vec<(String, String)>, String) {
+        let (code, out, err) = memory.run(&[&["--json", "list", &at], more].concat());
+        assert_eq!(code, 0, "{err}");
+        let json: serde_json::Value = serde_json::from_str(&out).expect("one object");
+        let text = |entry: &serde_json::Value, name: &str| {
+            entry[name].as_str().unwrap_or_default().to_owned()
+        };
+        let entries = json["entries"].as_array().expect("entries").iter();
+        let entries = entries.map(|entry| (text(entry, "kind"), text(entry, "outcome")));
+        (entries.collect(), json["unreadable"].to_string())
+    };
+    let is = |kind: &str, outcome: &str| (kind.to_owned(), outcome.to_owned());
+    let (all, unreadable) = ask(&[]);
+    assert_eq!(
+        all,
+        [
+            is("campaign", "open"),
+            is("trial", "complete"),
+            is("trial", "running"),
+        ]
+    );
+    assert!(unreadable.contains("broken.json") && !unreadable.contains("settings"));
+    assert_eq!(ask(&["--outcome", "running"]).0, [is("trial", "running")]);
+    assert_eq!(ask(&["--specimen", "seven"]).0.len(), 2);
+    assert_eq!(ask(&["--specimen", "none"]).0, [is("campaign", "open")]);
+    assert_eq!(ask(&["--until", "2026-01-20"]).0, []);
+    assert_eq!(
+        ask(&["--since", "2026-01-21", "--until", "2026-01-21"])
+            .0
+            .len(),
+        3
+    );
+    assert_eq!(ask(&["--since", "2026-01-22"]).0, []);
+    // 13 trials, one of them in two attempts.
+    assert_eq!(ask(&["--trials"]).0.len(), 3 + 14);
+    let stopped = ask(&["--trials", "--outcome", "stopped"]).0;
+    assert_eq!(stopped, [is("campaign_trial", "stopped")]);
+
+    let (code, out, err) = memory.run(&["list", &at]);
+    assert_eq!(code, 0, "{err}");
+    assert!(
+        out.contains("small: 12 of 14 trials done, by A. <Person> & Co"),
+        "{out}"
+    );
+    assert!(err.contains("unreadable: "), "{err}");
+    let (code, _, err) = memory.run(&["list", "/no/such/folder"]);
+    assert_eq!(code, 2, "{err}");
+    let (code, _, err) = memory.run(&["list", &at, "--since", "yesterday"]);
+    assert_eq!(code, 2, "{err}");
+}
+
+/// A calibration takes the net displacements that count, lists all others with the reason, and nothing of a changed
+/// folder.
+#[test]
+fn a_calibration_takes_what_counts_and_lists_what_does_not() {
+    let (_place, path) = made();
+    let why = observations::read(&path, None)
+        .expect_err("not said")
+        .to_string();
+    assert!(why.contains("how exact its displacements are"), "{why}");
+    let read = observations::read(&path, Some(0.5)).expect("readable");
+    assert_eq!(read.origin, Origin::Board);
+    assert_eq!(read.stroke_mm, Some(5.0));
+    let campaign = Campaign::read(&path).expect("a campaign");
+    let used: Vec<&str> = read.measured.iter().map(|one| &*one.place).collect();
+    for trial in &campaign.state.trials {
+        let number = trial.planned.trial;
+        let counts = trial.counted().is_some() && trial.planned.shape == Shape::Unfolded.into();
+        let place = format!("trial {number}");
+        assert_eq!(used.contains(&&*place), counts, "{place}");
+        let listed = read.left_out.iter().any(|left| left.place == place);
+        assert!(counts || listed, "{place} is nowhere");
+    }
+    for one in &read.measured {
+        let number: u32 = one.place["trial ".len()..].parse().expect("a number");
+        let mm = displacement_um(number) as f64 / 1e3;
+        assert_eq!(one.observation.displacement_mm, mm, "{}", one.place);
+        assert_eq!(one.observation.uncertainty_mm, 0.5);
+    }
+    let whys: Vec<String> = read
+        .left_out
+        .iter()
+        .map(|one| format!("{}: {}", one.place, one.why))
+        .collect();
+    let says = |text: &str| {
+        assert!(
+            whys.iter().any(|why| why.contains(text)),
+            "{text}: {whys:?}"
+        )
+    };
+    says("trial 5: excluded: the tail was <caught>");
+    says("trial 2: attempt 1 stopped");
+    says("trial 14: not done");
+    let files: Vec<&str> = read.files.iter().map(|file| &*file.path).collect();
+    assert_eq!(files, ["trials.csv", manifest::NAME]);
+    let trials_csv = path.join("trials.csv");
+    let text = fs::read_to_string(&trials_csv).expect("a file");
+    fs::write(&trials_csv, text.replacen("measured", "Measured", 1)).expect("written");
+    let error = observations::read(&path, Some(0.5)).expect_err("changed");
+    assert!(matches!(error, TrialsError::Changed { .. }), "{error}");
+}

@@ -1,0 +1,883 @@
+//! Campaigns on the command line, over the firmware's own request handling in virtual time: a person at the keyboard, and
+//! nobody.
+
+use std::fs;
+use std::io::{self, BufRead, Read, Write};
+use std::path::Path;
+use std::process::Command;
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crate::support::plan::{ONE_CONDITION, PAPER, changed};
+use crate::support::tool::Memory;
+use analysis::report::check;
+use analysis::science::observations;
+use calibration::observation::Kind as Observed;
+use campaign::contents::Campaign;
+use campaign::form::Form;
+use campaign::ledger::{Event, Outcome, Source, Standing};
+use campaign::plan::Purpose;
+use campaign::verify::verify;
+use client::identity::Origin;
+use host_tool::cli::run_at;
+use locomotion::roller::{Params, isolated_pass};
+use protocol::rig::{MoveAccepted, MoveTo, RunOutcome};
+use protocol::settings::SettingKey;
+use protocol::system::DeviceKind;
+use simulated_machines::machine::{Script, VIRTUAL_UID, World};
+use trials::trial::{Action, Moved, RigSample, Trial};
+
+/// The paper's plan, but for the number of trials and the length of the run, with these changes.
+fn small_plan(changes: &[(&str, &str)]) -> String {
+    let small = [
+        ("repeats = 10", "repeats = 1"),
+        ("duration_s = 40", "duration_s = 8"),
+        ("cycles = 5", "cycles = 1"),
+        (r#"["a1", "a2", "a3", "a4", "a5"]"#, r#"["a2", "a5"]"#),
+        ("telemetry_ms = 10 ", "telemetry_ms = 50 "),
+        ("count = 5", "count = 2"),
+    ];
+    changed(PAPER, &[&small, changes].concat())
+}
+
+fn machines(uid: Option<[u8; 12]>) -> Memory {
+    Memory::with(
+        [DeviceKind::Rig, DeviceKind::Capsule]
+            .map(|kind| {
+                let mut script = Script::new(kind);
+                script.uid = uid.unwrap_or(script.uid);
+                script
+            })
+            .to_vec(),
+    )
+}
+
+fn place(plan: &str) -> tempfile::TempDir {
+    let place = tempfile::tempdir().expect("a folder");
+    fs::write(place.path().join("plan.toml"), plan).expect("written");
+    place
+}
+
+fn path(place: &tempfile::TempDir, name: &str) -> String {
+    place.path().join(name).display().to_string()
+}
+
+const AT: [&str; 4] = ["--rig", "0", "--capsule", "1"];
+
+fn whole(folder: &str) -> Campaign {
+    let verified = verify(Path::new(folder)).expect("a folder");
+    assert_eq!(verified.findings, vec![]);
+    Campaign::read(Path::new(folder)).expect("a campaign")
+}
+
+#[test]
+fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
+    let place = place(&small_plan(&[("scatter_mm = 0 ", "scatter_mm = 0.5 ")]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(Some(VIRTUAL_UID));
+    let args = |extra: &[&str]| -> Vec<String> {
+        let all = [&["campaign"], extra, &AT[..]].concat();
+        all.into_iter().map(str::to_owned).collect()
+    };
+    let run = |extra: &[&str]| {
+        let args = args(extra);
+        memory.run(&args.iter().map(String::as_str).collect::<Vec<_>>())
+    };
+    let (code, said, err) = run(&["run", &plan, "--out", &out, "--yes", "--trials", "3"]);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(said.contains("3 of 6 trials count"), "{said}");
+    assert!(
+        said.contains("VIRTUAL: nothing here is a measurement"),
+        "{said}"
+    );
+    assert!(
+        said.contains("min left") || said.contains("minute left"),
+        "{said}"
+    );
+    let (code, said, err) = run(&["resume", &out, "--yes"]);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(
+        said.contains("6 of 6 trials count") && said.contains("Nothing is left"),
+        "{said}"
+    );
+    let report = Path::new(&out).join("report");
+    assert!(report.join("report.html").is_file() && report.join("figure7.svg").is_file());
+    let campaign = whole(&out);
+    assert!(
+        campaign
+            .rows
+            .iter()
+            .all(|row| row.origin == Origin::Virtual)
+    );
+    assert!(
+        campaign
+            .reading_rows
+            .iter()
+            .all(|row| row.origin == Origin::Virtual)
+    );
+    for row in campaign
+        .rows
+        .iter()
+        .filter(|row| row.event == Event::Displacement)
+    {
+        assert_eq!(row.source, Some(Source::ModelWithScatter));
+        let text = row.text.as_deref().unwrap_or_default();
+        assert!(
+            text.contains("model") && text.contains("scatter of 0.5 mm added, seed 1"),
+            "{text}"
+        );
+    }
+    for trial in &campaign.state.trials {
+        let attempt = trial.attempt().expect("done");
+        let (number, planned) = (trial.planned.trial, &trial.planned);
+        let about = if planned.indentation == "a2" {
+            "2"
+        } else {
+            "5.05"
+        };
+        assert_eq!(
+            attempt.indentation_mm.map(|a| a.to_string()).as_deref(),
+            Some(about)
+        );
+        let mm = trial.counted().expect("counts").value.mm();
+        match planned.shape {
+            Form::Unfolded => assert!(mm > 0.0, "{number}: {mm}"),
+            Form::Folded => assert!(mm < -20.0, "{number}: {mm}"),
+            Form::Folding => unreachable!("the plan has none"),
+        }
+        let folder = campaign.attempt_folder(number, 1);
+        let conditions = fs::read_to_string(folder.join("conditions.json")).expect("there");
+        for word in [
+            "\"origin\": \"virtual\"",
+            "stroke_um",
+            "\"shift_steps\"",
+            "\"uid\"",
+        ] {
+            assert!(conditions.contains(word), "{word}: {conditions}");
+        }
+        // Two strokes, 4 s apart.
+        let pulses = fs::read_to_string(folder.join("sync.csv")).expect("there");
+        let times: Vec<u64> = pulses
+            .lines()
+            .skip(1)
+            .map(|line| {
+                line.split(',')
+                    .nth(1)
+                    .expect("columns")
+                    .parse()
+                    .expect("a number")
+            })
+            .collect();
+        assert_eq!(times.len(), 2, "{pulses}");
+        assert!(
+            (times[1] - times[0]).abs_diff(4_000_000) < 10_000,
+            "{pulses}"
+        );
+    }
+    // The same seed gives the same scatter.
+    let again = path(&place, "again");
+    assert_eq!(run(&["run", &plan, "--out", &again, "--yes"]).0, 0);
+    let values = |campaign: &Campaign| {
+        let trials = campaign.state.trials.iter();
+        trials
+            .map(|trial| trial.counted().map(|mm| mm.value))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(values(&whole(&again)), values(&campaign));
+    // The folded body is measured, then unfolded; both are in the attempt's folder.
+    let fold = campaign
+        .state
+        .trials
+        .iter()
+        .find(|trial| trial.planned.shape == Form::Folded);
+    let folder = campaign.attempt_folder(fold.expect("one").planned.trial, 1);
+    let stems: Vec<String> = fs::read_dir(folder)
+        .expect("there")
+        .map(|entry| {
+            entry
+                .expect("an entry")
+                .file_name()
+                .to_string_lossy()
+                .into_owned()
+        })
+        .collect();
+    for stem in ["fold-", "run-", "unfold-"] {
+        assert!(
+            stems.iter().any(|name| name.starts_with(stem)),
+            "{stem}: {stems:?}"
+        );
+    }
+}
+
+#[test]
+fn the_capsule_folds_within_the_runs_that_the_plan_says() {
+    let place = place(&small_plan(&[
+        ("# fold_at_cycle = 3 ", "fold_at_cycle = 2 "),
+        ("cycles = 1", "cycles = 3"),
+        ("duration_s = 8", "duration_s = 24"),
+        (r#"["dry", "lubricated"]"#, r#"["dry"]"#),
+        (r#"["a2", "a5"]"#, r#"["a5"]"#),
+    ]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(Some(VIRTUAL_UID));
+    let run = [&["campaign", "run", &plan, "--out", &out, "--yes"][..], &AT].concat();
+    let (code, said, err) = memory.run(&run);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(
+        said.contains("it will be unfolded, and fold in the run")
+            && said.contains("4 of 4 trials count"),
+        "{said}"
+    );
+    let campaign = whole(&out);
+    let mm = |form: Form| {
+        let mut trials = campaign.state.trials.iter();
+        let trial = trials.find(|trial| trial.planned.shape == form && trial.planned.block == 2);
+        let trial = trial.expect("one of each");
+        let counted = trial.counted().expect("counts");
+        (trial.planned.trial, counted.value.mm())
+    };
+    // Wherever the folded block lies, the carriage pushes it to the same end.
+    let ((_, unfolded), (_, folded)) = (mm(Form::Unfolded), mm(Form::Folded));
+    let (number, folding) = mm(Form::Folding);
+    assert!(
+        unfolded > 20.0 && folded < -50.0 && (folding - folded).abs() < 0.1,
+        "{folded} {folding} {unfolded}"
+    );
+    let row = campaign
+        .rows
+        .iter()
+        .find(|row| (row.trial, row.event) == (Some(number), Event::Displacement));
+    let text = row.and_then(|row| row.text.as_deref()).unwrap_or_default();
+    assert!(
+        text.contains("roller model until the fold begins"),
+        "{text}"
+    );
+    // The fold is recorded beside the run, and names its place.
+    let of_fold = fs::read_dir(campaign.attempt_folder(number, 1))
+        .expect("there")
+        .map(|entry| entry.expect("an entry").path())
+        .find(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            name.starts_with("fold-") && name.ends_with(".json")
+        });
+    let record = fs::read_to_string(of_fold.expect("a record")).expect("there");
+    assert!(
+        record.contains("\"cycle\": 2") && record.contains("\"latency_us\""),
+        "{record}"
+    );
+    let report = Path::new(&out).join("report");
+    let conditions = fs::read_to_string(report.join("conditions.csv")).expect("there");
+    assert!(
+        conditions.contains("fold_test,lubricated,a5,folding,1,1,"),
+        "{conditions}"
+    );
+    let figure = fs::read_to_string(report.join("figure8.svg")).expect("there");
+    assert!(figure.contains("folding at cycle 2, n = 1"));
+}
+
+/// A run, and a pass each way, at one indentation; strokes are asked for.
+fn plan_of_passes() -> String {
+    let changes = [
+        ("repeats = 10", "repeats = 1"),
+        ("duration_s = 40", "duration_s = 8"),
+        ("telemetry_ms = 10 ", "telemetry_ms = 20 "),
+        ("count = 5", "count = 2"),
+        (
+            "[displacement]\n",
+            "[passes]\nlubrication = [\"dry\"]\nindentation = [\"a5\"]\nrepeats = 1\ntail_mm = 40\nbody_mm = 41.2\n\
+             [displacement]\nper_stroke = true\nuncertainty_mm = 0.3\n",
+        ),
+    ];
+    changed(PAPER, &[&ONE_CONDITION[..], &changes].concat())
+}
+
+/// The move of each pass goes the way that its name says, over the whole stroke.
+fn passes(campaign: &Campaign) -> Vec<(Purpose, f64)> {
+    let trials = campaign.state.trials.iter();
+    let passes = trials.filter(|trial| trial.planned.purpose.pass().is_some());
+    passes
+        .map(|trial| {
+            let attempt = trial.attempt().expect("done");
+            let sidecar = campaign
+                .run_sidecar(trial.planned.trial, attempt.number)
+                .expect("a record");
+            let record = Trial::read(&sidecar).expect("a record");
+            let rows: Vec<RigSample> = record.samples(&sidecar).expect("telemetry");
+            assert!(rows.len() > 100, "{}", rows.len());
+            assert_eq!(check::movement(&record, &rows), Vec::<String>::new());
+            contradicted(&record, &rows);
+            let Action::Move {
+                accepted: Some(accepted),
+                moved: Some(moved),
+                screw,
+                ..
+            } = record.action
+            else {
+                panic!("{:?}", record.action);
+            };
+            let far = screw.steps(130_000);
+            let ends = match trial.planned.purpose {
+                Purpose::AntegradePass => (0, far),
+                _ => (far, 0),
+            };
+            assert_eq!((accepted.from_steps, accepted.to_steps), ends);
+            assert_eq!(moved.position_steps, ends.1);
+            (
+                trial.planned.purpose,
+                trial.counted().expect("counts").value.mm(),
+            )
+        })
+        .collect()
+}
+
+/// What is changed in the record of a move is named.
+fn contradicted(record: &Trial, rows: &[RigSample]) {
+    let with = |change: &dyn Fn(&mut Trial, &mut Vec<RigSample>)| {
+        let (mut record, mut rows) = (record.clone(), rows.to_vec());
+        change(&mut record, &mut rows);
+        check::movement(&record, &rows).join("; ")
+    };
+    type Parts<'a> = (&'a mut MoveTo, &'a mut MoveAccepted, &'a mut Moved);
+    fn parts(record: &mut Trial) -> Parts<'_> {
+        match &mut record.action {
+            Action::Move {
+                requested,
+                accepted: Some(accepted),
+                moved: Some(moved),
+                ..
+            } => (requested, accepted, moved),
+            other => panic!("{other:?}"),
+        }
+    }
+    for (said, says) in [
+        (
+            with(&|record, _| parts(record).2.position_steps += 1),
+            "it is called complete at",
+        ),
+        (
+            with(&|record, _| parts(record).2.outcome = RunOutcome::Stopped),
+            "the sidecar's status differ",
+        ),
+        (
+            with(&|record, _| parts(record).0.position_um += 1_000),
+            "another place than was requested",
+        ),
+        (
+            with(&|record, _| parts(record).1.stroke.steps -= 1),
+            "are not those between the two places",
+        ),
+        (
+            with(&|_, rows| rows[7].position_steps = -5),
+            "a sample is at -5 steps",
+        ),
+        (
+            with(&|record, rows| {
+                rows.truncate(20);
+                record.samples = 20;
+            }),
+            "and the move took",
+        ),
+    ] {
+        assert!(said.contains(says), "{says}: {said}");
+    }
+}
+
+/// From the plan to what a fit takes, on the models.
+#[test]
+fn passes_and_strokes_reach_the_fit_and_the_report() {
+    let place = place(&plan_of_passes());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(Some(VIRTUAL_UID));
+    let run = |args: &[&str]| memory.run(&[args, &AT].concat());
+    let (code, said, err) = run(&["campaign", "run", &plan, "--out", &out, "--yes"]);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(said.contains("antegrade pass n = 1 of 1"), "{said}");
+    let campaign = whole(&out);
+    let model = isolated_pass(Params::PAPER, 5.05).expect("covered");
+    for (purpose, mm) in passes(&campaign) {
+        let alone = match purpose {
+            Purpose::AntegradePass => model.antegrade_mm,
+            _ => model.returning_mm,
+        };
+        // The ripple of the model, for the body lies elsewhere, and the rounding to the caliper.
+        assert!((mm - alone).abs() < 0.3, "{purpose:?}: {mm}, alone {alone}");
+    }
+    let trials = observations::read(Path::new(&out), None).expect("verifies");
+    let of = |wanted: Observed| {
+        let found = trials
+            .measured
+            .iter()
+            .find(|one| one.observation.kind == wanted);
+        found.unwrap_or_else(|| panic!("{wanted:?}")).observation
+    };
+    assert_eq!((trials.measured.len(), trials.left_out.len()), (5, 0));
+    let (net, first, second) = (
+        of(Observed::Net { cycles: 1 }),
+        of(Observed::Stroke { number: 1 }),
+        of(Observed::Stroke { number: 2 }),
+    );
+    assert_eq!(net.uncertainty_mm, 0.3);
+    assert_eq!(first.uncertainty_mm, 0.3);
+    assert!((second.uncertainty_mm - 0.3 * 2_f64.sqrt()).abs() < 1e-12);
+    let sum = first.displacement_mm + second.displacement_mm;
+    assert!((sum - net.displacement_mm).abs() < 1e-9, "{sum}");
+    assert!(first.displacement_mm > 5.0 && second.displacement_mm < first.displacement_mm);
+    of(Observed::AntegradePass);
+    of(Observed::ReturningPass);
+    let given = observations::read(Path::new(&out), Some(0.5)).expect("verifies");
+    assert_eq!(given.overridden_mm, Some(0.3));
+    assert!(given.measured[0].observation.uncertainty_mm == 0.5);
+
+    let report = Path::new(&out).join("report");
+    let page = fs::read_to_string(report.join("report.html")).expect("a page");
+    assert!(page.contains("Isolated passes") && page.contains("trials/1/stroke/2"));
+    assert!(report.join("passes.svg").is_file() && report.join("passes.pdf").is_file());
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/check_report.py");
+    let mut python = Command::new("python3");
+    python.env("PYTHONDONTWRITEBYTECODE", "1");
+    // Without Python there is no second opinion.
+    if let Ok(output) = python.arg(&script).arg(&out).output() {
+        let said = String::from_utf8_lossy(&output.stdout).into_owned()
+            + &String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{said}");
+    }
+    let (code, listed, err) = memory.run(&["list", &path(&place, ""), "--trials"]);
+    assert_eq!(code, 0, "{err}");
+    assert!(listed.contains("dry, a5, returning pass"), "{listed}");
+
+    // What is excluded is left out, and listed.
+    let pass = campaign
+        .state
+        .trials
+        .iter()
+        .find(|trial| trial.planned.purpose.pass().is_some());
+    let number = pass.expect("there").planned.trial.to_string();
+    let (code, _, err) = memory.run(&["campaign", "edit", &out, "exclude", &number, "torn"]);
+    assert_eq!(code, 0, "{err}");
+    let trials = observations::read(Path::new(&out), None).expect("verifies");
+    assert_eq!(trials.measured.len(), 4);
+    assert_eq!(trials.left_out[0].why, "excluded: torn");
+}
+
+/// Rollers move before the body is laid in, from the right end also after an interruption; strokes that contradict the net
+/// displacement are asked for again.
+#[test]
+fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
+    let place = place(&plan_of_passes());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(None);
+    let (code, shown) = converse(
+        &memory,
+        &["run", &plan, "--out", &out],
+        vec![
+            ("rollers OFF", ""),
+            ("Reading 1 of 2: D", "24.4"),
+            ("Reading 2 of 2: D", "24.4"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "14.3"),
+            ("Reading 2 of 2: i", "14.3"),
+            (
+                "Trial 1, unfolded: the rollers go home before the body is laid in",
+                "",
+            ),
+            ("Trial 1 of 3", ""),
+            ("after stroke 1 of 2 (antegrade)", "9.5"),
+            ("after stroke 2 of 2 (returning)", "200"),
+            ("the plan allows -130 to 130", "9.2"),
+            ("Displacement of the tail", "10.5"),
+            ("the two may differ by 0.9 mm", "undo"),
+            ("after stroke 2 of 2", ""),
+            ("are left out", "undo"),
+            ("after stroke 2 of 2", "9.4"),
+            ("Displacement of the tail", "9.2"),
+            ("isolated passes", ""),
+            ("Reading 1 of 2: i", "14.3"),
+            ("Reading 2 of 2: i", "14.3"),
+            ("before the body is laid in", "12"),
+            ("not for now", ""),
+            ("Trial 2 of 3", ""),
+            ("Displacement of the tail", "4.1"),
+            // The rollers stand where the way back begins: nothing has to move.
+            ("Trial 3 of 3", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    let between = &shown[shown.find("Trial 2 of 3").expect("there")..];
+    assert!(!between.contains("before the body is laid in"), "{between}");
+    // Nobody knows where the rollers stand now: they are homed, and go to the right end, without the body.
+    let (code, shown) = converse(
+        &memory,
+        &["resume", &out],
+        vec![
+            ("before the body is laid in", ""),
+            ("no roller touches it", "undo"),
+            ("Displacement of the tail", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    let (code, shown) = converse(
+        &memory,
+        &["resume", &out],
+        vec![
+            ("Displacement of the tail", "4.3"),
+            ("before the body is laid in", ""),
+            ("Trial 3 of 3", ""),
+            ("Displacement of the tail", "-0.4"),
+        ],
+    );
+    assert_eq!(code, 0, "{shown}");
+    let campaign = whole(&out);
+    assert_eq!(passes(&campaign).len(), 2);
+    let run = campaign
+        .state
+        .trial(1)
+        .and_then(|trial| trial.attempt())
+        .expect("done");
+    let um: Vec<i64> = run.strokes.iter().map(|mm| mm.um).collect();
+    assert_eq!(
+        (um, run.displacement.map(|one| one.value.um)),
+        (vec![9_500, 9_400], Some(9_200))
+    );
+    // A correction keeps to what was entered after the last stroke.
+    let edit = |args: &[&str]| memory.run(&[&["campaign", "edit", &out], args].concat());
+    let (code, _, err) = edit(&["displacement", "1", "12", "misread"]);
+    assert!(
+        code == 2 && err.contains("the two may differ"),
+        "{code} {err}"
+    );
+    let (code, _, err) = edit(&["displacement", "1", "9.6", "misread"]);
+    assert_eq!(code, 0, "{err}");
+}
+
+/// Neither the way to where a pass begins nor the pass goes beyond the stroke that the rig has.
+#[test]
+fn a_pass_beyond_the_rigs_stroke_is_refused_with_its_number() {
+    for seed in 1..=4 {
+        let plan = plan_of_passes().replace("seed = 20221", &format!("seed = {seed}"));
+        let (before, series) = plan.split_once("[series]").expect("there");
+        let (_, after) = series.split_once("\n\n").expect("a blank line");
+        let place = place(&format!("{before}{after}"));
+        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+        let mut rig = Script::new(DeviceKind::Rig);
+        rig.uid = VIRTUAL_UID;
+        rig.settings = vec![(SettingKey::StrokeUm, 100_000)];
+        let memory = Memory::with(vec![rig, Script::new(DeviceKind::Capsule)]);
+        let args = ["campaign", "run", &plan, "--out", &out, "--yes"];
+        let (code, said, err) = memory.run(&[&args, &AT[..]].concat());
+        assert_eq!(code, 3, "{said}{err}");
+        assert!(err.contains("130 mm, allowed is 0 to 100 mm"), "{err}");
+        assert!(memory.heard().contains(&"MoveTo"));
+        let campaign = whole(&out);
+        let first = &campaign.state.trials[0];
+        let outcomes: Vec<_> = first.attempts.iter().map(|one| one.outcome).collect();
+        match first.planned.purpose {
+            Purpose::AntegradePass => assert_eq!(outcomes, [Some(Outcome::Refused)]),
+            // The rollers do not even get to where it begins.
+            _ => assert_eq!(outcomes, []),
+        }
+    }
+}
+
+#[test]
+fn nobody_answers_for_a_board() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(None);
+    let args = |extra: &[&'static str]| {
+        [&["campaign", "run", &plan, "--out", &out], extra, &AT]
+            .concat()
+            .iter()
+            .map(|arg| (*arg).to_owned())
+            .collect::<Vec<String>>()
+    };
+    let run = |args: Vec<String>| memory.run(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    let (code, _, err) = run(args(&[]));
+    assert_eq!(code, 3, "{err}");
+    assert!(
+        err.contains("nobody is at a terminal") && !Path::new(&out).exists(),
+        "{err}"
+    );
+    let (code, _, err) = run(args(&["--yes"]));
+    assert_eq!(code, 3, "{err}");
+    assert!(
+        err.contains("displacement on a board has to be measured"),
+        "{err}"
+    );
+    assert!(!memory.heard().contains(&"Run") && !memory.heard().contains(&"Home"));
+    assert_eq!(whole(&out).rows, vec![]);
+}
+
+/// Output that a keyboard can look at.
+#[derive(Clone, Default)]
+struct Shown(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Shown {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().expect("free").extend(bytes);
+        Ok(bytes.len())
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl Shown {
+    fn text(&self) -> String {
+        String::from_utf8_lossy(&self.0.lock().expect("free")).into_owned()
+    }
+}
+
+/// A person who waits for a text, then types a line.
+struct Person {
+    shown: Shown,
+    seen: usize,
+    lines: std::vec::IntoIter<(&'static str, &'static str)>,
+    typing: Vec<u8>,
+}
+
+impl Read for Person {
+    fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+        unreachable!("lines are read")
+    }
+}
+
+impl BufRead for Person {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        if self.typing.is_empty()
+            && let Some((wanted, line)) = self.lines.next()
+        {
+            let begin = Instant::now();
+            loop {
+                let text = self.shown.text();
+                if let Some(place) = text[self.seen..].find(wanted) {
+                    self.seen += place + wanted.len();
+                    break;
+                }
+                let late = begin.elapsed() > Duration::from_secs(20);
+                assert!(!late, "no `{wanted}` in:\n{}", &text[self.seen..]);
+                thread::sleep(Duration::from_millis(1));
+            }
+            self.typing = format!("{line}\n").into_bytes();
+        }
+        Ok(&self.typing)
+    }
+    fn consume(&mut self, count: usize) {
+        self.typing.drain(..count);
+    }
+}
+
+/// Exit code, and all that was shown.
+fn converse(
+    memory: &Memory,
+    args: &[&str],
+    lines: Vec<(&'static str, &'static str)>,
+) -> (u8, String) {
+    let shown = Shown::default();
+    let person = Person {
+        shown: shown.clone(),
+        seen: 0,
+        lines: lines.into_iter(),
+        typing: vec![],
+    };
+    let all = [&["retrograde", "campaign"], args, &AT].concat();
+    let (mut out, mut err) = (shown.clone(), shown.clone());
+    let code = run_at(
+        all.into_iter().map(Into::into),
+        memory,
+        &mut out,
+        &mut err,
+        false,
+        Some(Box::new(person)),
+    );
+    (code, shown.text())
+}
+
+#[test]
+fn a_person_is_asked_again_until_the_answer_can_be() {
+    let plan = small_plan(&[("camera = \"none\"", "camera = \"overhead\"")]);
+    let place = place(&plan);
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(None);
+    let (code, shown) = converse(
+        &memory,
+        &["run", &plan, "--out", &out],
+        vec![
+            ("rollers OFF", ""),
+            ("Reading 1 of 2: D", "24,4"),
+            ("has a comma", "24.4 mm"),
+            ("has a unit", "2.44e1"),
+            ("exponent", "0"),
+            ("above 0", "24.401"),
+            ("resolution is 0.01", "24.6"),
+            ("Reading 2 of 2: D", "undo"),
+            ("Reading 1 of 2: D", "24.4"),
+            ("Reading 2 of 2: D", "25.4"),
+            ("differ by 1 mm", "again"),
+            ("rollers OFF", ""),
+            ("Reading 1 of 2: D", "24.4"),
+            ("Reading 2 of 2: D", "24.4"),
+            ("D = 24.400 mm", ""),
+            ("Reading 1 of 2: i", "24.4"),
+            ("rollers do not touch", "20.4"),
+            ("Reading 2 of 2: i", "20.4"),
+            ("(D - i)/2 = 2.000 mm", "note 21 degC"),
+            ("camera records, as paper-001-1", "camera IMG_1.MOV"),
+            ("camera records, as IMG_1.MOV", ""),
+            ("Displacement of the tail", "12,5"),
+            ("has a comma", "1300"),
+            ("the plan allows -130 to 130", "12.5"),
+            ("Clamp both rollers", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    assert!(shown.contains("campaign resume"), "{shown}");
+    let campaign = whole(&out);
+    let first = campaign.state.trial(1).expect("there");
+    assert_eq!(first.counted().map(|mm| mm.value.um), Some(12_500));
+    assert_eq!(first.notes, ["21 degC"]);
+    assert_eq!(first.attempts[0].camera_file.as_deref(), Some("IMG_1.MOV"));
+    assert_eq!(
+        campaign.rows.last().expect("some").source,
+        Some(Source::Measured)
+    );
+    assert!(campaign.readings.sets[0].discarded && !campaign.readings.sets[1].discarded);
+    assert_eq!(campaign.origin(), Some(Origin::Board));
+
+    // The next day: the second indentation; undo, repeat, exclude, skip.
+    let (code, shown) = converse(
+        &memory,
+        &["resume", &out],
+        vec![
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "14.3"),
+            ("Reading 2 of 2: i", "14.3"),
+            ("Trial 2 of 6", "undo"),
+            ("Displacement of the tail", "13.5"),
+            ("Trial 2 of 6", ""),
+            ("Displacement of the tail", "repeat it was not at its mark"),
+            ("Trial 2 of 6, attempt 2", ""),
+            ("Displacement of the tail", "40"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "14.5"),
+            ("Reading 2 of 2: i", "14.5"),
+            ("Trial 3 of 6", "exclude the wall was torn"),
+            ("Trial 3 of 6", "skip no soap"),
+            ("Clamp both rollers", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    let campaign = whole(&out);
+    let standing = |trial| campaign.state.trial(trial).expect("there").standing();
+    assert_eq!(
+        [1, 2, 3, 4].map(standing),
+        [
+            Standing::Done,
+            Standing::Excluded,
+            Standing::Skipped,
+            Standing::Open
+        ]
+    );
+    let (_, said, _) = memory.run(&["campaign", "status", &out]);
+    for line in [
+        "1 of 6 trials count",
+        "attempt 1 does not count: given up: it was not at its mark",
+        "trial 2 is excluded: the wall was torn",
+        "trial 3 is skipped: no soap",
+        "13.500 mm",
+    ] {
+        assert!(said.contains(line), "{line}: {said}");
+    }
+    for args in [
+        &["include", "2"][..],
+        &["displacement", "2", "-1.5", "misread"],
+        &["include", "3"],
+        &["note", "all", "well"],
+    ] {
+        let (code, said, err) = memory.run(&[&["campaign", "edit", &out], args].concat());
+        assert_eq!(code, 0, "{args:?}: {said}{err}");
+    }
+    for args in [
+        &["exclude", "5", "x"][..],
+        &["displacement", "2", "140"],
+        &["undo", "99"],
+        &["include", "1"],
+    ] {
+        let (code, said, err) = memory.run(&[&["campaign", "edit", &out], args].concat());
+        assert_eq!(code, 2, "{args:?}: {said}{err}");
+    }
+    let campaign = whole(&out);
+    let second = campaign
+        .state
+        .trial(2)
+        .expect("there")
+        .counted()
+        .expect("counts");
+    assert_eq!((second.value.um, second.entered), (-1_500, 2));
+    assert_eq!(campaign.state.notes, ["all well"]);
+}
+
+#[test]
+fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let mut rig = Script::new(DeviceKind::Rig);
+    rig.uid = VIRTUAL_UID;
+    let mut capsule = Script::new(DeviceKind::Capsule);
+    capsule.uid = VIRTUAL_UID;
+    let mut broken = rig.clone();
+    // The loop opens within the first run, and stays open.
+    broken.world = vec![(9_000_000, World::EStopLoop { open: true })];
+    let memory = Memory::with(vec![broken, capsule.clone()]);
+    let run = |memory: &Memory, args: &[&str]| memory.run(&[&["campaign"], args, &AT].concat());
+    let (code, said, err) = run(&memory, &["run", &plan, "--out", &out, "--yes"]);
+    assert_eq!(code, 6, "{said}{err}");
+    let campaign = whole(&out);
+    let first = campaign.state.trial(1).expect("there");
+    assert_eq!(
+        first.attempts[0].outcome,
+        Some(Outcome::Faulted),
+        "{said}{err}"
+    );
+    assert_eq!(first.standing(), Standing::Open);
+    let memory = Memory::with(vec![rig, capsule]);
+    let (code, said, err) = run(&memory, &["resume", &out, "--yes"]);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(
+        said.contains("trial 1, attempt 1 does not count: faulted"),
+        "{said}"
+    );
+    assert_eq!(whole(&out).state.trial(1).expect("there").attempts.len(), 2);
+}
+
+#[test]
+fn verify_says_what_is_wrong_and_what_to_do() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(Some(VIRTUAL_UID));
+    let (code, said, err) = memory.run(&["campaign", "new", &plan, "--out", &out]);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(said.contains("6 trials in 5 blocks, seed 20221"), "{said}");
+    let (code, said, _) = memory.run(&["verify", &out]);
+    assert_eq!(code, 0);
+    assert!(said.contains("4 files are as SHA256SUMS says"), "{said}");
+    fs::write(Path::new(&out).join("notes.txt"), "x").expect("written");
+    let (code, said, err) = memory.run(&["verify", &out]);
+    assert_eq!(code, 1, "{said}{err}");
+    assert!(
+        said.contains("notes.txt: is not in SHA256SUMS")
+            && said.contains("remedy: was it put there by hand?"),
+        "{said}"
+    );
+    let (code, said, _) = memory.run(&["--json", "verify", &out]);
+    let json: serde_json::Value = serde_json::from_str(&said).expect("JSON");
+    assert_eq!(
+        (code, &json["findings"][0]["path"]),
+        (1, &"notes.txt".into())
+    );
+    let empty = path(&place, "empty");
+    fs::create_dir(&empty).expect("made");
+    let (code, _, err) = memory.run(&["verify", &empty]);
+    assert_eq!(code, 2, "{err}");
+    assert!(err.contains("no SHA256SUMS and no record"), "{err}");
+}

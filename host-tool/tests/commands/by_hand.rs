@@ -1,0 +1,208 @@
+//! Hold, resume, jog and move: what they say is what happened.
+
+use crate::support::tool::{Memory, ready};
+use protocol::rig::{Run, RunTiming};
+use protocol::{settings::SettingKey, system::DeviceKind};
+use serde_json::Value;
+use simulated_machines::machine::{Script, World, button, estop};
+use trials::experiment::PAPER_RUN;
+
+const SHORT_RUN_US: u64 = 4_000_000;
+const SHORT_RUN: Run = Run {
+    cycles: 2,
+    stroke_um: 10_000,
+    timing: RunTiming::Total {
+        total_us: SHORT_RUN_US,
+        accel_um_s2: 100_000,
+    },
+    ..PAPER_RUN
+};
+
+/// A rig in the middle of the paper's first stroke, at 35.7 mm/s. A hold reaches it 6 ms after the host has connected;
+/// 8 ms are queued then, and braking takes 36 ms: it stands after 50 ms.
+fn running() -> Script {
+    Script {
+        running: Some((PAPER_RUN, 2_000_000)),
+        ..ready(DeviceKind::Rig)
+    }
+}
+
+/// Exit code, JSON object, text on standard error.
+fn json(script: Script, args: &[&str]) -> (u8, Value, String) {
+    let memory = Memory::with(vec![script]);
+    let (code, out, err) = memory.run(&[&["--json", "--rig", "0"], args].concat());
+    (code, serde_json::from_str(&out).expect("one object"), err)
+}
+
+#[test]
+fn a_hold_is_reported_when_the_carriage_stands_within_the_run() {
+    let (code, json, err) = json(running(), &["hold"]);
+    assert_eq!(code, 0, "{err}");
+    assert_eq!(json["held"], true);
+    assert_eq!(json["status"]["state"], "Held");
+    // At 35.683 mm/s after a ramp of 0.357 s it begins to brake 2.020 s after the start, at 65.71 mm, and takes 0.64 mm.
+    let um = json["status"]["position_um"].as_i64().expect("a number");
+    assert!(um.abs_diff(66_350) < 100, "{um}");
+}
+
+#[test]
+fn a_hold_that_the_start_button_has_ended_is_no_hold() {
+    // Down in the third of control's rounds, which is when it counts, the rig is held; while it brakes, it would not.
+    for (pressed_us, code, text) in [
+        (32_000, 3, "the run was held, and goes on again"),
+        (10_000, 0, "Held at 66."),
+    ] {
+        let pressed = Script {
+            world: button(pressed_us),
+            ..running()
+        };
+        let (got, json, err) = json(pressed, &["hold"]);
+        assert_eq!(got, code, "{pressed_us}: {err}");
+        assert!(err.contains(text), "{pressed_us}: {err}");
+        assert_eq!(json["ok"], code == 0, "{json}");
+        assert!(!err.contains("the carriage is at"), "it may move: {err}");
+    }
+}
+
+#[test]
+fn a_hold_that_came_too_late_is_no_hold() {
+    // Of the run's time, the other host takes 6 ms beside this idling, and this host 6 ms until the hold: that comes 4 ms
+    // before the end, when all steps are queued.
+    let late = Script {
+        running: Some((SHORT_RUN, SHORT_RUN_US - 16_000)),
+        ..ready(DeviceKind::Rig)
+    };
+    let (code, json, err) = json(late, &["hold"]);
+    assert_eq!(code, 3, "{err}");
+    assert!(err.contains("too late, the run is complete"), "{err}");
+    assert_eq!(json["ok"], false);
+    assert_eq!(json["held"], Value::Null);
+}
+
+#[test]
+fn a_fault_while_a_hold_brakes_is_reported_as_that() {
+    let faulty = Script {
+        world: estop(20_000),
+        ..running()
+    };
+    let (code, json, err) = json(faulty, &["hold"]);
+    assert_eq!(code, 6, "{err}");
+    assert!(
+        err.contains("the run ended by a fault: the E-stop"),
+        "{err}"
+    );
+    assert_eq!(json["held"], Value::Null);
+}
+
+#[test]
+fn a_jog_that_a_fault_ends_is_no_success() {
+    for fault_at_us in [150_000, 200_000, 210_000, 500_000] {
+        let faulty = Script {
+            world: estop(fault_at_us),
+            ..ready(DeviceKind::Rig)
+        };
+        let (code, json, err) = json(faulty, &["jog", "away", "--for-s", "1"]);
+        assert_eq!(code, 6, "{fault_at_us}: {err}");
+        assert!(
+            err.contains("the jog ended by a fault: the E-stop"),
+            "{fault_at_us}: {err}"
+        );
+        assert!(err.contains(" mm"), "where it stands: {err}");
+        assert_eq!(json["ok"], false);
+    }
+}
+
+#[test]
+fn a_jog_ends_in_time_or_at_the_end_of_the_stroke() {
+    let (code, ends, err) = json(ready(DeviceKind::Rig), &["jog", "away", "--for-s", "2"]);
+    assert_eq!(code, 0, "{err}");
+    let um = ends["status"]["position_um"].as_i64().expect("a number");
+    assert!(um.abs_diff(10_000) < 200, "{um}");
+    let line = &["jog", "away", "--for-s", "9", "--speed-mm-s", "40"];
+    let (code, ends, err) = json(ready(DeviceKind::Rig), line);
+    assert_eq!(code, 0, "{err}");
+    assert_eq!(ends["status"]["position_um"], 130_000);
+}
+
+/// The rig's own dead-man time is what a jog is renewed by.
+#[test]
+fn a_jog_goes_on_with_the_shortest_dead_man_time() {
+    let quick = Script {
+        settings: vec![(SettingKey::DeadManMs, 50)],
+        ..ready(DeviceKind::Rig)
+    };
+    let (code, ends, err) = json(quick, &["jog", "away", "--for-s", "1"]);
+    assert_eq!(code, 0, "{err}");
+    let um = ends["status"]["position_um"].as_i64().expect("a number");
+    assert!(um.abs_diff(5_000) < 200, "{um}");
+}
+
+#[test]
+fn a_move_that_a_fault_ends_has_moved() {
+    let faulty = Script {
+        world: estop(500_000),
+        ..ready(DeviceKind::Rig)
+    };
+    let (code, _, err) = json(faulty, &["move", "60"]);
+    assert_eq!(code, 6, "{err}");
+    assert!(
+        err.contains("the move ended by a fault: the E-stop"),
+        "{err}"
+    );
+    assert!(
+        // 0.1 s of acceleration to 20 mm/s, then 0.394 s.
+        err.contains("the carriage is at 8.8") && !err.contains("nothing was moved"),
+        "{err}"
+    );
+    // One that is there before does not begin at all.
+    let faulted = Script {
+        world: estop(1),
+        ..ready(DeviceKind::Rig)
+    };
+    let (code, _, err) = json(faulted, &["move", "60"]);
+    assert_eq!(code, 3, "{err}");
+    assert!(err.contains("nothing was moved"), "{err}");
+}
+
+#[test]
+fn what_somebody_else_stopped_is_no_success() {
+    for line in [&["jog", "away", "--for-s", "2"][..], &["move", "60"]] {
+        let pressed = Script {
+            world: button(460_000),
+            ..ready(DeviceKind::Rig)
+        };
+        let (code, _, err) = json(pressed, line);
+        assert_eq!(code, 130, "{err}");
+        assert!(err.contains("the start button"), "{err}");
+        assert!(err.contains("the carriage is at "), "{err}");
+    }
+    let held = Script {
+        world: vec![(20_000, World::StopFrame)],
+        ..running()
+    };
+    let (code, _, err) = json(held, &["hold"]);
+    assert_eq!(code, 130, "{err}");
+    assert!(err.contains("the run was stopped"), "{err}");
+}
+
+#[test]
+fn a_jog_of_no_time_is_refused_before_a_port_is_opened() {
+    let memory = Memory::with(vec![ready(DeviceKind::Rig)]);
+    for time in ["0", "0.000"] {
+        let (code, _, err) = memory.run(&["--rig", "0", "jog", "away", "--for-s", time]);
+        assert_eq!(code, 2, "{err}");
+        assert!(err.contains("use a number above 0"), "{err}");
+    }
+    assert!(memory.heard().is_empty());
+}
+
+#[test]
+fn no_waves_per_minute_are_no_run() {
+    let memory = Memory::with(vec![ready(DeviceKind::Rig)]);
+    for command in ["run", "plan"] {
+        let (code, _, err) = memory.run(&[command, "--waves-per-minute", "0"]);
+        assert_eq!(code, 2, "{err}");
+        assert!(err.contains("use a number above 0"), "{err}");
+    }
+    assert!(memory.heard().is_empty());
+}

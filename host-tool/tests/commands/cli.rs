@@ -1,0 +1,683 @@
+//! The command line: refusals before a byte is sent, exit codes, JSON, and commands against machines in memory.
+
+use std::path::Path;
+
+use crate::support::tool::{Memory, ready};
+use assert_cmd::Command;
+use protocol::capsule::KEPT_TRACE_POINTS;
+use protocol::system::{DeviceKind, Urgent};
+use serde_json::Value;
+use simulated_machines::machine::capsule::FOLDED_UM;
+use simulated_machines::machine::{Script, World, button, estop};
+
+fn retrograde(args: &[&str]) -> (i32, String, String) {
+    let output = Command::cargo_bin("retrograde")
+        .expect("built")
+        .env_remove("RETROGRADE_RIG")
+        .env_remove("RETROGRADE_CAPSULE")
+        .args(args)
+        .output()
+        .expect("starts");
+    (
+        output.status.code().unwrap_or(-1),
+        String::from_utf8_lossy(&output.stdout).into_owned(),
+        String::from_utf8_lossy(&output.stderr).into_owned(),
+    )
+}
+
+/// Nobody listens at this address: whoever gets so far as to connect ends with exit code 4.
+const NOBODY: &str = "tcp:127.0.0.1:1";
+
+#[test]
+fn impossible_runs_are_refused_before_a_link_is_opened() {
+    for (args, code, says) in [
+        (&["--stroke-mm", "131"][..], 3, "at most 130.000 mm"),
+        (&["--stroke-mm", "0"], 3, "more than zero"),
+        (&["--cycles", "0"], 3, "use 1..=10000"),
+        (&["--duration-s", "10"], 3, "--duration-s 31.430613"),
+        (&["--duration-s", "0"], 3, "--duration-s 31.430613"),
+        (&["--accel-mm-s2", "0"], 3, "acceleration is zero"),
+        (&["--speed-mm-s", "0"], 3, "speed is zero"),
+        (&["--stroke-mm", "NaN"], 2, "not a number"),
+        (&["--stroke-mm", "inf"], 2, "not a number"),
+        (&["--stroke-mm", "-130"], 2, "negative"),
+        (&["--stroke-mm", "1e999"], 2, "has an exponent"),
+        (&["--stroke-mm", "130.0001"], 2, "more than 3 decimals"),
+        (&["--stroke-mm", "99999999999999999999"], 2, "too large"),
+        (&["--duration-s", "1e999"], 2, "has an exponent"),
+        (&["--duration-s", "NaN"], 2, "not a number"),
+        (&["--cycles", "10001"], 2, "at most 10000"),
+        (&["--cycles", "2.5"], 2, "more than 0 decimals"),
+        (&["--cycles", "-1"], 2, ""),
+        (&["--telemetry-ms", "4"], 2, "5..=1000"),
+        (&["--return-speed-mm-s", "10"], 2, "--speed-mm-s"),
+        (&["--on-link-loss", "carry-on"], 2, "stop, finish"),
+    ] {
+        let line = [&["run", "--rig", NOBODY], args].concat();
+        let (got, out, err) = retrograde(&line);
+        assert_eq!(got, code, "{args:?}: {err}");
+        assert!(err.contains(says), "{args:?}: {err}");
+        assert!(out.is_empty(), "{args:?}: {out}");
+    }
+    // The same line with possible numbers does try to connect.
+    assert_eq!(retrograde(&["run", "--rig", NOBODY]).0, 4);
+}
+
+#[test]
+fn the_virtual_bench_is_elsewhere() {
+    let (code, _, err) = retrograde(&["home", "--rig", "virtual"]);
+    assert_eq!(code, 4);
+    assert!(err.contains("cargo xtask demo"), "{err}");
+}
+
+#[test]
+fn the_papers_plan() {
+    let (code, out, err) = retrograde(&["plan"]);
+    assert_eq!((code, err.as_str()), (0, ""));
+    insta::assert_snapshot!(out, @r"
+    cycles:        5 of 130 mm (130 mm achieved)
+    duration:      40 s, a start delay of 0 s included
+    strokes:       10, 4 s out, 4 s home
+    ramps:         0.35683233 s out, 0.35683233 s home
+    peak speed:    35.683 mm/s out, 35.683 mm/s home
+    acceleration:  100 mm/s2 out, 100 mm/s2 home
+    dwell:         0 s at the far end, 0 s at home
+    step rate:     28547 Hz at most
+    edges:         1040000, 104000 per stroke
+    fingerprint:   9966e3a586ca9ec0
+    ");
+}
+
+#[test]
+fn a_plan_writes_its_edges_and_its_plot() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (edges, plot) = (
+        folder.path().join("edges.csv"),
+        folder.path().join("plot.svg"),
+    );
+    let (code, out, err) = retrograde(&[
+        "--json",
+        "plan",
+        "--cycles",
+        "1",
+        "--stroke-mm",
+        "0.01",
+        "--duration-s",
+        "0.2",
+        "--edges",
+        edges.to_str().expect("UTF-8"),
+        "--plot",
+        plot.to_str().expect("UTF-8"),
+    ]);
+    assert_eq!(code, 0, "{err}");
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(json["ok"], true);
+    assert_eq!(json["plan"]["achieved"]["edges"], 16);
+    assert_eq!(
+        std::fs::read_to_string(&edges)
+            .expect("edges")
+            .lines()
+            .count(),
+        17
+    );
+    assert!(
+        std::fs::read_to_string(&plot)
+            .expect("plot")
+            .starts_with("<svg")
+    );
+}
+
+#[test]
+fn help_completions_and_manual_are_there() {
+    assert_eq!(retrograde(&["--help"]).0, 0);
+    assert_eq!(retrograde(&[]).0, 2);
+    let (code, out, _) = retrograde(&["completions", "bash"]);
+    assert!(code == 0 && out.contains("estop"));
+    let (code, out, _) = retrograde(&["man"]);
+    assert!(code == 0 && out.starts_with(".ie"), "{out}");
+    let (code, out, _) = retrograde(&["man", "settings", "set"]);
+    assert!(
+        code == 0 && out.contains("retrograde-settings-set"),
+        "{out}"
+    );
+    assert!(out.contains("store it in flash"), "{out}");
+    let (_, out, _) = retrograde(&["--help"]);
+    assert!(out.contains("retrograde run --cycles 5"), "{out}");
+}
+
+#[test]
+fn machines_are_found_by_asking_and_each_command_takes_the_right_one() {
+    let both = Memory::with(vec![ready(DeviceKind::Capsule), ready(DeviceKind::Rig)]);
+    let (code, out, err) = both.run(&["home"]);
+    assert_eq!(code, 0, "{err}");
+    // It stands at 0: 0.26 s off the flag at 4 mm/s, 0.04 s back to it, 0.25 s pull-off of 3 mm, 1.51 s over these at
+    // 2 mm/s, 0.14 s for the last millimetre.
+    assert!(out.contains("Homed in 2.2"), "{out}");
+    let (code, out, _) = both.run(&["--json", "info"]);
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(
+        (code, &json["rig"]["identity"]["device"]),
+        (0, &Value::from("rig"))
+    );
+    assert_eq!(json["capsule"]["status"]["state"], "Unfolded");
+    let (code, out, _) = both.run(&["devices"]);
+    assert!(code == 0 && out.lines().count() == 2, "{out}");
+}
+
+#[test]
+fn none_wrong_or_several_are_listed_and_refused_before_anything_moves() {
+    for (scripts, args, code, says) in [
+        (vec![], &["home"][..], "no rig found"),
+        (
+            vec![DeviceKind::Capsule],
+            &["home"],
+            "no rig found; there is:\n  0 (memory): capsule",
+        ),
+        (
+            vec![DeviceKind::Rig, DeviceKind::Rig],
+            &["home"],
+            "several rigs found",
+        ),
+        (
+            vec![DeviceKind::Capsule],
+            &["--rig", "0", "home"],
+            "is a capsule, not a rig",
+        ),
+    ]
+    .map(|(kinds, args, says)| (kinds.into_iter().map(ready).collect(), args, 4, says))
+    {
+        let memory = Memory::with(scripts);
+        let (got, _, err) = memory.run(args);
+        assert_eq!(got, code, "{err}");
+        assert!(err.contains(says), "{err}");
+        assert!(!memory.heard().contains(&"Home"));
+    }
+}
+
+#[test]
+fn every_line_of_a_help_is_indented() {
+    let capsule = Memory::with(vec![ready(DeviceKind::Capsule)]);
+    let (_, _, err) = capsule.run(&["--rig", "0", "home"]);
+    let help = err.split_once("\n  help: ").expect("a help").1;
+    let mut more = help.trim_end().lines().skip(1);
+    assert!(more.clone().count() > 0, "{err}");
+    assert!(more.all(|line| line.starts_with("        ")), "{err}");
+}
+
+#[test]
+fn a_run_is_recorded_and_reported() {
+    let folder = tempfile::tempdir().expect("folder");
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let memory = Memory::with(vec![ready(DeviceKind::Rig)]);
+    let (code, out, err) = memory.run(&[
+        "run",
+        "--out",
+        out_dir,
+        "--cycles",
+        "1",
+        "--duration-s",
+        "8",
+    ]);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.contains("Run 1: 2 strokes of 130 mm in 8 s"), "{out}");
+    assert!(out.contains("  5.0 s of 8.0 s, stroke 2 of 2"), "{out}");
+    assert!(
+        out.contains("2 of 2 strokes in 8.00000000 s, 208000 steps commanded, 208000 counted"),
+        "{out}"
+    );
+    let report = folder.path().join("report.html");
+    let (code, out, err) =
+        memory.run(&["report", out_dir, "--out", report.to_str().expect("UTF-8")]);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.starts_with("1 trials in"), "{out}");
+    assert!(
+        std::fs::read_to_string(report)
+            .expect("report")
+            .contains("position / mm")
+    );
+}
+
+#[test]
+fn json_is_one_object_and_progress_goes_elsewhere() {
+    let folder = tempfile::tempdir().expect("folder");
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let memory = Memory::with(vec![ready(DeviceKind::Capsule)]);
+    let (code, out, err) = memory.run(&["--json", "fold", "--out", out_dir]);
+    assert_eq!(code, 0, "{err}");
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    let thread_um = json["trial"]["action"]["record"]["thread_um"].as_i64();
+    let thread_um = thread_um.expect("a number");
+    assert!(thread_um.abs_diff(FOLDED_UM.into()) < 150, "{thread_um}");
+    // The first one was that of the reference.
+    assert!(err.contains("Actuation 2"), "{err}");
+    let (code, out, _) = Memory::with(vec![]).run(&["--json", "home"]);
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(
+        (code, &json["ok"], &json["exit_code"]),
+        (4, &Value::from(false), &Value::from(4))
+    );
+    assert_eq!(json["error"]["code"], "retrograde::not_found");
+}
+
+#[test]
+fn the_recording_of_the_last_actuation_becomes_a_file() {
+    let folder = tempfile::tempdir().expect("folder");
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let trace = ["--json", "capsule", "trace", "--out", out_dir];
+    // The actuation before was the reference: slower than what is kept.
+    let (code, out, err) = Memory::with(vec![ready(DeviceKind::Capsule)]).run(&trace);
+    assert_eq!(code, 0, "{err}");
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(
+        (&json["actuation"], &json["readings"]),
+        (&1.into(), &KEPT_TRACE_POINTS.into())
+    );
+    let path = json["csv"].as_str().expect("a path");
+    let text = std::fs::read_to_string(path).expect("a file");
+    let mut lines = text.lines();
+    assert_eq!(
+        lines.next(),
+        Some("time_ms,thread_um,current_ma,battery_mv,drive_mv,origin")
+    );
+    let rows: Vec<Vec<i64>> = lines
+        .map(|line| {
+            let numbers = line.strip_suffix(",board").expect("its origin");
+            numbers
+                .split(',')
+                .map(|field| field.parse().expect("a number"))
+                .collect()
+        })
+        .collect();
+    assert_eq!(rows.len(), KEPT_TRACE_POINTS);
+    assert!((0..).zip(&rows).all(|(time_ms, row)| row[0] == time_ms));
+    // It pays out at the end, to zero, driven the other way, and the cell sags a little.
+    assert!(rows.iter().any(|row| row[4] < -1_000));
+    assert!(rows.iter().all(|row| (3_000..=3_700).contains(&row[3])));
+    let last = &rows[rows.len() - 1];
+    assert!((0..300).contains(&last[1]), "{last:?}");
+
+    let (code, out, err) = Memory::with(vec![Script::new(DeviceKind::Capsule)]).run(&trace);
+    assert_eq!(code, 0, "{err}");
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!((&json["readings"], &json["csv"]), (&0.into(), &Value::Null));
+}
+
+/// A recording as rows of numbers; an empty field is none.
+fn rows(path: &Path) -> (String, Vec<Vec<Option<f64>>>) {
+    let text = std::fs::read_to_string(path).expect("a file");
+    let (head, body) = text.split_once('\n').expect("lines");
+    let row = |line: &str| line.split(',').map(|field| field.parse().ok()).collect();
+    (head.to_owned(), body.lines().map(row).collect())
+}
+
+#[test]
+fn a_fold_brings_its_recording_with_the_force() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = |name: &str| folder.path().join(name);
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let fold_csv = path("new/fold.csv");
+    let fold = [
+        "--json",
+        "fold",
+        "--out",
+        out_dir,
+        "--trace",
+        fold_csv.to_str().expect("UTF-8"),
+    ];
+    let memory = Memory::with(vec![ready(DeviceKind::Capsule)]);
+    let (code, out, err) = memory.run(&fold);
+    assert_eq!(code, 0, "{err}");
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(json["trace"], fold_csv.to_str().expect("UTF-8"));
+    let (head, readings) = rows(&fold_csv);
+    assert_eq!(
+        head,
+        "time_ms,thread_um,current_ma,battery_mv,drive_mv,force_least_n,force_most_n,origin"
+    );
+    let duration_ms = json["trial"]["action"]["record"]["duration_ms"].as_u64();
+    let duration_ms = duration_ms.expect("a number") as usize;
+    assert!((duration_ms..duration_ms + 60).contains(&readings.len()));
+    let forces: Vec<_> = readings
+        .iter()
+        .filter_map(|row| Some((row[1]?, row[5]?, row[6]?)))
+        .collect();
+    assert!(forces.len() > 1_500);
+    // The model capsule pulls with 0 N where the thread is slack, and 6 N at the end.
+    let slack = forces.iter().filter(|(um, ..)| *um < 2_000.0);
+    let slack: Vec<_> = slack.map(|(_, _, most)| *most).collect();
+    // One reading may be off by the rounding of the speed: 3 mA.
+    let mean_n = slack.iter().sum::<f64>() / slack.len() as f64;
+    assert!(slack.len() > 5 && mean_n < 0.3, "{slack:?}");
+    let (um, least, most) = *forces.last().expect("some");
+    assert!((um - f64::from(FOLDED_UM)).abs() < 100.0, "{um}");
+    assert!(
+        least > 4.0 && least < 6.0 && most > 6.0 && most < 9.0,
+        "{least} {most}"
+    );
+
+    // A file that is there is not touched, and nothing moves.
+    let (code, _, err) = memory.run(&fold);
+    assert_eq!(code, 2, "{err}");
+    assert!(err.contains("nothing moved"), "{err}");
+    let folds = memory.heard().into_iter().filter(|name| *name == "Fold");
+    assert_eq!(folds.count(), 1);
+    assert_eq!(rows(&fold_csv).1.len(), readings.len());
+
+    // A refused fold leaves no file behind.
+    let none = path("none.csv");
+    let (code, ..) = Memory::with(vec![Script::new(DeviceKind::Capsule)]).run(&[
+        "fold",
+        "--out",
+        out_dir,
+        "--trace",
+        none.to_str().expect("UTF-8"),
+    ]);
+    assert_eq!((code, none.exists()), (3, false));
+
+    // What was recorded until a stop is fetched, too.
+    let stopped = path("stopped.csv");
+    let script = Script {
+        world: vec![(1_500_000, World::StopFrame)],
+        ..ready(DeviceKind::Capsule)
+    };
+    let (code, ..) = Memory::with(vec![script]).run(&[
+        "fold",
+        "--out",
+        out_dir,
+        "--trace",
+        stopped.to_str().expect("UTF-8"),
+    ]);
+    assert_eq!(code, 130);
+    let count = rows(&stopped).1.len();
+    assert!((100..1_600).contains(&count), "{count}");
+}
+
+/// Runs `capsule cycle`; exit code, rows, summary, and what was said.
+fn cycle(script: Script, pairs: &str) -> (u8, Vec<Vec<Option<f64>>>, Value, String) {
+    let folder = tempfile::tempdir().expect("folder");
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let args = ["capsule", "cycle", pairs, "--out", out_dir];
+    let (code, out, err) = Memory::with(vec![script]).run(&args);
+    let file = |extension: &str| {
+        let files = std::fs::read_dir(folder.path()).expect("a folder");
+        files
+            .map(|file| file.expect("a file").path())
+            .find(|path| path.extension().is_some_and(|found| found == extension))
+    };
+    let (Some(csv), Some(json)) = (file("csv"), file("json")) else {
+        return (code, vec![], Value::Null, out + &err);
+    };
+    let text = std::fs::read_to_string(json).expect("a file");
+    let summary = serde_json::from_str(&text).expect("JSON");
+    let rows = match std::fs::metadata(&csv).expect("a file").len() {
+        0 => vec![],
+        _ => rows(&csv).1,
+    };
+    (code, rows, summary, out + &err)
+}
+
+#[test]
+fn endurance_counts_what_was_done_and_says_what_drifts() {
+    let (code, rows, summary, text) = cycle(ready(DeviceKind::Capsule), "3");
+    assert_eq!(code, 0, "{text}");
+    assert_eq!(rows.len(), 3);
+    for (pair, row) in (1..).zip(&rows) {
+        assert_eq!(row[0], Some(f64::from(pair)));
+        let folded_um = row[2].expect("a number");
+        assert!(
+            (folded_um - f64::from(FOLDED_UM)).abs() < 100.0,
+            "{folded_um}"
+        );
+        // The model's no-load current is 16 mA.
+        let no_load_ma = row[5].expect("heard");
+        assert!((no_load_ma - 16.0).abs() < 1.5, "{no_load_ma}");
+        let unfolded_um = row[9].expect("a number");
+        assert!((-200.0..300.0).contains(&unfolded_um), "{unfolded_um}");
+    }
+    assert_eq!(
+        (&summary["status"], &summary["done"]),
+        (&"complete".into(), &3.into())
+    );
+    let folded = &summary["drift"]["folded_um"];
+    assert_eq!(folded["first"].as_f64(), rows[0][2]);
+    assert_eq!(folded["last"].as_f64(), rows[2][2]);
+    assert!(folded["per_100_pairs"].is_number());
+    assert!(
+        text.contains("3 of 3 pairs.") && text.contains("no-load current"),
+        "{text}"
+    );
+}
+
+#[test]
+fn endurance_ends_with_the_first_thing_that_is_wrong() {
+    let at = |at_us, world| Script {
+        world: vec![(at_us, world)],
+        ..ready(DeviceKind::Capsule)
+    };
+    // A pair takes 3.7 s.
+    let second = 6_000_000;
+    let (code, rows, summary, text) = cycle(at(second, World::StopFrame), "5");
+    assert_eq!((code, rows.len()), (130, 1), "{text}");
+    assert_eq!(
+        (&summary["status"], &summary["done"]),
+        (&"stopped".into(), &1.into())
+    );
+    assert!(text.contains("1 of 5 pairs"), "{text}");
+
+    let (code, rows, summary, text) = cycle(at(second, World::Battery { mv: 2_900 }), "5");
+    assert_eq!(
+        rows.len(),
+        summary["done"].as_u64().expect("a number") as usize
+    );
+    assert!(rows.len() < 5 && (code == 3 || code == 6), "{code} {text}");
+    assert!(text.contains("battery"), "{text}");
+
+    let (code, rows, summary, text) = cycle(at(second, World::Reset), "5");
+    assert_eq!((code, rows.len()), (4, 1), "{text}");
+    assert_eq!(summary["status"], "unknown");
+
+    // Before anything moves.
+    let (code, rows, _, text) = cycle(at(0, World::Battery { mv: 2_900 }), "5");
+    assert_eq!((code, rows.len()), (3, 0), "{text}");
+    assert!(text.contains("0 of 5 pairs"), "{text}");
+    let (code, _, summary, text) = cycle(Script::new(DeviceKind::Capsule), "5");
+    assert_eq!((code, summary), (3, Value::Null), "{text}");
+    assert!(text.contains("retrograde capsule reference"), "{text}");
+}
+
+#[test]
+fn exit_codes_tell_the_endings_apart() {
+    let folder = tempfile::tempdir().expect("folder");
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let run = &["--rig", "0", "run", "--out", out_dir];
+    let code = |script: Script, args: &[&str]| Memory::with(vec![script]).run(args).0;
+    assert_eq!(code(Script::new(DeviceKind::Rig), run), 3, "not homed");
+    assert_eq!(
+        code(
+            Script {
+                schema_key: 1,
+                ..ready(DeviceKind::Rig)
+            },
+            run
+        ),
+        5,
+        "mismatch"
+    );
+    assert_eq!(
+        code(
+            Script {
+                deaf_to: vec![("Run", 99)],
+                ..ready(DeviceKind::Rig)
+            },
+            run
+        ),
+        7,
+        "outcome unknown"
+    );
+    assert_eq!(
+        code(
+            Script {
+                dead: true,
+                ..ready(DeviceKind::Rig)
+            },
+            run
+        ),
+        4,
+        "no answer"
+    );
+    assert_eq!(
+        code(
+            Script {
+                dead: true,
+                ..ready(DeviceKind::Rig)
+            },
+            &["--rig", "0", "stop"]
+        ),
+        7,
+        "stop not confirmed"
+    );
+    assert_eq!(
+        code(ready(DeviceKind::Rig), &["--rig", "0", "ack"]),
+        3,
+        "nothing to acknowledge"
+    );
+    for (world, expected, what) in [
+        (estop(1_000_000), 6, "a fault"),
+        (button(1_000_000), 130, "somebody else's stop"),
+        (vec![(1_000_000, World::Reset)], 4, "a reset"),
+        (vec![(1_000_000, World::TimerStands)], 6, "overdue"),
+    ] {
+        let script = Script {
+            world,
+            ..ready(DeviceKind::Rig)
+        };
+        let short = ["--stroke-mm", "20", "--cycles", "1", "--duration-s", "4"];
+        let run = [&run[..], &short].concat();
+        assert_eq!(code(script.clone(), &run), expected, "{what}, in a run");
+        let home = &["--rig", "0", "home"];
+        assert_eq!(code(script, home), expected, "{what}, in homing");
+    }
+}
+
+#[test]
+fn stops_are_sent_before_anything_else_and_to_all() {
+    let both = Memory::with(vec![ready(DeviceKind::Rig), ready(DeviceKind::Capsule)]);
+    let (code, out, err) = both.run(&["--rig", "0", "--capsule", "1", "estop"]);
+    assert_eq!(code, 0, "{err}");
+    assert_eq!(out.lines().count(), 2, "{out}");
+    assert_eq!(both.heard(), ["Urgent", "Urgent"], "no Hello first");
+    // Without an address to everyone who may be there, and an unconfirmed stop is no success.
+    let dead = Script {
+        dead: true,
+        ..ready(DeviceKind::Rig)
+    };
+    let found = Memory::with(vec![dead, ready(DeviceKind::Capsule)]);
+    let (code, out, err) = found.run(&["stop"]);
+    assert_eq!(code, 7, "{err}");
+    assert!(out.contains("test capsule: stopped"), "{out}");
+    assert!(err.contains("cut the motor supply NOW"), "{err}");
+    assert_eq!(found.heard(), ["Urgent"], "no Hello first");
+    for log in both.logs.lock().expect("logs").iter() {
+        let urgent = log.lock().expect("log").urgent.clone();
+        assert_eq!(urgent, [(Urgent::EStop, 0)]);
+    }
+}
+
+#[test]
+fn info_names_a_mismatched_machine_and_what_to_do() {
+    let memory = Memory::with(vec![Script {
+        schema_key: 1,
+        ..ready(DeviceKind::Rig)
+    }]);
+    let (code, out, err) = memory.run(&["info"]);
+    assert_eq!(code, 0, "{err}");
+    assert!(
+        out.contains("UID abab") && out.contains("flash the matching firmware"),
+        "{out}"
+    );
+}
+
+#[test]
+fn what_the_environment_gives_is_not_shown_as_required() {
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_retrograde"))
+        .args(["settings", "set"])
+        .env("RETROGRADE_RIG", "tcp:127.0.0.1:1")
+        .env("RETROGRADE_CAPSULE", "tcp:127.0.0.1:2")
+        .output()
+        .expect("starts");
+    let err = String::from_utf8(output.stderr).expect("UTF-8");
+    assert_eq!(output.status.code(), Some(2), "{err}");
+    assert!(
+        err.contains("Usage: retrograde settings set <KEY> <VALUE>"),
+        "{err}"
+    );
+    // What it gives wrongly is told.
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_retrograde"))
+        .args(["settings", "list"])
+        .env("RETROGRADE_RIG", "tcp:127.0.0.1")
+        .output()
+        .expect("starts");
+    let err = String::from_utf8(output.stderr).expect("UTF-8");
+    assert!(err.contains("no host or no port"), "{err}");
+}
+
+fn identify(script: Script, more: &[&str]) -> (u8, String, String, Vec<String>) {
+    let folder = tempfile::tempdir().expect("folder");
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let args = [&["capsule", "identify", "--out", out_dir], more].concat();
+    let (code, out, err) = Memory::with(vec![script]).run(&args);
+    let files = std::fs::read_dir(folder.path()).expect("a folder");
+    let names = files.map(|file| {
+        file.expect("a file")
+            .file_name()
+            .into_string()
+            .expect("UTF-8")
+    });
+    let mut names: Vec<_> = names.collect();
+    names.sort();
+    (code, out, err, names)
+}
+
+#[test]
+fn an_identification_folds_unfolds_and_says_what_it_found() {
+    let (code, out, err, files) = identify(ready(DeviceKind::Capsule), &[]);
+    assert_eq!(code, 0, "{out}{err}");
+    for line in [
+        "winding, bridge and cell: ",
+        "motor constant: ",
+        "no-load current: ",
+        "friction in the worm: ",
+        "stiffness over the beam estimate: ",
+        "slack of the thread: ",
+    ] {
+        assert!(out.contains(line), "{line}\n{out}");
+    }
+    // Two trials of two files each, and two recordings.
+    let starting = |stem: &str| files.iter().filter(|name| name.starts_with(stem)).count();
+    let counts = ["identify-fold", "identify-unfold", "trace-"].map(starting);
+    assert_eq!(counts, [2, 2, 2], "{files:?}");
+
+    let (code, out, err, _) = identify(ready(DeviceKind::Capsule), &["--json"]);
+    assert_eq!(code, 0, "{err}");
+    let result: Value = serde_json::from_str(&out).expect("JSON");
+    let of = |name: &str, what: &str| result["identified"][name][what].as_f64().expect("a number");
+    let constant = (of("motor_constant_mvs", "value") - 2.11).abs();
+    assert!(
+        constant <= of("motor_constant_mvs", "uncertainty"),
+        "{result}"
+    );
+}
+
+#[test]
+fn an_identification_begins_unfolded_and_ends_with_the_first_fault() {
+    let (code, out, err, files) = identify(Script::new(DeviceKind::Capsule), &[]);
+    assert_eq!((code, files.len()), (3, 0), "{out}{err}");
+    assert!(err.contains("retrograde capsule reference"), "{err}");
+    // In the middle of the fold.
+    let stopped = Script {
+        world: vec![(1_000_000, World::StopFrame)],
+        ..ready(DeviceKind::Capsule)
+    };
+    let (code, out, err, files) = identify(stopped, &[]);
+    assert_eq!((code, files.len()), (130, 2), "{out}{err}");
+}

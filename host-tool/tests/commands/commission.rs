@@ -1,0 +1,496 @@
+//! Commissioning without the image: which step is next, what the record keeps, what a person at the terminal sees.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::support::tool::{Memory, ready};
+use client::identity::Origin;
+use client::subject::Subject;
+use commissioning::hands::{Act, Part, Reading, Wish};
+use commissioning::image;
+use commissioning::procedure::{Procedure, Standing, open, standing};
+use commissioning::record::{Commissioning, Finding, Outcome};
+use commissioning::rig::wrong_travel;
+use commissioning::session::wrapped;
+use commissioning::step::Step;
+use commissioning::steps;
+use jiff::Timestamp;
+use protocol::settings::SettingKey;
+use protocol::system::DeviceKind;
+use serde_json::{Map, Value};
+use simulated_machines::machine::Script;
+
+const NOW: Timestamp = Timestamp::UNIX_EPOCH;
+
+fn subject() -> Subject {
+    let settings = SettingKey::ALL.map(|key| (key.name().to_owned(), key.range().default));
+    Subject {
+        machine: DeviceKind::Rig,
+        uid: "0123456789abcdef01234567".to_owned(),
+        origin: Origin::Board,
+        image: "10a2fe44".to_owned(),
+        firmware: "8f1e5872".to_owned(),
+        protocol: "3.0".to_owned(),
+        settings: BTreeMap::from(settings),
+    }
+}
+
+fn finding(outcome: Outcome) -> Finding {
+    Finding {
+        outcome,
+        reason: None,
+        measured: Map::new(),
+    }
+}
+
+fn enter(record: &mut Commissioning, name: &str, finding: Finding, subject: &Subject) {
+    let procedure = Procedure::new(steps::of(DeviceKind::Rig));
+    procedure.enter(record, step(name), finding, subject, NOW);
+}
+
+/// A record in which every step has passed.
+fn complete(subject: &Subject) -> Commissioning {
+    let mut record = Commissioning::new(subject, NOW);
+    for step in steps::of(DeviceKind::Rig) {
+        enter(&mut record, step.name, finding(Outcome::Passed), subject);
+    }
+    record
+}
+
+fn step(name: &str) -> &'static Step {
+    let mut all = steps::of(DeviceKind::Rig).iter();
+    all.find(|step| step.name == name).expect("a step")
+}
+
+fn open_names(record: &Commissioning, subject: &Subject) -> Vec<&'static str> {
+    let open = open(steps::of(subject.machine), record, subject);
+    open.iter().map(|(step, _)| step.name).collect()
+}
+
+#[test]
+fn a_step_holds_for_the_image_and_the_settings_that_it_was_shown_with() {
+    let known = subject();
+    let record = complete(&known);
+    assert!(record.complete);
+    assert_eq!(open_names(&record, &known), Vec::<&str>::new());
+
+    // EN in reset is no matter of the firmware.
+    let mut flashed = known.clone();
+    flashed.image = "00000000".to_owned();
+    let open = open_names(&record, &flashed);
+    assert_eq!(open.len(), record.steps.len() - 1);
+    assert!(!open.contains(&"enable"));
+    assert_eq!(
+        standing(step("home"), &record, &flashed),
+        Standing::OtherImage
+    );
+
+    let mut set = known.clone();
+    set.settings.insert("dead_man_ms".to_owned(), 200);
+    assert_eq!(open_names(&record, &set), ["jog"]);
+    set.settings.insert("lead_um".to_owned(), 5_000);
+    let travel = standing(step("travel"), &record, &set);
+    assert_eq!(travel, Standing::OtherSetting("lead_um"));
+    assert_eq!(standing(step("e-stop"), &record, &set), Standing::Holds);
+
+    // The name of a rig or the button's run concern no step.
+    let mut button = known;
+    button.settings.insert("button_cycles".to_owned(), 7);
+    assert_eq!(open_names(&record, &button), Vec::<&str>::new());
+}
+
+#[test]
+fn what_failed_or_was_not_shown_is_due_once_in_each_session() {
+    let subject = subject();
+    let mut record = complete(&subject);
+    enter(&mut record, "travel", finding(Outcome::Failed), &subject);
+    enter(&mut record, "jumper", finding(Outcome::NotShown), &subject);
+    assert!(!record.complete);
+    for _ in 0..2 {
+        let mut procedure = Procedure::new(steps::of(DeviceKind::Rig));
+        let mut next = || procedure.next(&record, &subject).map(|(_, step)| step.name);
+        assert_eq!(
+            [next(), next(), next()],
+            [Some("travel"), Some("jumper"), None]
+        );
+    }
+    enter(&mut record, "travel", finding(Outcome::Passed), &subject);
+    enter(&mut record, "jumper", finding(Outcome::Passed), &subject);
+    assert!(record.complete);
+    // In the order of the steps, whatever the order of the results.
+    let order: Vec<_> = record
+        .steps
+        .iter()
+        .map(|result| result.step.as_str())
+        .collect();
+    let steps: Vec<_> = steps::of(DeviceKind::Rig)
+        .iter()
+        .map(|step| step.name)
+        .collect();
+    assert_eq!(order, steps);
+}
+
+#[test]
+fn names_of_steps_are_unique_and_their_lines_fit_the_screen() {
+    for machine in [DeviceKind::Rig, DeviceKind::Capsule] {
+        let all = steps::of(machine);
+        for (index, step) in all.iter().enumerate() {
+            assert!(all[..index].iter().all(|other| other.name != step.name));
+            assert!(!step.shows.is_empty(), "{}", step.name);
+        }
+    }
+    let line = wrapped(&"word ".repeat(40), "    ");
+    assert!(
+        line.len() > 2 && line.iter().all(|line| line.len() <= 80),
+        "{line:?}"
+    );
+    assert!(line[1].starts_with("    word"));
+}
+
+#[test]
+fn a_record_is_read_back_as_it_was_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("new").join("record.json");
+    let subject = subject();
+    assert_eq!(Commissioning::read(&path).expect("none"), None);
+    let mut record = Commissioning::resume(&path, &subject, NOW).expect("a new one");
+    let mut travel = finding(Outcome::Failed);
+    travel.reason = Some("wrong lead".to_owned());
+    travel
+        .measured
+        .insert("measured_um".to_owned(), Value::from(50_000));
+    enter(&mut record, "travel", travel, &subject);
+    record.write(&path).expect("written");
+    let read = Commissioning::resume(&path, &subject, NOW).expect("the same");
+    assert_eq!(read, record);
+    let json: Value =
+        serde_json::from_str(&std::fs::read_to_string(&path).expect("text")).expect("JSON");
+    assert_eq!(json["steps"][0]["result"], "failed");
+    assert_eq!(json["steps"][0]["settings"]["lead_um"], 4_000);
+    assert_eq!(json["steps"][0]["measured"]["measured_um"], 50_000);
+    assert_eq!(json["board_uid"], subject.uid);
+
+    // Nothing is left beside it, and another board's record is not continued.
+    let files = std::fs::read_dir(path.parent().expect("a folder")).expect("read");
+    assert_eq!(files.count(), 1);
+    let mut other = subject;
+    other.uid = "ffffffffffffffffffffffff".to_owned();
+    let error = Commissioning::resume(&path, &other, NOW).expect_err("another board");
+    assert!(
+        error.to_string().contains("0123456789abcdef01234567"),
+        "{error}"
+    );
+    std::fs::write(&path, "{").expect("damaged");
+    assert!(Commissioning::read(&path).is_err());
+}
+
+#[test]
+fn a_measured_travel_tells_microsteps_from_lead() {
+    let paper = [4_000, 200, 16];
+    let says = |measured, settings| wrong_travel(40_000, measured, settings);
+    for right in [39_500, 40_000, 40_500] {
+        assert_eq!(says(right, paper), None, "{right}");
+    }
+    for (measured, settings, text) in [
+        (
+            20_000,
+            paper,
+            "The driver is strapped for 32, and microsteps is 16",
+        ),
+        (20_100, paper, "or the motor has 400 steps per turn"),
+        (80_000, paper, "The driver is strapped for 8, and"),
+        (
+            80_000,
+            [4_000, 400, 16],
+            "or the motor has 200 steps per turn",
+        ),
+        (10_000, paper, "strapped for 64"),
+        (50_000, paper, "lead of about 5000 um, and lead_um is 4000"),
+        (30_000, paper, "lead of about 3000 um"),
+        (0, paper, "did not move"),
+    ] {
+        let said = says(measured, settings).expect("a defect");
+        assert!(said.contains(text), "{measured}: {said}");
+    }
+}
+
+#[test]
+fn wishes_are_read_as_they_are_written() {
+    let acts = Part::ALL
+        .iter()
+        .flat_map(|part| [true, false].map(|on| Wish::Do(Act { part: *part, on })));
+    for wish in acts.chain(Reading::ALL.iter().map(|reading| Wish::Read(*reading))) {
+        assert_eq!(wish.to_string().parse(), Ok(wish));
+    }
+    for text in [
+        "",
+        "do",
+        "do e-stop",
+        "do e-stop maybe",
+        "do nothing on",
+        "read",
+        "read minds",
+    ] {
+        assert!(text.parse::<Wish>().is_err(), "{text}");
+    }
+}
+
+fn outcomes(record: &Path) -> BTreeMap<String, Outcome> {
+    let record = Commissioning::read(record)
+        .expect("a record")
+        .expect("a file");
+    let steps = record.steps.into_iter();
+    steps.map(|result| (result.step, result.outcome)).collect()
+}
+
+/// The command line of a commissioning with its record at `path`.
+fn commission_rig(path: &Path) -> [&str; 8] {
+    let record = path.to_str().expect("UTF-8");
+    [
+        "--rig",
+        "0",
+        "commission",
+        "rig",
+        "--clock-s",
+        "1",
+        "--record",
+        record,
+    ]
+}
+
+#[test]
+fn without_hands_what_needs_them_is_not_shown() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("record.json");
+    let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
+    let (code, out, err) = memory.run(&[&commission_rig(&path)[..], &["--yes"]].concat());
+    assert_eq!(code, 3, "{out}{err}");
+    assert!(err.contains("commissioning is not complete"), "{err}");
+    assert!(
+        out.contains("not shown: needs a person at the machine"),
+        "{out}"
+    );
+    let found = outcomes(&path);
+    assert_eq!(found.len(), steps::of(DeviceKind::Rig).len());
+    for step in steps::of(DeviceKind::Rig) {
+        // The machine of this test has no image, so there is none to compare.
+        let passed = ["clock", "quiet"].contains(&step.name);
+        let expected = if passed {
+            Outcome::Passed
+        } else {
+            Outcome::NotShown
+        };
+        if step.name != "image" {
+            assert_eq!(found[step.name], expected, "{}", step.name);
+        }
+    }
+    // Nothing moved.
+    let heard = memory.heard();
+    assert!(
+        !heard
+            .iter()
+            .any(|name| ["Home", "Run", "Jog", "MoveTo"].contains(name)),
+        "{heard:?}"
+    );
+}
+
+#[test]
+fn without_a_terminal_nobody_is_asked() {
+    let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
+    let (code, _, err) = memory.run(&["--rig", "0", "commission", "rig"]);
+    assert_eq!(code, 3, "{err}");
+    assert!(err.contains("--yes"), "{err}");
+    assert!(memory.heard().is_empty());
+    let (code, _, err) = memory.run(&["--rig", "0", "commission", "rig", "--hands", "x:1"]);
+    assert_eq!(code, 2, "{err}");
+}
+
+#[test]
+fn numbers_that_no_session_takes_are_refused_with_their_range() {
+    for (option, range, bad) in [
+        (
+            "--strokes",
+            "an even number from 2 to 20000",
+            &["0", "1", "3", "19999", "20001", "20002", "65536", "-2", "x"][..],
+        ),
+        ("--cycles", "1..=100", &["0", "101", "65536"]),
+        ("--clock-s", "1..=3600", &["0", "3601", "65536"]),
+    ] {
+        for number in bad {
+            let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
+            let option = format!("{option}={number}");
+            let (code, _, err) = memory.run(&["--rig", "0", "commission", "rig", &option]);
+            assert_eq!(code, 2, "{option}: {err}");
+            assert!(err.contains(range), "{option}: {err}");
+            assert!(memory.heard().is_empty());
+        }
+    }
+}
+
+/// An ELF file whose symbols are those of another chip, or of none: no gigabytes are hashed, and nothing reads as an image.
+#[test]
+fn a_file_that_is_no_image_of_this_chip_has_no_fingerprint() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("image.elf");
+    for (start, end, allowed) in [
+        (0x0800_0000, 0x0800_0004, true),
+        (0x0800_0000, 0x0808_0000, true),
+        (0x0800_0000, 0x0808_0004, false),
+        (0x0800_0000, 0xFFFF_FFFC, false),
+        (0x0800_0000, 0x0800_0000, false),
+        (0x0800_0004, 0x0800_0000, false),
+    ] {
+        std::fs::write(&path, elf(start, end)).expect("written");
+        match image::fingerprint(&path) {
+            Ok(_) => assert!(allowed, "{start:#x} {end:#x}"),
+            Err(error) => {
+                assert!(!allowed, "{start:#x} {end:#x}: {error}");
+                assert!(
+                    error.to_string().contains("allowed are 4 to 524288 bytes"),
+                    "{error}"
+                );
+            }
+        }
+    }
+}
+
+/// An ELF file with no segments and the linker's four names.
+fn elf(start: u32, end: u32) -> Vec<u8> {
+    let symbols = [
+        ("__stext", start),
+        ("__sidata", end),
+        ("__sdata", 0),
+        ("__edata", 0),
+    ];
+    let mut names = vec![0];
+    let mut table = vec![0; 16];
+    for (name, value) in symbols {
+        let at = u32::try_from(names.len()).expect("short");
+        // Name, value, size; global, default, absolute.
+        table.extend(
+            [at, value, 0, 0xFFF1_0010]
+                .iter()
+                .flat_map(|word| word.to_le_bytes()),
+        );
+        names.extend(name.bytes().chain([0]));
+    }
+    let section_names = b"\0.symtab\0.strtab\0";
+    let mut file = vec![0x7F, b'E', b'L', b'F', 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+    let length = |bytes: &[u8]| u32::try_from(bytes.len()).expect("short");
+    let (table_at, table_length) = (52, length(&table));
+    let names_at = table_at + table_length;
+    let section_names_at = names_at + length(&names);
+    let sections_at = section_names_at + length(section_names);
+    for half in [2_u16, 40] {
+        file.extend(half.to_le_bytes());
+    }
+    for word in [1, 0, 0, sections_at, 0] {
+        file.extend(word.to_le_bytes());
+    }
+    // Header 52 bytes; no segments; four sections of 40 bytes, their names in the last.
+    for half in [52_u16, 32, 0, 40, 4, 3] {
+        file.extend(half.to_le_bytes());
+    }
+    file.extend(&table);
+    file.extend(&names);
+    file.extend(section_names);
+    for section in [
+        [0; 10],
+        [1, 2, 0, 0, table_at, table_length, 2, 1, 4, 16],
+        [9, 3, 0, 0, names_at, length(&names), 0, 0, 1, 0],
+        [
+            9,
+            3,
+            0,
+            0,
+            section_names_at,
+            length(section_names),
+            0,
+            0,
+            1,
+            0,
+        ],
+    ] {
+        for word in section {
+            file.extend(word.to_le_bytes());
+        }
+    }
+    file
+}
+
+/// Leaving by key and by the end of the input; what was found is kept, and the next session begins with the rest.
+#[test]
+fn a_person_who_leaves_loses_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("record.json");
+    let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);
+    let line = commission_rig(&path);
+    for (typed, at) in [
+        ("q\n", "enable"),
+        ("", "enable"),
+        ("\nvolts\n\n0.2\n", "e-stop"),
+    ] {
+        let (code, out, err) = memory.run_typed(&line, typed);
+        assert_eq!(code, 130, "{typed:?} {out}{err}");
+        assert!(err.contains(at), "{err}");
+        assert!(out.contains("Switch the MOTOR SUPPLY OFF"), "{out}");
+        assert_eq!(outcomes(&path)["clock"], Outcome::Passed);
+        let wide = out
+            .lines()
+            .find(|line| line.len() > 80 && !line.starts_with("Record: "));
+        assert_eq!(wide, None);
+    }
+    let found = Commissioning::read(&path)
+        .expect("a record")
+        .expect("a file");
+    let enable = found.result("enable").expect("a result");
+    assert_eq!(enable.measured["enable_in_reset_mv"], 200);
+    // This machine does not start again, so nobody held its reset button.
+    assert_eq!(enable.outcome, Outcome::NotShown);
+    let reason = enable.reason.as_deref().unwrap_or_default();
+    assert!(reason.contains("was not reset"), "{reason}");
+}
+
+#[test]
+fn a_run_says_that_its_board_was_not_commissioned() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().to_str().expect("UTF-8");
+    let run = [
+        "--rig",
+        "0",
+        "run",
+        "--cycles",
+        "1",
+        "--stroke-mm",
+        "1",
+        "--duration-s",
+        "2",
+        "--out",
+        out,
+    ];
+    let memory = Memory::with(vec![ready(DeviceKind::Rig)]);
+    let (code, _, err) = memory.run(&run);
+    assert_eq!(code, 0, "{err}");
+    assert!(
+        err.contains("warning: this board has no commissioning record"),
+        "{err}"
+    );
+
+    // One that is complete is silent; one of another image, or damaged, is not.
+    let mut subject = subject();
+    subject.uid = "ab".repeat(12);
+    subject.image = "0000cafe".to_owned();
+    let path = folder.path().join(subject.file_name());
+    complete(&subject).write(&path).expect("written");
+    let (code, _, err) = memory.run(&run);
+    assert_eq!((code, err.as_str()), (0, ""));
+    subject.image = "10a2fe44".to_owned();
+    complete(&subject).write(&path).expect("written");
+    let (code, _, err) = memory.run(&run);
+    assert_eq!(code, 0, "{err}");
+    assert!(err.contains("of image 10a2fe44, this is 0000cafe"), "{err}");
+    std::fs::write(&path, "{").expect("damaged");
+    let (code, _, err) = memory.run(&run);
+    assert_eq!(code, 0, "{err}");
+    assert!(err.contains("cannot be read"), "{err}");
+}

@@ -1,0 +1,376 @@
+//! A fold or an unfolding at a place of a run: when it begins, and what becomes of the run if it does not.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::support::tool::{Memory, ready};
+use client::{Clock, Device, Observer, Unobserved};
+use jiff::Timestamp;
+use protocol::capsule::{ActuationOutcome, CapsuleEvent, CapsuleState};
+use protocol::rig::{RigEvent, RigState, Run, RunTiming};
+use protocol::system::{DeviceKind, Event, Urgent, What};
+use simulated_machines::machine::{Script, World, link};
+use trials::coordination::{self, Coordinated, Recordings, Shaping};
+use trials::cue::Cue;
+use trials::experiment::{ExperimentError, PAPER_RUN};
+use trials::trial::{Recording, Status, Trial};
+
+/// Three cycles of 10 mm, 2 s each.
+const RUN: Run = Run {
+    cycles: 3,
+    stroke_um: 10_000,
+    timing: RunTiming::Total {
+        total_us: 6_000_000,
+        accel_um_s2: 100_000,
+    },
+    ..PAPER_RUN
+};
+
+fn connected(
+    script: Script,
+) -> (
+    Device,
+    Arc<std::sync::Mutex<simulated_machines::machine::Log>>,
+) {
+    let kind = script.kind;
+    let (link, log) = link(script);
+    (Device::connect(link, kind, 5).expect("there"), log)
+}
+
+fn recording(folder: &Path, stem: &str) -> Recording {
+    Recording {
+        folder: folder.to_owned(),
+        stem: stem.to_owned(),
+        now: Timestamp::UNIX_EPOCH,
+        note: None,
+        telemetry_ms: 10,
+    }
+}
+
+fn tied(
+    (rig, capsule): (&mut Device, &mut Device),
+    run: Run,
+    what: (Shaping, Cue),
+    observer: &mut dyn Observer,
+) -> Coordinated {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recordings = Recordings {
+        run: &recording(folder.path(), "run"),
+        actuation: &recording(folder.path(), "fold"),
+    };
+    let done = coordination::run((rig, capsule), run, what, &recordings, observer)
+        .expect("the run is recorded");
+    if let Ok(actuation) = &done.actuation {
+        let read = Trial::read(&actuation.sidecar).expect("a sidecar");
+        assert_eq!(read, actuation.trial);
+        assert_eq!(read.coordination.as_ref(), Some(&done.coordination));
+        let run = folder.path().join(&done.coordination.run);
+        assert_eq!(Trial::read(&run).expect("the run's"), done.run.trial);
+    }
+    done
+}
+
+fn at(cycle: u16, at_um: Option<u32>) -> (Shaping, Cue) {
+    (Shaping::Fold, Cue { cycle, at_um })
+}
+
+fn time_of(events: &[Event], wanted: impl Fn(&What) -> bool) -> u64 {
+    let found = events.iter().find(|event| wanted(&event.what));
+    found.expect("it happened").time_us
+}
+
+#[test]
+fn it_begins_within_20_ms_of_its_place() {
+    let dwelling = Run {
+        home_dwell_us: 300_000,
+        timing: RunTiming::Total {
+            total_us: 7_000_000,
+            accel_um_s2: 100_000,
+        },
+        ..RUN
+    };
+    for (run, cycle, at_um) in [
+        (RUN, 1, None),
+        (RUN, 2, None),
+        (RUN, 3, None),
+        (dwelling, 1, None),
+        (dwelling, 3, None),
+        (RUN, 1, Some(2_000)),
+        (RUN, 2, Some(7_000)),
+        (RUN, 2, Some(9_999)),
+        (RUN, 3, Some(10_000)),
+    ] {
+        let what = format!("cycle {cycle}, {at_um:?} um, dwell {}", run.home_dwell_us);
+        let (mut rig, _) = connected(ready(DeviceKind::Rig));
+        let (mut capsule, _) = connected(ready(DeviceKind::Capsule));
+        // Both have been there for different times.
+        rig.idle(1_234_567, &mut Unobserved).expect("there");
+        let both = (&mut rig, &mut capsule);
+        let done = tied(both, run, at(cycle, at_um), &mut Unobserved);
+        assert_eq!(done.run.trial.status, Status::Complete, "{what}");
+        assert_eq!(done.run.record.counted_edges, 48_000, "{what}");
+        let actuation = done.actuation.unwrap_or_else(|why| panic!("{what}: {why}"));
+        assert_eq!(actuation.record.outcome, ActuationOutcome::Complete);
+        let began_us = time_of(&actuation.trial.events, |what| {
+            matches!(what, What::Capsule(CapsuleEvent::Started { .. }))
+        });
+        let place_us = match (cycle, at_um) {
+            (_, Some(_)) => None,
+            (1, None) => Some(time_of(&done.run.trial.events, |what| {
+                matches!(what, What::Rig(RigEvent::RunStarted { .. }))
+            })),
+            (_, None) => Some(
+                u64::from(run.home_dwell_us)
+                    + time_of(&done.run.trial.events, |what| {
+                        let last = 2 * u32::from(cycle) - 3;
+                        matches!(what, What::Rig(RigEvent::StrokeDone { stroke, .. }) if *stroke == last)
+                    }),
+            ),
+        };
+        let told = &done.coordination;
+        assert_eq!(told.began_time_us, Some(began_us), "{what}");
+        if place_us.is_some() {
+            assert_eq!(told.cue_time_us, place_us, "{what}");
+        }
+        let (least, most) = told.latency_us.expect("both clocks are known");
+        assert!(least <= most && most - least < 20_000, "{what}: {told:?}");
+        assert!(
+            most > 0 && least < 20_000 && most < 30_000,
+            "{what}: {told:?}"
+        );
+        assert_eq!(
+            capsule.capsule_status().expect("there").state,
+            CapsuleState::Folded
+        );
+    }
+}
+
+#[test]
+fn a_folded_capsule_is_unfolded() {
+    let (mut rig, _) = connected(ready(DeviceKind::Rig));
+    let (mut capsule, _) = connected(ready(DeviceKind::Capsule));
+    let accepted = capsule.fold().expect("ready");
+    capsule
+        .wait_actuation(&accepted, &mut Unobserved)
+        .expect("there");
+    let cue = Cue {
+        cycle: 2,
+        at_um: None,
+    };
+    let both = (&mut rig, &mut capsule);
+    let done = tied(both, RUN, (Shaping::Unfold, cue), &mut Unobserved);
+    assert!(done.actuation.is_ok());
+    assert_eq!(
+        capsule.capsule_status().expect("there").state,
+        CapsuleState::Unfolded
+    );
+}
+
+/// The run is the experiment: a capsule that does not answer, refuses or stops does not end it.
+#[test]
+fn the_run_goes_on_whatever_becomes_of_the_capsule() {
+    let deaf = |to: &[&'static str]| Script {
+        deaf_to: to.iter().map(|name| (*name, 1_000)).collect(),
+        ..ready(DeviceKind::Capsule)
+    };
+    let low = Script {
+        world: vec![(1_000_000, World::Battery { mv: 2_600 })],
+        ..ready(DeviceKind::Capsule)
+    };
+    let reset = Script {
+        world: vec![(1_000_000, World::Reset)],
+        ..ready(DeviceKind::Capsule)
+    };
+    for (name, script, says) in [
+        ("deaf to Fold", deaf(&["Fold"]), "Fold"),
+        (
+            "deaf to all",
+            deaf(&["Fold", "GetCapsuleStatus"]),
+            "GetCapsuleStatus",
+        ),
+        ("an empty cell", low, ""),
+        ("reset", reset, "session"),
+    ] {
+        let (mut rig, _) = connected(ready(DeviceKind::Rig));
+        let (mut capsule, _) = connected(script);
+        let both = (&mut rig, &mut capsule);
+        let done = tied(both, RUN, at(2, None), &mut Unobserved);
+        assert_eq!(done.run.trial.status, Status::Complete, "{name}");
+        assert_eq!(done.run.record.counted_edges, 48_000, "{name}");
+        let Err(ExperimentError::Incomplete {
+            reason: Some(reason),
+            sidecar,
+            ..
+        }) = done.actuation
+        else {
+            panic!("{name}: it cannot have been folded");
+        };
+        assert!(reason.contains(says), "{name}: {reason}");
+        assert!(!sidecar.as_os_str().is_empty());
+        assert_eq!(done.coordination.began_time_us, None, "{name}");
+    }
+}
+
+#[test]
+fn a_run_that_ends_before_its_place_folds_nothing() {
+    let (mut rig, _) = connected(Script {
+        world: vec![(1_500_000, World::StopFrame)],
+        ..ready(DeviceKind::Rig)
+    });
+    let (mut capsule, log) = connected(ready(DeviceKind::Capsule));
+    let both = (&mut rig, &mut capsule);
+    let done = tied(both, RUN, at(3, None), &mut Unobserved);
+    assert_eq!(done.run.trial.status, Status::Stopped);
+    let why = done.actuation.expect_err("not begun").to_string();
+    assert!(why.contains("before cycle 3"), "{why}");
+    assert_eq!(done.coordination.cue_time_us, None);
+    assert!(!log.lock().expect("a log").executed.contains(&"Fold"));
+}
+
+/// Wants a stop so long after the run has begun.
+struct Operator {
+    began_us: Option<u64>,
+    after_us: u64,
+    wants: Arc<AtomicU64>,
+}
+
+impl Observer for Operator {
+    fn turn(&mut self, now_us: u64, _: Option<Clock>) {
+        let began_us = *self.began_us.get_or_insert(now_us);
+        if now_us > began_us + self.after_us {
+            self.wants.store(1, Ordering::Relaxed);
+        }
+    }
+}
+
+#[test]
+fn the_operators_stop_goes_to_both() {
+    // The fold begins 2 s after the run; before, in it, and all but at once with its command.
+    for after_us in [1_000_000, 1_995_000, 2_003_000, 2_008_000, 2_600_000] {
+        let (mut rig, _) = connected(ready(DeviceKind::Rig));
+        let (mut capsule, log) = connected(ready(DeviceKind::Capsule));
+        let wants = Arc::new(AtomicU64::new(0));
+        for device in [&mut rig, &mut capsule] {
+            let wants = Arc::clone(&wants);
+            device.set_interrupt(Arc::new(move || {
+                (wants.load(Ordering::Relaxed) > 0).then_some(Urgent::Stop)
+            }));
+        }
+        let mut operator = Operator {
+            began_us: None,
+            after_us,
+            wants,
+        };
+        let both = (&mut rig, &mut capsule);
+        let done = tied(both, RUN, at(2, None), &mut operator);
+        assert_eq!(done.run.trial.status, Status::Stopped, "{after_us}");
+        assert_eq!(rig.rig_status().expect("there").state, RigState::Ready);
+        if let Ok(actuation) = &done.actuation {
+            assert_eq!(actuation.trial.status, Status::Stopped, "{after_us}");
+        }
+        // Whatever the host knows of it: it does not go on.
+        drop(capsule);
+        let log = log.lock().expect("a log");
+        let folds = log.executed.iter().filter(|name| **name == "Fold").count();
+        assert!(folds <= 1, "{after_us}: {:?}", log.executed);
+        assert!(folds == 0 || !log.urgent.is_empty(), "{after_us}");
+        assert_eq!(done.actuation.is_ok(), after_us == 2_600_000 || folds == 1);
+    }
+}
+
+#[test]
+fn the_command_line_says_what_is_wrong_before_anything_moves() {
+    let run = [
+        "run",
+        "--stroke-mm",
+        "10",
+        "--cycles",
+        "3",
+        "--duration-s",
+        "6",
+    ];
+    let (fresh, ready_one) = (Script::new(DeviceKind::Capsule), ready(DeviceKind::Capsule));
+    for (args, capsule, code, says) in [
+        (
+            &["--fold-at-cycle", "4"][..],
+            &ready_one,
+            2,
+            "the run has 3",
+        ),
+        (&["--fold-at-cycle", "0"], &ready_one, 2, "count from 1"),
+        (
+            &["--fold-at-cycle", "2", "--at-mm", "10.001"],
+            &ready_one,
+            2,
+            "stroke is 10",
+        ),
+        (
+            &[
+                "--fold-at-cycle",
+                "2",
+                "--at-mm",
+                "5",
+                "--telemetry-ms",
+                "11",
+            ],
+            &ready_one,
+            2,
+            "10 ms at most",
+        ),
+        (&["--at-mm", "5"], &ready_one, 2, "--fold-at-cycle"),
+        (
+            &["--fold-at-cycle", "1", "--unfold-at-cycle", "2"],
+            &ready_one,
+            2,
+            "cannot be used",
+        ),
+        (&["--fold-at-cycle", "2"], &fresh, 3, "capsule reference"),
+        (
+            &["--unfold-at-cycle", "2"],
+            &ready_one,
+            3,
+            "`retrograde fold`",
+        ),
+    ] {
+        let memory = Memory::with(vec![ready(DeviceKind::Rig), capsule.clone()]);
+        let args = [&["--rig", "0", "--capsule", "1"], &run[..], args].concat();
+        let (got, out, err) = memory.run(&args);
+        assert_eq!(got, code, "{args:?}: {out}{err}");
+        assert!(err.contains(says), "{args:?}: {err}");
+        for moves in ["Run", "Fold", "Unfold"] {
+            assert!(!memory.heard().contains(&moves), "{args:?} sent {moves}");
+        }
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let out_folder = folder.path().to_str().expect("a name");
+    let memory = Memory::with(vec![ready(DeviceKind::Rig), ready_one]);
+    let args = [
+        &["--rig", "0", "--capsule", "1"],
+        &run[..],
+        &["--fold-at-cycle", "2", "--at-mm", "5", "--out", out_folder],
+    ]
+    .concat();
+    let (code, out, err) = memory.run(&args);
+    assert_eq!(code, 0, "{out}{err}");
+    assert!(
+        out.contains("after the carriage passed 5 mm in cycle 2"),
+        "{out}"
+    );
+    // Where both fail, the run's failure is told last and is the exit code.
+    let stopped = Script {
+        world: vec![(1_500_000, World::StopFrame)],
+        ..ready(DeviceKind::Rig)
+    };
+    let memory = Memory::with(vec![stopped, ready(DeviceKind::Capsule)]);
+    let args = [
+        &["--rig", "0", "--capsule", "1"],
+        &run[..],
+        &["--fold-at-cycle", "3", "--out", out_folder],
+    ]
+    .concat();
+    let (code, out, err) = memory.run(&args);
+    assert_eq!(code, 130, "{out}{err}");
+    assert!(out.contains("before cycle 3"), "{out}");
+    assert!(err.contains("the run"), "{err}");
+}

@@ -1,0 +1,115 @@
+//! A machine that is made for one command is made ready in the same command; a real one never is.
+
+use std::sync::{Arc, Mutex};
+
+use client::address::Address;
+use client::link::{Link, OpenError};
+use host_tool::cli::run_on;
+use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Purpose};
+use protocol::system::DeviceKind;
+use simulated_machines::machine::{Log, Script, link};
+
+/// New machines at every address.
+#[derive(Default)]
+struct New(Mutex<Vec<Arc<Mutex<Log>>>>);
+
+impl New {
+    fn run(&self, args: &[&str]) -> (u8, String, String) {
+        let folder = tempfile::tempdir().expect("a folder");
+        let out = folder.path().to_str().expect("UTF-8");
+        let mut line = vec!["retrograde"];
+        line.extend(args);
+        if ["run", "fold", "unfold", "capsule"].contains(&args[2]) {
+            line.extend(["--out", out]);
+        }
+        let (mut out, mut err) = (vec![], vec![]);
+        let line = line.into_iter().map(Into::into);
+        let code = run_on(line, self, &mut out, &mut err, false);
+        let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
+        (code, text(out), text(err))
+    }
+}
+
+impl Connector for New {
+    fn open(
+        &self,
+        kind: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        let (link, log) = link(Script::new(kind));
+        self.0.lock().expect("free").push(log);
+        Ok(link)
+    }
+
+    fn is_made_anew(&self, address: &Address) -> bool {
+        *address == Address::Virtual
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+#[test]
+fn a_virtual_machine_is_homed_or_referenced_in_the_same_command() {
+    for (args, says, does) in [
+        (
+            &["--rig", "virtual", "run", "--cycles", "1"][..],
+            "homes first",
+            "Run",
+        ),
+        (&["--rig", "virtual", "move", "5"], "homes first", "MoveTo"),
+        (
+            &["--rig", "virtual", "jog", "away", "--for-s", "0.2"],
+            "homes first",
+            "Jog",
+        ),
+        (
+            &["--capsule", "virtual", "fold"],
+            "referenced first",
+            "Fold",
+        ),
+        (
+            &["--capsule", "virtual", "capsule", "cycle", "1"],
+            "referenced first",
+            "Unfold",
+        ),
+    ] {
+        let new = New::default();
+        let (code, out, err) = new.run(args);
+        assert_eq!(code, 0, "{args:?}: {out}{err}");
+        assert!(out.contains(says), "{args:?}: {out}");
+        let logs = new.0.lock().expect("free");
+        assert_eq!(logs.len(), 1, "one machine for the whole command");
+        let executed = &logs[0].lock().expect("free").executed;
+        assert!(executed.contains(&does), "{executed:?}");
+    }
+}
+
+#[test]
+fn a_real_machine_is_not() {
+    for (args, first) in [
+        (&["--rig", "/dev/real", "run", "--cycles", "1"][..], "Home"),
+        (&["--rig", "/dev/real", "move", "5"], "Home"),
+        (&["--rig", "/dev/real", "jog", "away"], "Home"),
+        (&["--capsule", "/dev/real", "fold"], "Reference"),
+    ] {
+        let new = New::default();
+        let (code, out, err) = new.run(args);
+        assert_eq!(code, 3, "{args:?}: {out}{err}");
+        let logs = new.0.lock().expect("free");
+        let executed = &logs[0].lock().expect("free").executed;
+        assert!(!executed.contains(&first), "{args:?}: {executed:?}");
+    }
+}

@@ -1,0 +1,520 @@
+//! Records on disk: read back, identical for identical runs, readable after a crash, and the experiment of the paper.
+
+use std::fs;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use analysis::report;
+use analysis::report::Found;
+use analysis::report::remark::Remark;
+use campaign::catalogue::{self, Wanted};
+use client::identity::{IdentityRecord, Origin};
+use client::{Begun, Device, Homed, Observer, Progress, Unobserved};
+use jiff::Timestamp;
+use protocol::capsule::{ActuationKind, ActuationOutcome};
+use protocol::rig::{Run, RunOutcome, RunTiming};
+use protocol::system::{DeviceKind, Identity, Urgent};
+use simulated_machines::machine::capsule::FOLDED_UM;
+use simulated_machines::machine::{Script, link};
+use trials::experiment::{
+    self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
+};
+use trials::trial::{Action, Recorder, Recording, RigSample, Screw, Status, Trial};
+
+const SHORT_RUN: Run = Run {
+    cycles: 2,
+    stroke_um: 10_000,
+    timing: RunTiming::Total {
+        total_us: 4_000_000,
+        accel_um_s2: 100_000,
+    },
+    ..PAPER_RUN
+};
+
+fn recording(folder: &Path) -> Recording {
+    Recording {
+        folder: folder.to_owned(),
+        stem: "run".to_owned(),
+        now: Timestamp::UNIX_EPOCH,
+        note: Some("capsule unfolded".to_owned()),
+        telemetry_ms: 20,
+    }
+}
+
+fn ready(kind: DeviceKind) -> Device {
+    let mut script = Script::new(kind);
+    script.ready = true;
+    Device::connect(link(script).0, kind, 5).expect("there")
+}
+
+fn recorded_run(folder: &Path) -> RunTrial {
+    experiment::run(
+        &mut ready(DeviceKind::Rig),
+        SHORT_RUN,
+        &recording(folder),
+        &mut Unobserved,
+    )
+    .expect("recorded")
+}
+
+#[test]
+fn a_recorded_run_is_read_back_whole() {
+    let folder = tempfile::tempdir().expect("folder");
+    let run = recorded_run(folder.path());
+    let trial = Trial::read(&run.sidecar).expect("sidecar");
+    assert_eq!(trial, run.trial);
+    assert_eq!(trial.status, Status::Complete);
+    assert_eq!(trial.device.uid, "ab".repeat(12));
+    assert_eq!(trial.events.len(), 6);
+    assert_eq!(trial.device.origin, Origin::Board);
+    let samples: Vec<RigSample> = trial.samples(&run.sidecar).expect("telemetry");
+    assert_eq!(samples.len() as u64, trial.samples);
+    assert!(samples.iter().all(|sample| sample.origin == Origin::Board));
+    assert!(samples.len().abs_diff(200) <= 2, "{}", samples.len());
+    assert!(
+        samples.is_sorted_by(|a, b| b.time_us - a.time_us == 20_000),
+        "every sample, in order"
+    );
+    for sample in &samples {
+        let mm: f64 = sample.position_mm.parse().expect("a number");
+        assert!((mm * 800.0 - f64::from(sample.position_steps)).abs() < 1e-9);
+    }
+    let Action::Run {
+        executed: Some(executed),
+        achieved: Some(achieved),
+        ..
+    } = trial.action
+    else {
+        panic!("a run with its record");
+    };
+    assert_eq!(executed.plan_hash, achieved.plan_hash);
+    assert_eq!(executed.counted_edges, 4 * 8_000);
+}
+
+#[test]
+fn a_record_without_an_origin_is_readable_and_of_no_board() {
+    let folder = tempfile::tempdir().expect("folder");
+    let run = recorded_run(folder.path());
+    // As the tools before this one wrote them.
+    let old = |path: &Path, gone: &str| {
+        let text = fs::read_to_string(path).expect("there");
+        assert!(text.contains(gone), "{text}");
+        fs::write(path, text.replace(gone, "")).expect("written");
+    };
+    old(&run.sidecar, "    \"origin\": \"board\",\n");
+    old(&run.csv, ",origin");
+    old(&run.csv, ",board");
+    let trial = Trial::read(&run.sidecar).expect("sidecar");
+    assert_eq!(trial.device.origin, Origin::Unknown);
+    let samples: Vec<RigSample> = trial.samples(&run.sidecar).expect("telemetry");
+    assert!(
+        samples
+            .iter()
+            .all(|sample| sample.origin == Origin::Unknown)
+    );
+    // The UID of a virtual machine says what the record does not.
+    let text = fs::read_to_string(&run.sidecar).expect("there");
+    let virtual_uid = "7669727475616c2072696700";
+    fs::write(&run.sidecar, text.replace(&"ab".repeat(12), virtual_uid)).expect("written");
+    let trial = Trial::read(&run.sidecar).expect("sidecar");
+    assert_eq!(trial.device.origin, Origin::Virtual);
+}
+
+#[test]
+fn the_same_run_gives_the_same_bytes_and_overwrites_nothing() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (one, two) = (recorded_run(folder.path()), recorded_run(folder.path()));
+    assert_ne!(one.csv, two.csv);
+    assert_eq!(
+        fs::read(&one.csv).expect("one"),
+        fs::read(&two.csv).expect("two")
+    );
+    assert!(
+        one.csv.ends_with("run-19700101T000000Z.csv"),
+        "{:?}",
+        one.csv
+    );
+    assert!(
+        two.csv.ends_with("run-19700101T000000Z-2.csv"),
+        "{:?}",
+        two.csv
+    );
+}
+
+/// Whether a run that goes on is on disk as far as its eighth report: 2 s at 50 Hz, less one report's worth.
+fn is_on_disk(folder: &Path) -> bool {
+    let sidecar = fs::read_dir(folder)
+        .expect("folder")
+        .flatten()
+        .map(|entry| entry.path())
+        .find(|path| path.extension().is_some_and(|name| name == "json"))
+        .expect("exists while the run goes on");
+    let trial = Trial::read(&sidecar).expect("whole");
+    assert_eq!(trial.status, Status::Running);
+    let samples: Vec<RigSample> = trial.samples(&sidecar).expect("readable");
+    let begun = matches!(
+        trial.action,
+        Action::Run {
+            achieved: Some(_),
+            executed: None,
+            ..
+        }
+    );
+    begun && samples.len() >= 80
+}
+
+#[test]
+fn a_crash_leaves_readable_data_that_nobody_takes_for_complete() {
+    struct Crash<'a>(&'a Path, u32);
+    impl Observer for Crash<'_> {
+        fn progress(&mut self, _: &Progress) {
+            self.1 += 1;
+            if self.1 == 8 {
+                // What is on disk at this instant is what a crash would leave. The device's time runs faster than the disk.
+                let begin = Instant::now();
+                while !is_on_disk(self.0) {
+                    assert!(begin.elapsed() < Duration::from_secs(20), "never");
+                    thread::sleep(Duration::from_millis(5));
+                }
+            }
+        }
+    }
+    let folder = tempfile::tempdir().expect("folder");
+    let mut crash = Crash(folder.path(), 0);
+    let run = experiment::run(
+        &mut ready(DeviceKind::Rig),
+        SHORT_RUN,
+        &recording(folder.path()),
+        &mut crash,
+    )
+    .expect("recorded");
+    assert!(crash.1 > 8);
+
+    // A last row that was cut anywhere is left out, whatever is left of it.
+    let text = fs::read(&run.csv).expect("telemetry");
+    let whole = run.trial.samples as usize;
+    for cut in 2..40 {
+        fs::write(&run.csv, &text[..text.len() - cut]).expect("cut");
+        let samples: Vec<RigSample> = run.trial.samples(&run.sidecar).expect("readable");
+        assert!(
+            samples.len() == whole || samples.len() == whole - 1,
+            "cut {cut}"
+        );
+    }
+    // A damaged row in the middle is not passed over.
+    let damaged = String::from_utf8(text)
+        .expect("ASCII")
+        .replacen("Running", "Running,,", 1);
+    fs::write(&run.csv, damaged).expect("damaged");
+    assert!(run.trial.samples::<RigSample>(&run.sidecar).is_err());
+}
+
+/// Asked for while the telemetry is switched off: it reaches the rig, and costs the position.
+#[test]
+fn an_emergency_stop_behind_the_end_is_in_the_record() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut script = Script::new(DeviceKind::Rig);
+    script.ready = true;
+    let (link, log) = link(script);
+    let mut rig = Device::connect(link, DeviceKind::Rig, 5).expect("there");
+    let stop_us = Mutex::new(None);
+    let seen = Arc::clone(&log);
+    rig.set_interrupt(Arc::new(move || {
+        let log = seen.lock().expect("log");
+        let count = |name: &str| log.executed.iter().filter(|one| **one == name).count();
+        if count("Run") == 0 {
+            return None;
+        }
+        let mut stop_us = stop_us.lock().expect("free");
+        let stop_us = *stop_us.get_or_insert(log.now_us + 500_000);
+        match count("SetTelemetry") {
+            2.. => Some(Urgent::EStop),
+            _ => (log.now_us >= stop_us).then_some(Urgent::Stop),
+        }
+    }));
+    let run = experiment::run(
+        &mut rig,
+        SHORT_RUN,
+        &recording(folder.path()),
+        &mut Unobserved,
+    )
+    .expect("recorded");
+    let urgent: Vec<_> = (log.lock().expect("log").urgent.iter())
+        .map(|(urgent, _)| *urgent)
+        .collect();
+    assert_eq!(urgent, [Urgent::Stop, Urgent::EStop]);
+    let told = Trial::read(&run.sidecar).expect("sidecar");
+    assert_eq!(told.status, Status::Faulted, "{:?}", told.error);
+}
+
+#[test]
+fn a_refused_run_leaves_a_record_that_says_so() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut rig =
+        Device::connect(link(Script::new(DeviceKind::Rig)).0, DeviceKind::Rig, 1).expect("there");
+    let error = experiment::run(
+        &mut rig,
+        SHORT_RUN,
+        &recording(folder.path()),
+        &mut Unobserved,
+    )
+    .expect_err("not homed");
+    assert!(error.to_string().contains("home first"), "{error}");
+    let trial = Trial::read(&folder.path().join("run-19700101T000000Z.json")).expect("sidecar");
+    assert_eq!(trial.status, Status::Unknown);
+    assert!(trial.error.expect("why").contains("home first"));
+}
+
+/// Ready, with an operator who stops it under way, and presses the emergency stop when it stands and has been asked
+/// how the action ended.
+fn stopped_twice(kind: DeviceKind) -> Device {
+    let mut script = Script::new(kind);
+    script.ready = true;
+    let (link, log) = link(script);
+    let mut device = Device::connect(link, kind, 5).expect("there");
+    device.set_interrupt(Arc::new(move || {
+        let log = log.lock().expect("log");
+        let asked_last = log.executed.last().copied().unwrap_or_default();
+        match log.urgent.is_empty() {
+            true => (log.driven_us > 500_000).then_some(Urgent::Stop),
+            false if asked_last.ends_with("Record") => Some(Urgent::EStop),
+            false => Some(Urgent::Stop),
+        }
+    }));
+    device
+}
+
+/// The device's record of the action ends before the emergency stop, which costs the position all the same.
+#[test]
+fn an_emergency_stop_behind_the_stop_is_in_the_record() {
+    let folder = tempfile::tempdir().expect("folder");
+    let recording = recording(folder.path());
+    let mut rig = stopped_twice(DeviceKind::Rig);
+    let run = experiment::run(&mut rig, SHORT_RUN, &recording, &mut Unobserved).expect("recorded");
+    assert_eq!(run.record.outcome, RunOutcome::Stopped);
+    let mut capsule = stopped_twice(DeviceKind::Capsule);
+    let kind = ActuationKind::Fold;
+    let fold = experiment::actuate(&mut capsule, kind, &recording, &mut Unobserved);
+    let fold = fold.expect("recorded");
+    assert_eq!(fold.record.outcome, ActuationOutcome::Stopped);
+    for sidecar in [run.sidecar, fold.sidecar] {
+        let trial = Trial::read(&sidecar).expect("sidecar");
+        assert_eq!(trial.status, Status::Faulted, "{trial:?}");
+        let why = trial.error.expect("a reason");
+        assert!(why.contains("emergency stop"), "{why}");
+    }
+    // As `serve` and a campaign list them.
+    let folders = [folder.path().to_owned()];
+    let found = catalogue::list(&folders, false, &Wanted::default());
+    let outcomes: Vec<_> = found.entries.iter().map(|entry| &entry.outcome).collect();
+    assert_eq!(outcomes, ["faulted", "faulted"]);
+}
+
+#[test]
+fn nothing_moves_if_the_record_cannot_be_written() {
+    let folder = tempfile::tempdir().expect("folder");
+    let blocked = folder.path().join("file");
+    fs::write(&blocked, "").expect("file");
+    let mut script = Script::new(DeviceKind::Rig);
+    script.ready = true;
+    let (link, log) = link(script);
+    let mut rig = Device::connect(link, DeviceKind::Rig, 1).expect("there");
+    let error = experiment::run(
+        &mut rig,
+        SHORT_RUN,
+        &recording(&blocked.join("below")),
+        &mut Unobserved,
+    );
+    assert!(matches!(error, Err(ExperimentError::Record(_))));
+    assert!(!log.lock().expect("log").heard.contains(&"Run"));
+}
+
+#[derive(Default)]
+struct Steps {
+    names: Vec<String>,
+    watch: Watch,
+}
+
+#[derive(Default)]
+struct Watch {
+    begun: u32,
+}
+
+impl Observer for Watch {
+    fn begun(&mut self, _: &Begun) {
+        self.begun += 1;
+    }
+}
+
+impl Hooks for Steps {
+    fn observer(&mut self) -> &mut dyn Observer {
+        &mut self.watch
+    }
+    fn identified(&mut self, rig: &Identity, capsule: &Identity) {
+        self.names
+            .push(format!("{:?} and {:?}", rig.device, capsule.device));
+    }
+    fn referenced(&mut self, _: &ActuationTrial) {
+        self.names.push("referenced".to_owned());
+    }
+    fn homed(&mut self, _: &Homed) {
+        self.names.push("homed".to_owned());
+    }
+    fn ran(&mut self, shape: Shape, trial: &RunTrial) {
+        self.names
+            .push(format!("ran {} {}", shape.name(), trial.record.strokes));
+    }
+    fn folded(&mut self, trial: &ActuationTrial) {
+        self.names
+            .push(format!("folded {}", trial.record.thread_um));
+    }
+    fn unfolded(&mut self, trial: &ActuationTrial) {
+        self.names
+            .push(format!("unfolded {}", trial.record.thread_um));
+    }
+}
+
+fn paper(
+    rig: &mut Device,
+    capsule: &mut Device,
+    folder: &Path,
+    steps: &mut Steps,
+) -> Result<experiment::Experiment, ExperimentError> {
+    let procedure = Procedure {
+        run: SHORT_RUN,
+        folder: folder.to_owned(),
+        telemetry_ms: 20,
+    };
+    experiment::paper(rig, capsule, &procedure, &|| Timestamp::UNIX_EPOCH, steps)
+}
+
+#[test]
+fn the_papers_experiment_goes_step_by_step_and_ends_in_a_report() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut rig =
+        Device::connect(link(Script::new(DeviceKind::Rig)).0, DeviceKind::Rig, 1).expect("there");
+    let mut capsule = Device::connect(
+        link(Script::new(DeviceKind::Capsule)).0,
+        DeviceKind::Capsule,
+        1,
+    )
+    .expect("there");
+    let mut steps = Steps::default();
+    let done = paper(&mut rig, &mut capsule, folder.path(), &mut steps).expect("complete");
+    let (folded, unfolded) = (done.fold.record.thread_um, done.unfold.record.thread_um);
+    assert!(folded.abs_diff(FOLDED_UM) < 150, "{folded}");
+    assert!((0..=60).contains(&unfolded), "{unfolded}");
+    assert_eq!(
+        steps.names,
+        [
+            "Rig and Capsule",
+            "referenced",
+            "homed",
+            "ran unfolded 4",
+            &format!("folded {folded}"),
+            "ran folded 4",
+            &format!("unfolded {unfolded}"),
+        ]
+    );
+    assert_eq!(steps.watch.begun, 6);
+    assert_eq!(
+        done.fold.trial.action,
+        Trial::read(&done.fold.sidecar).expect("sidecar").action
+    );
+
+    let sidecars = done.sidecars();
+    let remark = Remark {
+        sidecar: Some(done.folded_run.sidecar.clone()),
+        title: "Displacement <of the body>".to_owned(),
+        rows: vec![("by the model".to_owned(), "-12 mm".to_owned())],
+    };
+    let found = Found {
+        sidecars,
+        left_out: vec![],
+    };
+    let report = report::html(&found, &[remark]).expect("report");
+    assert_eq!(report.damaged, [], "a clean record has no defect");
+    let html = report.html;
+    assert_eq!(html.matches("<svg").count(), 10);
+    assert_eq!(html.matches("<section").count(), 5);
+    assert!(html.contains("Displacement &lt;of the body&gt;"));
+    assert!(
+        !html.contains("http-equiv") && !html.contains("<script"),
+        "nothing is loaded"
+    );
+    assert_eq!(
+        report::find(&[folder.path().to_owned()])
+            .expect("folder")
+            .sidecars
+            .len(),
+        5
+    );
+}
+
+#[test]
+fn the_experiment_ends_at_the_first_step_that_is_not_complete() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut rig = ready(DeviceKind::Rig);
+    let mut capsule = ready(DeviceKind::Capsule);
+    // The operator stops the rig at the first stroke of the first run.
+    let asked = std::sync::atomic::AtomicU32::new(0);
+    rig.set_interrupt(Arc::new(move || {
+        let asked = asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+        (asked > 400).then_some(Urgent::Stop)
+    }));
+    let mut steps = Steps::default();
+    let error = paper(&mut rig, &mut capsule, folder.path(), &mut steps).expect_err("stopped");
+    assert!(
+        matches!(
+            error,
+            ExperimentError::Incomplete {
+                status: Status::Stopped,
+                ..
+            }
+        ),
+        "{error:?}"
+    );
+    assert_eq!(steps.names.last().map(String::as_str), Some("homed"));
+    assert_eq!(
+        capsule.actuation_record().expect("record").kind,
+        ActuationKind::Reference
+    );
+}
+
+#[test]
+fn positions_are_exact_to_the_nanometre() {
+    let screw = Screw {
+        lead_um: 4_000,
+        steps_per_rev: 3_200,
+        stroke_um: 130_000,
+    };
+    assert_eq!(screw.nm(104_000), 130_000_000);
+    assert_eq!((screw.nm(1), screw.nm(-1)), (1_250, -1_250));
+    let odd = Screw {
+        lead_um: 500,
+        steps_per_rev: 102_400,
+        ..screw
+    };
+    assert_eq!((odd.nm(1), odd.nm(-1), odd.nm(102_400)), (5, -5, 500_000));
+}
+
+#[test]
+fn a_recorder_makes_its_folder_and_says_running_at_once() {
+    let folder = tempfile::tempdir().expect("folder");
+    let recording = recording(&folder.path().join("a/b"));
+    let rig = ready(DeviceKind::Rig);
+    let device = IdentityRecord::new(rig.identity().expect("known"), &rig.place());
+    let action = Action::Actuation {
+        actuation: ActuationKind::Fold,
+        accepted: None,
+        record: None,
+    };
+    let trial = Trial::new(action, device, &recording);
+    let recorder = Recorder::create(trial, &recording).expect("made");
+    assert_eq!(
+        Trial::read(recorder.sidecar()).expect("sidecar").status,
+        Status::Running
+    );
+}

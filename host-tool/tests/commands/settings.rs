@@ -1,0 +1,318 @@
+//! Settings at the command line: an import is all or nothing, and what is refused says what may be used.
+
+use std::fs;
+use std::path::PathBuf;
+
+use crate::support::tool::{Memory, ready};
+use protocol::settings::SettingKey;
+use protocol::system::DeviceKind;
+use serde_json::Value;
+use simulated_machines::machine::{Log, Script};
+use tempfile::TempDir;
+
+/// A rig and a folder for files.
+struct Bench {
+    rig: Memory,
+    folder: TempDir,
+}
+
+impl Bench {
+    fn new(script: Script) -> Self {
+        Self {
+            rig: Memory::with(vec![script]),
+            folder: tempfile::tempdir().expect("folder"),
+        }
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn settings(&self, args: &[&str]) -> (u8, String, String) {
+        self.rig.run(&[&["--rig", "0", "settings"], args].concat())
+    }
+
+    fn import(&self, text: &str) -> (u8, String, String) {
+        let file = self.file("import.json");
+        fs::write(&file, text).expect("written");
+        self.settings(&["import", file.to_str().expect("UTF-8")])
+    }
+
+    /// Asks the log of the rig that was spoken to last.
+    fn log<T>(&self, ask: impl FnOnce(&Log) -> T) -> T {
+        let logs = self.rig.logs.lock().expect("logs");
+        ask(&logs.last().expect("a rig").lock().expect("log"))
+    }
+
+    fn values(&self) -> Vec<u32> {
+        self.log(Log::settings)
+    }
+
+    fn value(&self, key: SettingKey) -> u32 {
+        self.values()[key as usize]
+    }
+
+    fn name(&self) -> String {
+        self.log(Log::name)
+    }
+
+    fn heard(&self, name: &str) -> usize {
+        let heard = self.rig.heard();
+        heard.iter().filter(|heard| **heard == name).count()
+    }
+}
+
+fn rig() -> Bench {
+    Bench::new(ready(DeviceKind::Rig))
+}
+
+/// How often an import of this file writes to the flash.
+fn writes(text: &str) -> usize {
+    let bench = rig();
+    assert_eq!(bench.import(text).0, 0);
+    let writes = bench.log(Log::writes);
+    assert!(writes > 0);
+    writes
+}
+
+fn defaults() -> Vec<u32> {
+    SettingKey::ALL.map(|key| key.range().default).to_vec()
+}
+
+#[test]
+fn a_file_with_anything_wrong_is_refused_before_the_first_change() {
+    for (text, says) in [
+        ("no JSON", "expected"),
+        (r#"{"settings": {}}"#, "missing field `name`"),
+        (r#"{"name": "", "settings": []}"#, "settings"),
+        (
+            r#"{"name": "", "settings": {}, "setings": {}}"#,
+            "unknown field `setings`",
+        ),
+        (
+            r#"{"name": "", "name": "x", "settings": {}}"#,
+            "duplicate field `name`",
+        ),
+        (r#"{"name": 5, "settings": {}}"#, "name: 5 is not text"),
+        (
+            r#"{"name": "a name of twenty-five bytes", "settings": {}}"#,
+            "the name has 27 bytes",
+        ),
+        (
+            r#"{"name": "bell", "settings": {}}"#,
+            "the name has a control character",
+        ),
+        (
+            r#"{"name": "", "settings": {"dead_man_ms": 350, "lead": 4000}}"#,
+            "there is no setting `lead`",
+        ),
+        (
+            r#"{"name": "", "settings": {"dead_man_ms": 350, "dead_man_ms": 360}}"#,
+            "dead_man_ms appears twice",
+        ),
+        (
+            r#"{"name": "", "settings": {"dead_man_ms": 350, "lead_um": 4.5}}"#,
+            "lead_um cannot be 4.5: settings are whole numbers",
+        ),
+        (
+            r#"{"name": "", "settings": {"dead_man_ms": 350, "lead_um": "4000"}}"#,
+            "lead_um cannot be \"4000\"",
+        ),
+        (
+            r#"{"name": "", "settings": {"dead_man_ms": 350, "lead_um": -1}}"#,
+            "lead_um cannot be -1",
+        ),
+        (
+            r#"{"name": "", "settings": {"dead_man_ms": 350, "microsteps": 512}}"#,
+            "microsteps is 512, allowed is 1 to 256",
+        ),
+        (
+            r#"{"name": "", "settings": {"dead_man_ms": 350, "microsteps": 5000000000}}"#,
+            "microsteps is 5000000000, allowed is 1 to 256",
+        ),
+    ] {
+        let bench = rig();
+        // A bell is written as JSON writes it.
+        let (code, _, err) = bench.import(&text.replace("bell", "be\\u0007ll"));
+        assert_eq!(code, 2, "{text}: {err}");
+        assert!(err.contains(says), "{text}: {err}");
+        assert!(err.contains("import.json"), "{err}");
+        assert!(bench.rig.heard().is_empty(), "{text}: nothing was sent");
+    }
+}
+
+#[test]
+fn all_that_is_wrong_with_a_file_is_said_at_once() {
+    let (_, _, err) = rig().import(r#"{"name": "", "settings": {"lead": 1, "microsteps": 512}}"#);
+    assert!(err.contains("`lead`") && err.contains("512"), "{err}");
+}
+
+#[test]
+fn an_import_finds_the_order_in_which_values_go_together() {
+    let bench = rig();
+    // In the order of the file the stroke would be too short for flag and pull-off.
+    let text = r#"{"name": "left bench",
+        "settings": {"stroke_um": 2000, "pull_off_um": 500, "flag_um": 500}}"#;
+    let (code, out, err) = bench.import(text);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.contains("3 settings changed"), "{out}");
+    assert_eq!(bench.value(SettingKey::StrokeUm), 2_000);
+    assert_eq!(bench.name(), "left bench");
+}
+
+#[test]
+fn what_the_rig_refuses_in_the_middle_is_put_back() {
+    for (refused, text) in [
+        // A rule between settings that only the rig knows.
+        (
+            "stroke_um",
+            r#"{"name": "new", "settings": {"dead_man_ms": 350, "stroke_um": 2000, "seek_um_s": 500}}"#,
+        ),
+        (
+            "microsteps",
+            r#"{"name": "new", "settings": {"dead_man_ms": 350, "microsteps": 24, "seek_um_s": 500}}"#,
+        ),
+    ] {
+        let bench = rig();
+        let (code, _, err) = bench.import(text);
+        assert_eq!(code, 3, "{err}");
+        assert!(
+            err.contains(&format!("{refused}: test rig refused")),
+            "{err}"
+        );
+        assert!(err.contains("import.json"), "{err}");
+        assert!(err.contains("all settings are as before"), "{err}");
+        assert!(bench.heard("SetSetting") > 2, "it began");
+        assert_eq!(bench.values(), defaults());
+        assert_eq!(bench.name(), "");
+    }
+    // The name goes last, and its refusal undoes the rest. It is tried twice.
+    let before = writes(r#"{"name": "", "settings": {"dead_man_ms": 350}}"#);
+    let bench = Bench::new(Script {
+        failing_writes: before..before + 2,
+        ..ready(DeviceKind::Rig)
+    });
+    let (code, _, err) = bench.import(r#"{"name": "new", "settings": {"dead_man_ms": 350}}"#);
+    assert_eq!(code, 3, "{err}");
+    assert!(err.contains("name: test rig refused SetName"), "{err}");
+    assert!(err.contains("all settings are as before"), "{err}");
+    assert_eq!((bench.values(), bench.name()), (defaults(), String::new()));
+    assert!(bench.log(Log::writes) > before, "it began, and went back");
+}
+
+#[test]
+fn what_cannot_be_put_back_is_listed() {
+    let before = writes(r#"{"name": "", "settings": {"dead_man_ms": 350, "seek_um_s": 500}}"#);
+    let bench = Bench::new(Script {
+        failing_writes: before..usize::MAX,
+        ..ready(DeviceKind::Rig)
+    });
+    let text = r#"{"name": "",
+        "settings": {"dead_man_ms": 350, "seek_um_s": 500, "turnaround_us": 2000}}"#;
+    let (code, _, err) = bench.import(text);
+    assert_eq!(code, 7, "{err}");
+    assert!(err.contains("turnaround_us: test rig refused"), "{err}");
+    assert!(err.contains("dead_man_ms from 300 to 350"), "{err}");
+    assert!(err.contains("seek_um_s from 20000 to 500"), "{err}");
+    assert!(!err.contains("as before"), "{err}");
+    assert_eq!(bench.value(SettingKey::DeadManMs), 350);
+    assert_eq!(bench.value(SettingKey::TurnaroundUs), 1_000);
+}
+
+#[test]
+fn a_value_that_is_none_says_what_may_be_used() {
+    for (value, code, says) in [
+        (
+            "4.5",
+            2,
+            "settings are whole numbers in the unit of their name, 500 to 50000 um here",
+        ),
+        ("-1", 2, "settings are whole numbers"),
+        ("-1.5", 2, "settings are whole numbers"),
+        ("4mm", 2, "settings are whole numbers"),
+        ("", 2, "settings are whole numbers"),
+        ("499", 3, "lead_um is 499, allowed is 500 to 50000"),
+        (
+            "4294967296",
+            3,
+            "lead_um is 4294967296, allowed is 500 to 50000",
+        ),
+        (
+            "99999999999999999999999",
+            3,
+            "lead_um is 99999999999999999999999, allowed is 500 to 50000",
+        ),
+    ] {
+        let bench = rig();
+        let (got, _, err) = bench.settings(&["set", "lead_um", value]);
+        assert_eq!(got, code, "{value}: {err}");
+        assert!(err.contains(says), "{value}: {err}");
+        assert!(bench.rig.heard().is_empty(), "{value}");
+    }
+}
+
+#[test]
+fn what_the_rig_refuses_has_changed_nothing() {
+    let (code, _, err) = rig().settings(&["set", "microsteps", "24"]);
+    assert_eq!(code, 3, "{err}");
+    assert!(err.contains("help: nothing was changed"), "{err}");
+    let broken = Bench::new(Script {
+        failing_writes: 0..usize::MAX,
+        ..ready(DeviceKind::Rig)
+    });
+    let (code, _, err) = broken.settings(&["name", "new"]);
+    assert_eq!(code, 3, "{err}");
+    assert!(err.contains("help: nothing was changed"), "{err}");
+    assert_eq!(broken.name(), "");
+}
+
+#[test]
+fn a_name_that_no_terminal_can_show_is_refused() {
+    let bench = rig();
+    let (code, _, err) = bench.settings(&["name", "a\u{1b}[2Jb"]);
+    assert_eq!(code, 2, "{err}");
+    assert!(err.contains("control character"), "{err}");
+    assert!(bench.rig.heard().is_empty());
+    assert_eq!(bench.settings(&["name", "Röhre 1"]).0, 0);
+    assert_eq!(bench.name(), "Röhre 1");
+}
+
+#[test]
+fn an_export_replaces_a_file_only_if_told_to() {
+    let bench = rig();
+    let file = bench.file("rig.json");
+    let path = file.to_str().expect("UTF-8");
+    fs::write(&file, "precious").expect("written");
+    let (code, _, err) = bench.settings(&["export", path]);
+    assert_eq!(code, 3, "{err}");
+    assert!(err.contains("--force") && err.contains("rig.json"), "{err}");
+    assert_eq!(fs::read_to_string(&file).expect("there"), "precious");
+    assert!(bench.rig.heard().is_empty());
+    let (code, out, err) = bench.settings(&["export", path, "--force"]);
+    assert_eq!(code, 0, "{err}");
+    assert!(out.contains("26 settings"), "{out}");
+    let (code, out, err) = bench.settings(&["import", path]);
+    assert_eq!(code, 0, "what export writes import reads: {err}");
+    assert!(out.contains("0 settings changed"), "{out}");
+    let json: Value = serde_json::from_slice(&fs::read(&file).expect("there")).expect("JSON");
+    assert_eq!(json["settings"]["lead_um"], 4_000);
+}
+
+#[test]
+fn a_reset_wants_a_yes() {
+    let bench = rig();
+    let (code, _, err) = bench.settings(&["reset"]);
+    assert_eq!(code, 3, "{err}");
+    assert!(err.contains("--yes"), "{err}");
+    assert_eq!(bench.heard("FactoryReset"), 0);
+    for (answer, code, resets) in [("no\n", 3, 0), ("", 3, 0), ("yes\n", 0, 1), ("y\n", 0, 2)] {
+        let (got, _, err) = bench
+            .rig
+            .run_typed(&["--rig", "0", "settings", "reset"], answer);
+        assert_eq!(got, code, "{answer:?}: {err}");
+        assert!(err.contains("yes"), "it asks: {err}");
+        assert_eq!(bench.heard("FactoryReset"), resets);
+    }
+    assert_eq!(bench.settings(&["reset", "--yes"]).0, 0);
+    assert_eq!(bench.heard("FactoryReset"), 3);
+}

@@ -1,0 +1,301 @@
+//! Campaigns in processes of their own, at a machine on TCP: killed at random instants and resumed, and left at a prompt.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crate::support::bench::{Bench, ready};
+use crate::support::plan::{ONE_CONDITION, PAPER, changed};
+use crate::support::terminal::Terminal;
+use campaign::chance::Chance;
+use campaign::contents::Campaign;
+use campaign::ledger::{Event, Outcome, Standing};
+use campaign::verify::verify;
+use protocol::system::DeviceKind;
+use simulated_machines::machine::VIRTUAL_UID;
+
+/// The machine's clock runs so many times as fast as the world's.
+const SPEED: u32 = 12;
+
+/// Ten short trials in one block, with these changes.
+fn plan(changes: &[(&str, &str)]) -> String {
+    let short = [
+        ("duration_s = 40", "duration_s = 1"),
+        ("telemetry_ms = 10 ", "telemetry_ms = 50 "),
+        ("stroke_mm = 130", "stroke_mm = 5"),
+    ];
+    changed(&changed(PAPER, &ONE_CONDITION), &[&short, changes].concat())
+}
+
+/// The displacements that count, and the attempts that they are of.
+fn done(campaign: &Campaign) -> BTreeMap<u32, (u32, i64)> {
+    let of = |trial: &campaign::ledger::TrialState| {
+        let mm = trial.counted()?;
+        Some((trial.planned.trial, (trial.attempt()?.number, mm.value.um)))
+    };
+    campaign.state.trials.iter().filter_map(of).collect()
+}
+
+/// How many kills: all of them where RETROGRADE_CAMPAIGN is set, else the first.
+fn kills() -> u32 {
+    match std::env::var_os("RETROGRADE_CAMPAIGN") {
+        Some(_) => 50,
+        None => 6,
+    }
+}
+
+/// A run whose strokes are asked for, and two passes each way.
+fn plan_of_passes() -> String {
+    let changes = [
+        ("duration_s = 40", "duration_s = 6"),
+        ("telemetry_ms = 10 ", "telemetry_ms = 50 "),
+        ("stroke_mm = 130", "stroke_mm = 90"),
+        ("repeats = 10", "repeats = 1"),
+        (
+            "[displacement]\n",
+            "[passes]\nlubrication = [\"dry\"]\nindentation = [\"a5\"]\nrepeats = 2\ntail_mm = 24\nbody_mm = 41.2\n\
+             [displacement]\nper_stroke = true\n",
+        ),
+    ];
+    changed(&changed(PAPER, &ONE_CONDITION), &changes)
+}
+
+#[test]
+fn a_campaign_survives_being_killed_at_any_instant() {
+    let repeats = kills() + 2;
+    let text = plan(&[("repeats = 10", &format!("repeats = {repeats}"))]);
+    survives(&text, "Run", kills());
+}
+
+#[test]
+fn passes_and_strokes_survive_being_killed_at_any_instant() {
+    let campaign = survives(&plan_of_passes(), "MoveTo", kills().min(20));
+    let strokes = campaign
+        .rows
+        .iter()
+        .filter(|row| row.event == Event::Stroke);
+    assert_eq!(
+        strokes.count(),
+        2,
+        "each once, although the tool was killed"
+    );
+}
+
+/// No trial that was done is lost, none counts twice. Every second kill comes within what begins with this request.
+fn survives(text: &str, motion: &str, kills: u32) -> Campaign {
+    let mut script = ready(DeviceKind::Rig);
+    script.uid = VIRTUAL_UID;
+    let bench = Bench::on_tcp_as(&script, SPEED);
+    let place = bench.folder.path();
+    std::fs::write(place.join("plan.toml"), text).expect("written");
+    let folder = place.join("c");
+    let mut chance = Chance::new(50);
+    let mut before = BTreeMap::new();
+    let mut killed = 0;
+    loop {
+        let args: &[&str] = match folder.exists() {
+            true => &["campaign", "resume", "c", "--yes"],
+            false => &["campaign", "run", "plan.toml", "--out", "c", "--yes"],
+        };
+        let mut child = bench.command(args).spawn().expect("starts");
+        if killed < kills {
+            // From before the first byte to within some trial; every second one within a run.
+            let (runs, mut over) = (bench.count(motion), killed % 2 == 0);
+            while !over && bench.count(motion) == runs {
+                over = child.try_wait().expect("a child").is_some();
+                thread::sleep(Duration::from_millis(1));
+            }
+            let at_most_ms = if killed % 2 == 0 { 500 } else { 60 };
+            thread::sleep(Duration::from_millis(chance.below(at_most_ms) as u64));
+            // That is SIGKILL; it may have ended by itself.
+            let _ = child.kill();
+            killed += 1;
+        }
+        let (code, out, err) = crate::support::bench::read(child.wait_with_output().expect("ends"));
+        if folder.exists() {
+            let now = done(&Campaign::read(Path::new(&folder)).expect("readable at any instant"));
+            for (trial, value) in &before {
+                assert_eq!(
+                    now.get(trial),
+                    Some(value),
+                    "trial {trial} after kill {killed}"
+                );
+            }
+            before = now;
+        }
+        if killed == kills && code.is_some() {
+            assert_eq!(code, Some(0), "{out}{err}");
+            break;
+        }
+        assert!(code.is_none() || code == Some(0), "{out}{err}");
+    }
+    assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
+    let campaign = Campaign::read(&folder).expect("a campaign");
+    let repeats = campaign.order.len() as u32;
+    assert_eq!(before.len() as u32, repeats);
+    for trial in 1..=repeats {
+        let measured = campaign
+            .rows
+            .iter()
+            .filter(|row| row.event == Event::Displacement && row.trial == Some(trial));
+        assert_eq!(measured.count(), 1, "trial {trial}");
+        let state = campaign.state.trial(trial).expect("there");
+        let standing = state.attempts.iter().filter(|attempt| attempt.stands());
+        assert_eq!(standing.count(), 1, "trial {trial}");
+    }
+    // Not every kill came between two trials.
+    let attempts = |campaign: &Campaign| -> usize {
+        campaign
+            .state
+            .trials
+            .iter()
+            .map(|trial| trial.attempts.len())
+            .sum()
+    };
+    assert!(
+        attempts(&campaign) > repeats as usize,
+        "no kill has hit an attempt"
+    );
+    campaign
+}
+
+/// While a question waits the rig hears the tool, others look through its door, and Ctrl-C leaves.
+#[test]
+fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
+    let bench = Bench::on_tcp_as(&ready(DeviceKind::Rig), SPEED);
+    let text = plan(&[("count = 5", "count = 1")]);
+    std::fs::write(bench.folder.path().join("plan.toml"), text).expect("written");
+    let at_terminal = |args: &[&str]| Terminal::start(bench.command(args), 100, 40);
+    let mut session = at_terminal(&["campaign", "run", "plan.toml", "--out", "c"]);
+    session.wait_for("rollers OFF");
+    let (before, begin) = (bench.count("KeepAlive"), Instant::now());
+    while bench.count("KeepAlive") < before + 3 {
+        assert!(
+            begin.elapsed() < Duration::from_secs(30),
+            "the rig hears nothing"
+        );
+        thread::sleep(Duration::from_millis(5));
+    }
+    let (code, out, err) = bench.retrograde(&["info"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.contains("Ready, homed"), "{out}");
+    for (wanted, line) in [
+        ("Enter when it is done", "\n"),
+        ("Reading 1 of 1: D", "24.4\n"),
+        ("Clamp both rollers", "\n"),
+        ("Reading 1 of 1: i", "14.3\n"),
+        ("Trial 1 of 10", "\n"),
+    ] {
+        session.wait_for(wanted);
+        session.press(line);
+    }
+    session.wait_for("Displacement of the tail");
+    session.press("\x03");
+    assert_eq!(session.ends_restored(), Some(130));
+    let folder = bench.folder.path().join("c");
+    assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
+    let standing = || {
+        let campaign = Campaign::read(&folder).expect("a campaign");
+        campaign.state.trial(1).expect("there").standing()
+    };
+    assert_eq!(standing(), Standing::Unmeasured);
+    let mut session = at_terminal(&["campaign", "resume", "c"]);
+    session.wait_for("Displacement of the tail");
+    session.press("4.5\n");
+    session.wait_for("Trial 2 of 10");
+    session.press("q\n");
+    assert_eq!(session.ends_restored(), Some(130));
+    assert_eq!(standing(), Standing::Done);
+}
+
+/// A stop within a pass leaves no half trial, an emergency stop before one begins nothing, and each time the rollers are homed anew
+/// before the body is laid in.
+#[test]
+fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
+    let bench = Bench::on_tcp_as(&ready(DeviceKind::Rig), SPEED);
+    let text = changed(
+        &plan_of_passes(),
+        &[
+            ("count = 5", "count = 1"),
+            ("duration_s = 6", "duration_s = 90"),
+        ],
+    );
+    std::fs::write(bench.folder.path().join("plan.toml"), text).expect("written");
+    let folder = bench.folder.path().join("c");
+    let converse = |args: &[&str], lines: &[(&str, &str)]| {
+        let mut session = Terminal::start(bench.command(args), 120, 40);
+        for (wanted, line) in lines {
+            session.wait_for(wanted);
+            session.press(line);
+        }
+        session
+    };
+    let outcomes = || -> Vec<_> {
+        let campaign = Campaign::read(&folder).expect("a campaign");
+        let attempts = &campaign.state.trial(2).expect("there").attempts;
+        attempts.iter().map(|attempt| attempt.outcome).collect()
+    };
+    let session = converse(
+        &["campaign", "run", "plan.toml", "--out", "c"],
+        &[
+            ("rollers OFF", "\n"),
+            ("Reading 1 of 1: D", "24.4\n"),
+            ("Clamp both rollers", "\n"),
+            ("Reading 1 of 1: i", "14.3\n"),
+            ("Trial 1, unfolded: the rollers go home", "\n"),
+            ("Trial 1 of 5", "skip\n"),
+            // The clamping of a trial that was skipped serves the next block at the same place.
+            ("pass: the rollers go", "\n"),
+            ("Trial 2 of 5", "\n"),
+            ("Move: ", "\x03"),
+        ],
+    );
+    assert_eq!(session.ends_restored(), Some(130));
+    assert_eq!(outcomes(), [Some(Outcome::Stopped)]);
+    assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
+
+    // The rollers stand above the body: nothing moves before it is out.
+    let homings = bench.count("Home");
+    let session = converse(
+        &["campaign", "resume", "c"],
+        &[
+            ("the body is taken out", "\n"),
+            ("Trial 2 of 5, attempt 2", "\n"),
+            ("Move: ", "s\n"),
+        ],
+    );
+    assert_eq!(session.ends_restored(), Some(130));
+    let stopped = [Some(Outcome::Stopped); 2];
+    assert_eq!(outcomes(), stopped);
+    let mut session = converse(
+        &["campaign", "resume", "c"],
+        &[
+            ("the body is taken out", "\n"),
+            ("Trial 2 of 5, attempt 3", ""),
+        ],
+    );
+    assert_eq!(bench.count("Home"), homings + 2);
+    let (code, _, err) = bench.retrograde(&["estop", "rig"]);
+    assert_eq!(code, Some(0), "{err}");
+    session.press("\n");
+    session.wait_for("the rig has a fault");
+    assert_ne!(session.ends_restored(), Some(0));
+    assert_eq!(outcomes(), stopped, "nothing has begun");
+
+    let (code, _, err) = bench.retrograde(&["ack", "rig"]);
+    assert_eq!(code, Some(0), "{err}");
+    let session = converse(
+        &["campaign", "resume", "c"],
+        &[
+            ("the body is taken out", "\n"),
+            ("Trial 2 of 5, attempt 3", "\n"),
+            ("Move: ", ""),
+        ],
+    );
+    let (code, _, err) = bench.retrograde(&["estop", "rig"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert_ne!(session.ends_restored(), Some(0));
+    assert_eq!(outcomes()[2..], [Some(Outcome::Faulted)]);
+    assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
+}

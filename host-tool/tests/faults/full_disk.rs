@@ -1,0 +1,44 @@
+//! A disk that is full in the middle of a run: told at once, and what the rig says of the run is not lost.
+
+use crate::support::bench::{Bench, read, with_little_space};
+use protocol::system::DeviceKind;
+
+#[test]
+fn a_disk_that_fills_in_mid_run_is_told_at_once_and_the_verdict_is_not_lost() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let run = [
+        "run",
+        "--cycles",
+        "1",
+        "--stroke-mm",
+        "20",
+        "--duration-s",
+        "5.6",
+    ];
+    let (code, out, err) = read(
+        with_little_space(&bench.command(&run), 8_192)
+            .output()
+            .expect("starts"),
+    );
+    assert_eq!(code, Some(1), "{out}{err}");
+    let told = out.find("NOT RECORDED from here on").expect(&out);
+    assert!(
+        out[told..].contains(" s of 5.6 s"),
+        "not before the end: {out}"
+    );
+    assert_eq!(out.matches("NOT RECORDED").count(), 1, "{out}");
+    assert!(
+        err.contains("the run ended as Complete after 2 strokes and 32000 steps; but"),
+        "{err}"
+    );
+    // The sidecar was small enough, and says both.
+    let trial = bench.trial();
+    assert_eq!(trial["status"], "complete");
+    let error = trial["error"].as_str().expect("a reason");
+    assert!(
+        error.contains("the telemetry was not recorded whole"),
+        "{error}"
+    );
+    // The rig was not stopped for it.
+    assert!(bench.urgent().is_empty());
+}

@@ -1,0 +1,42 @@
+//! What is not a machine is called what it is, with what to do, within a second or so.
+
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use crate::support::others::{echo, instrument, other_baud, server, silent, ssh, web};
+use host_tool::cli::run_on;
+use operations::connector::Ports;
+
+#[test]
+fn each_other_end_is_named_with_what_to_do() {
+    type Serve = fn(TcpStream);
+    let ends: [(Serve, &str, &str); 6] = [
+        (silent, "nothing comes from there", "is the board powered"),
+        (echo, "what is sent there comes back", "loop-back plug"),
+        (web, "a web server is there", "virtual-bench serve"),
+        (ssh, "an SSH server is there", "virtual-bench serve"),
+        (
+            instrument,
+            "it sends \"+1.2345E-03 VDC",
+            "retrograde devices",
+        ),
+        (
+            other_baud,
+            "none of them make a frame",
+            "does `--baud` match",
+        ),
+    ];
+    for (serve, says, remedy) in ends {
+        let address = server(serve);
+        let begin = Instant::now();
+        let line = ["retrograde", "--rig", &address, "info"];
+        let (mut out, mut err) = (vec![], vec![]);
+        let code = run_on(line.map(Into::into), &Ports, &mut out, &mut err, false);
+        let took = begin.elapsed();
+        let err = String::from_utf8(err).expect("UTF-8");
+        assert_eq!(code, 4, "{says}: {err}");
+        assert!(err.contains(says) && err.contains(remedy), "{says}: {err}");
+        // 0.8 s on an idle computer; it ends by itself on any.
+        assert!(took < Duration::from_secs(20), "{says}: {took:?}");
+    }
+}

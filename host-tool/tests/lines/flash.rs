@@ -1,0 +1,343 @@
+//! `flash` looks at the image first, and asks the board afterwards. A program in the place of `probe-rs` keeps what it was
+//! told.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+use crate::support::bench::Bench;
+use protocol::system::DeviceKind;
+use serde_json::Value;
+
+/// An ELF file of 32 bits: two parts, and symbols.
+struct Elf {
+    machine: u16,
+    kind: u16,
+    vectors_at: u32,
+    code_at: u32,
+    stack: u32,
+    reset: u32,
+    crate_name: &'static str,
+    /// Of its code.
+    fingerprint: u32,
+}
+
+/// Words of code whose fingerprint is this: the last one makes it so.
+fn code(fingerprint: u32) -> [u32; 8] {
+    const PRIME: u32 = 0x0100_0193;
+    // Newton's iteration doubles the number of right bits each time; an odd number is its own inverse modulo 8.
+    let inverse = (0..4).fold(PRIME, |inverse, _| {
+        inverse.wrapping_mul(2_u32.wrapping_sub(PRIME.wrapping_mul(inverse)))
+    });
+    let mut code = [0x4770_4770; 8];
+    let before = code[..7].iter().fold(0x811C_9DC5_u32, |hash, word| {
+        (hash ^ word).wrapping_mul(PRIME)
+    });
+    code[7] = before ^ fingerprint.wrapping_mul(inverse);
+    code
+}
+
+impl Elf {
+    fn of(crate_name: &'static str) -> Self {
+        Self {
+            machine: 40,
+            kind: 2,
+            vectors_at: 0x0800_0000,
+            code_at: 0x0801_0000,
+            stack: 0x2001_FC00,
+            reset: 0x0801_0001,
+            crate_name,
+            fingerprint: 0x1234_5678,
+        }
+    }
+
+    fn rig() -> Self {
+        Self::of("_ZN12firmware_rig5board4main17h0E")
+    }
+
+    fn write(&self, path: &Path) {
+        let half = |value: u16| value.to_le_bytes().to_vec();
+        let word = |value: u32| value.to_le_bytes().to_vec();
+        let words = |values: &[u32]| values.iter().copied().flat_map(word).collect::<Vec<_>>();
+        let code = words(&code(self.fingerprint));
+        let vectors = words(&[self.stack, self.reset]);
+        let (vectors_from, code_from) = (0x100, 0x110);
+        let code_end = self.code_at + code.len() as u32;
+        let mut names = vec![0];
+        let mut symbols = words(&[0; 4]);
+        for (name, value) in [
+            ("__stext", self.code_at),
+            ("__sdata", 0x2000_0000),
+            ("__edata", 0x2000_0000),
+            ("__sidata", code_end),
+            (self.crate_name, self.code_at),
+        ] {
+            symbols.extend(words(&[names.len() as u32, value, 0]));
+            // A global function at a fixed address.
+            symbols.extend([0x12, 0]);
+            symbols.extend(half(0xFFF1));
+            names.extend(name.as_bytes());
+            names.push(0);
+        }
+        let symbols_from = 0x200_u32;
+        let names_from = symbols_from + symbols.len() as u32;
+        let sections_from = (names_from + names.len() as u32).next_multiple_of(4);
+        let mut file = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
+        file.extend([half(self.kind), half(self.machine)].concat());
+        file.extend(words(&[1, self.reset, 52, sections_from, 0]));
+        file.extend([52, 32, 2, 40, 3, 2].map(half).concat());
+        for (from, at, part) in [
+            (vectors_from, self.vectors_at, &vectors),
+            (code_from, self.code_at, &code),
+        ] {
+            let length = part.len() as u32;
+            file.extend(words(&[1, from, at, at, length, length, 5, 4]));
+        }
+        let mut put = |from: u32, bytes: &[u8]| {
+            assert!(file.len() <= from as usize);
+            file.resize(from as usize, 0);
+            file.extend(bytes);
+        };
+        put(vectors_from, &vectors);
+        put(code_from, &code);
+        put(symbols_from, &symbols);
+        put(names_from, &names);
+        let section = |kind, from, length, link, info, entry| {
+            words(&[0, kind, 0, 0, from, length, link, info, 1, entry])
+        };
+        let table = [
+            section(0, 0, 0, 0, 0, 0),
+            section(2, symbols_from, symbols.len() as u32, 2, 1, 16),
+            section(3, names_from, names.len() as u32, 0, 0, 0),
+        ];
+        put(sections_from, &table.concat());
+        fs::write(path, file).expect("written");
+    }
+}
+
+/// A machine, a folder for images, and a program in the place of `probe-rs`.
+struct Bay {
+    bench: Bench,
+}
+
+impl Bay {
+    fn new(kind: DeviceKind) -> Self {
+        let bench = Bench::on_tcp(kind);
+        let program = bench.folder.path().join("probe-rs");
+        let text = format!(
+            "#!/bin/sh\necho \"$@\" >> {}/told\n",
+            bench.folder.path().display()
+        );
+        fs::write(&program, text).expect("written");
+        fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).expect("mine");
+        Self { bench }
+    }
+
+    fn image(&self, elf: &Elf) -> PathBuf {
+        let path = self.bench.folder.path().join("image");
+        elf.write(&path);
+        path
+    }
+
+    fn flash(&self, machine: &str, image: &Path, more: &[&str]) -> (Option<i32>, String, String) {
+        let image = image.to_str().expect("UTF-8");
+        let args = [&["flash", machine, "--image", image], more].concat();
+        let mut command = self.bench.command(&args);
+        let path = std::env::var("PATH").expect("a path");
+        let folder = self.bench.folder.path().display();
+        command.env("PATH", format!("{folder}:{path}"));
+        crate::support::bench::read(command.output().expect("starts"))
+    }
+
+    /// What `probe-rs` was told.
+    fn told(&self) -> String {
+        fs::read_to_string(self.bench.folder.path().join("told")).unwrap_or_default()
+    }
+}
+
+#[test]
+fn what_is_no_image_of_this_machine_is_refused_before_a_probe_is_touched() {
+    let bay = Bay::new(DeviceKind::Rig);
+    let folder = bay.bench.folder.path();
+    for (elf, says) in [
+        (
+            Elf {
+                machine: 62,
+                ..Elf::rig()
+            },
+            "another processor",
+        ),
+        (
+            Elf {
+                kind: 1,
+                ..Elf::rig()
+            },
+            "another processor",
+        ),
+        (
+            Elf {
+                vectors_at: 0,
+                ..Elf::rig()
+            },
+            "outside this chip's flash",
+        ),
+        (
+            Elf {
+                code_at: 0x0807_FFF0,
+                ..Elf::rig()
+            },
+            "outside this chip's flash",
+        ),
+        (
+            Elf {
+                code_at: 0x0800_4000,
+                ..Elf::rig()
+            },
+            "where the settings are kept",
+        ),
+        (
+            Elf {
+                code_at: 0x0800_FFF0,
+                ..Elf::rig()
+            },
+            "where the settings are kept",
+        ),
+        (
+            Elf {
+                stack: 0x2002_0008,
+                ..Elf::rig()
+            },
+            "cannot start this chip",
+        ),
+        (
+            Elf {
+                stack: 0x2001_FC04,
+                ..Elf::rig()
+            },
+            "cannot start this chip",
+        ),
+        (
+            Elf {
+                reset: 0x0801_0000,
+                ..Elf::rig()
+            },
+            "cannot start this chip",
+        ),
+        (
+            Elf {
+                reset: 0x0802_0001,
+                ..Elf::rig()
+            },
+            "cannot start this chip",
+        ),
+        (
+            Elf {
+                vectors_at: 0x0800_0100,
+                ..Elf::rig()
+            },
+            "cannot start this chip",
+        ),
+        (
+            Elf::of("_ZN16firmware_capsule5board4main17h0E"),
+            "the image of the capsule, not of the rig",
+        ),
+        (Elf::of("main"), "neither the image of the rig nor"),
+    ] {
+        let image = bay.image(&elf);
+        let (code, _, err) = bay.flash("rig", &image, &[]);
+        assert_eq!(code, Some(2), "{says}: {err}");
+        assert!(err.contains(says), "{says}: {err}");
+        assert!(err.contains("nothing was flashed"), "{says}: {err}");
+    }
+    let cut = folder.join("cut");
+    let whole = fs::read(bay.image(&Elf::rig())).expect("an image");
+    fs::write(&cut, &whole[..200]).expect("written");
+    for path in [
+        "/etc/passwd",
+        "/dev/zero",
+        "/",
+        env!("CARGO_BIN_EXE_retrograde"),
+        cut.to_str().expect("UTF-8"),
+    ] {
+        let (code, _, err) = bay.flash("rig", Path::new(path), &[]);
+        assert_eq!(code, Some(2), "{path}: {err}");
+        assert!(err.contains("cannot be flashed"), "{path}: {err}");
+    }
+    assert_eq!(bay.told(), "");
+}
+
+#[test]
+fn a_dry_run_looks_and_touches_nothing() {
+    let bay = Bay::new(DeviceKind::Rig);
+    let image = bay.image(&Elf::rig());
+    let (code, out, err) = bay.flash("rig", &image, &["--dry-run", "--json"]);
+    assert_eq!(code, Some(0), "{err}");
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(
+        (&json["dry_run"], &json["bytes"]),
+        (&true.into(), &40.into())
+    );
+    assert_eq!((bay.told(), bay.bench.connections()), (String::new(), 0));
+}
+
+#[test]
+fn a_capsule_is_flashed_and_says_who_it_is() {
+    let bay = Bay::new(DeviceKind::Capsule);
+    let image = bay.image(&Elf::of("_ZN16firmware_capsule5board4main17h0E"));
+    let (code, out, err) = bay.flash("capsule", &image, &["--probe", "0483:374b:1"]);
+    assert_eq!(code, Some(0), "{err}");
+    assert!(out.contains("Flashed. capsule"), "{out}");
+    let told = bay.told();
+    let lines: Vec<_> = told.lines().collect();
+    assert_eq!(lines.len(), 2, "{told}");
+    assert!(
+        lines[0].starts_with("download --chip STM32F411RETx "),
+        "{told}"
+    );
+    assert!(lines[1].starts_with("reset --chip STM32F411RETx"), "{told}");
+    assert!(
+        lines
+            .iter()
+            .all(|line| line.ends_with("--probe 0483:374b:1"))
+    );
+}
+
+#[test]
+fn a_rig_is_flashed_when_it_runs_the_image_afterwards() {
+    let bay = Bay::new(DeviceKind::Rig);
+    let (_, out, err) = bay.bench.retrograde(&["--json", "health"]);
+    let json: Value = serde_json::from_str(&out).expect(&err);
+    let running = json["health"]["image_hash"].as_u64().expect("a number");
+    let image = bay.image(&Elf {
+        fingerprint: running as u32,
+        ..Elf::rig()
+    });
+    let (code, out, err) = bay.flash("rig", &image, &["--json"]);
+    assert_eq!(code, Some(0), "{err}");
+    let json: Value = serde_json::from_str(&out).expect("one object");
+    assert_eq!(json["fingerprint"], format!("{running:08x}"));
+    assert_eq!(json["identity"]["device"], "rig");
+    assert_eq!(bay.told().lines().count(), 2);
+}
+
+#[test]
+fn a_rig_that_runs_another_image_afterwards_is_not_called_flashed() {
+    let bay = Bay::new(DeviceKind::Rig);
+    let image = bay.image(&Elf::rig());
+    let (code, _, err) = bay.flash("rig", &image, &[]);
+    assert_eq!(code, Some(1), "{err}");
+    assert!(err.contains("the machine here runs image"), "{err}");
+}
+
+#[test]
+fn a_machine_that_is_at_work_is_not_flashed() {
+    let bay = Bay::new(DeviceKind::Rig);
+    let mut run = bay.bench.run(&[]);
+    let image = bay.image(&Elf::rig());
+    let (code, _, err) = bay.flash("rig", &image, &[]);
+    assert_eq!(code, Some(3), "{err}");
+    assert!(err.contains(&format!("process {}", run.id())), "{err}");
+    assert_eq!(bay.told(), "");
+    run.kill().expect("killed");
+    run.wait().expect("ended");
+}

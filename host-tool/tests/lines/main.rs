@@ -1,0 +1,13 @@
+//! The program itself at lines that several processes share.
+#![cfg(unix)]
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod bad_inputs;
+mod diagnosis;
+mod doctor;
+mod door;
+mod flash;
+mod named;
+mod stopping;

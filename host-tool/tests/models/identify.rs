@@ -1,0 +1,91 @@
+//! What is found of capsules that are known, and what is said of recordings that show nothing.
+
+use capsule_plant::Parameters;
+use protocol::capsule::TracePoint;
+use trials::identify::{IdentifyError, identify};
+
+/// A slice of what `examples/identify.rs` tries.
+#[test]
+fn capsules_that_differ_in_everything_are_identified_within_the_stated_uncertainty() {
+    for seed in 0..10 {
+        let found = simulated_machines::population::tried(seed);
+        assert_eq!(
+            simulated_machines::population::missed(&found),
+            [""; 0],
+            "seed {seed}: {found:?}"
+        );
+        for (name, truth, estimate) in &found {
+            // It also has to say something.
+            let most = if *name == "slack_mm" { 0.65 } else { 0.35 };
+            let share = estimate.uncertainty / truth;
+            assert!(share < most, "seed {seed}, {name}: {estimate:?}");
+        }
+    }
+}
+
+/// Where the valley lies beyond what is looked at, its edge is no estimate.
+#[test]
+fn slack_beyond_what_a_calibration_allows_is_no_fit() {
+    let recorded = simulated_machines::population::recordings(Parameters::nominal(), 0);
+    for (further_um, fits) in [(0, true), (1_500, true), (4_000, false), (-3_000, false)] {
+        let [fold, unfold] = recorded.clone().map(|mut points| {
+            for point in &mut points {
+                point.thread_um += further_um;
+            }
+            points
+        });
+        let found = identify(&fold, &unfold);
+        assert_eq!(found.is_ok(), fits, "{further_um} um: {found:?}");
+        assert!(
+            fits || matches!(found, Err(IdentifyError::NoFit(why)) if why.contains("slack")),
+            "{further_um} um: {found:?}"
+        );
+    }
+}
+
+fn rest(readings: usize) -> Vec<TracePoint> {
+    let point = TracePoint {
+        thread_um: 0,
+        current_ma: 0,
+        battery_mv: 3_700,
+        drive_mv: 0,
+    };
+    vec![point; readings]
+}
+
+#[test]
+fn recordings_that_show_nothing_are_refused() {
+    for readings in [0, 1, 20, 21, 2_000] {
+        let fold = rest(readings);
+        assert!(
+            matches!(
+                identify(&fold, &fold),
+                Err(IdentifyError::TooShort {
+                    motion: "fold",
+                    blocks: 0
+                })
+            ),
+            "{readings}"
+        );
+    }
+    // A motor that turns at one speed with one current tells neither resistance nor motor constant.
+    let turning = |sign: i16| -> Vec<TracePoint> {
+        let points = rest(1_000).into_iter().zip(0..);
+        let turned = points.map(|(point, ms)| TracePoint {
+            thread_um: if sign > 0 { 13 * ms } else { 13_000 - 13 * ms },
+            current_ma: 20,
+            drive_mv: sign * 1_000,
+            ..point
+        });
+        turned.collect()
+    };
+    let error = identify(&turning(1), &turning(-1)).expect_err("one speed");
+    assert!(matches!(error, IdentifyError::NoFit(_)), "{error}");
+    assert!(matches!(
+        identify(&turning(1), &turning(1)),
+        Err(IdentifyError::TooShort {
+            motion: "unfolding",
+            ..
+        })
+    ));
+}

@@ -1,0 +1,11 @@
+//! Commands that calculate.
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod crescent;
+mod fit;
+mod identify;
+mod optimise;
+mod plan_experiment;
+mod science;

@@ -1,0 +1,7 @@
+//! `retrograde serve`, asked over TCP.
+#![cfg(unix)]
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod serve;

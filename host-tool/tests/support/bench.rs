@@ -1,0 +1,288 @@
+//! A machine at the end of a real line, in real time: TCP or a pseudo-terminal.
+use std::fs::Permissions;
+use std::io::{ErrorKind, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::os::unix::fs::PermissionsExt;
+use std::path::PathBuf;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use client::Device;
+use client::door::lock::Doorway;
+use client::door::window::Window;
+use protocol::settings::SettingKey;
+use protocol::system::{DeviceKind, Urgent};
+use serde_json::Value;
+use simulated_machines::link::Peer;
+
+use simulated_machines::machine::pace::Pace;
+use simulated_machines::machine::{Log, Machine, Script};
+
+/// The line of a machine: puts out bytes, and takes those that have arrived.
+type Carry = Box<dyn FnMut(&[u8], &mut [u8]) -> usize + Send>;
+
+/// A machine that another host has made ready.
+pub fn ready(kind: DeviceKind) -> Script {
+    let mut script = Script::new(kind);
+    script.ready = true;
+    if kind == DeviceKind::Rig {
+        // A busy computer may stop the tool for a second, and the run is not to end for that.
+        script.settings = vec![(SettingKey::LinkTimeoutMs, 30_000)];
+    }
+    script
+}
+
+/// A ready machine at the end of a line, and the folder of its locks and records.
+pub struct Bench {
+    pub kind: DeviceKind,
+    pub address: String,
+    pub log: Arc<Mutex<Log>>,
+    pub folder: tempfile::TempDir,
+    /// Number of connections so far, on TCP.
+    pub connections: Arc<Mutex<u32>>,
+    /// The machine is switched off with the last of these.
+    power: Arc<()>,
+}
+
+impl Bench {
+    /// On TCP, for the latest connection.
+    pub fn on_tcp(kind: DeviceKind) -> Self {
+        Self::on_tcp_as(&ready(kind), 1)
+    }
+
+    /// On TCP, as this script says, so many times as fast as real time.
+    pub fn on_tcp_as(script: &Script, speed: u32) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let address = format!("tcp:{}", listener.local_addr().expect("bound"));
+        listener.set_nonblocking(true).expect("set");
+        let connections = Arc::new(Mutex::new(0));
+        let counted = Arc::clone(&connections);
+        let mut client: Option<TcpStream> = None;
+        let carry = move |out: &[u8], into: &mut [u8]| {
+            if let Ok((stream, _)) = listener.accept() {
+                stream.set_nonblocking(true).expect("set");
+                stream.set_nodelay(true).expect("set");
+                *counted.lock().expect("free") += 1;
+                client = Some(stream);
+            }
+            let Some(stream) = &mut client else {
+                return 0;
+            };
+            let count = match stream.read(into) {
+                Ok(0) => None,
+                Ok(count) => Some(count),
+                Err(io) if io.kind() == ErrorKind::WouldBlock => Some(0),
+                Err(_) => None,
+            };
+            if count.is_none() || stream.write_all(out).is_err() {
+                client = None;
+            }
+            count.unwrap_or(0)
+        };
+        Self::behind(script, speed, address, Box::new(carry), connections)
+    }
+
+    /// At a pseudo-terminal.
+    pub fn at_a_port(kind: DeviceKind) -> Self {
+        use rustix::fs::{OFlags, fcntl_setfl};
+        use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a terminal");
+        grantpt(&master).expect("mine");
+        unlockpt(&master).expect("mine");
+        let name = ptsname(&master, vec![]).expect("named");
+        let address = name.into_string().expect("UTF-8");
+        fcntl_setfl(&master, OFlags::NONBLOCK).expect("set");
+        let mut port = std::fs::File::from(master);
+        let carry = move |out: &[u8], into: &mut [u8]| {
+            // What nobody reads is lost, as at a port.
+            let _ = port.write(out);
+            port.read(into).unwrap_or(0)
+        };
+        Self::at(kind, address, Box::new(carry), Arc::default())
+    }
+
+    pub fn at(
+        kind: DeviceKind,
+        address: String,
+        carry: Carry,
+        connections: Arc<Mutex<u32>>,
+    ) -> Self {
+        Self::behind(&ready(kind), 1, address, carry, connections)
+    }
+
+    fn behind(
+        script: &Script,
+        speed: u32,
+        address: String,
+        mut carry: Carry,
+        connections: Arc<Mutex<u32>>,
+    ) -> Self {
+        let kind = script.kind;
+        let (mut machine, log) = Machine::new(script.clone());
+        let power = Arc::new(());
+        let on = Arc::downgrade(&power);
+        thread::spawn(move || {
+            let mut pace = Pace::new(speed);
+            let mut bytes = [0; 256];
+            while on.strong_count() > 0 {
+                let now_us = pace.now_us();
+                let given = machine.give(now_us);
+                let count = carry(&given, &mut bytes);
+                machine.take(&bytes[..count], now_us);
+                pace.rest();
+            }
+        });
+        let folder = tempfile::tempdir().expect("a folder");
+        let locks = folder.path().join("locks");
+        std::fs::create_dir(&locks).expect("a folder");
+        std::fs::set_permissions(&locks, Permissions::from_mode(0o700)).expect("mine");
+        Self {
+            kind,
+            address,
+            log,
+            folder,
+            connections,
+            power,
+        }
+    }
+
+    /// A client in this process that looks through the door.
+    pub fn window(&self) -> Device {
+        let address = self.address.parse().expect("an address");
+        let doorway = Doorway::within(&self.locks(), &address).expect("a line");
+        let window = Window::open(&doorway, Duration::from_secs(1)).expect("a door");
+        Device::connect(Box::new(window), self.kind, 1).expect("a machine")
+    }
+
+    pub fn locks(&self) -> PathBuf {
+        self.folder.path().join("locks")
+    }
+
+    pub fn command(&self, args: &[&str]) -> Command {
+        let variable = match self.kind {
+            DeviceKind::Rig => "RETROGRADE_RIG",
+            DeviceKind::Capsule => "RETROGRADE_CAPSULE",
+        };
+        let mut command = Command::new(env!("CARGO_BIN_EXE_retrograde"));
+        command
+            .args(args)
+            .env_remove("RETROGRADE_RIG")
+            .env_remove("RETROGRADE_CAPSULE")
+            .env(variable, &self.address)
+            .env("RETROGRADE_RUNTIME_DIR", self.locks())
+            .env(
+                "RETROGRADE_CONFIG",
+                self.folder.path().join("machines.toml"),
+            )
+            .current_dir(self.folder.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        command
+    }
+
+    /// Exit code, standard output, standard error.
+    pub fn retrograde(&self, args: &[&str]) -> (Option<i32>, String, String) {
+        read(self.command(args).output().expect("starts"))
+    }
+
+    /// A run that goes on in another process.
+    pub fn run(&self, more: &[&str]) -> Child {
+        let child = self
+            .command(&[&["run"], more].concat())
+            .spawn()
+            .expect("starts");
+        self.wait_for("Run");
+        child
+    }
+
+    pub fn count(&self, request: &str) -> usize {
+        let log = self.log.lock().expect("log");
+        log.executed.iter().filter(|name| **name == request).count()
+    }
+
+    pub fn wait_for(&self, request: &str) {
+        let begin = Instant::now();
+        while self.count(request) == 0 {
+            assert!(begin.elapsed() < Duration::from_secs(60), "no {request}");
+            thread::sleep(Duration::from_millis(2));
+        }
+    }
+
+    pub fn urgent(&self) -> Vec<Urgent> {
+        let log = self.log.lock().expect("log");
+        log.urgent.iter().map(|(urgent, _)| *urgent).collect()
+    }
+
+    pub fn connections(&self) -> u32 {
+        *self.connections.lock().expect("free")
+    }
+
+    /// The sidecar of the one trial.
+    pub fn trial(&self) -> Value {
+        let folder = self.folder.path().join("retrograde-data");
+        let files: Vec<_> = std::fs::read_dir(folder)
+            .expect("records")
+            .map(|entry| entry.expect("an entry").path())
+            .filter(|path| path.extension().is_some_and(|kind| kind == "json"))
+            .collect();
+        assert_eq!(files.len(), 1, "{files:?}");
+        let text = std::fs::read(&files[0]).expect("a sidecar");
+        serde_json::from_slice(&text).expect("JSON")
+    }
+
+    /// The rows of its telemetry, and how many samples are missing between them.
+    pub fn telemetry(&self) -> (usize, u32) {
+        let folder = self.folder.path().join("retrograde-data");
+        let csv = std::fs::read_dir(folder)
+            .expect("records")
+            .map(|entry| entry.expect("an entry").path())
+            .find(|path| path.extension().is_some_and(|kind| kind == "csv"))
+            .expect("telemetry");
+        let text = std::fs::read_to_string(csv).expect("text");
+        let missed = |line: &str| {
+            let missed = line.rsplit(',').nth(1).expect("columns");
+            missed.parse::<u32>().expect("a number")
+        };
+        let rows: Vec<_> = text.lines().skip(1).map(missed).collect();
+        (rows.len(), rows.iter().sum())
+    }
+}
+
+/// Exit code, standard output, standard error.
+pub fn read(output: Output) -> (Option<i32>, String, String) {
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (
+        output.status.code(),
+        text(&output.stdout),
+        text(&output.stderr),
+    )
+}
+
+/// The same command, with files of at most so many bytes: the system refuses to write more, as on a full disk.
+pub fn with_little_space(command: &Command, bytes: u32) -> Command {
+    // Without the trap the system would end the process.
+    let script = format!(
+        "trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"",
+        bytes / 512
+    );
+    let mut shell = Command::new("sh");
+    shell.args(["-c", &script]).arg(command.get_program());
+    shell
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    shell.args(command.get_args());
+    for (name, value) in command.get_envs() {
+        match value {
+            Some(value) => shell.env(name, value),
+            None => shell.env_remove(name),
+        };
+    }
+    if let Some(folder) = command.get_current_dir() {
+        shell.current_dir(folder);
+    }
+    shell
+}

@@ -1,0 +1,16 @@
+//! What several tests of the program need.
+// Each group of tests uses a part of it.
+#![allow(dead_code, missing_docs, unreachable_pub)]
+
+#[cfg(unix)]
+pub mod bench;
+pub mod made_up;
+pub mod offline;
+#[cfg(unix)]
+pub mod others;
+pub mod plan;
+#[cfg(unix)]
+pub mod signal;
+#[cfg(unix)]
+pub mod terminal;
+pub mod tool;

@@ -1,0 +1,157 @@
+//! Keys of `run` in a terminal, which is compared before and after.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::support::bench::Bench;
+use crate::support::signal::Signal;
+use crate::support::terminal::{End, Terminal};
+use protocol::settings::SettingKey;
+use protocol::system::{DeviceKind, Urgent};
+
+const RUN: [&str; 7] = [
+    "run",
+    "--cycles",
+    "1",
+    "--stroke-mm",
+    "130",
+    "--duration-s",
+    "60",
+];
+
+#[test]
+fn single_keys_hold_resume_and_stop_a_run() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let mut terminal = Terminal::start(bench.command(&RUN), 80, 24);
+    terminal.wait_for("h holds the run, r resumes it, s or Ctrl-C stops it.");
+    terminal.wait_for("stroke 1 of 2");
+    terminal.press("h");
+    terminal.wait_for("held at");
+    terminal.press("r");
+    terminal.wait_for("resumed");
+    // Another key says which there are.
+    terminal.press("x");
+    let begin = Instant::now();
+    while terminal.text().matches("h holds the run").count() < 2 {
+        assert!(begin.elapsed().as_secs() < 60, "{}", terminal.text());
+    }
+    assert_eq!((bench.count("Hold"), bench.count("Resume")), (1, 1));
+    // Pressed again while it brakes, it is no emergency stop.
+    terminal.press("sss");
+    assert_eq!(terminal.ends_restored(), Some(130));
+    let urgent = bench.urgent();
+    assert!(!urgent.is_empty() && urgent.iter().all(|stop| *stop == Urgent::Stop));
+    assert_eq!(bench.trial()["status"], "stopped");
+}
+
+#[test]
+fn the_terminal_is_restored_however_the_run_ends() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    for (end, code) in [
+        (End::Signal(Signal::TERM), 130),
+        (End::Signal(Signal::HUP), 130),
+        (End::Key("\x03"), 130),
+    ] {
+        let mut terminal = Terminal::start(bench.command(&RUN), 80, 24);
+        terminal.wait_for("stroke 1 of 2");
+        terminal.end_by(end);
+        assert_eq!(terminal.ends_restored(), Some(code), "{end:?}");
+        assert_eq!(bench.retrograde(&["home"]).0, Some(0));
+    }
+    let short = [
+        "run",
+        "--cycles",
+        "1",
+        "--stroke-mm",
+        "10",
+        "--duration-s",
+        "2",
+    ];
+    let terminal = Terminal::start(bench.command(&short), 80, 24);
+    assert_eq!(terminal.ends_restored(), Some(0));
+    // Refused by the rig.
+    assert_eq!(bench.retrograde(&["estop"]).0, Some(0));
+    assert_eq!(bench.retrograde(&["ack"]).0, Some(0));
+    let terminal = Terminal::start(bench.command(&RUN), 80, 24);
+    assert_eq!(terminal.ends_restored(), Some(3));
+}
+
+/// A rig that takes 0.4 s to stop from 20 mm/s.
+fn sluggish() -> Bench {
+    let mut script = crate::support::bench::ready(DeviceKind::Rig);
+    script.settings.push((SettingKey::StopAccelUmS2, 50_000));
+    Bench::on_tcp_as(&script, 1)
+}
+
+const SLOWLY: [&str; 7] = [
+    "run",
+    "--cycles",
+    "1",
+    "--speed-mm-s",
+    "20",
+    "--accel-mm-s2",
+    "20",
+];
+
+#[test]
+fn ctrl_c_after_the_key_is_the_emergency_stop() {
+    let bench = sluggish();
+    for attempt in 0.. {
+        let mut terminal = Terminal::start(bench.command(&SLOWLY), 80, 24);
+        terminal.wait_for("stroke 1 of 2");
+        std::thread::sleep(Duration::from_millis(1_500));
+        // A bar of two lines would wipe what is printed above it.
+        let bar = |text: &str| text.lines().position(|line| line.contains("stroke 1 of 2"));
+        let shown = terminal.text();
+        assert_eq!(bar(&shown), Some(shown.lines().count() - 1), "{shown}");
+        let braking = Instant::now();
+        terminal.press("s");
+        terminal.wait_for("stopping; Ctrl-C now for the emergency stop");
+        terminal.press("\x03");
+        let shown = Arc::clone(&terminal.bytes);
+        let code = terminal.ends_restored();
+        let took = braking.elapsed();
+        if code == Some(130) && attempt < 3 {
+            // The computer may have stood still for as long as the rig brakes: once, that shows nothing.
+            assert_eq!(bench.retrograde(&["home"]).0, Some(0));
+            continue;
+        }
+        let shown = shown.lock().expect("free");
+        let shown = String::from_utf8_lossy(&shown);
+        assert_eq!(code, Some(6), "after {took:?}: {shown:?}");
+        assert!(bench.urgent().contains(&Urgent::EStop));
+        assert!(shown.contains("ended by a fault"), "{shown}");
+        return;
+    }
+}
+
+/// The rig may stand already when the emergency stop comes. Then the run was stopped, but the position is lost all the same, and
+/// what is printed last has to say so.
+#[test]
+fn an_emergency_stop_after_the_stop_is_told() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    for later_ms in [0, 4, 8, 15] {
+        let stops = bench.urgent().len();
+        let mut terminal = Terminal::start(bench.command(&SLOWLY), 80, 24);
+        terminal.wait_for("stroke 1 of 2");
+        terminal.press("s");
+        terminal.wait_for("stopping; Ctrl-C now for the emergency stop");
+        std::thread::sleep(Duration::from_millis(later_ms));
+        terminal.press("\x03");
+        let shown = Arc::clone(&terminal.bytes);
+        let code = terminal.ends_restored();
+        let shown = shown.lock().expect("free");
+        let shown = String::from_utf8_lossy(&shown);
+        let cut = bench.urgent()[stops..].contains(&Urgent::EStop);
+        assert_eq!(
+            code,
+            Some(if cut { 6 } else { 130 }),
+            "{later_ms} ms: {shown}"
+        );
+        assert_eq!(shown.contains("the position is kept"), !cut, "{shown}");
+        if cut {
+            assert_eq!(bench.retrograde(&["ack"]).0, Some(0));
+        }
+        assert_eq!(bench.retrograde(&["home"]).0, Some(0));
+    }
+}

@@ -1,0 +1,8 @@
+//! The program in a pseudo-terminal.
+#![cfg(unix)]
+
+#[path = "../support/mod.rs"]
+mod support;
+
+mod keys;
+mod watch;

@@ -1,0 +1,277 @@
+//! `watch` at a machine in real time: through a pseudo-terminal, which is compared before and after, and without one.
+
+use std::io::{BufRead, BufReader};
+use std::process::Command;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crate::support::bench::{Bench, read};
+use crate::support::signal::{Signal, kill};
+use crate::support::terminal::{End, Terminal};
+use host_tool::cli::watch::terminal::take;
+use protocol::system::{DeviceKind, Urgent};
+
+fn watch(bench: &Bench) -> Terminal {
+    Terminal::start(bench.command(&["watch"]), 80, 24)
+}
+
+const SLOW: [&str; 6] = ["--cycles", "1", "--stroke-mm", "130", "--duration-s", "60"];
+
+#[test]
+fn a_run_of_another_process_is_seen_held_resumed_and_stopped_by_keys() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let run = bench.run(&SLOW);
+    let mut terminal = watch(&bench);
+    terminal.wait_for("RUNNING");
+    terminal.wait_for("away from home");
+    let owner = format!("through process {} (`retrograde run", run.id());
+    for says in [
+        &owner,
+        "stroke 1 of 2",
+        "130 mm",
+        "0 missed",
+        "e EMERGENCY STOP",
+    ] {
+        terminal.wait_for(says);
+    }
+    terminal.resize(200, 60);
+    terminal.wait_for_row(59, "e EMERGENCY STOP");
+    terminal.press("h");
+    terminal.wait_for("HELD");
+    terminal.press("r");
+    terminal.wait_for("rig: resumed");
+    terminal.wait_for("RUNNING");
+    // What the rig refuses is told.
+    terminal.press("r");
+    terminal.wait_for("not resumed: no run is held");
+    assert_eq!(bench.connections(), 1);
+    terminal.press("s");
+    terminal.wait_for("stop confirmed");
+    terminal.press("q");
+    assert_eq!(terminal.ends_restored(), Some(0));
+    assert_eq!(read(run.wait_with_output().expect("ends")).0, Some(130));
+    assert_eq!(bench.trial()["status"], "stopped");
+    assert_eq!(bench.telemetry().1, 0);
+}
+
+#[test]
+fn a_key_is_an_emergency_stop_and_the_fault_is_shown_with_its_remedy() {
+    let bench = Bench::at_a_port(DeviceKind::Rig);
+    let mut terminal = watch(&bench);
+    let shown = terminal.wait_for("READY");
+    assert!(!shown.contains("process"), "{shown}");
+    terminal.wait_for("this program owns the line");
+    terminal.press("e");
+    terminal.wait_for("EMERGENCY STOP latched");
+    assert_eq!(bench.urgent().first(), Some(&Urgent::EStop));
+    terminal.wait_for("FAULTED");
+    terminal.wait_for("acknowledge with `retrograde ack`");
+    terminal.wait_for("FAULT: emergency stop by command");
+    // The watch goes on and serves others, also after a stop.
+    let (code, _, err) = bench.retrograde(&["ack"]);
+    assert_eq!(code, Some(0), "{err}");
+    terminal.wait_for("UNHOMED");
+    let (code, out, err) = bench.retrograde(&["stop"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    terminal.wait_for("stop from another terminal");
+    kill(Signal::TERM, terminal.child.id());
+    assert_eq!(terminal.ends_restored(), Some(0));
+}
+
+#[test]
+fn the_terminal_is_restored_however_it_ends() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let signals = [Signal::TERM, Signal::HUP, Signal::INT].map(End::Signal);
+    for end in signals.into_iter().chain(["q", "\x03"].map(End::Key)) {
+        let mut terminal = watch(&bench);
+        terminal.wait_for("READY");
+        terminal.end_by(end);
+        assert_eq!(terminal.ends_restored(), Some(0), "{end:?}");
+    }
+    assert_eq!(bench.urgent(), []);
+}
+
+/// A window is closed: nobody is left to press a key, and the line must not stay taken.
+#[test]
+fn a_watch_whose_terminal_is_gone_ends() {
+    let bench = Bench::at_a_port(DeviceKind::Rig);
+    let mut child = Terminal::lost(bench.command(&["watch"]));
+    let begin = Instant::now();
+    while child.try_wait().expect("a child").is_none() {
+        if begin.elapsed() > Duration::from_secs(60) {
+            child.kill().expect("it is ours");
+            panic!("it is still there");
+        }
+        thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(bench.retrograde(&["info"]).0, Some(0));
+}
+
+/// The program of the next test.
+#[test]
+#[ignore = "run by the next test in a terminal"]
+fn panics_in_a_terminal() {
+    let _taken = take().expect("a terminal");
+    thread::spawn(|| panic!("on purpose"))
+        .join()
+        .expect_err("panics");
+    panic!("once more");
+}
+
+#[test]
+fn the_terminal_is_restored_before_the_message_of_a_panic() {
+    let mut program = Command::new(std::env::current_exe().expect("this test"));
+    program.env("RUST_BACKTRACE", "0");
+    program.args([
+        "--exact",
+        "watch::panics_in_a_terminal",
+        "--ignored",
+        "--nocapture",
+    ]);
+    let mut terminal = Terminal::start(program, 80, 24);
+    let shown = terminal.wait_for("once more");
+    // On the usual screen, where it stays.
+    assert!(shown.contains("on purpose"), "{shown}");
+    assert!(
+        !terminal
+            .screen
+            .lock()
+            .expect("free")
+            .screen()
+            .alternate_screen()
+    );
+    let bytes = terminal.bytes.lock().expect("free").clone();
+    assert!(
+        bytes.windows(8).any(|window| window == b"\x1b[?1049h"),
+        "it was taken"
+    );
+    assert_eq!(terminal.ends_restored(), Some(101));
+}
+
+#[test]
+fn a_terminal_that_is_too_small_says_so_and_its_keys_work() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let mut terminal = Terminal::start(bench.command(&["watch"]), 60, 20);
+    terminal.wait_for("rig: Ready");
+    for says in ["60x20", "80x24", "e EMERGENCY STOP"] {
+        terminal.wait_for(says);
+    }
+    terminal.resize(80, 24);
+    let shown = terminal.wait_for("READY");
+    assert!(!shown.contains("80x24"), "{shown}");
+    terminal.resize(20, 5);
+    terminal.wait_for("20x5");
+    terminal.press("e");
+    terminal.resize(80, 24);
+    terminal.wait_for("FAULTED");
+    assert_eq!(bench.urgent().first(), Some(&Urgent::EStop));
+    terminal.press("q");
+    assert_eq!(terminal.ends_restored(), Some(0));
+}
+
+#[test]
+fn without_colours_none_are_sent() {
+    let bench = Bench::on_tcp(DeviceKind::Capsule);
+    for (no_colour, colours) in [("", true), ("1", false)] {
+        let mut command = bench.command(&["watch"]);
+        command.env("NO_COLOR", no_colour);
+        let mut terminal = Terminal::start(command, 80, 24);
+        terminal.wait_for("UNFOLDED");
+        let bytes = terminal.bytes.lock().expect("free").clone();
+        let sent = bytes.windows(5).any(|window| window == b"\x1b[38;");
+        assert_eq!(sent, colours);
+        terminal.press("q");
+        assert_eq!(terminal.ends_restored(), Some(0));
+    }
+}
+
+#[test]
+fn the_owner_of_the_line_is_killed_and_the_watch_goes_on() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let mut run = bench.run(&SLOW);
+    let mut terminal = watch(&bench);
+    terminal.wait_for("through process");
+    run.kill().expect("killed");
+    run.wait().expect("ended");
+    terminal.wait_for("this program owns the line");
+    kill(Signal::TERM, terminal.child.id());
+    assert_eq!(terminal.ends_restored(), Some(0));
+}
+
+#[test]
+fn a_watch_gives_the_line_up_for_a_command_that_moves_and_looks_on() {
+    let bench = Bench::at_a_port(DeviceKind::Rig);
+    let mut terminal = watch(&bench);
+    terminal.wait_for("this program owns the line");
+    let mut other = watch(&bench);
+    other.wait_for("through process");
+    for _ in 0..3 {
+        let args = ["move", "1", "--speed-mm-s", "10"];
+        let (code, _, err) = bench.retrograde(&args);
+        assert_eq!(code, Some(0), "{err}");
+        let (code, _, err) = bench.retrograde(&["move", "0"]);
+        assert_eq!(code, Some(0), "{err}");
+    }
+    let run = bench.run(&["--cycles", "1", "--stroke-mm", "20", "--duration-s", "3"]);
+    let owner = format!("through process {} (`retrograde run", run.id());
+    terminal.wait_for(&owner);
+    other.wait_for(&owner);
+    // How it ends is no matter here.
+    run.wait_with_output().expect("ends");
+    // One of the two owns it again.
+    let begin = Instant::now();
+    while [&terminal, &other]
+        .iter()
+        .all(|one| !one.text().contains("this program owns"))
+    {
+        assert!(
+            begin.elapsed() < Duration::from_secs(20),
+            "{}",
+            terminal.text()
+        );
+        thread::sleep(Duration::from_millis(10));
+    }
+    for terminal in [terminal, other] {
+        terminal.press("q");
+        assert_eq!(terminal.ends_restored(), Some(0));
+    }
+}
+
+#[test]
+fn without_a_terminal_it_prints_lines_until_nobody_reads() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let mut child = bench.command(&["watch"]).spawn().expect("starts");
+    let mut out = BufReader::new(child.stdout.take().expect("piped"));
+    let begin = Instant::now();
+    loop {
+        let mut line = String::new();
+        let _ = out.read_line(&mut line).expect("a line");
+        assert!(!line.contains('\x1b'), "{line:?}");
+        if line.starts_with("rig: Ready, 0.000 mm") {
+            break;
+        }
+        assert!(begin.elapsed() < Duration::from_secs(60), "{line}");
+    }
+    // Whoever closes the pipe has seen enough.
+    drop(out);
+    assert_eq!(child.wait().expect("ends").code(), Some(0));
+    assert_eq!(bench.urgent(), []);
+}
+
+#[test]
+fn it_ends_after_a_time_with_the_last_status() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let begin = Instant::now();
+    loop {
+        let (code, out, err) = bench.retrograde(&["watch", "rig", "--json", "--for-s", "1.5"]);
+        assert_eq!(code, Some(0), "{err}");
+        assert!(err.starts_with("rig: "), "{err}");
+        let result: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+        // On a busy computer it ends before the first answer.
+        if !result["rig"]["status"].is_null() {
+            assert_eq!(result["rig"]["status"]["state"], "Ready", "{out}");
+            return;
+        }
+        assert!(begin.elapsed() < Duration::from_secs(60), "{out}");
+    }
+}

@@ -1,0 +1,221 @@
+//! Measurements: displacements under stated conditions, and the combined repeats of a condition.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// State of the intestine's wall.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Lubrication {
+    /// Without soap.
+    Dry,
+    /// With soapy water.
+    Lubricated,
+}
+
+impl fmt::Display for Lubrication {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Dry => "dry",
+            Self::Lubricated => "lubricated",
+        })
+    }
+}
+
+/// Kinds of displacement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Kind {
+    /// Of a whole run of several back-and-forth cycles.
+    Net {
+        /// Its cycles.
+        cycles: u16,
+    },
+    /// Of one stroke of a run: 1 is the first antegrade stroke, 2 the first way back.
+    Stroke {
+        /// Its number in the run, from 1.
+        number: u16,
+    },
+    /// By one isolated pass from head to tail over a fresh body.
+    AntegradePass,
+    /// By one isolated pass from tail to head over a fresh body.
+    ReturningPass,
+}
+
+impl Kind {
+    /// Standard deviation of the model's error in this displacement, in multiples of that of one pass.
+    ///
+    /// The model makes the same error in each pass of one direction, so the errors of n cycles add up. The errors of
+    /// the two directions are independent.
+    #[must_use]
+    pub fn discrepancies(self) -> f64 {
+        match self {
+            Self::Net { cycles } => f64::from(cycles) * core::f64::consts::SQRT_2,
+            Self::Stroke { .. } | Self::AntegradePass | Self::ReturningPass => 1.0,
+        }
+    }
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Net { cycles: 1 } => f.pad("net of 1 cycle"),
+            Self::Net { cycles } => f.pad(&format!("net of {cycles} cycles")),
+            Self::Stroke { number } => f.pad(&format!("stroke {number}")),
+            Self::AntegradePass => f.pad("antegrade pass"),
+            Self::ReturningPass => f.pad("returning pass"),
+        }
+    }
+}
+
+/// The inputs of a prediction: kind and indentation. Lubrication is not among them: it enters the model only through
+/// the friction ratio, which is one unknown for both states.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Case {
+    /// Kind of displacement.
+    pub kind: Kind,
+    /// Indentation of the rollers, mm.
+    pub indentation_mm: f64,
+}
+
+/// One measured displacement of the unfolded body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation {
+    /// Kind of displacement.
+    pub kind: Kind,
+    /// State of the wall.
+    pub lubrication: Lubrication,
+    /// Indentation of the rollers, mm.
+    pub indentation_mm: f64,
+    /// The displacement of the tail, mm, + headward.
+    pub displacement_mm: f64,
+    /// Standard deviation of its measurement error, mm: from reading and repetition.
+    pub uncertainty_mm: f64,
+}
+
+/// The repeats of one condition.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Condition {
+    /// Inputs of the prediction.
+    pub case: Case,
+    /// State of the wall.
+    pub lubrication: Lubrication,
+    /// Number of repeats.
+    pub repeats: usize,
+    /// Their mean, weighted by their precision, mm.
+    pub mean_mm: f64,
+    /// Standard deviation of the measurement error of that mean, mm.
+    pub uncertainty_mm: f64,
+    /// Sum of the squared deviations of the repeats from their mean, each over the square of its uncertainty. If the
+    /// stated uncertainties are true, this is chi-square with `repeats - 1` degrees of freedom.
+    pub scatter: f64,
+}
+
+/// Why observations cannot be used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Unusable {
+    /// There are none.
+    #[error("there is nothing to fit: no displacement of the unfolded body counts")]
+    Nothing,
+    /// A number that is invalid.
+    #[error("observation {number}: {quantity} = {value} mm is not usable: {why}")]
+    Number {
+        /// Its place, from 1.
+        number: usize,
+        /// Name of the number.
+        quantity: &'static str,
+        /// The number.
+        value: f64,
+        /// The requirement that it misses.
+        why: &'static str,
+    },
+    /// An invalid count.
+    #[error("observation {number}: {what}")]
+    Count {
+        /// Its place, from 1.
+        number: usize,
+        /// The defect.
+        what: &'static str,
+    },
+}
+
+/// Most cycles or strokes of a run that the model simulates.
+pub const MOST_CYCLES: u16 = 1_000;
+
+/// Refuses an observation that has no likelihood.
+fn check(number: usize, observation: &Observation) -> Result<(), Unusable> {
+    let refuse = |quantity, value, why| Unusable::Number {
+        number,
+        quantity,
+        value,
+        why,
+    };
+    let Observation {
+        indentation_mm,
+        displacement_mm,
+        uncertainty_mm,
+        ..
+    } = *observation;
+    if !(indentation_mm.is_finite() && indentation_mm > 0.0) {
+        let why = "the rollers have to reach the wall: give a number above 0";
+        return Err(refuse("indentation", indentation_mm, why));
+    }
+    if !displacement_mm.is_finite() {
+        return Err(refuse("displacement", displacement_mm, "give a number"));
+    }
+    if !(uncertainty_mm.is_finite() && uncertainty_mm > 0.0) {
+        let why = "no measurement is exact: give a standard deviation above 0";
+        return Err(refuse("uncertainty", uncertainty_mm, why));
+    }
+    let what = match observation.kind {
+        Kind::Net { cycles } if !(1..=MOST_CYCLES).contains(&cycles) => {
+            "a run has 1 to 1000 cycles"
+        }
+        Kind::Stroke { number } if !(1..=2 * MOST_CYCLES).contains(&number) => {
+            "the strokes of a run are numbered from 1 to at most 2000"
+        }
+        _ => return Ok(()),
+    };
+    Err(Unusable::Count { number, what })
+}
+
+/// The conditions of observations, sorted by kind, lubrication and indentation.
+///
+/// # Errors
+/// The first observation that cannot be used; none at all.
+pub fn conditions(observations: &[Observation]) -> Result<Vec<Condition>, Unusable> {
+    // Sort by the bits of the floats: positive ones have the same order.
+    let mut groups: BTreeMap<(Kind, Lubrication, u64), Vec<Observation>> = BTreeMap::new();
+    for (number, observation) in (1..).zip(observations) {
+        check(number, observation)?;
+        let key = (
+            observation.kind,
+            observation.lubrication,
+            observation.indentation_mm.to_bits(),
+        );
+        groups.entry(key).or_default().push(*observation);
+    }
+    if groups.is_empty() {
+        return Err(Unusable::Nothing);
+    }
+    let condition = |((kind, lubrication, bits), repeats): ((Kind, Lubrication, u64), Vec<_>)| {
+        let weight = |one: &Observation| 1.0 / (one.uncertainty_mm * one.uncertainty_mm);
+        let sum: f64 = repeats.iter().map(weight).sum();
+        let weighted = repeats.iter().map(|one| weight(one) * one.displacement_mm);
+        let mean_mm = weighted.sum::<f64>() / sum;
+        let square = |one: &Observation| {
+            let off = (one.displacement_mm - mean_mm) / one.uncertainty_mm;
+            off * off
+        };
+        Condition {
+            case: Case {
+                kind,
+                indentation_mm: f64::from_bits(bits),
+            },
+            lubrication,
+            repeats: repeats.len(),
+            mean_mm,
+            uncertainty_mm: libm::sqrt(1.0 / sum),
+            scatter: repeats.iter().map(square).sum(),
+        }
+    };
+    Ok(groups.into_iter().map(condition).collect())
+}

@@ -1,0 +1,137 @@
+//! R-hat and effective sample size against another program's values, and against defects that each of them must
+//! reveal.
+
+use calibration::chance::{normal, stream};
+use calibration::diagnostics::{bulk_ess, r_hat};
+
+/// Chains that any program can reproduce: a linear congruential generator drives an autoregression.
+fn chains(seed: u64, count: usize, length: usize, memory: f64, shift: f64) -> Vec<Vec<f64>> {
+    let mut state = seed;
+    let chain = |number: usize| {
+        let mut x = 0.0;
+        let mut one = || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            x = memory * x + ((state >> 11) as f64 / (1u64 << 53) as f64 - 0.5);
+            x + shift * number as f64
+        };
+        (0..length).map(|_| one()).collect()
+    };
+    (0..count).map(chain).collect()
+}
+
+/// Values of arviz-stats 0.8.0, `rhat(method="rank")` and `ess(method="bulk")`, for the same chains.
+#[test]
+fn as_another_program_has_it() {
+    for (seed, count, length, memory, shift, hat, ess) in [
+        (
+            1,
+            4,
+            200,
+            0.6,
+            0.0,
+            1.006_484_679_949_389_2,
+            228.886_614_120_992_8,
+        ),
+        (
+            2,
+            4,
+            200,
+            0.0,
+            0.0,
+            1.000_937_947_739_667_6,
+            809.573_454_413_395_1,
+        ),
+        (
+            3,
+            4,
+            200,
+            -0.4,
+            0.0,
+            1.003_820_136_812_945_8,
+            2_025.410_798_173_902_5,
+        ),
+        (
+            4,
+            3,
+            151,
+            0.9,
+            0.2,
+            1.207_557_926_251_212,
+            10.373_959_880_648_835,
+        ),
+        (
+            5,
+            4,
+            400,
+            0.95,
+            0.0,
+            1.071_413_186_639_065_3,
+            50.097_939_206_083_66,
+        ),
+    ] {
+        let chains = chains(seed, count, length, memory, shift);
+        let found = (r_hat(&chains, 1), bulk_ess(&chains, 1));
+        assert!(
+            (found.0 - hat).abs() < 1e-9,
+            "seed {seed}: {} for {hat}",
+            found.0
+        );
+        assert!(
+            (found.1 / ess - 1.0).abs() < 1e-9,
+            "seed {seed}: {} effective for {ess}",
+            found.1
+        );
+    }
+}
+
+/// R-hat reveals one chain in another place, and one that is wider.
+#[test]
+fn chains_that_differ_show() {
+    let good = chains(7, 4, 1_000, 0.3, 0.0);
+    assert!(r_hat(&good, 1) < 1.01);
+    let mut elsewhere = good.clone();
+    elsewhere[2].iter_mut().for_each(|x| *x += 0.5);
+    assert!(r_hat(&elsewhere, 1) > 1.05);
+    let mut wider = good.clone();
+    wider[2].iter_mut().for_each(|x| *x *= 4.0);
+    assert!(r_hat(&wider, 1) > 1.05);
+}
+
+#[test]
+fn what_cannot_be_judged_is_no_number() {
+    assert!(r_hat(&[], 1).is_nan() && bulk_ess(&[], 1).is_nan());
+    let short = vec![vec![1.0, 2.0, 3.0]; 4];
+    assert!(r_hat(&short, 1).is_nan() && bulk_ess(&short, 1).is_nan());
+    let still = vec![vec![1.0; 100]; 4];
+    assert!(r_hat(&still, 1).is_nan() && bulk_ess(&still, 1).is_nan());
+}
+
+/// Walkers that all follow one path are worth one walker; independent ones count in full.
+#[test]
+fn walkers_count_for_what_they_are_worth() {
+    let (walkers, steps) = (10, 500);
+    let mut random = stream(1, 1);
+    let mut ensembles = |together: bool| -> Vec<Vec<f64>> {
+        let mut ensemble = || -> Vec<f64> {
+            let mut row = || {
+                let common = normal(&mut random);
+                let mut own = || {
+                    if together {
+                        common
+                    } else {
+                        normal(&mut random)
+                    }
+                };
+                (0..walkers).map(|_| own()).collect::<Vec<f64>>()
+            };
+            (0..steps).flat_map(|_| row()).collect()
+        };
+        (0..4).map(|_| ensemble()).collect()
+    };
+    let alike = bulk_ess(&ensembles(true), walkers);
+    let own = bulk_ess(&ensembles(false), walkers);
+    assert!((1_500.0..2_700.0).contains(&alike), "{alike}");
+    assert!((15_000.0..27_000.0).contains(&own), "{own}");
+}

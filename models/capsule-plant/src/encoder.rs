@@ -1,0 +1,126 @@
+//! The encoder's two lines over the angle of the motor.
+
+use crate::random::Random;
+
+/// The encoder, and what is wrong with it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Encoder {
+    /// By how many counts the four edges of a line lie too late.
+    phase: [f64; 4],
+    /// Quarter of the line, 0 to 3.
+    quarter: u8,
+    line: i64,
+    /// The lines A and B stay at these levels.
+    stuck: [Option<bool>; 2],
+    pub(crate) swapped: bool,
+    /// Share of the lines that are lost, drawn anew each time that a line comes.
+    pub(crate) loses: f64,
+    lost: bool,
+    random: Random,
+}
+
+impl Encoder {
+    /// At angle 0.
+    pub(crate) fn new(phase: [f64; 4]) -> Self {
+        let mut encoder = Self {
+            phase,
+            quarter: 0,
+            line: 0,
+            stuck: [None; 2],
+            swapped: false,
+            loses: 0.0,
+            lost: false,
+            random: Random::new(0xE2C0),
+        };
+        encoder.turn(0.0);
+        encoder
+    }
+
+    /// The lines that are to stick stay at their levels.
+    pub(crate) fn stick(&mut self, lines: [bool; 2]) {
+        let (a, b) = self.true_levels();
+        for ((stuck, wanted), level) in self.stuck.iter_mut().zip(lines).zip([a, b]) {
+            *stuck = wanted.then_some(level).or(*stuck);
+        }
+    }
+
+    pub(crate) fn heal(&mut self) {
+        self.stuck = [None; 2];
+        self.swapped = false;
+        self.loses = 0.0;
+        self.lost = false;
+    }
+
+    /// The motor is at this angle, in counts.
+    pub(crate) fn turn(&mut self, counts: f64) {
+        // The first edge of a line may lie before the line, and then belongs to it.
+        let from_first = counts - self.phase[0];
+        let line = (from_first / 4.0).floor();
+        let within = from_first - 4.0 * line;
+        let past = |edge: usize| within >= edge as f64 + self.phase[edge] - self.phase[0];
+        self.quarter = (1..4).filter(|edge| past(*edge)).count() as u8;
+        if line as i64 != self.line {
+            self.line = line as i64;
+            self.lost = self.loses > 0.0 && self.random.unit() < self.loses;
+        }
+    }
+
+    fn true_levels(&self) -> (bool, bool) {
+        // A lost line shows what stands between two lines.
+        let quarter = if self.lost { 0 } else { self.quarter };
+        (quarter == 1 || quarter == 2, quarter == 2 || quarter == 3)
+    }
+
+    /// Outputs A and B.
+    pub(crate) fn levels(&self) -> (bool, bool) {
+        let (mut a, mut b) = self.true_levels();
+        if self.swapped {
+            (a, b) = (b, a);
+        }
+        (self.stuck[0].unwrap_or(a), self.stuck[1].unwrap_or(b))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Counts of TIM2 over a way.
+    fn counted(encoder: &mut Encoder, to: f64) -> i64 {
+        let quarter = |(a, b)| match (a, b) {
+            (false, false) => 0,
+            (true, false) => 1,
+            (true, true) => 2,
+            (false, true) => 3,
+        };
+        let mut counter = 0;
+        let mut before: i64 = quarter(encoder.levels());
+        for step in 0..=(to * 20.0) as i64 {
+            encoder.turn(step as f64 / 20.0);
+            let now = quarter(encoder.levels());
+            counter += match (now - before).rem_euclid(4) {
+                1 => 1,
+                3 => -1,
+                _ => 0,
+            };
+            before = now;
+        }
+        counter
+    }
+
+    #[test]
+    fn late_edges_lose_no_count() {
+        for phase in [[0.0; 4], [0.3, -0.3, 0.2, -0.1], [-0.3, 0.3, -0.3, 0.3]] {
+            let counted = counted(&mut Encoder::new(phase), 400.5);
+            assert!((399..=401).contains(&counted), "{counted} with {phase:?}");
+        }
+    }
+
+    #[test]
+    fn a_share_of_the_lines_is_lost() {
+        let mut encoder = Encoder::new([0.0; 4]);
+        encoder.loses = 0.3;
+        let counted = counted(&mut encoder, 40_000.0);
+        assert!((27_000..29_000).contains(&counted), "{counted}");
+    }
+}

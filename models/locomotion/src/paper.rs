@@ -1,0 +1,9 @@
+//! What the paper's experiments set: indentations and pressures.
+
+/// The pressures of section II.B, Pa: 3000, 3400 ... 7000.
+pub fn pressures_pa() -> impl ExactSizeIterator<Item = f64> + Clone {
+    (0..11u8).map(|i| f64::from(3000 + 400 * u16::from(i)))
+}
+
+/// The indentations of the roller series, mm. The paper gives only the largest, a_5; the others are assumed.
+pub const INDENTATIONS_MM: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.05];

@@ -1,0 +1,162 @@
+//! The periods that were given out, as a line of ticks: how far the path is at the end of each of the last ones, and
+//! when the last pulses are due.
+
+use crate::step_times::Equal;
+
+/// Periods whose ends are remembered: no fewer than the ring has slots.
+pub const REMEMBERED: u32 = 128;
+/// Periods with pulses that are remembered: those that wait in the ring, and those that have played since the
+/// captured edges were last compared. Two rings.
+const PULSES_REMEMBERED: u32 = 256;
+
+/// How far a path has come; both wrap.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Mark {
+    /// Ticks from its start.
+    pub ticks: u32,
+    /// Pulses from its start.
+    pub pulses: u32,
+}
+
+impl Mark {
+    /// From an earlier mark to this one.
+    #[must_use]
+    pub fn since(self, before: Self) -> Self {
+        Self {
+            ticks: self.ticks.wrapping_sub(before.ticks),
+            pulses: self.pulses.wrapping_sub(before.pulses),
+        }
+    }
+}
+
+/// The pulses of a period.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Pulses {
+    /// Ticks from the path's start to the first one; wraps.
+    pub first: u32,
+    /// How many, and their distance.
+    pub steps: Equal,
+}
+
+/// The line.
+#[derive(Debug)]
+pub struct Timeline {
+    /// The end of each period, at its number modulo their count.
+    marks: [Mark; REMEMBERED as usize],
+    /// The end of the last one.
+    end: Mark,
+    given: u32,
+    /// The periods with pulses, at their number among these modulo their count.
+    pulses: [Pulses; PULSES_REMEMBERED as usize],
+    given_with_pulses: u32,
+}
+
+impl Default for Timeline {
+    fn default() -> Self {
+        Self {
+            marks: [Mark::default(); REMEMBERED as usize],
+            end: Mark::default(),
+            given: 0,
+            pulses: [Pulses::default(); PULSES_REMEMBERED as usize],
+            given_with_pulses: 0,
+        }
+    }
+}
+
+impl Timeline {
+    /// Another path begins.
+    pub fn clear(&mut self) {
+        (self.given, self.given_with_pulses) = (0, 0);
+        self.end = Mark::default();
+        self.marks = [self.end; REMEMBERED as usize];
+    }
+
+    /// Periods without pulses were given out as one.
+    pub fn extend_by_pause(&mut self, ticks: u32) {
+        self.end.ticks = self.end.ticks.wrapping_add(ticks);
+        self.marks[(self.given % REMEMBERED) as usize] = self.end;
+        self.given = self.given.wrapping_add(1);
+    }
+
+    /// Periods with a pulse in each round were given out, one for each group.
+    // A function of its own: so the line stays in registers, although its caller is optimised for size.
+    #[inline(never)]
+    pub fn extend(&mut self, groups: &[Equal]) {
+        let (mut given, mut with_pulses, mut end) = (self.given, self.given_with_pulses, self.end);
+        for &steps in groups {
+            self.pulses[(with_pulses % PULSES_REMEMBERED) as usize] = Pulses {
+                first: end.ticks,
+                steps,
+            };
+            with_pulses = with_pulses.wrapping_add(1);
+            end = Mark {
+                ticks: end
+                    .ticks
+                    .wrapping_add(steps.interval.wrapping_mul(steps.steps)),
+                pulses: end.pulses.wrapping_add(steps.steps),
+            };
+            self.marks[(given % REMEMBERED) as usize] = end;
+            given = given.wrapping_add(1);
+        }
+        (self.given, self.given_with_pulses, self.end) = (given, with_pulses, end);
+    }
+
+    /// Periods given out since the start; wraps in runs of many hours.
+    #[must_use]
+    pub fn given(&self) -> u32 {
+        self.given
+    }
+
+    /// The end of the last period.
+    #[must_use]
+    pub fn end(&self) -> Mark {
+        self.end
+    }
+
+    /// The end of period `number`, from 0: one of the last [`REMEMBERED`]. Before the first one a path has come
+    /// nowhere.
+    #[must_use]
+    pub fn at_end_of(&self, number: u32) -> Mark {
+        self.marks[(number % REMEMBERED) as usize]
+    }
+
+    /// Periods with pulses given out since the start; wraps.
+    #[must_use]
+    pub fn given_with_pulses(&self) -> u32 {
+        self.given_with_pulses
+    }
+
+    /// Whether all periods with pulses from number `from` on are remembered.
+    #[must_use]
+    pub fn remembers(&self, from: u32) -> bool {
+        self.given_with_pulses.wrapping_sub(from) <= PULSES_REMEMBERED
+    }
+
+    /// A period with pulses, by its number among these: one that was given out and is remembered.
+    #[inline]
+    #[must_use]
+    pub fn pulses(&self, number: u32) -> Pulses {
+        self.pulses[(number % PULSES_REMEMBERED) as usize]
+    }
+
+    /// Ticks from the last pulse that left to the end of the last period, where `unemitted` pulses have not left.
+    /// None if that pulse is longer ago than it remembers.
+    #[must_use]
+    pub fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32> {
+        let last = self.end.pulses.wrapping_sub(unemitted);
+        let mut after = self.end;
+        for back in 2..=REMEMBERED {
+            let before = self.at_end_of(self.given.wrapping_sub(back));
+            let period = after.since(before);
+            // From 1 where the period has this pulse.
+            let nth = last.wrapping_sub(before.pulses);
+            if (1..=period.pulses).contains(&nth) {
+                let round = period.ticks / period.pulses;
+                let at = before.ticks.wrapping_add((nth - 1) * round);
+                return Some(self.end.ticks.wrapping_sub(at));
+            }
+            after = before;
+        }
+        None
+    }
+}

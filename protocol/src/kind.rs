@@ -1,0 +1,14 @@
+//! The kinds of machine, below settings and messages.
+
+use postcard_schema::Schema;
+use serde::{Deserialize, Serialize};
+
+/// The kinds of machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum DeviceKind {
+    /// The roller rig.
+    Rig,
+    /// The capsule.
+    Capsule,
+}

@@ -1,0 +1,328 @@
+//! A step ring in virtual time: plays queued periods round by round, as the board's timer and DMA do.
+
+use firmware_rig::{
+    execution::{Ring, StartError, Underrun},
+    periods::Period,
+};
+use motion::{
+    axis::Direction,
+    edge_timing::{EdgeTiming, Timed},
+    step_times::Equal,
+    timeline::Timeline,
+    units::StepPosition,
+};
+use std::collections::VecDeque;
+
+/// How much is queued ahead.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ahead {
+    /// Nothing: each period is asked for when it is due, so that a test can act between any two.
+    Nothing,
+    /// As on the board.
+    Slots,
+}
+
+/// Slots of the board's ring.
+const SLOTS: u64 = 128;
+/// Slots that are never filled: they keep the end mark away from the reader.
+const SPARE: u64 = 4;
+/// Slots that the hardware has taken out of the ring: one plays, one is prepared to play next.
+const TAKEN: u64 = 2;
+
+/// Ring, read-back counter and DIR.
+#[derive(Debug)]
+pub struct Slots {
+    pub ahead: Ahead,
+    /// The first one plays, once the ring runs.
+    periods: VecDeque<Period>,
+    /// Rounds of the first period that have begun.
+    begun: u32,
+    pub running: bool,
+    /// Periods that have been played to their end since the path's start.
+    played: u64,
+    /// Of all queued periods, the first one included as a whole.
+    ticks: u64,
+    pulses: u32,
+    pub direction: Direction,
+    /// The read-back counter.
+    pub counted: i32,
+    pub loop_open: bool,
+    pub armed: bool,
+    /// Width of a step pulse.
+    pub pulse_ticks: u16,
+    pub driver_on: bool,
+    /// Pulses that were queued and cut, since the start.
+    pub cut: u64,
+    /// The path from its start to the end of the last queued period.
+    path_ticks: u64,
+    /// When the latest queued pulses are due, on the same clock.
+    due: VecDeque<u64>,
+    /// Pulses behind the period that played at the halt.
+    queued_at_halt: u32,
+    /// The second jumper is there.
+    pub captures: bool,
+    captured: Vec<u32>,
+    line: Timeline,
+    timing: EdgeTiming,
+}
+
+/// So many pulses the ring remembers: more than it holds.
+const REMEMBERED: usize = 65_536;
+
+/// What a round of the timer begins with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Round {
+    pub ticks: u32,
+    /// A pulse leaves the pin.
+    pub pulse: bool,
+    pub sync: bool,
+}
+
+impl Default for Slots {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Slots {
+    pub fn new() -> Self {
+        Self {
+            ahead: Ahead::Nothing,
+            periods: VecDeque::new(),
+            begun: 0,
+            running: false,
+            played: 0,
+            ticks: 0,
+            pulses: 0,
+            direction: Direction::Home,
+            counted: 0,
+            loop_open: false,
+            armed: false,
+            pulse_ticks: 0,
+            driver_on: false,
+            cut: 0,
+            path_ticks: 0,
+            due: VecDeque::new(),
+            queued_at_halt: 0,
+            captures: true,
+            captured: Vec::new(),
+            line: Timeline::default(),
+            timing: EdgeTiming::default(),
+        }
+    }
+
+    /// A pulse leaves the pin.
+    pub fn capture(&mut self, at: u64) {
+        if self.captures {
+            self.captured.push(at as u32);
+        }
+    }
+
+    /// A round plays, or could.
+    pub fn plays(&self) -> bool {
+        self.running && !self.periods.is_empty()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.periods.is_empty()
+    }
+
+    /// Begins the next round; none if nothing is left to play. The period before it has ended.
+    pub fn begin_round(&mut self) -> Option<Round> {
+        if !self.running {
+            return None;
+        }
+        self.end_period();
+        let period = *self.periods.front()?;
+        self.begun += 1;
+        Some(Round {
+            ticks: period.ticks,
+            pulse: period.pulse && self.armed,
+            sync: period.sync && self.armed,
+        })
+    }
+
+    /// Takes out the first period if all its rounds have begun; the last one has ended then.
+    pub fn end_period(&mut self) {
+        let Some(period) = self.periods.front().copied() else {
+            return;
+        };
+        let rounds = u32::from(period.repeats) + 1;
+        if self.begun < rounds {
+            return;
+        }
+        self.periods.pop_front();
+        self.begun = 0;
+        self.played += 1;
+        self.ticks -= u64::from(period.ticks) * u64::from(rounds);
+        self.pulses -= if period.pulse { rounds } else { 0 };
+    }
+
+    /// The reader has just come to the middle or the end of the ring: then it interrupts.
+    pub fn interrupts(&self) -> bool {
+        self.begun == 1 && (self.played + TAKEN).is_multiple_of(SLOTS / 2)
+    }
+
+    /// Rounds of the period in progress that come whatever is ordered, unless they are cut.
+    pub fn rounds_left(&self) -> u64 {
+        match self.periods.front() {
+            Some(period) if self.begun > 0 => u64::from(u32::from(period.repeats) + 1 - self.begun),
+            _ => 0,
+        }
+    }
+
+    /// Pulses that are queued and have not left.
+    pub fn pulses_left(&self) -> u64 {
+        let begun = match self.periods.front() {
+            Some(period) if period.pulse => self.begun,
+            _ => 0,
+        };
+        u64::from(self.pulses - begun)
+    }
+
+    /// Slots that wait; negative while the last one plays, and after it.
+    fn queue(&self) -> i64 {
+        let taken = if self.running { TAKEN } else { 0 };
+        self.periods.len() as i64 - taken as i64
+    }
+}
+
+impl Ring for Slots {
+    fn clear(&mut self, pulse_ticks: u16) {
+        self.halt();
+        self.pulse_ticks = pulse_ticks;
+        self.path_ticks = 0;
+        self.due.clear();
+        self.captured.clear();
+        self.line.clear();
+        self.timing.clear();
+    }
+
+    fn push(&mut self, period: Period) -> Result<(), Underrun> {
+        if self.ahead == Ahead::Slots && self.running && self.queue() < 2 {
+            return Err(Underrun);
+        }
+        assert!(self.room() > 0, "a slot that waits is overwritten");
+        let rounds = u32::from(period.repeats) + 1;
+        if period.pulse {
+            self.line.extend(&[Equal {
+                interval: period.ticks,
+                steps: rounds,
+            }]);
+        } else {
+            self.line.extend_by_pause(period.ticks);
+        }
+        self.ticks += u64::from(period.ticks) * u64::from(rounds);
+        if period.pulse {
+            let start = self.path_ticks;
+            let rounds = 0..u64::from(rounds);
+            self.due
+                .extend(rounds.map(|round| start + round * u64::from(period.ticks)));
+            let forgotten = self.due.len().saturating_sub(REMEMBERED);
+            self.due.drain(..forgotten);
+        }
+        self.path_ticks += u64::from(period.ticks) * u64::from(rounds);
+        self.pulses += if period.pulse { rounds } else { 0 };
+        self.periods.push_back(period);
+        Ok(())
+    }
+
+    fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun> {
+        assert!(!groups.is_empty());
+        groups
+            .iter()
+            .try_for_each(|steps| self.push(Period::from(*steps)))
+    }
+
+    fn room(&self) -> u32 {
+        match self.ahead {
+            Ahead::Nothing => u32::from(self.periods.is_empty()),
+            Ahead::Slots => (SLOTS as i64 - SPARE as i64 - self.queue()).max(0) as u32,
+        }
+    }
+
+    fn waiting(&self) -> u32 {
+        match self.ahead {
+            Ahead::Nothing => 100, // never short of anything, and never full
+            Ahead::Slots => self.queue().max(0) as u32,
+        }
+    }
+
+    fn lead(&self) -> u32 {
+        match (self.ahead, self.periods.front()) {
+            (Ahead::Slots, Some(first)) if self.running => {
+                let first = u64::from(first.ticks) * (u64::from(first.repeats) + 1);
+                (self.ticks - first) as u32
+            }
+            (Ahead::Slots, _) => self.ticks as u32,
+            (Ahead::Nothing, _) => 0,
+        }
+    }
+
+    fn waiting_pulses(&self) -> u32 {
+        self.pulses
+    }
+
+    fn queued_pulses(&self) -> u32 {
+        self.queued_at_halt
+    }
+
+    fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32> {
+        let last = self.due.len().checked_sub(1 + unemitted as usize)?;
+        Some((self.path_ticks - self.due[last]) as u32)
+    }
+
+    fn has_played_out(&self) -> bool {
+        self.running && self.periods.is_empty()
+    }
+
+    fn update(&mut self) {}
+
+    fn start(&mut self) -> Result<(), StartError> {
+        if self.loop_open {
+            self.halt();
+            return Err(StartError::LoopOpen);
+        }
+        (self.armed, self.running) = (true, true);
+        Ok(())
+    }
+
+    fn halt(&mut self) {
+        self.cut += self.pulses_left();
+        let playing = match self.periods.front() {
+            Some(period) if period.pulse && self.running => u32::from(period.repeats) + 1,
+            _ => 0,
+        };
+        self.queued_at_halt = self.pulses - playing;
+        self.periods.clear();
+        (self.begun, self.played, self.ticks, self.pulses) = (0, 0, 0, 0);
+        (self.armed, self.running) = (false, false);
+    }
+
+    fn enable_driver(&mut self) {
+        self.driver_on = true;
+    }
+
+    fn set_direction(&mut self, direction: Direction) {
+        assert!(
+            !self.running || self.pulses == 0,
+            "DIR changes while a pulse waits"
+        );
+        self.direction = direction;
+    }
+
+    fn counted(&self) -> StepPosition {
+        StepPosition(self.counted)
+    }
+
+    fn time_edges(&mut self, at_most: u32) -> bool {
+        let count = self.captured.len().min(at_most as usize);
+        self.timing.compare(&self.line, &self.captured[..count]);
+        self.captured.drain(..count);
+        count < at_most as usize
+    }
+
+    fn timed(&self) -> Timed {
+        self.timing.timed()
+    }
+}

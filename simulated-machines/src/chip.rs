@@ -1,0 +1,300 @@
+//! A model in memory of the STM32F411's flash: words are programmed, sectors erased, and the supply can fail
+//! meanwhile.
+
+use device::store::{SECTOR, SECTORS};
+use embedded_storage_async::nor_flash::{
+    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
+};
+use std::{
+    ops::Range,
+    sync::{Arc, Mutex, MutexGuard},
+};
+
+/// SplitMix64 (Steele, Lea, Flood 2014).
+#[derive(Clone, Debug)]
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn draw(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    pub fn below(&mut self, n: u64) -> u64 {
+        self.draw() % n
+    }
+}
+
+/// Where in an operation the supply fails.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cut {
+    Before,
+    /// After `done` words of a write, or `done` quarters of an erasure. The rest of an erasure, and with `torn` one
+    /// more word of a write, is neither old nor new.
+    Within {
+        done: usize,
+        torn: bool,
+    },
+    /// The first and last word of the sector are blank, but not everything between. A write is cut after its first
+    /// word.
+    BlankAtBothEnds,
+    After,
+}
+
+impl Cut {
+    pub const ALL: [Self; 13] = [
+        Self::Before,
+        Self::within(0, true),
+        Self::within(1, false),
+        Self::within(1, true),
+        Self::within(2, false),
+        Self::within(2, true),
+        Self::within(3, false),
+        Self::within(3, true),
+        Self::within(4, true),
+        Self::within(5, true),
+        Self::within(6, true),
+        Self::BlankAtBothEnds,
+        Self::After,
+    ];
+
+    const fn within(done: usize, torn: bool) -> Self {
+        Self::Within { done, torn }
+    }
+}
+
+/// An operation on the flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Operation {
+    Write { offset: u32, words: usize },
+    Erase { sector: u32 },
+}
+
+/// The supply of the flash, and the operations that fail with it.
+#[derive(Debug)]
+pub struct Supply {
+    /// Operations since the start.
+    pub operations: Vec<Operation>,
+    /// The operation in which it fails, counted from the start, and where.
+    cut: Option<(usize, Cut)>,
+    powered: bool,
+    /// Number of operations requested since `fail`, and those of them that fail.
+    asked: usize,
+    failing: Range<usize>,
+    pub noise: Random,
+}
+
+impl Default for Supply {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Supply {
+    pub fn new() -> Self {
+        Self {
+            operations: Vec::new(),
+            cut: None,
+            powered: true,
+            asked: 0,
+            failing: 0..0,
+            noise: Random(1),
+        }
+    }
+
+    /// Fails in the operation after `after` more.
+    pub fn cut(&mut self, after: usize, cut: Cut, seed: u64) {
+        self.cut = Some((self.operations.len() + after, cut));
+        self.noise = Random(seed);
+    }
+
+    /// Makes these operations fail, counted from now on.
+    pub fn fail(&mut self, failing: Range<usize>) {
+        (self.asked, self.failing) = (0, failing);
+    }
+
+    /// Begins an operation; returns where it is cut.
+    pub fn begin(&mut self, operation: Operation) -> Result<Cut, Error> {
+        self.end()?;
+        self.asked += 1;
+        if self.failing.contains(&(self.asked - 1)) {
+            return Err(Error::Worn);
+        }
+        self.operations.push(operation);
+        match self.cut {
+            Some((number, cut)) if number + 1 == self.operations.len() => {
+                self.powered = false;
+                Ok(cut)
+            }
+            _ => Ok(Cut::After),
+        }
+    }
+
+    /// Whether the operation was completed.
+    pub fn end(&self) -> Result<(), Error> {
+        if self.powered {
+            Ok(())
+        } else {
+            Err(Error::Off)
+        }
+    }
+}
+
+#[derive(Debug)]
+struct Array {
+    bytes: Vec<u8>,
+    supply: Supply,
+}
+
+/// The flash; clones share its content.
+#[derive(Clone, Debug)]
+pub struct Flash(Arc<Mutex<Array>>);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Error {
+    /// The supply is off.
+    Off,
+    Worn,
+}
+
+impl NorFlashError for Error {
+    fn kind(&self) -> NorFlashErrorKind {
+        NorFlashErrorKind::Other
+    }
+}
+
+impl Flash {
+    pub fn blank() -> Self {
+        Self::holding(vec![0xFF; SECTORS.end as usize])
+    }
+
+    /// A flash after a start, with this content.
+    pub fn holding(bytes: Vec<u8>) -> Self {
+        assert_eq!(bytes.len(), SECTORS.end as usize);
+        Self(Arc::new(Mutex::new(Array {
+            bytes,
+            supply: Supply::new(),
+        })))
+    }
+
+    fn array(&self) -> MutexGuard<'_, Array> {
+        self.0.lock().unwrap()
+    }
+
+    pub fn bytes(&self) -> Vec<u8> {
+        self.array().bytes.clone()
+    }
+
+    /// Writes and erasures since the start.
+    pub fn operations(&self) -> Vec<Operation> {
+        self.array().supply.operations.clone()
+    }
+
+    /// Makes the supply fail in the operation after `after` more.
+    pub fn cut(&self, after: usize, cut: Cut, seed: u64) {
+        self.array().supply.cut(after, cut, seed);
+    }
+
+    pub fn wear(&self) {
+        self.fail(0..usize::MAX);
+    }
+
+    /// Makes these operations fail, counted from now on.
+    pub fn fail(&self, failing: Range<usize>) {
+        self.array().supply.fail(failing);
+    }
+}
+
+impl Array {
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
+        let words = bytes.len() / 4;
+        let (done, torn) = match self.supply.begin(Operation::Write { offset, words })? {
+            Cut::Before => (0, false),
+            Cut::Within { done, torn } => (done.min(words), torn),
+            Cut::BlankAtBothEnds => (1, false),
+            Cut::After => (words, false),
+        };
+        let target = &mut self.bytes[offset as usize..][..bytes.len()];
+        // Programming can only clear bits. The log marks a sector by clearing a whole word again.
+        let blank = target.iter().all(|byte| *byte == 0xFF);
+        let mark = bytes == [0; 4];
+        assert!(blank || mark, "a word is programmed twice at {offset:#x}");
+        target[..4 * done].copy_from_slice(&bytes[..4 * done]);
+        if torn && done < words {
+            // Some of its bits are already 0.
+            for index in 4 * done..4 * done + 4 {
+                target[index] = bytes[index] | self.supply.noise.draw() as u8;
+            }
+        }
+        self.supply.end()
+    }
+
+    fn erase(&mut self, sector: u32) -> Result<(), Error> {
+        let cut = self.supply.begin(Operation::Erase { sector })?;
+        let quarter = SECTOR as usize / 4;
+        let bytes = &mut self.bytes[sector as usize..][..SECTOR as usize];
+        let noise = &mut self.supply.noise;
+        match cut {
+            Cut::Before => {}
+            Cut::After => bytes.fill(0xFF),
+            // Some of the bits are already 1.
+            Cut::BlankAtBothEnds => {
+                bytes.fill_with(|| noise.draw() as u8);
+                bytes[..4].fill(0xFF);
+                bytes[SECTOR as usize - 4..].fill(0xFF);
+            }
+            Cut::Within { done, torn } => {
+                let done = done.min(4) * quarter;
+                for byte in &mut bytes[..done] {
+                    *byte |= if torn { noise.draw() as u8 } else { 0xFF };
+                }
+                for byte in &mut bytes[done..] {
+                    *byte |= noise.draw() as u8 & noise.draw() as u8;
+                }
+            }
+        }
+        self.supply.end()
+    }
+}
+
+impl ErrorType for Flash {
+    type Error = Error;
+}
+
+impl ReadNorFlash for Flash {
+    const READ_SIZE: usize = 1;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
+        let array = self.array();
+        array.supply.end()?;
+        bytes.copy_from_slice(&array.bytes[offset as usize..][..bytes.len()]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        SECTORS.end as usize
+    }
+}
+
+impl NorFlash for Flash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SECTOR as usize;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
+        assert!(SECTORS.start <= from && from < to && to <= SECTORS.end);
+        for sector in (from..to).step_by(SECTOR as usize) {
+            self.array().erase(sector)?;
+        }
+        Ok(())
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
+        let end = offset + bytes.len() as u32;
+        assert!(SECTORS.start <= offset && end <= SECTORS.end && offset.is_multiple_of(4));
+        assert!(bytes.len().is_multiple_of(4) && !bytes.is_empty());
+        self.array().write(offset, bytes)
+    }
+}

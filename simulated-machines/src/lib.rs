@@ -1,0 +1,19 @@
+//! Both machines in this process, for tests and fuzzing: the firmware's own libraries decide, on models of what is around
+//! them, in virtual time.
+//!
+//! * [`chip`]: the flash, with a supply that can fail.
+//! * [`carriage`]: the rig's screw, step ring and switches. [`plant`]: the capsule's bridge, motor and thread.
+//! * [`machine`]: a whole machine behind a bad line, with feature `links`; [`link`]: the host's end of it.
+//! * [`population`]: seeded capsules, folded, unfolded and identified.
+#![forbid(unsafe_code)]
+#![allow(missing_docs)]
+
+pub mod carriage;
+pub mod chip;
+#[cfg(feature = "links")]
+pub mod link;
+#[cfg(feature = "links")]
+pub mod machine;
+pub mod plant;
+#[cfg(feature = "links")]
+pub mod population;

@@ -1,0 +1,538 @@
+//! A machine behind a bad line, in virtual time. The machine is the firmware: its link service and its control decide,
+//! on the mechanics of [`rig`] or [`capsule`]. Only the line and the world around the machine are scripted.
+pub mod capsule;
+mod line;
+pub mod pace;
+mod port;
+mod rig;
+
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
+
+use crate::chip::Flash;
+use crate::link::{Memory, Peer};
+use client::{self, Unobserved};
+use device::identity::identity;
+use device::retained::Retained;
+use device::service::{Inbound, Incoming, Service};
+use device::settings::SettingsStore;
+use line::{LATENCY_US, Line};
+use port::Port;
+use protocol::frame::{Header, Kind, encode};
+use protocol::rig::Run;
+use protocol::settings::SettingKey;
+use protocol::system::{DeviceKind, ResetCause, Urgent};
+use protocol::table::{Reply, SCHEMA_KEY, Telemetry};
+
+/// Identifies every chip here, unless the script has another number.
+const UID: [u8; 12] = [0xab; 12];
+/// The number of a board that says that it is simulated.
+pub const VIRTUAL_UID: [u8; 12] = *b"virtual test";
+/// So often is looked whether a machine is driven, us.
+const LOOK_US: u64 = 5_000;
+/// Homing is most of what a script of a rig with few steps takes.
+const FAST_HOMING: (SettingKey, u32) = (SettingKey::LocateUmS, 20_000);
+/// How long somebody presses a button, us.
+const PRESS_US: u64 = 50_000;
+
+/// What the line does, what happens around the machine, and what happened before the host connects.
+#[derive(Clone, Debug)]
+pub struct Script {
+    pub kind: DeviceKind,
+    /// Number of the chip.
+    pub uid: [u8; 12],
+    /// Of the firmware's identity.
+    pub schema_key: u64,
+    pub major: u8,
+    /// One bit in so many is flipped, both ways; 0: none.
+    pub flip_one_in: u64,
+    pub seed: u64,
+    /// Events with these indices are lost on the line.
+    pub silent_events: Vec<u32>,
+    /// Requests with these names are not heard, so many times each.
+    pub deaf_to: Vec<(&'static str, u32)>,
+    /// Nothing is heard at all, not even urgent stops.
+    pub dead: bool,
+    /// Another host has homed or referenced the machine.
+    pub ready: bool,
+    /// Another host has made the machine ready, started a run, and waited so long, us.
+    pub running: Option<(Run, u64)>,
+    /// What happens, and when on the link's clock, us; in the order of time.
+    pub world: Vec<(u64, World)>,
+    /// Settings that were changed before.
+    pub settings: Vec<(SettingKey, u32)>,
+    /// Writes to the flash that fail, by their number from 0.
+    pub failing_writes: Range<usize>,
+    /// A rig with 80 steps in its stroke, so that many motions cost little.
+    pub few_steps: bool,
+    /// What a capsule has left when it was switched off.
+    pub left: Option<Arc<Left>>,
+}
+
+/// What stays of a capsule without power.
+#[derive(Debug)]
+pub struct Left {
+    flash: Vec<u8>,
+    mechanics: capsule::Mechanics,
+}
+
+impl Script {
+    pub fn new(kind: DeviceKind) -> Self {
+        Self {
+            kind,
+            uid: UID,
+            schema_key: SCHEMA_KEY,
+            major: protocol::VERSION.major,
+            flip_one_in: 0,
+            seed: 1,
+            silent_events: vec![],
+            deaf_to: vec![],
+            dead: false,
+            ready: false,
+            running: None,
+            world: vec![],
+            settings: vec![],
+            failing_writes: 0..0,
+            few_steps: false,
+            left: None,
+        }
+    }
+}
+
+/// What happens to a machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum World {
+    /// The E-stop loop opens or closes.
+    EStopLoop { open: bool },
+    /// The start button goes down or up.
+    Button { down: bool },
+    /// The step timer stands still from now on.
+    TimerStands,
+    /// The watchdog resets the device.
+    Reset,
+    /// A stop comes from another terminal.
+    StopFrame,
+    /// The capsule's cell has this voltage from now on.
+    Battery { mv: u16 },
+}
+
+/// Somebody presses the start button.
+pub fn button(at_us: u64) -> Vec<(u64, World)> {
+    [(0, true), (PRESS_US, false)]
+        .map(|(later_us, down)| (at_us + later_us, World::Button { down }))
+        .to_vec()
+}
+
+/// The E-stop loop opens for a moment.
+pub fn estop(at_us: u64) -> Vec<(u64, World)> {
+    [(0, true), (PRESS_US, false)]
+        .map(|(later_us, open)| (at_us + later_us, World::EStopLoop { open }))
+        .to_vec()
+}
+
+/// What the machine saw and did since the host connected.
+pub struct Log {
+    /// The link's clock.
+    pub now_us: u64,
+    /// Names of the requests that were executed, once per execution.
+    pub executed: Vec<&'static str>,
+    /// Names of all request frames that arrived, and `Urgent`.
+    pub heard: Vec<&'static str>,
+    pub urgent: Vec<(Urgent, u64)>,
+    /// When bytes of the host last arrived.
+    pub heard_us: u64,
+    /// When the machine was last seen driven.
+    pub driven_us: u64,
+    /// The machine's flash, and how often it was written before.
+    flash: Flash,
+    writes_before: usize,
+}
+
+impl Log {
+    fn new(flash: &Flash) -> Self {
+        Self {
+            now_us: 0,
+            executed: vec![],
+            heard: vec![],
+            urgent: vec![],
+            heard_us: 0,
+            driven_us: 0,
+            flash: flash.clone(),
+            writes_before: flash.operations().len(),
+        }
+    }
+
+    /// The stored settings in the order of their keys.
+    pub fn settings(&self) -> Vec<u32> {
+        let store = stored(&self.flash);
+        SettingKey::ALL.map(|key| store.values().get(key)).to_vec()
+    }
+
+    /// The stored name.
+    pub fn name(&self) -> String {
+        stored(&self.flash).name().to_owned()
+    }
+
+    /// How often the flash was written.
+    pub fn writes(&self) -> usize {
+        self.flash.operations().len() - self.writes_before
+    }
+}
+
+/// The flash of a rig with few steps, written once.
+fn few_steps() -> &'static [u8] {
+    static FLASH: OnceLock<Vec<u8>> = OnceLock::new();
+    FLASH.get_or_init(|| {
+        let flash = Flash::blank();
+        for (key, value) in rig::FEW_STEPS.into_iter().chain([FAST_HOMING]) {
+            stored(&flash).set(key, value).expect("a good flash");
+        }
+        flash.bytes()
+    })
+}
+
+/// What a machine would find in its flash at its next start.
+fn stored(flash: &Flash) -> SettingsStore<Flash> {
+    let (store, usable) = SettingsStore::load(flash.clone(), |_| true);
+    assert!(usable, "the flash can be read");
+    store
+}
+
+/// Control and mechanics of one of the two machines. Times are the device's, us.
+trait Device: Send {
+    /// Control starts again; the mechanics stay as they are.
+    fn reset(&mut self, left: Retained, cause: ResetCause);
+    /// When something happens next by itself.
+    fn due_us(&mut self) -> u64;
+    fn live(&mut self, until_us: u64);
+    fn answer(&mut self, inbound: Inbound) -> Reply;
+    fn telemetry(&mut self) -> Option<Telemetry>;
+    fn world(&mut self, event: World);
+    /// Pulses go out, or the bridge is awake.
+    fn is_driven(&mut self) -> bool;
+    /// Pulses so far, or readings with the bridge awake.
+    fn work(&mut self) -> u64;
+    /// Its mechanics, if it is a capsule.
+    fn mechanics(&mut self) -> Option<capsule::Mechanics> {
+        None
+    }
+}
+
+/// A machine and the line to it.
+pub struct Machine {
+    script: Script,
+    line: Line,
+    service: Service,
+    port: Port,
+    device: Box<dyn Device>,
+    world: VecDeque<(u64, World)>,
+    log: Arc<Mutex<Log>>,
+    // Since the machine was first switched on, us:
+    now_us: u64,
+    /// The device started last.
+    started_us: u64,
+    /// The host connected: the link's clock began.
+    connected_us: u64,
+    /// Something happens next by itself.
+    due_us: u64,
+}
+
+/// A link to a new machine, and its log.
+pub fn link(script: Script) -> (Box<Memory<Machine>>, Arc<Mutex<Log>>) {
+    let place = match script.kind {
+        DeviceKind::Rig => "test rig",
+        DeviceKind::Capsule => "test capsule",
+    };
+    let (machine, log) = Machine::new(script);
+    (Box::new(Memory::new(place, machine)), log)
+}
+
+impl Machine {
+    /// A machine to which a host connects now, and its log from now on.
+    pub fn new(script: Script) -> (Self, Arc<Mutex<Log>>) {
+        let port = Port::new();
+        let flash = match &script.left {
+            None if script.few_steps => Flash::holding(few_steps().to_vec()),
+            None => Flash::blank(),
+            Some(left) => Flash::holding(left.flash.clone()),
+        };
+        for (key, value) in &script.settings {
+            stored(&flash).set(*key, *value).expect("a good flash");
+        }
+        let left = port.start();
+        let service = service(&script, left.boot_id, ResetCause::PowerOn);
+        let device: Box<dyn Device> = match script.kind {
+            DeviceKind::Rig => Box::new(rig::Rig::new(&port, &flash, left, script.few_steps)),
+            DeviceKind::Capsule => {
+                let mechanics = script.left.as_ref().map(|left| left.mechanics.clone());
+                Box::new(capsule::Capsule::new(&port, &flash, left, mechanics))
+            }
+        };
+        let log = Arc::new(Mutex::new(Log::new(&flash)));
+        let mut machine = Self {
+            line: Line::new(&Script::new(script.kind)),
+            service,
+            port,
+            device,
+            world: VecDeque::new(),
+            log: Arc::clone(&log),
+            now_us: 0,
+            started_us: 0,
+            connected_us: 0,
+            due_us: 0,
+            script,
+        };
+        if machine.script.ready || machine.script.running.is_some() {
+            machine = machine.with_another_host();
+        }
+        machine.connect(&flash);
+        (machine, log)
+    }
+
+    /// Lets another host, on a good line, make the machine ready.
+    fn with_another_host(mut self) -> Self {
+        self.connected_us = self.now_us;
+        let script = self.script.clone();
+        let shared = Arc::new(Mutex::new(self));
+        let link = Memory::new("another host's", Shared(Arc::clone(&shared)));
+        let mut host = client::Device::new(Box::new(link), u32::MAX);
+        // Nobody else uses this nonce.
+        host.hello(u32::MAX).expect("there");
+        make_ready(&mut host, &script);
+        drop(host);
+        let Some(machine) = Arc::into_inner(shared) else {
+            panic!("the other host is gone");
+        };
+        machine.into_inner().expect("it has not panicked")
+    }
+
+    fn connect(&mut self, flash: &Flash) {
+        self.line = Line::new(&self.script);
+        self.connected_us = self.now_us;
+        let world = self.script.world.iter();
+        self.world = world
+            .map(|(time_us, event)| (self.now_us + time_us, *event))
+            .collect();
+        flash.fail(self.script.failing_writes.clone());
+        *self.log() = Log::new(flash);
+    }
+
+    /// Pulses of a rig so far, or readings of a capsule with its bridge awake.
+    pub fn work(&mut self) -> u64 {
+        self.device.work()
+    }
+
+    /// Requests and stops that it has carried out since the host connected.
+    pub fn executed(&self) -> usize {
+        let log = self.log();
+        log.executed.len() + log.urgent.len()
+    }
+
+    /// It moves, and the motion that it was asked for last is a run.
+    pub fn is_in_a_run(&mut self) -> bool {
+        const MOTIONS: [&str; 4] = ["Home", "Jog", "MoveTo", "Run"];
+        let log = self.log();
+        let mut asked = log.executed.iter().rev();
+        let last = asked.find(|name| MOTIONS.contains(name)).copied();
+        drop(log);
+        last == Some("Run") && self.device.is_driven()
+    }
+
+    /// What happens to it now.
+    pub fn suffer(&mut self, event: World) {
+        self.happen(event);
+        self.send();
+    }
+
+    /// What stays of a capsule when it is switched off now.
+    pub fn switch_off(mut self) -> Left {
+        Left {
+            mechanics: self.device.mechanics().expect("a capsule"),
+            flash: self.log().flash.bytes(),
+        }
+    }
+
+    /// When it was last seen driven, on the link's clock.
+    pub fn driven_us(&self) -> u64 {
+        self.log().driven_us
+    }
+
+    fn log(&self) -> MutexGuard<'_, Log> {
+        self.log
+            .lock()
+            .expect("no test panics while it holds the log")
+    }
+
+    /// Lives until `now_us`.
+    fn live(&mut self, now_us: u64) {
+        loop {
+            let event_us = self.world.front().map_or(u64::MAX, |(time_us, _)| *time_us);
+            let until_us = event_us.min(now_us).min(self.now_us + LOOK_US);
+            self.run(until_us);
+            if self.device.is_driven() {
+                self.log().driven_us = until_us - self.connected_us;
+            }
+            if event_us == until_us {
+                if let Some((_, event)) = self.world.pop_front() {
+                    self.happen(event);
+                }
+            } else if until_us == now_us {
+                break;
+            }
+        }
+        self.send();
+    }
+
+    /// Lets the device run until `until_us`, with its telemetry.
+    fn run(&mut self, until_us: u64) {
+        let until = until_us - self.started_us;
+        while self.port.sample_us() <= until {
+            self.device.live(self.port.sample_us());
+            self.port.send_sample(self.device.telemetry());
+        }
+        self.device.live(until);
+        self.now_us = until_us;
+    }
+
+    fn happen(&mut self, event: World) {
+        match event {
+            World::Reset => {
+                self.send();
+                let (left, cause) = (self.port.start(), ResetCause::Watchdog);
+                self.service = service(&self.script, left.boot_id, cause);
+                self.started_us = self.now_us;
+                self.device.reset(left, cause);
+            }
+            World::StopFrame => {
+                let header = Header {
+                    kind: Kind::Urgent,
+                    session: 0,
+                    seq: 0,
+                };
+                self.receive(&encode(header, &Urgent::Stop).expect("fits"));
+            }
+            event => self.device.world(event),
+        }
+    }
+
+    /// Hands to the line what the device has sent.
+    fn send(&mut self) {
+        for (time_us, frame) in self.port.sent() {
+            self.line.carry_to_host(self.started_us + time_us, &frame);
+        }
+        let due_us = self.device.due_us().min(self.port.sample_us());
+        self.due_us = self.started_us.saturating_add(due_us);
+    }
+
+    /// Bytes reach the device's port.
+    fn receive(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            let Some(incoming) = self.service.receive(*byte, self.port.now_us() as u32) else {
+                continue;
+            };
+            self.port
+                .hear(self.service.session(), self.service.heard_us());
+            let frame = match incoming {
+                Incoming::Send(frame) => Some(frame),
+                Incoming::Ask(inbound, to) => {
+                    self.note(&inbound);
+                    self.service.answer(to, &self.device.answer(inbound))
+                }
+                Incoming::Ignore => None,
+            };
+            self.port
+                .hear(self.service.session(), self.service.heard_us());
+            if let Some(frame) = frame {
+                self.port.reply(frame);
+            }
+        }
+        self.send();
+    }
+
+    fn note(&self, inbound: &Inbound) {
+        let now_us = self.now_us - self.connected_us;
+        match inbound {
+            Inbound::Request(request) => self.log().executed.push(request.name()),
+            Inbound::Urgent(urgent) => self.log().urgent.push((*urgent, now_us)),
+        }
+    }
+}
+
+impl Peer for Machine {
+    fn take(&mut self, bytes: &[u8], now_us: u64) {
+        self.live(self.connected_us + now_us);
+        let mut heard = vec![];
+        let bytes = self.line.carry_to_machine(bytes, &mut heard);
+        let mut log = self.log();
+        log.now_us = now_us;
+        if !bytes.is_empty() {
+            log.heard_us = now_us;
+        }
+        log.heard.extend(heard);
+        drop(log);
+        self.receive(&bytes);
+    }
+
+    fn give(&mut self, now_us: u64) -> Vec<u8> {
+        self.live(self.connected_us + now_us);
+        self.log().now_us = now_us;
+        self.line.arrived(self.now_us)
+    }
+
+    /// What has not happened yet reaches nobody within the line's latency.
+    fn next_us(&self) -> u64 {
+        let event_us = self.world.front().map_or(u64::MAX, |(time_us, _)| *time_us);
+        let next_us = self.due_us.min(event_us).saturating_add(LATENCY_US);
+        next_us.min(self.line.next_us()) - self.connected_us
+    }
+}
+
+/// The link service of a device that has just started.
+fn service(script: &Script, boot_id: u32, cause: ResetCause) -> Service {
+    let mut identity = identity(script.kind, script.uid, boot_id, cause);
+    (identity.protocol.major, identity.schema_key) = (script.major, script.schema_key);
+    Service::new(identity)
+}
+
+/// Homes or references the machine, and starts the run that goes on already.
+fn make_ready(host: &mut client::Device, script: &Script) {
+    match script.kind {
+        DeviceKind::Rig => {
+            let accepted = host.home().expect("accepted");
+            host.wait_homing(&accepted, &mut Unobserved).expect("homed");
+        }
+        DeviceKind::Capsule => {
+            let accepted = host.reference().expect("accepted");
+            let record = host.wait_actuation(&accepted, &mut Unobserved);
+            record.expect("referenced");
+        }
+    }
+    if let Some((run, for_us)) = script.running {
+        host.run(run).expect("accepted");
+        host.idle(for_us, &mut Unobserved).expect("there");
+    }
+}
+
+/// A machine that outlives its link.
+pub struct Shared(pub Arc<Mutex<Machine>>);
+
+impl Shared {
+    fn machine(&self) -> MutexGuard<'_, Machine> {
+        self.0.lock().expect("it has not panicked")
+    }
+}
+
+impl Peer for Shared {
+    fn take(&mut self, bytes: &[u8], now_us: u64) {
+        self.machine().take(bytes, now_us);
+    }
+
+    fn give(&mut self, now_us: u64) -> Vec<u8> {
+        self.machine().give(now_us)
+    }
+
+    fn next_us(&self) -> u64 {
+        self.machine().next_us()
+    }
+}

@@ -1,0 +1,119 @@
+//! What is between the firmware and the model of the capsule's mechanics: the bridge's pulses, the readings of the
+//! converter, the encoder's counter.
+
+use capsule_plant::{Bridge, Parameters, Plant, Random};
+use firmware_capsule::fold::Drive;
+use firmware_capsule::mechanics::Counts;
+use firmware_capsule::sample::Sample;
+use firmware_capsule::sense::{FINE, Zero};
+
+/// Ticks of a PWM period, and its length, as on the board.
+const PWM_TICKS: u32 = 200;
+const PERIOD_S: f64 = 12.5e-6;
+/// Two of them, us.
+pub const TWO_PERIODS_US: u64 = 25;
+/// So many periods in a millisecond.
+pub const PERIODS_PER_MS: u64 = 80;
+/// Supply of converter and amplifier, mV.
+const SUPPLY_MV: u32 = 3_300;
+
+/// The mechanics on their board.
+#[derive(Clone, Debug)]
+pub struct Board {
+    /// The mechanics.
+    pub plant: Plant,
+    /// Largest current from the cell, mean over a PWM period, mA.
+    pub peak_ma: f64,
+    random: Random,
+    zero: Zero,
+    battery_mv: u16,
+    /// TIM2, which counts the edges of both lines.
+    counter: i32,
+    encoder: (bool, bool),
+}
+
+/// Quarter of a line that both levels mean.
+fn quarter((a, b): (bool, bool)) -> i32 {
+    match (a, b) {
+        (false, false) => 0,
+        (true, false) => 1,
+        (true, true) => 2,
+        (false, true) => 3,
+    }
+}
+
+impl Board {
+    /// At rest.
+    pub fn new(parameters: Parameters, seed: u64) -> Self {
+        let plant = Plant::new(parameters);
+        Self {
+            encoder: plant.encoder(),
+            plant,
+            peak_ma: 0.0,
+            random: Random::new(seed),
+            zero: Zero::default(),
+            battery_mv: 0,
+            counter: 0,
+        }
+    }
+
+    /// The counter misses so many counts, for once: the thread reads longer than it is.
+    pub fn miscount(&mut self, counts: i32) {
+        self.counter += counts;
+    }
+
+    /// So many periods of the bridge.
+    pub fn run(&mut self, drive: Drive, periods: u64) {
+        let (bridge, ticks) = match drive {
+            Drive::Off => (Bridge::Coast, PWM_TICKS),
+            Drive::Brake => (Bridge::Brake, PWM_TICKS),
+            Drive::Millivolts(drive_mv) => {
+                let battery_mv = u32::from(self.battery_mv);
+                let wanted = u32::from(drive_mv.unsigned_abs()) * PWM_TICKS + battery_mv / 2;
+                let ticks = wanted.checked_div(battery_mv);
+                let bridge = if drive_mv >= 0 {
+                    Bridge::Forward
+                } else {
+                    Bridge::Reverse
+                };
+                (bridge, ticks.map_or(0, |ticks| ticks.min(PWM_TICKS)))
+            }
+        };
+        if self.plant.is_quiet() && bridge == Bridge::Coast {
+            self.plant.rest(PERIOD_S * periods as f64);
+            return;
+        }
+        let on_s = PERIOD_S * f64::from(ticks) / f64::from(PWM_TICKS);
+        for _ in 0..periods {
+            let phases = [(Bridge::Brake, PERIOD_S - on_s), (bridge, on_s)];
+            self.plant.advance_period(&phases);
+            self.peak_ma = self.peak_ma.max(self.plant.drawn_ma());
+            let levels = self.plant.encoder();
+            // One step is a count; two, which cannot be told apart, are none.
+            self.counter += match (quarter(levels) - quarter(self.encoder)).rem_euclid(4) {
+                1 => 1,
+                3 => -1,
+                _ => 0,
+            };
+            self.encoder = levels;
+        }
+    }
+
+    /// What the converter reads, with the bridge awake or asleep.
+    pub fn sample(&mut self, now_us: u64, awake: bool) -> Sample {
+        let noise = self.random.normal() * self.plant.parameters.sense_noise_ma;
+        let sense_mv = (self.plant.sense_mv(SUPPLY_MV.into()) + noise).clamp(0.0, 3_300.0);
+        let fine = sense_mv / f64::from(SUPPLY_MV) * 4_095.0 * f64::from(FINE);
+        let current_ua = self
+            .zero
+            .take_off(now_us, awake, fine.round() as i32, SUPPLY_MV);
+        self.battery_mv = (self.plant.seen_battery_mv() / 2.0).round() as u16 * 2;
+        Sample {
+            counts: Counts(self.counter),
+            current_ua,
+            offset_ma: self.zero.offset_ma(SUPPLY_MV),
+            battery_mv: self.battery_mv,
+            driver_fault: awake && !self.plant.fault_high(),
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! Seeded capsules with the firmware's own control, folded, unfolded and identified.
+
+use crate::plant::Simulation;
+use capsule_plant::Parameters;
+use firmware_capsule::fold::Command;
+use firmware_capsule::trace::Recording;
+use protocol::capsule::{ActuationOutcome, GetTrace, TracePoint};
+use trials::identify::{Estimate, Identified, identify};
+
+/// What the host fetches after a motion.
+fn recorded(sim: &mut Simulation, command: Command) -> Vec<TracePoint> {
+    let mut recording = Recording::new();
+    sim.order(command);
+    while sim.capsule.is_moving() {
+        let (sample, drive) = sim.tick();
+        recording.take(1, &sample, drive);
+    }
+    assert_eq!(sim.capsule.record().outcome, ActuationOutcome::Complete);
+    sim.settle();
+    let mut points: Vec<TracePoint> = vec![];
+    loop {
+        let from = points.len() as u32;
+        let part = recording.part(&GetTrace { from }, sim.capsule.zero());
+        points.extend(&part.points);
+        if points.len() == usize::from(part.total) {
+            return points;
+        }
+    }
+}
+
+/// A fold and the unfolding after it.
+pub fn recordings(truth: Parameters, seed: u64) -> [Vec<TracePoint>; 2] {
+    let mut sim = Simulation::calibrated(truth, seed);
+    [Command::Fold, Command::Unfold].map(|command| recorded(&mut sim, command))
+}
+
+/// Identifies the capsule of a seed: each parameter's name, the true value, and the estimate.
+pub fn tried(seed: u64) -> Vec<(&'static str, f64, Estimate)> {
+    let truth = Parameters::varied(seed);
+    let [fold, unfold] = recordings(truth, seed);
+    let Identified {
+        circuit_ohm,
+        motor_constant_mvs,
+        no_load_ma,
+        worm_friction,
+        stiffness,
+        slack_mm,
+    } = identify(&fold, &unfold).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+    let ohm = truth.winding_ohm + truth.bridge_ohm + truth.battery_ohm;
+    vec![
+        ("circuit_ohm", ohm, circuit_ohm),
+        (
+            "motor_constant_mvs",
+            truth.motor_constant * 1e3,
+            motor_constant_mvs,
+        ),
+        ("no_load_ma", truth.no_load_a * 1e3, no_load_ma),
+        ("worm_friction", truth.worm_friction, worm_friction),
+        ("stiffness", truth.stiffness, stiffness),
+        ("slack_mm", truth.slack_mm, slack_mm),
+    ]
+}
+
+/// The names of those that miss the true value by more than they say.
+pub fn missed(found: &[(&'static str, f64, Estimate)]) -> Vec<&'static str> {
+    found
+        .iter()
+        .filter(|(_, truth, estimate)| (estimate.value - truth).abs() > estimate.uncertainty)
+        .map(|(name, ..)| *name)
+        .collect()
+}

@@ -1,0 +1,254 @@
+//! The processor, with a bell: it says when it falls asleep and when it wakes, before it does anything.
+//!
+//! Between the two nobody but models and the board changes anything: neither memory nor registers. The emulator itself does not
+//! tell. So this stands between it and its processor, and makes an access that no program makes when one of the two happens.
+//!
+//! It also hands the processor on when its machine is gone, see [`super::spare`].
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rigless::emulator::{
+    Access, AccessKind, CoreBus, CoreSpec, DataModel, Error, Exit, Processor, Queued,
+};
+use rigless::soc::{Endian, Width};
+use rigless::time::VirtualNanos;
+
+use super::spare::{self, Program, Usable};
+
+/// The addresses that stand for falling asleep and for waking: EXTI_IMR and EXTI_EMR, read by no instruction.
+const SLEEP_AT: u64 = 0x4001_3C00;
+const WAKE_AT: u64 = 0x4001_3C04;
+
+/// What the bell says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Ring {
+    /// The processor waits for an interrupt or an event.
+    Sleeps,
+    /// It is about to execute its next instruction.
+    Wakes,
+}
+
+/// What `access` says, if it comes from the bell.
+pub(super) fn heard(access: &Access) -> Option<Ring> {
+    match (access.program_counter, access.address) {
+        (None, SLEEP_AT) => Some(Ring::Sleeps),
+        (None, WAKE_AT) => Some(Ring::Wakes),
+        _ => None,
+    }
+}
+
+/// Who listens to the bell: each stroke costs time.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Bell(Arc<Asked>);
+
+#[derive(Debug, Default)]
+struct Asked {
+    sleeps: AtomicBool,
+    wakes: AtomicBool,
+}
+
+impl Bell {
+    pub(super) fn ask_for_sleep(&self, asked: bool) {
+        self.0.sleeps.store(asked, Ordering::Relaxed);
+    }
+
+    pub(super) fn ask_for_waking(&self, asked: bool) {
+        self.0.wakes.store(asked, Ordering::Relaxed);
+    }
+}
+
+/// Puts `bell` between the emulator and the processor that `spec` makes, or a spare one for `program`.
+pub(super) fn with_bell(spec: &mut CoreSpec, bell: &Bell, program: Program) {
+    let (make, bell) = (Arc::clone(&spec.processor), bell.clone());
+    spec.processor = Arc::new(move |endian| {
+        let spare = spare::take(&program);
+        let knows_program = spare.is_some();
+        let core = match spare {
+            Some(spare) => spare,
+            None => {
+                let inner = make(endian)?;
+                Usable {
+                    fresh: inner.save(),
+                    inner,
+                    program,
+                    mapped: Vec::new(),
+                    changed: Vec::new(),
+                    idle: Vec::new(),
+                }
+            }
+        };
+        Ok(Box::new(Belled {
+            core: Some(Usable {
+                mapped: Vec::new(),
+                ..core
+            }),
+            bell: bell.clone(),
+            knows_program,
+            loading: true,
+            altered: false,
+        }) as Box<dyn Processor>)
+    });
+}
+
+#[derive(Debug)]
+struct Belled {
+    /// There until it is handed on.
+    core: Option<Usable>,
+    bell: Bell,
+    /// It has translated the program before.
+    knows_program: bool,
+    /// The program is being loaded.
+    loading: bool,
+    /// It was told to do what another machine must not inherit.
+    altered: bool,
+}
+
+impl Drop for Belled {
+    fn drop(&mut self) {
+        if let Some(core) = self.core.take()
+            && !self.altered
+            && !std::thread::panicking()
+        {
+            spare::keep(core);
+        }
+    }
+}
+
+impl Belled {
+    fn inner(&self) -> &dyn Processor {
+        &*self.core.as_ref().expect("until it is dropped").inner
+    }
+
+    fn inner_mut(&mut self) -> &mut dyn Processor {
+        &mut *self.core.as_mut().expect("until it is dropped").inner
+    }
+
+    fn strike(&self, address: u64, bus: &mut dyn CoreBus) {
+        let retired = self.inner().retired();
+        let access = Access::new(AccessKind::Read, address, Width::W32, 0);
+        bus.access(access.at(retired, bus.time(retired)), false);
+    }
+}
+
+impl Processor for Belled {
+    fn run(&mut self, budget: u32, bus: &mut dyn CoreBus) -> (Exit, u64) {
+        if self.inner().waiting() && self.bell.0.wakes.load(Ordering::Relaxed) {
+            // Without a budget it takes its exception, if there is one, and executes nothing.
+            let slept = self.inner_mut().run(0, bus);
+            if self.inner().waiting() {
+                return slept;
+            }
+            self.strike(WAKE_AT, bus);
+            // What happens next may be nearer now.
+            return (Exit::Returned, slept.1);
+        }
+        let ran = self.inner_mut().run(budget, bus);
+        let fell_asleep = ran.1 > 0 && self.inner().waiting();
+        if fell_asleep && self.bell.0.sleeps.load(Ordering::Relaxed) {
+            self.strike(SLEEP_AT, bus);
+        }
+        ran
+    }
+
+    // SAFETY: the caller's promises are those that the processor behind this one asks for, and it is dropped with this one.
+    #[allow(unsafe_code)]
+    unsafe fn map(&mut self, start: u64, length: u64, host: *mut u8, writable: bool) {
+        // SAFETY: as above.
+        unsafe { self.inner_mut().map(start, length, host, writable) }
+        let core = self.core.as_mut().expect("until it is dropped");
+        core.mapped.push((start, length, writable));
+    }
+
+    fn retired(&self) -> u64 {
+        self.inner().retired()
+    }
+
+    fn ask(&mut self, queued: Queued) {
+        match queued {
+            Queued::Invalidate(start, end) if spare::is_program(start, end) => {
+                if self.loading && self.knows_program {
+                    return;
+                }
+                let core = self.core.as_mut().expect("until it is dropped");
+                if !self.loading {
+                    core.changed.push((start, end));
+                }
+            }
+            Queued::Route(_) => self.altered = true,
+            _ => {}
+        }
+        self.inner_mut().ask(queued);
+    }
+
+    fn maps(&self, start: u64, length: u64) -> bool {
+        self.inner().maps(start, length)
+    }
+
+    fn page_size(&self) -> u64 {
+        self.inner().page_size()
+    }
+
+    fn boot(&mut self, table: u64, read: &dyn Fn(u64, Width) -> Option<u64>) {
+        self.inner_mut().boot(table, read);
+    }
+
+    fn reset(&mut self) {
+        self.inner_mut().reset();
+    }
+
+    fn take_reset_request(&mut self) -> bool {
+        // The first question of a run comes when its program has been loaded.
+        self.loading = false;
+        self.inner_mut().take_reset_request()
+    }
+
+    fn next_event(&self) -> Option<VirtualNanos> {
+        self.inner().next_event()
+    }
+
+    fn on_event(&mut self, now: VirtualNanos) {
+        self.inner_mut().on_event(now);
+    }
+
+    fn waiting(&self) -> bool {
+        self.inner().waiting()
+    }
+
+    fn pc(&self) -> u64 {
+        self.inner().pc()
+    }
+
+    fn add_breakpoint(&mut self, address: u64) -> bool {
+        self.altered = true;
+        self.inner_mut().add_breakpoint(address)
+    }
+
+    fn remove_breakpoint(&mut self, address: u64) {
+        self.inner_mut().remove_breakpoint(address);
+    }
+
+    fn pass_breakpoint(&mut self, address: u64) {
+        self.inner_mut().pass_breakpoint(address);
+    }
+
+    fn data_model(&self) -> DataModel {
+        self.inner().data_model()
+    }
+
+    fn byte_order(&self, address: u64) -> Endian {
+        self.inner().byte_order(address)
+    }
+
+    fn save(&self) -> Vec<u8> {
+        self.inner().save()
+    }
+
+    fn load(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        self.inner_mut().load(bytes)
+    }
+
+    fn own_ranges(&self) -> Vec<std::ops::Range<u64>> {
+        self.inner().own_ranges()
+    }
+}

@@ -1,0 +1,118 @@
+//! Processors whose machine is gone, with all that they have translated: the next machine with the same program takes one
+//! instead of translating everything again.
+//!
+//! A processor is put back to the state in which it was made, and what it knows of memory that may have changed is dropped. Its
+//! translations of the program stay: the program is the same to the byte. What it executes is the same with them and without.
+
+use std::sync::{Mutex, PoisonError};
+
+use rigless::emulator::{Processor, Queued};
+use rigless::image::Image;
+use sha2::{Digest, Sha256};
+
+use super::map::{FLASH_BASE, FLASH_BYTES, SECTOR_BYTES};
+
+/// Spares in all: as many machines as tests run at once, and some more.
+const MOST: usize = 12;
+/// What the firmware programs itself: sectors 1 to 3.
+const SETTINGS: std::ops::Range<u64> = FLASH_BASE + SECTOR_BYTES[0]
+    ..FLASH_BASE + SECTOR_BYTES[0] + SECTOR_BYTES[1] + SECTOR_BYTES[2] + SECTOR_BYTES[3];
+const FLASH: std::ops::Range<u64> = FLASH_BASE..FLASH_BASE + FLASH_BYTES;
+/// No host page is larger than what memory is aligned to here.
+const PAGE: usize = 4_096;
+
+/// A program, by the contents of the flash without the settings, and the clock of the processor that runs it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Program {
+    flash: [u8; 32],
+    core_hz: u64,
+}
+
+impl Program {
+    /// The program that a machine with these images starts with.
+    pub(crate) fn of(images: &[Image], core_hz: u64) -> Self {
+        let mut flash = vec![0xFF; FLASH_BYTES as usize];
+        for (address, bytes) in images.iter().flat_map(Image::segments) {
+            let fits = FLASH.contains(&address) && address + bytes.len() as u64 <= FLASH.end;
+            if fits {
+                let at = (address - FLASH.start) as usize;
+                flash[at..at + bytes.len()].copy_from_slice(bytes);
+            }
+        }
+        let [from, to] = [SETTINGS.start, SETTINGS.end].map(|at| (at - FLASH.start) as usize);
+        flash[from..to].fill(0xFF);
+        Self {
+            flash: Sha256::digest(&flash).into(),
+            core_hz,
+        }
+    }
+}
+
+/// A processor, and what has to be known to use it again.
+#[derive(Debug)]
+pub(super) struct Usable {
+    pub(super) inner: Box<dyn Processor>,
+    pub(super) program: Program,
+    /// Its state when it was made.
+    pub(super) fresh: Vec<u8>,
+    /// Memory that was mapped: start, length, and whether it can be written.
+    pub(super) mapped: Vec<(u64, u64, bool)>,
+    /// Flash outside the settings that was changed while it ran.
+    pub(super) changed: Vec<(u64, u64)>,
+    /// What it is mapped to while it has no machine; dropped after it.
+    pub(super) idle: Vec<Vec<u8>>,
+}
+
+static SPARES: Mutex<Vec<Usable>> = Mutex::new(Vec::new());
+
+/// A spare for `program`, in the state in which it was made.
+pub(super) fn take(program: &Program) -> Option<Usable> {
+    let mut spares = SPARES.lock().unwrap_or_else(PoisonError::into_inner);
+    let nth = spares.iter().rposition(|spare| spare.program == *program)?;
+    let mut usable = spares.remove(nth);
+    drop(spares);
+    usable.inner.load(&usable.fresh).ok()?;
+    for &(start, length, writable) in &usable.mapped {
+        if writable {
+            usable.inner.ask(Queued::Invalidate(start, start + length));
+        }
+    }
+    let changed = usable
+        .changed
+        .drain(..)
+        .chain([(SETTINGS.start, SETTINGS.end)]);
+    for (start, end) in changed {
+        usable.inner.ask(Queued::Invalidate(start, end));
+    }
+    Some(usable)
+}
+
+/// Whether a change of these bytes may change the program.
+pub(super) fn is_program(start: u64, end: u64) -> bool {
+    let outside = |range: &std::ops::Range<u64>| end <= range.start || range.end <= start;
+    let within_settings = SETTINGS.start <= start && end <= SETTINGS.end;
+    !(outside(&FLASH) || within_settings)
+}
+
+/// Keeps a processor whose machine is about to go, and with it the memory that it is mapped to.
+pub(super) fn keep(mut usable: Usable) {
+    let mut idle = Vec::new();
+    for &(start, length, writable) in &usable.mapped {
+        let mut bytes = vec![0_u8; length as usize + PAGE];
+        let host = bytes.as_mut_ptr();
+        let host = host.wrapping_add(host.align_offset(PAGE));
+        // SAFETY: `host` is aligned and followed by `length` bytes of `bytes`, which nobody touches and which is dropped after the
+        // processor, or when other memory is mapped in its place.
+        #[allow(unsafe_code)]
+        unsafe {
+            usable.inner.map(start, length, host, writable);
+        }
+        idle.push(bytes);
+    }
+    usable.idle = idle;
+    let mut spares = SPARES.lock().unwrap_or_else(PoisonError::into_inner);
+    if spares.len() == MOST {
+        spares.remove(0);
+    }
+    spares.push(usable);
+}
