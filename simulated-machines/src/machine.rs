@@ -1,5 +1,5 @@
 //! A machine behind a bad line, in virtual time. The machine is the firmware: its link service and its control decide,
-//! on the mechanics of [`rig`] or [`capsule`]. Only the line and the world around the machine are scripted.
+//! on the mechanics of `rig` or [`capsule`]. Only the line and the world around the machine are scripted.
 pub mod capsule;
 mod line;
 pub mod pace;

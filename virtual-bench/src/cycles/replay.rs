@@ -14,7 +14,7 @@ use rigless::time::VirtualNanos;
 use super::core::{Code, Core};
 use crate::bench::{Bench, BenchError, BenchOptions};
 use crate::boards::rig::RigBoard;
-use crate::emulator::{Emulator, Program};
+use crate::emulator::{ChipOptions, Emulator, Program};
 use crate::link::VirtualLink;
 use crate::serial::Serial;
 
@@ -174,8 +174,12 @@ pub(super) fn replay(replay: Replay<'_>) -> Result<Seen, BenchError> {
     let image = Image::new(path, elf, None).map_err(|why| ended(&why))?;
     let serial = Arc::<Mutex<Serial>>::default();
     let images = [image];
-    let chip = replay.options.chip;
-    let program = Program::of(&images, chip.core_hz);
+    let program = Program::of(&images, replay.options.chip.core_hz);
+    // Every instruction is watched, so nothing may be left to a course.
+    let chip = ChipOptions {
+        every_event: true,
+        ..replay.options.chip
+    };
     let emulator = Emulator::new(replay.board, chip, Arc::clone(&serial), 0, program);
     let emulator = Box::new(emulator.map_err(|why| ended(&why))?);
     let session = Session::new(emulator, 0, VirtualNanos(0)).map_err(|why| ended(&why))?;

@@ -246,7 +246,7 @@ impl<W: Wiring> Chip<W> {
         );
         let (registers, mut context) = bus.drive(at, slots.dma2);
         if let Some(periods) = &mut self.dma2.ring {
-            let items = asleep.course.fetched * super::timer::WORDS as u64;
+            let items = asleep.course.fetched * super::course::WORDS as u64;
             periods.skip(items, asleep.course.held(), registers);
         }
         self.dma2.refresh(registers, &mut context);

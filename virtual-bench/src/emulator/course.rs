@@ -13,7 +13,11 @@ use rigless::soc::Width;
 
 use super::OutputEdge;
 use super::ring::Rest;
-use super::timer::{WORDS, Words};
+
+/// Words of a burst {ARR, RCR, CCR1, CCR2, CCR3}.
+pub(super) const WORDS: usize = 5;
+/// Of one burst.
+pub(super) type Words = [u64; WORDS];
 
 /// Shortest level of an output, ns: longer than the filters of the inputs that it leads to.
 const SHORTEST_NS: u64 = 500;

@@ -8,7 +8,7 @@ use rigless::soc::stm32f427::peripherals::tim::Advanced;
 use rigless::soc::{Bus, Layout};
 use rigless::time::{EventId, VirtualNanos};
 
-use super::course::{Course, Slot, Standing};
+use super::course::{Course, Slot, Standing, WORDS, Words};
 
 /// A change of one compare output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,10 +50,6 @@ const CCMR2: u32 = 0x1C;
 const ARR: u32 = 0x2C;
 const DCR: u32 = 0x48;
 const DMAR: u32 = 0x4C;
-/// Words of a burst {ARR, RCR, CCR1, CCR2, CCR3}, and DCR that asks for it.
-pub(super) const WORDS: usize = 5;
-/// Of one burst.
-pub(super) type Words = [u64; WORDS];
 const BURST: u64 = ((WORDS as u64 - 1) << 8) | (ARR as u64 / 4);
 /// The word for CCR2: its channel is not used, and the word is always the same.
 const NOT_PRELOADED: usize = 3;
