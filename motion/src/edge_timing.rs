@@ -102,7 +102,8 @@ impl EdgeTiming {
         (self.to_come, self.interval) = (to_come, interval);
         (self.planned, self.offset, self.next) = (planned, offset, next);
         self.timed.edges = edges;
-        // Those that are off have been taken off already. Nothing is before the first edge, and an added one ends no interval.
+        // Those that are off have been taken off already. Nothing is before the first edge, and an added one ends no
+        // interval.
         let intervals = (instants.len() as u32).wrapping_sub(added);
         let intervals = intervals.wrapping_sub(u32::from(begins && intervals > 0));
         self.intervals.exact = self.intervals.exact.wrapping_add(intervals);

@@ -228,8 +228,8 @@ pub struct RigHardware {
     pub dma_errors: u32,
     /// How often the step timer had to be reset because a stop found its DMA burst cut in two.
     pub timer_resets: u32,
-    /// EN was high at the start, before the firmware drove it. Low says for certain that it has no pull-up; high only that
-    /// nothing pulled it down at that moment, and nothing of the voltage.
+    /// EN was high at the start, before the firmware drove it. Low says for certain that it has no pull-up; high only
+    /// that nothing pulled it down at that moment, and nothing of the voltage.
     pub enable_high_at_start: bool,
 }
 

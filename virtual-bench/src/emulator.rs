@@ -305,8 +305,8 @@ impl Pads<'_> {
         drive_input(self.tim5, channel, high, registers, &mut context);
     }
 
-    /// Keeps DMA from the instants that TIM5 captures, as a bus that is not granted does, or lets it come again. What was captured
-    /// meanwhile has overwritten what was captured before.
+    /// Keeps DMA from the instants that TIM5 captures, as a bus that is not granted does, or lets it come again. What
+    /// was captured meanwhile has overwritten what was captured before.
     pub fn keep_tim5_from_dma(&mut self, kept: bool) {
         self.touched = true;
         let bus = self.part.bus_mut();

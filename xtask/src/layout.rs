@@ -185,8 +185,9 @@ impl Layout {
     }
 }
 
-/// The largest constant that is taken from the stack pointer in this code: `sub.w sp, sp, #` and `subw sp, sp, #` (Armv7-M ARM
-/// A7.7.176, T2 and T3). Constants between the functions may look like one; then it is too large, never too small.
+/// The largest constant that is taken from the stack pointer in this code: `sub.w sp, sp, #` and `subw sp, sp, #`
+/// (Armv7-M ARM A7.7.176, T2 and T3). Constants between the functions may look like one; then it is too large, never
+/// too small.
 fn largest_frame(code: &[u8]) -> u32 {
     let halves: Vec<u32> = code
         .chunks_exact(2)

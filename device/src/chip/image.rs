@@ -42,8 +42,9 @@ fn guard() -> Range<u32> {
     first..first + GUARD
 }
 
-/// Makes a stack that grows towards the statics a processor fault with last words, where it was a machine that went on with wrong
-/// numbers. Once, before anything needs much of the stack. The handlers of processor fault and NMI may use the guard.
+/// Makes a stack that grows towards the statics a processor fault with last words, where it was a machine that went on
+/// with wrong numbers. Once, before anything needs much of the stack. The handlers of processor fault and NMI may use
+/// the guard.
 ///
 /// The other regions and the background are the map that the processor has without its MPU (Armv7-M ARM table B3-1).
 pub fn guard_stack() {
@@ -80,8 +81,8 @@ pub fn guard_stack() {
     cortex_m::asm::isb();
 }
 
-/// Whether the processor fault is an overflow of the stack: an instruction met the guard, or the frame of an exception did, as a
-/// rule that of the fault itself (CFSR and MMFAR, Armv7-M ARM B3.2.15 and B3.2.18).
+/// Whether the processor fault is an overflow of the stack: an instruction met the guard, or the frame of an exception
+/// did, as a rule that of the fault itself (CFSR and MMFAR, Armv7-M ARM B3.2.15 and B3.2.18).
 pub(super) fn stack_has_overflowed() -> bool {
     const STACKING: u32 = 1 << 5 | 1 << 4;
     const ADDRESS_VALID: u32 = 1 << 7;

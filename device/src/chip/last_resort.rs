@@ -43,8 +43,8 @@ macro_rules! last_resort {
 /// The last words are kept already: what follows is a panic within that.
 static DYING: AtomicBool = AtomicBool::new(false);
 
-/// Keeps the last words and starts again. Whoever dies within a frame of the log finds it taken and panics once more: then
-/// the first words stand, and nothing is logged.
+/// Keeps the last words and starts again. Whoever dies within a frame of the log finds it taken and panics once more:
+/// then the first words stand, and nothing is logged.
 pub(super) fn die(words: &Draft) -> ! {
     // Interrupted by nobody who could die as well: panics and faults are not left.
     if DYING.load(Ordering::Relaxed) {

@@ -27,16 +27,16 @@ pub fn init_clearing_stale_flags(config: Config) -> embassy_stm32::Peripherals {
     })
 }
 
-/// Waits until clocks that were just enabled have come to their peripherals: an access within two cycles of their bus may be lost
-/// (ES0287 2.1.6, with this remedy; a read alone was found too short on sister parts).
+/// Waits until clocks that were just enabled have come to their peripherals: an access within two cycles of their bus
+/// may be lost (ES0287 2.1.6, with this remedy; a read alone was found too short on sister parts).
 pub fn let_clocks_come() {
     cortex_m::asm::dsb();
 }
 
-/// Clears what a debugger may have left: to halt at resets and at processor faults (the VC bits of DEMCR, which software may
-/// write; Armv7-M ARM C1.6.5). They outlive a reset, and the processor would stand there with the watchdog off. Whether it
-/// obeys them at all, C_DEBUGEN, only a debugger can change. So a start that has come this far is the place. After the HAL's
-/// start, whose clock the log needs.
+/// Clears what a debugger may have left: to halt at resets and at processor faults (the VC bits of DEMCR, which
+/// software may write; Armv7-M ARM C1.6.5). They outlive a reset, and the processor would stand there with the watchdog
+/// off. Whether it obeys them at all, C_DEBUGEN, only a debugger can change. So a start that has come this far is the
+/// place. After the HAL's start, whose clock the log needs.
 pub fn forget_catches() {
     const CATCHES: u32 = 0x7F1;
     // SAFETY: the only user of this register; a read and a write without side effects.

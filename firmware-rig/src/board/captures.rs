@@ -73,8 +73,8 @@ impl Captures {
         };
     }
 
-    /// Fills `instants` with those that were not taken yet, and returns how many. None if some have been overwritten, in
-    /// the ring or in the capture register, or if DMA has stopped.
+    /// Fills `instants` with those that were not taken yet, and returns how many. None if some have been overwritten,
+    /// in the ring or in the capture register, or if DMA has stopped.
     pub fn take(&mut self, instants: &mut [u32]) -> Option<usize> {
         let Written {
             end,
@@ -166,7 +166,8 @@ fn written() -> Written {
     }
 }
 
-/// The capture register was overwritten before DMA had fetched the instant in it (CC2OF, RM0383 section 13.4.5), since the last call.
+/// The capture register was overwritten before DMA had fetched the instant in it (CC2OF, RM0383 section 13.4.5), since
+/// the last call.
 fn is_overcaptured() -> bool {
     let lost = TIM5.sr().read().ccof(CHANNEL);
     if lost {

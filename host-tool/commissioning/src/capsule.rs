@@ -100,11 +100,11 @@ pub const STEPS: &[Step] = &[
     },
 ];
 
-/// The current measured at a third of the duty may differ from the one in proportion by this, parts per hundred: offset, ripple, steps
-/// of the duty.
+/// The current measured at a third of the duty may differ from the one in proportion by this, parts per hundred:
+/// offset, ripple, steps of the duty.
 const HELD_PERCENT: u32 = 25;
-/// The largest duty has to be this much of the smallest, parts per hundred: with a shunt below the bridge the ratio follows it. The
-/// model's motor goes from 21 to 38 %.
+/// The largest duty has to be this much of the smallest, parts per hundred: with a shunt below the bridge the ratio
+/// follows it. The model's motor goes from 21 to 38 %.
 const HELD_SPAN_PERCENT: u32 = 150;
 /// Less current than this says nothing of a proportion, mA.
 const HELD_LEAST_MA: u16 = 15;
@@ -183,8 +183,9 @@ fn rest(work: &mut Work<'_>) -> Result<(), Halt> {
     Ok(())
 }
 
-/// A motor that is held has no back-EMF: its current is the voltage over the resistance of the loop, at any duty, if the shunt sees what
-/// flows in the motor. One below the bridge sees the pulses only, a share of the current as large as the duty.
+/// A motor that is held has no back-EMF: its current is the voltage over the resistance of the loop, at any duty, if
+/// the shunt sees what flows in the motor. One below the bridge sees the pulses only, a share of the current as large
+/// as the duty.
 fn held(work: &mut Work<'_>) -> Result<(), Halt> {
     clear(work)?;
     work.hand(Part::Rotor, true)?;
@@ -256,7 +257,8 @@ impl Standing {
     }
 }
 
-/// The readings of a motor that stands: drive counts until the next reading, and is the same in two, so that the current has settled.
+/// The readings of a motor that stands: drive counts until the next reading, and is the same in two, so that the
+/// current has settled.
 fn standing(points: &[TracePoint]) -> Vec<Standing> {
     let stands = |window: &&[TracePoint]| {
         let [before, now, after] = window else {
@@ -450,7 +452,8 @@ fn silence(work: &mut Work<'_>) -> Result<(), Halt> {
 mod tests {
     use super::*;
 
-    /// A held motor whose drive rises from 0.1 to 1.5 V within 300 ms, with the current that `sensed` makes of duty and mA.
+    /// A held motor whose drive rises from 0.1 to 1.5 V within 300 ms, with the current that `sensed` makes of duty and
+    /// mA.
     fn ramp(sensed: impl Fn(f64, f64) -> f64) -> Vec<TracePoint> {
         let drive = |n: i32| (100 + n * 1_400 / 300) / 40 * 40;
         let point = |n: i32| {

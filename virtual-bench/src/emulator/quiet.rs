@@ -232,8 +232,8 @@ impl Device for Quiet {
 
     forward!(tim: layout, peek, on_refused, poll);
 
-    /// The status is looked at without bringing the timer up to date: an edge of this very instruction may be put in behind it, with
-    /// its own instant.
+    /// The status is looked at without bringing the timer up to date: an edge of this very instruction may be put in
+    /// behind it, with its own instant.
     fn read(
         &mut self,
         register: Register,

@@ -53,8 +53,8 @@ pub struct RigOptions {
     pub swapped_switches: bool,
     /// The second jumper leads from STEP to the capture input.
     pub capture_jumper: bool,
-    /// What EN is pulled up to, mV: 3,300 by the board, 5,000 by a shield at 5 V; without a pull-up the driver's own resistor
-    /// switches it on.
+    /// What EN is pulled up to, mV: 3,300 by the board, 5,000 by a shield at 5 V; without a pull-up the driver's own
+    /// resistor switches it on.
     pub enable_pull_up_mv: Option<u32>,
 }
 

@@ -11,8 +11,8 @@ pub enum Fault {
     Delay(u64),
     /// Keep the next pulse away.
     Skip,
-    /// From now on let each pulse come by nothing or by this much later, ns, as if by chance: what a slow edge and a sampled input
-    /// make of equal intervals. 0 ends it.
+    /// From now on let each pulse come by nothing or by this much later, ns, as if by chance: what a slow edge and a
+    /// sampled input make of equal intervals. 0 ends it.
     Jitter(u64),
     /// DMA fetches the next pulse's instant only after the one behind it has come, and so loses it.
     Lose,

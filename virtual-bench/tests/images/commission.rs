@@ -564,7 +564,8 @@ fn a_shield_at_5_v_is_told_from_a_fault() {
     }
 }
 
-/// Of what the wire of the captures may bring: 10 ns of jitter are none, 20 ns are named, and a lost capture as what it is.
+/// Of what the wire of the captures may bring: 10 ns of jitter are none, 20 ns are named, and a lost capture as what it
+/// is.
 #[test]
 fn jitter_and_a_lost_capture_are_named() {
     let options = RigOptions {

@@ -218,7 +218,8 @@ fn jitter_is_counted_by_ticks() {
     rig.check_clean(0);
 }
 
-/// An instant that is overwritten before DMA fetches it ends the comparison, and is told as that and not as a wrong step.
+/// An instant that is overwritten before DMA fetches it ends the comparison, and is told as that and not as a wrong
+/// step.
 #[test]
 fn a_lost_capture_is_told_as_one() {
     let mut rig = timed_rig();

@@ -308,7 +308,8 @@ fn a_halt_within_a_burst_shifts_no_word() {
     rig.check_clean_after(0, 30);
 }
 
-/// Item 20: a burst that does not end makes a stop reset the timer, and `health` says how often. Whatever was cut, the next path is right.
+/// Item 20: a burst that does not end makes a stop reset the timer, and `health` says how often. Whatever was cut, the
+/// next path is right.
 #[test]
 fn a_timer_that_is_reset_is_counted() {
     let mut dice = Dice(0x5EED_0C77);

@@ -179,8 +179,8 @@ fn a_panic_switches_off_at_once_and_leaves_its_callers() {
     assert_eq!(told.len(), CLIENTS.len(), "each at one place: {told:x?}");
 }
 
-/// A panic within a frame of the log finds it taken when it wants to log its own last words, and panics again. The first words
-/// stand, and it ends at once: before, it went on so until the stack was used up.
+/// A panic within a frame of the log finds it taken when it wants to log its own last words, and panics again. The
+/// first words stand, and it ends at once: before, it went on so until the stack was used up.
 #[test]
 fn a_panic_within_the_log_ends_at_once_with_its_words() {
     let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
@@ -201,8 +201,8 @@ fn a_panic_within_the_log_ends_at_once_with_its_words() {
     }
 }
 
-/// A stack that is used up ends in the guard below it, with outputs off and last words, whether an instruction meets the guard or the
-/// frame of an interrupt.
+/// A stack that is used up ends in the guard below it, with outputs off and last words, whether an instruction meets
+/// the guard or the frame of an interrupt.
 #[test]
 fn a_stack_overflow_is_a_fault_with_last_words() {
     for misbehaviour in [Misbehaviour::Overflow, Misbehaviour::OverflowByInterrupt] {
@@ -257,7 +257,8 @@ fn the_capsules_stack_has_a_guard_too() {
     }
 }
 
-/// What a debugger has left in DEMCR outlives a reset, and would hold the processor at the next one. A start that comes through clears it.
+/// What a debugger has left in DEMCR outlives a reset, and would hold the processor at the next one. A start that comes
+/// through clears it.
 #[test]
 fn catch_bits_of_a_debugger_are_cleared_at_the_start() {
     let mut rig = homed();

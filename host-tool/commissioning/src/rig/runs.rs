@@ -15,7 +15,8 @@ use crate::work::rig::by_speed;
 
 /// The edges of so many cycles are timed: the intervals of all others are the same.
 const TIMED_CYCLES: u16 = 100;
-/// An edge rises for up to 100 ns and is sampled every 10 ns: an interval may be one sample longer or shorter than the plan's.
+/// An edge rises for up to 100 ns and is sampled every 10 ns: an interval may be one sample longer or shorter than the
+/// plan's.
 const JITTER_TICKS: u32 = 1;
 /// False pulses on a switch's line in a run of the last step that are too many.
 const TOO_MANY_GLITCHES: u32 = 100;
