@@ -202,6 +202,37 @@ mod tests {
     }
 
     #[test]
+    fn it_leads_plainly_unless_something_is_wrong_with_it() {
+        for whole in [true, false] {
+            assert_eq!(Wire::new(whole).leads(), Some(whole));
+        }
+        let faults = [
+            Fault::Spike(100),
+            Fault::Delay(10),
+            Fault::Skip,
+            Fault::Jitter(10),
+            Fault::Lose,
+        ];
+        for fault in faults {
+            let mut wire = Wire::new(true);
+            wire.act(fault, 0);
+            assert_eq!(wire.leads(), None, "{fault:?}");
+        }
+        // Until the pulse after the lost one is over.
+        let mut wire = Wire::new(true);
+        wire.act(Fault::Lose, 0);
+        for (high, leads) in [
+            (true, None),
+            (false, None),
+            (true, None),
+            (false, Some(true)),
+        ] {
+            wire.step(high, 1_000);
+            assert_eq!(wire.leads(), leads);
+        }
+    }
+
+    #[test]
     fn a_cut_within_a_pulse_ends_it() {
         let mut wire = Wire::new(true);
         wire.step(true, 1_000);
