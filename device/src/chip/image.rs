@@ -54,8 +54,9 @@ pub fn guard_stack() {
     }
     const HALF_GIB: u32 = region(1 << 29);
     const FULL_ACCESS: u32 = 0b011 << 24;
-    const WRITE_THROUGH: u32 = 0b000_0_1_0 << 16;
-    const WRITE_BACK_ALLOCATE: u32 = 0b001_0_1_1 << 16;
+    // TEX in three bits, S, C, B.
+    const WRITE_THROUGH: u32 = 0b00_0010 << 16;
+    const WRITE_BACK_ALLOCATE: u32 = 0b00_1011 << 16;
     const NO_ACCESS: u32 = 0;
     const VALID: u32 = 1 << 4;
     let regions = [
