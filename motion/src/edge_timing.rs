@@ -11,6 +11,15 @@ pub struct Timed {
     pub worst_error_ticks: u32,
 }
 
+/// Captured intervals by their difference from the plan, since the start of the device; the counts wrap.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Intervals {
+    /// None.
+    pub exact: u32,
+    /// 1 tick, 2 ticks, and more, in either direction.
+    pub off: [u32; 3],
+}
+
 /// The comparison of one path.
 ///
 /// An edge that is missing, moved or added shows as a wrong interval. Those of the first and of the last step show in
@@ -30,17 +39,26 @@ pub struct EdgeTiming {
     /// Captures or periods were lost: nothing more can be compared on this path.
     lost: bool,
     timed: Timed,
+    intervals: Intervals,
 }
 
 impl EdgeTiming {
     /// Another path begins.
     pub fn clear(&mut self) {
-        *self = Self::default();
+        *self = Self {
+            intervals: self.intervals,
+            ..Self::default()
+        };
     }
 
     /// What was found since.
     pub fn timed(&self) -> Timed {
         self.timed
+    }
+
+    /// What was found on all paths.
+    pub fn intervals(&self) -> Intervals {
+        self.intervals
     }
 
     /// Edges were captured at these instants; the clock wraps. Once per step: a few instructions each.
@@ -53,12 +71,14 @@ impl EdgeTiming {
             return;
         }
         let edges = self.timed.edges.wrapping_add(instants.len() as u32);
+        let (begins, mut added) = (self.next == 0, 0_u32);
         let (mut to_come, mut interval) = (self.to_come, self.interval);
         let (mut planned, mut offset, mut next) = (self.planned, self.offset, self.next);
         for &at in instants {
             if to_come == 0 {
                 if next == line.given_with_pulses() {
                     self.timed.worst_error_ticks = u32::MAX;
+                    added = added.wrapping_add(1);
                     continue;
                 }
                 let pulses = line.pulses(next);
@@ -82,6 +102,11 @@ impl EdgeTiming {
         (self.to_come, self.interval) = (to_come, interval);
         (self.planned, self.offset, self.next) = (planned, offset, next);
         self.timed.edges = edges;
+        // Those that are off have been taken off already. Nothing is before the first edge, and an added one ends no
+        // interval.
+        let intervals = (instants.len() as u32).wrapping_sub(added);
+        let intervals = intervals.wrapping_sub(u32::from(begins && intervals > 0));
+        self.intervals.exact = self.intervals.exact.wrapping_add(intervals);
     }
 
     /// An interval differs from the planned one.
@@ -90,6 +115,9 @@ impl EdgeTiming {
     fn differ(&mut self, by: u32) {
         let error = (by as i32).unsigned_abs();
         self.timed.worst_error_ticks = self.timed.worst_error_ticks.max(error);
+        let off = &mut self.intervals.off[error.min(3) as usize - 1];
+        *off = off.wrapping_add(1);
+        self.intervals.exact = self.intervals.exact.wrapping_sub(1);
     }
 
     /// Nothing more can be compared on this path, as without the jumper.

@@ -52,6 +52,12 @@ impl Paced {
         }
     }
 
+    /// How long bursts take from now on, where they take time at all: a ring's take none.
+    pub(super) fn set_beats(&mut self, beats: Beats) {
+        let paced = self.beats.replace(beats);
+        assert!(paced.is_some(), "bursts have to take time from the start");
+    }
+
     /// The same with a ring at `place`.
     pub(super) fn with_ring(self, place: Option<Place>) -> Self {
         let ring = place.map(Ring::new);

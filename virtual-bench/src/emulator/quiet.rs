@@ -109,6 +109,23 @@ impl Quiet {
         }
     }
 
+    /// Takes its DMA requests away, or gives them back.
+    pub(super) fn keep_from_dma(
+        &mut self,
+        kept: bool,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let asks_for = registers.get(Register::Dier);
+        let value = if kept {
+            asks_for & !CAPTURE_REQUEST
+        } else {
+            asks_for | CAPTURE_REQUEST
+        };
+        registers.set(Register::Dier, value);
+        Device::write(self, Register::Dier, value, registers, context);
+    }
+
     /// Whether it does nothing but count rising edges of its external trigger, in the 32 bits it has.
     pub(super) fn counts_edges(&self, registers: &RegisterFile) -> bool {
         registers.get(Register::Cr1) & !DOWN == COUNTS
@@ -218,7 +235,22 @@ fn is_noticed(high: bool, registers: &RegisterFile) -> bool {
 impl Device for Quiet {
     type Register = Register;
 
-    forward!(tim: layout, peek, read, on_refused, poll);
+    forward!(tim: layout, peek, on_refused, poll);
+
+    /// The status is looked at without bringing the timer up to date: an edge of this very instruction may be put in
+    /// behind it, with its own instant.
+    fn read(
+        &mut self,
+        register: Register,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> Option<u64> {
+        if register == Register::Sr {
+            let seen = Device::peek(&self.tim, register, registers, context.now());
+            return Some(seen.unwrap_or_else(|| registers.get(register)));
+        }
+        Device::read(&mut self.tim, register, registers, context)
+    }
 
     fn write(
         &mut self,
