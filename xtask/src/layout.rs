@@ -10,8 +10,7 @@ use object::endian::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _, SectionHeader as _};
 use object::{Object as _, ObjectSection as _};
 
-/// Memory of a chip. Its `chip.x`, in a folder of its name below `device/memory`, defines the settings' sectors and
-/// the start of the code.
+/// Memory of a chip. `memory.x` defines the settings' sectors and the start of the code.
 #[derive(Debug)]
 pub(crate) struct Memory {
     flash: Range<u32>,
@@ -334,40 +333,38 @@ mod tests {
         assert!(found.contains("outside of flash"), "{found}");
     }
 
-    /// The addresses above must equal those of the linker scripts.
+    /// The addresses above must equal those of the linker script.
     #[test]
-    fn addresses_agree_with_chip_x() {
-        {
-            let memory = &STM32F411RE;
-            let path = crate::process::root().join("device/memory/stm32f411re/chip.x");
-            let script = std::fs::read_to_string(path).unwrap();
-            let line = |name: &str| {
-                let named = |line: &&str| line.trim_start().starts_with(name);
-                script.lines().find(named).unwrap()
-            };
-            let hex = |text: &str| {
-                let digits = text.split("0x").nth(1).unwrap();
-                let end = digits.find(|digit: char| !digit.is_ascii_hexdigit());
-                u32::from_str_radix(&digits[..end.unwrap_or(digits.len())], 16).unwrap()
-            };
-            let region = |name: &str| {
-                let (from, length) = line(name).split_once(',').unwrap();
-                let kib = length.trim_end_matches('K').rsplit(' ').next().unwrap();
-                let start = hex(from);
-                start..start + kib.parse::<u32>().unwrap() * 1024
-            };
-            let value = |name: &str| hex(line(name));
-            assert_eq!(region("FLASH"), memory.flash);
-            assert_eq!(region("RAM"), memory.ram);
-            assert_eq!(value("_stext"), memory.code.start);
-            assert_eq!(
-                value("_settings_start")..value("_settings_end"),
-                memory.settings
-            );
-            // The KiB that survives a reset adjoins that RAM at one end.
-            let kept = value("_last_words_start")..value("_last_words_end");
-            assert_eq!(kept.end - kept.start, 1024);
-            assert!(kept.start == memory.ram.end || kept.end == memory.ram.start);
-        }
+    fn addresses_agree_with_the_linker_script() {
+        let memory = &STM32F411RE;
+        let path = crate::process::root().join("memory.x");
+        let script = std::fs::read_to_string(path).unwrap();
+        let line = |name: &str| {
+            let named = |line: &&str| line.trim_start().starts_with(name);
+            script.lines().find(named).unwrap()
+        };
+        let hex = |text: &str| {
+            let digits = text.split("0x").nth(1).unwrap();
+            let end = digits.find(|digit: char| !digit.is_ascii_hexdigit());
+            u32::from_str_radix(&digits[..end.unwrap_or(digits.len())], 16).unwrap()
+        };
+        let region = |name: &str| {
+            let (from, length) = line(name).split_once(',').unwrap();
+            let kib = length.trim_end_matches('K').rsplit(' ').next().unwrap();
+            let start = hex(from);
+            start..start + kib.parse::<u32>().unwrap() * 1024
+        };
+        let value = |name: &str| hex(line(name));
+        assert_eq!(region("FLASH"), memory.flash);
+        assert_eq!(region("RAM"), memory.ram);
+        assert_eq!(value("_stext"), memory.code.start);
+        assert_eq!(
+            value("_settings_start")..value("_settings_end"),
+            memory.settings
+        );
+        // The KiB that survives a reset adjoins that RAM at one end.
+        let kept = value("_last_words_start")..value("_last_words_end");
+        assert_eq!(kept.end - kept.start, 1024);
+        assert!(kept.start == memory.ram.end || kept.end == memory.ram.start);
     }
 }
