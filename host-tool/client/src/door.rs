@@ -1,7 +1,7 @@
 //! Doors: one owner of a line, many windows.
 //!
-//! The process that opens a line (a serial port or a TCP server) takes the line's lock and opens a *door* beside it. Any
-//! other process of the same user finds the door through the lock and looks through it: a [`window::Window`] is a
+//! The process that opens a line (a serial port or a TCP server) takes the line's lock and opens a *door* beside it.
+//! Any other process of the same user finds the door through the lock and looks through it: a [`window::Window`] is a
 //! [`crate::link::Link`], so that the whole client works over it.
 //!
 //! Traffic through a door:
@@ -14,16 +14,16 @@
 //!
 //! # The door's protocol
 //!
-//! Its version is [`VERSION`]. Each side first sends one line of JSON that ends with a line feed: the guest a [`Knock`],
-//! the door a [`Welcome`]. From then on both send frames of the machines' protocol ([`protocol::frame`]), and the door is the
-//! device's end of a session of its own. It answers what it does not let through with
+//! Its version is [`VERSION`]. Each side first sends one line of JSON that ends with a line feed: the guest a
+//! [`Knock`], the door a [`Welcome`]. From then on both send frames of the machines' protocol ([`protocol::frame`]),
+//! and the door acts as the device's end of a separate session. It rejects requests that are not allowed with
 //! [`protocol::error::WireError::Malformed`]. A guest need not wait for the welcome before it sends a stop.
 //!
 //! Once the limit of guests is reached, a further one can stop the machine and nothing else: [`Welcome::full`] says
 //! so.
 //!
-//! An owner that only looks at the machine offers its line. A guest that knocks with [`Knock::wants_line`] gets it: the owner
-//! closes line and door, the guest opens the line, and the former owner comes back as a guest.
+//! An owner that only looks at the machine offers its line. A guest that knocks with [`Knock::wants_line`] gets it:
+//! the owner closes line and door, the guest opens the line, and the former owner comes back as a guest.
 //!
 //! New versions only add fields to the two lines. Stops work between all versions.
 

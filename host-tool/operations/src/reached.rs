@@ -27,7 +27,7 @@ pub fn reached(
         _ => return Ok(None),
     };
     let status = capsule.capsule_status()?;
-    // An unreferenced capsule has not certainly reached the goal.
+    // Let an unreferenced or faulted capsule refuse the command itself: its refusal names the reason.
     let there = status.state == goal && status.referenced && status.fault.is_none();
     Ok(there.then_some((status, name)))
 }

@@ -83,7 +83,7 @@ impl State {
         };
     }
 
-    /// Removes the commands among the guests' questions when a stop comes: executed later, they would undo the stop.
+    /// Removes and returns the guests' commands when a stop comes: executed later, they would undo the stop.
     fn take_orders(&mut self) -> VecDeque<Question> {
         let looks = |question: &Question| question.request.impact() == Impact::None;
         let (look, orders) = self.questions.drain(..).partition(looks);

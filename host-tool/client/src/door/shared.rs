@@ -71,7 +71,7 @@ impl Shared {
 impl Drop for Shared {
     fn drop(&mut self) {
         self.core.close();
-        // Wake the door's thread with a connection; otherwise it would notice the end only at the next one.
+        // Wake the door's thread with a connection; otherwise it would not see the end until somebody connects.
         let doorway = self.lock.doorway();
         let _ = doorway.connect(doorway.plate().as_ref());
         if let Some(pump) = self.pump.take() {
