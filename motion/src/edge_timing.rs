@@ -11,6 +11,15 @@ pub struct Timed {
     pub worst_error_ticks: u32,
 }
 
+/// Captured intervals, counted by their difference from the plan, since the start of the device; the counts wrap.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Intervals {
+    /// Intervals without a difference.
+    pub exact: u32,
+    /// Intervals off by 1 tick, by 2 ticks, and by more, in either direction.
+    pub off: [u32; 3],
+}
+
 /// Comparison of one path.
 ///
 /// A missing, moved or additional edge shows as a wrong interval. At the first or last step it shows in the number of
@@ -30,17 +39,26 @@ pub struct EdgeTiming {
     /// Captures or periods were lost: nothing more can be compared on this path.
     lost: bool,
     timed: Timed,
+    intervals: Intervals,
 }
 
 impl EdgeTiming {
     /// Starts a new path.
     pub fn clear(&mut self) {
-        *self = Self::default();
+        *self = Self {
+            intervals: self.intervals,
+            ..Self::default()
+        };
     }
 
     /// Result since the start of the path.
     pub fn timed(&self) -> Timed {
         self.timed
+    }
+
+    /// Result on all paths since the start of the device.
+    pub fn intervals(&self) -> Intervals {
+        self.intervals
     }
 
     /// Compares edges captured at these instants; their clock wraps. Runs once per step, so each edge costs a few
@@ -54,12 +72,14 @@ impl EdgeTiming {
             return;
         }
         let edges = self.timed.edges.wrapping_add(instants.len() as u32);
+        let (begins, mut added) = (self.next == 0, 0_u32);
         let (mut to_come, mut interval) = (self.to_come, self.interval);
         let (mut planned, mut offset, mut next) = (self.planned, self.offset, self.next);
         for &at in instants {
             if to_come == 0 {
                 if next == line.given_with_pulses() {
                     self.timed.worst_error_ticks = u32::MAX;
+                    added = added.wrapping_add(1);
                     continue;
                 }
                 let pulses = line.pulses(next);
@@ -83,6 +103,11 @@ impl EdgeTiming {
         (self.to_come, self.interval) = (to_come, interval);
         (self.planned, self.offset, self.next) = (planned, offset, next);
         self.timed.edges = edges;
+        // `differ` has already subtracted the intervals that are off. The first edge has no interval before it, and an
+        // additional edge ends none.
+        let intervals = (instants.len() as u32).wrapping_sub(added);
+        let intervals = intervals.wrapping_sub(u32::from(begins && intervals > 0));
+        self.intervals.exact = self.intervals.exact.wrapping_add(intervals);
     }
 
     /// Notes an interval that differs from the planned one.
@@ -91,6 +116,9 @@ impl EdgeTiming {
     fn differ(&mut self, by: u32) {
         let error = (by as i32).unsigned_abs();
         self.timed.worst_error_ticks = self.timed.worst_error_ticks.max(error);
+        let off = &mut self.intervals.off[error.min(3) as usize - 1];
+        *off = off.wrapping_add(1);
+        self.intervals.exact = self.intervals.exact.wrapping_sub(1);
     }
 
     /// Whether nothing more can be compared on this path, as without the jumper.

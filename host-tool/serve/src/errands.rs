@@ -208,7 +208,10 @@ pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Val
         device.hello(nonce)?;
         device.require(machine.kind)?;
         match question {
-            Question::Health => Ok(json!({ "health": device.call(rig::GetRigHealth)? })),
+            Question::Health => Ok(json!({
+                "health": device.call(rig::GetRigHealth)?,
+                "hardware": device.call(rig::GetRigHardware)?,
+            })),
             Question::Settings(kind) => {
                 let settings = SettingKey::of(kind)
                     .map(|key| {
