@@ -504,7 +504,7 @@ impl Keeper<'_> {
         Ok(place(&status).into())
     }
 
-    /// Waits until the carriage stands. The status requests also keep the rig's dead-man timer from expiring.
+    /// Waits until the carriage stands. The status requests also keep the rig's link time-out from expiring.
     fn until_rest(&self, rig: &mut Device, busy: &mut Busy<'_>) -> Result<RigStatus, Failure> {
         let silent = |error| while_moving("the motion", error);
         loop {
